@@ -13,6 +13,7 @@ BENCH :=
 BROWSER :=
 SIGNALS := 1000
 EDGES := 2000
+BRANCHES := 200
 
 # An environment that is there stays what it is.
 ifneq ($(and $(PYTHON),$(wildcard $(BIN)/python)),)
@@ -21,7 +22,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges record recordings soak determinism kills day worker-kills signals pyserial browser schemas commands reference tutorial bench fidelity lock build clean
+.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges branches record recordings soak determinism kills day worker-kills signals pyserial browser schemas commands reference tutorial bench fidelity lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -69,6 +70,9 @@ recordings: $(VENV)/dev.stamp ## logs of 300 sound robots with random hosts, in 
 
 edges: $(VENV)/dev.stamp ## 2,000 random playpens at the edge of what the check lets pass, driven through at full speed; about an hour
 	@$(BIN)/python tools/edge_playpens.py $(EDGES)
+
+branches: $(VENV)/dev.stamp ## 200 random logs taken up at random moments, unchanged and changed; BRANCHES=20 for fewer; about ten minutes
+	@$(BIN)/python tools/branches.py $(BRANCHES)
 
 soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each, 2,000 that come and go, 2,000 that leave a network port
 	@KHEP_RUBBISH_SECONDS=60 KHEP_OPENINGS=2000 $(BIN)/python -m pytest tests/ports/test_chaos.py tests/ports/test_random_hosts.py

@@ -18,6 +18,7 @@
     ├── StudyError        a study that cannot be used, or results that are not its own
     ├── StoppedError      a command to a robot whose run is ending
     ├── MissingExtraError a part of khep_twin whose package is not installed
+    ├── SnapshotError     a state of a simulation that cannot be taken up
     └── DivergedError     a simulation that left the bounds of physics
 
 Each message gives the location, the value found there and the expected one; programs find what is known as
@@ -208,6 +209,10 @@ class MissingNumbaError(KhepTwinError):
 
     def __init__(self) -> None:
         super().__init__(f"numba is not installed; to install it: {pip_install_required('numba')}")
+
+
+class SnapshotError(KhepTwinError):
+    """A state of a simulation that is damaged, or of another version or scene."""
 
 
 class DivergedError(KhepTwinError):

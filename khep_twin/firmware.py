@@ -15,12 +15,14 @@ docs/protocol.md lists all such decisions.
 """
 
 from collections.abc import Callable, Mapping
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Base64UrlBytes, Field
 
 from khep_twin.board import bios, kernel
-from khep_twin.board.kernel import LEFT, RIGHT, Board, Wheel
+from khep_twin.board.kernel import LEFT, RIGHT, Board, Mode, Wheel
 from khep_twin.board.protocol import (
     END,
     PROTOCOL_ERROR,
@@ -52,6 +54,24 @@ ACCELERATION_LIMIT = 65535
 
 N_CONVERTER_CHANNELS = 7
 """Channels of command I (manual II, appendix A; the manual names none)."""
+
+
+class FirmwareState(NamedTuple):
+    """State of the firmware besides its registers.
+
+    Attributes:
+        baud: Speed of the serial line from the next reply on [baud].
+        reply_baud: Speed of the line for the last reply [baud].
+        running: ROM function that runs; empty for none.
+        begun: Bytes of the incomplete line.
+        turrets: Registers of each turret, by its name.
+    """
+
+    baud: Annotated[int, Field(gt=0, le=10**9)]
+    reply_baud: Annotated[int, Field(gt=0, le=10**9)]
+    running: Annotated[str, Field(max_length=64)]
+    begun: Base64UrlBytes
+    turrets: dict[str, tuple[Annotated[int, Field(ge=-(2**63), lt=2**63)], ...]]
 
 
 class Firmware:
@@ -96,6 +116,33 @@ class Firmware:
     def powered(self) -> bool:
         """Whether the supply suffices for the processor."""
         return bool(self._processor[kernel.POWERED])
+
+    def state(self) -> FirmwareState:
+        """Return the state besides the registers."""
+        turrets = {kind.name: tuple(turret.registers.tolist()) for kind, turret in self.turrets.items()}
+        return FirmwareState(self.baud, self.reply_baud, self.running, self._lines.begun, turrets)
+
+    def set_state(self, state: FirmwareState) -> None:
+        """Take over a state.
+
+        Raises:
+            ValueError: It has other turrets, or a register that indexes others is out of its range.
+        """
+        here = {kind.name: turret.registers for kind, turret in self.turrets.items()}
+        sizes = {name: len(registers) for name, registers in here.items()}
+        if (found := {name: len(registers) for name, registers in state.turrets.items()}) != sizes:
+            raise ValueError(f"turrets with registers {found}; expected {sizes}")
+        view = self.register_view
+        for register, limit in (
+            (Board.SCAN, N_SENSORS),
+            *((side + Wheel.MODE, len(Mode)) for side in (LEFT, RIGHT)),
+        ):
+            if not 0 <= view[register] < limit:
+                raise ValueError(f"register {int(register)} = {view[register]}; expected 0 to {limit - 1}")
+        for name, registers in state.turrets.items():
+            here[name][:] = registers
+        self.baud, self.reply_baud, self.running = state.baud, state.reply_baud, state.running
+        self._lines.begun = state.begun
 
     def receive(self, data: bytes) -> bytes:
         """Read bytes from the line; return the replies to the commands that they complete."""

@@ -5,11 +5,29 @@ by the run's seed and a name, so that a new one never changes the draws of the o
 """
 
 import hashlib
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 SEED_LIMIT = 2**63
 """Upper limit of seeds, exclusive: every file format and language can hold smaller ones."""
+
+
+class StreamState(NamedTuple):
+    """Position in a random stream, as of numpy's PCG64.
+
+    Attributes:
+        state: State of the generator.
+        increment: Increment of the generator, which distinguishes streams.
+        halves: Number of 32-bit halves of a draw that are kept, 0 or 1.
+        half: Half that is kept.
+    """
+
+    state: Annotated[int, Field(ge=0, lt=2**128)]
+    increment: Annotated[int, Field(ge=0, lt=2**128)]
+    halves: Annotated[int, Field(ge=0, le=1)]
+    half: Annotated[int, Field(ge=0, lt=2**32)]
 
 
 def stream(seed: int, *names: str | int) -> np.random.Generator:
@@ -27,3 +45,20 @@ def stream(seed: int, *names: str | int) -> np.random.Generator:
     # SHA-256, because Python salts hash() in each process.
     digest = hashlib.sha256("\0".join(map(str, names)).encode()).digest()
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, int.from_bytes(digest)])))
+
+
+def position(rng: np.random.Generator) -> StreamState:
+    """Return the position in a random stream."""
+    found = rng.bit_generator.state
+    inner = found["state"]
+    return StreamState(inner["state"], inner["inc"], found["has_uint32"], found["uinteger"])
+
+
+def resume(rng: np.random.Generator, at: StreamState) -> None:
+    """Go on with a random stream from a position."""
+    rng.bit_generator.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": at.state, "inc": at.increment},
+        "has_uint32": at.halves,
+        "uinteger": at.half,
+    }

@@ -1,23 +1,25 @@
 """One robot of a world: its board, line, turrets, supply, and body in the physics."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Annotated, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Base64UrlBytes, Field
 
 from khep_twin import step, units
 from khep_twin.board import kernel
-from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injector
+from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injector, InjectorState
 from khep_twin.board.kernel import LEFT, RIGHT, Board, Wheel
 from khep_twin.board.protocol import LINE_END
 from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
-from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
-from khep_twin.firmware import Firmware
+from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, LineState, Uart
+from khep_twin.firmware import Firmware, FirmwareState
 from khep_twin.playpen import Playpen
+from khep_twin.randomness import StreamState, position, resume
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.faulty_wheels import FaultyWheels
 
@@ -62,6 +64,58 @@ class RobotSettings(NamedTuple):
     unpaced: bool
     strict_line: bool
     faults: tuple[Fault, ...]
+
+
+class HostState(NamedTuple):
+    """Known state of a robot's host.
+
+    Attributes:
+        settings: Speed [baud] and stop bits of its end of the line; None for the robot's own.
+        warned: Speeds of host and robot that a warning was given of [baud].
+    """
+
+    settings: tuple[Annotated[int, Field(ge=0, le=10**9)], int] | None
+    warned: tuple[tuple[int, int], ...]
+
+
+class RobotSnapshot(NamedTuple):
+    """State of a robot besides its body in the physics.
+
+    Attributes:
+        firmware: State of the firmware.
+        registers: State of the board, as 64-bit integers.
+        processor: State of the processor, likewise.
+        sensor_states: State of each sensor, SOUND, STUCK or DEAD of `step`, likewise.
+        strengths: Part of its torque that each motor gives, as 64-bit floats.
+        voltage: Supply voltage as measured last [V], as one 64-bit float.
+        stopped: Whether the processor has stopped for want of voltage.
+        baud: Speed of the robot's end of the line [baud].
+        rx: Bytes to the robot.
+        tx: Bytes to the host.
+        host: Known state of its host.
+        leds: LEDs as shown, 1 for a lit one.
+        faults: State of the faults.
+        line_noise: Position in the random stream of a strict line; None for a lenient one.
+    """
+
+    firmware: FirmwareState
+    registers: Base64UrlBytes
+    processor: Base64UrlBytes
+    sensor_states: Base64UrlBytes
+    strengths: Base64UrlBytes
+    voltage: Base64UrlBytes
+    stopped: bool
+    baud: Annotated[int, Field(gt=0, le=10**9)]
+    rx: LineState
+    tx: LineState
+    host: HostState
+    leds: tuple[int, int]
+    faults: InjectorState
+    line_noise: StreamState | None
+
+
+_RECORDED = ("registers", "processor", "sensor_states", "strengths", "voltage")
+"""Fields of a robot's record that change in a run."""
 
 
 class Robot:
@@ -117,6 +171,55 @@ class Robot:
         if any(fault.device == WHEEL for fault in settings.faults):
             self._wheels = FaultyWheels(model, data, indices)
 
+    def state(self, since_ns: int = -1) -> RobotSnapshot:
+        """Return the state, with the replies that reach the host after a time [ns]."""
+        settings = None if self._host is None else (self._host.baud, self._host.stop_bits)
+        return RobotSnapshot(
+            self.firmware.state(),
+            *(self._state[name].tobytes() for name in _RECORDED),
+            stopped=self._has_stopped,
+            baud=self._baud,
+            rx=self.uart.rx.state(),
+            tx=self.uart.tx.state(since_ns),
+            host=HostState(settings, tuple(sorted(self._warned))),
+            leds=(self._shown[0], self._shown[1]),
+            faults=self._faults.state(),
+            line_noise=None if self._line_noise is None else position(self._line_noise),
+        )
+
+    def set_state(self, state: RobotSnapshot) -> None:
+        """Take over a state.
+
+        Raises:
+            ValueError: It is of another robot, or another line.
+        """
+        for name in _RECORDED:
+            field, data = self._state[name], getattr(state, name)
+            if len(data) != field.nbytes:
+                raise ValueError(f"{len(data)} bytes of {name}; expected {field.nbytes}")
+            field[:] = np.frombuffer(data, field.dtype)
+        if (state.line_noise is None) != (self._line_noise is None):
+            raise ValueError(
+                f"strict_line = {self._line_noise is None}; expected {self._line_noise is not None}"
+            )
+        if self._line_noise is not None and state.line_noise is not None:
+            resume(self._line_noise, state.line_noise)
+        self.firmware.set_state(state.firmware)
+        self.uart.rx.set_state(state.rx)
+        self.uart.tx.set_state(state.tx)
+        self._faults.set_state(state.faults)
+        self._has_stopped, self._baud = state.stopped, state.baud
+        self._host = None if state.host.settings is None else LineSettings(*state.host.settings)
+        self._warned = set(state.host.warned)
+        self._show(state.leds)
+        self.apply_faults()
+
+    def reseed(self, rng: Callable[..., np.random.Generator]) -> None:
+        """Draw from other random streams of line and faults from now on."""
+        if self._line_noise is not None:
+            self._line_noise = rng("line")
+        self._faults.reseed(partial(rng, "fault"))
+
     @property
     def pose(self) -> tuple[float, float, float]:
         """True x, y [m] and heading [rad] in the playpen."""
@@ -138,12 +241,12 @@ class Robot:
             Warning of a different speed; empty if the speeds agree or the warning was given before. The
             robot accepts one stop bit as well as two.
         """
-        if host is not self._host and host != self._host:
+        is_new, self._host, baud = host is not self._host and host != self._host, host, self._baud
+        differs = host is not None and host.baud != baud and (host.baud, baud) not in self._warned
+        warns = differs and len(self._warned) < _MOST_WARNINGS
+        if is_new or warns:
             self._context.on_host_event(self.index, HostEvent(HostEventKind.SET, self._context.time_ns, host))
-        self._host, baud = host, self._baud
-        if host is None or host.baud == baud or (host.baud, baud) in self._warned:
-            return ""
-        if len(self._warned) == _MOST_WARNINGS:
+        if not warns or host is None:
             return ""
         self._warned.add((host.baud, baud))
         outcome = "taken all the same" if self._line_noise is None else "garbled"
@@ -278,9 +381,12 @@ class Robot:
 
     def show_leds(self) -> None:
         """Move the lights of lit LEDs to the LEDs, those of unlit ones back into the body."""
-        self._shown = [self._register_view[led] for led in _LEDS]
-        for lit, (position, hidden, shown) in zip(self._shown, self._lights, strict=True):
-            position[:] = shown if lit else hidden
+        self._show([self._register_view[led] for led in _LEDS])
+
+    def _show(self, leds: Sequence[int]) -> None:
+        self._shown = list(leds)
+        for lit, (place, hidden, shown) in zip(self._shown, self._lights, strict=True):
+            place[:] = shown if lit else hidden
 
     def reset_motion(self) -> None:
         """Reset counters, setpoints, controllers and LEDs, and cut the motors' voltage."""

@@ -7,26 +7,29 @@ fall between them. Only `World.advance_to` advances time.
 import copy
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from typing import Protocol
+from typing import Annotated, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from khep_twin import step, units
 from khep_twin.board.fault_injection import WHEEL, Fault
-from khep_twin.board.uart import HostEvent
+from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NEVER_NS
-from khep_twin.errors import DivergedError, MissingNumbaError
-from khep_twin.playpen import Lamp, Playpen
+from khep_twin.errors import DivergedError, MissingNumbaError, SnapshotError
+from khep_twin.playpen import Lamp, Lighting, Playpen
 from khep_twin.playpen.starts import Start, at_spots
-from khep_twin.randomness import stream
-from khep_twin.robot import Robot, RobotSettings
-from khep_twin.sensing.lamps import Lamps
+from khep_twin.randomness import StreamState, position, resume, stream
+from khep_twin.robot import Robot, RobotSettings, RobotSnapshot
+from khep_twin.sensing.lamps import Lamps, LampsState
 from khep_twin.simulation import faulty_wheels
 from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel
+from khep_twin.simulation.physics_state import PhysicsState, fingerprint, physics_state, set_physics_state
 from khep_twin.simulation.ready import function_of, when_ready
-from khep_twin.simulation.simulation import Advance, Simulation
+from khep_twin.simulation.simulation import Advance, Simulation, SimulationState
+from khep_twin.simulation.snapshot_format import pack, unpack
 
 SAMPLE_NS = units.SCAN_NS
 """Sampling period of the observers [ns]."""
@@ -49,6 +52,34 @@ class Observer(Protocol):
 
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Observe a logged event."""
+
+
+class WorldState(NamedTuple):
+    """State of a world.
+
+    Attributes:
+        time_ns: Current time [ns].
+        physics: State of the physics.
+        simulation: State of the stepping core.
+        robots: State of each robot.
+        lamps: All lamps, which may have been set up anew.
+        lighting: Their lighting.
+        lamps_state: State of the lamps.
+        lamps_stream: Position in their random stream.
+        untold: Events for observers that are still to come: robot and text.
+        failure: Message of the error that has ended the run; empty for none.
+    """
+
+    time_ns: Annotated[int, Field(ge=0, lt=2**62)]
+    physics: PhysicsState
+    simulation: SimulationState
+    robots: tuple[RobotSnapshot, ...]
+    lamps: tuple[Lamp, ...]
+    lighting: Lighting
+    lamps_state: LampsState
+    lamps_stream: StreamState
+    untold: tuple[tuple[int | None, str], ...]
+    failure: str
 
 
 class World:
@@ -148,6 +179,7 @@ class World:
         self._untold: list[tuple[int | None, str]] = []
         self._failure: DivergedError | None = None
         self.time_ns = 0
+        self._scene = ""
         if not self._shares_model:
             for name, array in self._compiled.items():
                 getattr(self.model, name)[:] = array
@@ -159,8 +191,8 @@ class World:
         if lamps is not None:
             playpen = playpen.model_copy(update={"lamps": tuple(lamps)})
         self.playpen = playpen
-        self._lamp_chance = cache(partial(stream, seed, "lamps"))
-        self.lamps = Lamps(playpen, self._lamp_chance)
+        self._lamp_stream = cache(partial(stream, seed, "lamps"))
+        self.lamps = Lamps(playpen, self._lamp_stream)
         self.robots = tuple(
             Robot(self, index, at, state, partial(stream, seed, "robot", index), self._robot_settings)
             for index, (at, state) in enumerate(zip(forms.indices, simulation.records, strict=True))
@@ -180,8 +212,12 @@ class World:
         """Copy of the positions of all joints."""
         return self.data.qpos.copy()
 
-    def add_observer(self, observer: Observer) -> None:
-        """Add an observer; it receives the current state at once.
+    def add_observer(self, observer: Observer, *, at_once: bool = True) -> None:
+        """Add an observer.
+
+        Args:
+            observer: Observer.
+            at_once: Whether it receives the current state, with what it missed; or has it already.
 
         Raises:
             ValueError: The world shares its model.
@@ -189,6 +225,8 @@ class World:
         if self._shares_model:
             raise ValueError("the world shares its model; expected one of its own, as of an observed Episode")
         self.observers.append(observer)
+        if not at_once:
+            return
         for robot, text in self._untold:
             observer.on_event(self.time_ns, robot, text)
         mujoco.mj_kinematics(self.model, self.data)
@@ -228,10 +266,103 @@ class World:
             look(self.model, self.data)
         self.simulation.scan(self.simulation.steps)
 
+    def snapshot(self) -> bytes:
+        """Return the whole state of the world, without its observers, for `restore`.
+
+        Raises:
+            ValueError: A step has begun and not ended.
+        """
+        return pack(self.state(), self.scene)
+
+    def restore(self, snapshot: bytes) -> None:
+        """Go on from a snapshot, bit for bit as the world that it was taken of; observers stay.
+
+        Any world of the same playpen can do so, if its robots were drawn by the same seed with `vary`, and
+        its line and faults are the same.
+
+        Raises:
+            SnapshotError: The bytes are no snapshot, or of another version or scene; after a damaged one the
+                world needs a `restart`.
+        """
+        self.set_state(unpack(snapshot, WorldState, self.scene))
+
+    @property
+    def scene(self) -> str:
+        """Fingerprint of the compiled scene with its robots, in hexadecimal digits."""
+        if not self._scene:
+            self._scene = fingerprint(self.model, self.timing, self._forms.calibrations)
+        return self._scene
+
+    @property
+    def is_between_steps(self) -> bool:
+        """Whether no step has begun without having ended, so that the state is whole."""
+        return bool(self.simulation.counters[step.PHASE] == step.DONE)
+
+    def state(self, since_ns: int = -1) -> WorldState:
+        """Return the whole state, with the replies that reach a host after a time [ns].
+
+        Raises:
+            ValueError: A step has begun and not ended.
+        """
+        if not self.is_between_steps and self._failure is None:
+            raise ValueError("no state amid a step; expected it between steps, as observers sample them")
+        return WorldState(
+            self.time_ns,
+            physics_state(self.model, self.data),
+            self.simulation.state(),
+            tuple(robot.state(since_ns) for robot in self.robots),
+            self.playpen.lamps,
+            self.playpen.lighting,
+            self.lamps.state(),
+            position(self._lamp_stream()),
+            tuple(self._untold),
+            "" if self._failure is None else str(self._failure),
+        )
+
+    def set_state(self, state: WorldState) -> None:
+        """Take over a state.
+
+        Raises:
+            SnapshotError: It does not fit the world, which then needs a `restart`.
+        """
+        try:
+            self._set_state(state)
+        except ValueError as error:
+            self._failure = DivergedError(f"the world could not be restored: {error}")
+            raise SnapshotError(f"the snapshot does not fit the world: {error}") from None
+
+    def reseed(self, seed: int) -> None:
+        """Draw from the random streams of another seed from now on."""
+        self.simulation.reseed(seed)
+        self._lamp_stream = cache(partial(stream, seed, "lamps"))
+        self.lamps.rng = self._lamp_stream
+        for index, robot in enumerate(self.robots):
+            robot.reseed(partial(stream, seed, "robot", index))
+
+    def _set_state(self, state: WorldState) -> None:
+        steps = state.time_ns // self.timing.step_ns
+        if state.simulation.steps != steps or len(state.robots) != len(self.robots):
+            found = f"{state.simulation.steps} steps of {len(state.robots)} robots at {state.time_ns} ns"
+            raise ValueError(f"{found}; expected {steps} of {len(self.robots)}")
+        self.simulation.set_state(state.simulation)
+        self.time_ns = state.time_ns
+        for robot, of_robot in zip(self.robots, state.robots, strict=True):
+            robot.set_state(of_robot)
+        # Faulty wheels change the model, and the motion when they begin.
+        set_physics_state(self.model, self.data, state.physics)
+        self._find_faults()
+        self.playpen = self.playpen.model_copy(update={"lamps": state.lamps, "lighting": state.lighting})
+        self.lamps = Lamps(self.playpen, self._lamp_stream, self.time_ns)
+        self.lamps.set_state(state.lamps_state)
+        resume(self._lamp_stream(), state.lamps_stream)
+        self.simulation.set_lamps(self.lamps, self.playpen.lighting)
+        self._untold = list(state.untold)
+        self._failure = DivergedError(state.failure) if state.failure else None
+
     def relight(self, playpen: Playpen) -> None:
         """Take the lamps and the lighting of another playpen."""
         self.playpen = playpen
-        self.lamps = Lamps(playpen, self._lamp_chance, self.time_ns, self.lamps.phase)
+        self.lamps = Lamps(playpen, self._lamp_stream, self.time_ns, self.lamps.phase)
         self.simulation.set_lamps(self.lamps, playpen.lighting)
 
     def refresh(self) -> None:
@@ -276,6 +407,12 @@ class World:
             self._untold.append((robot, text))
         for observer in self.observers:
             observer.on_event(self.time_ns, robot, text)
+
+    def note(self, robot: int | None, text: str) -> None:
+        """Log an event that does not follow from the state, as what the host did, so that logs repeat it."""
+        data = bytes([robot is None]) + text.encode("utf-8")
+        self.on_host_event(robot or 0, HostEvent(HostEventKind.NOTE, self.time_ns, None, data))
+        self.log_event(robot, text)
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Send bytes that crossed a robot's line to the observers."""

@@ -225,7 +225,7 @@ def read_series(path: Path) -> None:
 
 def read_recorded(path: Path) -> None:
     """Read a log as a replay does."""
-    from khep_twin.lab.experiment.repeat import read_recorded
+    from khep_twin.log.recorded import read_recorded
 
     read_recorded(path)
 

@@ -58,6 +58,14 @@ def draw_side_by_side() -> None:
     _keep(tutorial.shrunk(Path("side_by_side.png"), 1280), "side_by_side")
 
 
+def draw_branches() -> None:
+    """Draw the fan of branches of docs/branch.md, by its commands."""
+    _type("run", "--playpen", "obstacles", "--seconds", "60", "--seed", "1", "--log", "run.mcap")
+    change = ["--controller", "braitenberg", "--seconds", "10", "--runs", "20"]
+    _type("branch", "run.mcap", "--at", "33", *change, "-o", "fan.mcap")
+    _keep(tutorial.shrunk(Path("fan.png"), 1280), "branches")
+
+
 def draw_import() -> None:
     """Draw a scan and the playpen that is made of it, for docs/import.md."""
     scan = Image.new("L", (600, 500), 255)
@@ -134,3 +142,4 @@ if __name__ == "__main__":
         draw_import()
         draw_sensor_tests()
         draw_side_by_side()
+        draw_branches()

@@ -19,13 +19,14 @@ else in a run; every occurrence is logged.
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TypedDict
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.clock import NEVER_NS, to_ns
 from khep_twin.errors import FaultError, choices
+from khep_twin.randomness import StreamState, position, resume
 from khep_twin.units import N_SENSORS
 
 SENSOR, MOTOR, WHEEL = "sensor", "motor", "wheel"
@@ -91,6 +92,20 @@ def parse(text: str) -> Fault:
         raise FaultError(f"fault {text!r}: expected {wanted}, with {times} appended if wanted") from None
 
 
+class InjectorState(NamedTuple):
+    """State of the faults of a robot.
+
+    Attributes:
+        streams: Position in the random stream of each fault, by its text.
+        waiting: Texts of the deterministic faults that have not begun.
+        active: Texts of those that have begun and last.
+    """
+
+    streams: dict[str, StreamState]
+    waiting: tuple[str, ...]
+    active: tuple[str, ...]
+
+
 class Injector:
     """Injector of faults into one robot.
 
@@ -113,7 +128,8 @@ class Injector:
         self._rng = {fault.text: rng(fault.text) for fault in self._faults}
         self._log_event = log_event
         timed = (each for each in self._faults if each.device or each.kind == _BROWN_OUT or each.ends)
-        self._waiting = list(dict.fromkeys(timed))
+        self._timed = tuple(dict.fromkeys(timed))
+        self._waiting = list(self._timed)
         self.active: list[Fault] = []
 
     @property
@@ -121,6 +137,32 @@ class Injector:
         """Times at which faults begin or end by themselves [ns]."""
         ends_ns = [fault.end_ns for fault in self.active if fault.ends]
         return [fault.start_ns for fault in self._waiting] + ends_ns
+
+    def state(self) -> InjectorState:
+        """Return the state."""
+        streams = {text: position(rng) for text, rng in self._rng.items()}
+        waiting, active = (tuple(fault.text for fault in each) for each in (self._waiting, self.active))
+        return InjectorState(streams, waiting, active)
+
+    def set_state(self, state: InjectorState) -> None:
+        """Take over a state; faults that it does not have stay as they are.
+
+        Raises:
+            ValueError: It has a fault that is not injected here.
+        """
+        if unknown := [text for text in state.streams if text not in self._rng]:
+            raise ValueError(f"fault {unknown[0]!r}; {choices(unknown[0], self._rng)}")
+        for text, at in state.streams.items():
+            resume(self._rng[text], at)
+        known, waiting = state.streams.keys(), set(state.waiting)
+        waiting |= {each.text for each in self._waiting if each.text not in known}
+        self._waiting = [each for each in self._timed if each.text in waiting]
+        active = {each.text for each in self.active if each.text not in known} | set(state.active)
+        self.active = [each for each in self._timed if each.text in active]
+
+    def reseed(self, rng: Callable[[str], np.random.Generator]) -> None:
+        """Draw from other random streams from now on."""
+        self._rng = {text: rng(text) for text in self._rng}
 
     def over_the_line(self, data: bytes, time_ns: int) -> bytes:
         """Return the bytes as a bad cable delivers them."""

@@ -90,23 +90,26 @@ class LineReader:
 
     Empty lines are dropped, so CR LF is one ending. A line beyond LINE_LIMIT is truncated and marked as too
     long.
+
+    Attributes:
+        begun: Bytes of the incomplete line.
     """
 
     def __init__(self) -> None:
-        self._begun = b""
+        self.begun = b""
 
     def feed(self, data: bytes) -> Iterator[bytes]:
         """Add bytes; yield the lines that they complete, without their ending."""
-        *lines, begun = LINE_END.split(self._begun + data)
+        *lines, begun = LINE_END.split(self.begun + data)
         # Cleared while a line is handled, the reader goes on with the bytes after it.
-        self._begun = b""
+        self.begun = b""
         for line in filter(None, lines):
             yield line[: LINE_LIMIT + 1]
-        self._begun = begun[: LINE_LIMIT + 1]
+        self.begun = begun[: LINE_LIMIT + 1]
 
     def clear(self) -> None:
         """Discard the incomplete line."""
-        self._begun = b""
+        self.begun = b""
 
 
 @lru_cache(maxsize=1024)

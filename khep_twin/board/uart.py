@@ -9,7 +9,9 @@ from bisect import bisect_right
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
+
+from pydantic import Base64UrlBytes, Field
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.units import BITS_PER_BYTE
@@ -44,6 +46,7 @@ class HostEventKind(IntEnum):
     SWITCH = 5
     SCAN = 6
     RELIGHT = 7
+    NOTE = 8
 
 
 class HostEvent(NamedTuple):
@@ -54,13 +57,29 @@ class HostEvent(NamedTuple):
         at_ns: Time of effect, now or later [ns].
         host: Settings of the host's end of the line; None for the robot's own.
         data: Bytes as the host sent them; new pose of the robot, switched lamp or new lamps, encoded by
-            `khep_twin.interventions`.
+            `khep_twin.interventions`; text of an event, after a byte that is 1 if it is about no robot.
     """
 
     kind: HostEventKind
     at_ns: int
     host: LineSettings | None = None
     data: bytes = b""
+
+
+class LineState(NamedTuple):
+    """State of one direction of the line.
+
+    Attributes:
+        baud: Bits per second; 0 for a line without delay.
+        data: Bytes in transit, and those that no one has read.
+        arrivals: Arrival of each of them [ns].
+        free_ns: Time from which on the line is free [ns].
+    """
+
+    baud: Annotated[int, Field(ge=0, le=10**9)]
+    data: Base64UrlBytes
+    arrivals: tuple[Annotated[int, Field(ge=0, lt=2**62)], ...]
+    free_ns: Annotated[int, Field(ge=0, lt=2**62)]
 
 
 class SerialLine:
@@ -80,6 +99,27 @@ class SerialLine:
 
     def __len__(self) -> int:
         return len(self._bytes)
+
+    def state(self, since_ns: int = -1) -> LineState:
+        """Return the state, with the bytes that arrive after a time [ns]."""
+        first = self.arrived(since_ns)
+        arrivals = tuple(self._arrivals[first:])
+        return LineState(self.baud, bytes(self._bytes[first:]), arrivals, self._free_ns)
+
+    def set_state(self, state: LineState) -> None:
+        """Take over a state.
+
+        Raises:
+            ValueError: Its bytes do not arrive one after the other.
+        """
+        arrivals = list(state.arrivals)
+        if len(arrivals) != len(state.data) or arrivals != sorted(arrivals):
+            raise ValueError(
+                f"{len(arrivals)} arrivals of {len(state.data)} bytes; expected one each, rising"
+            )
+        self.baud, self._free_ns = state.baud, state.free_ns
+        self._bytes, self._arrivals = bytearray(state.data), arrivals
+        self.next_ns = arrivals[0] if arrivals else None
 
     @property
     def byte_ns(self) -> int:

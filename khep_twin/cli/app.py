@@ -12,6 +12,7 @@ import typer
 from typer.exceptions import TyperException
 
 from khep_twin import __version__
+from khep_twin.cli.branch import branch
 from khep_twin.cli.calibrate import calibrate
 from khep_twin.cli.compile import compile_all
 from khep_twin.cli.completion import complete_in_bash, missing
@@ -50,7 +51,7 @@ _PORTS = (
     ports,
     drive,
 )
-_LOGS = (view, report, export, recover, repeat)
+_LOGS = (view, report, export, recover, repeat, branch)
 _MEASUREMENTS = (sense, fit, calibrate)
 for command in _RUNS + _PORTS + _LOGS + _MEASUREMENTS:
     app.command()(command)

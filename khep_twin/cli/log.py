@@ -37,8 +37,9 @@ def repeat(
     ] = None,
 ) -> None:
     """Repeat a log's run and compare; exit with 0 if it is the same, 3 if not, 1 if it cannot be."""
-    from khep_twin.lab.experiment.repeat import check, elsewhere, read_recorded
+    from khep_twin.lab.experiment.repeat import check, elsewhere
     from khep_twin.lab.experiment.repeat import repeat as run_again
+    from khep_twin.log.recorded import read_recorded
 
     recorded = read_recorded(log)
     if port is not None:

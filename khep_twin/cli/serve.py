@@ -1,9 +1,12 @@
 """`khep-twin serve`: a twin, or a robot, behind pseudo-terminals or on the network."""
 
 import math
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -29,7 +32,7 @@ from khep_twin.signals import stopping
 if TYPE_CHECKING:
     from khep_twin.log.line_recorder import LineRecorder
     from khep_twin.log.recorder import Recorder
-    from khep_twin.ports.twin import TwinOptions
+    from khep_twin.ports.twin import Twin, TwinOptions
 
 
 class Clock(StrEnum):
@@ -69,8 +72,14 @@ class TimingOptions:
         return speed
 
 
-_OF_A_TWIN = option_names(RobotOptions, TimingOptions) - {"mode"} | {"playpen", "robot", "fault", "viewer"}
+_OF_A_TWIN = option_names(RobotOptions, TimingOptions) - {"mode"} | {
+    *("playpen", "robot", "fault", "viewer", "from_log")
+}
 """Options of a twin that mean nothing to a robot, by the names of their parameters."""
+
+
+_OF_THE_LOG = (option_names(RobotOptions) | {"playpen", "unpaced", "strict_line", "relay"}) - {"seed"}
+"""Options of a twin that is taken up from a log which are the log's."""
 
 
 @grouped
@@ -85,6 +94,14 @@ def serve(
         typer.Option(
             help="Serve the robot at this port instead of a twin: all is passed on, and logged.",
             autocompletion=ports,
+        ),
+    ] = None,
+    from_log: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="FILE.mcap[@SECONDS]",
+            help="Take up the run of this log at a moment, or at its end, instead of a playpen.",
         ),
     ] = None,
     robot: Annotated[int | None, typer.Option(help="Serve only this robot, counted from 0.")] = None,
@@ -104,19 +121,69 @@ def serve(
     if relay is not None:
         if ignored := given(context) & _OF_A_TWIN:
             option = "PLAYPEN" if "playpen" in ignored else f"--{min(ignored).replace('_', '-')}"
+            option = option.removesuffix("-log") if option == "--from-log" else option
             raise usage(f"{option} is for a twin, not for a robot at --relay")
         _serve_robot(numbered(relay), running_mode(twin.mode), endpoint, logging)
         return
     factor, faults = timing.factor(), tuple(fault or ())
+    if from_log is not None:
+        if ignored := given(context) & _OF_THE_LOG:
+            option = "PLAYPEN" if "playpen" in ignored else f"--{min(ignored).replace('_', '-')}"
+            raise usage(f"{option} is the log's own; --from goes with --seed, --fault and --robot")
+        path, at_ns = _moment(from_log)
+        seed = twin.seed if "seed" in given(context) else None
+        opening = partial(_open_log, path, at_ns, seed, faults, robot, logging)
+        _serve_twin(opening, from_log, factor, endpoint, logging, viewer)
+        return
     options = replace(
         twin.options(robot), unpaced=timing.unpaced, strict_line=timing.strict_line, faults=faults
     )
-    _serve_twin(playpen, options, factor, endpoint, logging, viewer)
+    _serve_twin(lambda: _open(playpen, options, logging), playpen, factor, endpoint, logging, viewer)
+
+
+def _open(playpen: str, options: "TwinOptions", logging: LogOptions) -> "Twin":
+    """Open the twin of a playpen, and begin its log."""
+    from khep_twin.ports.twin import open_twin
+
+    twin = open_twin(playpen, options)
+    check_body(options.rom, (twin.world.playpen.robots[robot.index] for robot in twin.robots))
+    if logging.log is not None:
+        twin.record(logging.log, on_failure=logging.on_failure)
+    return twin
+
+
+def _open_log(
+    path: Path,
+    at_ns: int | None,
+    seed: int | None,
+    faults: tuple[str, ...],
+    robot: int | None,
+    logging: LogOptions,
+) -> "Twin":
+    """Take up the run of a log."""
+    from khep_twin.log.recorded import Change
+    from khep_twin.ports.taking_up import end_of, open_log
+
+    change = Change(end_of(path) if at_ns is None else at_ns, seed=seed, faults=faults)
+    return open_log(path, change, robot, logging.log, served=True, on_failure=logging.on_failure)
+
+
+def _moment(text: str) -> tuple[Path, int | None]:
+    """Return the file and the moment [ns] of FILE.mcap[@SECONDS]; None for its end."""
+    name, at, seconds = text.rpartition("@")
+    if not at:
+        return Path(text), None
+    try:
+        if 0 < (moment := float(seconds)) < 1e9:
+            return Path(name), round(moment * 1e9)
+    except ValueError:
+        pass
+    raise usage(f"--from {text}: expected FILE.mcap@SECONDS, with a time above 0")
 
 
 def _serve_twin(
-    playpen: str,
-    options: "TwinOptions",
+    open_it: "Callable[[], Twin]",
+    name: str,
     factor: float,
     endpoint: EndpointOptions,
     logging: LogOptions,
@@ -125,18 +192,14 @@ def _serve_twin(
     """Serve a twin at so many simulated seconds per real second."""
     from khep_twin.ports.serve import WIRE
     from khep_twin.ports.serve import serve as serve_twin
-    from khep_twin.ports.twin import open_twin
 
     with (
         stopping() as stop,
-        open_twin(playpen, options) as twin,
+        open_it() as twin,
         endpoint.open({robot.index: robot.firmware.baud for robot in twin.robots}) as ports,
         ExitStack() as stack,
     ):
-        check_body(options.rom, (twin.world.playpen.robots[robot.index] for robot in twin.robots))
-        if logging.log is not None:
-            twin.record(logging.log, on_failure=logging.on_failure)
-            tell_kept(twin.recorder)
+        tell_kept(twin.recorder)
         if viewer:
             from khep_twin.drawing.mujoco_viewer import MujocoViewer
 
@@ -145,7 +208,7 @@ def _serve_twin(
         if factor > 1 or factor == WIRE:
             # Before the first host, as loading compiled code takes half a second.
             twin.world.change_over()
-        with endpoint.announced(ports, f"twin in {playpen}"):
+        with endpoint.announced(ports, f"twin in {name}"):
             pacer = serve_twin(twin, ports, factor, stop=stop, notify=complain)
         dropped = sum(port.dropped for port in ports)
     if pacer.slips:

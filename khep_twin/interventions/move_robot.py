@@ -78,6 +78,8 @@ def as_it_stands(world: World) -> Playpen:
             for number, item in enumerate(items)
         )
 
+    # A step leaves the bodies' positions as of its start; they do not depend on who has looked since.
+    mujoco.mj_kinematics(world.model, world.data)
     playpen = world.playpen
     robots = tuple(
         entry.model_copy(update={"x_mm": x * 1e3, "y_mm": y * 1e3, "heading_deg": math.degrees(heading)})

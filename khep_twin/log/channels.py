@@ -15,6 +15,7 @@
     /khepera0/serial            rcl_interfaces/Log          the transcript, one line per message
     /khepera0/host_events       std_msgs/Int64MultiArray    what its host did, to repeat it (`host_events`)
     /state                      std_msgs/Int64MultiArray    hashes of the whole state (`state_hashes`)
+    /snapshot                   std_msgs/UInt8MultiArray    the whole state, to go on from (`snapshots`)
     /lamps                      std_msgs/Float64MultiArray  power of each lamp [W], where they change; of
                                                 other lamps set up meanwhile /lamps_2 and so on
     /events                     rcl_interfaces/Log          events
@@ -52,11 +53,13 @@ uint32 stride"""
 
 FLOATS = "std_msgs/msg/Float64MultiArray"
 INTEGERS = "std_msgs/msg/Int64MultiArray"
+BYTES = "std_msgs/msg/UInt8MultiArray"
 
 SCHEMAS = {
     "std_msgs/msg/String": "string data",
     FLOATS: _ARRAY.format(type="float64", rule=_RULE),
     INTEGERS: _ARRAY.format(type="int64", rule=_RULE),
+    BYTES: _ARRAY.format(type="uint8", rule=_RULE),
     "tf2_msgs/msg/TFMessage": f"""geometry_msgs/TransformStamped[] transforms
 {_RULE}
 MSG: geometry_msgs/TransformStamped
@@ -178,6 +181,11 @@ class ArrayFrame:
 def array_message(values: NDArray[Any], label: str) -> bytes:
     """Return one std_msgs/Int64MultiArray of any length."""
     return _array_head(len(values), label) + values.astype("<i8").tobytes()
+
+
+def bytes_message(data: bytes, label: str) -> bytes:
+    """Return one std_msgs/UInt8MultiArray."""
+    return Encoder().put("I", 1).text(label).put("I", len(data), len(data), 0, len(data)).message() + data
 
 
 def _array_head(length: int, label: str) -> bytes:

@@ -7,6 +7,7 @@ The parts named by the index lie in the file and do not overlap, so that no byte
 import os
 import struct
 import zlib
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import chain
 from typing import BinaryIO
@@ -62,13 +63,32 @@ class Content:
 
     def messages(self) -> Iterator[Entry]:
         """Yield the messages in the order of the file, in which chunks are in order of time."""
-        return chain.from_iterable(entries for _, entries in self._pieces())
+        return chain.from_iterable(entries for _, entries in self.chunks())
+
+    def since(self, topic: str, time_ns: int) -> Iterator[list[Entry]]:
+        """Yield the last message of a topic up to a time [ns], then those after it, chunk by chunk.
+
+        Without such a message, yield none, and then all messages.
+        """
+        pieces = self._chunks if self._indexed else [(0, 0, 0)]
+        there = bisect_right(pieces, (time_ns, self._size, 0)) if self._reader.knows(topic) else 0
+        for number in range(there - 1, -1, -1):
+            held = [each for _, piece in self.chunks(pieces[number : number + 1]) for each in piece]
+            if (place := _last(held, topic, time_ns)) is not None:
+                yield [held[place]]
+                yield held[place + 1 :]
+                break
+        else:
+            yield []
+            number = -1
+        for _, entries in self.chunks(pieces[number + 1 :]):
+            yield list(entries)
 
     def first_messages(self) -> Iterator[Entry]:
         """Yield the first message of each channel, from the chunks that have them by the index."""
         seen: set[str] = set()
         chunks = sorted(set(self._first.values())) or self._chunks
-        for _, entries in self._pieces(chunks):
+        for _, entries in self.chunks(chunks):
             for entry in sorted(entries, key=lambda each: each.time_ns):
                 if entry.topic not in seen:
                     seen.add(entry.topic)
@@ -81,7 +101,7 @@ class Content:
         """
         held: list[Entry] = []
         size, count, split_ns = 0, 0, 0
-        for number, (start_ns, entries) in enumerate(self._pieces()):
+        for number, (start_ns, entries) in enumerate(self.chunks()):
             if size > length and start_ns > split_ns:
                 split_ns, size = start_ns, 0
                 yield number / len(self._chunks), [each for each in held if each.time_ns < split_ns]
@@ -172,12 +192,14 @@ class Content:
         self._chunks.sort()
         return bool(self._chunks)
 
-    def _pieces(
+    def chunks(
         self, chunks: Sequence[tuple[int, int, int]] | None = None
     ) -> Iterator[tuple[int, Iterator[Entry]]]:
         """Yield the messages of each chunk, and the time from which on no earlier chunk has any."""
         if not self._indexed:
-            yield 0, self._unindexed()
+            if chunks is None or chunks:
+                yield 0, self._unindexed()
+            return
         for start_ns, offset, length in self._chunks if chunks is None else chunks:
             yield start_ns, self._reader.entries(self._chunk(offset, length), offset, start_ns)
 
@@ -251,6 +273,12 @@ class Content:
         if len(data) < size:
             raise Misfit(f"end of the file at byte {offset + len(data)}", f"{size} bytes at {offset}")
         return data
+
+
+def _last(entries: Sequence[Entry], topic: str, time_ns: int) -> int | None:
+    """Return the place of the last message of a topic up to a time [ns]; None without one."""
+    places = [place for place, each in enumerate(entries) if each.topic == topic and each.time_ns <= time_ns]
+    return places[-1] if places else None
 
 
 def _numbers(layout: struct.Struct, content: bytes, offset: int) -> tuple[int, ...]:

@@ -129,7 +129,7 @@ class Decoder:
 
 
 def read_array(message: bytes, kind: str) -> tuple[Any, ...]:
-    """Return the values of a Float64MultiArray ("d") or Int64MultiArray ("q").
+    """Return the values of a Float64MultiArray ("d"), Int64MultiArray ("q") or UInt8MultiArray ("B").
 
     Raises:
         Misfit: It is none.

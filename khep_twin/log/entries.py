@@ -54,6 +54,10 @@ class EntryReader:
             case _:
                 raise Misfit(f"definition at byte {offset}", "texts of the lengths that they say")
 
+    def knows(self, topic: str) -> bool:
+        """Return whether a channel of a topic is defined."""
+        return any(known == topic for known, _, _ in self._channels.values())
+
     def entry(self, records: bytes, start: int, end: int, offset: int) -> Entry:
         """Return the message between two places of `records`."""
         if end - start < MESSAGE.size:

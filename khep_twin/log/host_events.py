@@ -4,9 +4,9 @@
 
 A message has all events since the last flush of the log. Each is a row of integers: time when the world
 learned of it [ns], kind (0 send, 1 disconnect, 2 discard, 3 set the line, 4 move the robot, 5 switch a lamp,
-6 convert all sensors, 7 change the lamps), time from which on it holds [ns], baud rate and stop bits of the
-host's end (-1 for the robot's), number of bytes, then each byte. The bytes are those that left the host; the
-transcript has those that reached the robot.
+6 convert all sensors, 7 change the lamps, 8 log an event), time from which on it holds [ns], baud rate and
+stop bits of the host's end (-1 for the robot's), number of bytes, then each byte. The bytes are those that
+left the host; the transcript has those that reached the robot.
 """
 
 from array import array

@@ -4,8 +4,9 @@ It is written as NAME.mcap.part and renamed when it is whole.
 """
 
 import os
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from khep_twin.files.atomic import open_regular, unusable
 from khep_twin.log import channels
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.channels import Level, TextLine
+from khep_twin.log.entries import Entry
 from khep_twin.log.part_file import PartFile, set_aside
 from khep_twin.signals import clear_at_end, undisturbed
 
@@ -92,6 +94,15 @@ class LogFile:
         with self.guarded():
             channel = self._channel(topic, "rcl_interfaces/msg/Log")
             self._writer.add_lines(channel, times_ns, messages)
+
+    def add_entries(self, entries: Iterable[Entry]) -> None:
+        """Write messages of another log, as they are there."""
+        with self.guarded():
+            for (topic, schema, definition), group in groupby(entries, key=lambda each: each[:3]):
+                found = list(group)
+                channel = self._writer.channel(topic, schema, definition or "")
+                times_ns = [each.time_ns for each in found]
+                self._writer.add_lines(channel, times_ns, [each.data for each in found])
 
     def add_event(self, time_ns: int, name: str, text: str) -> None:
         """Write an event."""

@@ -24,8 +24,8 @@ from khep_twin.log.entries import Entry
 KINDS = {FLOATS: "d", INTEGERS: "q"}
 """Format of the numbers of a message type."""
 
-FOR_REPEAT = ("host_events", "state")
-"""Channels without samples, for `khep-twin repeat`, in rows of any length."""
+FOR_REPEAT = ("host_events", "state", "snapshot")
+"""Channels without samples, for `khep-twin repeat` and `branch`, in rows of any length."""
 
 WIDTHS = {"proximity": 8, "ambient": 8, "speed": 4, "duty": 2, "registers": 0}
 """Numbers of a message by sampled channel of a robot; 0 for as many as in the first one."""

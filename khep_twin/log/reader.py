@@ -189,6 +189,28 @@ def read_raw(
     return label, found, recovered
 
 
+def read_since(path: Path, topic: str, time_ns: int) -> Generator[list[Entry]]:
+    """Yield the last message of a topic up to a time [ns], then those after it, chunk by chunk.
+
+    Without such a message, yield none, and then all messages. With an index, what lies before is not read.
+    """
+    with _opened(path) as content:
+        yield from content.since(topic, time_ns)
+
+
+def read_until(path: Path, last: Entry) -> Generator[list[Entry]]:
+    """Yield the messages of each chunk in the order of the file, up to a message, inclusive."""
+    with _opened(path) as content:
+        for _, entries in content.chunks():
+            piece: list[Entry] = []
+            for entry in entries:
+                piece.append(entry)
+                if entry == last:
+                    yield piece
+                    return
+            yield piece
+
+
 @contextmanager
 def _opened(path: Path) -> Generator[Content, None, None]:
     """Open a log; turn errors of its file and its content into one line."""

@@ -6,7 +6,7 @@ the file holds no wall clock time, machine name or file name: the same run gives
 
 import json
 import platform
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -23,14 +23,17 @@ from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.log import channels, foxglove_scene
-from khep_twin.log.channels import FLOATS, INTEGERS, ArrayFrame, TransformFrame
+from khep_twin.log.channels import BYTES, FLOATS, INTEGERS, ArrayFrame, TransformFrame
 from khep_twin.log.description import body_name, urdf
+from khep_twin.log.entries import Entry
 from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import LogFile
+from khep_twin.log.snapshots import SNAPSHOT_NS, TOPIC, RecorderState, snapshot_message
 from khep_twin.log.state_hashes import Answered, boards, hashes, states_message
 from khep_twin.log.transcript import Transcript
 from khep_twin.robot import Robot
 from khep_twin.sensing import calibration
+from khep_twin.sensing.lamps import Lamps
 from khep_twin.units import Sensor
 from khep_twin.world import SAMPLE_NS, World
 
@@ -61,6 +64,18 @@ SAMPLED: list[tuple[str, str, str, str, list[int]]] = [
 """Channels of every robot: topic, message type, format of numbers, label, and registers."""
 
 
+class Beginning(NamedTuple):
+    """Beginning of a run that another log has.
+
+    Attributes:
+        entries: Messages of the beginning, in pieces as that log has them; none of a run that begins anew.
+        state: State of its recorder after them; None likewise.
+    """
+
+    entries: Iterable[Sequence[Entry]] = ()
+    state: RecorderState | None = None
+
+
 class Recorder:
     """Recorder of one run in one file; an `Observer` of its world.
 
@@ -70,6 +85,7 @@ class Recorder:
         settings: Configuration of the run, kept in the log as configuration.json.
         facts: More metadata of the run.
         attachments: More texts to keep, by name.
+        beginning: Beginning of the run, after which the world is; its own label is in facts and attachments.
         on_failure: Function that takes the message if the log can no longer be written, after which the run
             continues without it; None ends the run by a `LogError`.
 
@@ -90,12 +106,41 @@ class Recorder:
         *,
         facts: Mapping[str, str] = _NONE,
         attachments: Mapping[str, str] = _NONE,
+        beginning: Beginning | None = None,
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
-        self._log = LogFile(path, lambda: world.time_ns)
-        self.path, self.part, self.kept = path, self._log.part, self._log.kept
         self._world = world
+        self._log = LogFile(path, lambda: self._world.time_ns)
+        self.path, self.part, self.kept = path, self._log.part, self._log.kept
         self._transcript = Transcript(self._log, [robot.name for robot in world.robots])
+        self._answers = Answered(len(world.robots))
+        self._host_events: list[list[tuple[int, HostEvent]]] = [[] for _ in world.robots]
+        self._samples: list[_Sample] = []
+        # Without a line the state of the controllers would be missing.
+        self._takes_snapshots = "line" not in facts
+        self._observe(world)
+        self._known_lamps: Lamps = world.lamps
+        self._lamps_topic, self._lamps_sets = "/lamps", 1
+        self._lamps = None if world.lamps.steady else _lamps_frame(world)
+        if beginning is None:
+            attachments, facts = self._description(settings, facts, attachments)
+        self._log.describe(attachments, {**facts, **settings} if beginning is None else facts)
+        if beginning is None or beginning.state is None:
+            self._describe_scene(0)
+            self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names())
+            self._log.flush()
+        else:
+            for entries in beginning.entries:
+                self._log.add_entries(entries)
+                self._log.flush()
+            self._resume(beginning.state)
+        # An error at the very start of a log is always raised.
+        self._log.on_failure = on_failure
+        self._log.complete = self._complete
+
+    def _observe(self, world: World) -> None:
+        """Find what is recorded of a world."""
+        self._world = world
         # Moving bodies are shown at every sample, fixed ones are part of the description.
         model, data = world.model, world.data
         moving: NDArray[np.intp] = np.flatnonzero(model.body_weldid != 0)
@@ -113,15 +158,17 @@ class Recorder:
         self._memories = [source.data for source in sources]
         places, turns = self._state_size + 3 * moving, self._state_size + data.xpos.size + 4 * moving
         self._poses = np.hstack([np.add.outer(places, [0, 1, 2]), np.add.outer(turns, [1, 2, 3, 0])])
-        self._samples: list[_Sample] = []
-        self._known_lamps, self._lamps_topic, self._lamps_sets = world.lamps, "/lamps", 1
-        self._lamps = None if world.lamps.steady else _lamps_frame(world)
-        self._answers = Answered(len(world.robots))
-        self._host_events: list[list[tuple[int, HostEvent]]] = [[] for _ in world.robots]
-        self._begin(settings, facts, attachments)
-        # An error at the very start of a log is always raised.
-        self._log.on_failure = on_failure
-        self._log.complete = self.close
+
+    def move_to(self, world: World) -> None:
+        """Go on recording in another world of the same robots, which has taken over this one's state."""
+        self.flush()
+        before, self._known_lamps = self._world, world.lamps
+        self._observe(world)
+        if self._lamps is None and not world.lamps.steady:
+            self._lamps = _lamps_frame(world)
+        if world.scene != before.scene:
+            self._describe_scene(world.time_ns)
+        self.flush()
 
     @property
     def failure(self) -> LogError | None:
@@ -144,7 +191,9 @@ class Recorder:
         # In one step: the thread that completes the log of a controller that never returns comes at any time.
         state, answered = b"".join(self._memories), tuple(self._answers.numbers)
         self._samples.append(_Sample(world.time_ns, state, answered, tuple(world.lamps.powers)))
-        if len(self._samples) == _BATCH:
+        if self._takes_snapshots and world.time_ns and world.time_ns % SNAPSHOT_NS == 0:
+            self._flush(snapshot=True)
+        elif len(self._samples) == _BATCH:
             self.flush()
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
@@ -168,25 +217,52 @@ class Recorder:
 
     def flush(self) -> None:
         """Hand everything so far to the file system."""
-        if self._log.open:
-            with self._log.guarded():
-                self._write()
-                self._log.flush()
+        self._flush(snapshot=False)
+
+    def discard(self) -> None:
+        """Remove the file, of a run that has not begun."""
+        self._log.discard()
 
     def close(self) -> None:
-        """Complete the file and rename it to its path.
+        """Complete the file, with a last snapshot, and rename it to its path.
 
         Raises:
             LogError: That is not possible; the data written before stays as NAME.mcap.part.
         """
+        # An error may have ended the run amid a step.
+        self._complete(snapshot=self._takes_snapshots and self._world.is_between_steps)
+
+    def _flush(self, snapshot: bool) -> None:
         if self._log.open:
             with self._log.guarded():
-                self._write()
+                self._write(snapshot)
+                self._log.flush()
+
+    def _complete(self, snapshot: bool = False) -> None:
+        """Complete the file; without a snapshot at any moment, also amid a step in another thread."""
+        if self._log.open:
+            with self._log.guarded():
+                self._write(snapshot)
                 self._transcript.write_rests(self._world.time_ns)
                 self._log.finish()
 
-    def _write(self) -> None:
-        """Write the samples and lines recorded so far."""
+    def _resume(self, state: RecorderState) -> None:
+        """Go on from another recorder's state.
+
+        Raises:
+            ValueError: It is of other robots.
+        """
+        count = len(self._answers.numbers)
+        if len(state.answered) != count or any(robot >= count for robot, _, _ in state.rests):
+            raise ValueError(f"a recorder's state of {len(state.answered)} robots; expected {count}")
+        self._answers.numbers[:] = state.answered
+        self._transcript.resume(state.rests)
+        self._lamps_sets = state.lamps_sets
+        self._lamps_topic = "/lamps" if self._lamps_sets == 1 else f"/lamps_{self._lamps_sets}"
+        self._lamps = _lamps_frame(self._world) if state.lamps_change else None
+
+    def _write(self, snapshot: bool = False) -> None:
+        """Write the samples and lines recorded so far, and a snapshot of the present if it is wanted."""
         taken, self._samples = self._samples, []
         times_ns = np.array([sample.time_ns for sample in taken], np.int64)
         states = b"".join(sample.state for sample in taken)
@@ -211,10 +287,16 @@ class Recorder:
             answered = np.array([sample.answered for sample in taken], np.int64)
             numbers = hashes(answered, samples[:, : self._state_size])
             self._log.add("/state", INTEGERS, taken[0].time_ns, states_message(numbers))
+        if snapshot:
+            lamps = self._lamps_sets, self._lamps is not None
+            state = RecorderState(tuple(self._answers.numbers), self._transcript.rests, *lamps)
+            message = snapshot_message(self._world, state)
+            self._log.add(TOPIC, BYTES, self._world.time_ns, message)
 
-    def _begin(
+    def _description(
         self, settings: Mapping[str, object], more_facts: Mapping[str, str], more: Mapping[str, str]
-    ) -> None:
+    ) -> tuple[Mapping[str, str], Mapping[str, str]]:
+        """Return the attachments and facts of a run."""
         world = self._world
         robots = world.playpen.robots
         attachments = {
@@ -233,13 +315,15 @@ class Recorder:
             **versions(),
             **more_facts,
         }
-        self._log.describe(attachments, {**facts, **settings})
-        message = channels.text_message(urdf(world.model))
-        self._log.add("/robot_description", "std_msgs/msg/String", 0, message)
-        self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names())
-        scene = foxglove_scene.scene_update(world.model)
-        self._log.add("/scene", foxglove_scene.SCHEMA, 0, scene, foxglove_scene.descriptors())
-        self._log.flush()
+        return attachments, facts
+
+    def _describe_scene(self, time_ns: int) -> None:
+        """Write the shapes of the scene."""
+        model = self._world.model
+        message = channels.text_message(urdf(model))
+        self._log.add("/robot_description", "std_msgs/msg/String", time_ns, message)
+        scene = foxglove_scene.scene_update(model)
+        self._log.add("/scene", foxglove_scene.SCHEMA, time_ns, scene, foxglove_scene.descriptors())
 
 
 def _lamps_frame(world: World) -> ArrayFrame:

@@ -1,5 +1,6 @@
 """Transcript of serial lines: bytes as they come, written as whole lines, at the time of their end."""
 
+from collections.abc import Iterable
 from typing import Protocol
 
 from khep_twin.log.channels import Level, LineFrame
@@ -31,6 +32,15 @@ class Transcript:
         self._robots = robots
         self._heard: list[tuple[int, int, bool, bytes]] = []
         self._rests: dict[tuple[int, bool], bytes] = {}
+
+    @property
+    def rests(self) -> tuple[tuple[int, bool, bytes], ...]:
+        """Bytes of incomplete lines as written so far: robot, whether to the robot, bytes."""
+        return tuple((*whose, rest) for whose, rest in sorted(self._rests.items()))
+
+    def resume(self, rests: Iterable[tuple[int, bool, bytes]]) -> None:
+        """Go on with incomplete lines."""
+        self._rests = {(robot, to_robot): rest for robot, to_robot, rest in rests}
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Record bytes; they are written with the next `write`."""

@@ -18,12 +18,13 @@ if TYPE_CHECKING:
     from khep_twin.playpen.model import Playpen
 
 
-def playpen_problems(playpen: "Playpen", recorded: bool = False) -> Iterator[Problem]:
+def playpen_problems(playpen: "Playpen", recorded: bool = False, placed: bool = True) -> Iterator[Problem]:
     """Yield the problems of a playpen whose keys are valid one by one.
 
     Args:
         playpen: Playpen to check.
         recorded: True if a run took place in it already: the height of its walls is then not checked.
+        placed: Whether to check that all have room.
     """
     outline = [Problem(("arena", "outline_mm"), text) for text in playpen.arena.outline_problems()]
     if outline:
@@ -35,7 +36,7 @@ def playpen_problems(playpen: "Playpen", recorded: bool = False) -> Iterator[Pro
         _patch_problems(playpen),
         _lamp_problems(playpen),
         _robot_problems(playpen),
-        placement_problems(list(things(playpen)), playpen.arena),
+        placement_problems(list(things(playpen)), playpen.arena) if placed else (),
     )
 
 

@@ -59,8 +59,9 @@ class Playpen(TomlTable):
 
     @model_validator(mode="after")
     def _is_a_place(self, info: ValidationInfo) -> Self:
-        recorded = bool(info.context and info.context.get("recorded"))
-        problems = list(islice(playpen_problems(self, recorded), PROBLEM_LIMIT + 1))
+        context: Mapping[str, object] = info.context or {}
+        found = playpen_problems(self, bool(context.get("recorded")), bool(context.get("placed", True)))
+        problems = list(islice(found, PROBLEM_LIMIT + 1))
         if problems:
             raise Problems(problems)
         return self

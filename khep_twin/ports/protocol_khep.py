@@ -2,7 +2,9 @@
 
     khep://default?seed=1&robot=0&noise=off&rom=5.02&mode=1&log=run.mcap
     khep://default?battery_used_min=40
+    khep://run.mcap?at=12.5&seed=2
 
+The last one takes up the run of a log at a moment, or at its end, in the place of its host.
 Time passes only while the host waits: in a read until its bytes have arrived or its timeout is over, in a
 flush until all is sent, in `sleep`. A poll that finds nothing (`in_waiting`, a read with timeout 0) costs one
 byte time, so that polling loops make progress. No thread, no wall clock: the same seed and the same bytes
@@ -16,6 +18,7 @@ import re
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Self
 from urllib.parse import parse_qsl, unquote, urlsplit
 
@@ -70,7 +73,7 @@ class Serial(SerialBase):
         if self.is_open:
             raise TwinPortError(f"{self._port} is open already")
         try:
-            self._connect(open_twin(*parse_url(self._port)))
+            self._connect(open_url(self._port))
         except KhepTwinError as error:
             raise TwinPortError(str(error)) from None
 
@@ -212,7 +215,7 @@ class Serial(SerialBase):
         """Apply the host's speed, and warn once where it is not the robot's."""
         robot = self.twin.robot
         if notice := robot.compare_line(self._settings):
-            self.twin.world.log_event(robot.index, notice)
+            self.twin.world.note(robot.index, notice)
             warnings.warn(f"{self._port}: {notice}", stacklevel=3)
 
     def _reconfigure_port(self) -> None:
@@ -227,12 +230,40 @@ class Serial(SerialBase):
     _update_dtr_state = _update_break_state = _update_rts_state
 
 
+def open_url(url: str) -> Twin:
+    """Open the twin that a khep:// URL names: in a playpen, or taken up from a log.
+
+    Raises:
+        KhepTwinError: The URL, the playpen or the log cannot be used.
+    """
+    name, values = _values_of(url)
+    if not name.endswith(".mcap"):
+        return open_twin(*parse_url(url))
+    from khep_twin.log.recorded import Change
+    from khep_twin.ports.taking_up import end_of, open_log
+
+    if others := values.keys() - {"at", "seed", "faults", "robot", "log"}:
+        raise TwinPortError(f"{url}: {min(others)} is the log's own; expected at, seed, fault, robot or log")
+    at_ns = end_of(Path(name)) if "at" not in values else to_ns(values["at"])
+    change = Change(at_ns, seed=values.get("seed"), faults=values.get("faults", ()))
+    log = values.get("log")
+    return open_log(Path(name), change, values.get("robot"), log and Path(log))
+
+
 def parse_url(url: str) -> tuple[str, TwinOptions]:
     """Return the playpen and the options that a khep:// URL names.
 
     Raises:
         TwinPortError: The URL has another scheme, no playpen, or an option that is unknown or wrong.
     """
+    playpen, values = _values_of(url)
+    if "at" in values:
+        raise TwinPortError(f"{url}: at = {values['at']:g} is for a log; expected khep://FILE.mcap?at=...")
+    return playpen, replace(TwinOptions(), **values)
+
+
+def _values_of(url: str) -> tuple[str, dict[str, Any]]:
+    """Return the playpen or log that a khep:// URL names, and its options."""
     try:
         parts = urlsplit(url)
     except ValueError as error:
@@ -244,7 +275,7 @@ def parse_url(url: str) -> tuple[str, TwinOptions]:
     playpen = unquote(parts.netloc + parts.path)
     if not playpen:
         raise TwinPortError(f"{url}: no playpen named; expected a name or a path, such as khep://default")
-    values: dict[str, object] = {}
+    values: dict[str, Any] = {}
     for key, value in parse_qsl(parts.query, keep_blank_values=True):
         if key not in _OPTIONS:
             raise TwinPortError(f"{url}: unknown option {key!r}; {choices(key, _OPTIONS)}")
@@ -255,7 +286,14 @@ def parse_url(url: str) -> tuple[str, TwinOptions]:
             values[_NAMES.get(key, key)] = convert(value)
         except (KeyError, ValueError):
             raise TwinPortError(f"{url[:200]}: {key} = {value[:40]!r}; expected {wish}") from None
-    return playpen, replace(TwinOptions(), **values)
+    return playpen, values
+
+
+def _seconds(text: str) -> float:
+    """Return a plain number of seconds."""
+    if not re.fullmatch(r"[0-9]{1,8}(\.[0-9]{1,9})?", text):
+        raise ValueError(text)
+    return float(text)
 
 
 def _whole(text: str) -> int:
@@ -286,6 +324,7 @@ _NAMES = {"fault": "faults"}
 """Options whose names in the URL differ from those in `TwinOptions`."""
 
 _OPTIONS: dict[str, tuple[Callable[[str], object], str]] = {
+    "at": (_seconds, "a moment of the log's run in seconds"),
     "seed": (_whole, "an integer from 0 to 2**63-1"),
     "robot": (_whole, "the number of a robot in the playpen, counted from 0"),
     "noise": (_ON_OFF, "on or off"),

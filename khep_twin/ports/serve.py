@@ -87,7 +87,7 @@ def _serve_by_clock(
         for connection in connections:
             connection.give()
         if due_ns > tick_ns and (late_ns := pacer.slip(world.time_ns)):
-            world.log_event(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
+            world.note(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
         flush()
 
 

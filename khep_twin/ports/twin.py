@@ -14,7 +14,7 @@ from khep_twin.board.fault_injection import parse
 from khep_twin.board.rom import ROMS
 from khep_twin.clock import TimeSource
 from khep_twin.errors import PortError
-from khep_twin.log.recorder import Recorder
+from khep_twin.log.recorder import Beginning, Recorder
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.checks import playpen_problems
 from khep_twin.playpen.parts import MODELS
@@ -124,6 +124,7 @@ class Twin:
         *,
         facts: Mapping[str, str] | None = None,
         attachments: Mapping[str, str] | None = None,
+        beginning: Beginning | None = None,
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
         """Record the run from here on.
@@ -132,6 +133,7 @@ class Twin:
             path: Path of the finished log, by custom NAME.mcap.
             facts: Further facts about the run, such as the name of its controller.
             attachments: Texts by name besides the twin's own.
+            beginning: Beginning of the run, which another log has; facts and attachments are then complete.
             on_failure: Callback that takes the line about a log that cannot be written any more; the run goes
                 on without it; None ends the run by a `LogError`.
 
@@ -146,9 +148,10 @@ class Twin:
             settings,
             facts=facts or {},
             attachments=attachments or {},
+            beginning=beginning,
             on_failure=on_failure,
         )
-        self.world.add_observer(self.recorder)
+        self.world.add_observer(self.recorder, at_once=beginning is None or beginning.state is None)
 
     def close(self) -> None:
         """Complete the log."""

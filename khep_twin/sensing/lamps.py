@@ -12,13 +12,39 @@ time the same function of time; only the phase at time 0 is drawn by the seed, a
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from pydantic import Field, FiniteFloat
 
 from khep_twin.playpen import BULB_RADIUS_MM, Lamp, Playpen
 from khep_twin.playpen.polygon import distance
 from khep_twin.sensing.optics import Light
 from khep_twin.units import STEP_NS, metres
+
+
+class LampsState(NamedTuple):
+    """State of the lamps.
+
+    Attributes:
+        powers: Current powers (n,) [W].
+        lit: Index of the lamp that is on, if they are on one at a time.
+        off: Indices of the lamps that the user has switched off.
+        near_lamp: Whether a robot is near the lit lamp.
+        near_wall: Whether a robot is near a wall.
+        time_ns: Time of the last update [ns].
+        steady: Whether the powers never change.
+        phase: Phase of the mains; None if no lamp flickers.
+    """
+
+    powers: tuple[FiniteFloat, ...]
+    lit: Annotated[int, Field(ge=0)] | None
+    off: tuple[int, ...]
+    near_lamp: bool
+    near_wall: bool
+    time_ns: Annotated[int, Field(ge=0, lt=2**62)]
+    steady: bool
+    phase: FiniteFloat | None
 
 
 class Lamps:
@@ -31,6 +57,7 @@ class Lamps:
         phase: Phase of the mains, as in `optics.LightLaw`; drawn where a lamp flickers if not given.
 
     Attributes:
+        rng: The same factory.
         names: Names in the playpen, else in the scene.
         positions: Positions of the bulbs' centres (n, 3) [m].
         powers: Current powers (n,), without their flicker [W].
@@ -48,7 +75,7 @@ class Lamps:
     ) -> None:
         self._lamps, self._lighting = playpen.lamps, playpen.lighting
         self._corners = [(metres(x_mm), metres(y_mm)) for x_mm, y_mm in playpen.arena.corners]
-        self._rng = rng
+        self.rng = rng
         self._near_lamp = self._near_wall = True
         self.names = [lamp.name or f"lamp{index}" for index, lamp in enumerate(self._lamps)]
         self.positions = [(metres(lamp.x_mm), metres(lamp.y_mm), metres(lamp.z_mm)) for lamp in self._lamps]
@@ -66,6 +93,26 @@ class Lamps:
             self.phase = float(rng().random())
         self._time_ns = time_ns
         self.powers = [self._full[index] * self._wanted(index) for index in range(len(self._lamps))]
+
+    def state(self) -> LampsState:
+        """Return the state."""
+        off, near = tuple(sorted(self._off)), (self._near_lamp, self._near_wall)
+        return LampsState(tuple(self.powers), self.lit, off, *near, self._time_ns, self.steady, self.phase)
+
+    def set_state(self, state: LampsState) -> None:
+        """Take over a state.
+
+        Raises:
+            ValueError: It is of other lamps.
+        """
+        count, off = len(self.powers), set(state.off)
+        if len(state.powers) != count or not {state.lit or 0, *off} <= {0, *range(count)}:
+            raise ValueError(f"a state of {len(state.powers)} lamps; expected one of {count}")
+        if (state.lit is None) != (self.lit is None):
+            raise ValueError("a state of lamps with another lighting")
+        self.powers, self.lit, self._off = list(state.powers), state.lit, off
+        self._near_lamp, self._near_wall = state.near_lamp, state.near_wall
+        self._time_ns, self.steady, self.phase = state.time_ns, state.steady, state.phase
 
     def turn(self, index: int, on: bool, time_ns: int) -> None:
         """Switch a lamp by hand at a time [ns]: off, or back to its own schedule."""
@@ -129,7 +176,7 @@ class Lamps:
             return False
         step = 1
         if self._lighting.mode == "random":
-            step = 1 + int(self._rng().integers(len(self._lamps) - 1))
+            step = 1 + int(self.rng().integers(len(self._lamps) - 1))
         self.lit = (lit + step) % len(self._lamps)
         self._near_lamp = self._near(self.lit, reach, robots)
         return True

@@ -20,12 +20,14 @@ class Commanded(NamedTuple):
         command: SPEED, DUTY, TARGET or POSITION of `planes`.
         left: Argument for the left wheel.
         right: Argument for the right wheel.
+        doubtful: True if no reply tells that it was executed: every other particle does.
     """
 
     time_ns: int
     command: int
     left: int
     right: int
+    doubtful: bool = False
 
 
 class Configured(NamedTuple):
@@ -87,8 +89,9 @@ def repeat(action: Action, particles: Particles) -> None:
     if (ticks := action.time_ns // TICK_NS - planes.ticks) > 0:
         planes.advance(ticks)
     match action:
-        case Commanded(_, command, left, right):
-            planes.command(command, left, right)
+        case Commanded(_, command, left, right, doubtful):
+            obeying = planes.taken(slice(None, None, 2)) if doubtful else planes
+            obeying.command(command, left, right)
         case Configured(_, registers, values):
             planes.registers[:, registers] = values
         case Restarted():

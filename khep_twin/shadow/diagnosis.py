@@ -15,23 +15,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
+from khep_twin.log.exchanges import Exchange
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.shadow import hypotheses
-from khep_twin.shadow.actions import Action, Counted, Seen, repeat
+from khep_twin.shadow.actions import Action, Counted, Restarted, Seen, Waited, repeat
 from khep_twin.shadow.alarms import Alarm
-from khep_twin.shadow.hypotheses import Hypothesis, Missing, Moved, Unexpected
+from khep_twin.shadow.hypotheses import Hypothesis, Missing, Moved, SlippingWheel, Unexpected
+from khep_twin.shadow.lamp_watch import LampWatch
+from khep_twin.shadow.line_watch import LOSING, LineWatch
 from khep_twin.shadow.particle_filter import ParticleFilter, anywhere
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
 from khep_twin.shadow.sensor_watch import SensorWatch
+from khep_twin.shadow.wheel_watch import WheelWatch
 
 Floats = NDArray[np.float64]
 
 GROUP = 120
 """Particles of each hypothesis."""
 
-LOST, TRIED = 20_000, 2500
+LOST, TRIED = 10_000, 2000
 """Particles of a robot that was put anywhere, and of one that may have been."""
 
 SNAPSHOT_NS = 500_000_000
@@ -79,6 +83,9 @@ RARE = 6.0
 NEAR = 0.09
 """Farthest distance of a thing from the robot's centre, to be seen or missed [m]."""
 
+FOUND_NS = 5 * NS_PER_S
+"""Time of replies without surprise after which a pose that was searched counts as found [ns]."""
+
 LIFTED = "robot lifted"
 
 
@@ -111,13 +118,16 @@ class Diagnosis:
     Attributes:
         filter: Filter, whose particles have the present faults.
         alarms: Alarms that last.
-        ended: Alarms that the last action has ended.
+        ended: Alarms that the last exchange has ended.
     """
 
     def __init__(self, setup: EpisodeSetup, tracker: ParticleFilter, rng: np.random.Generator) -> None:
         self._setup, self.filter, self._rng = setup, tracker, rng
         self._model = SensorModel(tracker.particles.planes)
         self._sensors = SensorWatch(self._model.quiet, self._model.limit)
+        self._wheels, self._line = WheelWatch(), LineWatch()
+        self._lamps = LampWatch(tracker.particles.planes.lamps.names)
+        self._counted: Floats | None = None
         self._things = hypotheses.things_of(setup)
         self._present: list[tuple[Hypothesis, Alarm]] = []
         self._others: list[Alarm] = []
@@ -126,6 +136,8 @@ class Diagnosis:
         self._surprise: Floats = np.zeros(8)
         self._seen_ns = self._tried_ns = 0
         self._changed_ns = -SETTLED_NS
+        self._lost_ns = 0
+        self._searches = not self._known
         self._surprised_ns: int | None = None
         self.ended: tuple[Alarm, ...] = ()
 
@@ -133,18 +145,36 @@ class Diagnosis:
     def alarms(self) -> tuple[Alarm, ...]:
         """Alarms that last, in the order of their begin."""
         found = [alarm for _, alarm in self._present] + self._others + self._sensors.alarms
+        found += self._wheels.alarms + self._lamps.alarms + self._line.alarms
         return tuple(sorted(found, key=lambda alarm: alarm.raised_ns))
+
+    def hear(self, exchange: Exchange) -> None:
+        """Begin with an exchange, whose actions follow."""
+        self.ended = self._line.hear(exchange)
 
     def follow(self, action: Action) -> Floats:
         """Follow an action; return what counters tell beyond commands (2,)."""
-        self.ended = ()
         told = self.filter.act(action, self._sensors.sound)
         if isinstance(action, Seen):
-            self.ended = self._sensors.see(action, self.filter.readable)
+            self.ended += self._sensors.see(action, self.filter.readable)
+        elif isinstance(action, Counted):
+            if self._counted is not None:
+                turned = action.counters - self._counted
+                self.ended += self._wheels.count(action.time_ns, turned, turned - told)
+            self._counted = action.counters.astype(np.float64)
+        elif isinstance(action, Restarted):
+            self._counted = None
         self._actions.append(action)
         if isinstance(action, Seen):
             self._see(action)
         return told
+
+    def see_light(self, time_ns: int, readings: NDArray[np.int64]) -> Floats:
+        """Take a reply to O; return the expected readings (8,) [counts]."""
+        self.filter.act(Waited(time_ns), self._sensors.sound)
+        if self._known:
+            self.ended += self._lamps.see(time_ns, readings, self.filter.particles)
+        return self._lamps.expected
 
     def _see(self, action: Seen) -> None:
         """Take a reply to N: keep a snapshot, and try hypotheses while it surprises."""
@@ -201,7 +231,10 @@ class Diagnosis:
             return
         alarm = Alarm("", "", since_ns, time_ns, min(sureness, 0.999))
         if hypothesis is None:
-            self._others.append(replace(alarm, fault=LIFTED, channel="proximity"))
+            # Of a robot whose commands are lost the twins know as little.
+            self._searches = self._searches or any(each.fault == LOSING for each in self._line.alarms)
+            if not self._others and not self._searches:
+                self._others.append(replace(alarm, fault=LIFTED, channel="proximity"))
         elif begins:
             named = replace(alarm, fault=hypothesis.name, channel=hypothesis.channel)
             self._present.append((hypothesis, named))
@@ -294,8 +327,16 @@ class Diagnosis:
     def _candidates(self, start: Particles) -> list[Hypothesis]:
         """Return the faults that may begin."""
         present = {fault.name for fault, _ in self._present}
-        wheels = any(fault.channel == "wheels" for fault, _ in self._present)
-        found: list[Hypothesis] = [] if wheels else [*hypotheses.of_wheels()]
+        if self._others:  # its pose may still be another one
+            return []
+        present_wheels = any(fault.channel == "wheels" for fault, _ in self._present)
+        counted = any(isinstance(action, Counted) for action in self._actions)
+        found: list[Hypothesis] = []
+        if not present_wheels:
+            # Counters tell on their own which wheel stands or is slow.
+            found += [
+                each for each in hypotheses.of_wheels() if not counted or isinstance(each, SlippingWheel)
+            ]
         x, y, _ = self.filter.estimate(0).pose
         things = start.planes.things[0]
         for name, rows in self._things.items():
@@ -318,11 +359,12 @@ class Diagnosis:
 
     def _end_lifted(self, time_ns: int) -> None:
         """End the alarm of a robot that was put elsewhere, once its pose is known."""
-        for alarm in self._others:
-            if alarm.fault == LIFTED and self._known and time_ns - alarm.raised_ns > NS_PER_S:
-                self._others.remove(alarm)
-                self.ended += (replace(alarm, ended_ns=time_ns),)
-                return
+        if not self._known or self._surprised_ns is not None:
+            self._lost_ns = time_ns
+        elif time_ns - self._lost_ns > FOUND_NS:
+            self._searches = False
+            self.ended += tuple(replace(alarm, ended_ns=time_ns) for alarm in self._others)
+            self._others.clear()
 
 
 _KNOWN = 0.03

@@ -19,8 +19,8 @@ WEAKEST, STRONGEST = 0.06, 0.3
 """Parts of its torque that a weak motor gives: below, the gear holds it; above, the controller makes up for
 it, so that nothing shows at the speeds that hosts drive."""
 
-SLOWEST_SLIP, FASTEST_SLIP = -0.3, 0.7
-"""Parts of its wheel's way that a slipping tyre goes (assumed); below 0 the other wheel turns the robot."""
+MOST_HOLD = 0.1
+"""Part of its friction that a slipping tyre has at the most: with more, hosts' speeds show little."""
 
 MOVED_BY = 0.025
 """Standard deviation of x and y of a thing that was moved [m] (assumed)."""
@@ -120,14 +120,12 @@ class SlippingWheel:
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Make the tyre slip."""
-        slip = rng.uniform(SLOWEST_SLIP, FASTEST_SLIP, len(particles))
-        particles.planes.traction[:, self.side] = slip
-        particles.set_wheels()
+        hold = MOST_HOLD * rng.uniform(0, 1, len(particles)) ** 2
+        particles.planes.robots[f"{SIDES[self.side]}_hold"] = hold
 
     def end(self, particles: Particles) -> None:
         """Make it grip."""
-        particles.planes.traction[:, self.side] = 1
-        particles.set_wheels()
+        particles.planes.robots[f"{SIDES[self.side]}_hold"] = 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,7 +48,6 @@ class Planes:
         processor: States of the processors (n, N_PROCESSOR).
         lamps: Lamps of the playpen.
         strength: Parts of the motors' torque, left and right (n, 2).
-        traction: Parts of the wheels' way that the tyres go, left and right (n, 2), for `set_wheels`.
     """
 
     def __init__(self, setup: EpisodeSetup, count: int) -> None:
@@ -76,7 +75,6 @@ class Planes:
         self.processor: NDArray[np.int64] = np.zeros((count, kernel.N_PROCESSOR), np.int64)
         self.processor[:, kernel.POWERED] = 1
         self.strength: Floats = np.ones((count, 2))
-        self.traction: Floats = np.ones((count, 2))
         self.lamps = Lamps(setup.playpen, partial(stream, 0, "lamps"))
         light = forms.light(self.lamps, setup.playpen.lighting)
         self._light = (
@@ -99,7 +97,7 @@ class Planes:
         """Return copies of twins at these indices, or the twins of a slice themselves."""
         made = object.__new__(type(self))
         made.__dict__.update(self.__dict__)
-        for name in ("things", "_order", "robots", "registers", "processor", "strength", "traction"):
+        for name in ("things", "_order", "robots", "registers", "processor", "strength"):
             setattr(made, name, getattr(self, name)[indices])
         return made
 
@@ -148,8 +146,7 @@ class Planes:
         robots, own = self.robots, self._own
         factors = {"left": radius * 2 / (1 + right_over_left)}
         factors["right"] = factors["left"] * right_over_left
-        for index, (side, whole) in enumerate(factors.items()):
-            factor = whole * self.traction[:, index]
+        for side, factor in factors.items():
             robots[f"{side}_wheel"] = own[f"{side}_wheel"] * factor
             robots[f"{side}_free_speed"] = own[f"{side}_free_speed"] * factor
         robots["track"] = own["track"] * base

@@ -14,7 +14,7 @@ from khep_twin.shadow.actions import Seen
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.units import N_SENSORS
 
-RAISED = 14.0
+RAISED = 24.0
 """Logarithm of the odds from which on a sensor counts as stuck."""
 
 _PRIOR = 4.0, 8.0

@@ -184,24 +184,25 @@ class Shadow:
 
     def _take(self, exchange: Exchange) -> Update | None:
         """Repeat an exchange on the particles; return an update if its reply has values."""
+        before = self._diagnosis.alarms
+        self._diagnosis.hear(exchange)
+        residuals = Residuals(_NONE, _NONE, _NONE[:2], math.nan)
         if exchange.reply is not None and BANNER in exchange.reply:
             self._firmware.reset()
             self._follow(Restarted(exchange.heard_ns))
         if not exchange.command:
-            return None
-        timing = math.nan
+            return self._update(residuals) if before != self._diagnosis.alarms else None
         time_ns = exchange.sent_ns + len(exchange.command) * self._byte_ns
         if exchange.reply is not None:
             # The reply began when the command was executed, unless the robot or an adapter kept it.
             begun_ns = exchange.heard_ns - (len(exchange.reply) + _LINE_END) * self._byte_ns
-            timing = (begun_ns - time_ns) * 1e-9
+            residuals = residuals._replace(timing=(begun_ns - time_ns) * 1e-9)
             time_ns = max(exchange.sent_ns, min(begun_ns, time_ns + _KEPT_NS))
         time_ns = self._time_ns = max(time_ns, self._time_ns)
         values = exchange.values
         if exchange.reply is None or values is not None:
-            for action in self._executed(time_ns, exchange.command):
+            for action in self._executed(time_ns, exchange):
                 self._follow(action)
-        residuals = Residuals(_NONE, _NONE, _NONE[:2], timing)
         match exchange.letter, values:
             case "N", tuple() if len(values) == units.N_SENSORS:
                 readings = np.array(values)
@@ -211,8 +212,13 @@ class Shadow:
             case "H", (int(left), int(right)):
                 beyond = self._follow(Counted(time_ns, np.array([left, right])))
                 residuals = residuals._replace(wheels=beyond)
-            case _:
+            case "O", tuple() if len(values) == units.N_SENSORS:
+                light = np.array(values)
+                residuals = residuals._replace(light=light - self._diagnosis.see_light(time_ns, light))
+            case _ if before == self._diagnosis.alarms:
                 return None
+            case _:
+                pass
         return self._update(residuals)
 
     def _follow(self, action: Action) -> Floats:
@@ -226,10 +232,10 @@ class Shadow:
         if (ticks := action.time_ns // units.TICK_NS - planes.ticks) > 0:
             planes.advance(ticks)
 
-    def _executed(self, time_ns: int, line: bytes) -> Iterator[Action]:
+    def _executed(self, time_ns: int, exchange: Exchange) -> Iterator[Action]:
         """Execute a command on the board of dead reckoning; yield what it is for all others."""
         self._reckon(Waited(time_ns))
-        board = self._reckoned.planes.registers[0]
+        board, line = self._reckoned.planes.registers[0], exchange.command
         before = board.copy()
         match parse(line):
             case Command(letter, (int(left), int(right))) if letter in COMMANDS:

@@ -92,6 +92,11 @@ class MujocoForms:
         # Where there are several robots no sight line is known, so one robot's are all's.
         self._lights = [LightSource(self.model, robot) for robot in self.indices[:1]]
 
+    @property
+    def calibrations(self) -> list[Calibration]:
+        """Calibration of each robot, as drawn."""
+        return self._drawn
+
     def plain(self) -> MujocoScene:
         """Return the scene for plain code."""
         if self._plain is None:

@@ -5,15 +5,16 @@ Both kinds of code work on the same memory and give the same bits, so a run may 
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Protocol, cast
+from typing import Annotated, Any, NamedTuple, Protocol, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Base64UrlBytes, Field
 
 from khep_twin import step
 from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lighting
-from khep_twin.randomness import stream
+from khep_twin.randomness import StreamState, position, resume, stream
 from khep_twin.sensing.buffers import as_plain, as_records, fill_record
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.optics import Bulb, Hidden, Light, LightLaw
@@ -25,9 +26,6 @@ N_DRAWS = 2048
 
 NO_LIGHT = Light(LightLaw(False, 0.0, 0.0, True, 1, 0.0), (), ())
 """Lamps of a scene without any."""
-
-Draw = Callable[[int], NDArray[np.float64]]
-"""Function that returns a number of random draws (n,)."""
 
 Advance = Callable[..., int]
 """`step.advance`, or `step.switch_on` where `until` is below 0; compiled code gets all as separate arrays."""
@@ -64,6 +62,27 @@ class SceneForms(Protocol):
         ...
 
 
+class SimulationState(NamedTuple):
+    """State of a simulation besides its scene, robots and lamps.
+
+    Attributes:
+        steps: Number of steps done.
+        phase: Part of the step that is done.
+        streams: Positions in the three random streams of each robot before they were drawn from last; empty
+            without noise.
+        kept: Draws that were kept from before that (n_robots, 3, n), as 64-bit floats.
+        drawn: Number of draws that were taken from each stream then.
+        used: Number of conversions for which draws in the buffers have been used.
+    """
+
+    steps: Annotated[int, Field(ge=0, lt=2**62)]
+    phase: Annotated[int, Field(ge=step.DONE, le=step.TICKED)]
+    streams: tuple[tuple[StreamState, StreamState, StreamState], ...]
+    kept: Base64UrlBytes
+    drawn: Annotated[int, Field(ge=0)]
+    used: Annotated[int, Field(ge=0)]
+
+
 class Simulation:
     """State of a simulation.
 
@@ -91,7 +110,7 @@ class Simulation:
         self.records: Any = as_records(robots, robots[0]) if robots else np.zeros(0, np.int64)
         self.counters: NDArray[np.int64] = np.zeros(step.N_COUNTERS, np.int64)
         self._draws = np.zeros((len(robots), 3, n_draws))
-        self._streams: Sequence[Sequence[Draw]] = ()
+        self._streams: Sequence[_Streams] = ()
         self._enough = self._powered = 0
         self._compiled = self._is_varied = False
         self.plain = Simulated(scene.plain(), timing, NO_LIGHT, (), self.counters.data)
@@ -143,7 +162,8 @@ class Simulation:
             self.records["strengths"] = 1
         self.counters[:] = 0
         self.counters[step.DRAWS] = self._n_draws
-        self._streams, self._enough = [_draws(rng) for rng in rngs] if noise else (), 0
+        self._streams, self._enough = [_Streams.of(rng) for rng in rngs] if noise else (), 0
+        self._note_draws(self._n_draws)
         if not noise and self._draws.any():
             self._draws[:] = 0
             self._list_draws()
@@ -154,6 +174,50 @@ class Simulation:
         if self._compiled:
             self._arrays = (self._scene.compiled(), *self._arrays[1:])
         self._bind()
+
+    def state(self) -> SimulationState:
+        """Return the state besides scene, robots and lamps."""
+        steps, phase, _, used = self.counters.tolist()
+        return SimulationState(steps, phase, self._before, self._kept.tobytes(), self._drawn, used)
+
+    def set_state(self, state: SimulationState) -> None:
+        """Take over a state; the lamps have to be set afterwards.
+
+        Raises:
+            ValueError: It is of other robots.
+        """
+        count, kept = len(self.records), np.frombuffer(state.kept, np.float64)
+        rows = 3 * count
+        rest = len(kept) // rows if rows else 0
+        if len(state.streams) not in (0, count) or len(kept) != rows * rest:
+            raise ValueError(f"random draws of {len(state.streams)} robots; expected {count}")
+        if (filled := rest + state.drawn) not in (0, self._n_draws) or state.used > self._n_draws:
+            raise ValueError(f"{state.used} of {filled} random draws; expected at most {self._n_draws}")
+        names = _Streams._fields
+        if state.streams and not self._streams:
+            self._streams = [_Streams(*(stream(0, name) for name in names)) for _ in range(count)]
+        elif not state.streams:
+            self._streams = ()
+        for streams, positions in zip(self._streams, state.streams, strict=True):
+            for rng, at in zip(streams, positions, strict=True):
+                resume(rng, at)
+        self.counters[:] = state.steps, state.phase, 0, state.used
+        self._draws[:] = 0
+        self._kept = kept.reshape(count, 3, rest)
+        self._before = state.streams
+        self._drawn = 0
+        if filled:
+            self._draw(self._kept, state.drawn)
+        self._list_draws()
+        self._count_draws()
+
+    def reseed(self, seed: int) -> None:
+        """Draw from the random streams of another seed from now on."""
+        if self._streams:
+            self._streams = [_Streams.of(partial(stream, seed, "robot", i)) for i in range(len(self.records))]
+            self.counters[step.DRAWS] = self._n_draws
+            self._note_draws(self._n_draws)
+            self._count_draws()
 
     def set_lamps(self, lamps: Lamps, lighting: Lighting) -> None:
         """Replace the lamps and the law of their light."""
@@ -274,10 +338,23 @@ class Simulation:
         self.counters[step.DRAWS] = 0
         if not self._streams:
             return
+        self._note_draws(used)
+        self._draw(self._kept, used)
+
+    def _note_draws(self, used: int) -> None:
+        """Note what the buffers can be filled from again."""
+        self._kept = self._draws[:, :, used:].copy()
+        self._drawn = 0
+        self._before = tuple(streams.positions() for streams in self._streams)
+
+    def _draw(self, kept: NDArray[np.float64], count: int) -> None:
+        """Fill the buffers with draws that were kept (n_robots, 3, n) and `count` new ones."""
+        self._drawn, rest = count, kept.shape[2]
+        self._draws[:, :, :rest] = kept
         for rows, streams in zip(self._draws, self._streams, strict=True):
-            for row, draw in zip(rows, streams, strict=True):
-                row[:rest] = row[used:]
-                row[rest:] = draw(used)
+            rows[0, rest:] = streams.proximity.standard_normal(count)
+            rows[1, rest:] = streams.ambient.standard_normal(count)
+            rows[2, rest:] = streams.idle.standard_exponential(count)
         if not self._compiled:
             self._list_draws()
 
@@ -296,10 +373,21 @@ def plain_advance(simulated: Simulated, inputs: StepInputs, until: int, stops: i
     return step.switch_on(simulated, inputs) if until < 0 else step.advance(simulated, inputs, until, stops)
 
 
-def _draws(rng: Callable[[str], np.random.Generator]) -> tuple[Draw, Draw, Draw]:
-    """Return the random draws of a robot's sensors, from its own random streams."""
-    proximity, ambient, idle = (rng(name) for name in ("proximity", "ambient", "idle"))
-    return proximity.standard_normal, ambient.standard_normal, idle.standard_exponential
+class _Streams(NamedTuple):
+    """Random streams of a robot's sensors."""
+
+    proximity: np.random.Generator
+    ambient: np.random.Generator
+    idle: np.random.Generator
+
+    @classmethod
+    def of(cls, rng: Callable[[str], np.random.Generator]) -> Self:
+        """Return the streams of a robot."""
+        return cls(*(rng(name) for name in cls._fields))
+
+    def positions(self) -> tuple[StreamState, StreamState, StreamState]:
+        """Return the position in each."""
+        return position(self.proximity), position(self.ambient), position(self.idle)
 
 
 def _arrays(light: Light) -> tuple[NDArray[np.void], ...]:

@@ -10,8 +10,9 @@ from khep_twin.errors import PlaypenError
 from khep_twin.host import Khepera
 from khep_twin.interventions.move_robot import as_it_stands, put
 from khep_twin.lab.experiment.controllers import braitenberg
-from khep_twin.lab.experiment.repeat import read_recorded, repeat
+from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.reader import read
+from khep_twin.log.recorded import read_recorded
 from khep_twin.playpen import Playpen, parse
 from khep_twin.ports.twin import TwinOptions, open_twin
 

@@ -13,13 +13,14 @@ from log_rewriting import rewritten
 
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
 from khep_twin.errors import KhepTwinError
-from khep_twin.lab.experiment.repeat import read_recorded, repeat
+from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.lab.experiment.replay_to_port import replay_to_port
 from khep_twin.lab.report.report import report
 from khep_twin.log.attached import shapes_of
 from khep_twin.log.channels import CDR_HEADER, ArrayFrame, Encoder, Level, TextLine, line_message
 from khep_twin.log.host_events import events_message
 from khep_twin.log.reader import Recording, read, read_arrays, read_end_ns, read_label, read_series
+from khep_twin.log.recorded import read_recorded
 from khep_twin.log.viewer.replay import view
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -71,7 +72,7 @@ ACTS = {
     "half an event": ((0, 0, 0, -1, -1), "5 numbers at 0; expected 6 that begin an event"),
     "no byte": ((0, 0, 0, -1, -1, 1, 256), "byte = 256 after number 5; expected 0 to 255"),
     "a negative byte": ((0, 0, 0, -1, -1, 1, -1), "byte = -1 after number 5; expected 0 to 255"),
-    "an unknown kind": ((0, 8, 0, -1, -1, 0), "kind = 8 at number 0; expected 0 to 7"),
+    "an unknown kind": ((0, 9, 0, -1, -1, 0), "kind = 9 at number 0; expected 0 to 8"),
     "a time before the run": ((-1, 0, 0, -1, -1, 0), "time = -1 at number 0; expected 0 to"),
     "a place of two bytes": ((0, 4, 0, -1, -1, 2, 1, 2), "size = 2 of kind 4 at number 0; expected 24 or 25"),
     "a switch of a byte": ((0, 5, 0, -1, -1, 1, 1), "size = 1 of kind 5 at number 0; expected 5 bytes"),

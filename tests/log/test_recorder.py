@@ -160,6 +160,7 @@ def test_every_channel_has_its_messages_at_simulated_times(log: Path) -> None:
     assert times.pop("/events") == [2 * SECOND]
     assert len(times.pop("/khepera0/serial")) == 40
     assert times.pop("/state") == [0]
+    assert times.pop("/snapshot") == [2 * SECOND]
     assert times.pop("/khepera0/host_events") == [0]
     assert not times
 

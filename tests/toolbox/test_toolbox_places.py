@@ -8,8 +8,9 @@ import pytest
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
-from khep_twin.lab.experiment.repeat import read_recorded, repeat
+from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.reader import read_series
+from khep_twin.log.recorded import read_recorded
 from khep_twin.toolbox import names
 from khep_twin.toolbox.simulator import OpenPlaypen
 

@@ -8,7 +8,8 @@ import pytest
 from khep_twin import playpen as playpens
 from khep_twin.board.uart import HostEventKind
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment.repeat import read_recorded, repeat
+from khep_twin.lab.experiment.repeat import repeat
+from khep_twin.log.recorded import read_recorded
 from tests.served_twin import served
 from tests.web.visit import BROWSED, Visit, need_a_browser
 

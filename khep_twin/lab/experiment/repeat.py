@@ -1,63 +1,30 @@
 """Repetition of a run from its log alone: the same world, the same host events at the same times.
 
-The world is rebuilt from the log's attachments, calibrations included, and its host events are repeated.
+The world is rebuilt from the log's attachments, calibrations included, and its host events are repeated, as
+are the changes of a run that was branched off another one.
 Every sample's state and every line of the transcript must equal the recorded one.
 """
 
-import json
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from itertools import zip_longest
-from pathlib import Path
-from typing import TypeVar, cast
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
 
 from khep_twin import __version__
-from khep_twin.board.uart import HostEvent, HostEventKind
+from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, LogError
-from khep_twin.interventions.move_robot import repeat_move, scan
-from khep_twin.interventions.switching import repeat_relight, repeat_switch
-from khep_twin.log.attached import playpen_of
 from khep_twin.log.channels import TextLine
-from khep_twin.log.decoding import LATEST_NS, Misfit, first_line, read_line, shown
-from khep_twin.log.host_events import read_events
-from khep_twin.log.reader import Label, read_raw
+from khep_twin.log.decoding import first_line, read_line, shown
+from khep_twin.log.recorded import Recorded
 from khep_twin.log.recorder import versions
-from khep_twin.log.state_hashes import Answered, boards, hashes, read_states
+from khep_twin.log.state_hashes import Answered, boards, hashes
 from khep_twin.log.transcript import Transcript
-from khep_twin.playpen import Playpen
-from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.ports.replay import RecordedHosts, Setup, repeat_event
+from khep_twin.ports.taking_up import TakenUp
+from khep_twin.ports.twin import Twin
 from khep_twin.world import SAMPLE_NS, World
-
-
-@dataclass(frozen=True, slots=True)
-class Recorded:
-    """Recorded run to be repeated.
-
-    Attributes:
-        path: Path of the log.
-        label: Metadata and attachments of the log.
-        events: World time [ns], robot index and host event, in order.
-        states: Hash of each sample.
-        lines: Transcripts by robot.
-        torn: True if the end of the run may be missing.
-    """
-
-    path: Path
-    label: Label
-    events: Sequence[tuple[int, int, HostEvent]]
-    states: Sequence[int]
-    lines: Sequence[Sequence[TextLine]]
-    torn: bool
-
-    @property
-    def end_ns(self) -> int:
-        """Time of the last sample [ns]."""
-        return (len(self.states) - 1) * SAMPLE_NS
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -68,61 +35,6 @@ class Divergence:
     channel: str
     recorded: str = field(compare=False)
     repeated: str = field(compare=False)
-
-
-def read_recorded(path: Path) -> Recorded:
-    """Read a recorded run from a log.
-
-    Raises:
-        LogError: There is no log, it is not whole, or it lacks what a repetition needs.
-    """
-    channels = ("/host_events", "/serial", "/state")
-    label, found, recovered = read_raw(path, lambda topic: topic.endswith(channels))
-    if label.metadata.get("line") == "none":
-        raise LogError(
-            f"{path}: cannot be repeated: its controller ran without a line, of which the log has nothing; "
-            "expected a log of khep-twin run or serve"
-        )
-    states: list[int] = []
-    for time_ns, hashed in _decoded(path, found, "/state", read_states):
-        if time_ns != len(states) * SAMPLE_NS:
-            at_s = len(states) * SAMPLE_NS / NS_PER_S
-            raise LogError(f"{path}: cannot be repeated: the state at {at_s:.2f} s is missing")
-        states += hashed
-    last_ns = (len(states) - 1) * SAMPLE_NS + _OVERTIME_NS if states and not recovered else LATEST_NS
-    events: list[tuple[int, int, HostEvent]] = []
-    lines: list[list[TextLine]] = [[] for _ in label.robots]
-    for index, name in enumerate(label.robots):
-        for _, done in _decoded(path, found, f"/{name}/host_events", lambda data: list(read_events(data))):
-            events += [(at_ns, index, event) for at_ns, event in done]
-        lines[index] = [line for _, line in _decoded(path, found, f"/{name}/serial", read_line)]
-    for time_ns in (*(at_ns for at_ns, _, _ in events), *(line.time_ns for each in lines for line in each)):
-        if time_ns > last_ns:
-            wish = f"at most {last_ns / NS_PER_S:.2f} s, {_OVERTIME_NS // NS_PER_S} s after the last state"
-            what = f"something at {time_ns / NS_PER_S:.2f} s"
-            raise Misfit(what, wish).at(path, "/host_events and /serial")
-    # Robots do not interact on their lines, so events at the same time may be in the order of the robots.
-    return Recorded(path, label, sorted(events, key=lambda each: each[0]), states, lines, recovered)
-
-
-_OVERTIME_NS = 10 * NS_PER_S
-"""Longest time from the last state to any event or line [ns]."""
-
-_Decoded = TypeVar("_Decoded")
-
-
-def _decoded(
-    path: Path,
-    found: Mapping[str, Sequence[tuple[int, bytes]]],
-    topic: str,
-    decode: Callable[[bytes], _Decoded],
-) -> Iterator[tuple[int, _Decoded]]:
-    """Yield times [ns] and contents of a channel's messages."""
-    for time_ns, data in found.get(topic, ()):
-        try:
-            yield time_ns, decode(data)
-        except Misfit as misfit:
-            raise misfit.at(path, topic, time_ns) from None
 
 
 def elsewhere(recorded: Recorded) -> list[str]:
@@ -155,114 +67,39 @@ def repeat(recorded: Recorded, progress: Callable[[float], None] | None = None) 
     """
     check(recorded)
     try:
-        with _twin(recorded) as twin:
-            return _run(recorded, twin, progress)
+        setup = Setup(recorded.path, recorded.label)
+        with setup.open() as twin:
+            return _run(recorded, setup, twin, progress)
     except LogError:
         raise
     except KhepTwinError as error:
         raise LogError(f"{recorded.path}: cannot be repeated: {first_line(error)}") from error
 
 
-def _twin(recorded: Recorded) -> Twin:
-    """Open the twin of a log from its attachments alone."""
-    path, attached = recorded.path, recorded.label.attachments
-    for name in ("playpen.toml", "configuration.json"):
-        if name not in attached:
-            raise LogError(f"{path}: cannot be repeated: its {name} is missing")
-    options = _options(path, attached["configuration.json"])
-    playpen = playpen_of(attached, path)
-    with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
-        twin = open_twin(_calibrated(recorded, playpen, Path(folder)), options)
-    there = tuple(robot.name for robot in twin.world.robots)
-    if there != recorded.label.robots:
-        found = f"robots = {shown(','.join(recorded.label.robots))}"
-        raise Misfit(found, f"{','.join(there)}, those of its playpen.toml").at(path, "metadata")
-    return twin
-
-
-def _options(path: Path, text: str) -> TwinOptions:
-    """Return the options of a log's twin."""
-    known = [each.name for each in fields(TwinOptions)]
-    try:
-        settings: object = json.loads(text)
-        if not isinstance(settings, dict):
-            raise Misfit(f"{type(settings).__name__}", f"an object with {', '.join(known)}")
-        if unknown := [key for key in cast(dict[str, object], settings) if key not in known]:
-            raise Misfit(f"key {shown(unknown[0])}", f"one of {', '.join(known)}")
-        # A repeated run must not write the log named in the options.
-        wanted = {**cast(dict[str, object], settings), "log": None}
-        return _OPTIONS.validate_json(json.dumps(wanted), strict=True)
-    except Misfit as misfit:
-        raise misfit.at(path, "configuration.json") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(map(str, first["loc"]))
-        misfit = Misfit(f"{key} = {shown(first['input'])}", first["msg"].removeprefix("Input should be "))
-        raise misfit.at(path, "configuration.json") from None
-    except KhepTwinError as error:
-        raise LogError(f"{path}: configuration.json: {error}") from None
-    except (ValueError, RecursionError) as error:
-        misfit = Misfit(f"{shown(text)} ({shown(error)})", "JSON")
-        raise misfit.at(path, "configuration.json") from None
-
-
-_OPTIONS = TypeAdapter(TwinOptions)
-
-
-def _calibrated(recorded: Recorded, playpen: Playpen, folder: Path) -> Playpen:
-    """Return the playpen with its robots' calibrations from the log instead of this machine."""
-    robots = list(playpen.robots)
-    for index, robot in enumerate(robots):
-        name = f"khepera{index}.toml"
-        text = recorded.label.attachments.get(f"calibration/{name}")
-        if text is None:
-            raise LogError(f"{recorded.path}: cannot be repeated: its calibration/{name} is missing")
-        (folder / name).write_text(text, encoding="utf-8")
-        robots[index] = robot.model_copy(update={"calibration": str(folder / name)})
-    return playpen.model_copy(update={"robots": tuple(robots)})
-
-
-def _run(recorded: Recorded, twin: Twin, progress: Callable[[float], None] | None) -> Divergence | None:
-    world = twin.world
-    watch = _Watch(world, recorded)
-    world.add_observer(watch)
+def _run(
+    recorded: Recorded, setup: Setup, twin: Twin, progress: Callable[[float], None] | None
+) -> Divergence | None:
+    watch = _Watch(twin.world, recorded)
+    twin.world.add_observer(watch)
+    run = TakenUp(setup, (), twin, RecordedHosts(twin, iter(())), [])
     last_ns = max([recorded.end_ns, *(line.time_ns for lines in recorded.lines for line in lines)])
     events = [each for each in recorded.events if not recorded.torn or each[0] <= recorded.end_ns]
     end: list[tuple[int, int, HostEvent | None]] = [(recorded.end_ns if recorded.torn else last_ns, 0, None)]
+    changes = list(recorded.changes)
     for time_ns, index, event in [*events, *end]:
-        while world.time_ns < time_ns and watch.difference is None:
-            world.advance_to(min(time_ns, world.time_ns + NS_PER_S))
+        while run.twin.world.time_ns < time_ns and watch.difference is None:
+            next_ns = changes[0].at_ns if changes else time_ns
+            world = run.twin.world
+            world.advance_to(max(min(time_ns, next_ns, world.time_ns + NS_PER_S), world.time_ns))
             if progress is not None:
                 progress(min(world.time_ns / max(last_ns, 1), 1.0))
+            if changes and world.time_ns == next_ns and watch.difference is None:
+                run.change(changes.pop(0))
         if watch.difference is not None:
             break
         if event is not None:
-            _repeat_event(twin, index, event)
+            repeat_event(run.twin, index, event)
     return min(filter(None, [watch.difference, *watch.lines(recorded)]), default=None)
-
-
-def _repeat_event(twin: Twin, index: int, event: HostEvent) -> None:
-    """Repeat a host event on its robot's line."""
-    robot = twin.world.robots[index]
-    # Discard unread bytes; that changes nothing for the robot.
-    robot.uart.tx.read(twin.world.time_ns)
-    match event.kind:
-        case HostEventKind.SEND:
-            robot.send(event.data, event.at_ns)
-        case HostEventKind.DISCONNECT:
-            robot.disconnect()
-        case HostEventKind.FLUSH:
-            robot.flush()
-        case HostEventKind.SET:
-            robot.compare_line(event.host)
-        case HostEventKind.PUT:
-            repeat_move(twin.world, index, event)
-        case HostEventKind.SWITCH:
-            repeat_switch(twin.world, event)
-        case HostEventKind.SCAN:
-            scan(twin.world)
-        case HostEventKind.RELIGHT:
-            repeat_relight(twin.world, event)
 
 
 class _Watch:

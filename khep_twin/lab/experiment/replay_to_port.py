@@ -19,9 +19,9 @@ from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError, PortError
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment.repeat import Recorded
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import Misfit, shown
+from khep_twin.log.recorded import Recorded
 from khep_twin.log.transcript import text_of
 
 MEASURED = {"n": "proximity", "o": "ambient light", "e": "speed", "h": "position"}

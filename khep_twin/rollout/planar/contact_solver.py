@@ -147,8 +147,8 @@ def _solve(plane: Plane, count: int, rates: _Rates, motion: _Motion) -> _Motion:
         rolling = robot.high * (grips[ASIDE] + grips[ASIDE + 1] + grips[PUSHED_ASIDE])
         rolling = (rolling - robot.low * grips[PUSHED_ASIDE]) * robot.shift
         most = robot.grip * robot.substep - robot.relief * abs(pitching)
-        motion, changed = _hold(robot, rates, motion, 0, max(most - rolling, 0.0))
-        motion, more = _hold(robot, rates, motion, 1, max(most + rolling, 0.0))
+        motion, changed = _hold(robot, rates, motion, 0, max(most - rolling, 0.0) * robot.left_hold)
+        motion, more = _hold(robot, rates, motion, 1, max(most + rolling, 0.0) * robot.right_hold)
         motion, changed = _push(plane, count, rates, motion, changed + more)
         if changed * inv_mass < _SETTLED:
             break

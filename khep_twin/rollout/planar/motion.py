@@ -78,7 +78,7 @@ def step(plane: Plane) -> None:
     if (
         last[SLIPS] != 0
         or left_way * right_way == 0.0
-        or force > robot.grip - robot.relief * pitching
+        or force > (robot.grip - robot.relief * pitching) * min(robot.left_hold, robot.right_hold)
         or not _clear(plane, x, y, robot.radius + most)
     ):
         contact_solver.slide(plane)

@@ -120,6 +120,8 @@ def _chassis(
         gear=gear / wheel,
         dead_voltage=gear / stall,
         grip=grip * weight / 2,
+        left_hold=1.0,
+        right_hold=1.0,
         relief=grip / 2 / arm,
         shift=grip / track,
         lean=-weight * ahead,

@@ -54,6 +54,8 @@ class PlanarRobot(NamedTuple):
         gear: Dry friction of a gear, as a force at the tyre [N].
         dead_voltage: Voltage at which a motor overcomes that friction [V].
         grip: Largest force of a tyre that carries half of the robot [N].
+        left_hold: Part of that force that the left tyre has; 1 for a sound one.
+        right_hold: The same of the right tyre.
         relief: Loss of that force per pitching moment, which a support takes [1/m].
         shift: Shift of that force to the other tyre per rolling moment [1/m].
         lean: Pitching moment of the weight [N m].
@@ -94,6 +96,8 @@ class PlanarRobot(NamedTuple):
     gear: float
     dead_voltage: float
     grip: float
+    left_hold: float
+    right_hold: float
     relief: float
     shift: float
     lean: float

@@ -18,11 +18,12 @@ from khep_twin.errors import LogError
 from khep_twin.host import Gripper, Khepera
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.multi_robot import run_together
-from khep_twin.lab.experiment.repeat import Divergence, elsewhere, read_recorded, repeat
+from khep_twin.lab.experiment.repeat import Divergence, elsewhere, repeat
 from khep_twin.log.channels import TextLine, line_message
 from khep_twin.log.decoding import read_line
 from khep_twin.log.host_events import events_message, read_events
 from khep_twin.log.line_recorder import LineRecorder
+from khep_twin.log.recorded import read_recorded
 from khep_twin.log.recover import recover
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -143,6 +144,7 @@ def test_a_host_that_takes_back_changes_its_speed_and_hangs_up_repeats(tmp_path:
         HostEventKind.DISCONNECT,
         HostEventKind.FLUSH,
         HostEventKind.SET,
+        HostEventKind.NOTE,
     }
     assert repeat(recorded) is None
 

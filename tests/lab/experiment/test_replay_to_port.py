@@ -8,9 +8,9 @@ import pytest
 
 from khep_twin.errors import LogError, PortError
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment.repeat import read_recorded
 from khep_twin.lab.experiment.replay_to_port import replay_to_port
 from khep_twin.log.line_recorder import LineRecorder
+from khep_twin.log.recorded import read_recorded
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 URL = "khep://obstacles?seed=5"

@@ -1,0 +1,129 @@
+"""`khep-twin branch`: a logged run taken up at a moment, to go on from there with something changed."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from khep_twin.cli.completion import controllers, logs
+from khep_twin.cli.options import (
+    Faults,
+    Force,
+    check_apart,
+    check_new,
+    check_picture,
+    usage,
+)
+from khep_twin.cli.progress import progress as progress_bar
+from khep_twin.invocation import command
+from khep_twin.signals import stopping
+
+if TYPE_CHECKING:
+    from khep_twin.lab.experiment.branch import Way
+
+
+def branch(
+    log: Annotated[Path, typer.Argument(help="Log of the run, FILE.mcap.", autocompletion=logs)],
+    at: Annotated[float, typer.Option(help="Moment at which to take the run up [s].")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Log to write, with --runs NAME-001.mcap and so on.")
+    ],
+    controller: Annotated[
+        str | None,
+        typer.Option(
+            help="Let this controller take over: a built-in one, or FILE.py[:NAME]; without, the recorded "
+            "hosts go on.",
+            autocompletion=controllers,
+        ),
+    ] = None,
+    robot: Annotated[
+        int | None,
+        typer.Option(help="Robot of --controller and --calibration, counted from 0."),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Draw from another seed; with --runs from this one, the next, and so on."),
+    ] = None,
+    fault: Faults = None,
+    calibration: Annotated[
+        str | None,
+        typer.Option(help="Another calibration of the robots on the line: a shipped name, or a path."),
+    ] = None,
+    set_values: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="TABLE.N.KEY=VALUE",
+            help="Change the playpen, as often as wanted: block.3.x_mm=250 for the third [[block]].",
+        ),
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="Go on for this time [s]; without, to the end of the log's run.")
+    ] = None,
+    cycles: Annotated[
+        int | None, typer.Option(min=1, help="Go on for so many cycles of the controller.")
+    ] = None,
+    runs: Annotated[int, typer.Option(min=1, max=10_000, help="Number of branches, of a seed each.")] = 1,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Draw the ways in this PNG, SVG or PDF file; with --runs NAME.png by default."),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Take a logged run up at a moment, and go on with another controller, seed, fault, robot or playpen.
+
+    Up to the moment the new log is the old one's. Without --seconds or --cycles it ends when that does.
+    """
+    from khep_twin.lab.experiment.branch import Plan, calibrations
+    from khep_twin.lab.experiment.branch import branch as run_branch
+    from khep_twin.lab.experiment.experiment import find_controller
+    from khep_twin.lab.experiment.series import numbered
+    from khep_twin.log.recorded import Change
+    from khep_twin.toolbox.form import as_toolbox_form
+
+    found = None if controller is None else find_controller(controller, as_toolbox_form)
+    if found is None and (cycles is not None or (robot is not None and calibration is None)):
+        raise usage("--cycles and --robot are for a controller; expected --controller, too")
+    if not 0 < at < 1e9 or (seconds is not None and not 0 < seconds < 1e9):
+        raise usage("--at and --seconds are above 0 and finite")
+    paths = [output] if runs == 1 else [numbered(output, number) for number in range(1, runs + 1)]
+    picture = picture or (output.with_suffix(".png") if runs > 1 else None)
+    check_new(force, *paths)
+    check_picture(picture, output)
+    check_apart([log], *paths, picture)
+    change = Change(
+        round(at * 1e9),
+        seed=seed,
+        faults=tuple(fault or ()),
+        edits=tuple(set_values or ()),
+        calibrations=None if calibration is None else calibrations(log, calibration, robot),
+    )
+    plan = Plan(log, change, found, robot, seconds, cycles)
+    seeds = [seed] if runs == 1 else [(1 if seed is None else seed) + number for number in range(runs)]
+    ways: list[Way] = []
+    with stopping("ending this branch") as asked, progress_bar() as show:
+        for number, path in enumerate(paths):
+            if asked():
+                break
+            each = replace(plan, change=replace(change, seed=seeds[number]))
+            part = None if show is None else partial(_share, show, number, runs)
+            ways.append(run_branch(each, path, progress=part, stop=asked))
+    if not ways:
+        raise typer.Exit(130)
+    if picture is not None:
+        from khep_twin.drawing.map import save
+        from khep_twin.lab.experiment.fan_figure import draw_fan
+
+        save(draw_fan(plan, ways), picture)
+        typer.echo(f"picture  {picture}")
+    more = f" to {paths[len(ways) - 1].name}" if len(ways) > 1 else ""
+    typer.echo(f"log      {paths[0]}{more}      look at it: {command('view', paths[0])}")
+    if len(ways) < runs:
+        raise typer.Exit(130)
+
+
+def _share(show: Callable[[float], None], number: int, runs: int, part: float) -> None:
+    show((number + min(part, 1.0)) / runs)

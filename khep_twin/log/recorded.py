@@ -1,0 +1,198 @@
+"""Recorded runs, as far as they are needed to repeat them or to take them up at a moment.
+
+A run that was branched off another one begins as that one; its attachment branch.json has what changed when.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from khep_twin.board.uart import HostEvent, HostEventKind
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import LogError
+from khep_twin.log.channels import TextLine
+from khep_twin.log.decoding import LATEST_NS, Misfit, read_line, shown
+from khep_twin.log.entries import Entry
+from khep_twin.log.host_events import read_events
+from khep_twin.log.label import Label
+from khep_twin.log.reader import read_raw
+from khep_twin.log.state_hashes import read_states
+from khep_twin.world import SAMPLE_NS
+
+RecordedEvent = tuple[int, int, HostEvent]
+"""World time [ns], robot index and host event."""
+
+BRANCH = "branch.json"
+"""Attachment with the changes of a run that was branched off another one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Moment at which a run was branched off another one, and what is different from then on.
+
+    Attributes:
+        at_ns: Moment [ns]; what hosts did at it, and later, follows the change.
+        parent: File name of the other run's log.
+        sha256: Hash of that file.
+        seed: New seed of every random stream; None to go on with the parent's draws.
+        faults: Further faults.
+        edits: Changes of the playpen, as `khep_twin.playpen.changes` reads them.
+        calibrations: Texts of other calibrations by robot.
+    """
+
+    at_ns: Annotated[int, Field(ge=0, le=LATEST_NS)]
+    parent: str = ""
+    sha256: str = ""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
+    faults: tuple[str, ...] = ()
+    edits: tuple[str, ...] = ()
+    calibrations: Mapping[str, str] | None = None
+
+    @property
+    def text(self) -> str:
+        """What is different, in words; empty for nothing."""
+        seed = [] if self.seed is None else [f"seed {self.seed}"]
+        fitted = [f"another calibration of {robot}" for robot in self.calibrations or {}]
+        return ", ".join([*seed, *(f"fault {fault}" for fault in self.faults), *self.edits, *fitted])
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """Recorded run to be repeated.
+
+    Attributes:
+        path: Path of the log.
+        label: Metadata and attachments of the log.
+        events: World time [ns], robot index and host event, in order.
+        states: Hash of each sample.
+        lines: Transcripts by robot.
+        torn: True if the end of the run may be missing.
+        changes: Changes of a run that was branched off another one, in order of time.
+    """
+
+    path: Path
+    label: Label
+    events: Sequence[RecordedEvent]
+    states: Sequence[int]
+    lines: Sequence[Sequence[TextLine]]
+    torn: bool
+    changes: Sequence[Change] = ()
+
+    @property
+    def end_ns(self) -> int:
+        """Time of the last sample [ns]."""
+        return (len(self.states) - 1) * SAMPLE_NS
+
+
+def read_recorded(path: Path) -> Recorded:
+    """Read a recorded run from a log.
+
+    Raises:
+        LogError: There is no log, it is not whole, or it lacks what a repetition needs.
+    """
+    channels = ("/host_events", "/serial", "/state")
+    label, found, recovered = read_raw(path, lambda topic: topic.endswith(channels))
+    check_line(path, label)
+    states: list[int] = []
+    for time_ns, hashed in _decoded(path, found, "/state", read_states):
+        if time_ns != len(states) * SAMPLE_NS:
+            at_s = len(states) * SAMPLE_NS / NS_PER_S
+            raise LogError(f"{path}: cannot be repeated: the state at {at_s:.2f} s is missing")
+        states += hashed
+    last_ns = (len(states) - 1) * SAMPLE_NS + _OVERTIME_NS if states and not recovered else LATEST_NS
+    events: list[RecordedEvent] = []
+    lines: list[list[TextLine]] = [[] for _ in label.robots]
+    for index, name in enumerate(label.robots):
+        for _, done in _decoded(path, found, f"/{name}/host_events", lambda data: list(read_events(data))):
+            events += [(at_ns, index, event) for at_ns, event in done]
+        lines[index] = [line for _, line in _decoded(path, found, f"/{name}/serial", read_line)]
+    for time_ns in (*(at_ns for at_ns, _, _ in events), *(line.time_ns for each in lines for line in each)):
+        if time_ns > last_ns:
+            wish = f"at most {last_ns / NS_PER_S:.2f} s, {_OVERTIME_NS // NS_PER_S} s after the last state"
+            what = f"something at {time_ns / NS_PER_S:.2f} s"
+            raise Misfit(what, wish).at(path, "/host_events and /serial")
+    # Robots do not interact on their lines, so events at the same time may be in the order of the robots.
+    changes = changes_of(path, label)
+    return Recorded(path, label, sorted(events, key=lambda each: each[0]), states, lines, recovered, changes)
+
+
+_OVERTIME_NS = 10 * NS_PER_S
+"""Longest time from the last state to any event or line [ns]."""
+
+_Decoded = TypeVar("_Decoded")
+
+
+def _decoded(
+    path: Path,
+    found: Mapping[str, Sequence[tuple[int, bytes]]],
+    topic: str,
+    decode: Callable[[bytes], _Decoded],
+) -> Iterator[tuple[int, _Decoded]]:
+    """Yield times [ns] and contents of a channel's messages."""
+    for time_ns, data in found.get(topic, ()):
+        try:
+            yield time_ns, decode(data)
+        except Misfit as misfit:
+            raise misfit.at(path, topic, time_ns) from None
+
+
+def check_line(path: Path, label: Label) -> None:
+    """Raise a `LogError` if a log has nothing of what moved its robots."""
+    if label.metadata.get("line") == "none":
+        raise LogError(
+            f"{path}: cannot be repeated: its controller ran without a line, of which the log has nothing; "
+            "expected a log of khep-twin run or serve"
+        )
+
+
+def changes_of(path: Path, label: Label) -> tuple[Change, ...]:
+    """Return the changes of a run that was branched off another one; none for others.
+
+    Raises:
+        LogError: The log's account of them is invalid.
+    """
+    try:
+        changes = _CHANGES.validate_json(label.attachments.get(BRANCH, "[]"), strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(map(str, first["loc"]))
+        raise Misfit(f"{place} = {shown(first['input'])}", first["msg"]).at(path, BRANCH) from None
+    if list(changes) != sorted(changes, key=lambda each: each.at_ns):
+        raise Misfit("changes out of order", "them in order of time").at(path, BRANCH)
+    return changes
+
+
+def changes_text(changes: Sequence[Change]) -> str:
+    """Return changes as the text of an attachment."""
+    return _CHANGES.dump_json(tuple(changes), indent=2).decode("utf-8") + "\n"
+
+
+_CHANGES = TypeAdapter(tuple[Change, ...])
+
+
+def events_in(
+    path: Path, pieces: Iterable[Sequence[Entry]], robots: Sequence[str]
+) -> Iterator[RecordedEvent]:
+    """Yield the host events of a log's pieces, each in order of time.
+
+    Raises:
+        LogError: A message is invalid.
+    """
+    topics = {f"/{name}/host_events": index for index, name in enumerate(robots)}
+    for piece in pieces:
+        held: list[RecordedEvent] = []
+        for entry in piece:
+            if (index := topics.get(entry.topic)) is not None:
+                try:
+                    held += [(at_ns, index, event) for at_ns, event in read_events(entry.data)]
+                except Misfit as misfit:
+                    raise misfit.at(path, entry.topic, entry.time_ns) from None
+        # What logs an event has ended its piece, so it was the last of those at the same time.
+        yield from sorted(held, key=lambda each: (each[0], each[2].kind in _LOGGED))
+
+
+_LOGGED = (HostEventKind.PUT, HostEventKind.SWITCH, HostEventKind.RELIGHT, HostEventKind.NOTE)
+"""Kinds of host events that log an event."""

@@ -1,0 +1,104 @@
+"""Watch of the lamps by the ambient light that O reads: those that are off, or elsewhere."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.particles import Particles
+
+Floats = NDArray[np.float64]
+
+RAISED, ENDED = 10.0, 6.0
+"""Logarithms of the odds from which on an alarm is raised, and ends."""
+
+_FEW = 40
+"""Particles whose light is computed."""
+
+_MODEL = 0.2
+"""Relative deviation of a lamp's light from the model's (assumed)."""
+
+_BRIGHT = 60.0
+"""Light of a lamp that tells something, at the least [counts]."""
+
+_MOST = 0.05
+"""Part of the readings that nothing explains (assumed)."""
+
+
+class LampWatch:
+    """Watch of a playpen's lamps.
+
+    Args:
+        names: Names of the lamps.
+
+    Attributes:
+        expected: Ambient readings expected at the last reply (8,) [counts].
+    """
+
+    def __init__(self, names: list[str]) -> None:
+        self._names = names
+        self._odds = np.zeros((len(names), 2))
+        self._since_ns = [0] * len(names)
+        self._alarms: dict[int, Alarm] = {}
+        self.expected: Floats = np.full(8, np.nan)
+
+    @property
+    def alarms(self) -> list[Alarm]:
+        """Alarms that last."""
+        return list(self._alarms.values())
+
+    def see(self, time_ns: int, readings: NDArray[np.int64], particles: Particles) -> tuple[Alarm, ...]:
+        """Take a reply to O; return the alarms that end by it.
+
+        Args:
+            time_ns: Time [ns].
+            readings: Ambient light (8,) [counts].
+            particles: Particles of the robot, at this time.
+        """
+        few = particles.drawn(_FEW, 0.5)
+        ambient = few.planes.ambient
+        dark, floor, noise = (float(ambient[name]) for name in ("dark", "floor", "noise"))
+        light = few.planes.lamplight(1.0)
+        whole = light.sum(axis=2)
+        self.expected = np.maximum(dark - whole.mean(axis=0), floor)
+        ended: list[Alarm] = []
+        for lamp, name in enumerate(self._names):
+            own = light[:, :, lamp]
+            lit = _log(readings, np.maximum(dark - whole, floor), whole, noise)
+            off = _log(readings, np.maximum(dark - whole + own, floor), whole - own, noise)
+            elsewhere = math.log(1 / (dark - floor))
+            bright = own.mean(axis=0) > _BRIGHT
+            # A lamp that was moved lights what it did not, and leaves what it did.
+            seen = bright | (readings < self.expected - 4 * noise - _BRIGHT)
+            if not seen.any():
+                continue
+            step = np.array([(off - lit)[seen].sum(), np.maximum(elsewhere - lit, -3.0)[seen].sum()])
+            if bright.sum() == 0:
+                step[0] = min(step[0], 0)
+            alarm = self._alarms.get(lamp)
+            if alarm is None:
+                self._odds[lamp] = np.maximum(self._odds[lamp] + np.clip(step, -4, 4), 0)
+                if not self._odds[lamp].any():
+                    self._since_ns[lamp] = time_ns
+                kind = int(np.argmax(self._odds[lamp]))
+                if self._odds[lamp, kind] > RAISED:
+                    fault = f"{name} {('off', 'moved')[kind]}"
+                    self._alarms[lamp] = Alarm(fault, "light", self._since_ns[lamp], time_ns, 0.99)
+                    self._odds[lamp] = 0
+            else:
+                kind = int(alarm.fault.endswith("moved"))
+                self._odds[lamp] = np.maximum(self._odds[lamp] - np.clip(step, -4, 4), 0)
+                if self._odds[lamp, kind] > ENDED:
+                    ended.append(replace(self._alarms.pop(lamp), ended_ns=time_ns))
+                    self._odds[lamp] = 0
+        return tuple(ended)
+
+
+def _log(readings: NDArray[np.int64], level: Floats, light: Floats, noise: float) -> Floats:
+    """Return the log likelihood of each reading, over all particles (8,)."""
+    deviation = np.sqrt(noise * noise + (_MODEL * light) ** 2 + 4)
+    z = (readings - level) / deviation
+    inside = (1 - _MOST) * np.exp(-0.5 * z * z) / (deviation * math.sqrt(math.tau)) + _MOST / 500
+    return np.log(inside.mean(axis=0))

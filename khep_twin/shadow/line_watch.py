@@ -1,0 +1,72 @@
+"""Watch of the line: replies that are missing or damaged, and restarts."""
+
+from collections import deque
+from dataclasses import replace
+
+from khep_twin.log.exchanges import BANNER, Exchange
+from khep_twin.shadow.alarms import Alarm
+
+LOSING, RESTART = "line losing bytes", "restart"
+"""Names of the faults."""
+
+_BAD, _WITHIN_NS = 3, 5_000_000_000
+"""Damaged or missing replies within so much time that make an alarm (assumed): a single one happens [ns]."""
+
+_SOUND_NS = 5_000_000_000
+"""Time without one after which the alarm ends [ns]."""
+
+_SHOWN_NS = 1_000_000_000
+"""Time for which the alarm of a restart is kept [ns]."""
+
+
+class LineWatch:
+    """Watch of a robot's line.
+
+    Attributes:
+        alarms: Alarms that last.
+    """
+
+    def __init__(self) -> None:
+        self._bad_ns: deque[int] = deque()
+        self.alarms: list[Alarm] = []
+
+    def hear(self, exchange: Exchange) -> tuple[Alarm, ...]:
+        """Take an exchange; return the alarms that end by it."""
+        time_ns = exchange.heard_ns
+        ended = self._end(time_ns)
+        if exchange.reply is not None and BANNER in exchange.reply:
+            if not _asked(exchange):
+                self.alarms.append(Alarm(RESTART, "line", time_ns, time_ns, 0.999))
+        elif _is_bad(exchange):
+            self._bad_ns.append(time_ns)
+            while self._bad_ns[0] < time_ns - _WITHIN_NS:
+                self._bad_ns.popleft()
+            if len(self._bad_ns) >= _BAD and all(alarm.fault != LOSING for alarm in self.alarms):
+                self.alarms.append(Alarm(LOSING, "line", self._bad_ns[0], time_ns, 0.99))
+        return ended
+
+    def _end(self, time_ns: int) -> tuple[Alarm, ...]:
+        over = [
+            alarm
+            for alarm in self.alarms
+            if (alarm.fault == RESTART and time_ns - alarm.raised_ns > _SHOWN_NS)
+            or (alarm.fault == LOSING and time_ns - self._bad_ns[-1] > _SOUND_NS)
+        ]
+        self.alarms = [alarm for alarm in self.alarms if alarm not in over]
+        return tuple(replace(alarm, ended_ns=time_ns) for alarm in over)
+
+
+def _asked(exchange: Exchange) -> bool:
+    """Return whether the host has asked for a restart."""
+    return exchange.command.strip().startswith(b"restart")
+
+
+def _is_bad(exchange: Exchange) -> bool:
+    """Return whether a reply is missing or damaged; the end of a recording is no loss."""
+    if exchange.abandoned or exchange.output_of:
+        return False
+    if not exchange.command:
+        return True
+    if not exchange.letter:
+        return exchange.reply is None
+    return exchange.values is None

@@ -1,0 +1,119 @@
+"""State of MuJoCo's physics, and the fingerprint of the scene that it belongs to.
+
+MuJoCo's state for integration, with warm starts, is all that a step depends on, as long as nothing sleeps.
+Sleeping bodies keep the positions and forces of the step in which they fell asleep; these follow from their
+state when everything is computed once as if awake, and the lists of what is awake follow from `tree_asleep`.
+"""
+
+# MuJoCo's types are partly unknown.
+# pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownVariableType=false
+
+import hashlib
+from typing import Annotated, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Base64UrlBytes, Field
+
+from khep_twin.simulation.faulty_wheels import FIELDS
+
+_INTEGRATION = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_AWAKE = -(1 + mujoco.mjMINAWAKE)
+"""Lowest value of `tree_asleep`: that of a tree that has just moved."""
+
+
+class PhysicsState(NamedTuple):
+    """State of the physics.
+
+    Attributes:
+        integration: MuJoCo's state for integration, as 64-bit floats.
+        sensors: Readings of MuJoCo's own sensors, likewise.
+        asleep: MuJoCo's `tree_asleep` (n_trees,).
+        warnings: Number of warnings of each kind.
+    """
+
+    integration: Base64UrlBytes
+    sensors: Base64UrlBytes
+    asleep: tuple[Annotated[int, Field(ge=_AWAKE, lt=2**31)], ...]
+    warnings: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...]
+
+
+def physics_state(model: mujoco.MjModel, data: mujoco.MjData) -> PhysicsState:
+    """Return the state of the physics."""
+    values = np.empty(mujoco.mj_stateSize(model, _INTEGRATION))
+    mujoco.mj_getState(model, data, values, _INTEGRATION)
+    asleep, warnings = data.tree_asleep.tolist(), data.warning.number.tolist()
+    return PhysicsState(values.tobytes(), data.sensordata.tobytes(), tuple(asleep), tuple(warnings))
+
+
+def set_physics_state(model: mujoco.MjModel, data: mujoco.MjData, state: PhysicsState) -> None:
+    """Take over a state of the physics.
+
+    Raises:
+        ValueError: It is of another scene, or none that MuJoCo could go on from.
+    """
+    values, sensors = np.frombuffer(state.integration), np.frombuffer(state.sensors)
+    size = mujoco.mj_stateSize(model, _INTEGRATION), model.nsensordata
+    found = len(values), len(sensors), len(state.asleep), len(state.warnings)
+    if found != (expected := (*size, model.ntree, len(data.warning.number))):
+        raise ValueError(f"a physical state of size {found}; expected {expected}")
+    # A tree that sleeps names the next one of those that fell asleep together, in a ring.
+    sleepers = [tree for tree, after in enumerate(state.asleep) if after >= 0]
+    if sorted(after for after in state.asleep if after >= 0) != sleepers:
+        raise ValueError(f"sleeping trees {list(state.asleep)}; expected rings of them")
+    mujoco.mj_resetData(model, data)
+    mujoco.mj_setState(model, data, values, _INTEGRATION)
+    _check_history(model, data)
+    mujoco.mj_forward(model, data)
+    mujoco.mj_setState(model, data, values, _INTEGRATION)
+    data.sensordata[:] = sensors
+    data.tree_asleep[:] = state.asleep
+    _list_awake(model, data)
+    data.warning.number[:] = state.warnings
+
+
+def fingerprint(model: mujoco.MjModel, *more: object) -> str:
+    """Return a hash of what does not change in a compiled scene, and of `more`, by its `repr`."""
+    digest = hashlib.sha256(repr(more).encode("utf-8"))
+    digest.update(model.names)
+    for name in sorted(vars(type(model))):
+        # LEDs are moved in the model, and faults change it.
+        if not name.startswith("_") and name not in ("body_pos", *FIELDS):
+            value = getattr(model, name)
+            if isinstance(value, np.ndarray):
+                array: NDArray[np.generic] = value
+                digest.update(f"{name} {array.shape}".encode())
+                digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()[:32]
+
+
+def _check_history(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Raise a `ValueError` where a delayed sensor's buffer has no place to write next."""
+    for samples, start in zip(model.sensor_history[:, 0], model.sensor_historyadr, strict=True):
+        if samples and data.history[start + 1] not in range(samples):
+            raise ValueError(
+                f"place {data.history[start + 1]} in a sensor's history; expected 0 to {samples - 1}"
+            )
+
+
+def _list_awake(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """List what is awake, as MuJoCo does after each change of `tree_asleep`."""
+    awake = data.tree_asleep < 0
+    trees, ruled = model.body_treeid, model.body_mocapid[model.body_rootid] >= 0
+    static = np.where(ruled, mujoco.mjtSleepState.mjS_AWAKE, mujoco.mjtSleepState.mjS_STATIC)
+    bodies = np.where(trees < 0, static, np.append(awake, False)[trees])
+    data.tree_awake[:], data.body_awake[:] = awake, bodies
+    data.ntree_awake = int(awake.sum())
+    moves = bodies != mujoco.mjtSleepState.mjS_ASLEEP
+    data.nbody_awake = _fill(data.body_awake_ind, np.flatnonzero(moves))
+    data.nparent_awake = _fill(data.parent_awake_ind, 1 + np.flatnonzero(moves[model.body_parentid[1:]]))
+    owners = model.dof_bodyid
+    data.nv_awake = _fill(data.dof_awake_ind, np.flatnonzero((trees[owners] >= 0) & (bodies[owners] > 0)))
+
+
+def _fill(memory: NDArray[np.int32], values: NDArray[np.intp]) -> int:
+    """Write values to the start of a list; return their number."""
+    memory[: len(values)] = values
+    return len(values)

@@ -1,0 +1,217 @@
+"""Branches: a logged run is taken up at a moment, and is its parent's up to there."""
+
+from pathlib import Path
+
+import pytest
+from branches import before, check, messages
+from command_line import khep_twin
+from log_rewriting import rewritten
+from served_twin import served
+
+from khep_twin.errors import KhepTwinError, LogError, PlaypenError
+from khep_twin.host import Khepera
+from khep_twin.lab.experiment.branch import Plan, branch, calibrations
+from khep_twin.lab.experiment.controllers import braitenberg
+from khep_twin.lab.experiment.repeat import repeat
+from khep_twin.log.reader import read, read_label
+from khep_twin.log.recorded import Change, read_recorded
+from khep_twin.log.snapshots import read_snapshot
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.taking_up import end_of, take_up
+from khep_twin.ports.twin import TwinOptions, open_twin
+
+SECOND = 1_000_000_000
+AT_NS = 11_234_567_890
+SHARE = (6, 13, 17)
+"""Numbers of logs with faults, a gripper, and lamps that take turns at random."""
+
+ARENA = Path("khep_twin/assets/playpens/obstacles.toml")
+
+
+@pytest.fixture(scope="module")
+def parent(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of 13 seconds of a Braitenberg vehicle among things that can be pushed."""
+    folder = tmp_path_factory.mktemp("logs")
+    arena = folder / "arena.toml"
+    loose = "x_mm = 400\ny_mm = 510\nlength_mm = 30\nwidth_mm = 30\nheight_mm = 30\nmovable = true\n"
+    arena.write_text(f"{ARENA.read_text()}\n[[block]]\n{loose}")
+    log = folder / "run.mcap"
+    with open_twin(arena, TwinOptions(seed=5, log=str(log))) as twin:
+        robot = Khepera(Serial.of(twin, timeout=1.0))
+        while robot.time < 13:
+            braitenberg(robot)
+    return log
+
+
+def made(parent: Path, tmp_path: Path, **changes: object) -> Path:
+    path = tmp_path / "new.mcap"
+    branch(Plan(parent, Change(AT_NS, **changes)), path)  # type: ignore[arg-type]
+    return path
+
+
+@pytest.mark.parametrize("number", SHARE)
+def test_a_share_of_the_search_finds_nothing(number: int, tmp_path: Path) -> None:
+    assert check(number, tmp_path) == []
+
+
+def test_a_log_has_a_snapshot_every_ten_seconds_and_at_the_end(parent: Path) -> None:
+    found = [(time_ns, data) for topic, time_ns, data in messages(parent) if topic == "/snapshot"]
+    assert [time_ns for time_ns, _ in found] == [10 * SECOND, end_of(parent)]
+    assert [read_snapshot(data, None).world.time_ns for _, data in found] == [time for time, _ in found]
+    assert all(len(data) < 4000 for _, data in found)
+
+
+def test_without_a_change_the_parents_run_goes_on(parent: Path, tmp_path: Path) -> None:
+    path = made(parent, tmp_path)
+    assert messages(path) == messages(parent)
+    label = read_label(path)
+    assert label.metadata["parent"] == "run.mcap"
+    assert len(label.metadata["parent_sha256"]) == 64
+    assert label.metadata["branched_at_s"] == "11.2345679"
+    assert '"at_ns": 11234567890' in label.attachments["branch.json"]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"seed": 9},
+        {"faults": ("stuck:2", "dead:left@12")},
+        {"edits": ("block.1.height_mm=5", "lamp.1.power_w=2")},
+        {"edits": ("block.9.x_mm=500", "robot.1.heading_deg=0")},
+        {"calibrations": {"khepera0": Path("khep_twin/assets/calibration/khepera1-manual.toml").read_text()}},
+    ],
+    ids=["seed", "faults", "playpen", "things put elsewhere", "calibration"],
+)
+def test_a_change_changes_what_follows_and_the_new_log_can_be_repeated(
+    parent: Path, tmp_path: Path, changes: dict[str, object]
+) -> None:
+    path = made(parent, tmp_path, **changes)
+    assert before(path, AT_NS) == before(parent, AT_NS)
+    assert messages(path) != messages(parent)
+    assert end_of(path) == end_of(parent)
+    assert repeat(read_recorded(path)) is None
+    assert any(line.text.startswith("branched off, with ") for line in read(path).events)
+
+
+def test_what_is_put_elsewhere_is_there_and_all_else_goes_on(parent: Path) -> None:
+    taken = take_up(parent, AT_NS)
+    world = taken.twin.world
+    x, y, heading = world.robots[0].pose
+    speed = world.data.qvel[world.robots[0].indices.wheel_speeds[0]]
+    taken.change(Change(AT_NS, edits=("block.9.x_mm=500", "block.9.y_mm=350")))
+    moved = taken.twin.world
+    moved.advance_to(AT_NS + 5_000_000)
+    assert moved.data.body("block8").xpos[:2] == pytest.approx([0.5, 0.35], abs=1e-4)
+    assert moved.robots[0].pose == pytest.approx((x, y, heading), abs=2e-3)
+    assert moved.data.qvel[moved.robots[0].indices.wheel_speeds[0]] == pytest.approx(speed, rel=0.2)
+
+
+def test_a_controller_takes_over_and_a_branch_has_branches(parent: Path, tmp_path: Path) -> None:
+    first, second, same = (tmp_path / f"{name}.mcap" for name in ("first", "second", "same"))
+    branch(Plan(parent, Change(AT_NS, seed=3), braitenberg, seconds=10.0), first)
+    assert read_label(first).metadata["controller"] == "braitenberg"
+    assert end_of(first) > 21 * SECOND
+    later_ns = round(20.5 * SECOND)
+    branch(Plan(first, Change(later_ns, faults=("stuck:1",))), second)
+    assert before(second, later_ns) == before(first, later_ns)
+    assert repeat(read_recorded(second)) is None
+    branch(Plan(second, Change(21 * SECOND)), same)
+    assert messages(same) == messages(second)
+
+
+def test_a_log_without_snapshots_is_run_again_from_its_start(parent: Path, tmp_path: Path) -> None:
+    old = rewritten(parent, tmp_path / "old.mcap", rename=lambda topic: topic.replace("/snapshot", "/other"))
+    taken, known = take_up(old, AT_NS), take_up(parent, AT_NS)
+    assert taken.twin.world.snapshot() == known.twin.world.snapshot()
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"edits": ("block.19.x_mm=5",)}, r"'block.19.x_mm=5'; did you mean '9'\? \(choices: 1, 2, 3"),
+        ({"edits": ("blok.1.x_mm=5",)}, "did you mean 'block'"),
+        ({"edits": ("block.1.heigth_mm=5",)}, "unknown key; did you mean 'height_mm'"),
+        ({"edits": ("block.1",)}, "expected TABLE.NUMBER.KEY=VALUE"),
+        ({"edits": ("block.1.x_mm=far",)}, "expected a number"),
+        ({"edits": ("robot.1.x_mm=0",)}, "robot 1 at .* overlaps the left wall"),
+        ({"faults": ("stuck:9",)}, "fault 'stuck:9': expected stuck:SENSOR"),
+    ],
+)
+def test_a_change_that_cannot_be_made_is_one_line_and_leaves_no_log(
+    parent: Path, tmp_path: Path, changes: dict[str, object], line: str
+) -> None:
+    with pytest.raises(KhepTwinError, match=line) as error:
+        made(parent, tmp_path, **changes)
+    assert len(str(error.value).splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_moment_outside_the_run_and_a_damaged_snapshot_are_one_line(parent: Path, tmp_path: Path) -> None:
+    for at_ns in (0, 60 * SECOND):
+        with pytest.raises(LogError, match=r"cannot be taken up at .* expected above 0 and up to its end"):
+            branch(Plan(parent, Change(at_ns)), tmp_path / "new.mcap")
+    with pytest.raises(LogError, match="this is the log that is taken up"):
+        branch(Plan(parent, Change(AT_NS)), parent)
+
+    def spoilt(topic: str, time_ns: int, data: bytes) -> bytes:
+        return data[:-9] if topic == "/snapshot" else data
+
+    torn = rewritten(parent, tmp_path / "torn.mcap", spoilt)
+    with pytest.raises(LogError, match=r"torn.mcap: /snapshot at 10.0000 s: .*expected at most") as error:
+        take_up(torn, AT_NS)
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_a_calibration_is_for_the_robots_on_the_line(parent: Path) -> None:
+    assert list(calibrations(parent, "khepera1-manual", None)) == ["khepera0"]
+    assert calibrations(parent, "khepera1-manual", 3) == {}
+
+
+def test_a_host_goes_on_from_a_log_and_its_log_is_a_branch(parent: Path, tmp_path: Path) -> None:
+    path = tmp_path / "new.mcap"
+    with Khepera(f"khep://{parent}?at=11.5&seed=4&fault=late:0.5:20&log={path}") as robot:
+        assert robot.time == 11.5
+        robot.set_speed(5, 5)
+        robot.sleep(1)
+    at_ns = 11_500_000_000
+    assert before(path, at_ns) == before(parent, at_ns)
+    assert repeat(read_recorded(path)) is None
+    with Khepera(f"khep://{parent}") as robot:
+        assert robot.time == end_of(parent) / SECOND
+    for url, line in (
+        (f"khep://{parent}?at=11&noise=off", "noise is the log's own"),
+        (f"khep://{parent}?at=11&robot=2", "robot = 2: not in"),
+        (f"khep://{parent}?at=soon", "expected a moment of the log's run in seconds"),
+        ("khep://default?at=3", "at = 3 is for a log"),
+    ):
+        with pytest.raises(KhepTwinError, match=line):
+            Khepera(url)
+
+
+def test_a_served_log_goes_on(parent: Path, tmp_path: Path) -> None:
+    path = tmp_path / "new.mcap"
+    with served("--from", f"{parent}@12.5", "--log", str(path), "--clock", "wire") as (process, port):
+        with Khepera(port) as robot:
+            assert robot.speed() is not None
+        process.terminate()
+        assert process.wait(60) == 0
+    assert before(path, 12_500_000_000) == before(parent, 12_500_000_000)
+    assert repeat(read_recorded(path)) is None
+
+
+def test_the_command_writes_a_log_each_and_draws_their_fan(parent: Path, tmp_path: Path) -> None:
+    words = ("branch", parent, "--at", 12.9, "-o", tmp_path / "fan.mcap", "--runs", 3, "--seconds", 1)
+    done = khep_twin(*words, "--controller", "braitenberg")
+    assert done.returncode == 0, done.stderr
+    assert "fan-001.mcap to fan-003.mcap" in done.stdout
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"fan-001.mcap", "fan-002.mcap", "fan-003.mcap", "fan.png"}
+    found = [read_recorded(tmp_path / f"fan-00{number}.mcap").changes[0].seed for number in (1, 2, 3)]
+    assert found == [1, 2, 3]
+    assert "is there already" in khep_twin(*words).stderr
+    assert "expected --controller" in khep_twin(*words, "--force", "--cycles", 3).stderr
+
+
+def test_a_playpen_edit_that_a_file_would_not_allow_is_refused(parent: Path, tmp_path: Path) -> None:
+    with pytest.raises(PlaypenError, match="surface"):
+        made(parent, tmp_path, edits=("block.1.surface=velvet",))

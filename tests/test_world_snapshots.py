@@ -1,0 +1,153 @@
+"""Snapshots: a world goes on from one bit for bit, wherever it is restored."""
+
+import zlib
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from branches import LAMPS, PUSHED, ROBOTS, arena, drive
+
+from khep_twin import playpen
+from khep_twin.board.fault_injection import parse
+from khep_twin.board.uart import HostEvent
+from khep_twin.errors import DivergedError, SnapshotError
+from khep_twin.playpen import Lighting, Playpen
+from khep_twin.world import World
+
+
+class Events:
+    """An observer that notes everything with its time."""
+
+    def __init__(self) -> None:
+        self.seen: list[object] = []
+
+    def sample(self, world: World) -> None:
+        self.seen.append((world.time_ns, world.data.xpos.tobytes()))
+
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+        self.seen.append((time_ns, robot, to_robot, data))
+
+    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
+        self.seen.append((time_ns, robot, event))
+
+    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
+        self.seen.append((time_ns, robot, text))
+
+
+Case = tuple[Callable[[], Playpen], dict[str, object]]
+
+CASES: dict[str, Case] = {
+    "one robot": (arena, {}),
+    "another robot of the same make": (arena, {"vary": True}),
+    "no noise, no line": (arena, {"noise": False, "unpaced": True}),
+    "a strict line": (arena, {"strict_line": True}),
+    "a lamp that blinks and fades": (lambda: arena(LAMPS), {}),
+    "lamps by turns": (lambda: playpen.load("two-lamps"), {}),
+    "lamps at random": (
+        lambda: playpen.load("two-lamps").model_copy(update={"lighting": Lighting(mode="random")}),
+        {},
+    ),
+    "three robots": (lambda: arena(ROBOTS), {"vary": True}),
+    "things that are pushed and fall asleep": (lambda: arena(PUSHED), {}),
+    "a gripper": (lambda: playpen.load("gripper"), {}),
+    "faults": (
+        lambda: arena(ROBOTS),
+        {
+            "faults": [
+                parse(text)
+                for text in ("stuck:2@0.4", "dead:left@1.003", "brown-out@1.7", "garble:0.01", "late:0.2:40")
+            ]
+        },
+    ),
+    "cells that run out": (lambda: arena(battery_used_min=41.06), {}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_world_goes_on_from_a_snapshot_bit_for_bit(case: str) -> None:
+    scene, options = CASES[case]
+    rng = np.random.default_rng(zlib.crc32(case.encode()))
+    seed, end_ns = int(rng.integers(1000)), 3_500_000_000
+    world = World(scene(), seed=seed, compiled=False, **options)  # type: ignore[arg-type]
+    drive(world, seed, int(rng.integers(1, end_ns - 1_500_000_000)))
+    taken = world.snapshot()
+    worlds = [world, World(scene(), seed=seed, compiled=True, **options)]  # type: ignore[arg-type]
+    drive(worlds[1], seed + 1, 700_000_000)
+    outcomes: list[tuple[list[object], bytes]] = []
+    for each in [*worlds, worlds[0]]:
+        each.restore(taken)
+        assert each.snapshot() == taken
+        each.observers = [events := Events()]
+        drive(each, seed, end_ns)
+        outcomes.append((events.seen, each.snapshot()))
+    assert outcomes[0] == outcomes[1] == outcomes[2]
+    assert len(outcomes[0][0]) > 100
+
+
+def test_another_seed_changes_what_follows_and_nothing_else() -> None:
+    world = World(arena(), compiled=False)
+    world.advance_to(1_000_000_000)
+    taken = world.snapshot()
+    before = world.state()
+    world.reseed(1)
+    streams = {"simulation": before.simulation, "lamps_stream": before.lamps_stream}
+    assert world.state()._replace(**streams) == before
+    drawn: list[list[int]] = []
+    for seed in (1, 2, 1):
+        world.restore(taken)
+        world.reseed(seed)
+        world.advance_to(1_100_000_000)
+        drawn.append(world.robots[0].registers.tolist())
+    assert drawn[0] == drawn[2] != drawn[1]
+
+
+def test_a_snapshot_keeps_that_a_run_has_ended() -> None:
+    world = World(arena(), compiled=False)
+    world.data.qvel[0] = 1e6
+    world.data.warning.number[0] = 3
+    with pytest.raises(DivergedError, match="failed at") as ended:
+        world.advance_to(1_000_000_000)
+    other = World(arena(), compiled=False)
+    other.restore(world.snapshot())
+    with pytest.raises(DivergedError, match="failed at") as again:
+        other.advance_to(2_000_000_000)
+    assert str(again.value) == str(ended.value)
+    assert other.data.warning.number.tolist() == world.data.warning.number.tolist()
+
+
+def test_a_snapshot_of_another_scene_is_refused_and_changes_nothing() -> None:
+    world = World(arena(), compiled=False)
+    for other in (World(arena(LAMPS)), World(playpen.load("default")), World(arena(), vary=True)):
+        taken = other.snapshot()
+        before = world.snapshot()
+        if other.scene == world.scene:  # lamps are part of the state
+            world.restore(taken)
+            assert len(world.lamps.names) == len(other.lamps.names)
+            continue
+        with pytest.raises(SnapshotError, match="of another scene"):
+            world.restore(taken)
+        assert world.snapshot() == before
+
+
+def test_a_damaged_snapshot_gives_one_line() -> None:
+    world = World(arena(PUSHED, turrets=("gripper",)), compiled=False)
+    world.advance_to(500_000_000)
+    taken = world.snapshot()
+    rng = np.random.default_rng(5)
+    head, text = taken[:26], zlib.decompress(taken[26:])
+    damaged = [b"", taken[:20], taken[:-5], head[:8] + b"\2\0" + taken[10:], head + zlib.compress(b"[1]")]
+    for _ in range(300):
+        place = int(rng.integers(len(text)))
+        changed = bytearray(text)
+        changed[place] = int(rng.choice(list(b'0123456789-[]",AZaz_')))
+        damaged.append(head + zlib.compress(bytes(changed)))
+    refused: list[str] = []
+    for data in damaged:
+        try:
+            world.restore(data)
+        except SnapshotError as error:
+            refused.append(str(error))
+        world.restore(taken)
+        assert world.snapshot() == taken
+    assert len(refused) > 50
+    assert all(len(line.splitlines()) == 1 for line in refused)
