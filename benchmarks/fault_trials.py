@@ -138,7 +138,7 @@ def _added(scene: _Scene) -> Trial | None:
 
 def _lamp_off(scene: _Scene) -> Trial:
     lamp = int(scene.rng.integers(len(scene.playpen.lamps)))
-    return Trial((f"lamp off {_lamp_name(scene, lamp)}",), "", (LampOff(scene.at_s, lamp),))
+    return Trial((f"{_lamp_name(scene, lamp)} off",), "", (LampOff(scene.at_s, lamp),))
 
 
 def _lamp_moved(scene: _Scene) -> Trial:
@@ -148,7 +148,7 @@ def _lamp_moved(scene: _Scene) -> Trial:
     by, way = scene.rng.uniform(80, 150), inwards + scene.rng.uniform(-0.8, 0.8)
     dx, dy = round(by * math.cos(way), 1), round(by * math.sin(way), 1)
     return Trial(
-        (f"moved {_lamp_name(scene, lamp)}",),
+        (f"{_lamp_name(scene, lamp)} moved",),
         "",
         (LampMoved(scene.at_s, lamp, (dx, dy)), LampMoved(scene.until_s, lamp, (-dx, -dy))),
     )
@@ -215,9 +215,7 @@ def run_trial(fault: str, seed: int, folder: Path, settings: ShadowSettings) -> 
     rng = stream(seed, "fault trial", fault)
     at_s = round(float(rng.uniform(*BEGINS_S)), 2)
     light = rooms is LIT
-    sound = Recording(
-        "sound" + "_light" * light, room, seed, BEGINS_S[1] + LASTS_S, asks_light=light
-    )
+    sound = Recording("sound" + "_light" * light, room, seed, BEGINS_S[1] + LASTS_S, asks_light=light)
     way = Truth.load(sound.path(folder).with_suffix(".npz"))
     trial = draw(_Scene(playpens.load(room), way, at_s, at_s + LASTS_S, rng))
     if trial is None:
@@ -259,8 +257,8 @@ def judge(names: tuple[str, ...], truth: Truth, ended_ns: int, alarms: list[Rais
     ends = bool(right) and (ended_ns >= 0 or "robot lifted" in names)
     end_s = math.nan if lasting or not ends else max(last_ns - max(ended_ns, since_ns), 0) / NS_PER_S
     told = [
-        f"{each.fault} {each.raised_ns / NS_PER_S:.1f}–"
-        + (f"{each.ended_ns / NS_PER_S:.1f}" if each.ended_ns >= 0 else "")
+        f"{each.fault} {each.raised_ns / NS_PER_S:.1f} to "
+        + (f"{each.ended_ns / NS_PER_S:.1f}" if each.ended_ns >= 0 else "the end")
         for each in alarms
     ]
     text = f"{truth.hidden[0]} at {since_ns / NS_PER_S:.1f}, seen {seen_ns / NS_PER_S:.1f}"

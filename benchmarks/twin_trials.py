@@ -12,7 +12,7 @@ speeds. The same options give the same tables, but for CPU times.
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from itertools import starmap
@@ -177,7 +177,9 @@ def alarms(options: Options) -> None:
                 f"{'' if each.named else 'NOT NAMED '}seed {seed}, {each.text} (busiest {each.busiest_s:.2f})"
                 for seed, each in found
             )
-    print("\nRuns are those in which the fault is noticeable; delays count from the first noticeable reply.\n")
+    print(
+        "\nRuns are those in which the fault is noticeable; delays count from the first such reply.\n"
+    )
 
 
 def _noticeable(fault: str, options: Options) -> Iterator[tuple[int, Outcome]]:
@@ -210,9 +212,7 @@ def healthy(options: Options) -> None:
     print()
 
 
-def false_alarms(
-    folder: Path, playpen: str, seed: int, settings: ShadowSettings
-) -> list[tuple[str, float]]:
+def false_alarms(folder: Path, playpen: str, seed: int, settings: ShadowSettings) -> list[tuple[str, float]]:
     """Return the alarms of a sound robot, with their times [s]."""
     host = list(HOSTS)[seed // len(ALL) % len(HOSTS)]
     path = Recording("healthy", playpen, seed, HEALTHY_S, host).path(folder)
@@ -283,7 +283,7 @@ def _seeds(options: Options) -> range:
 
 
 @contextmanager
-def _jobs(count: int) -> Iterator[Map]:
+def _jobs(count: int) -> Generator[Map]:
     """Yield a map over so many processes."""
     if count == 1:
         yield starmap
