@@ -78,7 +78,7 @@ def run(name: str, seed: int, controller: str, folder: Path) -> list[str]:
         found: dict[str, list[bytes]] = defaultdict(list)
         for schema, channel, message in make_reader(file).iter_messages():
             # Names and sentences may change.
-            if channel.topic in ("/channel_names", "/robot_description", "/events", "/scene"):
+            if channel.topic in ("/channel_names", "/robot_description", "/events", "/scene", "/snapshot"):
                 continue
             kind = schema.name if schema else ""
             found[channel.topic] += [kind.encode(), message.log_time.to_bytes(8, "little"), message.data]
