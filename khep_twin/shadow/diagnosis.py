@@ -156,7 +156,7 @@ class Diagnosis:
         """Follow an action; return what counters tell beyond commands (2,)."""
         told = self.filter.act(action, self._sensors.sound)
         if isinstance(action, Seen):
-            self.ended += self._sensors.see(action, self.filter.readable)
+            self.ended += self._sensors.see(action, self.filter.range_left, self.filter.surprise)
         elif isinstance(action, Counted):
             if self._counted is not None:
                 turned = action.counters - self._counted

@@ -38,6 +38,10 @@ _FRESH_TICKS = 25
 """Time for whose noise few particles are spread that become many [ticks]."""
 
 
+_LONGEST_TICKS = 50
+"""Longest time after which the particles are spread [ticks]."""
+
+
 class Spread(NamedTuple):
     """What is known of a robot at the start: standard deviations.
 
@@ -120,9 +124,9 @@ class ParticleFilter:
         return np.full(2, np.nan)
 
     @property
-    def readable(self) -> NDArray[np.bool_]:
-        """Whether lamps left enough of each sensor's range at the last reply (8,)."""
-        return self._model.readable
+    def range_left(self) -> Floats:
+        """Part of each sensor's range that the lamps left at the last reply (8,)."""
+        return self._model.range_left
 
     def take(self, particles: Particles) -> None:
         """Go on with other particles of the present time."""
@@ -167,13 +171,14 @@ class ParticleFilter:
         return np.exp(self.particles.logs)
 
     def _renew(self) -> None:
-        """Draw the particles anew by their weights, where too few count, and spread them a little."""
+        """Draw the particles anew by their weights, where too few count, and spread them a little now and then."""
         particles = self.particles
         weights = self.weights
-        if 1 / np.square(weights).sum() > LEAST_EFFECTIVE * len(weights):
-            return
-        self.particles = particles.drawn(self._wanted(weights), self._rng.random())
-        self._drift()
+        few = 1 / np.square(weights).sum() <= LEAST_EFFECTIVE * len(weights)
+        if few:
+            self.particles = particles.drawn(self._wanted(weights), self._rng.random())
+        if few or particles.planes.ticks - self._drifted_ticks >= _LONGEST_TICKS:
+            self._drift()
 
     def _wanted(self, weights: Floats) -> int:
         """Return the number of particles that the spread of the pose needs."""

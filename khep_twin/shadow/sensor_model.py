@@ -41,7 +41,7 @@ class SensorModel:
     Attributes:
         quiet: Highest reading with nothing in reach [counts].
         limit: Highest reading [counts].
-        readable: Whether lamps left enough of each sensor's range at the last reply (8,).
+        range_left: Part of each sensor's range that the lamps left at the last reply (8,).
     """
 
     def __init__(self, planes: Planes) -> None:
@@ -50,7 +50,7 @@ class SensorModel:
         self._noise: Floats = proximity["noise"]
         self._quantum = int(proximity["quantum"])
         self.limit = int(proximity["limit"])
-        self.readable: NDArray[np.bool_] = np.ones(8, np.bool_)
+        self.range_left: Floats = np.ones(8)
         self.quiet = 4 * max(float(proximity["idle"]), float(proximity["floor"]))
 
     def explain(
@@ -82,7 +82,7 @@ class SensorModel:
         weights = np.exp(particles.logs - particles.logs.max())
         weights /= weights.sum()
         expected = np.clip(weights @ counts, 0, self.limit)
-        self.readable = weights @ range_left > _READABLE
+        self.range_left = weights @ range_left
         best = np.where(clipped, 1.0, 1 / (weights @ deviation * math.sqrt(math.tau)))
         surprise = np.where(
             use, particles.temper * np.log(np.maximum(best / (weights @ likelihood), 1.0)), 0.0
@@ -116,6 +116,3 @@ def _below(z: Floats) -> Floats:
 
 _BRIGHT = 0.2
 """Part of the range from which on a lamp's light matters."""
-
-_READABLE = 0.7
-"""Part of the range below which a sensor's readings say little: lamps may leave none (assumed)."""

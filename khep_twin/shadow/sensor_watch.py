@@ -1,7 +1,8 @@
 """Watch of each sensor on its own: a stuck one repeats its last reading, a dead one reads 0.
 
 A sound sensor has noise. The probability that it repeats a reading is learned from all sensors, apart for
-quiet ones, with nothing in reach, and others; at the limit of the range every reading is a repetition.
+quiet ones, with nothing in reach, and others. Blinded by a lamp or near the limit of its range, a sound one
+repeats itself, too: there only readings that the twins do not expect count.
 """
 
 import math
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 from khep_twin.shadow.actions import Seen
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.units import N_SENSORS
+
+Floats = NDArray[np.float64]
 
 RAISED = 24.0
 """Logarithm of the odds from which on a sensor counts as stuck."""
@@ -51,12 +54,13 @@ class SensorWatch:
         """Whether each sensor is neither stuck nor dead (8,)."""
         return np.array([sensor not in self._alarms for sensor in range(N_SENSORS)])
 
-    def see(self, action: Seen, readable: NDArray[np.bool_]) -> tuple[Alarm, ...]:
+    def see(self, action: Seen, range_left: Floats, surprise: Floats) -> tuple[Alarm, ...]:
         """Take a reply to N; return the alarms that it ends.
 
         Args:
             action: Reply.
-            readable: Whether lamps leave enough of each sensor's range (8,).
+            range_left: Part of each sensor's range that the lamps leave (8,).
+            surprise: What each reading is less likely than an expected one (8,), in logarithms.
         """
         before, self._last = self._last, action.readings
         ended: list[Alarm] = []
@@ -68,14 +72,15 @@ class SensorWatch:
                 self._since_ns[sensor] = action.time_ns
                 if alarm := self._alarms.pop(sensor, None):
                     ended.append(replace(alarm, ended_ns=action.time_ns))
-            if last >= self._limit or not readable[sensor]:
-                continue
-            kind = int(last > self._quiet)
-            others = np.delete(self._repeats[kind], sensor, axis=0).sum(axis=0)
-            self._repeats[kind, sensor] += now == last, 1
-            if now != last:
-                continue
-            self._odds[sensor] -= math.log(others[0] / others[1])
+            left = range_left[sensor]
+            if left < _READABLE or last > _NEAR_LIMIT * left * self._limit:
+                told = min(_TOLD * (surprise[sensor] - _USUAL), _MOST) if now == last else 0.0
+            else:
+                kind = int(last > self._quiet)
+                others = np.delete(self._repeats[kind], sensor, axis=0).sum(axis=0)
+                self._repeats[kind, sensor] += now == last, 1
+                told = -math.log(others[0] / others[1]) if now == last else 0.0
+            self._odds[sensor] = max(self._odds[sensor] + told, 0)
             if self._odds[sensor] > RAISED and sensor not in self._alarms:
                 fault = f"dead sensor {sensor}" if now == 0 else f"stuck sensor {sensor}"
                 since_ns, sureness = self._since_ns[sensor], 1 / (1 + math.exp(_RARE - self._odds[sensor]))
@@ -85,3 +90,12 @@ class SensorWatch:
 
 _RARE = 8.0
 """Logarithm of the odds against a stuck sensor (assumed)."""
+
+_NEAR_LIMIT = 0.85
+"""Part of the range from which on a sound sensor repeats itself: there light counts little."""
+
+_READABLE = 0.7
+"""Part of the range below which lamps blind a sensor, which then repeats itself, too (assumed)."""
+
+_USUAL, _TOLD, _MOST = 0.3, 2.0, 1.5
+"""Surprise that is usual there, and what more of it adds to the odds, at the most (assumed)."""
