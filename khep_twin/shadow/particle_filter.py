@@ -171,7 +171,7 @@ class ParticleFilter:
         return np.exp(self.particles.logs)
 
     def _renew(self) -> None:
-        """Draw the particles anew by their weights, where too few count, and spread them a little now and then."""
+        """Draw the particles anew where too few count; spread them a little then, and now and then."""
         particles = self.particles
         weights = self.weights
         few = 1 / np.square(weights).sum() <= LEAST_EFFECTIVE * len(weights)
