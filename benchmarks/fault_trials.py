@@ -232,7 +232,7 @@ def run_trial(fault: str, seed: int, folder: Path, settings: ShadowSettings) -> 
     path = faulty.path(folder)
     truth = Truth.load(path.with_suffix(".npz"))
     ended_ns = int(truth.ended_ns[0] if len(trial.changes) < 2 else truth.changed_ns[1])
-    if truth.noticeable_ns[0] < 0 or (ended_ns >= 0 and truth.noticeable_ns[0] > ended_ns):
+    if truth.noticeable_ns[0] < truth.changed_ns[0] or (ended_ns >= 0 and truth.noticeable_ns[0] > ended_ns):
         return None
     followed = follow(path, room, settings)
     return judge(trial.names, truth, ended_ns, followed.alarms)._replace(

@@ -39,6 +39,9 @@ _SOURCES = (
 _RIGHT = kernel.RIGHT
 _LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
 
+_HOLD = 6.0
+"""Brake of a wheel that is blocked, as a part of that of a motor without voltage."""
+
 
 class Drive(NamedTuple):
     """Constants of all twins' motors.
@@ -68,12 +71,14 @@ def _advance(things, order, planes, registers, processor, strength, drive, volta
             kernel.run(board, processor[twin], units.wheel_pulses(left), units.wheel_pulses(right))
             # A weak motor gives a part of its torque; without any it generates its own voltage.
             speeds, constant = scene.robot.speeds, drive[0].constant
+            part, held = max(strength[twin, 0], 0.0), _HOLD * min(strength[twin, 0], 0.0)
             own = constant * speeds[drive[0].left_speed]
             wanted = units.duty_voltage(board[_LEFT_DUTY], voltage)
-            scene.robot.ctrl[0] = own + (wanted - own) * strength[twin, 0]
+            scene.robot.ctrl[0] = own + (wanted - own) * part + own * held
+            part, held = max(strength[twin, 1], 0.0), _HOLD * min(strength[twin, 1], 0.0)
             own = constant * speeds[drive[0].right_speed]
             wanted = units.duty_voltage(board[_RIGHT_DUTY], voltage)
-            scene.robot.ctrl[1] = own + (wanted - own) * strength[twin, 1]
+            scene.robot.ctrl[1] = own + (wanted - own) * part + own * held
 
 
 def _illuminate(things, order, planes, sensors, light):

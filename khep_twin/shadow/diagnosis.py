@@ -1,15 +1,14 @@
 """Diagnosis: which fault explains a robot's replies better than a sound robot does.
 
-While replies surprise the filter, the last seconds are repeated from snapshots of its particles with twins of
-each hypothesis (`hypotheses`), beside sound ones of the same particles. A fault is raised when its twins make
-the replies more probable by far; the filter goes on with these twins. It ends when sound ones do better.
-Sensors are watched on their own (`sensor_watch`): a stuck one repeats itself.
+The filter has twins of each fault that may begin (`changes`). A fault is raised when it has become certain;
+the filter goes on with its twins, and considers its end. While replies surprise all of them, the last second
+is repeated with twins that may be anywhere. Sensors, counters, lamps and the line are watched on their own.
 """
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,66 +18,61 @@ from khep_twin.log.exchanges import Exchange
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.shadow import hypotheses
-from khep_twin.shadow.actions import Action, Counted, Restarted, Seen, Waited, repeat
+from khep_twin.shadow.actions import Action, Counted, Restarted, Seen, Waited
 from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.changes import Change
 from khep_twin.shadow.hypotheses import Hypothesis, Missing, Moved, SlippingWheel, Unexpected
 from khep_twin.shadow.lamp_watch import LampWatch
 from khep_twin.shadow.line_watch import LOSING, LineWatch
 from khep_twin.shadow.particle_filter import ParticleFilter, anywhere
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
+from khep_twin.shadow.sensor_model import SensorModel
 from khep_twin.shadow.sensor_watch import SensorWatch
 from khep_twin.shadow.wheel_watch import WheelWatch
 
 Floats = NDArray[np.float64]
 
 GROUP = 120
-"""Particles of each hypothesis."""
+"""Particles of a snapshot."""
 
-LOST, TRIED = 10_000, 2000
-"""Particles of a robot that was put anywhere, and of one that may have been."""
+LOST, TRIED, FOUND = 10_000, 3000, 1500
+"""Particles of a robot that was put anywhere, of one that may have been, and of one that was found."""
 
-SNAPSHOT_NS = 500_000_000
+SNAPSHOT_NS = 250_000_000
 """Interval of the snapshots [ns]."""
 
-WINDOWS_NS = 1_300_000_000, 3_000_000_000, 6_000_000_000
-"""Ages of the snapshots from which hypotheses are tried [ns]."""
+KEPT_NS = 4 * NS_PER_S
+"""Time for which they are kept [ns]."""
 
-MANY = 1500
-"""Particles that go through a fault once it is raised."""
-
-ONSETS_LATER = 30
-"""Times within a window at which it may have begun, for these."""
-
-ONSETS = 6
-"""Times within a window at which a fault may begin or end, in equal parts of each hypothesis' particles."""
+WINDOW_NS = 1_300_000_000
+"""Age of the snapshot from which it is looked for everywhere [ns]."""
 
 SURPRISE_S = 0.7
 """Time constant over which surprise is summed [s]."""
 
 SURPRISED = 3.0
-"""Surprise of one sensor from which on hypotheses are tried."""
+"""Surprise of one sensor from which on the robot may be elsewhere."""
 
 WAITED_NS = 1_000_000_000
-"""Time for which replies surprise before hypotheses are tried: enough to tell one from another [ns]."""
-
-SETTLED_NS = 1_500_000_000
-"""Time after a fault has been raised before another one is looked for [ns]."""
+"""Time for which replies surprise before it is looked for everywhere [ns]."""
 
 TRIED_NS = 400_000_000
-"""Interval at which hypotheses are tried [ns]."""
+"""Interval at which it is [ns]."""
 
 RAISED = 9.0
-"""Logarithm of the odds from which on a fault is raised."""
+"""Logarithm of the odds from which on it is elsewhere."""
 
-SURE = 0.95
-"""Probability, among all that are tried, from which on it has a name."""
+SURE, NAMED = 0.95, 0.5
+"""Probabilities from which on there is a fault, of any name, and from which on it has that name."""
 
-ENDED = 4.0
-"""Logarithm of the odds from which on it ends."""
+TOLD_NS = NS_PER_S
+"""Time for which replies tell of a fault before it has a name [ns]."""
 
-RARE = 6.0
-"""Logarithm of the odds against a robot that is put elsewhere, beside a fault."""
+SETTLED_NS = 5 * NS_PER_S
+"""Time for which a fault is probable before it is taken for granted, beside which others may begin [ns]."""
+
+RARE = 9.0
+"""Logarithm of the odds against a robot that is put elsewhere."""
 
 NEAR = 0.09
 """Farthest distance of a thing from the robot's centre, to be seen or missed [m]."""
@@ -87,24 +81,6 @@ FOUND_NS = 5 * NS_PER_S
 """Time of replies without surprise after which a pose that was searched counts as found [ns]."""
 
 LIFTED = "robot lifted"
-
-
-class _Tried(NamedTuple):
-    """A hypothesis that was tried.
-
-    Attributes:
-        odds: Logarithm of its odds against no change.
-        hypothesis: Fault; None for a robot that was put elsewhere.
-        begins: Whether it begins, or ends.
-        since_ns: Begin of the window [ns].
-        start: Particles then.
-    """
-
-    odds: float
-    hypothesis: Hypothesis | None
-    begins: bool
-    since_ns: int
-    start: Particles
 
 
 class Diagnosis:
@@ -130,13 +106,13 @@ class Diagnosis:
         self._counted: Floats | None = None
         self._things = hypotheses.things_of(setup)
         self._present: list[tuple[Hypothesis, Alarm]] = []
+        self._leading: tuple[Hypothesis, Alarm] | None = None
         self._others: list[Alarm] = []
         self._snapshots: deque[tuple[int, Particles, float]] = deque()
         self._actions: deque[Action] = deque()
         self._surprise: Floats = np.zeros(8)
         self._seen_ns = self._tried_ns = 0
-        self._changed_ns = -SETTLED_NS
-        self._lost_ns = 0
+        self._lost_ns = self._vague_ns = 0
         self._searches = not self._known
         self._surprised_ns: int | None = None
         self.ended: tuple[Alarm, ...] = ()
@@ -144,7 +120,8 @@ class Diagnosis:
     @property
     def alarms(self) -> tuple[Alarm, ...]:
         """Alarms that last, in the order of their begin."""
-        found = [alarm for _, alarm in self._present] + self._others + self._sensors.alarms
+        faults = [*self._present] if self._leading is None else [*self._present, self._leading]
+        found = [alarm for _, alarm in faults] + self._others + self._sensors.alarms
         found += self._wheels.alarms + self._lamps.alarms + self._line.alarms
         return tuple(sorted(found, key=lambda alarm: alarm.raised_ns))
 
@@ -156,7 +133,10 @@ class Diagnosis:
         """Follow an action; return what counters tell beyond commands (2,)."""
         told = self.filter.act(action, self._sensors.sound)
         if isinstance(action, Seen):
-            self.ended += self._sensors.see(action, self.filter.range_left, self.filter.surprise)
+            left = self.filter.range_left
+            if self._lamps.alarms or ((self._others or not self._known) and self._lamps.names):
+                left = np.zeros_like(left)  # Any sensor may be blinded.
+            self.ended += self._sensors.see(action, left, self.filter.surprise)
         elif isinstance(action, Counted):
             if self._counted is not None:
                 turned = action.counters - self._counted
@@ -177,13 +157,16 @@ class Diagnosis:
         return self._lamps.expected
 
     def _see(self, action: Seen) -> None:
-        """Take a reply to N: keep a snapshot, and try hypotheses while it surprises."""
+        """Take a reply to N: diagnose, keep a snapshot, and search while it surprises."""
         time_ns = action.time_ns
         passed_s = (time_ns - self._seen_ns) * 1e-9
         self._seen_ns = time_ns
         self._surprise = self._surprise * math.exp(-passed_s / SURPRISE_S)
         self._surprise += np.maximum(self.filter.surprise - _USUAL, 0)
         self._end_lifted(time_ns)
+        if not self._known:
+            self._vague_ns = time_ns
+        self._diagnose(time_ns)
         if self._surprise.max() <= SURPRISED:
             self._surprised_ns = None
         elif self._surprised_ns is None:
@@ -191,15 +174,16 @@ class Diagnosis:
         elif (
             time_ns - max(self._tried_ns, self._surprised_ns) >= TRIED_NS
             and time_ns - self._surprised_ns >= WAITED_NS
-            and time_ns - self._changed_ns >= SETTLED_NS
             and self._known
+            and self._snapshots
+            and self._snapshots[0][0] <= time_ns - WINDOW_NS
         ):
             self._tried_ns = time_ns
-            self._try(time_ns)
+            self._search(time_ns, time_ns - WINDOW_NS, RAISED)
         if not self._snapshots or time_ns - self._snapshots[-1][0] >= SNAPSHOT_NS:
             small = self.filter.particles.drawn(GROUP, self._rng.random())
             self._snapshots.append((time_ns, small, self.filter.evidence))
-            while self._snapshots[0][0] < time_ns - WINDOWS_NS[-1] - SNAPSHOT_NS:
+            while self._snapshots[0][0] < time_ns - KEPT_NS:
                 self._snapshots.popleft()
             while self._actions[0].time_ns < self._snapshots[0][0]:
                 self._actions.popleft()
@@ -207,138 +191,89 @@ class Diagnosis:
     @property
     def _known(self) -> bool:
         """Whether the pose is known."""
-        covariance = self.filter.estimate(0).covariance
-        return covariance[0, 0] + covariance[1, 1] < _KNOWN * _KNOWN
+        spread = self.filter.estimate(0).covariance.diagonal()
+        return bool(spread[0] + spread[1] < _KNOWN * _KNOWN and spread[2] < _KNOWN_TURN * _KNOWN_TURN)
 
-    def _try(self, time_ns: int) -> None:
-        """Try all hypotheses from snapshots of different ages; adopt the best if it is better by far."""
-        tried: list[_Tried] = []
-        for age_ns in WINDOWS_NS:
-            older = [each for each in self._snapshots if each[0] <= time_ns - age_ns]
-            if not older:
-                continue
-            since_ns, start, evidence = older[-1]
-            tried += self._compared(since_ns, start, self.filter.evidence - evidence, time_ns)
-        if not tried:
-            return
-        names: dict[tuple[str, bool], float] = {}
-        for each in tried:
-            key = "" if each.hypothesis is None else each.hypothesis.name, each.begins
-            names[key] = max(names.get(key, -math.inf), each.odds)
-        odds, hypothesis, begins, since_ns, start = max(tried, key=lambda each: each.odds)
-        sureness = 1 / sum(math.exp(min(each - odds, 0)) for each in (0.0, *names.values()))
-        if odds < (RAISED if begins else ENDED) or sureness < SURE:
-            return
-        alarm = Alarm("", "", since_ns, time_ns, min(sureness, 0.999))
-        if hypothesis is None:
-            # Of a robot whose commands are lost the twins know as little.
-            self._searches = self._searches or any(each.fault == LOSING for each in self._line.alarms)
-            if not self._others and not self._searches:
-                self._others.append(replace(alarm, fault=LIFTED, channel="proximity"))
-        elif begins:
-            named = replace(alarm, fault=hypothesis.name, channel=hypothesis.channel)
-            self._present.append((hypothesis, named))
-        else:
-            self.ended += tuple(
-                replace(each, ended_ns=time_ns) for fault, each in self._present if fault is hypothesis
-            )
-            self._present = [each for each in self._present if each[0] is not hypothesis]
-        self.filter.take(self._refined(since_ns, start, hypothesis, begins))
-        self._changed_ns = time_ns
-        self._snapshots.clear()
+    def _diagnose(self, time_ns: int) -> None:
+        """Raise and end alarms as changes become probable; consider those that may happen now."""
+        tracker, leading = self.filter, self._leading
+        probabilities = tracker.probabilities
+        number = int(np.argmax(probabilities))
+        sureness = float(probabilities[number])
+        if number == 0:
+            if leading is not None and sureness > SURE:
+                self._give_up(time_ns)
+        elif probabilities[0] < 1 - SURE and sureness > NAMED:
+            fault, begins = tracker.changes[number - 1]
+            if not begins:
+                if sureness > SURE:
+                    self.ended += tuple(
+                        replace(alarm, ended_ns=time_ns) for each, alarm in self._present if each is fault
+                    )
+                    self._present = [each for each in self._present if each[0] is not fault]
+                    self._adopt(number, time_ns)
+            elif leading is None or (leading[0].name != fault.name and sureness > SURE):
+                has = tracker.particles.changes == number
+                since_ns = int(np.average(tracker.particles.since_ns[has], weights=tracker.weights[has]))
+                if time_ns - since_ns < TOLD_NS or since_ns < self._vague_ns:
+                    return
+                if self._search(time_ns, since_ns, 0.0):
+                    return
+                self._give_up(time_ns)
+                alarm = Alarm(fault.name, fault.channel, since_ns, time_ns, min(sureness, 0.999))
+                self._leading = fault, alarm
+            elif leading[0].name == fault.name and sureness > SURE:
+                if time_ns - leading[1].raised_ns > SETTLED_NS:
+                    self._present.append((fault, leading[1]))
+                    self._leading = None
+                    self._adopt(number, time_ns)
+        changes = [Change(fault, True) for fault in self._candidates()]
+        tracker.consider([*changes, *(Change(fault, False) for fault, _ in self._present)])
+
+    def _adopt(self, number: int, time_ns: int) -> None:
+        """Take a change for what the robot is now."""
+        self._give_up(time_ns)
+        self.filter.adopt(number)
         self._surprise[:] = 0
 
-    def _refined(
-        self, since_ns: int, start: Particles, hypothesis: Hypothesis | None, begins: bool
-    ) -> Particles:
-        """Return many particles that have gone through a hypothesis since a snapshot."""
-        if hypothesis is None:
-            particles = self._anywhere(start, LOST)
-        else:
-            particles = start.drawn(MANY, self._rng.random())
-        tracker = ParticleFilter(self._setup, particles, self._rng, MANY)
-        tracker.spread()
-        actions = [action for action in self._actions if action.time_ns > since_ns]
-        end_ns = actions[-1].time_ns
-        onsets = deque(
-            since_ns + (end_ns - since_ns) * onset // ONSETS_LATER for onset in range(ONSETS_LATER)
-        )
-        size, turn = MANY // ONSETS_LATER, 0
-        for action in actions:
-            while hypothesis is not None and onsets and onsets[0] <= action.time_ns:
-                # In any order: the particles may have been drawn anew meanwhile.
-                part = tracker.particles.taken(slice(turn * size, (turn + 1) * size))
-                if begins:
-                    hypothesis.begin(part, self._rng)
-                else:
-                    hypothesis.end(part)
-                turn += 1
-                onsets.popleft()
-            tracker.act(action, self._sensors.sound, renew=not onsets or hypothesis is None)
-        return tracker.particles
+    def _give_up(self, time_ns: int) -> None:
+        """End the alarm of the fault that was the most probable one."""
+        if self._leading is not None:
+            self.ended += (replace(self._leading[1], ended_ns=time_ns),)
+            self._leading = None
 
-    def _compared(self, since_ns: int, start: Particles, sound: float, time_ns: int) -> list[_Tried]:
-        """Return the odds of each hypothesis against no change, whether it begins, since when, and its twins.
+    def _search(self, time_ns: int, since_ns: int, least: float) -> bool:
+        """Look for the robot everywhere since a time [ns]; go on there if the odds are above the least.
 
-        Args:
-            since_ns: Time of the snapshot [ns].
-            start: Particles of the snapshot.
-            sound: Evidence of the filter since then.
-            time_ns: Present time [ns].
+        The odds are those against all that the filter considers, as logarithms.
         """
-        changes = [(fault, True) for fault in self._candidates(start)]
-        changes += [(fault, False) for fault, _ in self._present]
-        groups = 1 + len(changes)
-        all_of_them = start.taken(np.tile(np.arange(GROUP), groups))
-        parts = [all_of_them.taken(slice(i * GROUP, (i + 1) * GROUP)) for i in range(groups)]
-        actions = [action for action in self._actions if action.time_ns > since_ns]
-        onsets = [since_ns + (time_ns - since_ns) * onset // ONSETS for onset in range(ONSETS)]
-        for action in actions:
-            while onsets and onsets[0] <= action.time_ns:
-                turn = slice(
-                    (ONSETS - len(onsets)) * GROUP // ONSETS, (ONSETS + 1 - len(onsets)) * GROUP // ONSETS
-                )
-                for (fault, begins), part in zip(changes, parts[1:], strict=True):
-                    if begins:
-                        fault.begin(part.taken(turn), self._rng)
-                    else:
-                        fault.end(part.taken(turn))
-                del onsets[0]
-            repeat(action, all_of_them)
-            if isinstance(action, Seen):
-                _, _, logs = self._model.explain(all_of_them, action.readings, self._sensors.sound)
-                all_of_them.logs += logs.sum(axis=1)
-            elif isinstance(action, Counted):
-                all_of_them.count(action.counters)
-        evidence = [log_of_sum(part.logs) for part in parts]
-        none = max(evidence[0], sound)
-        found = [
-            _Tried(each - none - (fault.rare if begins else 0.0), fault, begins, since_ns, start)
-            for each, (fault, begins) in zip(evidence[1:], changes, strict=True)
-        ]
-        short = time_ns - since_ns < WINDOWS_NS[1]
-        if short and none < -(RAISED + RARE):
-            lost = ParticleFilter(self._setup, self._anywhere(start, TRIED), self._rng, TRIED)
-            for action in actions:
-                lost.act(action, self._sensors.sound)
-            found.append(_Tried(lost.evidence - none - RARE, None, True, since_ns, start))
-        return found
+        _, start, evidence = found = min(self._snapshots, key=lambda each: abs(each[0] - since_ns))
+        actions = [action for action in self._actions if action.time_ns > found[0]]
+        elsewhere = self._anywhere(start, TRIED, actions).evidence
+        if elsewhere - (self.filter.evidence - evidence) - RARE < least:
+            return False
+        # Of a robot whose commands are lost the twins know as little.
+        self._searches = self._searches or any(each.fault == LOSING for each in self._line.alarms)
+        if not self._others and not self._searches:
+            self._others.append(Alarm(LIFTED, "proximity", since_ns, time_ns, 0.999))
+        self._give_up(time_ns)
+        self.filter.take(self._anywhere(start, LOST, actions).particles)
+        self._snapshots.clear()
+        self._surprise[:] = 0
+        return True
 
-    def _candidates(self, start: Particles) -> list[Hypothesis]:
-        """Return the faults that may begin."""
-        present = {fault.name for fault, _ in self._present}
-        if self._others:  # its pose may still be another one
+    def _candidates(self) -> list[Hypothesis]:
+        """Return the faults that may begin; where the pose is vague, they could be anything."""
+        if self._others or not self._known:
             return []
-        present_wheels = any(fault.channel == "wheels" for fault, _ in self._present)
-        counted = any(isinstance(action, Counted) for action in self._actions)
+        present = {fault.name for fault, _ in self._present}
         found: list[Hypothesis] = []
-        if not present_wheels:
+        if not any(fault.channel == "wheels" for fault, _ in self._present):
             # Counters tell on their own which wheel stands or is slow.
-            found += [
-                each for each in hypotheses.of_wheels() if not counted or isinstance(each, SlippingWheel)
-            ]
+            asked = self._counted is not None
+            found += [each for each in hypotheses.of_wheels() if not asked or isinstance(each, SlippingWheel)]
         x, y, _ = self.filter.estimate(0).pose
-        things = start.planes.things[0]
+        things = self.filter.particles.planes.things[0]
         for name, rows in self._things.items():
             reach = [
                 math.hypot(x - things[row, flat.CENTRE_X], y - things[row, flat.CENTRE_Y])
@@ -347,15 +282,25 @@ class Diagnosis:
             ]
             if min(reach) < NEAR:
                 found += [Missing(name, rows), Moved(name, rows)]
-        sensor = int(np.argmax(self._surprise))
-        found.append(Unexpected(sensor, self.filter.estimate(0).pose))
+        found.append(Unexpected(int(np.argmax(self._surprise))))
         return [fault for fault in found if fault.name not in present]
 
-    def _anywhere(self, start: Particles, count: int) -> Particles:
-        """Return particles of a robot that may be anywhere, with the gains and faults that are known."""
+    def _anywhere(self, start: Particles, count: int, actions: Sequence[Action]) -> ParticleFilter:
+        """Return a filter of a robot that may have been anywhere before some actions.
+
+        Args:
+            start: Particles then, of which it has the gains and faults.
+            count: Number of particles.
+            actions: Actions since then.
+        """
         particles = start.drawn(count, 0.5)
+        particles.changes[:] = 0
         particles.planes.move(anywhere(self._setup, particles.planes, self._rng))
-        return particles
+        tracker = ParticleFilter(self._setup, particles, self._rng, FOUND)
+        tracker.spread()
+        for action in actions:
+            tracker.act(action, self._sensors.sound)
+        return tracker
 
     def _end_lifted(self, time_ns: int) -> None:
         """End the alarm of a robot that was put elsewhere, once its pose is known."""
@@ -367,8 +312,8 @@ class Diagnosis:
             self._others.clear()
 
 
-_KNOWN = 0.03
-"""Standard deviation of a known position [m]."""
+_KNOWN, _KNOWN_TURN = 0.025, math.radians(10)
+"""Standard deviations of a known position [m] and heading [rad] (assumed)."""
 
 _USUAL = 0.15
 """Surprise of one reading that is usual."""

@@ -63,7 +63,7 @@ class Hypothesis(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class StandingWheel:
-    """A wheel that stands: without current its gear holds a motor as a block does; 0 is left, 1 right."""
+    """A wheel that stands: one without current, which yields to a push, or one that is blocked; 0 is left."""
 
     side: int
     channel: str = "wheels"
@@ -75,8 +75,9 @@ class StandingWheel:
         return f"dead motor or blocked wheel {SIDES[self.side]}"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Take the current from the motor."""
-        particles.planes.strength[:, self.side] = 0
+        """Take the current from every other motor, block the others."""
+        particles.planes.strength[:, self.side] = -1
+        particles.planes.strength[::2, self.side] = 0
 
     def end(self, particles: Particles) -> None:
         """Give it back."""
@@ -159,7 +160,7 @@ class Moved:
     thing: str
     rows: tuple[int, ...]
     channel: str = "proximity"
-    rare: float = 1.0
+    rare: float = 0.0
 
     @property
     def name(self) -> str:
@@ -179,24 +180,22 @@ class Moved:
 
 @dataclass(frozen=True, slots=True)
 class Unexpected:
-    """A thing that is not in the playpen, seen by a sensor of a robot at a pose [m, rad]."""
+    """A thing that is not in the playpen, seen by a sensor."""
 
     sensor: int
-    pose: tuple[float, float, float]
     channel: str = "proximity"
-    rare: float = 6.0
+    rare: float = 3.0
     name: str = "unexpected thing"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Put a cylinder in front of the sensor."""
+        """Put a cylinder in front of the sensor of each robot."""
         planes, count = particles.planes, len(particles)
-        x, y, heading = self.pose
+        x, y, heading = planes.poses.T
         ahead, left, cosine, sine, _ = planes.robots["mounts"][0, self.sensor].tolist()
         radius = rng.uniform(*ADDED_RADII, count)
         off = rng.uniform(0.001, ADDED_REACH, count) + radius
-        aside = rng.standard_normal(count) * math.radians(20)
-        way = heading + math.atan2(sine, cosine) + aside
-        c, s = math.cos(heading), math.sin(heading)
+        way = heading + math.atan2(sine, cosine) + rng.standard_normal(count) * math.radians(20)
+        c, s = np.cos(heading), np.sin(heading)
         row = planes.things[:, -N_SPARE]
         row[:, flat.CENTRE_X] = x + c * ahead - s * left + off * np.cos(way)
         row[:, flat.CENTRE_Y] = y + s * ahead + c * left + off * np.sin(way)

@@ -34,11 +34,12 @@ class LampWatch:
         names: Names of the lamps.
 
     Attributes:
+        names: Their names.
         expected: Ambient readings expected at the last reply (8,) [counts].
     """
 
     def __init__(self, names: list[str]) -> None:
-        self._names = names
+        self.names = names
         self._odds = np.zeros((len(names), 2))
         self._since_ns = [0] * len(names)
         self._alarms: dict[int, Alarm] = {}
@@ -64,7 +65,7 @@ class LampWatch:
         whole = light.sum(axis=2)
         self.expected = np.maximum(dark - whole.mean(axis=0), floor)
         ended: list[Alarm] = []
-        for lamp, name in enumerate(self._names):
+        for lamp, name in enumerate(self.names):
             own = light[:, :, lamp]
             lit = _log(readings, np.maximum(dark - whole, floor), whole, noise)
             off = _log(readings, np.maximum(dark - whole + own, floor), whole - own, noise)

@@ -1,11 +1,12 @@
 """A particle filter whose particles are planar twins: where a robot is, from commands and sensor replies.
 
 Each particle has a pose and wheels of its own: mean radius, ratio and base, which drift a little. Replies to
-N
-weigh the particles (`sensor_model`), those to H move them; where few of them count, they are drawn anew.
+N weigh the particles (`sensor_model`), those to H move them; where few of them count, they are drawn anew.
+Some have a fault that may have begun, or ended (`changes`).
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,8 @@ from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.sensing import calibration
 from khep_twin.shadow.actions import Action, Counted, Seen, repeat
-from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.changes import QUOTA, Change, mixed
+from khep_twin.shadow.particles import Particles, drawn
 from khep_twin.shadow.planes import TICK_NS, Planes
 from khep_twin.shadow.sensor_model import GAIN_DEVIATION, SensorModel, log_of_sum
 
@@ -39,7 +41,10 @@ _FRESH_TICKS = 25
 
 
 _LONGEST_TICKS = 50
-"""Longest time after which the particles are spread [ticks]."""
+"""Longest time after which the particles are drawn anew [ticks]."""
+
+_IMPROBABLE = 0.01
+"""Probability below which a change need not be considered any more."""
 
 
 class Spread(NamedTuple):
@@ -91,6 +96,7 @@ class ParticleFilter:
 
     Attributes:
         particles: Particles.
+        changes: Changes that are considered: 1, 2, ... of the particles'.
         evidence: Logarithm of the probability of all readings so far.
         expected: Readings expected last, over all particles (8,).
         surprise: What the last reply was less likely than an expected one, by sensor (8,), in logarithms.
@@ -101,6 +107,7 @@ class ParticleFilter:
     ) -> None:
         self._setup, self.particles, self._rng, self._count = setup, particles, rng, count
         self._model = SensorModel(particles.planes)
+        self.changes: list[Change] = []
         self.evidence = 0.0
         self.expected: Floats = np.zeros(8)
         self.surprise: Floats = np.zeros(8)
@@ -128,11 +135,33 @@ class ParticleFilter:
         """Part of each sensor's range that the lamps left at the last reply (8,)."""
         return self._model.range_left
 
+    def consider(self, wanted: Sequence[Change]) -> None:
+        """Consider changes from now on, and those of the present ones that are not improbable."""
+        keys = [each.key for each in wanted]
+        probable = self.probabilities[1:] > _IMPROBABLE
+        kept = [
+            each for each, is_so in zip(self.changes, probable, strict=True) if is_so and each.key not in keys
+        ]
+        changes = [*wanted, *kept]
+        numbers = {each.key: number for number, each in enumerate(changes, 1)}
+        new = np.array([0, *(numbers.get(each.key, -1) for each in self.changes)])[self.particles.changes]
+        if (new < 0).any():
+            self.particles = self.particles.taken(np.flatnonzero(new >= 0))
+            new = new[new >= 0]
+        self.particles.changes = new
+        self.changes = changes
+
+    def adopt(self, number: int) -> None:
+        """Go on with the particles of one change alone, as the robot is now."""
+        particles = self.particles.taken(np.flatnonzero(self.particles.changes == number))
+        self.take(particles)
+
     def take(self, particles: Particles) -> None:
         """Go on with other particles of the present time."""
         norm = log_of_sum(particles.logs)
         particles.logs = particles.logs - norm
-        self.particles = particles
+        particles.changes[:] = 0
+        self.particles, self.changes = particles, []
         if len(particles) < self._count:
             self.particles = particles.drawn(self._count, self._rng.random())
         self.spread()
@@ -157,8 +186,10 @@ class ParticleFilter:
         particles.logs -= norm
 
     def estimate(self, time_ns: int) -> Estimate:
-        """Return the estimate of the pose."""
-        poses, weights = self.particles.planes.poses, self.weights
+        """Return the estimate of the pose, of the most probable change."""
+        likely = self.particles.changes == np.argmax(self.probabilities)
+        poses, weights = self.particles.planes.poses[likely], self.weights[likely]
+        weights /= weights.sum()
         x, y = float(weights @ poses[:, 0]), float(weights @ poses[:, 1])
         heading = math.atan2(weights @ np.sin(poses[:, 2]), weights @ np.cos(poses[:, 2]))
         off: Floats = poses - np.array([x, y, heading])
@@ -170,19 +201,32 @@ class ParticleFilter:
         """Weights of the particles (n,)."""
         return np.exp(self.particles.logs)
 
+    @property
+    def probabilities(self) -> Floats:
+        """Probabilities of no change and of each one (1 + n_changes,)."""
+        return np.bincount(self.particles.changes, self.weights, len(self.changes) + 1).astype(np.float64)
+
+    @property
+    def poses(self) -> Floats:
+        """Poses of equally probable particles (n, 3) [m, rad]."""
+        return self.particles.planes.poses[drawn(self.weights, len(self.particles), 0.5)]
+
     def _renew(self) -> None:
-        """Draw the particles anew where too few count; spread them a little then, and now and then."""
-        particles = self.particles
+        """Draw the particles anew where too few count, and now and then; spread them a little."""
         weights = self.weights
-        few = 1 / np.square(weights).sum() <= LEAST_EFFECTIVE * len(weights)
-        if few:
-            self.particles = particles.drawn(self._wanted(weights), self._rng.random())
-        if few or particles.planes.ticks - self._drifted_ticks >= _LONGEST_TICKS:
+        ticks = self.particles.planes.ticks
+        passed = ticks - self._drifted_ticks
+        count = len(weights) - QUOTA * (len(self.changes) + 1) if self.changes else len(weights)
+        if passed >= _LONGEST_TICKS or 1 / np.square(weights).sum() <= LEAST_EFFECTIVE * count:
+            step = TICK_NS * 1e-9
+            self.particles = mixed(
+                self.particles, self.changes, self._wanted(weights), passed * step, ticks * TICK_NS, self._rng
+            )
             self._drift()
 
     def _wanted(self, weights: Floats) -> int:
         """Return the number of particles that the spread of the pose needs."""
-        if len(weights) == self._count:
+        if len(weights) <= 2 * self._count:
             return self._count
         poses = self.particles.planes.poses[weights > 1e-3 / len(weights)]
         cells = np.unique(np.floor(poses / (0.03, 0.03, math.radians(15))), axis=0)
@@ -233,6 +277,8 @@ def begun(
         gains,
         np.full((count, 8), GAIN_DEVIATION**2),
         np.full((count, 2), np.nan),
+        np.zeros(count, np.int64),
+        np.zeros(count, np.int64),
     )
 
 

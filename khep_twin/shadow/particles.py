@@ -1,7 +1,7 @@
 """Particles of a filter: planar twins with weights, wheels and gains of their own."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ class Particles:
         gains: Logarithms of each sensor's gain, over the calibration's (n, 8).
         variances: Their variances (n, 8).
         counted: Counters as replied last, less the twins' own (n, 2) [pulses]; NaN before the first reply.
+        changes: What each has, among the changes that a filter considers; 0 for none of them (n,).
+        since_ns: Time since when it has that (n,) [ns].
     """
 
     planes: Planes
@@ -42,18 +44,17 @@ class Particles:
     gains: Floats
     variances: Floats
     counted: Floats
+    changes: NDArray[np.int64]
+    since_ns: NDArray[np.int64]
 
     def taken(self, indices: NDArray[np.intp] | slice) -> "Particles":
         """Return copies of particles at these indices, or those of a slice themselves."""
-        rest = (each[indices] for each in (self.logs, self.wheels, self.gains, self.variances, self.counted))
+        rest = (getattr(self, each.name)[indices] for each in fields(self)[1:])
         return Particles(self.planes.taken(indices), *rest)
 
     def drawn(self, count: int, offset: float) -> "Particles":
         """Return copies drawn by the weights, at equal distances from an offset of 0 to 1."""
-        weights = np.exp(self.logs - self.logs.max())
-        edges: Floats = (np.arange(count) + offset) / count * weights.sum()
-        indices = np.minimum(np.searchsorted(np.cumsum(weights), edges), len(weights) - 1)
-        made = self.taken(indices)
+        made = self.taken(drawn(np.exp(self.logs - self.logs.max()), count, offset))
         made.logs = np.full(count, -math.log(count))
         return made
 
@@ -80,3 +81,9 @@ class Particles:
 
     def __len__(self) -> int:
         return len(self.logs)
+
+
+def drawn(weights: Floats, count: int, offset: float) -> NDArray[np.intp]:
+    """Return indices by weights, in order, at equal distances from an offset of 0 to 1 (count,)."""
+    edges: Floats = (np.arange(count) + offset) / count * weights.sum()
+    return np.minimum(np.searchsorted(np.cumsum(weights), edges), len(weights) - 1)

@@ -47,7 +47,7 @@ class Planes:
         registers: States of the boards (n, N_REGISTERS).
         processor: States of the processors (n, N_PROCESSOR).
         lamps: Lamps of the playpen.
-        strength: Parts of the motors' torque, left and right (n, 2).
+        strength: Parts of the motors' torque, left and right (n, 2); below 0 for a wheel that is blocked.
     """
 
     def __init__(self, setup: EpisodeSetup, count: int) -> None:

@@ -74,7 +74,9 @@ class SensorWatch:
                     ended.append(replace(alarm, ended_ns=action.time_ns))
             left = range_left[sensor]
             if left < _READABLE or last > _NEAR_LIMIT * left * self._limit:
-                told = min(_TOLD * (surprise[sensor] - _USUAL), _MOST) if now == last else 0.0
+                # Where others surprise as much, the robot is elsewhere.
+                beyond = surprise[sensor] - np.delete(surprise, sensor).max() - _USUAL
+                told = min(_TOLD * beyond, _MOST) if now == last else 0.0
             else:
                 kind = int(last > self._quiet)
                 others = np.delete(self._repeats[kind], sensor, axis=0).sum(axis=0)

@@ -106,7 +106,7 @@ class Update:
         time_ns: Time at which the robot has read its registers, in that of the line [ns].
         estimate: Estimated pose.
         reckoned: Pose x, y [m], heading [rad] by commands alone, as the calibration's robot would drive.
-        particles: Poses of the particles (n, 3) [m, rad].
+        particles: Poses of equally probable particles (n, 3) [m, rad].
         expected: Expected proximity (8,) [counts].
         measured: Proximity as replied last (8,) [counts]; NaN before the first.
         residuals: Deviations of the replies.
@@ -259,7 +259,7 @@ class Shadow:
             self._time_ns,
             self._diagnosis.filter.estimate(self._time_ns),
             (x, y, math.remainder(heading, math.tau)),
-            self._diagnosis.filter.particles.planes.poses,
+            self._diagnosis.filter.poses,
             self._diagnosis.filter.expected,
             self._measured,
             residuals,

@@ -1,0 +1,112 @@
+"""Changes that a filter considers, beside no change: each fault that may begin, each that may end.
+
+Every change has particles of its own, at least QUOTA. At each mixing some particles without a change undergo
+it, with the probability that it happens in that time; the weights tell whether it did.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.shadow.hypotheses import Hypothesis
+from khep_twin.shadow.particles import Particles, drawn
+
+Floats = NDArray[np.float64]
+
+QUOTA = 100
+"""Particles of each change at the least."""
+
+BEGINS, ENDS = 7.0, 3.0
+"""Logarithms of the odds against a fault that begins, and against one that ends, in a second (assumed)."""
+
+UNDONE = 0.05
+"""Rate at which a change turns out not to have happened, lest what nothing tells becomes probable [1/s]."""
+
+
+class Change(NamedTuple):
+    """A fault that begins or ends.
+
+    Attributes:
+        hypothesis: Fault.
+        begins: Whether it begins.
+    """
+
+    hypothesis: Hypothesis
+    begins: bool
+
+    @property
+    def key(self) -> tuple[str, bool]:
+        """Name of the fault, and whether it begins."""
+        return self.hypothesis.name, self.begins
+
+    @property
+    def rate(self) -> float:
+        """Probability in a second."""
+        return math.exp(-(BEGINS + self.hypothesis.rare if self.begins else ENDS))
+
+    def happen(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Let it happen to particles."""
+        if self.begins:
+            self.hypothesis.begin(particles, rng)
+        else:
+            self.hypothesis.end(particles)
+
+    def undo(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Undo it."""
+        self._replace(begins=not self.begins).happen(particles, rng)
+
+
+def mixed(
+    particles: Particles,
+    changes: Sequence[Change],
+    count: int,
+    passed_s: float,
+    time_ns: int,
+    rng: np.random.Generator,
+) -> Particles:
+    """Return particles drawn by their weights, for each change apart; some undergo it now, or not any more.
+
+    Args:
+        particles: Particles.
+        changes: Changes 1, 2, ... of these particles.
+        count: Number of particles, besides the quota of each change.
+        passed_s: Time since the last mixing [s].
+        time_ns: Present time [ns].
+        rng: Random stream.
+    """
+    weights = np.exp(particles.logs - particles.logs.max())
+    weights /= weights.sum()
+    numbers = range(len(changes) + 1)
+    # In the order of what each has: those drawn of one change follow each other.
+    order = np.argsort(particles.changes, kind="stable")
+    sources: NDArray[np.intp] = order[weights[order] > 0]
+    had, weights = particles.changes[sources], weights[sources]
+    rates = [UNDONE, *(change.rate for change in changes)]
+    rows: list[Any] = []
+    logs: list[Floats] = []
+    for number, rate in zip(numbers, rates, strict=True):
+        staying = math.exp(-(sum(rates) - rate) * passed_s)
+        shares: Floats = weights * np.where(had == number, staying, rate * passed_s)
+        size = round(count * weights[had == number].sum()) + (QUOTA if changes else 0)
+        rows.append(sources[drawn(shares, size, rng.random())])
+        logs.append(np.full(size, math.log(shares.sum()) - math.log(size)))
+    indices = np.concatenate(rows)
+    made = particles.taken(indices)
+    made.logs = np.concatenate(logs)
+    before = particles.changes[indices]
+    made.changes = np.repeat(np.array(numbers), [len(each) for each in rows])
+    turns = np.diff(before, prepend=-1, append=-1) | np.diff(made.changes, prepend=-1, append=-1)
+    edges = np.flatnonzero(turns)
+    for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        old, new = int(before[start]), int(made.changes[start])
+        if old != new:
+            part = made.taken(slice(start, stop))
+            part.since_ns[:] = time_ns
+            if old:
+                changes[old - 1].undo(part, rng)
+            if new:
+                changes[new - 1].happen(part, rng)
+    return made
