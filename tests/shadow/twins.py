@@ -20,8 +20,8 @@ SECOND = 1_000_000_000
 ALL = np.ones(8, np.bool_)
 """Sensors to rely on: all."""
 
-AT_THE_BENCH = (495.0, 165.0, 25.0)
-"""Pose in the workshop [mm, degrees] that faces the bench."""
+AT_THE_CRATE = (80.0, 371.0, -45.0)
+"""Pose in the workshop [mm, degrees] that faces the crate, far from the lamp."""
 
 EXACT = Spread(0, 0, 0, 0, 0, 0)
 """Spread of what is known exactly."""
