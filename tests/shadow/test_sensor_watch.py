@@ -36,7 +36,7 @@ class Watched:
         """See replies for a time, changed by a function; return the alarms that last."""
         for _ in range(round(seconds / 0.06)):
             noisy = self._levels * self._rng.normal(1, 0.04, 8)
-            quiet = np.where(self._rng.random(8) < 0.9, 0, 4)
+            quiet = self._rng.exponential(2.0, 8)  # as the robot's, with nothing in reach
             readings = np.where(self._levels > 0, noisy, quiet).astype(np.int64).clip(0, LIMIT)
             change(readings)
             self.time_ns += 60_000_000

@@ -68,6 +68,15 @@ def test_wheels_that_are_told_to_stand_tell_nothing() -> None:
     assert watch.alarms == raised
 
 
+def test_a_wheel_that_comes_to_a_stand_is_weak_until_it_stands() -> None:
+    watch = WheelWatch()
+    watched(watch, 3, (1, 1))
+    ended = [each for part in (0.4, 0.0) for each in watched(watch, 2, (1, part), since=3 if part else 5)]
+    (alarm,) = watch.alarms
+    assert alarm.fault == "dead motor or blocked wheel right"
+    assert [(each.fault, each.ended_ns) for each in ended] == [("weak motor right", alarm.raised_ns)]
+
+
 def test_both_wheels_may_have_a_fault() -> None:
     watch = WheelWatch()
     watched(watch, 3, (0, 0.5))

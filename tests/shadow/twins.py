@@ -55,7 +55,9 @@ def particles_at(*poses: Pose, name: str = "workshop") -> Particles:
 
 
 def readings(planes: Planes, gain: float = 1.0) -> Integers:
-    """What the first twin would reply to N, without noise and lamps, if its sensors had this gain."""
-    proximity = planes.proximity
+    """What the first twin would reply to N without noise, if its sensors had this gain."""
+    proximity, ambient = planes.proximity, planes.ambient
     counts = gain * planes.illuminate()[0] - proximity["threshold"]
-    return np.clip(np.rint(counts), 0, int(proximity["limit"])).astype(np.int64)
+    # A lamp leaves a sensor a part of its range.
+    left = 1 - planes.lamplight(0.0)[0].sum(axis=1) / float(ambient["dark"] - ambient["floor"])
+    return np.rint(np.clip(counts, 0, float(proximity["limit"]) * left.clip(0))).astype(np.int64)
