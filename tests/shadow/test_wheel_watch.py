@@ -37,7 +37,7 @@ def test_a_wheel_that_turns_less_is_named_with_its_side_and_ends(
     watch, parts = WheelWatch(), [1.0, 1.0]
     assert watched(watch, 3, parts, pulses) == watch.alarms == []
     parts[side] = part
-    assert watched(watch, 3, parts, pulses, 3) == []
+    assert {each.fault for each in watched(watch, 3, parts, pulses, 3)} <= {f"weak motor {name}"}
     (alarm,) = watch.alarms
     assert (alarm.fault, alarm.channel) == (f"{fault} {name}", "wheels")
     assert 2 * SECOND < alarm.since_ns < alarm.raised_ns < 6 * SECOND
