@@ -35,7 +35,7 @@ def test_poses_are_nearer_than_those_of_dead_reckoning(
     printed: Table, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(twin_trials, "POSE", ("obstacles",))
-    rows = printed("pose", "--seconds", "24", "--first", "1")
+    rows = printed("pose", "--seconds", "20", "--first", "1")
     assert [row["asks"] for row in rows] == ["N, D", "N, H, D"]
     for row in rows:
         assert (row["playpen"], row["runs"]) == ("obstacles", "1")

@@ -76,7 +76,7 @@ class Driven:
 
 def test_a_sound_robot_has_no_alarms() -> None:
     driven = Driven(0)
-    driven.drive(30)
+    driven.drive(20)
     assert driven.names == []
     assert driven.off_mm < 10
 
@@ -84,14 +84,14 @@ def test_a_sound_robot_has_no_alarms() -> None:
 @pytest.mark.parametrize("counters", [False, True])
 def test_a_motor_that_dies_is_named_until_it_runs_again(counters: bool) -> None:
     driven, dead = Driven(1, counters), "dead motor or blocked wheel left"
-    driven.drive(5)
+    driven.drive(4)
     driven.robot.strength[:, 0] = 0
     driven.drive(4)
     # By the counters a wheel that comes to a stand is weak for a moment.
     assert set(driven.names) - {"weak motor left"} == {dead}
     (alarm,) = driven.diagnosis.alarms
     assert (alarm.fault, alarm.channel) == (dead, "wheels")
-    assert 3 * SECOND < alarm.since_ns < alarm.raised_ns < 9 * SECOND
+    assert 2 * SECOND < alarm.since_ns < alarm.raised_ns < 8 * SECOND
     assert 0.9 < alarm.sureness <= 1
     driven.robot.strength[:, 0] = 1
     driven.drive(4)

@@ -82,8 +82,8 @@ def test_two_sensors_may_be_stuck() -> None:
 
 
 def test_sound_sensors_are_never_named_while_some_see_nothing() -> None:
-    assert Watched((0, 0, 300, 0, 0, 0, 700, 0)).see(300) == []
-    assert Watched((0,) * 8).see(300) == []
+    assert Watched((0, 0, 300, 0, 0, 0, 700, 0)).see(150) == []
+    assert Watched((0,) * 8).see(150) == []
 
 
 def test_a_robot_that_stands_with_nothing_in_reach_repeats_itself_with_all_sensors() -> None:

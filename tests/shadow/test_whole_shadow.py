@@ -16,7 +16,7 @@ from khep_twin.shadow.learned import LEARNED, Learned, learned
 from khep_twin.shadow.recording import Heard, recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings, Update
 
-STUCK, SINCE_S, UNTIL_S, RESTART_S, LENGTH_S = 3, 5, 12, 16, 24
+STUCK, SINCE_S, UNTIL_S, RESTART_S, LENGTH_S = 3, 4, 9, 12, 20
 SETTINGS = ShadowSettings(particles=300)
 QUIET = b"n,0,0,0,0,0,0,0,0\r\n"
 MS = SECOND // 1000
@@ -45,7 +45,7 @@ def updates(lines: Iterable[Heard], settings: ShadowSettings, followed: Followed
 
 
 def early(log: Path) -> list[Heard]:
-    return [heard for heard in recorded(log).heard if heard.time_ns < 4 * SECOND]
+    return [heard for heard in recorded(log).heard if heard.time_ns < 3 * SECOND]
 
 
 def bits(found: Iterable[Update]) -> list[object]:
@@ -236,7 +236,7 @@ def test_a_shadow_learns_its_robots_wheels_and_gains(log: Path, followed: Follow
     assert before.wheels == pytest.approx(np.ones(3), abs=0.01)
     assert before.gains == pytest.approx(np.ones(8), abs=0.1)
     for heard in recorded(log).heard:
-        if heard.time_ns < 10 * SECOND:
+        if heard.time_ns < 7 * SECOND:
             shadow.feed(*heard)
     after = learned(shadow)
     # What has looked at something is known better.
