@@ -14,6 +14,7 @@ BROWSER :=
 SIGNALS := 1000
 EDGES := 2000
 BRANCHES := 200
+TRIALS :=
 
 # An environment that is there stays what it is.
 ifneq ($(and $(PYTHON),$(wildcard $(BIN)/python)),)
@@ -22,7 +23,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges branches record recordings soak determinism kills day worker-kills signals pyserial browser schemas commands reference tutorial bench fidelity lock build clean
+.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges branches twin-trials record recordings soak determinism kills day worker-kills signals pyserial browser schemas commands reference tutorial bench fidelity lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -73,6 +74,9 @@ edges: $(VENV)/dev.stamp ## 2,000 random playpens at the edge of what the check 
 
 branches: $(VENV)/dev.stamp ## 200 random logs taken up at random moments, unchanged and changed; BRANCHES=20 for fewer; about ten minutes
 	@$(BIN)/python tools/branches.py $(BRANCHES)
+
+twin-trials: $(VENV)/dev.stamp ## shadows of stand-in robots beside the truth: poses, alarms, healthy hours, cost; TRIALS="pose --runs 4" for a part; hours
+	@$(BIN)/python -m benchmarks.twin_trials --jobs 2 $(TRIALS)
 
 soak: $(VENV)/dev.stamp ## hosts that misbehave for a minute each, 2,000 that come and go, 2,000 that leave a network port
 	@KHEP_RUBBISH_SECONDS=60 KHEP_OPENINGS=2000 $(BIN)/python -m pytest tests/ports/test_chaos.py tests/ports/test_random_hosts.py

@@ -177,9 +177,7 @@ def alarms(options: Options) -> None:
                 f"{'' if each.named else 'NOT NAMED '}seed {seed}, {each.text} (busiest {each.busiest_s:.2f})"
                 for seed, each in found
             )
-    print(
-        "\nRuns are those in which the fault is noticeable; delays count from the first such reply.\n"
-    )
+    print("\nRuns are those in which the fault is noticeable; delays count from the first such reply.\n")
 
 
 def _noticeable(fault: str, options: Options) -> Iterator[tuple[int, Outcome]]:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.sensor_model import below
 
 Floats = NDArray[np.float64]
 
@@ -67,9 +68,11 @@ class LampWatch:
         ended: list[Alarm] = []
         for lamp, name in enumerate(self.names):
             own = light[:, :, lamp]
-            lit = _log(readings, np.maximum(dark - whole, floor), whole, noise)
-            off = _log(readings, np.maximum(dark - whole + own, floor), whole - own, noise)
-            elsewhere = math.log(1 / (dark - floor))
+            lit = _log(readings, whole, dark, floor, noise)
+            off = _log(readings, whole - own, dark, floor, noise)
+            # Any reading is as probable as another; those at the floor are counted together.
+            clipped = readings <= floor + _CLIPPED * noise
+            elsewhere = np.log(np.where(clipped, _CLIPPED * noise, 1) / (dark - floor))
             bright = own.mean(axis=0) > _BRIGHT
             # A lamp that was moved lights what it did not, and leaves what it did.
             seen = bright | (readings < self.expected - 4 * noise - _BRIGHT)
@@ -97,9 +100,16 @@ class LampWatch:
         return tuple(ended)
 
 
-def _log(readings: NDArray[np.int64], level: Floats, light: Floats, noise: float) -> Floats:
+_CLIPPED = 3.0
+"""Deviations of the noise within which a reading is taken for one at the floor."""
+
+
+def _log(readings: NDArray[np.int64], light: Floats, dark: float, floor: float, noise: float) -> Floats:
     """Return the log likelihood of each reading, over all particles (8,)."""
     deviation = np.sqrt(noise * noise + (_MODEL * light) ** 2 + 4)
-    z = (readings - level) / deviation
-    inside = (1 - _MOST) * np.exp(-0.5 * z * z) / (deviation * math.sqrt(math.tau)) + _MOST / 500
-    return np.log(inside.mean(axis=0))
+    edge = floor + _CLIPPED * noise
+    clipped = readings <= edge
+    z = (np.where(clipped, edge, readings) - (dark - light)) / deviation
+    inside = np.exp(-0.5 * z * z) / (deviation * math.sqrt(math.tau))
+    inside = np.where(clipped, below(z), inside)
+    return np.log(((1 - _MOST) * inside + _MOST / 500).mean(axis=0))

@@ -77,7 +77,7 @@ class SensorModel:
         clipped = low | high
         z = (readings - counts) / deviation
         inside = np.exp(-0.5 * z * z) / (deviation * math.sqrt(math.tau))
-        explained = (1 - OUTLIERS) * np.where(clipped, _below(np.where(high, -z, z)), inside)
+        explained = (1 - OUTLIERS) * np.where(clipped, below(np.where(high, -z, z)), inside)
         likelihood = explained + OUTLIERS * np.where(clipped, 1.0, 1 / (self.limit + 1))
         weights = np.exp(particles.logs - particles.logs.max())
         weights /= weights.sum()
@@ -109,7 +109,7 @@ def log_of_sum(logs: Floats) -> float:
     return most + math.log(float(np.exp(logs - most).sum()))
 
 
-def _below(z: Floats) -> Floats:
+def below(z: Floats) -> Floats:
     """Return the probability of a normal number below z, to 0.01."""
     return 1 / (1 + np.exp(-np.clip(1.702 * z, -500, 500)))
 

@@ -241,9 +241,9 @@ class Shadow:
             case Command(letter, (int(left), int(right))) if letter in COMMANDS:
                 self._firmware.receive(line + b"\n")
                 limit = LIMITS[letter]
-                yield Commanded(
-                    time_ns, COMMANDS[letter], kernel.clip(left, limit), kernel.clip(right, limit)
-                )
+                left, right = kernel.clip(left, limit), kernel.clip(right, limit)
+                # The line may have lost the command, or its reply.
+                yield Commanded(time_ns, COMMANDS[letter], left, right, doubtful=exchange.reply is None)
             case Command():
                 # Gains, profiles and LEDs: registers that do not depend on any other.
                 self._firmware.receive(line + b"\n")

@@ -64,5 +64,7 @@ class WheelWatch:
                 # A wheel that comes to a stand looks weak at first.
                 if alarm is None or fault == StandingWheel(side).name != alarm.fault:
                     begun_ns = since_ns if alarm is None else alarm.since_ns
+                    if alarm is not None:
+                        ended.append(replace(alarm, ended_ns=time_ns))
                     self._alarms[side] = Alarm(fault, "wheels", begun_ns, time_ns, 0.98)
         return tuple(ended)

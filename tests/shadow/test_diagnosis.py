@@ -1,0 +1,112 @@
+"""Faults of a robot, by what it replies beside what its twins expect."""
+
+import math
+
+import numpy as np
+import pytest
+from twins import SECOND, metric, planes_at, readings, setup_of
+
+from khep_twin.log.exchanges import Exchange
+from khep_twin.randomness import stream
+from khep_twin.rollout.planar import plane as flat
+from khep_twin.shadow.actions import Commanded, Counted, Seen
+from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.diagnosis import Diagnosis
+from khep_twin.shadow.particle_filter import PUBLISHED, ParticleFilter, begun
+from khep_twin.shadow.planes import SPEED
+
+START = 360.0, 240.0, -70.0
+TICKS = 6
+"""Time between two replies [ticks]."""
+
+
+class Driven:
+    """A robot in a plane that turns away from what it sees, its diagnosis, and the alarms so far."""
+
+    def __init__(self, seed: int, counters: bool = False) -> None:
+        setup = setup_of("workshop")
+        self.robot = planes_at((START[0] + 5, START[1] - 4, START[2] + 3))
+        start = begun(setup, metric(START), PUBLISHED, 300, stream(seed, "start"))
+        tracker = ParticleFilter(setup, start, stream(seed, "filter"), 300)
+        self.diagnosis = Diagnosis(setup, tracker, stream(seed, "hypotheses"))
+        self._rng, self._counters = stream(seed, "robot"), counters
+        self._turning, self._side = 0, 1
+        self.raised: dict[tuple[str, int], Alarm] = {}
+        self.ended: list[Alarm] = []
+
+    def drive(self, seconds: float) -> None:
+        """Drive on for a time."""
+        diagnosis, robot = self.diagnosis, self.robot
+        for _ in range(round(seconds * 100 / TICKS)):
+            robot.advance(TICKS)
+            time_ns = robot.ticks * SECOND // 100
+            diagnosis.hear(Exchange(b"N", time_ns, b"n,0,0,0,0,0,0,0,0", time_ns))
+            light = readings(robot)
+            noisy = np.where(light > 0, light + self._rng.normal(0, 4, 8), self._rng.exponential(2, 8))
+            diagnosis.follow(Seen(time_ns, noisy.clip(0, 1023).astype(np.int64)))
+            if self._counters:
+                angles = robot.robots["joints"][0, [flat.LEFT_ANGLE, flat.RIGHT_ANGLE]]
+                diagnosis.follow(Counted(time_ns, np.rint(angles * 600 / math.tau).astype(np.int64)))
+            left, right = speeds = self._decide(light)
+            robot.command(SPEED, left, right)
+            diagnosis.follow(Commanded(time_ns, SPEED, *speeds))
+            self.raised |= {(alarm.fault, alarm.raised_ns): alarm for alarm in diagnosis.alarms}
+            self.ended += diagnosis.ended
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the alarms so far, in their order."""
+        return [fault for fault, _ in self.raised]
+
+    @property
+    def off_mm(self) -> float:
+        """Error of the estimate."""
+        x, y, _ = self.diagnosis.filter.estimate(0).pose
+        return 1e3 * math.dist((x, y), self.robot.poses[0, :2].tolist())
+
+    def _decide(self, light: np.ndarray) -> tuple[int, int]:
+        if self._turning:
+            self._turning -= 1
+            return 4 * self._side, -4 * self._side
+        if light[:5].max() > 250:
+            self._turning = int(self._rng.integers(6, 16))
+            self._side = 1 if light[:3].sum() > light[3:5].sum() else -1
+        return 7, 6
+
+
+def test_a_sound_robot_has_no_alarms() -> None:
+    driven = Driven(0)
+    driven.drive(20)
+    assert driven.names == []
+    assert driven.off_mm < 10
+
+
+@pytest.mark.parametrize("counters", [False, True])
+def test_a_motor_that_dies_is_named_until_it_runs_again(counters: bool) -> None:
+    driven, dead = Driven(1, counters), "dead motor or blocked wheel left"
+    driven.drive(4)
+    driven.robot.strength[:, 0] = 0
+    driven.drive(4)
+    # By the counters a wheel that comes to a stand is weak for a moment.
+    assert set(driven.names) - {"weak motor left"} == {dead}
+    (alarm,) = driven.diagnosis.alarms
+    assert (alarm.fault, alarm.channel) == (dead, "wheels")
+    assert 2 * SECOND < alarm.since_ns < alarm.raised_ns < 8 * SECOND
+    assert 0.9 < alarm.sureness <= 1
+    driven.robot.strength[:, 0] = 1
+    driven.drive(4)
+    assert driven.diagnosis.alarms == ()
+    # All that began has ended, and nothing else.
+    ended = [(alarm.fault, alarm.raised_ns) for alarm in driven.ended]
+    assert sorted(ended) == sorted(driven.raised)
+    assert driven.off_mm < 20
+
+
+def test_ended_alarms_are_those_of_the_last_exchange() -> None:
+    driven = Driven(0)
+    driven.diagnosis.hear(Exchange(b"", 0, b"ROM of minirobot KHEPERA", 0))
+    assert [alarm.fault for alarm in driven.diagnosis.alarms] == ["restart"]
+    driven.diagnosis.hear(Exchange(b"N", 5 * SECOND, b"n,0,0,0,0,0,0,0,0", 5 * SECOND))
+    assert [alarm.fault for alarm in driven.diagnosis.ended] == ["restart"]
+    driven.diagnosis.hear(Exchange(b"N", 6 * SECOND, b"n,0,0,0,0,0,0,0,0", 6 * SECOND))
+    assert driven.diagnosis.ended == ()

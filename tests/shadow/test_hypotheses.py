@@ -1,0 +1,117 @@
+"""What may be wrong: a fault begins in the twins that are given it, and ends without a trace."""
+
+import numpy as np
+import pytest
+from twins import AT_THE_CRATE, metric, particles_at, setup_of
+
+from khep_twin.rollout.planar import plane as flat
+from khep_twin.shadow.hypotheses import Hypothesis, Missing, Moved, Unexpected, of_wheels, things_of
+from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.planes import SPEED
+
+HEADING_45_LEFT = 1  # the second sensor from the left looks aside
+
+
+def of_things() -> list[Hypothesis]:
+    crate = things_of(setup_of("workshop"))["block1"]
+    return [
+        Missing("block1", crate),
+        Moved("block1", crate),
+        Unexpected(HEADING_45_LEFT, metric(AT_THE_CRATE)),
+    ]
+
+
+def state(particles: Particles) -> list[object]:
+    """What a fault may change."""
+    planes = particles.planes
+    seen = [flat.CENTRE_X, flat.CENTRE_Y, flat.COSINE, flat.SINE, flat.LENGTH, flat.WIDTH, flat.TOUCHED]
+    robots = [planes.robots[name].tolist() for name in ("joints", "left_hold", "right_hold", "left_wheel")]
+    light = planes.illuminate().tolist()
+    return [planes.things[:, :, seen].tolist(), planes.strength.tolist(), robots, light]
+
+
+def faults() -> list[Hypothesis]:
+    return [*of_wheels(), *of_things()]
+
+
+def test_each_fault_has_a_name_of_its_own() -> None:
+    assert sorted(fault.name for fault in faults()) == [
+        "dead motor or blocked wheel left",
+        "dead motor or blocked wheel right",
+        "missing block1",
+        "moved block1",
+        "slipping wheel left",
+        "slipping wheel right",
+        "unexpected thing",
+        "weak motor left",
+        "weak motor right",
+    ]
+    assert {fault.channel for fault in faults()} == {"wheels", "proximity"}
+
+
+@pytest.mark.parametrize("index", range(9))
+def test_a_fault_begins_in_those_that_are_given_it_and_ends_without_a_trace(index: int) -> None:
+    fault = faults()[index]
+    particles = particles_at(*[AT_THE_CRATE] * 4)
+    particles.planes.advance(1)
+    before = state(particles)
+    halves = particles.taken(slice(0, 2)), particles.taken(slice(2, 4))
+    untouched = state(halves[0])
+    fault.begin(halves[1], np.random.default_rng(0))
+    assert state(halves[0]) == untouched
+    assert state(particles) != before
+    fault.end(halves[1])
+    assert state(particles) == before
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_wheels_with_a_fault_drive_less_than_sound_ones(side: int) -> None:
+    open_floor = 350.0, 250.0, 0.0
+    standing, weak, slipping = list(of_wheels())[3 * side : 3 * side + 3]
+    particles = particles_at(*[open_floor] * 4)
+    for row, fault in enumerate((standing, weak, slipping)):
+        fault.begin(particles.taken(slice(row, row + 1)), np.random.default_rng(0))
+    particles.planes.command(SPEED, 8, 8)
+    particles.planes.advance(100)
+    angles = particles.planes.robots["joints"][:, [flat.LEFT_ANGLE, flat.RIGHT_ANGLE][side]]
+    turned = particles.planes.poses[:, 2] * (-1 if side else 1)
+    assert angles[0] == pytest.approx(0, abs=1e-3)
+    assert angles[1] < 0.97 * angles[3]
+    # A tyre that slips lets its wheel turn; the robot turns towards it all the same.
+    assert angles[2] > 0.97 * angles[3]
+    assert turned[:3].min() > 0.05 > 0.01 > abs(turned[3])
+
+
+def test_a_thing_that_is_missing_is_not_seen_and_an_unexpected_one_is() -> None:
+    particles = particles_at(*[AT_THE_CRATE] * 8)
+    particles.planes.advance(1)
+    before = particles.planes.illuminate()[0]
+    missing, moved, unexpected = of_things()
+    rng = np.random.default_rng(0)
+    missing.begin(particles, rng)
+    gone = particles.planes.illuminate()
+    assert before[3:5].min() > 500 > 10 > gone[:, 3:5].max()
+    missing.end(particles)
+    moved.begin(particles, rng)
+    lit = particles.planes.illuminate()
+    assert len(np.unique(lit[:, 3])) > 4
+    moved.end(particles)
+    unexpected.begin(particles, rng)
+    lit = particles.planes.illuminate()
+    assert (lit[:, HEADING_45_LEFT] > before[HEADING_45_LEFT] + 30).sum() > 4
+    assert (lit[:, 6:] == before[6:]).all()
+
+
+@pytest.mark.parametrize("name", ["workshop", "obstacles"])
+def test_things_have_the_names_of_the_scene_and_rows_of_the_plane(name: str) -> None:
+    setup = setup_of(name)
+    found, playpen = things_of(setup), setup.playpen
+    items = {f"{kind}{i}": item for kind, all_ in playpen.objects.items() for i, item in enumerate(all_)}
+    assert {thing for thing in found if not thing.startswith("wall")} == set(items)
+    planes = particles_at(setup.start(0), name=name).planes
+    for thing, rows in found.items():
+        if thing not in items:
+            continue
+        centre = planes.things[0, list(rows), flat.CENTRE_X : flat.CENTRE_Y + 1].mean(axis=0)
+        assert centre * 1e3 == pytest.approx([items[thing].x_mm, items[thing].y_mm], abs=1e-6)
+    assert len({row for rows in found.values() for row in rows}) == sum(map(len, found.values()))

@@ -1,0 +1,89 @@
+"""Lamps that are off or elsewhere, by the ambient light that a robot replies to O."""
+
+import functools
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from twins import SECOND, metric, particles_at, setup_of
+
+from khep_twin.randomness import stream
+from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.lamp_watch import LampWatch
+from khep_twin.shadow.planes import Planes
+
+SOUND: Mapping[str, float] = {}
+OFF, ELSEWHERE = {"power_w": 0.0}, {"x_mm": 250.0, "y_mm": 60.0}
+
+
+@functools.cache
+def robot_among(*changes: tuple[str, float]) -> Planes:
+    """A robot of a playpen whose second lamp, in the open, is another than its twins are told."""
+    playpen = setup_of("two-lamps").playpen
+    screened, bulb = playpen.lamps
+    lamps = screened, bulb.model_copy(update=dict(changes))
+    return Planes(EpisodeSetup(playpen.model_copy(update={"lamps": lamps}), planar=True), 1)
+
+
+class Watched:
+    """A watch of a robot that goes round in circles, 11 mm from the lamp in the open at times."""
+
+    def __init__(self) -> None:
+        self._particles = particles_at(*[(200, 200, 0)] * 60, name="two-lamps")
+        self.watch = LampWatch(self._particles.planes.lamps.names)
+        self._rng = stream(0, "lamps")
+        self._turn = 0
+        self.ended: list[Alarm] = []
+
+    def see(self, seconds: float, changes: Mapping[str, float]) -> list[str]:
+        """See replies for a time; return the names of the alarms that last."""
+        robot = robot_among(*changes.items())
+        for _ in range(round(seconds * 10)):
+            self._turn += 1
+            angle = self._turn / 15
+            x, y, heading = 200 + 118 * math.cos(angle), 200 + 118 * math.sin(angle), 90 + math.degrees(angle)
+            pose, apart = np.array([metric((x, y, heading))]), self._rng.normal(0, 1, (60, 3))
+            for planes, poses in ((robot, pose), (self._particles.planes, pose + apart * (2e-3, 2e-3, 0.02))):
+                planes.put(poses)
+                planes.advance(1)
+            dark, floor = float(robot.ambient["dark"]), float(robot.ambient["floor"])
+            light = np.maximum(dark - robot.lamplight(0.0)[0].sum(axis=1), floor)
+            readings = np.rint(light + self._rng.normal(0, 5, 8)).astype(np.int64)
+            self.ended += self.watch.see(self._turn * SECOND // 10, readings, self._particles)
+        return [alarm.fault for alarm in self.watch.alarms]
+
+
+def test_lamps_as_they_are_told_are_no_fault_however_near_the_robot_is() -> None:
+    watched = Watched()
+    lowest = 500.0
+    for _ in range(20):
+        assert watched.see(1, SOUND) == []
+        lowest = min(lowest, watched.watch.expected.min())
+    assert lowest < 90  # Sensors were beyond their range.
+    assert watched.ended == []
+
+
+@pytest.mark.parametrize(("changes", "fault"), [(OFF, "in-the-open off"), (ELSEWHERE, "in-the-open moved")])
+def test_a_lamp_that_is_off_or_elsewhere_is_named_until_it_is_back(
+    changes: Mapping[str, float], fault: str
+) -> None:
+    watched = Watched()
+    watched.see(10, SOUND)
+    assert fault in watched.see(10, changes)
+    (alarm,) = (each for each in watched.watch.alarms if each.fault == fault)
+    assert alarm.channel == "light"
+    assert 8 * SECOND < alarm.since_ns <= alarm.raised_ns < 20 * SECOND
+    assert fault not in watched.see(12, SOUND)
+    assert fault in [each.fault for each in watched.ended]
+    assert all((each.ended_ns or 0) > each.raised_ns for each in watched.ended)
+
+
+def test_what_is_expected_is_the_light_at_the_particles() -> None:
+    particles = particles_at((110, 130, -135), name="two-lamps")
+    particles.planes.advance(1)
+    watch = LampWatch(particles.planes.lamps.names)
+    assert np.isnan(watch.expected).all()
+    watch.see(0, np.full(8, 480), particles)
+    assert watch.expected[2:4].max() < 300 < 400 < watch.expected[6:].min()

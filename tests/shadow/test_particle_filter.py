@@ -1,0 +1,148 @@
+"""Where a robot is, by particles that drive as it does."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from twins import ALL, AT_THE_CRATE, EXACT, SECOND, metric, planes_at, readings, setup_of
+
+from khep_twin import playpen as playpens
+from khep_twin.errors import PlaypenError
+from khep_twin.playpen import Playpen
+from khep_twin.randomness import stream
+from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.shadow.actions import Commanded, Counted, Seen
+from khep_twin.shadow.particle_filter import PUBLISHED, Estimate, ParticleFilter, Spread, anywhere, begun
+from khep_twin.shadow.planes import SPEED, Planes
+
+START = 360.0, 240.0, -70.0
+TICKS = 6
+"""Time between two replies [ticks]."""
+
+
+def filtering(
+    setup: EpisodeSetup, pose: tuple[float, float, float] | None, spread: Spread = PUBLISHED, count: int = 300
+) -> ParticleFilter:
+    particles = begun(setup, pose, spread, count, stream(0, "start"))
+    return ParticleFilter(setup, particles, stream(0, "filter"), count if pose else 300)
+
+
+def driven(robot: Planes, tracker: ParticleFilter, seconds: float) -> Iterator[Estimate]:
+    """Let a robot turn away from what it sees, and the filter follow; yield its estimates."""
+    for _ in range(round(seconds * 100 / TICKS)):
+        robot.advance(TICKS)
+        time_ns = robot.ticks * SECOND // 100
+        counts = readings(robot)
+        tracker.act(Seen(time_ns, counts), ALL)
+        speeds = (4, -4) if counts[:5].max() > 250 else (7, 6)
+        robot.command(SPEED, *speeds)
+        tracker.act(Commanded(time_ns, SPEED, *speeds), ALL)
+        yield tracker.estimate(time_ns)
+
+
+def off_mm(estimate: Estimate, robot: Planes) -> float:
+    return 1e3 * math.dist(estimate.pose[:2], robot.poses[0, :2].tolist())
+
+
+def test_a_robot_whose_start_is_known_is_followed() -> None:
+    """The robot stands 10 mm and 4 degrees off, and has wheels of its own."""
+    robot = planes_at((367.0, 233.0, -66.0))
+    robot.set_wheels(np.array([1.004]), np.array([1.002]), np.array([0.995]))
+    tracker = filtering(setup_of("workshop"), metric(START))
+    errors, deviations = np.array(
+        [
+            (off_mm(each, robot), 1e3 * math.sqrt(np.trace(each.covariance[:2, :2])))
+            for each in driven(robot, tracker, 30)
+        ]
+    ).T
+    late = len(errors) // 3
+    assert np.median(errors[late:]) < 8
+    assert errors.max() < 30
+    # It knows how well it knows.
+    assert deviations[-1] < deviations[0]
+    assert 0.1 < np.median(errors[late:] / deviations[late:]) < 4
+
+
+def test_particles_spread_in_the_open_where_no_reply_tells_them_apart(field: Playpen) -> None:
+    setup = EpisodeSetup(field, planar=True)
+    robot = Planes(setup, 1)
+    robot.put(np.array([[1.5, 2.5, 0.0]]))
+    tracker = filtering(setup, (1.5, 2.5, 0.0), EXACT)
+    spreads = [math.sqrt(np.trace(each.covariance[:2, :2])) for each in driven(robot, tracker, 20)]
+    assert not readings(robot).any()
+    quarter = len(spreads) // 4
+    assert 0 < spreads[quarter] < 0.9 * spreads[2 * quarter] < 0.8 * spreads[-1]
+    assert spreads[-1] > 0.001
+    assert off_mm(tracker.estimate(0), robot) < 20
+
+
+def test_replies_are_more_probable_for_a_filter_that_is_right() -> None:
+    robot = planes_at(AT_THE_CRATE)
+    right, wrong = (
+        filtering(setup_of("workshop"), metric(pose)) for pose in (AT_THE_CRATE, (250.0, 220.0, 0.0))
+    )
+    for tracker in (right, wrong):
+        tracker.act(Commanded(0, SPEED, 0, 0), ALL)
+    robot.advance(TICKS)
+    for turn in range(1, 20):
+        action = Seen(turn * TICKS * SECOND // 100, readings(robot))
+        for tracker in (right, wrong):
+            tracker.act(action, ALL)
+    assert wrong.evidence < right.evidence - 3
+    assert right.surprise.sum() < wrong.surprise.sum()
+    assert right.expected[3:5].min() > 100 > wrong.expected[3:5].max()
+
+
+def test_counters_move_the_estimate_and_tell_what_commands_do_not() -> None:
+    tracker = filtering(setup_of("workshop"), metric(START), EXACT)
+    assert tracker.act(Counted(0, np.array([100, 100])), ALL) == pytest.approx([0, 0])
+    assert tracker.act(Counted(SECOND, np.array([600, 600])), ALL) == pytest.approx([500, 500])
+    way = math.dist(tracker.estimate(SECOND).pose[:2], metric(START)[:2])
+    assert way == pytest.approx(0.04, abs=0.002)  # 500 pulses of 0.08 mm
+    assert np.isnan(tracker.act(Seen(SECOND, np.zeros(8, np.int64)), ALL)).all()
+
+
+def test_an_estimate_is_a_mean_by_the_weights_and_headings_are_a_circle() -> None:
+    tracker = filtering(setup_of("workshop"), metric(START), EXACT, 2)
+    tracker.particles.planes.put(np.array([(0.3, 0.2, math.pi - 0.1), (0.4, 0.2, 0.3 - math.pi)]))
+    x, y, heading = tracker.estimate(7).pose
+    assert (x, y) == pytest.approx((0.35, 0.2))
+    assert math.remainder(heading - (math.pi + 0.1), math.tau) == pytest.approx(0)
+    assert np.diag(tracker.estimate(7).covariance) == pytest.approx([0.05**2, 0, 0.2**2])
+    tracker.particles.logs = np.log([0.9, 0.1])
+    assert tracker.estimate(7).pose[0] == pytest.approx(0.31)
+    assert tracker.estimate(7).time_ns == 7
+
+
+def test_particles_that_are_taken_over_become_as_many_as_are_wanted_and_differ() -> None:
+    tracker = filtering(setup_of("workshop"), metric(START))
+    few = begun(setup_of("workshop"), metric(AT_THE_CRATE), EXACT, 10, stream(0, "few"))
+    few.logs -= 100
+    tracker.take(few)
+    assert len(tracker.particles) == 300
+    assert tracker.weights.sum() == pytest.approx(1)
+    assert math.dist(tracker.estimate(0).pose, metric(AT_THE_CRATE)) < 0.01
+    assert len(np.unique(tracker.particles.planes.poses[:, 0])) == 300
+
+
+def test_an_unknown_start_is_anywhere_where_there_is_room() -> None:
+    setup = setup_of("workshop")
+    planes = Planes(setup, 400)
+    poses = anywhere(setup, planes, stream(0, "anywhere"))
+    assert planes.free(poses).all()
+    assert np.ptp(poses, axis=0) == pytest.approx([0.6, 0.4, 6.2], abs=0.1)
+    # Nobody stands outside of the outline, whose right lower corner is cut off.
+    assert not ((poses[:, 0] > 0.45) & (poses[:, 1] < 0.07)).any()
+
+
+def test_a_playpen_with_hardly_any_room_is_an_error_of_one_line() -> None:
+    tight = playpens.parse(
+        'version = 1\nname = "tight"\n[arena]\nwidth_mm = 200\nheight_mm = 100\n'
+        "outline_mm = [[0, 0], [200, 0], [200, 55.3], [0, 55.3]]\n"
+        "[[robot]]\nx_mm = 27.65\ny_mm = 27.65\nheading_deg = 0\n",
+        "tight",
+    )
+    setup = EpisodeSetup(tight, planar=True)
+    with pytest.raises(PlaypenError, match="tight: no room for the robot was found; expected a start pose"):
+        anywhere(setup, Planes(setup, 50), stream(0, "anywhere"))

@@ -1,0 +1,97 @@
+"""Particles: drawn by their weights, moved by what counters tell beyond commands."""
+
+import math
+
+import numpy as np
+import pytest
+from twins import particles_at
+
+from khep_twin import units
+from khep_twin.board import kernel
+from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.planes import SPEED
+
+OPEN = 350.0, 250.0, 0.0
+POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]
+
+
+def four() -> Particles:
+    return particles_at(*[(350.0 + 10 * i, 250.0, 0.0) for i in range(4)])
+
+
+def places(particles: Particles) -> list[int]:
+    """Which of `four` each is a copy of."""
+    return np.rint((particles.planes.poses[:, 0] - 0.35) * 100).astype(int).tolist()
+
+
+@pytest.mark.parametrize("offset", [0.1, 0.5, 0.9])
+def test_they_are_drawn_as_often_as_their_weights_say(offset: float) -> None:
+    particles = four()
+    assert places(particles.drawn(4, offset)) == [0, 1, 2, 3]
+    particles.logs = np.log([0.1, 0.2, 0.5, 0.2])
+    drawn = particles.drawn(1000, offset)
+    assert len(drawn) == 1000
+    assert np.bincount(places(drawn)) == pytest.approx([100, 200, 500, 200], abs=1)
+    assert np.exp(drawn.logs) == pytest.approx(np.full(1000, 1 / 1000))
+    # Weights count as they are to each other, however small.
+    particles.logs = particles.logs - 2000
+    assert places(particles.drawn(1000, offset)) == places(drawn)
+
+
+def test_one_that_alone_counts_is_all_that_is_drawn() -> None:
+    particles = four()
+    particles.logs = np.array([-50.0, 0.0, -50.0, -900.0])
+    particles.gains[1], particles.wheels[1], particles.variances[1] = 0.3, 1.01, 0.02
+    particles.counted[1] = 7, 8
+    drawn = particles.drawn(6, 0.5)
+    assert places(drawn) == [1] * 6
+    assert (drawn.gains == 0.3).all()
+    assert (drawn.wheels == 1.01).all()
+    assert (drawn.variances == 0.02).all()
+    assert drawn.counted.tolist() == [[7, 8]] * 6
+
+
+def test_copies_leave_the_others_alone() -> None:
+    particles = four()
+    copies = particles.taken(np.array([0, 1, 2, 3]))
+    copies.logs += 1
+    copies.gains += 1
+    copies.wheels *= 1.02
+    copies.set_wheels()
+    copies.planes.command(SPEED, 9, 9)
+    copies.planes.advance(20)
+    copies.count(np.array([0, 0]))
+    before = four()
+    assert particles.logs.tolist() == before.logs.tolist()
+    assert particles.gains.tolist() == before.gains.tolist()
+    assert particles.planes.poses.tolist() == before.planes.poses.tolist()
+    assert particles.planes.robots["left_wheel"].tolist() == before.planes.robots["left_wheel"].tolist()
+    assert np.isnan(particles.counted).all()
+
+
+def test_counters_move_them_by_what_the_commands_do_not_explain() -> None:
+    particles = particles_at(OPEN, OPEN)
+    planes = particles.planes
+    # The first reply tells where the counters stand, and nothing of the motion.
+    assert particles.count(np.array([5000, -300])).tolist() == [[0, 0]] * 2
+    assert planes.poses[0, 0] == pytest.approx(0.35)
+    planes.command(SPEED, 5, 5)
+    planes.advance(100)
+    turned = planes.registers[0, POSITIONS]
+    x = float(planes.poses[0, 0])
+    assert x > 0.36
+    told = np.array([5000, -300]) + turned
+    assert particles.count(told) == pytest.approx(np.zeros((2, 2)))
+    assert planes.poses[0, 0] == pytest.approx(x)
+    # The robot has gone farther than its twins.
+    assert particles.count(told + 40).tolist() == [[40, 40]] * 2
+    way = 40 / units.PULSES_PER_TURN * math.tau * float(planes.robots["left_wheel"][0])
+    assert planes.poses[:, 0] == pytest.approx([x + way] * 2)
+    # This is told once.
+    assert particles.count(told + 40).tolist() == [[0, 0]] * 2
+
+
+def test_many_are_weighed_more_carefully_than_few() -> None:
+    few = four()
+    many = few.taken(np.zeros(5000, np.intp))
+    assert 0 < many.temper < few.temper <= 1

@@ -1,0 +1,116 @@
+"""The likelihood of proximity readings, and what they tell of gains."""
+
+import math
+
+import numpy as np
+import pytest
+from twins import ALL, AT_THE_CRATE, particles_at, planes_at, readings, setup_of
+
+from khep_twin.rollout.controllers import ConstantSpeed
+from khep_twin.rollout.episode import Episode
+from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
+
+BESIDE_THE_LAMP = 600.0, 275.0, 0.0
+X, Y, HEADING = AT_THE_CRATE
+
+
+def seen(gain: float = 1.0) -> np.ndarray:
+    """Readings of a robot at the crate."""
+    planes = planes_at(AT_THE_CRATE)
+    planes.advance(1)
+    return readings(planes, gain)
+
+
+@pytest.mark.parametrize("gain", [0.8, 1.0, 1.25])
+def test_the_right_pose_is_the_likeliest(gain: float) -> None:
+    places = [(-15, 0, 0), (0, 20, 0), (0, -15, 0), (-15, 15, 0)]
+    turns = [(0, 0, 40), (0, 0, -40), (0, 0, 180)]
+    poses = [
+        AT_THE_CRATE,
+        *[(X + dx, Y + dy, HEADING + turn) for dx, dy, turn in [*places, *turns, (150, -60, 0)]],
+    ]
+    particles = particles_at(*poses)
+    particles.planes.advance(1)
+    model = SensorModel(particles.planes)
+    _, _, logs = model.explain(particles, seen(gain), ALL)
+    assert np.argmax(logs.sum(axis=1)) == 0
+    # One that sees nothing of it is out of the question.
+    assert logs.sum(axis=1)[-1] < logs.sum(axis=1)[0] - 1
+
+
+def test_what_is_expected_surprises_less_than_what_is_not() -> None:
+    particles = particles_at(AT_THE_CRATE)
+    particles.planes.advance(1)
+    model, told = SensorModel(particles.planes), seen()
+    expected, usual, _ = model.explain(particles, told, ALL)
+    assert expected == pytest.approx(told, abs=1)
+    assert usual.max() < 0.2
+    other = told.copy()
+    other[3], other[7] = 0, 700
+    _, surprise, _ = model.explain(particles, other, ALL)
+    assert surprise[[3, 7]].min() > 0.3
+    assert np.delete(surprise, [3, 7]).max() < 0.2
+
+
+def test_a_sensor_that_is_not_relied_on_tells_nothing() -> None:
+    particles = particles_at(AT_THE_CRATE)
+    particles.planes.advance(1)
+    told, use = seen(), ALL.copy()
+    told[3], use[3] = 0, False
+    _, surprise, logs = SensorModel(particles.planes).explain(particles, told, use)
+    assert surprise[3] == logs[0, 3] == 0
+    assert particles.gains[0, 3] == 0
+    assert logs[0].any()
+
+
+def test_gains_are_learned_by_the_sensors_that_see_something() -> None:
+    particles = particles_at(AT_THE_CRATE)
+    particles.planes.advance(1)
+    model, told = SensorModel(particles.planes), seen(math.exp(0.2))
+    sees = (told > 100) & (told < 900)
+    assert sees.any()
+    assert not sees.all()
+    before = particles.variances.copy()
+    for _ in range(100):
+        model.explain(particles, told, ALL)
+    assert particles.gains[0, sees] == pytest.approx(np.full(sees.sum(), 0.2), abs=0.1)
+    assert (particles.variances[0, sees] < 0.2 * before[0, sees]).all()
+    assert (particles.variances > 0).all()
+    nothing = seen() == 0
+    assert particles.gains[0, nothing] == pytest.approx(np.zeros(nothing.sum()), abs=0.01)
+
+
+def test_a_gain_is_learned_from_noisy_readings_as_well_as_they_tell() -> None:
+    particles, rng = particles_at(AT_THE_CRATE), np.random.default_rng(0)
+    particles.planes.advance(1)
+    model, told = SensorModel(particles.planes), seen(math.exp(-0.15))
+    sees = told > 100
+    for _ in range(200):
+        noisy = np.rint(told + rng.standard_normal(8) * 5).clip(0, 1023).astype(np.int64)
+        model.explain(particles, np.where(told > 0, noisy, 0), ALL)
+    assert particles.gains[0, sees] == pytest.approx(np.full(sees.sum(), -0.15), abs=0.1)
+
+
+def test_beside_a_lamp_sensors_have_a_part_of_their_range_as_those_of_an_episode() -> None:
+    episode = Episode(setup_of("workshop"), ConstantSpeed(), compiled=True)
+    particles = particles_at(BESIDE_THE_LAMP)
+    particles.planes.advance(1)
+    model = SensorModel(particles.planes)
+    assert (model.range_left == 1).all()
+    episode.begin(noise=False, start=BESIDE_THE_LAMP)
+    episode.run(0.1)
+    told = np.array(episode.readings()[0])
+    expected, surprise, _ = model.explain(particles, told, ALL)
+    assert model.range_left[2:4].max() < 0.7
+    assert model.range_left[6:].min() > 0.9
+    assert (expected <= 1023 * model.range_left + 1e-9).all()
+    assert expected == pytest.approx(np.where(told > 0, told, expected.clip(max=model.quiet)), abs=15)
+    assert surprise.max() < 0.3
+    # What a blinded sensor reads tells nothing of its gain.
+    assert not particles.gains[0, model.range_left < 1].any()
+
+
+def test_sums_of_logarithms_do_not_overflow() -> None:
+    assert log_of_sum(np.log([1.0, 2.0, 3.0])) == pytest.approx(math.log(6))
+    assert log_of_sum(np.full(4, -5000.0)) == pytest.approx(-5000 + math.log(4))
+    assert log_of_sum(np.array([5000.0, 0.0])) == pytest.approx(5000)

@@ -1,0 +1,83 @@
+"""Wheels that turn less than they are told to, by the counters."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from twins import SECOND
+
+from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.wheel_watch import WheelWatch
+
+STEP_NS = SECOND // 10
+
+
+def watched(
+    watch: WheelWatch,
+    seconds: float,
+    parts: Sequence[float],
+    pulses: Sequence[float] = (50, 50),
+    since: float = 0,
+) -> list[Alarm]:
+    """Count wheels that turn by parts of the pulses of each tenth of a second; return what ended."""
+    ended: list[Alarm] = []
+    expected = np.array(pulses, np.float64)
+    for step in range(round(seconds * 10)):
+        time_ns = round(since * SECOND) + (step + 1) * STEP_NS
+        ended += watch.count(time_ns, expected * np.array(parts), expected)
+    return ended
+
+
+@pytest.mark.parametrize("pulses", [(50, 50), (-50, 50), (-80, -60)])
+@pytest.mark.parametrize(("side", "name"), [(0, "left"), (1, "right")])
+@pytest.mark.parametrize(("part", "fault"), [(0.0, "dead motor or blocked wheel"), (0.4, "weak motor")])
+def test_a_wheel_that_turns_less_is_named_with_its_side_and_ends(
+    pulses: tuple[int, int], side: int, name: str, part: float, fault: str
+) -> None:
+    watch, parts = WheelWatch(), [1.0, 1.0]
+    assert watched(watch, 3, parts, pulses) == watch.alarms == []
+    parts[side] = part
+    assert {each.fault for each in watched(watch, 3, parts, pulses, 3)} <= {f"weak motor {name}"}
+    (alarm,) = watch.alarms
+    assert (alarm.fault, alarm.channel) == (f"{fault} {name}", "wheels")
+    assert 2 * SECOND < alarm.since_ns < alarm.raised_ns < 6 * SECOND
+    (ended,) = watched(watch, 3, (1, 1), pulses, 6)
+    assert ended.fault == alarm.fault
+    assert 6 * SECOND < (ended.ended_ns or 0) < 9 * SECOND
+    assert watch.alarms == []
+
+
+def test_sound_wheels_with_the_errors_of_a_line_are_no_fault() -> None:
+    watch, rng = WheelWatch(), np.random.default_rng(0)
+    for step in range(600):
+        expected = rng.uniform(-80, 80, 2)
+        turned = np.rint(expected + rng.standard_normal(2))
+        assert watch.count(step * STEP_NS, turned, expected) == ()
+        assert watch.alarms == []
+
+
+def test_wheels_that_are_told_to_stand_tell_nothing() -> None:
+    watch = WheelWatch()
+    watched(watch, 5, (0, 0), (0.2, -0.2))
+    assert watch.alarms == []
+    # Nor do they end what was raised.
+    watched(watch, 3, (0, 1), since=5)
+    raised = watch.alarms
+    assert len(raised) == 1
+    watched(watch, 5, (1, 1), (0.2, 0.2), since=8)
+    assert watch.alarms == raised
+
+
+def test_a_wheel_that_comes_to_a_stand_is_weak_until_it_stands() -> None:
+    watch = WheelWatch()
+    watched(watch, 3, (1, 1))
+    ended = [each for part in (0.4, 0.0) for each in watched(watch, 2, (1, part), since=3 if part else 5)]
+    (alarm,) = watch.alarms
+    assert alarm.fault == "dead motor or blocked wheel right"
+    assert [(each.fault, each.ended_ns) for each in ended] == [("weak motor right", alarm.raised_ns)]
+
+
+def test_both_wheels_may_have_a_fault() -> None:
+    watch = WheelWatch()
+    watched(watch, 3, (0, 0.5))
+    assert {alarm.fault for alarm in watch.alarms} == {"dead motor or blocked wheel left", "weak motor right"}

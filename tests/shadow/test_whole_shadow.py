@@ -1,0 +1,247 @@
+"""A shadow: the bytes of a line, and what follows from them."""
+
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from twins import EXACT, SECOND
+
+from benchmarks.twin_runs import Followed, Recording, follow, told_playpen
+from khep_twin import playpen as playpens
+from khep_twin.errors import PlaypenError
+from khep_twin.shadow.following import Change, Follower
+from khep_twin.shadow.learned import LEARNED, Learned, learned
+from khep_twin.shadow.recording import Heard, recorded
+from khep_twin.shadow.shadow import Shadow, ShadowSettings, Update
+
+STUCK, SINCE_S, UNTIL_S, RESTART_S, LENGTH_S = 3, 4, 9, 12, 20
+SETTINGS = ShadowSettings(particles=300)
+QUIET = b"n,0,0,0,0,0,0,0,0\r\n"
+MS = SECOND // 1000
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A stand-in robot with a stuck sensor for a while, and a restart later."""
+    pytest.importorskip("numba", reason="numba is not installed")
+    faults = f"stuck:{STUCK}@{SINCE_S}-{UNTIL_S}", f"brown-out@{RESTART_S}"
+    run = Recording("robot", "workshop", 6, LENGTH_S, asks_counters=False, faults=faults)
+    return run.path(tmp_path_factory.mktemp("stand-in"))
+
+
+@pytest.fixture(scope="module")
+def followed(log: Path) -> Followed:
+    """The shadow of that robot, beside the truth."""
+    return follow(log, "workshop", SETTINGS)
+
+
+def updates(lines: Iterable[Heard], settings: ShadowSettings, followed: Followed) -> Iterator[Update]:
+    """Feed a new shadow."""
+    shadow = Shadow(told_playpen("workshop", followed.truth), settings)
+    for heard in lines:
+        yield from shadow.feed(*heard)
+
+
+def early(log: Path) -> list[Heard]:
+    return [heard for heard in recorded(log).heard if heard.time_ns < 3 * SECOND]
+
+
+def bits(found: Iterable[Update]) -> list[object]:
+    """All numbers of updates."""
+    return [
+        (
+            each.time_ns,
+            each.estimate.pose,
+            each.estimate.covariance.tobytes(),
+            each.particles.tobytes(),
+            each.expected.tobytes(),
+            each.reckoned,
+            each.alarms,
+        )
+        for each in found
+    ]
+
+
+def conversation(shadow: Shadow, *exchanges: tuple[int, bytes, bytes]) -> list[Update]:
+    """Feed commands at their times [ms], and their replies 2 ms for each byte later."""
+    found: list[Update] = []
+    for time_ms, command, reply in exchanges:
+        found += shadow.feed(time_ms * MS, True, command)
+        if reply:
+            found += shadow.feed((time_ms + len(command + reply)) * MS, False, reply)
+    return found
+
+
+def beside(**settings: object) -> Shadow:
+    """The shadow of a robot in the workshop, 50 particles of a known start."""
+    pytest.importorskip("numba", reason="numba is not installed")
+    return Shadow(playpens.load("workshop"), ShadowSettings(**{"particles": 50, **settings}))  # type: ignore
+
+
+def test_a_robot_is_followed_within_millimetres_and_better_than_by_dead_reckoning(followed: Followed) -> None:
+    errors, reckoned = followed.errors(followed.poses), followed.errors(followed.reckoned)
+    assert np.median(errors[:, 0]) < 8
+    assert errors[:, 0].max() < 40
+    assert np.median(errors[:, 1]) < 5
+    last = followed.times_ns > (LENGTH_S - 4) * SECOND
+    assert np.median(errors[last, 0]) < np.median(reckoned[last, 0])
+    assert (np.diff(followed.times_ns) >= 0).all()
+    assert len(errors) > 5 * LENGTH_S
+
+
+def test_a_stuck_sensor_and_a_restart_are_named_until_they_are_over(followed: Followed) -> None:
+    stuck, restart = followed.alarms
+    assert (stuck.fault, restart.fault) == (f"stuck sensor {STUCK}", "restart")
+    assert SINCE_S * SECOND < stuck.raised_ns < (SINCE_S + 4) * SECOND
+    assert 0 <= stuck.ended_ns - UNTIL_S * SECOND < SECOND
+    assert 0 <= restart.raised_ns - RESTART_S * SECOND < SECOND
+    assert restart.raised_ns < restart.ended_ns < LENGTH_S * SECOND
+
+
+def test_the_same_line_gives_the_same_updates_and_another_seed_others(log: Path, followed: Followed) -> None:
+    lines = early(log)
+    one, two = (list(updates(lines, SETTINGS, followed)) for _ in range(2))
+    assert bits(one) == bits(two)
+    assert len(one) > 10
+    assert [list(each.estimate.pose) for each in one] == followed.poses[: len(one)].tolist()
+    other = list(updates(lines, ShadowSettings(seed=1, particles=300), followed))
+    assert other[-1].estimate.pose != one[-1].estimate.pose
+
+
+def test_bytes_may_come_in_any_pieces(log: Path, followed: Followed) -> None:
+    lines = early(log)[:60]
+    pieces = [
+        Heard(heard.time_ns, heard.to_robot, heard.data[i : i + 3])
+        for heard in lines
+        for i in range(0, len(heard.data), 3)
+    ]
+    assert bits(updates(pieces, SETTINGS, followed)) == bits(updates(lines, SETTINGS, followed))
+
+
+def test_each_reply_with_values_has_its_own_deviations() -> None:
+    shadow = beside(spread=EXACT)
+    seen, counted, lit = conversation(
+        shadow,
+        (0, b"N\n", b"n,9,0,0,0,0,0,0,0\r\n"),
+        (100, b"H\n", b"h,0,0\r\n"),
+        (200, b"B\n", b"b,5.02,5.01\r\n"),
+        (300, b"E\n", b"e,0,0\r\n"),
+        (400, b"O\n", b"o,485,485,485,485,485,485,485,100\r\n"),
+    )
+    assert seen.residuals.proximity == pytest.approx([9, *[0] * 7])
+    assert seen.measured.tolist() == [9, *[0] * 7]
+    assert seen.expected.tolist() == [0] * 8
+    assert np.isnan(seen.residuals.light).all()
+    assert np.isnan(seen.residuals.wheels).all()
+    assert counted.residuals.wheels.tolist() == [0, 0]
+    assert np.isnan(counted.residuals.proximity).all()
+    assert lit.residuals.light[7] < -200
+    assert lit.measured.tolist() == seen.measured.tolist()
+    (later,) = conversation(shadow, (500, b"H\n", b"h,20,-20\r\n"))
+    assert later.residuals.wheels == pytest.approx([20, -20])
+    assert later.alarms == later.ended == ()
+
+
+def test_a_reply_that_comes_late_is_told() -> None:
+    shadow, byte_ms = beside(), 11 / 9.6
+    for time_ms, late_ms in ((0, 0), (100, 12)):
+        heard_ms = time_ms + byte_ms * (len(QUIET) + 2) + late_ms
+        shadow.feed(time_ms * MS, True, b"N\n")
+        (update,) = shadow.feed(round(heard_ms * MS), False, QUIET)
+        assert update.residuals.timing * 1e3 == pytest.approx(late_ms, abs=2.5)
+
+
+def test_commands_alone_move_dead_reckoning_and_the_twins_with_it() -> None:
+    (update,) = conversation(beside(spread=EXACT), (0, b"D,5,5\n", b"d\r\n"), (2000, b"N\n", QUIET))
+    x, y, heading = update.reckoned
+    start = playpens.load("workshop").robots[0]
+    off = x - start.x_mm / 1e3, y - start.y_mm / 1e3
+    assert math.hypot(*off) == pytest.approx(0.08, abs=0.005)  # 2 s at 40 mm/s
+    assert heading == pytest.approx(math.radians(start.heading_deg), abs=1e-3)
+    assert update.estimate.pose == pytest.approx(update.reckoned, abs=0.02)
+
+
+def test_a_command_that_nobody_acknowledges_is_in_doubt() -> None:
+    told, untold = (
+        conversation(beside(spread=EXACT), (0, b"D,5,5\n", reply), (2500, b"N\n", QUIET))[-1]
+        for reply in (b"d\r\n", b"")
+    )
+    away = [np.ptp(each.particles[:, 1]) for each in (told, untold)]
+    assert away[1] > 3 * away[0]
+    assert away[1] > 0.02
+
+
+def test_silence_advances_the_pose_without_a_reply() -> None:
+    shadow = beside(spread=EXACT)
+    conversation(shadow, (0, b"D,5,5\n", b"d\r\n"))
+    (first,), (second,) = shadow.wait(SECOND), shadow.wait(2 * SECOND)
+    assert (first.time_ns, second.time_ns) == (SECOND, 2 * SECOND)
+    assert np.isnan(first.residuals.proximity).all()
+    way = math.dist(first.estimate.pose[:2], second.estimate.pose[:2])
+    assert way == pytest.approx(0.04, abs=0.005)
+    assert shadow.wait(2 * SECOND + MS) == []
+
+
+def test_an_unknown_start_is_looked_for_everywhere_and_replies_narrow_it() -> None:
+    shadow = beside(known=False)
+    (first,) = conversation(shadow, (0, b"N\n", QUIET))
+    assert len(first.particles) > 500
+    assert np.ptp(first.particles[:, :2], axis=0).min() > 0.3
+    deviation = math.sqrt(np.trace(first.estimate.covariance[:2, :2]))
+    assert deviation > 0.1
+    assert first.alarms == ()
+    # A thing close before the robot leaves the places at things.
+    near = b"n,0,100,700,700,100,0,0,0\r\n"
+    last = conversation(shadow, *[(100 * turn, b"N\n", near) for turn in range(1, 8)])[-1]
+    x, y = last.particles[:, 0], last.particles[:, 1]
+    in_the_open = (abs(x - 0.36) < 0.04) & (abs(y - 0.26) < 0.04)
+    assert in_the_open.mean() < 0.005
+
+
+def test_playpens_that_a_plane_does_not_have_are_refused() -> None:
+    with pytest.raises(PlaypenError, match="expected none in the plane"):
+        Shadow(playpens.load("gripper"), ShadowSettings())
+
+
+def test_a_follower_steps_through_silence_and_tells_when_alarms_begin_and_end() -> None:
+    follower = Follower(beside())
+    assert follower.last is None
+    changes: list[Change] = []
+    banner = b"ROM of minirobot KHEPERA, version 5.02\r\n"
+    for heard in (
+        Heard(1000 * MS, True, b"N\n"),
+        Heard(1030 * MS, False, QUIET),
+        Heard(2000 * MS, False, banner),
+        Heard(5000 * MS, True, b"N\n"),
+        Heard(5030 * MS, False, QUIET),
+    ):
+        for update in follower.feed(heard):
+            changes += follower.changes(update)
+    assert [(change.alarm.fault, change.alarm.ended_ns is None) for change in changes] == [
+        ("restart", True),
+        ("restart", False),
+    ]
+    assert follower.replies >= 2
+    times_ns = [update.time_ns for update in follower.wait(8 * SECOND)]
+    assert times_ns == sorted(set(times_ns))
+    assert np.diff(times_ns).max() <= SECOND // 2
+    assert follower.last.time_ns == times_ns[-1] > 7 * SECOND
+
+
+def test_a_shadow_learns_its_robots_wheels_and_gains(log: Path, followed: Followed) -> None:
+    shadow = Shadow(told_playpen("workshop", followed.truth), SETTINGS)
+    before = learned(shadow)
+    assert before.wheels == pytest.approx(np.ones(3), abs=0.01)
+    assert before.gains == pytest.approx(np.ones(8), abs=0.1)
+    for heard in recorded(log).heard:
+        if heard.time_ns < 7 * SECOND:
+            shadow.feed(*heard)
+    after = learned(shadow)
+    # What has looked at something is known better.
+    assert (after.gain_deviations < 0.7 * before.gain_deviations).any()
+    assert (after.wheel_deviations > 0).all()
+    assert len(after.row) == len(LEARNED)
+    again = Learned.of_row(after.row)
+    assert all(np.array_equal(one, two) for one, two in zip(again, after, strict=True))

@@ -1,0 +1,63 @@
+"""Planar twins at poses of their own, and what a robot in the place of one would reply."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from khep_twin import playpen as playpens
+from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.shadow.particle_filter import Spread, begun
+from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.planes import Planes
+
+Integers = NDArray[np.int64]
+Pose = tuple[float, float, float]
+
+SECOND = 1_000_000_000
+ALL = np.ones(8, np.bool_)
+"""Sensors to rely on: all."""
+
+AT_THE_CRATE = (80.0, 371.0, -45.0)
+"""Pose in the workshop [mm, degrees] that faces the crate, far from the lamp."""
+
+EXACT = Spread(0, 0, 0, 0, 0, 0)
+"""Spread of what is known exactly."""
+
+
+@functools.cache
+def setup_of(name: str) -> EpisodeSetup:
+    """A shipped playpen, prepared for the plane."""
+    pytest.importorskip("numba", reason="numba is not installed")
+    return EpisodeSetup(playpens.load(name), planar=True)
+
+
+def metric(pose: Pose) -> Pose:
+    """A pose in mm and degrees, in metres and radians."""
+    x_mm, y_mm, heading_deg = pose
+    return x_mm / 1e3, y_mm / 1e3, math.radians(heading_deg)
+
+
+def planes_at(*poses: Pose, name: str = "workshop") -> Planes:
+    """A twin at each pose."""
+    planes = Planes(setup_of(name), len(poses))
+    planes.put(np.array([metric(pose) for pose in poses]))
+    return planes
+
+
+def particles_at(*poses: Pose, name: str = "workshop") -> Particles:
+    """A particle at each pose, with the calibration's wheels and gains, of equal weights."""
+    made = begun(setup_of(name), metric(poses[0]), EXACT, len(poses), np.random.default_rng(0))
+    made.planes.put(np.array([metric(pose) for pose in poses]))
+    return made
+
+
+def readings(planes: Planes, gain: float = 1.0) -> Integers:
+    """What the first twin would reply to N without noise, if its sensors had this gain."""
+    proximity, ambient = planes.proximity, planes.ambient
+    counts = gain * planes.illuminate()[0] - proximity["threshold"]
+    # A lamp leaves a sensor a part of its range.
+    left = 1 - planes.lamplight(0.0)[0].sum(axis=1) / float(ambient["dark"] - ambient["floor"])
+    return np.rint(np.clip(counts, 0, float(proximity["limit"]) * left.clip(0))).astype(np.int64)
