@@ -22,8 +22,10 @@ from khep_twin.ports.twin import TwinOptions, open_twin
 
 SECOND = 1_000_000_000
 AT_NS = 11_234_567_890
-SHARE = (6, 13, 17)
-"""Numbers of logs with faults, a gripper, and lamps that take turns at random."""
+SHARE = (12, 18, 74)
+"""Numbers of short logs with faults of all devices, a gripper, and lamps that take turns at random.
+
+The first one is taken up from a snapshot, and has late replies."""
 
 ARENA = Path("khep_twin/assets/playpens/obstacles.toml")
 
