@@ -305,8 +305,9 @@ class Robot:
         brown_out_ns = self._faults.next_brown_out_ns()
         if brown_out_ns is None or not self.firmware.powered:
             return command_ns
-        # Faults happen in control ticks, the first of them one period after the start.
-        tick_ns = units.TICK_NS * max(-(-brown_out_ns // units.TICK_NS), 1)
+        # Faults happen in control ticks, the next of them for a fault added to a run that was past its time.
+        next_tick = self._context.time_ns // units.TICK_NS + 1
+        tick_ns = units.TICK_NS * max(-(-brown_out_ns // units.TICK_NS), next_tick)
         return tick_ns if command_ns is None else min(command_ns, tick_ns)
 
     def exchange(self, time_ns: int) -> None:

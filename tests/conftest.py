@@ -63,7 +63,9 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         and importlib.util.find_spec("numba") is not None
     ):
         run = [sys.executable, "-m", "khep_twin", "compile"]
-        compilers = [subprocess.Popen([*run, *parts]) for parts in (("plane",), ("world", "episodes"))]
+        compilers = [
+            subprocess.Popen([*run, *parts]) for parts in (("plane", "shadow"), ("world", "episodes"))
+        ]
         for each in compilers:
             each.wait()
 

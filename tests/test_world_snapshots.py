@@ -8,7 +8,7 @@ import pytest
 from branches import LAMPS, PUSHED, ROBOTS, arena, drive
 
 from khep_twin import playpen
-from khep_twin.board.fault_injection import parse
+from khep_twin.board.fault_injection import Fault, parse
 from khep_twin.board.uart import HostEvent
 from khep_twin.errors import DivergedError, SnapshotError
 from khep_twin.playpen import Lighting, Playpen
@@ -32,6 +32,17 @@ class Events:
 
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         self.seen.append((time_ns, robot, text))
+
+
+def drawn_faults(seed: int) -> list[Fault]:
+    """Return a fault of each kind and some more, all but the brown-out for a random time."""
+    rng = np.random.default_rng(seed)
+    kinds = "dead:1 stuck:4 weak:left:0.4 dead:right slip:right:0.1 slip:right:0.3 blocked:left".split()
+    kinds += ["drop:0.05", "garble:0.02", "late:0.3:30"]
+    begin_s, last_s = rng.uniform(0, 2, len(kinds)), rng.uniform(0.1, 2, len(kinds))
+    times = (f"@{start:.4f}-{start + length:.4f}" for start, length in zip(begin_s, last_s, strict=True))
+    texts = [kind + time for kind, time in zip(kinds, times, strict=True)]
+    return [parse(text) for text in (*texts, f"brown-out@{rng.uniform(0.5, 3):.4f}")]
 
 
 Case = tuple[Callable[[], Playpen], dict[str, object]]
@@ -59,6 +70,13 @@ CASES: dict[str, Case] = {
             ]
         },
     ),
+    **{
+        f"all faults at random times, {seed}": (
+            lambda more="" if seed % 2 else PUSHED: arena(more),
+            {"faults": drawn_faults(seed)},
+        )
+        for seed in range(6)
+    },
     "cells that run out": (lambda: arena(battery_used_min=41.06), {}),
 }
 

@@ -38,7 +38,12 @@ from khep_twin.world import SAMPLE_NS, World
 WORDS = "D,9,4 N O D,-3,8 L,0,2 H D,10,10 K C,900,500 B D,20,19 E P,60,-40 J,20,64,20,64 G,0,0".split()
 ARM = "T,1,E,255 T,1,D,1 T,1,E,152 T,1,D,0 T,1,G T,1,H,1 T,1,F".split()
 
-FAULTS = "drop:0.02 garble:0.02 late:0.2:60 stuck:2@5 dead:left@7 brown-out@9 stuck:6 dead:right@12.5".split()
+FAULTS = (
+    "drop:0.02 drop:0.05@4-9 garble:0.02 garble:0.1@3-3.7 late:0.2:60 late:0.5:20@6-11.003 stuck:2@5 stuck:6 "
+    "stuck:4@2-8.0013 dead:left@7 dead:right@12.5 dead:right@3-6 dead:3 dead:5@4.2-13 weak:left:0.4 "
+    "weak:right:0.2@2.5-10.2 slip:left:0.1@3 slip:right:0.3@1-7.7 slip:left:0.05@6-12 blocked:left@2.2-5.1 "
+    "blocked:right@9-9.9 brown-out@9 brown-out@2.003"
+).split()
 
 LAMPS = """
 [[lamp]]
@@ -132,7 +137,7 @@ def make(number: int, path: Path) -> float:
         vary=rng.random() < 0.3,
         unpaced=rng.random() < 0.1,
         strict_line=rng.random() < 0.2,
-        faults=tuple(rng.choice(FAULTS, int(rng.integers(0, 3)), replace=False).tolist()),
+        faults=tuple(rng.choice(FAULTS, int(rng.integers(0, 5)), replace=False).tolist()),
     )
     end_s = float(rng.uniform(2, 23))
     with open_twin(scene, options) as twin:
@@ -153,7 +158,7 @@ def change_of(number: int, at_ns: int, playpen_of: Playpen) -> tuple[Change, boo
     change = Change(
         at_ns,
         seed=int(rng.integers(1000)) if rng.random() < 0.5 else None,
-        faults=tuple(rng.choice(FAULTS, int(rng.integers(0, 2)), replace=False).tolist()),
+        faults=tuple(rng.choice(FAULTS, int(rng.integers(0, 3)), replace=False).tolist()),
         edits=(str(rng.choice(edits)),) if rng.random() < 0.4 else (),
     )
     return change, bool(rng.random() < 0.5)

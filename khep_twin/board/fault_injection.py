@@ -198,13 +198,14 @@ class Injector:
         over = [each for each in self.active if each.device in devices and each.end_ns <= time_ns]
         begun = [each for each in self._waiting if each.device in devices and each.start_ns <= time_ns]
         for fault in over:
-            self.active.remove(fault)
             self._log_event(f"fault {fault.text} ends")
         for fault in begun:
             self._waiting.remove(fault)
-            if fault.kind != _BROWN_OUT:
-                self.active.append(fault)
             self._log_event(f"fault {fault.text} begins")
+        if over or begun:
+            # In the order of the faults, not of their times, so that a state follows from what is present.
+            active = {*self.active, *(each for each in begun if each.kind != _BROWN_OUT)}.difference(over)
+            self.active = [each for each in self._timed if each in active]
         return over + begun
 
     def next_brown_out_ns(self) -> int | None:

@@ -9,7 +9,7 @@ from khep_twin.cli.options import usage
 
 def compile_all(
     parts: Annotated[
-        list[str] | None, typer.Argument(help="world, episodes or plane; all of them if not given.")
+        list[str] | None, typer.Argument(help="world, episodes, plane or shadow; all of them if not given.")
     ] = None,
 ) -> None:
     """Compile the stepping core with numba, so that later commands find it in numba's cache."""
@@ -17,6 +17,7 @@ def compile_all(
     from khep_twin.playpen import load
     from khep_twin.rollout.controllers import Braitenberg
     from khep_twin.rollout.episode import Episode, EpisodeSetup
+    from khep_twin.shadow.planes import SPEED, Planes
     from khep_twin.simulation.ready import CODE
     from khep_twin.world import World
 
@@ -26,6 +27,14 @@ def compile_all(
         if part == "world":
             world = World(load("default"), compiled=True)
             world.advance_to(world.timing.step_ns)
+        elif part == "shadow":
+            planes = Planes(EpisodeSetup(load("two-lamps"), planar=True), 1)
+            planes.put(planes.poses)
+            planes.command(SPEED, 0, 0)
+            planes.advance(1)
+            planes.illuminate()
+            planes.lamplight(0.0)
+            planes.free(planes.poses)
         else:
             setup = EpisodeSetup(load("default"), planar=part == "plane")
             Episode(setup, Braitenberg(), compiled=True).begin()

@@ -7,7 +7,6 @@ The parts named by the index lie in the file and do not overlap, so that no byte
 import os
 import struct
 import zlib
-from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import chain
 from typing import BinaryIO
@@ -62,7 +61,7 @@ class Content:
         self._indexed = self._read_summary()
 
     def messages(self) -> Iterator[Entry]:
-        """Yield the messages in the order of the file, in which chunks are in order of time."""
+        """Yield the messages in the order of the file."""
         return chain.from_iterable(entries for _, entries in self.chunks())
 
     def since(self, topic: str, time_ns: int) -> Iterator[list[Entry]]:
@@ -71,8 +70,8 @@ class Content:
         Without such a message, yield none, and then all messages.
         """
         pieces = self._chunks if self._indexed else [(0, 0, 0)]
-        there = bisect_right(pieces, (time_ns, self._size, 0)) if self._reader.knows(topic) else 0
-        for number in range(there - 1, -1, -1):
+        early = (number for number, (start_ns, _, _) in enumerate(pieces) if start_ns <= time_ns)
+        for number in reversed([*early] if self._reader.knows(topic) else []):
             held = [each for _, piece in self.chunks(pieces[number : number + 1]) for each in piece]
             if (place := _last(held, topic, time_ns)) is not None:
                 yield [held[place]]
@@ -101,7 +100,8 @@ class Content:
         """
         held: list[Entry] = []
         size, count, split_ns = 0, 0, 0
-        for number, (start_ns, entries) in enumerate(self.chunks()):
+        # A late reply alone may be a chunk, before one that begins earlier.
+        for number, (start_ns, entries) in enumerate(self.chunks(sorted(self._chunks) or None)):
             if size > length and start_ns > split_ns:
                 split_ns, size = start_ns, 0
                 yield number / len(self._chunks), [each for each in held if each.time_ns < split_ns]
@@ -189,13 +189,13 @@ class Content:
                 found = f"record at byte {offset} of {length} bytes in the index"
                 raise Misfit(found, f"it between {free} and {start}")
             free = offset + length
-        self._chunks.sort()
+        self._chunks.sort(key=lambda chunk: chunk[1])
         return bool(self._chunks)
 
     def chunks(
         self, chunks: Sequence[tuple[int, int, int]] | None = None
     ) -> Iterator[tuple[int, Iterator[Entry]]]:
-        """Yield the messages of each chunk, and the time from which on no earlier chunk has any."""
+        """Yield the start [ns] and the messages of each chunk; by default of all, as the file has them."""
         if not self._indexed:
             if chunks is None or chunks:
                 yield 0, self._unindexed()

@@ -12,8 +12,9 @@ CODE = {
     "world": "khep_twin.simulation.compiled:advance",
     "episodes": "khep_twin.rollout.compiled:run",
     "plane": "khep_twin.rollout.planar.compiled:run",
+    "shadow": "khep_twin.shadow.compiled:advance",
 }
-"""Parts that are compiled, and their functions."""
+"""Parts that are compiled, and their functions; that of the shadow is one of several."""
 
 BESIDE = (
     "khep_twin: numba compiles in the background, once per version; this run goes on uncompiled meanwhile, "

@@ -28,9 +28,9 @@ SOME = ("--particles", "100")
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The line of a stand-in robot, asked N and H for 8 s."""
+    """The line of a stand-in robot, asked N and H for 5 s."""
     path = tmp_path_factory.mktemp("stand-in") / "robot.mcap"
-    record(path, playpens.load("obstacles"), seed=1, seconds=8, host="wall follower", asks_counters=True)
+    record(path, playpens.load("obstacles"), seed=1, seconds=5, host="wall follower", asks_counters=True)
     return path
 
 

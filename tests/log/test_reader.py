@@ -1,6 +1,7 @@
 """A log read back: the same values as in the world, and one line for what is no log."""
 
 import re
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,9 @@ from khep_twin.errors import LogError, PlaypenError
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.channels import ArrayFrame
 from khep_twin.log.content import Content
-from khep_twin.log.reader import read, read_heads, read_label, read_series
+from khep_twin.log.decoding import read_line
+from khep_twin.log.log_file import LogFile
+from khep_twin.log.reader import read, read_heads, read_label, read_raw, read_series, read_since
 from khep_twin.log.recover import recover
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -70,6 +73,23 @@ def test_the_transcript_has_both_sides_at_the_time_of_their_last_byte(log: Path)
     byte_ns = 11 * 10**9 / 9600
     assert lines[1].time_ns - lines[0].time_ns == pytest.approx(3 * byte_ns, abs=2)
     assert [line.time_ns for line in lines] == sorted(line.time_ns for line in lines)
+
+
+def test_a_late_reply_alone_in_a_chunk_keeps_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    log = LogFile(path, lambda: 0)
+    log.describe({}, {"robots": "khepera0"})
+    for text, time_ns in (("asked", 1), ("late", 9), ("kept", 3), ("asked again", 4)):
+        log.add_event(time_ns, "khepera0", text)
+        log.flush()
+    log.finish()
+    found = [read_line(data).text for _, data in read_raw(path, lambda topic: True)[1]["/events"]]
+    assert found == ["asked", "late", "kept", "asked again"]
+    last, *rest = ([read_line(each.data).text for each in piece] for piece in read_since(path, "/events", 3))
+    assert (last, [*chain(*rest)]) == (["kept"], ["asked again"])
+    with path.open("rb") as file:
+        parts = [[each.time_ns for each in part] for _, part in Content(file).pieces(1)]
+    assert parts == [[1], [3], [4], [9]]
 
 
 def test_events_carry_who_and_when(log: Path) -> None:

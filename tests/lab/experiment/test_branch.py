@@ -22,8 +22,10 @@ from khep_twin.ports.twin import TwinOptions, open_twin
 
 SECOND = 1_000_000_000
 AT_NS = 11_234_567_890
-SHARE = (6, 13, 17)
-"""Numbers of logs with faults, a gripper, and lamps that take turns at random."""
+SHARE = (12, 18, 74)
+"""Numbers of short logs with faults of all devices, a gripper, and lamps that take turns at random.
+
+The first one is taken up from a snapshot, and has late replies."""
 
 ARENA = Path("khep_twin/assets/playpens/obstacles.toml")
 
@@ -178,6 +180,9 @@ def test_a_host_goes_on_from_a_log_and_its_log_is_a_branch(parent: Path, tmp_pat
     assert repeat(read_recorded(path)) is None
     with Khepera(f"khep://{parent}") as robot:
         assert robot.time == end_of(parent) / SECOND
+    with Serial(f"khep://{parent}?at=11.5&fault=brown-out@3", timeout=1) as port:
+        assert port.read_until(b"ROM") == b"ROM"  # it is due at once
+        assert port.time_ns < 11_560_000_000
     for url, line in (
         (f"khep://{parent}?at=11&noise=off", "noise is the log's own"),
         (f"khep://{parent}?at=11&robot=2", "robot = 2: not in"),
