@@ -112,7 +112,7 @@ class Diagnosis:
         self._actions: deque[Action] = deque()
         self._surprise: Floats = np.zeros(8)
         self._seen_ns = self._tried_ns = 0
-        self._lost_ns = self._vague_ns = 0
+        self._lost_ns, self._vague_ns = 0, -1
         self._searches = not self._known
         self._surprised_ns: int | None = None
         self.ended: tuple[Alarm, ...] = ()
@@ -164,7 +164,7 @@ class Diagnosis:
         self._surprise = self._surprise * math.exp(-passed_s / SURPRISE_S)
         self._surprise += np.maximum(self.filter.surprise - _USUAL, 0)
         self._end_lifted(time_ns)
-        if not self._known:
+        if not self._known and np.argmax(self.filter.probabilities) == 0:
             self._vague_ns = time_ns
         self._diagnose(time_ns)
         if self._surprise.max() <= SURPRISED:
@@ -264,7 +264,7 @@ class Diagnosis:
 
     def _candidates(self) -> list[Hypothesis]:
         """Return the faults that may begin; where the pose is vague, they could be anything."""
-        if self._others or not self._known:
+        if self._others or self._vague_ns == self._seen_ns:
             return []
         present = {fault.name for fault, _ in self._present}
         found: list[Hypothesis] = []

@@ -17,7 +17,7 @@ def of_things() -> list[Hypothesis]:
     return [
         Missing("block1", crate),
         Moved("block1", crate),
-        Unexpected(HEADING_45_LEFT, metric(AT_THE_CRATE)),
+        Unexpected(HEADING_45_LEFT),
     ]
 
 
