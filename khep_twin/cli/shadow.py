@@ -94,8 +94,8 @@ class ShadowOptions:
 
     def settings(self, baud: int) -> "ShadowSettings":
         """Return the settings of a shadow."""
-        from khep_twin.shadow.particle_filter import PUBLISHED
         from khep_twin.shadow.shadow import ShadowSettings
+        from khep_twin.shadow.start import PUBLISHED
 
         if self.start not in ("known", "unknown") and not _POSE.fullmatch(self.start):
             raise usage(f"--start {self.start}: expected known, unknown or X,Y,HEADING, such as 100,250,90")

@@ -6,7 +6,7 @@ it, with the probability that it happens in that time; the weights tell whether 
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,14 +85,15 @@ def mixed(
     sources: NDArray[np.intp] = order[weights[order] > 0]
     had, weights = particles.changes[sources], weights[sources]
     rates = [UNDONE, *(change.rate for change in changes)]
-    rows: list[Any] = []
+    rows: list[NDArray[np.intp]] = []
     logs: list[Floats] = []
     for number, rate in zip(numbers, rates, strict=True):
         staying = math.exp(-(sum(rates) - rate) * passed_s)
         shares: Floats = weights * np.where(had == number, staying, rate * passed_s)
-        size = round(count * weights[had == number].sum()) + (QUOTA if changes else 0)
-        rows.append(sources[drawn(shares, size, rng.random())])
-        logs.append(np.full(size, math.log(shares.sum()) - math.log(size)))
+        size = round(count * float(weights[had == number].sum())) + (QUOTA if changes else 0)
+        picked: NDArray[np.intp] = sources[drawn(shares, size, rng.random())]
+        rows.append(picked)
+        logs.append(np.full(size, math.log(float(shares.sum()) / size), np.float64))
     indices = np.concatenate(rows)
     made = particles.taken(indices)
     made.logs = np.concatenate(logs)

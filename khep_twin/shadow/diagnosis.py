@@ -6,8 +6,6 @@ is repeated with twins that may be anywhere. Sensors, counters, lamps and the li
 """
 
 import math
-from collections import deque
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,28 +22,16 @@ from khep_twin.shadow.changes import Change
 from khep_twin.shadow.hypotheses import Hypothesis, Missing, Moved, SlippingWheel, Unexpected
 from khep_twin.shadow.lamp_watch import LampWatch
 from khep_twin.shadow.line_watch import LOSING, LineWatch
-from khep_twin.shadow.particle_filter import ParticleFilter, anywhere
-from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.particle_filter import ParticleFilter
+from khep_twin.shadow.search import Search
 from khep_twin.shadow.sensor_model import SensorModel
 from khep_twin.shadow.sensor_watch import SensorWatch
 from khep_twin.shadow.wheel_watch import WheelWatch
 
 Floats = NDArray[np.float64]
 
-GROUP = 120
-"""Particles of a snapshot."""
-
-LOST, TRIED, FOUND = 10_000, 3000, 1500
-"""Particles of a robot that was put anywhere, of one that may have been, and of one that was found."""
-
-SNAPSHOT_NS = 250_000_000
-"""Interval of the snapshots [ns]."""
-
-KEPT_NS = 4 * NS_PER_S
-"""Time for which they are kept [ns]."""
-
 WINDOW_NS = 1_300_000_000
-"""Age of the snapshot from which it is looked for everywhere [ns]."""
+"""Time before now from which on a robot that surprises is looked for everywhere [ns]."""
 
 SURPRISE_S = 0.7
 """Time constant over which surprise is summed [s]."""
@@ -56,7 +42,7 @@ SURPRISED = 3.0
 WAITED_NS = 1_000_000_000
 """Time for which replies surprise before it is looked for everywhere [ns]."""
 
-TRIED_NS = 400_000_000
+TRIED_NS = NS_PER_S
 """Interval at which it is [ns]."""
 
 RAISED = 9.0
@@ -70,9 +56,6 @@ TOLD_NS = NS_PER_S
 
 SETTLED_NS = 5 * NS_PER_S
 """Time for which a fault is probable before it is taken for granted, beside which others may begin [ns]."""
-
-RARE = 9.0
-"""Logarithm of the odds against a robot that is put elsewhere."""
 
 NEAR = 0.09
 """Farthest distance of a thing from the robot's centre, to be seen or missed [m]."""
@@ -108,8 +91,7 @@ class Diagnosis:
         self._present: list[tuple[Hypothesis, Alarm]] = []
         self._leading: tuple[Hypothesis, Alarm] | None = None
         self._others: list[Alarm] = []
-        self._snapshots: deque[tuple[int, Particles, float]] = deque()
-        self._actions: deque[Action] = deque()
+        self._search = Search(setup, rng)
         self._surprise: Floats = np.zeros(8)
         self._seen_ns = self._tried_ns = 0
         self._lost_ns, self._vague_ns = 0, -1
@@ -144,7 +126,7 @@ class Diagnosis:
             self._counted = action.counters.astype(np.float64)
         elif isinstance(action, Restarted):
             self._counted = None
-        self._actions.append(action)
+        self._search.note(action)
         if isinstance(action, Seen):
             self._see(action)
         return told
@@ -175,18 +157,10 @@ class Diagnosis:
             time_ns - max(self._tried_ns, self._surprised_ns) >= TRIED_NS
             and time_ns - self._surprised_ns >= WAITED_NS
             and self._known
-            and self._snapshots
-            and self._snapshots[0][0] <= time_ns - WINDOW_NS
         ):
             self._tried_ns = time_ns
-            self._search(time_ns, time_ns - WINDOW_NS, RAISED)
-        if not self._snapshots or time_ns - self._snapshots[-1][0] >= SNAPSHOT_NS:
-            small = self.filter.particles.drawn(GROUP, self._rng.random())
-            self._snapshots.append((time_ns, small, self.filter.evidence))
-            while self._snapshots[0][0] < time_ns - KEPT_NS:
-                self._snapshots.popleft()
-            while self._actions[0].time_ns < self._snapshots[0][0]:
-                self._actions.popleft()
+            self._find(time_ns, time_ns - WINDOW_NS, RAISED)
+        self._search.keep(time_ns, self.filter)
 
     @property
     def _known(self) -> bool:
@@ -215,13 +189,11 @@ class Diagnosis:
             elif leading is None or (leading[0].name != fault.name and sureness > SURE):
                 has = tracker.particles.changes == number
                 since_ns = int(np.average(tracker.particles.since_ns[has], weights=tracker.weights[has]))
-                if time_ns - since_ns < TOLD_NS or since_ns < self._vague_ns:
-                    return
-                if self._search(time_ns, since_ns, 0.0):
-                    return
-                self._give_up(time_ns)
-                alarm = Alarm(fault.name, fault.channel, since_ns, time_ns, min(sureness, 0.999))
-                self._leading = fault, alarm
+                told = time_ns - since_ns >= TOLD_NS and since_ns >= self._vague_ns
+                if told and not self._find(time_ns, since_ns, 0.0):
+                    self._give_up(time_ns)
+                    alarm = Alarm(fault.name, fault.channel, since_ns, time_ns, min(sureness, 0.999))
+                    self._leading = fault, alarm
             elif leading[0].name == fault.name and sureness > SURE:
                 if time_ns - leading[1].raised_ns > SETTLED_NS:
                     self._present.append((fault, leading[1]))
@@ -242,23 +214,17 @@ class Diagnosis:
             self.ended += (replace(self._leading[1], ended_ns=time_ns),)
             self._leading = None
 
-    def _search(self, time_ns: int, since_ns: int, least: float) -> bool:
-        """Look for the robot everywhere since a time [ns]; go on there if the odds are above the least.
-
-        The odds are those against all that the filter considers, as logarithms.
-        """
-        _, start, evidence = found = min(self._snapshots, key=lambda each: abs(each[0] - since_ns))
-        actions = [action for action in self._actions if action.time_ns > found[0]]
-        elsewhere = self._anywhere(start, TRIED, actions).evidence
-        if elsewhere - (self.filter.evidence - evidence) - RARE < least:
+    def _find(self, time_ns: int, since_ns: int, least: float) -> bool:
+        """Go on elsewhere, if the odds that the robot was put there since a time are above the least."""
+        use = self._sensors.sound
+        if self._search.odds(self.filter, since_ns, use) < least:
             return False
         # Of a robot whose commands are lost the twins know as little.
         self._searches = self._searches or any(each.fault == LOSING for each in self._line.alarms)
         if not self._others and not self._searches:
             self._others.append(Alarm(LIFTED, "proximity", since_ns, time_ns, 0.999))
         self._give_up(time_ns)
-        self.filter.take(self._anywhere(start, LOST, actions).particles)
-        self._snapshots.clear()
+        self.filter.take(self._search.lost(since_ns, use))
         self._surprise[:] = 0
         return True
 
@@ -284,23 +250,6 @@ class Diagnosis:
                 found += [Missing(name, rows), Moved(name, rows)]
         found.append(Unexpected(int(np.argmax(self._surprise))))
         return [fault for fault in found if fault.name not in present]
-
-    def _anywhere(self, start: Particles, count: int, actions: Sequence[Action]) -> ParticleFilter:
-        """Return a filter of a robot that may have been anywhere before some actions.
-
-        Args:
-            start: Particles then, of which it has the gains and faults.
-            count: Number of particles.
-            actions: Actions since then.
-        """
-        particles = start.drawn(count, 0.5)
-        particles.changes[:] = 0
-        particles.planes.move(anywhere(self._setup, particles.planes, self._rng))
-        tracker = ParticleFilter(self._setup, particles, self._rng, FOUND)
-        tracker.spread()
-        for action in actions:
-            tracker.act(action, self._sensors.sound)
-        return tracker
 
     def _end_lifted(self, time_ns: int) -> None:
         """End the alarm of a robot that was put elsewhere, once its pose is known."""

@@ -12,15 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.errors import PlaypenError
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
-from khep_twin.sensing import calibration
 from khep_twin.shadow.actions import Action, Counted, Seen, repeat
 from khep_twin.shadow.changes import QUOTA, Change, mixed
 from khep_twin.shadow.particles import Particles, drawn
-from khep_twin.shadow.planes import TICK_NS, Planes
-from khep_twin.shadow.sensor_model import GAIN_DEVIATION, SensorModel, log_of_sum
+from khep_twin.shadow.planes import TICK_NS
+from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
 
 Floats = NDArray[np.float64]
 
@@ -45,30 +43,6 @@ _LONGEST_TICKS = 50
 
 _IMPROBABLE = 0.01
 """Probability below which a change need not be considered any more."""
-
-
-class Spread(NamedTuple):
-    """What is known of a robot at the start: standard deviations.
-
-    Attributes:
-        place: Of x and y [m]; infinite for an unknown start.
-        heading: Of the heading [rad].
-        radius: Of the wheels' mean radius, as a part.
-        ratio: Of the right wheel's radius over the left one's.
-        base: Of the wheel base, as a part.
-        gain: Of the logarithm of the sensors' common gain.
-    """
-
-    place: float = 0.01
-    heading: float = math.radians(5)
-    radius: float = calibration.RADIUS_SPREAD
-    ratio: float = calibration.INEQUALITY_SPREAD
-    base: float = calibration.BASE_SPREAD
-    gain: float = calibration.COMMON_GAIN_SPREAD
-
-
-PUBLISHED = Spread()
-"""Spread of robots of the same make, put down by hand within 10 mm and 5 degrees."""
 
 
 class Estimate(NamedTuple):
@@ -244,68 +218,3 @@ class ParticleFilter:
         planes.move(planes.poses + moved)
         particles.wheels += rng.standard_normal((count, 3)) * (RADIUS_DRIFT, RATIO_DRIFT, BASE_DRIFT) * root
         particles.set_wheels()
-
-
-def begun(
-    setup: EpisodeSetup,
-    pose: tuple[float, float, float] | None,
-    spread: Spread,
-    count: int,
-    rng: np.random.Generator,
-) -> Particles:
-    """Return particles at the start.
-
-    Args:
-        setup: Playpen with the robot, prepared for the plane.
-        pose: Start x, y [m] and heading [rad]; None for an unknown one.
-        spread: What is known of it and of the robot.
-        count: Number of particles.
-        rng: Random stream.
-    """
-    planes = Planes(setup, count)
-    if pose is None:
-        planes.put(anywhere(setup, planes, rng))
-    else:
-        planes.put(pose + rng.standard_normal((count, 3)) * (spread.place, spread.place, spread.heading))
-    wheels = 1 + rng.standard_normal((count, 3)) * (spread.radius, spread.ratio, spread.base)
-    planes.set_wheels(*wheels.T)
-    gains = np.repeat(rng.standard_normal((count, 1)) * spread.gain, 8, axis=1)
-    return Particles(
-        planes,
-        np.full(count, -math.log(count)),
-        wheels,
-        gains,
-        np.full((count, 8), GAIN_DEVIATION**2),
-        np.full((count, 2), np.nan),
-        np.zeros(count, np.int64),
-        np.zeros(count, np.int64),
-    )
-
-
-def anywhere(setup: EpisodeSetup, planes: Planes, rng: np.random.Generator) -> Floats:
-    """Return random poses where there is room, x, y [m] and heading [rad], for each twin (n, 3)."""
-    corners = np.array(setup.playpen.arena.corners) * 1e-3
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    poses = np.zeros((len(planes), 3))
-    wanted = np.ones(len(planes), np.bool_)
-    for _ in range(_TRIES):
-        drawn = rng.uniform((*low, 0), (*high, math.tau), poses.shape)
-        poses[wanted] = drawn[wanted]
-        wanted = ~(planes.free(poses) & _inside(corners, poses))
-        if not wanted.any():
-            return poses
-    raise PlaypenError(f"{setup.playpen.name}: no room for the robot was found; expected a start pose")
-
-
-_TRIES = 200
-
-
-def _inside(corners: Floats, poses: Floats) -> NDArray[np.bool_]:
-    """Return whether positions are inside a polygon (n,)."""
-    inside = np.zeros(len(poses), np.bool_)
-    x, y = poses[:, 0], poses[:, 1]
-    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        if y0 == y1:
-            continue
-        inside ^= ((y0 > y) != (y1 > y)) & (x < (x1 - x0) * (y - y0) / (y1 - y0) + x0)
-    return inside

@@ -29,8 +29,9 @@ from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Action, Commanded, Configured, Counted, Restarted, Seen, Waited
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.diagnosis import Diagnosis
-from khep_twin.shadow.particle_filter import PUBLISHED, Estimate, ParticleFilter, Spread, begun
+from khep_twin.shadow.particle_filter import Estimate, ParticleFilter
 from khep_twin.shadow.planes import DUTY, POSITION, SPEED, TARGET
+from khep_twin.shadow.start import PUBLISHED, Spread, begun
 from khep_twin.units import BITS_PER_BYTE
 
 Floats = NDArray[np.float64]

@@ -12,8 +12,9 @@ from khep_twin.rollout.planar import plane as flat
 from khep_twin.shadow.actions import Commanded, Counted, Seen
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.diagnosis import Diagnosis
-from khep_twin.shadow.particle_filter import PUBLISHED, ParticleFilter, begun
+from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.planes import SPEED
+from khep_twin.shadow.start import PUBLISHED, begun
 
 START = 360.0, 240.0, -70.0
 TICKS = 6

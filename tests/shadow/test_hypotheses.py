@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from twins import AT_THE_CRATE, metric, particles_at, setup_of
+from twins import AT_THE_CRATE, particles_at, setup_of
 
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.shadow.hypotheses import Hypothesis, Missing, Moved, Unexpected, of_wheels, things_of

@@ -13,8 +13,9 @@ from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Commanded, Counted, Seen
-from khep_twin.shadow.particle_filter import PUBLISHED, Estimate, ParticleFilter, Spread, anywhere, begun
+from khep_twin.shadow.particle_filter import Estimate, ParticleFilter
 from khep_twin.shadow.planes import SPEED, Planes
+from khep_twin.shadow.start import PUBLISHED, Spread, anywhere, begun
 
 START = 360.0, 240.0, -70.0
 TICKS = 6

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from khep_twin import playpen as playpens
 from khep_twin.rollout.episode_setup import EpisodeSetup
-from khep_twin.shadow.particle_filter import Spread, begun
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import Planes
+from khep_twin.shadow.start import Spread, begun
 
 Integers = NDArray[np.int64]
 Pose = tuple[float, float, float]

@@ -22,10 +22,10 @@ from khep_twin.sensing import calibration
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.shadow.following import Follower
 from khep_twin.shadow.learned import LEARNED, Learned, learned
-from khep_twin.shadow.particle_filter import PUBLISHED
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.sensor_model import GAIN_DEVIATION
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
+from khep_twin.shadow.start import PUBLISHED
 
 WHEEL_ERRORS = 0.012, 0.0055, 0.022
 """Errors of the wheels' radius, ratio and base beyond the particles' deviations, as parts: so far off were

@@ -1,0 +1,102 @@
+"""Search for a robot that was put elsewhere: the last replies, repeated with twins that may be anywhere."""
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.shadow.actions import Action
+from khep_twin.shadow.particle_filter import ParticleFilter
+from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.start import anywhere
+
+GROUP = 120
+"""Particles of a snapshot."""
+
+LOST, TRIED, FOUND = 10_000, 3000, 1500
+"""Particles of a robot that was put anywhere, of one that may have been, and of one that was found."""
+
+SNAPSHOT_NS = 250_000_000
+"""Interval of the snapshots [ns]."""
+
+KEPT_NS = 4 * NS_PER_S
+"""Time for which they are kept [ns]."""
+
+RARE = 9.0
+"""Logarithm of the odds against a robot that is put elsewhere (assumed)."""
+
+
+class Search:
+    """Search for a robot that was put elsewhere.
+
+    Args:
+        setup: Playpen with the robot, prepared for the plane.
+        rng: Random stream.
+    """
+
+    def __init__(self, setup: EpisodeSetup, rng: np.random.Generator) -> None:
+        self._setup, self._rng = setup, rng
+        self._snapshots: deque[tuple[int, Particles, float]] = deque()
+        self._actions: deque[Action] = deque()
+
+    def note(self, action: Action) -> None:
+        """Note an action."""
+        self._actions.append(action)
+
+    def keep(self, time_ns: int, tracker: ParticleFilter) -> None:
+        """Keep what a filter knows at a time [ns], now and then."""
+        if self._snapshots and time_ns - self._snapshots[-1][0] < SNAPSHOT_NS:
+            return
+        self._snapshots.append(
+            (time_ns, tracker.particles.drawn(GROUP, self._rng.random()), tracker.evidence)
+        )
+        while self._snapshots[0][0] < time_ns - KEPT_NS:
+            self._snapshots.popleft()
+        while self._actions[0].time_ns < self._snapshots[0][0]:
+            self._actions.popleft()
+
+    def odds(self, tracker: ParticleFilter, since_ns: int, use: NDArray[np.bool_]) -> float:
+        """Return the logarithm of the odds that the robot was put elsewhere, against what a filter considers.
+
+        Args:
+            tracker: Filter.
+            since_ns: Time when it may have been put elsewhere [ns].
+            use: Sensors to rely on (8,).
+        """
+        if not self._snapshots:
+            return -np.inf
+        return (
+            self._anywhere(since_ns, TRIED, use).evidence
+            - RARE
+            - (tracker.evidence - self._since(since_ns)[2])
+        )
+
+    def lost(self, since_ns: int, use: NDArray[np.bool_]) -> Particles:
+        """Return particles of a robot that was put anywhere, by the replies since; forget what was before.
+
+        Args:
+            since_ns: Time when it was [ns].
+            use: Sensors to rely on (8,).
+        """
+        particles = self._anywhere(since_ns, LOST, use).particles
+        self._snapshots.clear()
+        return particles
+
+    def _since(self, time_ns: int) -> tuple[int, Particles, float]:
+        """Return the snapshot next to a time [ns]."""
+        return min(self._snapshots, key=lambda each: abs(each[0] - time_ns))
+
+    def _anywhere(self, since_ns: int, count: int, use: NDArray[np.bool_]) -> ParticleFilter:
+        """Return a filter of so many twins that repeat what was since a time, with known gains and faults."""
+        begin_ns, start, _ = self._since(since_ns)
+        particles = start.drawn(count, 0.5)
+        particles.changes[:] = 0
+        particles.planes.move(anywhere(self._setup, particles.planes, self._rng))
+        tracker = ParticleFilter(self._setup, particles, self._rng, FOUND)
+        tracker.spread()
+        for action in self._actions:
+            if action.time_ns > begin_ns:
+                tracker.act(action, use)
+        return tracker

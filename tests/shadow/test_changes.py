@@ -1,0 +1,70 @@
+"""Changes that a filter considers: some twins undergo them, and the weights tell whether they happened."""
+
+import numpy as np
+import pytest
+from twins import AT_THE_CRATE, SECOND, particles_at
+
+from khep_twin.shadow.changes import QUOTA, Change, mixed
+from khep_twin.shadow.hypotheses import StandingWheel, WeakMotor
+from khep_twin.shadow.particles import Particles
+
+STANDS, WEAK = Change(StandingWheel(0), True), Change(WeakMotor(1), True)
+
+
+def mix(particles: Particles, *changes: Change, count: int = 100, passed_s: float = 0.5) -> Particles:
+    return mixed(particles, changes, count, passed_s, SECOND, np.random.default_rng(0))
+
+
+def shares(particles: Particles, changes: int) -> list[float]:
+    """Probabilities of no change and of each one."""
+    return np.bincount(particles.changes, np.exp(particles.logs), changes + 1).tolist()
+
+
+def test_some_twins_undergo_each_change_with_the_probability_of_that_time() -> None:
+    made = mix(particles_at(*[AT_THE_CRATE] * 50), STANDS, WEAK)
+    assert np.bincount(made.changes).tolist() == [100 + QUOTA, QUOTA, QUOTA]
+    _, stands, weak = shares(made, 2)
+    assert stands == pytest.approx(STANDS.rate * 0.5)
+    assert weak == pytest.approx(WEAK.rate * 0.5)
+    strength = made.planes.strength
+    assert (strength[made.changes == 0] == 1).all()
+    assert (strength[made.changes == 1, 0] <= 0).all()
+    assert (strength[made.changes == 2, 1] < 1).all()
+    assert (made.since_ns == np.where(made.changes, SECOND, 0)).all()
+
+
+def test_a_change_that_the_weights_favour_gets_the_twins_and_keeps_when_it_began() -> None:
+    made = mix(particles_at(*[AT_THE_CRATE] * 50), STANDS, WEAK)
+    made.logs[made.changes == 1] += 20
+    made.since_ns[made.changes == 1] = 7
+    later = mix(made, STANDS, WEAK)
+    assert (later.changes == 1).sum() == 100 + QUOTA
+    assert shares(later, 2)[1] > 0.9
+    assert (later.planes.strength[later.changes == 1, 0] <= 0).all()
+    assert np.median(later.since_ns[later.changes == 1]) == 7
+
+
+def test_twins_without_a_change_any_more_are_sound_again() -> None:
+    made = mix(particles_at(*[AT_THE_CRATE] * 50), STANDS)
+    made.logs[made.changes == 0] -= 1000
+    later = mix(made, STANDS)
+    sound = later.changes == 0
+    assert sound.sum() == QUOTA
+    assert (later.planes.strength[sound] == 1).all()
+    assert 0 < shares(later, 1)[0] < 0.1
+
+
+def test_an_end_takes_the_fault_from_twins_that_have_it() -> None:
+    particles = particles_at(*[AT_THE_CRATE] * 50)
+    particles.planes.strength[:, 0] = 0
+    made = mix(particles, Change(StandingWheel(0), False))
+    assert (made.planes.strength[:, 0] == made.changes).all()
+    assert made.changes.any()
+
+
+def test_without_changes_twins_are_drawn_by_their_weights() -> None:
+    particles = particles_at(AT_THE_CRATE, (100.0, 371.0, 0.0))
+    particles.logs[:] = np.log([0.25, 0.75])
+    made = mix(particles, count=40)
+    assert len(made) == 40
+    assert (made.planes.poses[:, 0] > 0.09).sum() == 30
