@@ -392,7 +392,7 @@ def part_of_bulb(
         side, tilt = BULB_RADIUS / flat, -z * scale / flat
         left, up = (-y * side, x * side, 0.0), (x * tilt, y * tilt, flat * scale)
     # Hits are in lengths of the rays. One as near as the bulb's glass has reached it.
-    return 1 - blocked(scene, sensors, channel, disc, left, up, way, 1.0 + scale, 1.0 - scale)
+    return 1 - blocked(scene, sensors, channel, disc, left, up, way, 1.0 - scale)
 
 
 @compilable

@@ -102,7 +102,6 @@ class SceneRays(Protocol):
         left: Triple,
         up: Triple,
         way: Triple,
-        cutoff: float,
         glass: float,
     ) -> float:
         """Answer the query `blocked`."""
@@ -194,7 +193,6 @@ def blocked(
     left: Triple,
     up: Triple,
     way: Triple,
-    cutoff: float,
     glass: float,
 ) -> float:
     """Return the part of the rays from a sensor to points of a bulb that is stopped before its glass.
@@ -207,10 +205,9 @@ def blocked(
         left: Vector to the bulb's left edge, as seen from the sensor [m].
         up: Vector to the bulb's upper edge [m].
         way: Vector from the sensor to the bulb's centre [m].
-        cutoff: Range of the rays, in lengths of `way`.
         glass: Start of the bulb, in lengths of `way`.
     """
-    return scene.blocked(sensors, channel, disc, left, up, way, cutoff, glass)
+    return scene.blocked(sensors, channel, disc, left, up, way, glass)
 
 
 def decide(

@@ -298,7 +298,7 @@ def _stopped(scene, sensors, channel, way, glass):
 
 
 @implements(queries.blocked, MujocoCalls)
-def _blocked(scene, sensors, channel, disc, left, up, way, cutoff, glass):
+def _blocked(scene, sensors, channel, disc, left, up, way, glass):
     n = len(scene.at.few) if disc == FEW else len(scene.at.many)
     hits, to = 0, scene.at.way
     for point in range(n):

@@ -1,11 +1,15 @@
 """Sight lines that are surely clear: rays agree wherever they say so, and they say so often."""
 
+import math
+
+import mujoco
 import numpy as np
 import pytest
 
 from khep_twin import playpen
 from khep_twin.sensing import optics
 from khep_twin.sensing.ambient import light_of
+from khep_twin.sensing.mujoco_scene import points_of_a_bulb
 from khep_twin.sensing.occlusion import SightLines
 from khep_twin.sensing.scene import MANY
 from khep_twin.units import SENSOR_HEIGHT
@@ -73,3 +77,41 @@ def test_where_something_may_move_nothing_is_known(other: str) -> None:
     text = playpen.dump(playpen.load("default")) + "[[lamp]]\nx_mm = 100\ny_mm = 100\npower_w = 1\n"
     assert share_of_clear(text, 50) == 1
     assert share_of_clear(text + other, 50) == 0
+
+
+@pytest.mark.parametrize(
+    ("channel", "way"),
+    [
+        (6, (0.01727616, -0.02480710, 0.01669987)),
+        (5, (-0.03669416, -0.02120774, 0.01989215)),
+        (7, (0.00252933, -0.05930577, 0.01243789)),
+    ],
+)
+def test_corners_of_the_gripper_beside_a_sensor_stop_light(
+    channel: int, way: tuple[float, float, float]
+) -> None:
+    world = World(playpen.load("gripper"), noise=False, compiled=False)
+    world.advance_to(100_000_000)
+    model, data = world.model, world.data
+    scene, sensors = world.simulation.plain.scene, world.simulation.plain.robots[0].sensors
+    place, distance = data.cam_xpos[sensors.cameras[channel]], float(np.linalg.norm(way))
+    (x, y, z), flat = way, math.hypot(*way[:2])
+    left, up = np.array((-y / flat, x / flat, 0)), np.array((-x * z / flat, -y * z / flat, flat)) / distance
+    others = (model.geom_bodyid != sensors.base) & (model.geom_rgba[:, 3] > 0)
+    stopped = 0
+    for across, upward in points_of_a_bulb(MANY):
+        ray = np.array(way) + optics.BULB_RADIUS * (across * left + upward * up)
+        hits = [
+            mujoco.mju_rayGeom(
+                data.geom_xpos[geom],
+                data.geom_xmat[geom],
+                model.geom_size[geom],
+                place,
+                ray,
+                model.geom_type[geom],
+            )
+            for geom in np.flatnonzero(others)
+        ]
+        stopped += any(0 <= hit < 1 - optics.BULB_RADIUS / distance for hit in hits)
+    assert optics.part_of_bulb(scene, sensors, channel, way, distance, MANY) == 1 - stopped / 64
+    assert stopped in (1, 2, 55)

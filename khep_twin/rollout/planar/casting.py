@@ -176,7 +176,6 @@ def blocked(
     left: Triple,
     up: Triple,
     way: Triple,
-    cutoff: float,
     glass: float,
 ) -> float:
     """Return the same as `scene.blocked`."""
