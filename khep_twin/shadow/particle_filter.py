@@ -34,6 +34,10 @@ SLIP_NOISE = 3.0
 LEAST_EFFECTIVE = 0.5
 """Part of the particles that count, below which they are drawn anew."""
 
+FEW, ROUGH = 0.1, 0.3
+"""Part of the particles that count, below which those drawn of them are spread by this part of their spread:
+few of a wide cloud fit a reading (assumed)."""
+
 _FRESH_TICKS = 25
 """Time for whose noise few particles are spread that become many [ticks]."""
 
@@ -143,7 +147,7 @@ class ParticleFilter:
     def spread(self) -> None:
         """Spread the particles a little, as many were drawn of few."""
         self._drifted_ticks = self.particles.planes.ticks - _FRESH_TICKS
-        self._drift()
+        self._drift(np.zeros(3))
 
     def _see(self, readings: NDArray[np.int64], use: NDArray[np.bool_]) -> None:
         """Weigh the particles by a reply to N.
@@ -191,12 +195,14 @@ class ParticleFilter:
         ticks = self.particles.planes.ticks
         passed = ticks - self._drifted_ticks
         count = len(weights) - QUOTA * (len(self.changes) + 1) if self.changes else len(weights)
-        if passed >= _LONGEST_TICKS or 1 / np.square(weights).sum() <= LEAST_EFFECTIVE * count:
+        effective = 1 / np.square(weights).sum()
+        if passed >= _LONGEST_TICKS or effective <= LEAST_EFFECTIVE * count:
             step = TICK_NS * 1e-9
+            spread = np.sqrt(self.estimate(0).covariance.diagonal())
             self.particles = mixed(
                 self.particles, self.changes, self._wanted(weights), passed * step, ticks * TICK_NS, self._rng
             )
-            self._drift()
+            self._drift(ROUGH * spread if effective < FEW * count else np.zeros(3))
 
     def _wanted(self, weights: Floats) -> int:
         """Return the number of particles that the spread of the pose needs."""
@@ -206,15 +212,15 @@ class ParticleFilter:
         cells = np.unique(np.floor(poses / (0.03, 0.03, math.radians(15))), axis=0)
         return int(np.clip(10 * len(cells), self._count, len(weights)))
 
-    def _drift(self) -> None:
-        """Move the particles by the noise of the time since the last drift."""
+    def _drift(self, rough: Floats) -> None:
+        """Move the particles by the noise since the last drift, and by a deviation (3,) [m, rad]."""
         particles, planes, rng = self.particles, self.particles.planes, self._rng
         root = math.sqrt((planes.ticks - self._drifted_ticks) * TICK_NS * 1e-9)
         self._drifted_ticks = planes.ticks
         count = len(particles)
         slips = planes.robots["last"][:, flat.SLIPS] != 0
         noise = np.array([PLACE_NOISE, PLACE_NOISE, TURN_NOISE]) * root
-        moved = rng.standard_normal((count, 3)) * noise * np.where(slips, SLIP_NOISE, 1.0)[:, None]
+        moved = rng.standard_normal((count, 3)) * (noise * np.where(slips, SLIP_NOISE, 1.0)[:, None] + rough)
         planes.move(planes.poses + moved)
         particles.wheels += rng.standard_normal((count, 3)) * (RADIUS_DRIFT, RATIO_DRIFT, BASE_DRIFT) * root
         particles.set_wheels()
