@@ -262,6 +262,9 @@ class Robot:
         if not self._unpaced:
             self.uart.rx.baud = (self._host and self._host.baud) or self._baud
         self.uart.rx.put(self._over_the_line(data, time_ns), time_ns)
+        if self._unpaced:
+            # Where no time passes the order of sending and answering is that of the host's actions alone.
+            self.exchange(self._context.time_ns)
 
     def flush(self) -> None:
         """Drop the host's bytes that have not reached the robot yet."""

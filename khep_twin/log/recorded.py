@@ -19,6 +19,7 @@ from khep_twin.log.entries import Entry
 from khep_twin.log.host_events import read_events
 from khep_twin.log.label import Label
 from khep_twin.log.reader import read_raw
+from khep_twin.log.snapshots import TOPIC
 from khep_twin.log.state_hashes import read_states
 from khep_twin.world import SAMPLE_NS
 
@@ -69,6 +70,7 @@ class Recorded:
         events: World time [ns], robot index and host event, in order.
         states: Hash of each sample.
         lines: Transcripts by robot.
+        last_ns: Time of the run's end, or of the last that is known of it [ns].
         torn: True if the end of the run may be missing.
         changes: Changes of a run that was branched off another one, in order of time.
     """
@@ -78,6 +80,7 @@ class Recorded:
     events: Sequence[RecordedEvent]
     states: Sequence[int]
     lines: Sequence[Sequence[TextLine]]
+    last_ns: int
     torn: bool
     changes: Sequence[Change] = ()
 
@@ -93,7 +96,7 @@ def read_recorded(path: Path) -> Recorded:
     Raises:
         LogError: There is no log, it is not whole, or it lacks what a repetition needs.
     """
-    channels = ("/host_events", "/serial", "/state")
+    channels = ("/host_events", "/serial", "/state", TOPIC)
     label, found, recovered = read_raw(path, lambda topic: topic.endswith(channels))
     check_line(path, label)
     states: list[int] = []
@@ -115,8 +118,14 @@ def read_recorded(path: Path) -> Recorded:
             what = f"something at {time_ns / NS_PER_S:.2f} s"
             raise Misfit(what, wish).at(path, "/host_events and /serial")
     # Robots do not interact on their lines, so events at the same time may be in the order of the robots.
-    changes = changes_of(path, label)
-    return Recorded(path, label, sorted(events, key=lambda each: each[0]), states, lines, recovered, changes)
+    changes, end_ns = changes_of(path, label), (len(states) - 1) * SAMPLE_NS
+    # Replies may still be on their way at the end, which the last snapshot has.
+    ended_ns = [time_ns for time_ns, _ in found.get(TOPIC, ()) if time_ns >= end_ns] or [
+        end_ns,
+        *(line.time_ns for each in lines for line in each),
+    ]
+    events.sort(key=lambda each: each[0])
+    return Recorded(path, label, events, states, lines, max(ended_ns), recovered, changes)
 
 
 _OVERTIME_NS = 10 * NS_PER_S
