@@ -15,7 +15,7 @@ from khep_twin.invocation import command
 
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
-    from khep_twin.shadow.following import Change
+    from khep_twin.shadow.alarms import Change
     from khep_twin.shadow.learned import Learned
     from khep_twin.shadow.recording import Heard
     from khep_twin.shadow.shadow import ShadowSettings, Update

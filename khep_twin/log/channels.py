@@ -101,12 +101,7 @@ MSG: geometry_msgs/TransformStamped
 std_msgs/Header header
 string child_frame_id
 geometry_msgs/Transform transform
-{_RULE}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{_RULE}
-{_TIME}
+{_HEADER}
 {_RULE}
 MSG: geometry_msgs/Transform
 geometry_msgs/Vector3 translation

@@ -3,10 +3,10 @@
 A run that was branched off another one begins as that one; its attachment branch.json has what changed when.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 from pydantic import Field, TypeAdapter, ValidationError
 
@@ -14,7 +14,7 @@ from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.log.channels import TextLine
-from khep_twin.log.decoding import LATEST_NS, Misfit, read_line, shown
+from khep_twin.log.decoding import LATEST_NS, Misfit, decoded, read_line, shown
 from khep_twin.log.entries import Entry
 from khep_twin.log.host_events import read_events
 from khep_twin.log.label import Label
@@ -100,7 +100,7 @@ def read_recorded(path: Path) -> Recorded:
     label, found, recovered = read_raw(path, lambda topic: topic.endswith(channels))
     check_line(path, label)
     states: list[int] = []
-    for time_ns, hashed in _decoded(path, found, "/state", read_states):
+    for time_ns, hashed in decoded(path, "/state", found, read_states):
         if time_ns != len(states) * SAMPLE_NS:
             at_s = len(states) * SAMPLE_NS / NS_PER_S
             raise LogError(f"{path}: cannot be repeated: the state at {at_s:.2f} s is missing")
@@ -109,9 +109,9 @@ def read_recorded(path: Path) -> Recorded:
     events: list[RecordedEvent] = []
     lines: list[list[TextLine]] = [[] for _ in label.robots]
     for index, name in enumerate(label.robots):
-        for _, done in _decoded(path, found, f"/{name}/host_events", lambda data: list(read_events(data))):
+        for _, done in decoded(path, f"/{name}/host_events", found, lambda data: list(read_events(data))):
             events += [(at_ns, index, event) for at_ns, event in done]
-        lines[index] = [line for _, line in _decoded(path, found, f"/{name}/serial", read_line)]
+        lines[index] = [line for _, line in decoded(path, f"/{name}/serial", found, read_line)]
     for time_ns in (*(at_ns for at_ns, _, _ in events), *(line.time_ns for each in lines for line in each)):
         if time_ns > last_ns:
             wish = f"at most {last_ns / NS_PER_S:.2f} s, {_OVERTIME_NS // NS_PER_S} s after the last state"
@@ -130,22 +130,6 @@ def read_recorded(path: Path) -> Recorded:
 
 _OVERTIME_NS = 10 * NS_PER_S
 """Longest time from the last state to any event or line [ns]."""
-
-_Decoded = TypeVar("_Decoded")
-
-
-def _decoded(
-    path: Path,
-    found: Mapping[str, Sequence[tuple[int, bytes]]],
-    topic: str,
-    decode: Callable[[bytes], _Decoded],
-) -> Iterator[tuple[int, _Decoded]]:
-    """Yield times [ns] and contents of a channel's messages."""
-    for time_ns, data in found.get(topic, ()):
-        try:
-            yield time_ns, decode(data)
-        except Misfit as misfit:
-            raise misfit.at(path, topic, time_ns) from None
 
 
 def check_line(path: Path, label: Label) -> None:

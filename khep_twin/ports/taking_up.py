@@ -4,7 +4,6 @@ A run is taken up from the last snapshot before the moment, or from its start, a
 repeated up to there. Then another host may take over; seed, faults, calibrations or playpen may change.
 """
 
-import hashlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ from khep_twin.interventions.move_robot import as_it_stands
 from khep_twin.log.decoding import LATEST_NS, Misfit, first_line
 from khep_twin.log.entries import Entry
 from khep_twin.log.label import Label
-from khep_twin.log.reader import read_end_ns, read_label, read_since, read_until
+from khep_twin.log.reader import hash_of, read_end_ns, read_label, read_since, read_until
 from khep_twin.log.recorded import BRANCH, Change, changes_of, changes_text, check_line, events_in
 from khep_twin.log.recorder import Beginning, versions
 from khep_twin.log.snapshots import TOPIC, LoggedState, read_snapshot
@@ -191,7 +190,7 @@ def branch_off(
     begun: list[Twin] = []
 
     def start(twin: Twin, label: Label, beginning: Beginning) -> None:
-        told = replace(change, parent=path.name, sha256=_hash(path))
+        told = replace(change, parent=path.name, sha256=hash_of(path))
         facts = {
             **label.metadata,
             **versions(),
@@ -277,14 +276,6 @@ def end_of(path: Path) -> int:
         raise misfit.at(path, "/state") from None
     events = events_in(path, rest, read_label(path).robots)
     return max([end_ns, *(time_ns for time_ns, _, _ in events)])
-
-
-def _hash(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def _logged(path: Path, entry: Entry, scene: str | None) -> LoggedState:
