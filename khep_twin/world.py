@@ -295,7 +295,7 @@ class World:
 
     @property
     def is_between_steps(self) -> bool:
-        """Whether no step has begun without having ended, so that the state is whole."""
+        """True if no step has begun without having ended, so that the state is whole."""
         return bool(self.simulation.counters[step.PHASE] == step.DONE)
 
     def state(self, since_ns: int = -1) -> WorldState:

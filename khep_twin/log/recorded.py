@@ -31,7 +31,7 @@ BRANCH = "branch.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class BranchPoint:
     """Moment at which a run was branched off another one, and what is different from then on.
 
     Attributes:
@@ -54,7 +54,7 @@ class Change:
 
     @property
     def text(self) -> str:
-        """What is different, in words; empty for nothing."""
+        """Description of what is different; empty for nothing."""
         seed = [] if self.seed is None else [f"seed {self.seed}"]
         fitted = [f"another calibration of {robot}" for robot in self.calibrations or {}]
         return ", ".join([*seed, *(f"fault {fault}" for fault in self.faults), *self.edits, *fitted])
@@ -82,7 +82,7 @@ class Recorded:
     lines: Sequence[Sequence[TextLine]]
     last_ns: int
     torn: bool
-    changes: Sequence[Change] = ()
+    changes: Sequence[BranchPoint] = ()
 
     @property
     def end_ns(self) -> int:
@@ -141,7 +141,7 @@ def check_line(path: Path, label: Label) -> None:
         )
 
 
-def changes_of(path: Path, label: Label) -> tuple[Change, ...]:
+def changes_of(path: Path, label: Label) -> tuple[BranchPoint, ...]:
     """Return the changes of a run that was branched off another one; none for others.
 
     Raises:
@@ -158,12 +158,12 @@ def changes_of(path: Path, label: Label) -> tuple[Change, ...]:
     return changes
 
 
-def changes_text(changes: Sequence[Change]) -> str:
+def changes_text(changes: Sequence[BranchPoint]) -> str:
     """Return changes as the text of an attachment."""
     return _CHANGES.dump_json(tuple(changes), indent=2).decode("utf-8") + "\n"
 
 
-_CHANGES = TypeAdapter(tuple[Change, ...])
+_CHANGES = TypeAdapter(tuple[BranchPoint, ...])
 
 
 def events_in(

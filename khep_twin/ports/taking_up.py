@@ -21,7 +21,7 @@ from khep_twin.log.decoding import LATEST_NS, Misfit, first_line
 from khep_twin.log.entries import Entry
 from khep_twin.log.label import Label
 from khep_twin.log.reader import hash_of, read_end_ns, read_label, read_since, read_until
-from khep_twin.log.recorded import BRANCH, Change, changes_of, changes_text, check_line, events_in
+from khep_twin.log.recorded import BRANCH, BranchPoint, changes_of, changes_text, check_line, events_in
 from khep_twin.log.recorder import Beginning, versions
 from khep_twin.log.snapshots import TOPIC, LoggedState, read_snapshot
 from khep_twin.log.state_hashes import read_states
@@ -48,10 +48,10 @@ class TakenUp:
     """
 
     setup: Setup
-    changes: tuple[Change, ...]
+    changes: tuple[BranchPoint, ...]
     twin: Twin
     hosts: RecordedHosts
-    later: list[Change]
+    later: list[BranchPoint]
 
     def run_to(
         self,
@@ -82,7 +82,7 @@ class TakenUp:
             if progress is not None:
                 progress((self.twin.world.time_ns - start_ns) / (end_ns - start_ns))
 
-    def change(self, change: Change) -> None:
+    def change(self, change: BranchPoint) -> None:
         """Change the run from now on.
 
         Raises:
@@ -160,7 +160,7 @@ _NOTHING = Described()
 
 def branch_off(
     path: Path,
-    change: Change,
+    change: BranchPoint,
     log: Path | None = None,
     more: Described = _NOTHING,
     on_failure: Callable[[str], None] | None = None,
@@ -223,7 +223,7 @@ def branch_off(
 
 def open_log(
     path: Path,
-    change: Change,
+    change: BranchPoint,
     robot: int | None,
     log: Path | None = None,
     *,
@@ -288,7 +288,7 @@ def _logged(path: Path, entry: Entry, scene: str | None) -> LoggedState:
         raise LogError(f"{path}: {entry.topic} at {entry.time_ns / NS_PER_S:.4f} s: {error}") from None
 
 
-def _go_on_in(new: World, old: World, before: Playpen, change: Change) -> None:
+def _go_on_in(new: World, old: World, before: Playpen, change: BranchPoint) -> None:
     """Take over the state of a world in another scene; what an edit changes stands where it says.
 
     Args:

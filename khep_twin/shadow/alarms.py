@@ -7,7 +7,7 @@ from typing import NamedTuple
 from khep_twin.log.shadow_channels import Alarm as Alarm
 
 
-class Change(NamedTuple):
+class AlarmChange(NamedTuple):
     """Alarm that has begun or ended.
 
     Attributes:
@@ -25,7 +25,7 @@ class LastingAlarms:
     def __init__(self) -> None:
         self._lasting: dict[tuple[str, int], Alarm] = {}
 
-    def changes(self, time_ns: int, alarms: Sequence[Alarm], ended: Sequence[Alarm]) -> Iterator[Change]:
+    def changes(self, time_ns: int, alarms: Sequence[Alarm], ended: Sequence[Alarm]) -> Iterator[AlarmChange]:
         """Yield the alarms that end or begin with an update; one that does both begins first.
 
         Args:
@@ -36,13 +36,13 @@ class LastingAlarms:
         over, lasting = _by_key(ended), _by_key(alarms)
         for key, alarm in over.items():
             if key not in self._lasting:
-                yield Change(time_ns, replace(alarm, ended_ns=None))
+                yield AlarmChange(time_ns, replace(alarm, ended_ns=None))
         for key, alarm in {**self._lasting, **over}.items():
             if key not in lasting:
-                yield Change(time_ns, replace(alarm, ended_ns=alarm.ended_ns or time_ns))
+                yield AlarmChange(time_ns, replace(alarm, ended_ns=alarm.ended_ns or time_ns))
         for key, alarm in lasting.items():
             if key not in self._lasting:
-                yield Change(time_ns, alarm)
+                yield AlarmChange(time_ns, alarm)
         self._lasting = lasting
 
 

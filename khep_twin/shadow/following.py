@@ -7,7 +7,7 @@ times give the same updates, whether they come from a log or as they cross the l
 from collections.abc import Iterator
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.shadow.alarms import Change, LastingAlarms
+from khep_twin.shadow.alarms import AlarmChange, LastingAlarms
 from khep_twin.shadow.recording import Heard
 from khep_twin.shadow.shadow import Shadow, Update
 
@@ -49,6 +49,6 @@ class Follower:
                 self.last = update
                 yield update
 
-    def changes(self, update: Update) -> Iterator[Change]:
+    def changes(self, update: Update) -> Iterator[AlarmChange]:
         """Return the alarms that have ended or begun with an update."""
         return self._alarms.changes(update.time_ns, update.alarms, update.ended)

@@ -19,7 +19,7 @@ from khep_twin.errors import LogError
 from khep_twin.lab.conformance.board_model import (
     BoardModel,
     KnownRobot,
-    Step,
+    RecordedStep,
     TimedExchange,
     versions,
     wrong_modes,
@@ -59,7 +59,7 @@ class RecordedLine:
     mode: int | None
     turrets: tuple[int, ...] | None
     changes_ns: Sequence[int]
-    steps: Sequence[Step] = field(repr=False)
+    steps: Sequence[RecordedStep] = field(repr=False)
 
     @property
     def text(self) -> str:
@@ -210,7 +210,7 @@ def _line(
     ordered = sorted(timed, key=lambda each: _begun_ns(each, timed, baud or each.baud))
     numbers = None if known.turrets is None else tuple(kind.number for kind in known.turrets)
 
-    def steps(rom: str) -> list[Step]:
+    def steps(rom: str) -> list[RecordedStep]:
         board = BoardModel(ROMS[rom], known, ordered)
         return list(board.steps(ordered, resets_ns, simulated, unpaced))
 
