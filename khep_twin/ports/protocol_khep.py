@@ -240,7 +240,8 @@ def open_url(url: str) -> Twin:
     if not name.endswith(".mcap"):
         return open_twin(*parse_url(url))
     from khep_twin.log.recorded import BranchPoint
-    from khep_twin.ports.taking_up import end_of, open_log
+    from khep_twin.ports.branching import open_log
+    from khep_twin.ports.taking_up import end_of
 
     if others := values.keys() - {"at", "seed", "faults", "robot", "log"}:
         raise TwinPortError(f"{url}: {min(others)} is the log's own; expected at, seed, fault, robot or log")

@@ -18,9 +18,10 @@ from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.controllers import AnyController
 from khep_twin.lab.experiment.experiment import run
 from khep_twin.log.recorded import BranchPoint
+from khep_twin.ports.branching import Described, branch_off
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.replay import Setup
-from khep_twin.ports.taking_up import Described, TakenUp, branch_off, end_of
+from khep_twin.ports.taking_up import TakenUp, end_of
 from khep_twin.ports.twin import Twin
 from khep_twin.sensing import calibration
 from khep_twin.world import World
