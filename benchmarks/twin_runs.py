@@ -16,7 +16,7 @@ from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_start
-from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.alarms import LastingAlarms
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings, Update
 
@@ -156,28 +156,21 @@ class _Watch:
     """Watch of the alarms of a shadow's updates."""
 
     def __init__(self) -> None:
+        self._alarms = LastingAlarms()
         self._found: dict[tuple[str, int], Raised] = {}
-        self._lasting: set[tuple[str, int]] = set()
 
     def see(self, update: Update) -> None:
         """Note the alarms that an update begins and ends."""
-        lasting = {_key(alarm) for alarm in update.alarms}
-        for key in [*(_key(alarm) for alarm in update.ended), *lasting]:
-            fault, raised_ns = key
-            raised = Raised(fault, raised_ns, -1, tuple(update.measured.tolist()))
-            self._found.setdefault(key, raised)
-        for key in self._found:
-            if key not in lasting and (key in self._lasting or self._found[key].ended_ns < 0):
+        for _, alarm in self._alarms.changes(update.time_ns, update.alarms, update.ended):
+            key = alarm.fault, alarm.raised_ns
+            if alarm.ended_ns is None:
+                self._found[key] = Raised(*key, -1, tuple(update.measured.tolist()))
+            else:
                 self._found[key] = self._found[key]._replace(ended_ns=update.time_ns)
-        self._lasting = lasting
 
     def raised(self) -> list[Raised]:
         """Return the alarms in the order in which they were raised."""
         return sorted(self._found.values(), key=lambda each: each.raised_ns)
-
-
-def _key(alarm: Alarm) -> tuple[str, int]:
-    return alarm.fault, alarm.raised_ns
 
 
 def _poses_at(truth: Truth, times_ns: NDArray[np.int64]) -> Floats:

@@ -2,26 +2,26 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Annotated, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Base64UrlBytes, Field
 
 from khep_twin import step, units
 from khep_twin.board import kernel
-from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injector, InjectorState
+from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injector
 from khep_twin.board.kernel import LEFT, RIGHT, Board, Wheel
 from khep_twin.board.protocol import LINE_END
 from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
-from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, LineState, Uart
-from khep_twin.firmware import Firmware, FirmwareState
+from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
+from khep_twin.firmware import Firmware
 from khep_twin.playpen import Playpen
-from khep_twin.randomness import StreamState, position, resume
+from khep_twin.randomness import position, resume
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.faulty_wheels import FaultyWheels
+from khep_twin.simulation.world_state import HostState, RobotSnapshot
 
 REPLY_LIMIT = 256
 """Bytes of replies queued before the firmware takes no more commands (assumed)."""
@@ -64,54 +64,6 @@ class RobotSettings(NamedTuple):
     unpaced: bool
     strict_line: bool
     faults: tuple[Fault, ...]
-
-
-class HostState(NamedTuple):
-    """Known state of a robot's host.
-
-    Attributes:
-        settings: Speed [baud] and stop bits of its end of the line; None for the robot's own.
-        warned: Speeds of host and robot that a warning was given of [baud].
-    """
-
-    settings: tuple[Annotated[int, Field(ge=0, le=10**9)], int] | None
-    warned: tuple[tuple[int, int], ...]
-
-
-class RobotSnapshot(NamedTuple):
-    """State of a robot besides its body in the physics.
-
-    Attributes:
-        firmware: State of the firmware.
-        registers: State of the board, as 64-bit integers.
-        processor: State of the processor, likewise.
-        sensor_states: State of each sensor, SOUND, STUCK or DEAD of `step`, likewise.
-        strengths: Part of its torque that each motor gives, as 64-bit floats.
-        voltage: Supply voltage as measured last [V], as one 64-bit float.
-        stopped: Whether the processor has stopped for want of voltage.
-        baud: Speed of the robot's end of the line [baud].
-        rx: Bytes to the robot.
-        tx: Bytes to the host.
-        host: Known state of its host.
-        leds: LEDs as shown, 1 for a lit one.
-        faults: State of the faults.
-        line_noise: Position in the random stream of a strict line; None for a lenient one.
-    """
-
-    firmware: FirmwareState
-    registers: Base64UrlBytes
-    processor: Base64UrlBytes
-    sensor_states: Base64UrlBytes
-    strengths: Base64UrlBytes
-    voltage: Base64UrlBytes
-    stopped: bool
-    baud: Annotated[int, Field(gt=0, le=10**9)]
-    rx: LineState
-    tx: LineState
-    host: HostState
-    leds: tuple[int, int]
-    faults: InjectorState
-    line_noise: StreamState | None
 
 
 _RECORDED = ("registers", "processor", "sensor_states", "strengths", "voltage")
@@ -262,6 +214,9 @@ class Robot:
         if not self._unpaced:
             self.uart.rx.baud = (self._host and self._host.baud) or self._baud
         self.uart.rx.put(self._over_the_line(data, time_ns), time_ns)
+        if self._unpaced:
+            # Where no time passes the order of sending and answering is that of the host's actions alone.
+            self.exchange(self._context.time_ns)
 
     def flush(self) -> None:
         """Drop the host's bytes that have not reached the robot yet."""

@@ -7,29 +7,29 @@ fall between them. Only `World.advance_to` advances time.
 import copy
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from typing import Annotated, NamedTuple, Protocol
+from typing import Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from khep_twin import step, units
 from khep_twin.board.fault_injection import WHEEL, Fault
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NEVER_NS
 from khep_twin.errors import DivergedError, MissingNumbaError, SnapshotError
-from khep_twin.playpen import Lamp, Lighting, Playpen
+from khep_twin.playpen import Lamp, Playpen
 from khep_twin.playpen.starts import Start, at_spots
-from khep_twin.randomness import StreamState, position, resume, stream
-from khep_twin.robot import Robot, RobotSettings, RobotSnapshot
-from khep_twin.sensing.lamps import Lamps, LampsState
+from khep_twin.randomness import position, resume, stream
+from khep_twin.robot import Robot, RobotSettings
+from khep_twin.sensing.lamps import Lamps
 from khep_twin.simulation import faulty_wheels
 from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel
-from khep_twin.simulation.physics_state import PhysicsState, fingerprint, physics_state, set_physics_state
+from khep_twin.simulation.physics_state import fingerprint, physics_state, set_physics_state
 from khep_twin.simulation.ready import function_of, when_ready
-from khep_twin.simulation.simulation import Advance, Simulation, SimulationState
+from khep_twin.simulation.simulation import Advance, Simulation
 from khep_twin.simulation.snapshot_format import pack, unpack
+from khep_twin.simulation.world_state import WorldState
 
 SAMPLE_NS = units.SCAN_NS
 """Sampling period of the observers [ns]."""
@@ -52,34 +52,6 @@ class Observer(Protocol):
 
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Observe a logged event."""
-
-
-class WorldState(NamedTuple):
-    """State of a world.
-
-    Attributes:
-        time_ns: Current time [ns].
-        physics: State of the physics.
-        simulation: State of the stepping core.
-        robots: State of each robot.
-        lamps: All lamps, which may have been set up anew.
-        lighting: Their lighting.
-        lamps_state: State of the lamps.
-        lamps_stream: Position in their random stream.
-        untold: Events for observers that are still to come: robot and text.
-        failure: Message of the error that has ended the run; empty for none.
-    """
-
-    time_ns: Annotated[int, Field(ge=0, lt=2**62)]
-    physics: PhysicsState
-    simulation: SimulationState
-    robots: tuple[RobotSnapshot, ...]
-    lamps: tuple[Lamp, ...]
-    lighting: Lighting
-    lamps_state: LampsState
-    lamps_stream: StreamState
-    untold: tuple[tuple[int | None, str], ...]
-    failure: str
 
 
 class World:
@@ -295,7 +267,7 @@ class World:
 
     @property
     def is_between_steps(self) -> bool:
-        """Whether no step has begun without having ended, so that the state is whole."""
+        """True if no step has begun without having ended, so that the state is whole."""
         return bool(self.simulation.counters[step.PHASE] == step.DONE)
 
     def state(self, since_ns: int = -1) -> WorldState:

@@ -1,11 +1,11 @@
-"""A tap that keeps the events of a world."""
+"""Observers that keep what they are told of a world."""
 
 from khep_twin.board.uart import HostEvent
 from khep_twin.world import World
 
 
 class Notes:
-    """A tap that keeps the events."""
+    """An observer that keeps the texts of events."""
 
     def __init__(self) -> None:
         self.told: list[str] = []
@@ -22,3 +22,22 @@ class Notes:
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Keeps it."""
         self.told.append(text)
+
+
+class Events:
+    """An observer that notes everything with its time."""
+
+    def __init__(self) -> None:
+        self.seen: list[object] = []
+
+    def sample(self, world: World) -> None:
+        self.seen.append((world.time_ns, world.data.xpos.tobytes()))
+
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+        self.seen.append((time_ns, robot, to_robot, data))
+
+    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
+        self.seen.append((time_ns, robot, event))
+
+    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
+        self.seen.append((time_ns, robot, text))

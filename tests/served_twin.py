@@ -1,4 +1,4 @@
-"""`khep-twin serve` in a process of its own."""
+"""`khep-twin serve`, and other commands that serve, in processes of their own."""
 
 import select
 import subprocess
@@ -16,11 +16,13 @@ LISTS_PORTS = (
 
 
 @contextmanager
-def served(*arguments: str, notices: bool = False) -> Iterator[tuple["subprocess.Popen[str]", str]]:
-    """`khep-twin serve`, and what a host opens; with its notices in `stderr`, if they are wanted."""
-    command = [sys.executable, "-m", "khep_twin", "serve", *arguments]
+def served(
+    *arguments: str, command: str = "serve", notices: bool = False
+) -> Iterator[tuple["subprocess.Popen[str]", str]]:
+    """`khep-twin serve`, or another one, and what a host opens; with notices in `stderr` if wanted."""
+    words = [sys.executable, "-m", "khep_twin", command, *arguments]
     errors = subprocess.PIPE if notices else subprocess.DEVNULL
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as process:
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=errors, text=True) as process:
         try:
             assert process.stdout is not None
             assert select.select([process.stdout], [], [], 120)[0], "nothing was served"

@@ -6,32 +6,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from branches import LAMPS, PUSHED, ROBOTS, arena, drive
+from notes import Events
 
 from khep_twin import playpen
 from khep_twin.board.fault_injection import Fault, parse
-from khep_twin.board.uart import HostEvent
 from khep_twin.errors import DivergedError, SnapshotError
 from khep_twin.playpen import Lighting, Playpen
 from khep_twin.world import World
-
-
-class Events:
-    """An observer that notes everything with its time."""
-
-    def __init__(self) -> None:
-        self.seen: list[object] = []
-
-    def sample(self, world: World) -> None:
-        self.seen.append((world.time_ns, world.data.xpos.tobytes()))
-
-    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        self.seen.append((time_ns, robot, to_robot, data))
-
-    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
-        self.seen.append((time_ns, robot, event))
-
-    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
-        self.seen.append((time_ns, robot, text))
 
 
 def drawn_faults(seed: int) -> list[Fault]:

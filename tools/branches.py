@@ -25,11 +25,11 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError, PortError, ProtocolError
 from khep_twin.interventions.move_robot import put, scan
 from khep_twin.interventions.switching import relight, switch
-from khep_twin.lab.experiment.branch import Plan, branch
+from khep_twin.lab.experiment.branch import BranchPlan, branch
 from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.host_events import read_events
-from khep_twin.log.recorded import Change, read_recorded
+from khep_twin.log.recorded import BranchPoint, read_recorded
 from khep_twin.log.state_hashes import read_states
 from khep_twin.playpen import Lamp, Lighting, Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -149,13 +149,13 @@ def make(number: int, path: Path) -> float:
         return twin.world.time_ns / NS_PER_S
 
 
-def change_of(number: int, at_ns: int, playpen_of: Playpen) -> tuple[Change, bool]:
+def change_of(number: int, at_ns: int, playpen_of: Playpen) -> tuple[BranchPoint, bool]:
     """Return a change, and whether a controller takes over."""
     rng = np.random.default_rng([number, 2])
     edits = ["arena.wall_height_mm=60"]
     edits += [f"block.{place + 1}.height_mm=45" for place in range(len(playpen_of.blocks))]
     edits += [f"lamp.{place + 1}.power_w=2" for place in range(len(playpen_of.lamps))]
-    change = Change(
+    change = BranchPoint(
         at_ns,
         seed=int(rng.integers(1000)) if rng.random() < 0.5 else None,
         faults=tuple(rng.choice(FAULTS, int(rng.integers(0, 3)), replace=False).tolist()),
@@ -194,7 +194,7 @@ def check(number: int, folder: Path) -> list[str]:
         at_ns = max(at_ns // SAMPLE_NS, 1) * SAMPLE_NS if end_s < 10 or rng.random() < 0.5 else 10 * NS_PER_S
     findings: list[str] = []
     try:
-        branch(Plan(parent, Change(at_ns)), same)
+        branch(BranchPlan(parent, BranchPoint(at_ns)), same)
         if messages(same) != messages(parent):
             findings.append("without a change it is not the parent's run")
     except KhepTwinError as error:
@@ -202,7 +202,7 @@ def check(number: int, folder: Path) -> list[str]:
     change, takes_over = change_of(number, at_ns, open_playpen(parent))
     controller = BUILT_IN["braitenberg"] if takes_over else None
     try:
-        branch(Plan(parent, change, controller, 0 if takes_over else None, seconds=4.0), other)
+        branch(BranchPlan(parent, change, controller, 0 if takes_over else None, seconds=4.0), other)
     except (ProtocolError, ControllerError, PortError):
         pass  # a controller gives up on a bad line, on one without time, or on a board with another program
     except PlaypenError:

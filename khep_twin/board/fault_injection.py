@@ -65,7 +65,7 @@ class Fault:
 
     @property
     def ends(self) -> bool:
-        """Whether it ends by itself."""
+        """True if it ends by itself."""
         return self.end_ns < NEVER_NS
 
 

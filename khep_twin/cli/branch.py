@@ -77,11 +77,11 @@ def branch(
 
     Up to the moment the new log is the old one's. Without --seconds or --cycles it ends when that does.
     """
-    from khep_twin.lab.experiment.branch import Plan, calibrations
+    from khep_twin.lab.experiment.branch import BranchPlan, calibrations
     from khep_twin.lab.experiment.branch import branch as run_branch
     from khep_twin.lab.experiment.experiment import find_controller
     from khep_twin.lab.experiment.series import numbered
-    from khep_twin.log.recorded import Change
+    from khep_twin.log.recorded import BranchPoint
     from khep_twin.toolbox.form import as_toolbox_form
 
     found = None if controller is None else find_controller(controller, as_toolbox_form)
@@ -94,14 +94,14 @@ def branch(
     check_new(force, *paths)
     check_picture(picture, output)
     check_apart([log], *paths, picture)
-    change = Change(
+    change = BranchPoint(
         round(at * 1e9),
         seed=seed,
         faults=tuple(fault or ()),
         edits=tuple(set_values or ()),
         calibrations=None if calibration is None else calibrations(log, calibration, robot),
     )
-    plan = Plan(log, change, found, robot, seconds, cycles)
+    plan = BranchPlan(log, change, found, robot, seconds, cycles)
     seeds = [seed] if runs == 1 else [(1 if seed is None else seed) + number for number in range(runs)]
     ways: list[Way] = []
     with stopping("ending this branch") as asked, progress_bar() as show:

@@ -15,7 +15,7 @@ from khep_twin.invocation import command
 
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
-    from khep_twin.shadow.following import Change
+    from khep_twin.shadow.alarms import AlarmChange
     from khep_twin.shadow.learned import Learned
     from khep_twin.shadow.recording import Heard
     from khep_twin.shadow.shadow import ShadowSettings, Update
@@ -190,7 +190,7 @@ def _told(update: "Update") -> str:
     )
 
 
-def alarm_line(change: "Change") -> str:
+def alarm_line(change: "AlarmChange") -> str:
     """Return a line about an alarm that has begun or ended."""
     alarm = change.alarm
     how = f"{alarm.sureness:.0%} sure" if alarm.ended_ns is None else "over"

@@ -160,10 +160,11 @@ def _open_log(
     logging: LogOptions,
 ) -> "Twin":
     """Take up the run of a log."""
-    from khep_twin.log.recorded import Change
-    from khep_twin.ports.taking_up import end_of, open_log
+    from khep_twin.log.recorded import BranchPoint
+    from khep_twin.ports.branching import open_log
+    from khep_twin.ports.taking_up import end_of
 
-    change = Change(end_of(path) if at_ns is None else at_ns, seed=seed, faults=faults)
+    change = BranchPoint(end_of(path) if at_ns is None else at_ns, seed=seed, faults=faults)
     return open_log(path, change, robot, logging.log, served=True, on_failure=logging.on_failure)
 
 

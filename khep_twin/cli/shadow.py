@@ -1,12 +1,10 @@
 """`khep-twin shadow`: the twin beside a robot, live or from a log."""
 
-import math
 import os
-import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -29,8 +27,8 @@ from khep_twin.cli.options import (
 from khep_twin.cli.playpen import PlaypenName
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.cli.relayed import line_baud, relay_robot
+from khep_twin.cli.shadow_options import ShadowOptions
 from khep_twin.clock import NS_PER_S
-from khep_twin.errors import PlaypenError
 from khep_twin.signals import stopping
 from khep_twin.status_line import status_line
 
@@ -41,69 +39,16 @@ if TYPE_CHECKING:
     from khep_twin.shadow.tap import TappedLine
 
 _BEHIND_S = 2.0
-"""Delay of the estimate from which on it is told (assumed) [s]."""
+"""Delay of the estimate that is reported (assumed) [s]."""
 
 _NICE = 5
 """What a shadow beside a relay adds to its niceness (assumed)."""
-
-_NUMBER = r"-?\d{1,6}(?:\.\d{1,6})?"
-_POSE = re.compile(rf"({_NUMBER}),({_NUMBER}),({_NUMBER})")
-_WITHIN = re.compile(r"(\d{1,4}(?:\.\d{1,6})?),(\d{1,3}(?:\.\d{1,6})?)")
 
 
 class ExitOn(StrEnum):
     """Event that ends a shadow."""
 
     ALARM = "alarm"
-
-
-@dataclass(frozen=True, slots=True)
-class ShadowOptions:
-    """What a shadow is told of its robot."""
-
-    start: Annotated[
-        str,
-        typer.Option(help="Start: known, as the playpen has it; X,Y,HEADING in mm and degrees; or unknown."),
-    ] = "known"
-    within: Annotated[str, typer.Option(metavar="MM,DEG", help="Standard deviations of a known start.")] = (
-        "10,5"
-    )
-    seed: Annotated[int, typer.Option(help="Seed of the particles.")] = 0
-    particles: Annotated[
-        int, typer.Option(min=10, max=100_000, help="Number of particles, once the pose is known.")
-    ] = 1000
-
-    def words(self) -> list[str]:
-        """Return these options as words of a command line."""
-        return [f"--{field.name}={getattr(self, field.name)}" for field in fields(self)]
-
-    def load(self, name: str, robot: int = 0) -> "Playpen":
-        """Return the playpen with the robot alone, at its start."""
-        from khep_twin import playpen as playpens
-        from khep_twin.playpen.starts import at_start
-
-        found = playpens.load(name)
-        if not 0 <= robot < len(found.robots):
-            wanted = f"0 to {len(found.robots) - 1}" if len(found.robots) > 1 else "0"
-            raise PlaypenError(f"{name}: robot {robot}; expected {wanted}, as it has {len(found.robots)}")
-        found = found.model_copy(update={"robots": (found.robots[robot],)})
-        if pose := _POSE.fullmatch(self.start):
-            x_mm, y_mm, heading_deg = map(float, pose.groups())
-            found = at_start(found, 0, (x_mm, y_mm, heading_deg))
-        return found
-
-    def settings(self, baud: int) -> "ShadowSettings":
-        """Return the settings of a shadow."""
-        from khep_twin.shadow.shadow import ShadowSettings
-        from khep_twin.shadow.start import PUBLISHED
-
-        if self.start not in ("known", "unknown") and not _POSE.fullmatch(self.start):
-            raise usage(f"--start {self.start}: expected known, unknown or X,Y,HEADING, such as 100,250,90")
-        if (within := _WITHIN.fullmatch(self.within)) is None:
-            raise usage(f"--within {self.within}: expected MM,DEG, such as 10,5")
-        place, heading = float(within[1]) / 1e3, math.radians(float(within[2]))
-        spread = PUBLISHED._replace(place=place, heading=heading)
-        return ShadowSettings(self.seed, self.particles, self.start != "unknown", spread, baud)
 
 
 _OF_A_ROBOT = option_names(EndpointOptions) | {"mode", "poll", "view", "web", "log", "ignore_log_errors"}

@@ -59,6 +59,12 @@ builtin_interfaces/Time stamp
 string frame_id
 {_RULE}
 {_TIME}"""
+_QUATERNION = f"""{_RULE}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w"""
 _POSE = f"""{_RULE}
 MSG: geometry_msgs/Pose
 geometry_msgs/Point position
@@ -68,12 +74,7 @@ MSG: geometry_msgs/Point
 float64 x
 float64 y
 float64 z
-{_RULE}
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w"""
+{_QUATERNION}"""
 
 FLOATS = "std_msgs/msg/Float64MultiArray"
 INTEGERS = "std_msgs/msg/Int64MultiArray"
@@ -101,12 +102,7 @@ MSG: geometry_msgs/TransformStamped
 std_msgs/Header header
 string child_frame_id
 geometry_msgs/Transform transform
-{_RULE}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{_RULE}
-{_TIME}
+{_HEADER}
 {_RULE}
 MSG: geometry_msgs/Transform
 geometry_msgs/Vector3 translation
@@ -116,12 +112,7 @@ MSG: geometry_msgs/Vector3
 float64 x
 float64 y
 float64 z
-{_RULE}
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w""",
+{_QUATERNION}""",
     "rcl_interfaces/msg/Log": f"""byte DEBUG=10
 byte INFO=20
 byte WARN=30

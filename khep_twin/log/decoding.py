@@ -5,7 +5,7 @@ raised with what was found and what was expected; the caller that reads a file a
 """
 
 import struct
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -52,6 +52,21 @@ class Misfit(ValueError):
         when = "" if time_ns is None else f" at {time_ns / NS_PER_S:.4f} s"
         found = f"{shown(place)}{when}: {self.found}"
         return LogError(found, file=path, key=place, value=self.found, expected=self.expected)
+
+
+def decoded(
+    path: Path, topic: str, found: Mapping[str, Sequence[tuple[int, bytes]]], decode: Callable[[bytes], _T]
+) -> Iterator[tuple[int, _T]]:
+    """Yield times [ns] and contents of a channel's messages, of those found in a log by topic.
+
+    Raises:
+        LogError: `decode` has raised a `Misfit`.
+    """
+    for time_ns, data in found.get(topic, ()):
+        try:
+            yield time_ns, decode(data)
+        except Misfit as misfit:
+            raise misfit.at(path, topic, time_ns) from None
 
 
 def shown(text: object) -> str:

@@ -3,6 +3,7 @@
 Each function raises a `LogError` for a log that does not exist, or is not whole.
 """
 
+import hashlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -109,6 +110,18 @@ def read_end_ns(path: Path) -> int:
     """Return the time of a log's last message [ns]; fast for any length of the run."""
     with _opened(path) as content:
         return content.end_ns()
+
+
+def hash_of(path: Path) -> str:
+    """Return the SHA-256 of a log's file, in hexadecimal digits."""
+    digest = hashlib.sha256()
+    try:
+        with open_regular(path) as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
+    return digest.hexdigest()
 
 
 def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]]:

@@ -3,10 +3,10 @@
 A run that was branched off another one begins as that one; its attachment branch.json has what changed when.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 from pydantic import Field, TypeAdapter, ValidationError
 
@@ -14,11 +14,12 @@ from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.log.channels import TextLine
-from khep_twin.log.decoding import LATEST_NS, Misfit, read_line, shown
+from khep_twin.log.decoding import LATEST_NS, Misfit, decoded, read_line, shown
 from khep_twin.log.entries import Entry
 from khep_twin.log.host_events import read_events
 from khep_twin.log.label import Label
 from khep_twin.log.reader import read_raw
+from khep_twin.log.snapshots import TOPIC
 from khep_twin.log.state_hashes import read_states
 from khep_twin.world import SAMPLE_NS
 
@@ -30,7 +31,7 @@ BRANCH = "branch.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class BranchPoint:
     """Moment at which a run was branched off another one, and what is different from then on.
 
     Attributes:
@@ -53,7 +54,7 @@ class Change:
 
     @property
     def text(self) -> str:
-        """What is different, in words; empty for nothing."""
+        """Description of what is different; empty for nothing."""
         seed = [] if self.seed is None else [f"seed {self.seed}"]
         fitted = [f"another calibration of {robot}" for robot in self.calibrations or {}]
         return ", ".join([*seed, *(f"fault {fault}" for fault in self.faults), *self.edits, *fitted])
@@ -69,6 +70,7 @@ class Recorded:
         events: World time [ns], robot index and host event, in order.
         states: Hash of each sample.
         lines: Transcripts by robot.
+        last_ns: Time of the run's end, or of the last that is known of it [ns].
         torn: True if the end of the run may be missing.
         changes: Changes of a run that was branched off another one, in order of time.
     """
@@ -78,8 +80,9 @@ class Recorded:
     events: Sequence[RecordedEvent]
     states: Sequence[int]
     lines: Sequence[Sequence[TextLine]]
+    last_ns: int
     torn: bool
-    changes: Sequence[Change] = ()
+    changes: Sequence[BranchPoint] = ()
 
     @property
     def end_ns(self) -> int:
@@ -93,11 +96,11 @@ def read_recorded(path: Path) -> Recorded:
     Raises:
         LogError: There is no log, it is not whole, or it lacks what a repetition needs.
     """
-    channels = ("/host_events", "/serial", "/state")
+    channels = ("/host_events", "/serial", "/state", TOPIC)
     label, found, recovered = read_raw(path, lambda topic: topic.endswith(channels))
     check_line(path, label)
     states: list[int] = []
-    for time_ns, hashed in _decoded(path, found, "/state", read_states):
+    for time_ns, hashed in decoded(path, "/state", found, read_states):
         if time_ns != len(states) * SAMPLE_NS:
             at_s = len(states) * SAMPLE_NS / NS_PER_S
             raise LogError(f"{path}: cannot be repeated: the state at {at_s:.2f} s is missing")
@@ -106,37 +109,27 @@ def read_recorded(path: Path) -> Recorded:
     events: list[RecordedEvent] = []
     lines: list[list[TextLine]] = [[] for _ in label.robots]
     for index, name in enumerate(label.robots):
-        for _, done in _decoded(path, found, f"/{name}/host_events", lambda data: list(read_events(data))):
+        for _, done in decoded(path, f"/{name}/host_events", found, lambda data: list(read_events(data))):
             events += [(at_ns, index, event) for at_ns, event in done]
-        lines[index] = [line for _, line in _decoded(path, found, f"/{name}/serial", read_line)]
+        lines[index] = [line for _, line in decoded(path, f"/{name}/serial", found, read_line)]
     for time_ns in (*(at_ns for at_ns, _, _ in events), *(line.time_ns for each in lines for line in each)):
         if time_ns > last_ns:
             wish = f"at most {last_ns / NS_PER_S:.2f} s, {_OVERTIME_NS // NS_PER_S} s after the last state"
             what = f"something at {time_ns / NS_PER_S:.2f} s"
             raise Misfit(what, wish).at(path, "/host_events and /serial")
     # Robots do not interact on their lines, so events at the same time may be in the order of the robots.
-    changes = changes_of(path, label)
-    return Recorded(path, label, sorted(events, key=lambda each: each[0]), states, lines, recovered, changes)
+    changes, end_ns = changes_of(path, label), (len(states) - 1) * SAMPLE_NS
+    # Replies may still be on their way at the end, which the last snapshot has.
+    ended_ns = [time_ns for time_ns, _ in found.get(TOPIC, ()) if time_ns >= end_ns] or [
+        end_ns,
+        *(line.time_ns for each in lines for line in each),
+    ]
+    events.sort(key=lambda each: each[0])
+    return Recorded(path, label, events, states, lines, max(ended_ns), recovered, changes)
 
 
 _OVERTIME_NS = 10 * NS_PER_S
 """Longest time from the last state to any event or line [ns]."""
-
-_Decoded = TypeVar("_Decoded")
-
-
-def _decoded(
-    path: Path,
-    found: Mapping[str, Sequence[tuple[int, bytes]]],
-    topic: str,
-    decode: Callable[[bytes], _Decoded],
-) -> Iterator[tuple[int, _Decoded]]:
-    """Yield times [ns] and contents of a channel's messages."""
-    for time_ns, data in found.get(topic, ()):
-        try:
-            yield time_ns, decode(data)
-        except Misfit as misfit:
-            raise misfit.at(path, topic, time_ns) from None
 
 
 def check_line(path: Path, label: Label) -> None:
@@ -148,7 +141,7 @@ def check_line(path: Path, label: Label) -> None:
         )
 
 
-def changes_of(path: Path, label: Label) -> tuple[Change, ...]:
+def changes_of(path: Path, label: Label) -> tuple[BranchPoint, ...]:
     """Return the changes of a run that was branched off another one; none for others.
 
     Raises:
@@ -165,12 +158,12 @@ def changes_of(path: Path, label: Label) -> tuple[Change, ...]:
     return changes
 
 
-def changes_text(changes: Sequence[Change]) -> str:
+def changes_text(changes: Sequence[BranchPoint]) -> str:
     """Return changes as the text of an attachment."""
     return _CHANGES.dump_json(tuple(changes), indent=2).decode("utf-8") + "\n"
 
 
-_CHANGES = TypeAdapter(tuple[Change, ...])
+_CHANGES = TypeAdapter(tuple[BranchPoint, ...])
 
 
 def events_in(

@@ -61,16 +61,16 @@ _DOUBLES = {"pose": 43, "reckoned": 7}
 
 
 @dataclass(frozen=True, slots=True)
-class LoggedAlarm:
-    """An alarm of a shadow's log.
+class Alarm:
+    """Alarm of a shadow: a fault by name, since when, and how sure.
 
     Attributes:
         fault: Name of the fault, e.g. "stuck sensor 3".
-        channel: Channel in which it shows.
-        since_ns: Time since when the fault shows [ns].
+        channel: Channel in which it shows: "proximity", "light", "wheels" or "line".
+        since_ns: Time since when the fault explains the replies better than a sound robot does [ns].
         raised_ns: Time of the alarm [ns].
-        sureness: Probability of the fault at that time.
-        ended_ns: Time of its end [ns]; None if it lasts to the end of the log.
+        sureness: Probability of the fault, among all that were considered.
+        ended_ns: Time of its end [ns]; None while it lasts.
     """
 
     fault: str
@@ -109,7 +109,7 @@ class ShadowTrack:
     residuals: Floats
     particles_ns: NDArray[np.int64]
     particles: Floats
-    alarms: list[LoggedAlarm]
+    alarms: list[Alarm]
 
 
 def is_shadow(label: Label) -> bool:
@@ -117,21 +117,21 @@ def is_shadow(label: Label) -> bool:
     return "shadow" in label.metadata
 
 
-def begin_line(time_ns: int, alarm: LoggedAlarm) -> TextLine:
+def begin_line(time_ns: int, alarm: Alarm) -> TextLine:
     """Return the line of a log where an alarm begins."""
     text = f"{alarm.fault}: since {alarm.since_ns / NS_PER_S:.3f} s, {100 * alarm.sureness:.1f} % sure"
     return TextLine(time_ns, Level.WARN, alarm.channel, text)
 
 
-def end_line(time_ns: int, alarm: LoggedAlarm) -> TextLine:
+def end_line(time_ns: int, alarm: Alarm) -> TextLine:
     """Return the line of a log where an alarm ends."""
     text = f"{alarm.fault}: ended, since {alarm.since_ns / NS_PER_S:.3f} s"
     return TextLine(time_ns, Level.INFO, alarm.channel, text)
 
 
-def alarms_of(lines: Iterable[TextLine]) -> list[LoggedAlarm]:
+def alarms_of(lines: Iterable[TextLine]) -> list[Alarm]:
     """Return the alarms that lines in order of time tell; lines of other forms are left out."""
-    alarms: list[LoggedAlarm] = []
+    alarms: list[Alarm] = []
     for line in lines:
         found = _ALARM_LINE.fullmatch(line.text)
         if found is None:
@@ -139,7 +139,7 @@ def alarms_of(lines: Iterable[TextLine]) -> list[LoggedAlarm]:
         fault, since, sure = found.groups()
         if since is not None:
             since_ns, sureness = to_ns(_number(since)), _number(sure) / 100
-            alarms.append(LoggedAlarm(fault, line.name, since_ns, line.time_ns, sureness))
+            alarms.append(Alarm(fault, line.name, since_ns, line.time_ns, sureness))
             continue
         for index, alarm in enumerate(alarms):
             if alarm.fault == fault and alarm.ended_ns is None:

@@ -14,7 +14,8 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.log.channels import bytes_message
 from khep_twin.log.decoding import read_array
 from khep_twin.simulation.snapshot_format import pack, unpack
-from khep_twin.world import World, WorldState
+from khep_twin.simulation.world_state import WorldState
+from khep_twin.world import World
 
 TOPIC = "/snapshot"
 

@@ -239,13 +239,14 @@ def open_url(url: str) -> Twin:
     name, values = _values_of(url)
     if not name.endswith(".mcap"):
         return open_twin(*parse_url(url))
-    from khep_twin.log.recorded import Change
-    from khep_twin.ports.taking_up import end_of, open_log
+    from khep_twin.log.recorded import BranchPoint
+    from khep_twin.ports.branching import open_log
+    from khep_twin.ports.taking_up import end_of
 
     if others := values.keys() - {"at", "seed", "faults", "robot", "log"}:
         raise TwinPortError(f"{url}: {min(others)} is the log's own; expected at, seed, fault, robot or log")
     at_ns = end_of(Path(name)) if "at" not in values else to_ns(values["at"])
-    change = Change(at_ns, seed=values.get("seed"), faults=values.get("faults", ()))
+    change = BranchPoint(at_ns, seed=values.get("seed"), faults=values.get("faults", ()))
     log = values.get("log")
     return open_log(Path(name), change, values.get("robot"), log and Path(log))
 

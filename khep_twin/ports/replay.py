@@ -18,14 +18,14 @@ from khep_twin.log.attached import playpen_of
 from khep_twin.log.decoding import Misfit, first_line, shown
 from khep_twin.log.label import Label
 from khep_twin.log.reader import read_label
-from khep_twin.log.recorded import Change, RecordedEvent
+from khep_twin.log.recorded import BranchPoint, RecordedEvent
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.changes import set_values
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
 
 class Setup(NamedTuple):
-    """What a log says of its twin.
+    """Description of a twin in its log.
 
     Attributes:
         path: Path of the log.
@@ -40,7 +40,7 @@ class Setup(NamedTuple):
         """Return the setup of a log."""
         return cls(path, read_label(path))
 
-    def open(self, changes: Iterable[Change] = ()) -> Twin:
+    def open(self, changes: Iterable[BranchPoint] = ()) -> Twin:
         """Open the twin of the log at its start, from its attachments alone, as it is after some changes.
 
         Raises:
@@ -65,12 +65,12 @@ class Setup(NamedTuple):
         """Options of the twin."""
         return _options(self.path, self.label.attachments.get("configuration.json", ""))
 
-    def playpen(self, changes: Iterable[Change] = ()) -> Playpen:
+    def playpen(self, changes: Iterable[BranchPoint] = ()) -> Playpen:
         """Return the playpen of the log at its start, as it is after some changes."""
         found = playpen_of(self.label.attachments, self.path)
         return set_values(found, chain(*(change.edits for change in changes)))
 
-    def _calibrated(self, playpen: Playpen, changes: Iterable[Change], folder: Path) -> Playpen:
+    def _calibrated(self, playpen: Playpen, changes: Iterable[BranchPoint], folder: Path) -> Playpen:
         """Return the playpen with its robots' calibrations from the log instead of this machine."""
         others = {name: text for each in changes for name, text in (each.calibrations or {}).items()}
         robots = list(playpen.robots)

@@ -149,7 +149,7 @@ class _Waiting:
 
 
 class Flushed(Protocol):
-    """What is flushed: a log, or a listener on a line."""
+    """Interface of a log, or of a listener on a line, to be flushed."""
 
     def flush(self) -> None:
         """Pass on everything so far."""

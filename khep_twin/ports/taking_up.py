@@ -1,39 +1,28 @@
-"""Runs of logs taken up at any moment, to go on with another host, or with something changed.
+"""Runs of logs taken up at any moment, to go on with something changed.
 
 A run is taken up from the last snapshot before the moment, or from its start, and what its hosts did is
-repeated up to there. Then another host may take over; seed, faults, calibrations or playpen may change.
+repeated up to there. Then seed, faults, calibrations or playpen may change; see `branching` for other hosts.
 """
 
-import hashlib
-import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
-
-import mujoco
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.errors import KhepTwinError, LogError, PlaypenError, PortError, SnapshotError
-from khep_twin.files.atomic import is_same
-from khep_twin.interventions.move_robot import as_it_stands
+from khep_twin.errors import KhepTwinError, LogError, SnapshotError
 from khep_twin.log.decoding import LATEST_NS, Misfit, first_line
 from khep_twin.log.entries import Entry
 from khep_twin.log.label import Label
-from khep_twin.log.reader import read_end_ns, read_label, read_since, read_until
-from khep_twin.log.recorded import BRANCH, Change, changes_of, changes_text, check_line, events_in
-from khep_twin.log.recorder import Beginning, versions
+from khep_twin.log.reader import read_label, read_since, read_until
+from khep_twin.log.recorded import BranchPoint, changes_of, check_line, events_in
+from khep_twin.log.recorder import Beginning
 from khep_twin.log.snapshots import TOPIC, LoggedState, read_snapshot
 from khep_twin.log.state_hashes import read_states
-from khep_twin.playpen import Block, Cylinder, Playpen, Robot
-from khep_twin.playpen.changes import changed_tables, no_room_for, set_values
+from khep_twin.ports.changed_scene import go_on_in
 from khep_twin.ports.replay import RecordedHosts, Setup
 from khep_twin.ports.twin import Twin
-from khep_twin.simulation.carrying_over import carry_over, place
-from khep_twin.simulation.physics_state import physics_state
-from khep_twin.units import STEP_NS, metres
-from khep_twin.world import SAMPLE_NS, World
+from khep_twin.world import SAMPLE_NS
 
 
 @dataclass(slots=True)
@@ -49,10 +38,10 @@ class TakenUp:
     """
 
     setup: Setup
-    changes: tuple[Change, ...]
+    changes: tuple[BranchPoint, ...]
     twin: Twin
     hosts: RecordedHosts
-    later: list[Change]
+    later: list[BranchPoint]
 
     def run_to(
         self,
@@ -83,7 +72,7 @@ class TakenUp:
             if progress is not None:
                 progress((self.twin.world.time_ns - start_ns) / (end_ns - start_ns))
 
-    def change(self, change: Change) -> None:
+    def change(self, change: BranchPoint) -> None:
         """Change the run from now on.
 
         Raises:
@@ -96,7 +85,7 @@ class TakenUp:
             if self.twin.world.scene == before.world.scene:
                 self.twin.world.set_state(before.world.state())
             else:
-                _go_on_in(self.twin.world, before.world, self.setup.playpen(self.changes[:-1]), change)
+                go_on_in(self.twin.world, before.world, self.setup.playpen(self.changes[:-1]), change)
             self.twin.world.observers = before.world.observers
             self.twin.recorder = before.recorder
             if self.twin.recorder is not None:
@@ -149,118 +138,6 @@ def take_up(
         raise LogError(f"{path}: cannot be taken up: {first_line(error)}") from error
 
 
-class Described(NamedTuple):
-    """Facts and attachments of a log."""
-
-    facts: Mapping[str, str] = {}
-    attachments: Mapping[str, str] = {}
-
-
-_NOTHING = Described()
-
-
-def branch_off(
-    path: Path,
-    change: Change,
-    log: Path | None = None,
-    more: Described = _NOTHING,
-    on_failure: Callable[[str], None] | None = None,
-    *,
-    same: bool = False,
-) -> TakenUp:
-    """Take up the run of a log, and change it; the recorded hosts are still there.
-
-    Args:
-        path: Path of the log.
-        change: Moment, and what is different from then on.
-        same: True if nothing is, so that the recorded run goes on with its own later changes.
-        log: Path of a new log, which begins as the old one; None for none.
-        more: More facts and attachments of the new log.
-        on_failure: Function that takes the line about a log that cannot be written any more; None to end.
-
-    Raises:
-        LogError: The log lacks what that needs, or the new one cannot be written.
-        KhepTwinError: The change cannot be made.
-    """
-    last_ns = read_end_ns(path)
-    if not 0 < change.at_ns <= last_ns:
-        found = f"{path}: the run cannot be taken up at {change.at_ns / NS_PER_S:g} s"
-        raise LogError(f"{found}; expected above 0 and up to its end at {last_ns / NS_PER_S:g} s")
-    if log is not None and is_same(log, path):
-        raise LogError(f"{log}: this is the log that is taken up; expected a file of its own")
-    begun: list[Twin] = []
-
-    def start(twin: Twin, label: Label, beginning: Beginning) -> None:
-        told = replace(change, parent=path.name, sha256=_hash(path))
-        facts = {
-            **label.metadata,
-            **versions(),
-            **more.facts,
-            "parent": told.parent,
-            "parent_sha256": told.sha256,
-            "branched_at_s": f"{told.at_ns / NS_PER_S:.9g}",
-        }
-        before = [each for each in changes_of(path, label) if each.at_ns < told.at_ns]
-        later = [each for each in changes_of(path, label) if same and each.at_ns >= told.at_ns]
-        text = changes_text([*before, told, *later])
-        attachments = {**label.attachments, BRANCH: text, **more.attachments}
-        begun.append(twin)
-        if log is not None:
-            twin.record(log, facts=facts, attachments=attachments, beginning=beginning, on_failure=on_failure)
-
-    try:
-        # A run that stays the same need not stop amid a step.
-        at_ns = change.at_ns // STEP_NS * STEP_NS if same else change.at_ns
-        taken = take_up(path, at_ns, None if log is None else start)
-        if not same:
-            taken.later.clear()
-            taken.change(change)
-    except BaseException:
-        for recorder in filter(None, [twin.recorder for twin in begun]):
-            recorder.discard()
-        raise
-    return taken
-
-
-def open_log(
-    path: Path,
-    change: Change,
-    robot: int | None,
-    log: Path | None = None,
-    *,
-    served: bool = False,
-    on_failure: Callable[[str], None] | None = None,
-) -> Twin:
-    """Take up the run of a log for other hosts.
-
-    Args:
-        path: Path of the log.
-        change: Moment, and what is different from then on.
-        robot: Index of the robot on the line; None for that of the log.
-        log: Path of a new log, which begins as the old one; None for none.
-        served: Whether without a robot all of them are on the line.
-        on_failure: Function that takes the line about a log that cannot be written any more; None to end.
-
-    Raises:
-        KhepTwinError: As `branch_off`; or there is no such robot.
-    """
-    taken = branch_off(path, change, log, on_failure=on_failure)
-    there = range(len(taken.twin.world.robots))
-    if robot is None and not served:
-        robot = taken.setup.options.robot or 0
-    if robot is not None and robot not in there:
-        if taken.twin.recorder is not None:
-            taken.twin.recorder.discard()
-        raise PortError(f"robot = {robot}: not in {path}", key="robot", value=robot, expected=there)
-    on_the_line = there if robot is None else [robot]
-    for index in on_the_line:
-        taken.hosts.replace(index)
-    world, options = taken.twin.world, taken.twin.options
-    twin = Twin(world, tuple(world.robots[index] for index in on_the_line), options, taken.hosts)
-    twin.recorder = taken.twin.recorder
-    return twin
-
-
 def end_of(path: Path) -> int:
     """Return the time at which a logged run ended [ns]: that of its last snapshot, or of its last message.
 
@@ -279,14 +156,6 @@ def end_of(path: Path) -> int:
     return max([end_ns, *(time_ns for time_ns, _, _ in events)])
 
 
-def _hash(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-
-
 def _logged(path: Path, entry: Entry, scene: str | None) -> LoggedState:
     """Return the state of a message."""
     try:
@@ -295,46 +164,3 @@ def _logged(path: Path, entry: Entry, scene: str | None) -> LoggedState:
         raise misfit.at(path, entry.topic, entry.time_ns) from None
     except SnapshotError as error:
         raise LogError(f"{path}: {entry.topic} at {entry.time_ns / NS_PER_S:.4f} s: {error}") from None
-
-
-def _go_on_in(new: World, old: World, before: Playpen, change: Change) -> None:
-    """Take over the state of a world in another scene; what an edit changes stands where it says.
-
-    Args:
-        new: World of the other scene, at its start.
-        old: World whose state goes on.
-        before: Playpen of the old scene, at its start.
-        change: Change of the scene.
-
-    Raises:
-        PlaypenError: What was changed has no room.
-    """
-    stands = as_it_stands(old)
-    edited = set_values(stands, change.edits)
-    if problem := no_room_for(edited, stands):
-        raise PlaypenError(f"{', '.join(change.edits)}: {problem}")
-    moved = changed_tables(set_values(before, change.edits), before)
-    scene, placed = (new.model, new.data), dict[str, tuple[float, float, float]]()
-    for index in moved.pop("robot"):
-        entry = edited.robots[index]
-        if _pose(entry) != _pose(stands.robots[index]):
-            placed[f"khepera{index}/base"] = _pose(entry)
-    for kind, indices in moved.items():
-        for index in indices:
-            if (entry := edited.objects[kind][index]).movable:
-                placed[f"{kind}{index}"] = _pose(entry)
-    mujoco.mj_resetData(new.model, new.data)
-    carry_over((old.model, old.data), scene, list(placed))
-    for body, (x_mm, y_mm, heading_deg) in placed.items():
-        place(scene, body, metres(x_mm), metres(y_mm), math.radians(heading_deg))
-    state = old.state()._replace(physics=physics_state(*scene))
-    relit = set_values(before, change.edits)
-    new.set_state(state)
-    if (relit.lamps, relit.lighting) != (before.lamps, before.lighting):
-        new.relight(new.playpen.model_copy(update={"lamps": edited.lamps, "lighting": edited.lighting}))
-
-
-def _pose(entry: Robot | Block | Cylinder) -> tuple[float, float, float]:
-    """Return the position [mm] and heading [deg] of a robot or an object."""
-    heading: float = getattr(entry, "heading_deg", getattr(entry, "angle_deg", 0.0))
-    return entry.x_mm, entry.y_mm, heading

@@ -1,4 +1,4 @@
-"""What crossed the line, as particles repeat it: commands, settings of the board, replies with values."""
+"""Actions on the line, as particles repeat them: commands, settings of the board, replies with values."""
 
 from typing import NamedTuple
 
@@ -51,7 +51,7 @@ class Restarted(NamedTuple):
 
 
 class Waited(NamedTuple):
-    """Nothing but time until `time_ns` [ns]."""
+    """A silence until `time_ns` [ns]."""
 
     time_ns: int
 

@@ -5,28 +5,14 @@ times give the same updates, whether they come from a log or as they cross the l
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.alarms import AlarmChange, LastingAlarms
 from khep_twin.shadow.recording import Heard
 from khep_twin.shadow.shadow import Shadow, Update
 
 STEP_NS = NS_PER_S // 5
 """Step of the silence after which the pose is estimated without a reply [ns] (assumed)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """Alarm that has begun or ended.
-
-    Attributes:
-        time_ns: Time of the reply that showed it [ns].
-        alarm: Alarm, with its end if it has ended.
-    """
-
-    time_ns: int
-    alarm: Alarm
 
 
 class Follower:
@@ -43,7 +29,7 @@ class Follower:
     def __init__(self, shadow: Shadow) -> None:
         self._shadow = shadow
         self._waited_ns = 0
-        self._lasting: dict[tuple[str, int], Alarm] = {}
+        self._alarms = LastingAlarms()
         self.last: Update | None = None
         self.replies = 0
 
@@ -63,12 +49,6 @@ class Follower:
                 self.last = update
                 yield update
 
-    def changes(self, update: Update) -> Iterator[Change]:
-        """Yield the alarms that have ended or begun with an update."""
-        lasting = {(alarm.fault, alarm.raised_ns): alarm for alarm in update.alarms}
-        for alarm in update.ended:
-            yield Change(update.time_ns, alarm)
-        for key, alarm in lasting.items():
-            if key not in self._lasting:
-                yield Change(update.time_ns, alarm)
-        self._lasting = lasting
+    def changes(self, update: Update) -> Iterator[AlarmChange]:
+        """Return the alarms that have ended or begun with an update."""
+        return self._alarms.changes(update.time_ns, update.alarms, update.ended)

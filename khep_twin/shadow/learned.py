@@ -1,4 +1,4 @@
-"""What a shadow has learned of its robot: wheels and the gains of its sensors, with their deviations."""
+"""Values that a shadow has learned: wheels and the gains of the sensors, with their deviations."""
 
 from typing import NamedTuple, Self
 
@@ -38,7 +38,7 @@ class Learned(NamedTuple):
 
     @property
     def row(self) -> Floats:
-        """All of it (22,), as `LEARNED` names it."""
+        """All values (22,), as `LEARNED` names them."""
         return np.concatenate(self)
 
     @classmethod

@@ -1,13 +1,11 @@
 """A shadow of a recorded robot: the bytes of its line from a log."""
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 from khep_twin.errors import LogError
-from khep_twin.log.channels import TextLine
-from khep_twin.log.decoding import Misfit, read_line
+from khep_twin.log.decoding import decoded, read_line
 from khep_twin.log.reader import read_raw
 from khep_twin.log.transcript import bytes_of
 
@@ -56,19 +54,10 @@ def recorded(path: Path, robot: int = 0) -> RecordedRobot:
     if not 0 <= index < len(names):
         raise LogError(f"{path}: robot {robot}; expected one of 0 to {len(names) - 1}, as the log has them")
     name = names[index]
-    topic = f"/{name}/serial"
-    lines = list(_lines(path, topic, found.get(topic, [])))
+    lines = [line for _, line in decoded(path, f"/{name}/serial", found, read_line)]
     if not lines:
         raise LogError(f"{path}: nothing crossed the line of {name}; expected a host's commands")
     heard = [Heard(line.time_ns, line.name == "host", bytes_of(line.text) + b"\n") for line in lines]
     baud = label.metadata.get("baud", "")
     known = int(baud) if re.fullmatch("[1-9][0-9]{2,6}", baud) else None
     return RecordedRobot(name, known, sorted(heard, key=lambda each: each.time_ns))
-
-
-def _lines(path: Path, topic: str, messages: list[tuple[int, bytes]]) -> Iterator[TextLine]:
-    for time_ns, data in messages:
-        try:
-            yield read_line(data)
-        except Misfit as misfit:
-            raise misfit.at(path, topic, time_ns) from None

@@ -1,4 +1,4 @@
-"""The likelihood of proximity readings, and what they tell of each sensor's gain.
+"""The likelihood of proximity readings, and the estimate of each sensor's gain by them.
 
 Each particle has an estimate of the logarithm of each sensor's gain, with a variance, which a Kalman filter
 updates by the readings. The likelihood of a reading z, where the twin predicts c = gain light - threshold, is

@@ -8,7 +8,6 @@
 Times are those of the line that the shadow hears. The same updates give the same bytes.
 """
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -21,24 +20,17 @@ from numpy.typing import NDArray
 from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import open_regular
 from khep_twin.log import channels, foxglove_scene
-from khep_twin.log.channels import FLOATS, POSE, UNSURE_POSE, ArrayFrame, TextLine, TransformFrame
+from khep_twin.log.channels import FLOATS, POSE, UNSURE_POSE, ArrayFrame, TransformFrame
 from khep_twin.log.description import body_name, urdf
 from khep_twin.log.log_file import LogFile
+from khep_twin.log.reader import hash_of
 from khep_twin.log.recorder import FLUSH_NS, versions
-from khep_twin.log.shadow_channels import (
-    PARTICLES,
-    RESIDUALS,
-    SENSORS,
-    LoggedAlarm,
-    begin_line,
-    end_line,
-)
+from khep_twin.log.shadow_channels import PARTICLES, RESIDUALS, SENSORS, begin_line, end_line
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.sensing import calibration
-from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.alarms import LastingAlarms
 from khep_twin.shadow.learned import LEARNED, Learned
 from khep_twin.shadow.shadow import ShadowSettings, Update
 
@@ -86,11 +78,11 @@ class ShadowLog:
         flush_ns: int = FLUSH_NS,
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
-        named = {} if parent is None else {"parent": parent.name, "parent_sha256": _digest(parent)}
+        named = {} if parent is None else {"parent": parent.name, "parent_sha256": hash_of(parent)}
         self._time_ns = self._flushed_ns = 0
         self._flush_ns = flush_ns
         self._particles_ns = -PARTICLES_NS
-        self._lasting: dict[tuple[str, int], Alarm] = {}
+        self._alarms = LastingAlarms()
         self._ghost = _Ghost(playpen)
         label = f"{', '.join(SENSORS)} [counts]"
         self._proximity = ArrayFrame(len(SENSORS), "f8", label)
@@ -165,16 +157,10 @@ class ShadowLog:
 
     def _write_alarms(self, update: Update) -> None:
         """Write which alarms have begun and ended."""
-        lasting = {(alarm.fault, alarm.raised_ns) for alarm in update.alarms}
-        for alarm in (*update.alarms, *update.ended):
-            if (alarm.fault, alarm.raised_ns) not in self._lasting:
-                self._lasting[alarm.fault, alarm.raised_ns] = alarm
-                self._add_line(begin_line(update.time_ns, _logged(alarm)))
-        for key in [key for key in self._lasting if key not in lasting]:
-            self._add_line(end_line(update.time_ns, _logged(self._lasting.pop(key))))
-
-    def _add_line(self, line: TextLine) -> None:
-        self._log.add("/shadow/alarms", _LINE, line.time_ns, channels.line_message(line))
+        for change in self._alarms.changes(update.time_ns, update.alarms, update.ended):
+            tell = begin_line if change.alarm.ended_ns is None else end_line
+            message = channels.line_message(tell(change.time_ns, change.alarm))
+            self._log.add("/shadow/alarms", _LINE, change.time_ns, message)
 
     def _begin(self, playpen: Playpen, settings: ShadowSettings, named: Mapping[str, str]) -> None:
         attachments = {
@@ -217,19 +203,3 @@ class _Ghost:
         mujoco.mj_kinematics(model, data)
         poses = np.hstack([data.xpos[self._moving], data.xquat[self._moving][:, [1, 2, 3, 0]]])
         return self._frame.messages(np.array([time_ns]), poses[None])[0].tobytes()
-
-
-def _logged(alarm: Alarm) -> LoggedAlarm:
-    return LoggedAlarm(alarm.fault, alarm.channel, alarm.since_ns, alarm.raised_ns, alarm.sureness)
-
-
-def _digest(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    try:
-        with open_regular(path) as file:
-            digest = hashlib.sha256()
-            while block := file.read(1 << 20):
-                digest.update(block)
-            return digest.hexdigest()
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from error

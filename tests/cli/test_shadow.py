@@ -1,13 +1,9 @@
 """`khep-twin shadow`: a robot followed from a log."""
 
 import re
-import select
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -129,10 +125,11 @@ def test_a_robot_is_followed_beside_its_host_as_its_log_is_afterwards(tmp_path: 
     line, shadow = tmp_path / "line.mcap", tmp_path / "shadow.mcap"
     with (
         served("obstacles", "--seed", "1") as (_, robot),
-        shadowed("obstacles", "--relay", robot, *SOME, "--poll", "--log", str(line), "-o", str(shadow)) as (
-            process,
-            path,
-        ),
+        served(
+            *("obstacles", "--relay", robot, *SOME, "--poll", "--log", str(line), "-o", str(shadow)),
+            command="shadow",
+            notices=True,
+        ) as (process, path),
     ):
         with serial.Serial(path, 9600, stopbits=2, timeout=20) as port:
             for request in (b"D,3,3\n", b"N\n", b"N\n"):
@@ -154,17 +151,3 @@ def test_a_robot_is_followed_beside_its_host_as_its_log_is_afterwards(tmp_path: 
     assert polled
     assert len(read_arrays(shadow)[1]["/shadow/residuals"][0]) >= 3
     assert len(read_arrays(shadow)[1]["/shadow/learned"][0]) >= 1
-
-
-@contextmanager
-def shadowed(*words: str) -> Iterator[tuple["subprocess.Popen[str]", str]]:
-    """`khep-twin shadow` in a process of its own, and what a host opens."""
-    command = [sys.executable, "-m", "khep_twin", "shadow", *words]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
-        try:
-            assert process.stdout is not None
-            assert select.select([process.stdout], [], [], 120)[0], "nothing was served"
-            yield process, process.stdout.readline().strip()
-        finally:
-            process.kill()

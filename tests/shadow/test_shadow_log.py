@@ -19,7 +19,7 @@ from khep_twin.log.shadow_channels import (
     PROXIMITY,
     TIMING,
     WHEELS,
-    LoggedAlarm,
+    Alarm,
     read_shadow,
 )
 from khep_twin.shadow.shadow import ShadowSettings
@@ -63,7 +63,7 @@ def test_an_alarm_has_a_line_at_its_beginning_and_one_at_its_end(tmp_path: Path)
         (1000 * MS, Level.WARN, "proximity", "stuck sensor 2: since 0.800 s, 97.5 % sure"),
         (2000 * MS, Level.INFO, "proximity", "stuck sensor 2: ended, since 0.800 s"),
     ]
-    expected = LoggedAlarm(ALARM.fault, "proximity", 800 * MS, 1000 * MS, 0.975, 2000 * MS)
+    expected = Alarm(ALARM.fault, "proximity", 800 * MS, 1000 * MS, 0.975, 2000 * MS)
     assert read_shadow(path).alarms == [expected]
 
 

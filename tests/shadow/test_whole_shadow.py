@@ -11,7 +11,8 @@ from twins import EXACT, SECOND
 from benchmarks.twin_runs import Followed, Recording, follow, told_playpen
 from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
-from khep_twin.shadow.following import Change, Follower
+from khep_twin.shadow.alarms import AlarmChange
+from khep_twin.shadow.following import Follower
 from khep_twin.shadow.learned import LEARNED, Learned, learned
 from khep_twin.shadow.recording import Heard, recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings, Update
@@ -208,7 +209,7 @@ def test_playpens_that_a_plane_does_not_have_are_refused() -> None:
 def test_a_follower_steps_through_silence_and_tells_when_alarms_begin_and_end() -> None:
     follower = Follower(beside())
     assert follower.last is None
-    changes: list[Change] = []
+    changes: list[AlarmChange] = []
     banner = b"ROM of minirobot KHEPERA, version 5.02\r\n"
     for heard in (
         Heard(1000 * MS, True, b"N\n"),

@@ -3,61 +3,15 @@
 import importlib.util
 
 import pytest
+from branches import LAMPS, ROBOTS, arena
+from notes import Events
 
 from khep_twin import playpen
 from khep_twin.board.fault_injection import parse
-from khep_twin.board.uart import HostEvent
 from khep_twin.playpen import Playpen
 from khep_twin.world import World
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="numba is not installed")
-
-LAMPS = """
-[[lamp]]
-x_mm = 620
-y_mm = 80
-power_w = 9
-blink_period_s = 0.7
-fade_s = 0.2
-flicker = 0.4
-"""
-
-ROBOTS = """
-[[robot]]
-x_mm = 330
-y_mm = 300
-heading_deg = 90
-[[robot]]
-x_mm = 250
-y_mm = 320
-heading_deg = -20
-model = "khepera2"
-"""
-
-
-def arena(more: str = "") -> Playpen:
-    """The shipped obstacles, with more."""
-    return playpen.parse(playpen.dump(playpen.load("obstacles")) + more, "arena")
-
-
-class Events:
-    """An observer that notes everything with its time."""
-
-    def __init__(self) -> None:
-        self.seen: list[object] = []
-
-    def sample(self, world: World) -> None:
-        self.seen.append((world.time_ns, world.data.xpos.tobytes()))
-
-    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        self.seen.append((time_ns, robot, to_robot, data))
-
-    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
-        self.seen.append((time_ns, robot, event))
-
-    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
-        self.seen.append((time_ns, robot, text))
-
 
 WORDS = [f"{word}\n".encode() for word in "D,9,4 N O D,-3,8 L,0,2 H D,10,10 K C,900,500 B".split()]
 
@@ -109,12 +63,7 @@ CASES = {
             "vary": True,
         },
     ),
-    "cells that run out": (
-        arena().model_copy(
-            update={"robots": (arena().robots[0].model_copy(update={"battery_used_min": 41.06}),)}
-        ),
-        {},
-    ),
+    "cells that run out": (arena(battery_used_min=41.06), {}),
 }
 
 

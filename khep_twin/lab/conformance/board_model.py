@@ -23,7 +23,7 @@ from khep_twin.units import BITS_PER_BYTE, GRIPPER_NUMBER
 _GAINS = {register: value for register, value in RESET_VALUES if Board.SPEED_KP <= register <= Board.SPEED_KD}
 
 
-class Motion(NamedTuple):
+class MotorSettings(NamedTuple):
     """Settings of the motors by the commands so far, left and right.
 
     Attributes:
@@ -44,7 +44,7 @@ class Motion(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class RecordedStep:
     """One exchange and the board's own.
 
     Attributes:
@@ -62,7 +62,7 @@ class Step:
     byte_ns: int
     request: Request | None
     expected: bytes
-    motion: Motion | None
+    motion: MotorSettings | None
     exact: bool
 
     @property
@@ -80,7 +80,7 @@ class Step:
 
 
 class KnownRobot(NamedTuple):
-    """What a log's label says of a robot.
+    """Robot as a log's label describes it.
 
     Attributes:
         rom: Name of its ROM; empty if unknown.
@@ -106,7 +106,7 @@ def versions(rom: Rom) -> bytes:
     return f"b,{rom.bios},{rom.protocol}".encode()
 
 
-def wrong_modes(steps: Sequence[Step], rom: Rom) -> int:
+def wrong_modes(steps: Sequence[RecordedStep], rom: Rom) -> int:
     """Return the number of replies to K with other modes than those of a ROM."""
     wrong = 0
     for step in steps:
@@ -142,7 +142,7 @@ class BoardModel:
 
     def steps(
         self, timed: Sequence[TimedExchange], resets_ns: Sequence[int], simulated: bool, unpaced: bool
-    ) -> Iterator[Step]:
+    ) -> Iterator[RecordedStep]:
         """Yield the steps.
 
         Args:
@@ -161,7 +161,7 @@ class BoardModel:
             speed = self._firmware.reply_baud if simulated and not unpaced else line_baud
             byte_ns = BITS_PER_BYTE * NS_PER_S // speed if speed else 0
             request = parse(exchange.command) if exchange.command else None
-            yield Step(exchange, arrived_ns, byte_ns, request, expected, self._motion(), simulated)
+            yield RecordedStep(exchange, arrived_ns, byte_ns, request, expected, self._motion(), simulated)
 
     def _notice(self, unasked: Exchange) -> bytes:
         if BANNER in (unasked.reply or b""):
@@ -196,12 +196,12 @@ class BoardModel:
             self._targets = targets if exchange.letter == "C" else None
         return expected
 
-    def _motion(self) -> Motion | None:
+    def _motion(self) -> MotorSettings | None:
         view = self._firmware.register_view
         if not self._sure or self._firmware.running:
             return None
         left, right = both(view, Wheel.MODE)
-        return Motion(
+        return MotorSettings(
             (Mode(left), Mode(right)),
             both(view, Wheel.SPEED_SETPOINT),
             self._targets,

@@ -6,10 +6,9 @@ the label says of the robot. `board_model` has the board's own code.
 
 import re
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
 
 from khep_twin.board.protocol import LINE_END
 from khep_twin.board.rom import ROMS
@@ -20,23 +19,22 @@ from khep_twin.errors import LogError
 from khep_twin.lab.conformance.board_model import (
     BoardModel,
     KnownRobot,
-    Step,
+    RecordedStep,
     TimedExchange,
     versions,
     wrong_modes,
 )
 from khep_twin.log.channels import TextLine
-from khep_twin.log.decoding import Misfit, read_line
+from khep_twin.log.decoding import Misfit, decoded, read_line
 from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
 from khep_twin.log.host_events import read_events
 from khep_twin.log.label import Label
 from khep_twin.log.reader import read_raw
+from khep_twin.log.transcript import bytes_of
 from khep_twin.units import BITS_PER_BYTE
 
 _SET_SPEED = re.compile(r"the line is at ([1-9][0-9]{2,6}) baud")
 """Event of a relay whose host has set another speed (`khep_twin.ports.relay`)."""
-
-_T = TypeVar("_T")
 
 
 @dataclass(slots=True)
@@ -61,7 +59,7 @@ class RecordedLine:
     mode: int | None
     turrets: tuple[int, ...] | None
     changes_ns: Sequence[int]
-    steps: Sequence[Step] = field(repr=False)
+    steps: Sequence[RecordedStep] = field(repr=False)
 
     @property
     def text(self) -> str:
@@ -83,15 +81,15 @@ def recorded_lines(path: Path) -> list[RecordedLine]:
     events: dict[str, list[HostEvent]] = {}
     for name in label.robots:
         topic = f"/{name}/host_events"
-        pieces = _decoded(path, topic, found, lambda data: [each for _, each in read_events(data)])
-        events[name] = [event for piece in pieces for event in piece]
+        pieces = decoded(path, topic, found, lambda data: [each for _, each in read_events(data)])
+        events[name] = [event for _, piece in pieces for event in piece]
     changes_ns = sorted(
         event.at_ns for each in events.values() for event in each if event.kind > HostEventKind.SET
     )
-    notes = list(_decoded(path, "/events", found, read_line))
+    notes = [line for _, line in decoded(path, "/events", found, read_line)]
     lines: list[RecordedLine] = []
     for index, name in enumerate(label.robots):
-        told = list(_decoded(path, f"/{name}/serial", found, read_line))
+        told = [line for _, line in decoded(path, f"/{name}/serial", found, read_line)]
         if not told:
             continue
         robot = known[index]
@@ -121,24 +119,6 @@ def _robots_of(label: Label, path: Path) -> list[KnownRobot]:
     return [KnownRobot(entry.rom, entry.mode, tuple(find(entry.turrets))) for entry in entries]
 
 
-def _decoded(
-    path: Path, topic: str, found: Mapping[str, Sequence[tuple[int, bytes]]], decode: Callable[[bytes], _T]
-) -> Iterator[_T]:
-    for time_ns, data in found.get(topic, ()):
-        try:
-            yield decode(data)
-        except Misfit as misfit:
-            raise misfit.at(path, topic, time_ns) from None
-
-
-def _bytes_of(line: TextLine) -> bytes:
-    """Return a transcript's line as it was (`transcript.text_of`)."""
-    try:
-        return line.text.encode("ascii").decode("unicode_escape").encode("latin-1")
-    except UnicodeError:
-        return line.text.encode("utf-8")
-
-
 def _of_a_twin(told: Sequence[TextLine], events: Sequence[HostEvent]) -> list[TimedExchange]:
     """Return the exchanges of a twin, whose transcript has each command where the robot took it.
 
@@ -155,7 +135,7 @@ def _of_a_twin(told: Sequence[TextLine], events: Sequence[HostEvent]) -> list[Ti
             begun = b""
     rest = b""
     for line in told:
-        data, to_robot = _bytes_of(line), line.name == "host"
+        data, to_robot = bytes_of(line.text), line.name == "host"
         while to_robot and leaving and _is_later(line.time_ns, data, *leaving[0]):
             # The robot forgets an unfinished line, the transcript has it before the next one.
             rest = leaving.popleft()[1] or rest
@@ -193,7 +173,7 @@ def _of_a_relay(
         if event.kind == HostEventKind.SEND
         for piece in re.findall(rb"[^\r\n]*[\r\n]|[^\r\n]+", event.data)
     ]
-    pieces += [(line.time_ns, False, _bytes_of(line) + b"\n") for line in told if line.name == "robot"]
+    pieces += [(line.time_ns, False, bytes_of(line.text) + b"\n") for line in told if line.name == "robot"]
     speeds, line = deque(bauds), SerialLine(0)
     dialogue, found = Dialogue(), list[tuple[Exchange, int]]()
     arrivals: dict[int, list[int]] = defaultdict(list)
@@ -230,7 +210,7 @@ def _line(
     ordered = sorted(timed, key=lambda each: _begun_ns(each, timed, baud or each.baud))
     numbers = None if known.turrets is None else tuple(kind.number for kind in known.turrets)
 
-    def steps(rom: str) -> list[Step]:
+    def steps(rom: str) -> list[RecordedStep]:
         board = BoardModel(ROMS[rom], known, ordered)
         return list(board.steps(ordered, resets_ns, simulated, unpaced))
 

@@ -2,7 +2,7 @@
 
 Nothing is sent: what the hosts of the log did not ask is not seen. Each check is a function of a
 `RecordedLine`, which returns what it has seen and where that deviates; `reply_checks`,
-`time_checks`, `wheel_checks`, `status_checks` and `sensor_checks` have them.
+`version_checks`, `time_checks`, `wheel_checks`, `status_checks` and `sensor_checks` have them.
 """
 
 import json
@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.lab.conformance.board_model import Step
+from khep_twin.lab.conformance.board_model import RecordedStep
 from khep_twin.lab.conformance.recorded_line import RecordedLine, recorded_lines
 from khep_twin.log.decoding import shown
 from khep_twin.log.transcript import text_of
@@ -47,7 +47,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a check has seen.
+    """Result of a check.
 
     Attributes:
         seen: Number of replies, or of pairs of them, that were checked.
@@ -149,14 +149,14 @@ def conform_recording(path: Path) -> RecordingReport:
     return RecordingReport(str(path), tuple(map(_checked, recorded_lines(path))))
 
 
-def finding(step: Step, found: str, expected: str) -> Finding:
+def finding(step: RecordedStep, found: str, expected: str) -> Finding:
     """Return a finding at a step."""
     each = step.exchange
     time_ns = each.sent_ns if each.reply is None else each.heard_ns
     return Finding(time_ns / NS_PER_S, text_of(each.command), found, expected)
 
 
-def answered(step: Step) -> str:
+def answered(step: RecordedStep) -> str:
     """Return the words for a step's reply."""
     reply = step.exchange.reply
     return "no reply" if reply is None else f"the reply {shown(text_of(reply))}"
@@ -168,10 +168,11 @@ def _checked(line: RecordedLine) -> CheckedRobot:
         sensor_checks,
         status_checks,
         time_checks,
+        version_checks,
         wheel_checks,
     )
 
-    modules = (reply_checks, time_checks, wheel_checks, status_checks, sensor_checks)
+    modules = (reply_checks, version_checks, time_checks, wheel_checks, status_checks, sensor_checks)
     statements: list[CheckedStatement] = []
     for check in (check for module in modules for check in module.ALL):
         verdict = check.body(line)

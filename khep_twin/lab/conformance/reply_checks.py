@@ -1,4 +1,4 @@
-"""Checks of a recording's replies: their form, errors, and restarts. See `recording`."""
+"""Checks of a recording's replies: their form, and errors. See `recording`."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -11,9 +11,7 @@ from khep_twin.board.protocol import (
     Tool,
     TurretMessage,
 )
-from khep_twin.board.rom import ROMS
-from khep_twin.clock import NS_PER_S
-from khep_twin.lab.conformance.board_model import Step, is_error
+from khep_twin.lab.conformance.board_model import RecordedStep, is_error
 from khep_twin.lab.conformance.recorded_line import RecordedLine
 from khep_twin.lab.conformance.recording import (
     Finding,
@@ -23,7 +21,6 @@ from khep_twin.lab.conformance.recording import (
     answered,
     finding,
 )
-from khep_twin.log.exchanges import BANNER
 from khep_twin.log.transcript import text_of
 from khep_twin.units import COUNTS_LIMIT
 
@@ -46,7 +43,6 @@ _RANGES = {
 """Least and greatest value of each reply's (manual, appendix A)."""
 
 _INTEGER = re.compile(rb"-?(0|[1-9][0-9]*)")
-_REVISION = re.compile(r"Rev\. ([0-9.]+)")
 _END = b"\r\n"
 _REFUSED = b"z,"
 
@@ -54,7 +50,7 @@ _REFUSED = b"z,"
 _COUNTS = {"E": 2, "H": 2, "K": 6}
 
 
-def read(line: RecordedLine, letters: str) -> Iterator[tuple[Step, tuple[int, ...]]]:
+def read(line: RecordedLine, letters: str) -> Iterator[tuple[RecordedStep, tuple[int, ...]]]:
     """Yield the steps of these commands whose replies have their number of values."""
     for step in line.steps:
         values = step.exchange.values if step.exchange.letter in letters else None
@@ -64,12 +60,12 @@ def read(line: RecordedLine, letters: str) -> Iterator[tuple[Step, tuple[int, ..
 
 def _with_replies(
     line: RecordedLine, kind: type[Command] | type[Malformed] | type[Tool] | type[TurretMessage]
-) -> Iterator[Step]:
+) -> Iterator[RecordedStep]:
     """Yield the steps with a reply and a request of one kind."""
     return (step for step in line.steps if isinstance(step.request, kind) and step.exchange.reply is not None)
 
 
-def _accepted(line: RecordedLine) -> Iterator[tuple[Step, bytes]]:
+def accepted(line: RecordedLine) -> Iterator[tuple[RecordedStep, bytes]]:
     """Yield the steps, with their replies, of commands that board's code and robot accept."""
     for step in _with_replies(line, Command):
         reply = step.exchange.reply or b""
@@ -77,7 +73,7 @@ def _accepted(line: RecordedLine) -> Iterator[tuple[Step, bytes]]:
             yield step, reply
 
 
-def over(steps: Iterator[Step], deviation: Callable[[Step], Finding | None]) -> Verdict:
+def over(steps: Iterator[RecordedStep], deviation: Callable[[RecordedStep], Finding | None]) -> Verdict:
     """Return the verdict over steps of which each may deviate."""
     found = [deviation(step) for step in steps]
     return Verdict(len(found), [each for each in found if each is not None])
@@ -111,17 +107,17 @@ def _silence(line: RecordedLine) -> Verdict:
 
 @check("a reply begins with its command's letter", "A")
 def _letters(line: RecordedLine) -> Verdict:
-    def deviation(step: Step) -> Finding | None:
+    def deviation(step: RecordedStep) -> Finding | None:
         letter = step.exchange.letter.lower()
         head = (step.exchange.reply or b"").partition(b",")[0]
         return None if head == letter.encode() else finding(step, answered(step), f"{letter!r} first")
 
-    return over((step for step, _ in _accepted(line)), deviation)
+    return over((step for step, _ in accepted(line)), deviation)
 
 
 @check("a reply has as many plain integers as its command asks for", "A")
 def _values(line: RecordedLine) -> Verdict:
-    def deviation(step: Step) -> Finding | None:
+    def deviation(step: RecordedStep) -> Finding | None:
         wanted = step.expected.count(b",")
         fields = (step.exchange.reply or b"").split(b",")[1:]
         if len(fields) == wanted and all(map(_INTEGER.fullmatch, fields)):
@@ -130,23 +126,23 @@ def _values(line: RecordedLine) -> Verdict:
             step, answered(step), f"{wanted} plain integer{'s' * (wanted != 1)}" if wanted else "none"
         )
 
-    return over((step for step, _ in _accepted(line) if step.exchange.letter != "B"), deviation)
+    return over((step for step, _ in accepted(line) if step.exchange.letter != "B"), deviation)
 
 
 @check("values are in the range of their command", "A")
 def _ranges(line: RecordedLine) -> Verdict:
-    def deviation(step: Step) -> Finding | None:
+    def deviation(step: RecordedStep) -> Finding | None:
         low, high = _RANGES[step.exchange.letter]
         wrong = next((value for value in step.exchange.values or () if not low <= value <= high), None)
         return None if wrong is None else finding(step, f"{wrong} in {answered(step)}", f"{low} to {high}")
 
-    valued = (step for step, _ in _accepted(line) if step.exchange.letter in _RANGES)
+    valued = (step for step, _ in accepted(line) if step.exchange.letter in _RANGES)
     return over((step for step in valued if step.exchange.values), deviation)
 
 
 @check("a valid command is not refused", "A")
 def _refusals(line: RecordedLine) -> Verdict:
-    def deviation(step: Step) -> Finding | None:
+    def deviation(step: RecordedStep) -> Finding | None:
         reply = step.exchange.reply or b""
         return finding(step, answered(step), f"{text_of(step.expected[:-2])}") if is_error(reply) else None
 
@@ -154,7 +150,8 @@ def _refusals(line: RecordedLine) -> Verdict:
     return over(valid, deviation)
 
 
-def _exactly(step: Step) -> Finding | None:
+def exactly(step: RecordedStep) -> Finding | None:
+    """Return a finding unless a reply is the board's own to the last byte."""
     if (step.exchange.reply or b"") + _END == step.expected:
         return None
     return finding(step, answered(step), text_of(step.expected[:-2]))
@@ -162,20 +159,18 @@ def _exactly(step: Step) -> Finding | None:
 
 @check("missing, surplus or wrong parameters are a protocol error", "A")
 def _wrong_parameters(line: RecordedLine) -> Verdict:
-    return over(
-        (step for step in _with_replies(line, Malformed) if step.expected == PROTOCOL_ERROR), _exactly
-    )
+    return over((step for step in _with_replies(line, Malformed) if step.expected == PROTOCOL_ERROR), exactly)
 
 
 @check("an unknown word is answered with Command not found", "3.2")
 def _unknown_words(line: RecordedLine) -> Verdict:
     unknown = (step for step in line.steps if step.exchange.reply is not None and step.request is not None)
-    return over((step for step in unknown if step.expected == COMMAND_NOT_FOUND), _exactly)
+    return over((step for step in unknown if step.expected == COMMAND_NOT_FOUND), exactly)
 
 
 @check("an LED, channel or address that does not exist is refused", "A")
 def _nothing_there(line: RecordedLine) -> Verdict:
-    def deviation(step: Step) -> Finding | None:
+    def deviation(step: RecordedStep) -> Finding | None:
         reply = step.exchange.reply or b""
         return (
             None
@@ -188,7 +183,7 @@ def _nothing_there(line: RecordedLine) -> Verdict:
 
 @check("a turret answers under its number, an absent one is refused", "A, command T")
 def _turrets(line: RecordedLine) -> Verdict:
-    def deviation(step: Step) -> Finding | None:
+    def deviation(step: RecordedStep) -> Finding | None:
         request, reply = step.request, step.exchange.reply or b""
         assert isinstance(request, TurretMessage)
         letter = request.message[:1].lower()
@@ -198,7 +193,7 @@ def _turrets(line: RecordedLine) -> Verdict:
                 return None
             return finding(step, answered(step), f"'t,{request.turret},{text_of(letter)}…' or 'z,…'")
         if is_error(step.expected) or step.expected.count(b",") == 2:
-            return _exactly(step)
+            return exactly(step)
         alike = own and reply.count(b",") == step.expected.count(b",")
         return None if alike else finding(step, answered(step), f"one such as {text_of(step.expected[:-2])}")
 
@@ -208,67 +203,4 @@ def _turrets(line: RecordedLine) -> Verdict:
 @check("a tool is answered in lines", "3.2.1")
 def _tools(line: RecordedLine) -> Verdict:
     known = (step for step in _with_replies(line, Tool) if step.expected != COMMAND_NOT_FOUND)
-    return over(known, lambda step: _exactly(step) if step.exchange.reply == COMMAND_NOT_FOUND[:-2] else None)
-
-
-# Versions and restarts -----------------------------------------------------------------------------------
-
-
-@check("B reads the versions of the ROM, and always the same", "A, command B")
-def _versions(line: RecordedLine) -> Verdict:
-    told: list[bytes] = []
-
-    def deviation(step: Step) -> Finding | None:
-        reply = step.exchange.reply or b""
-        told.append(reply)
-        if line.mode is not None:
-            return _exactly(step)
-        if not re.fullmatch(rb"b,[0-9]+\.[0-9]+,[0-9]+\.[0-9]+", reply):
-            return finding(step, answered(step), "one such as b,5.02,5.01")
-        return None if reply == told[0] else finding(step, answered(step), f"{text_of(told[0])} as before")
-
-    verdict = over((step for step, _ in _accepted(line) if step.exchange.letter == "B"), deviation)
-    return Verdict(verdict.seen, verdict.findings, text_of(told[0]) if told else "")
-
-
-@check("a restart shows the banner of the ROM", "3.2.1, tool restart")
-def _banner(line: RecordedLine) -> Verdict:
-    findings: list[Finding] = []
-    rom, seen, alone_s = ROMS[line.rom], 0, list[float]()
-    versions = {step.exchange.reply for step, _ in _accepted(line) if step.exchange.letter == "B"}
-    for place, step in enumerate(line.steps):
-        asked = step.exchange.command.split() == [b"restart"] and step.exchange.reply is not None
-        if not asked and not step.restarts:
-            continue
-        seen += 1
-        if not asked:
-            alone_s.append(step.exchange.heard_ns / NS_PER_S)
-        if not step.restarts:
-            findings.append(finding(step, answered(step), f"a line with {text_of(BANNER)!r}"))
-            continue
-        told = " ".join(text_of(each) for each in _output(line, place))
-        wanted = " ".join(rom.banner)
-        if line.mode is not None and not told.startswith(wanted):
-            findings.append(finding(step, f"the banner {told}", wanted))
-        elif (revision := _REVISION.search(told)) is not None and not all(
-            revision[1].encode() in (version or b"").split(b",") for version in versions
-        ):
-            found = f"the banner of {revision[0]}, and {text_of(min(versions, key=str) or b'')} to B"
-            findings.append(finding(step, found, "the same versions"))
-    note = f"by itself at {', '.join(f'{each:.2f}' for each in alone_s[:3])} s" if alone_s else ""
-    return Verdict(seen, findings, note)
-
-
-def _output(line: RecordedLine, place: int) -> Iterator[bytes]:
-    """Yield the lines of a banner that begins at a step."""
-    first = line.steps[place].exchange
-    source = first.command or first.reply
-    yield first.reply or b""
-    # Outputs of tools before it may be between, as steps are in order of the commands.
-    for step in line.steps[place + 1 :]:
-        each = step.exchange
-        if each.command == b"restart" and each.reply is not None:
-            return
-        if each.command or each.output_of != source or each.heard_ns < first.heard_ns:
-            continue
-        yield each.reply or b""
+    return over(known, lambda step: exactly(step) if step.exchange.reply == COMMAND_NOT_FOUND[:-2] else None)

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.lab.conformance.board_model import Step
+from khep_twin.lab.conformance.board_model import RecordedStep
 from khep_twin.lab.conformance.recorded_line import RecordedLine
 from khep_twin.lab.conformance.recording import Finding, RecordingCheck, Verdict, adder, answered, finding
 from khep_twin.units import COUNTS_LIMIT, N_SENSORS, STEP_NS
@@ -35,7 +35,7 @@ _FAR = 1000
 """Way of a wheel in which the readings of a robot change [pulses] (assumed)."""
 
 
-def _readings(line: RecordedLine, letter: str) -> list[tuple[Step, tuple[int, ...]]]:
+def _readings(line: RecordedLine, letter: str) -> list[tuple[RecordedStep, tuple[int, ...]]]:
     return [
         (step, values)
         for step in line.steps
@@ -50,7 +50,7 @@ def _scan(line: RecordedLine) -> Verdict:
     seen, findings = 0, list[Finding]()
     changes_ns = np.array(line.changes_ns, np.int64)
     for letter in "NO":
-        before: tuple[Step, tuple[int, ...]] | None = None
+        before: tuple[RecordedStep, tuple[int, ...]] | None = None
         for step, values in _readings(line, letter):
             if before is not None:
                 from_ns, until_ns = before[0].arrived_ns, step.read_ns
@@ -106,7 +106,7 @@ def _is_dead(values: NDArray[np.int64], sensor: int) -> bool:
     return different.pop(sensor) == 1 and min(different) >= _DIFFERENT
 
 
-def _windows(line: RecordedLine, letter: str) -> Iterator[tuple[list[Step], NDArray[np.int64]]]:
+def _windows(line: RecordedLine, letter: str) -> Iterator[tuple[list[RecordedStep], NDArray[np.int64]]]:
     """Yield windows of readings, each with its steps and values (readings, sensors)."""
     found = _readings(line, letter) if line.noisy else []
     for start in range(0, len(found) - _READINGS + 1, _READINGS):

@@ -6,7 +6,7 @@ from itertools import pairwise
 from khep_twin.board.kernel import TARGET_TOLERANCE_PULSES, Mode, wrap
 from khep_twin.board.rom import ROMS
 from khep_twin.clock import NS_PER_S
-from khep_twin.lab.conformance.board_model import Motion, Step
+from khep_twin.lab.conformance.board_model import MotorSettings, RecordedStep
 from khep_twin.lab.conformance.recorded_line import RecordedLine
 from khep_twin.lab.conformance.recording import Finding, RecordingCheck, Verdict, adder, answered, finding
 from khep_twin.lab.conformance.reply_checks import SPEED_MOST, read
@@ -27,7 +27,9 @@ _RECENT_NS = NS_PER_S // 2
 """Longest time since the last counter of a wheel that stands on its target [ns] (assumed)."""
 
 
-def _status(line: RecordedLine, deviation: Callable[[Step, Motion, int, tuple[int, ...]], str]) -> Verdict:
+def _status(
+    line: RecordedLine, deviation: Callable[[RecordedStep, MotorSettings, int, tuple[int, ...]], str]
+) -> Verdict:
     """Return the verdict over each wheel of each reply to K.
 
     Args:
@@ -51,7 +53,7 @@ def _status(line: RecordedLine, deviation: Callable[[Step, Motion, int, tuple[in
 def _modes(line: RecordedLine) -> Verdict:
     codes = ROMS[line.rom].mode_codes
 
-    def deviation(step: Step, motion: Motion, wheel: int, status: tuple[int, ...]) -> str:
+    def deviation(step: RecordedStep, motion: MotorSettings, wheel: int, status: tuple[int, ...]) -> str:
         code = codes[motion.modes[wheel]]
         return "" if status[1] == code else f"mode {code}, {motion.modes[wheel].name.lower()}"
 
@@ -60,7 +62,7 @@ def _modes(line: RecordedLine) -> Verdict:
 
 @check("K's target flag is 0 after D and P, 1 after a restart, and otherwise 0 or 1", "A, command K; assumed")
 def _flags(line: RecordedLine) -> Verdict:
-    def deviation(step: Step, motion: Motion, wheel: int, status: tuple[int, ...]) -> str:
+    def deviation(step: RecordedStep, motion: MotorSettings, wheel: int, status: tuple[int, ...]) -> str:
         if motion.modes[wheel] == Mode.POSITION:
             return "" if status[0] in (0, 1) else "a target flag of 0 or 1"
         right = motion.on_target[wheel]
@@ -71,7 +73,7 @@ def _flags(line: RecordedLine) -> Verdict:
 
 @check("K's error is that of the controller: 0 in PWM mode, small on a target", "A, command K; assumed")
 def _errors(line: RecordedLine) -> Verdict:
-    def deviation(step: Step, motion: Motion, wheel: int, status: tuple[int, ...]) -> str:
+    def deviation(step: RecordedStep, motion: MotorSettings, wheel: int, status: tuple[int, ...]) -> str:
         match motion.modes[wheel]:
             case Mode.PWM:
                 most = 0
@@ -100,7 +102,7 @@ def _arrivals(line: RecordedLine) -> Verdict:
     return Verdict(seen, findings)
 
 
-_Reading = tuple[Step, tuple[int, ...]]
+_Reading = tuple[RecordedStep, tuple[int, ...]]
 
 
 def _between_status(line: RecordedLine) -> Iterator[tuple[_Reading, _Reading, _Reading]]:
@@ -123,7 +125,9 @@ def _between_status(line: RecordedLine) -> Iterator[tuple[_Reading, _Reading, _R
             last, counters = (step, values), []
 
 
-def _target_in_counts(before: Step, step: Step, after: Step, wheel: int) -> int | None:
+def _target_in_counts(
+    before: RecordedStep, step: RecordedStep, after: RecordedStep, wheel: int
+) -> int | None:
     """Return the target of a wheel in the counts of H; None if it is not known."""
     motions = [each.motion for each in (before, step, after)]
     targets = {motion.targets[wheel] if motion and motion.targets else None for motion in motions}
@@ -135,7 +139,7 @@ def _notices(line: RecordedLine) -> Verdict:
     """Check the status of wheels whose counters have been on the target for a second."""
     seen, findings = 0, list[Finding]()
     for wheel, side in enumerate(SIDES):
-        there: list[Step] = []
+        there: list[RecordedStep] = []
         for before, step in pairwise(line.steps):
             motion, values, letter = step.motion, step.exchange.values, step.exchange.letter
             held = motion is not None and motion.modes[wheel] == Mode.POSITION

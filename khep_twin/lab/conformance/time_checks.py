@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from khep_twin.board.protocol import Command, Malformed, TurretMessage
-from khep_twin.lab.conformance.board_model import Step
+from khep_twin.lab.conformance.board_model import RecordedStep
 from khep_twin.lab.conformance.recorded_line import RecordedLine
 from khep_twin.lab.conformance.recording import Finding, RecordingCheck, Verdict, adder, answered, finding
 from khep_twin.lab.conformance.reply_checks import over
@@ -30,7 +30,7 @@ _LATE_SHARE = 0.05
 """Share of a command's late replies that a relay's machine may have caused (assumed)."""
 
 
-def _timed(line: RecordedLine) -> Iterator[Step]:
+def _timed(line: RecordedLine) -> Iterator[RecordedStep]:
     """Yield the steps whose reply is one line, of which the line's speed is known."""
     for step in line.steps:
         asked = isinstance(step.request, (Command, Malformed, TurretMessage))
@@ -42,7 +42,7 @@ def _timed(line: RecordedLine) -> Iterator[Step]:
 def _early(line: RecordedLine) -> Verdict:
     slack_ns = 0 if line.simulated else _WALL_CLOCK_NS
 
-    def deviation(step: Step) -> Finding | None:
+    def deviation(step: RecordedStep) -> Finding | None:
         length = len(step.exchange.reply or b"") + 2
         least_ns = (step.arrived_ns - step.exchange.sent_ns + length * step.byte_ns) * _SHORTEST
         took_ns = step.exchange.heard_ns - step.exchange.sent_ns
@@ -58,7 +58,7 @@ def _early(line: RecordedLine) -> Verdict:
 @check("replies begin within 10 ms, through a relay within 30 ms", "3.2")
 def _late(line: RecordedLine) -> Verdict:
     most_ns, busy_ns = FIRST_BYTE_NS[line.simulated], 0
-    waits: dict[str, list[tuple[int, Step]]] = defaultdict(list)
+    waits: dict[str, list[tuple[int, RecordedStep]]] = defaultdict(list)
     timed = {id(step) for step in _timed(line)}
     # Replies and banners wait for each other.
     for step in sorted(line.steps, key=lambda step: step.exchange.heard_ns):

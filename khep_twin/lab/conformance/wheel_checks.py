@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from khep_twin.board.kernel import Mode, wrap
 from khep_twin.board.protocol import Command
 from khep_twin.clock import NS_PER_S
-from khep_twin.lab.conformance.board_model import Step, is_error
+from khep_twin.lab.conformance.board_model import RecordedStep, is_error
 from khep_twin.lab.conformance.recorded_line import RecordedLine
 from khep_twin.lab.conformance.recording import Finding, RecordingCheck, Verdict, adder, answered, finding
 from khep_twin.lab.conformance.reply_checks import SPEED_MOST, read
@@ -60,7 +60,7 @@ class _Counter(NamedTuple):
     source: str
 
 
-def _counted(line: RecordedLine) -> Iterator[tuple[_Counter, Step, tuple[int, ...]]]:
+def _counted(line: RecordedLine) -> Iterator[tuple[_Counter, RecordedStep, tuple[int, ...]]]:
     """Yield each reply to H after counters that are known: of an H, a G or a restart."""
     known: _Counter | None = None
     changes = iter([*line.changes_ns, None])
@@ -137,9 +137,9 @@ class _Ways:
     findings: list[Finding] = field(default_factory=list[Finding])
     _expected: float = 0.0
     _found: float = 0.0
-    _since: Step | None = None
+    _since: RecordedStep | None = None
 
-    def add(self, step: Step, expected: float, found: float) -> None:
+    def add(self, step: RecordedStep, expected: float, found: float) -> None:
         """Add a way by both measures [pulses]."""
         self._since = self._since or step
         self.seen += 1
@@ -154,12 +154,12 @@ class _Ways:
         self._since = None
 
 
-def _is_sure(step: Step) -> bool:
+def _is_sure(step: RecordedStep) -> bool:
     """Return whether the time at which a value was read is known well enough."""
     return step.read_ns - step.arrived_ns < _UNSURE_NS
 
 
-def _is_way(known: _Counter, step: Step) -> bool:
+def _is_way(known: _Counter, step: RecordedStep) -> bool:
     """Return whether two counters have been counted by the wheel, at times that are known well enough."""
     return known.source == "H" and known.until_ns - known.from_ns < _UNSURE_NS and _is_sure(step)
 
@@ -195,7 +195,7 @@ def _way_by_speeds(line: RecordedLine) -> Verdict:
     return _verdict(ways)
 
 
-def _steady(line: RecordedLine) -> Iterator[tuple[Step, tuple[int, int], int]]:
+def _steady(line: RecordedLine) -> Iterator[tuple[RecordedStep, tuple[int, int], int]]:
     """Yield the steps while speed mode has had the same speeds, these, and since when it has them [ns]."""
     speeds, since_ns = (0, 0), 0
     changes = iter([*line.changes_ns, None])

@@ -17,10 +17,11 @@ from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.controllers import AnyController
 from khep_twin.lab.experiment.experiment import run
-from khep_twin.log.recorded import Change
+from khep_twin.log.recorded import BranchPoint
+from khep_twin.ports.branching import Described, branch_off
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.replay import Setup
-from khep_twin.ports.taking_up import Described, TakenUp, branch_off, end_of
+from khep_twin.ports.taking_up import TakenUp, end_of
 from khep_twin.ports.twin import Twin
 from khep_twin.sensing import calibration
 from khep_twin.world import World
@@ -29,8 +30,8 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
-    """How a run is branched off.
+class BranchPlan:
+    """Plan of a branch.
 
     Attributes:
         log: Log of the parent.
@@ -42,7 +43,7 @@ class Plan:
     """
 
     log: Path
-    change: Change
+    change: BranchPoint
     controller: AnyController | None = None
     robot: int | None = None
     seconds: float | None = None
@@ -63,7 +64,7 @@ class Way:
 
 
 def branch(
-    plan: Plan,
+    plan: BranchPlan,
     path: Path,
     *,
     on_failure: Callable[[str], None] | None = None,
@@ -73,7 +74,7 @@ def branch(
     """Run a branch and write its log; return the way from the moment on.
 
     Args:
-        plan: How the run is branched off.
+        plan: Plan of the branch.
         path: Path of the new log.
         on_failure: Function that takes the line about a log that cannot be written any more; None to end.
         progress: Function that takes the part of the way from the moment on that is done, 0 to 1.
@@ -113,7 +114,7 @@ def calibrations(log: Path, name: str, robot: int | None) -> dict[str, str]:
     return {each: text for index, each in enumerate(setup.label.robots) if wanted in (None, index)}
 
 
-def ends_at(plan: Plan) -> int:
+def ends_at(plan: BranchPlan) -> int:
     """Return the time at which a branch ends [ns].
 
     Raises:
@@ -126,7 +127,7 @@ def ends_at(plan: Plan) -> int:
 
 def _take_over(
     taken: TakenUp,
-    plan: Plan,
+    plan: BranchPlan,
     controller: AnyController,
     end_ns: int | None,
     progress: Callable[[float], None] | None,

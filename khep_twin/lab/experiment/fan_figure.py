@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S
 from khep_twin.drawing.map import STYLE, draw
 from khep_twin.drawing.symbols import INK
-from khep_twin.lab.experiment.branch import Plan, Way
+from khep_twin.lab.experiment.branch import BranchPlan, Way
 from khep_twin.log.reader import read
 from khep_twin.log.recorded import changes_of
 from khep_twin.ports.replay import Setup
@@ -29,7 +29,7 @@ _MOMENTS = 4
 """Number of times at which the places of all runs are marked."""
 
 
-def draw_fan(plan: Plan, ways: Sequence[Way]) -> Figure:
+def draw_fan(plan: BranchPlan, ways: Sequence[Way]) -> Figure:
     """Draw branches of one run: a dark line up to the moment, then each run, and how far they spread."""
     run = read(plan.log)
     at_s = plan.change.at_ns / NS_PER_S

@@ -82,7 +82,7 @@ def _run(
     watch = _Watch(twin.world, recorded)
     twin.world.add_observer(watch)
     run = TakenUp(setup, (), twin, RecordedHosts(twin, iter(())), [])
-    last_ns = max([recorded.end_ns, *(line.time_ns for lines in recorded.lines for line in lines)])
+    last_ns = recorded.last_ns
     events = [each for each in recorded.events if not recorded.torn or each[0] <= recorded.end_ns]
     end: list[tuple[int, int, HostEvent | None]] = [(recorded.end_ns if recorded.torn else last_ns, 0, None)]
     changes = list(recorded.changes)

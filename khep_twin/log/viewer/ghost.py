@@ -7,7 +7,6 @@ would give the reading, by the log's calibration: one ray for the expected readi
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
-import hashlib
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,7 +21,7 @@ from khep_twin.errors import LogError
 from khep_twin.log.attached import calibration_of, playpen_of
 from khep_twin.log.channels import PLANAR
 from khep_twin.log.label import Label
-from khep_twin.log.reader import read_series
+from khep_twin.log.reader import hash_of, read_series
 from khep_twin.log.shadow_channels import LIGHT, PARTICLES, PROXIMITY, TIMING, WHEELS, is_shadow, planar
 from khep_twin.log.viewer.arena import REACH, in_frame, path_chunks, trail
 from khep_twin.log.viewer.gathered import Floats, Gatherer, time_column
@@ -198,7 +197,7 @@ def _truth(label: Label, source: Path) -> tuple[NDArray[np.int64], Floats] | Non
     parent = source.parent / name
     if not is_shadow(label) or not name or Path(name).name != name or not parent.is_file():
         return None
-    if hashlib.sha256(parent.read_bytes()).hexdigest() != label.metadata.get("parent_sha256"):
+    if hash_of(parent) != label.metadata.get("parent_sha256"):
         return None
     recording = read_series(parent)
     robot = label.metadata.get("parent_robot", recording.label.robots[0])

@@ -10,11 +10,11 @@ from served_twin import served
 
 from khep_twin.errors import KhepTwinError, LogError, PlaypenError
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment.branch import Plan, branch, calibrations
+from khep_twin.lab.experiment.branch import BranchPlan, branch, calibrations
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.reader import read, read_label
-from khep_twin.log.recorded import Change, read_recorded
+from khep_twin.log.recorded import BranchPoint, read_recorded
 from khep_twin.log.snapshots import read_snapshot
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.taking_up import end_of, take_up
@@ -47,7 +47,7 @@ def parent(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def made(parent: Path, tmp_path: Path, **changes: object) -> Path:
     path = tmp_path / "new.mcap"
-    branch(Plan(parent, Change(AT_NS, **changes)), path)  # type: ignore[arg-type]
+    branch(BranchPlan(parent, BranchPoint(AT_NS, **changes)), path)  # type: ignore[arg-type]
     return path
 
 
@@ -100,7 +100,7 @@ def test_what_is_put_elsewhere_is_there_and_all_else_goes_on(parent: Path) -> No
     world = taken.twin.world
     x, y, heading = world.robots[0].pose
     speed = world.data.qvel[world.robots[0].indices.wheel_speeds[0]]
-    taken.change(Change(AT_NS, edits=("block.9.x_mm=500", "block.9.y_mm=350")))
+    taken.change(BranchPoint(AT_NS, edits=("block.9.x_mm=500", "block.9.y_mm=350")))
     moved = taken.twin.world
     moved.advance_to(AT_NS + 5_000_000)
     assert moved.data.body("block8").xpos[:2] == pytest.approx([0.5, 0.35], abs=1e-4)
@@ -110,14 +110,14 @@ def test_what_is_put_elsewhere_is_there_and_all_else_goes_on(parent: Path) -> No
 
 def test_a_controller_takes_over_and_a_branch_has_branches(parent: Path, tmp_path: Path) -> None:
     first, second, same = (tmp_path / f"{name}.mcap" for name in ("first", "second", "same"))
-    branch(Plan(parent, Change(AT_NS, seed=3), braitenberg, seconds=10.0), first)
+    branch(BranchPlan(parent, BranchPoint(AT_NS, seed=3), braitenberg, seconds=10.0), first)
     assert read_label(first).metadata["controller"] == "braitenberg"
     assert end_of(first) > 21 * SECOND
     later_ns = round(20.5 * SECOND)
-    branch(Plan(first, Change(later_ns, faults=("stuck:1",))), second)
+    branch(BranchPlan(first, BranchPoint(later_ns, faults=("stuck:1",))), second)
     assert before(second, later_ns) == before(first, later_ns)
     assert repeat(read_recorded(second)) is None
-    branch(Plan(second, Change(21 * SECOND)), same)
+    branch(BranchPlan(second, BranchPoint(21 * SECOND)), same)
     assert messages(same) == messages(second)
 
 
@@ -151,9 +151,9 @@ def test_a_change_that_cannot_be_made_is_one_line_and_leaves_no_log(
 def test_a_moment_outside_the_run_and_a_damaged_snapshot_are_one_line(parent: Path, tmp_path: Path) -> None:
     for at_ns in (0, 60 * SECOND):
         with pytest.raises(LogError, match=r"cannot be taken up at .* expected above 0 and up to its end"):
-            branch(Plan(parent, Change(at_ns)), tmp_path / "new.mcap")
+            branch(BranchPlan(parent, BranchPoint(at_ns)), tmp_path / "new.mcap")
     with pytest.raises(LogError, match="this is the log that is taken up"):
-        branch(Plan(parent, Change(AT_NS)), parent)
+        branch(BranchPlan(parent, BranchPoint(AT_NS)), parent)
 
     def spoilt(topic: str, time_ns: int, data: bytes) -> bytes:
         return data[:-9] if topic == "/snapshot" else data

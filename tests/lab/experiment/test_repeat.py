@@ -91,6 +91,25 @@ def test_ways_to_run_repeat(tmp_path: Path, options: TwinOptions) -> None:
     assert again(tmp_path / "run.mcap") is None
 
 
+def test_exchanges_without_time_and_a_reply_under_way_at_the_end_repeat(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with open_twin("default", TwinOptions(unpaced=True, faults=("drop:0.2",), log=str(path))) as twin:
+        port = Serial.of(twin, timeout=0.02)
+        for _ in range(20):
+            for word in (b"N\n", b"O\n", b"H\n"):
+                port.write(word)
+                port.read_until(b"\n")
+    assert again(path) is None
+    with open_twin("default", TwinOptions(log=str(path))) as twin:
+        twin.robot.send(b"restart\n")
+        twin.advance_to(30_000_000)
+        twin.robot.send(b"N\nD,5")
+        twin.advance_to(33_000_000)
+    recorded = read_recorded(path)
+    assert recorded.last_ns == 33_000_000 < recorded.lines[0][-1].time_ns
+    assert repeat(recorded) is None
+
+
 def test_the_demonstration_program_repeats_without_a_host(tmp_path: Path) -> None:
     with open_twin("obstacles", TwinOptions(mode=0, log=str(tmp_path / "run.mcap"))) as twin:
         twin.advance_to(10 * SECOND)

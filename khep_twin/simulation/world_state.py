@@ -1,0 +1,90 @@
+"""State of a world and its robots, part by part, as a snapshot has it."""
+
+from typing import Annotated, NamedTuple
+
+from pydantic import Base64UrlBytes, Field
+
+from khep_twin.board.fault_injection import InjectorState
+from khep_twin.board.uart import LineState
+from khep_twin.firmware import FirmwareState
+from khep_twin.playpen import Lamp, Lighting
+from khep_twin.randomness import StreamState
+from khep_twin.sensing.lamps import LampsState
+from khep_twin.simulation.physics_state import PhysicsState
+from khep_twin.simulation.simulation import SimulationState
+
+
+class HostState(NamedTuple):
+    """Known state of a robot's host.
+
+    Attributes:
+        settings: Speed [baud] and stop bits of its end of the line; None for the robot's own.
+        warned: Speeds of host and robot that a warning was given of [baud].
+    """
+
+    settings: tuple[Annotated[int, Field(ge=0, le=10**9)], int] | None
+    warned: tuple[tuple[int, int], ...]
+
+
+class RobotSnapshot(NamedTuple):
+    """State of a robot besides its body in the physics.
+
+    Attributes:
+        firmware: State of the firmware.
+        registers: State of the board, as 64-bit integers.
+        processor: State of the processor, likewise.
+        sensor_states: State of each sensor, SOUND, STUCK or DEAD of `step`, likewise.
+        strengths: Part of its torque that each motor gives, as 64-bit floats.
+        voltage: Supply voltage as measured last [V], as one 64-bit float.
+        stopped: Whether the processor has stopped for want of voltage.
+        baud: Speed of the robot's end of the line [baud].
+        rx: Bytes to the robot.
+        tx: Bytes to the host.
+        host: Known state of its host.
+        leds: LEDs as shown, 1 for a lit one.
+        faults: State of the faults.
+        line_noise: Position in the random stream of a strict line; None for a lenient one.
+    """
+
+    firmware: FirmwareState
+    registers: Base64UrlBytes
+    processor: Base64UrlBytes
+    sensor_states: Base64UrlBytes
+    strengths: Base64UrlBytes
+    voltage: Base64UrlBytes
+    stopped: bool
+    baud: Annotated[int, Field(gt=0, le=10**9)]
+    rx: LineState
+    tx: LineState
+    host: HostState
+    leds: tuple[int, int]
+    faults: InjectorState
+    line_noise: StreamState | None
+
+
+class WorldState(NamedTuple):
+    """State of a world.
+
+    Attributes:
+        time_ns: Current time [ns].
+        physics: State of the physics.
+        simulation: State of the stepping core.
+        robots: State of each robot.
+        lamps: All lamps, which may have been set up anew.
+        lighting: Their lighting.
+        lamps_state: State of the lamps.
+        lamps_stream: Position in their random stream.
+        untold: Events for observers that are still to come: robot and text.
+        failure: Message of the error that has ended the run; empty for none.
+    """
+
+    time_ns: Annotated[int, Field(ge=0, lt=2**62)]
+    physics: PhysicsState
+    simulation: SimulationState
+    robots: tuple[RobotSnapshot, ...]
+    lamps: tuple[Lamp, ...]
+    lighting: Lighting
+    lamps_state: LampsState
+    lamps_stream: StreamState
+    untold: tuple[tuple[int | None, str], ...]
+    failure: str
