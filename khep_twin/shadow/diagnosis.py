@@ -60,6 +60,12 @@ SETTLED_NS = 5 * NS_PER_S
 NEAR = 0.09
 """Farthest distance of a thing from the robot's centre, to be seen or missed [m]."""
 
+MET_NS = NS_PER_S
+"""Time after which a thing that is near has been met: what happened to it before is seen by then [ns]."""
+
+LEFT_NS = 4 * NS_PER_S
+"""Time for which it is considered after it was near: twins that miss it may leave it [ns]."""
+
 FOUND_NS = 5 * NS_PER_S
 """Time of replies without surprise after which a pose that was searched counts as found [ns]."""
 
@@ -88,13 +94,17 @@ class Diagnosis:
         self._lamps = LampWatch(tracker.particles.planes.lamps.names)
         self._counted: Floats | None = None
         self._things = hypotheses.things_of(setup)
+        self._near: dict[str, tuple[int, int, int]] = {}
+        """When each thing came near, was so last, and for how long it was not before [ns]."""
         self._present: list[tuple[Hypothesis, Alarm]] = []
         self._leading: tuple[Hypothesis, Alarm] | None = None
         self._others: list[Alarm] = []
         self._search = Search(setup, rng)
         self._surprise: Floats = np.zeros(8)
         self._seen_ns = self._tried_ns = 0
-        self._lost_ns, self._vague_ns = 0, -1
+        self._lost_ns = 0
+        self._vague_ns = -1, -1
+        """Begin and end of the last time for which the pose was vague [ns]."""
         self._searches = not self._known
         self._surprised_ns: int | None = None
         self.ended: tuple[Alarm, ...] = ()
@@ -141,13 +151,14 @@ class Diagnosis:
     def _see(self, action: Seen) -> None:
         """Take a reply to N: diagnose, keep a snapshot, and search while it surprises."""
         time_ns = action.time_ns
-        passed_s = (time_ns - self._seen_ns) * 1e-9
-        self._seen_ns = time_ns
+        before_ns, self._seen_ns = self._seen_ns, time_ns
+        passed_s = (time_ns - before_ns) * 1e-9
         self._surprise = self._surprise * math.exp(-passed_s / SURPRISE_S)
         self._surprise += np.maximum(self.filter.surprise - _USUAL, 0)
         self._end_lifted(time_ns)
         if not self._known and np.argmax(self.filter.probabilities) == 0:
-            self._vague_ns = time_ns
+            began_ns, last_ns = self._vague_ns
+            self._vague_ns = (began_ns if last_ns == before_ns else time_ns), time_ns
         self._diagnose(time_ns)
         if self._surprise.max() <= SURPRISED:
             self._surprised_ns = None
@@ -178,7 +189,7 @@ class Diagnosis:
             if leading is not None and sureness > SURE:
                 self._give_up(time_ns)
         elif probabilities[0] < 1 - SURE and sureness > NAMED:
-            fault, begins = tracker.changes[number - 1]
+            fault, begins, _ = tracker.changes[number - 1]
             if not begins:
                 if sureness > SURE:
                     self.ended += tuple(
@@ -189,7 +200,8 @@ class Diagnosis:
             elif leading is None or (leading[0].name != fault.name and sureness > SURE):
                 has = tracker.particles.changes == number
                 since_ns = int(np.average(tracker.particles.since_ns[has], weights=tracker.weights[has]))
-                told = time_ns - since_ns >= TOLD_NS and since_ns >= self._vague_ns
+                vague = self._vague_ns[0] <= since_ns <= self._vague_ns[1]
+                told = time_ns - since_ns >= TOLD_NS and not vague
                 if told and not self._find(time_ns, since_ns, 0.0):
                     self._give_up(time_ns)
                     alarm = Alarm(fault.name, fault.channel, since_ns, time_ns, min(sureness, 0.999))
@@ -199,8 +211,11 @@ class Diagnosis:
                     self._present.append((fault, leading[1]))
                     self._leading = None
                     self._adopt(number, time_ns)
-        changes = [Change(fault, True) for fault in self._candidates()]
-        tracker.consider([*changes, *(Change(fault, False) for fault, _ in self._present)])
+                elif time_ns - max(self._tried_ns, leading[1].raised_ns) >= TRIED_NS:
+                    self._tried_ns = time_ns
+                    self._find(time_ns, leading[1].since_ns, 0.0)
+        ends = [Change(fault, False) for fault, _ in self._present]
+        tracker.consider([*self._candidates(time_ns), *ends])
 
     def _adopt(self, number: int, time_ns: int) -> None:
         """Take a change for what the robot is now."""
@@ -228,28 +243,48 @@ class Diagnosis:
         self._surprise[:] = 0
         return True
 
-    def _candidates(self) -> list[Hypothesis]:
+    def _candidates(self, time_ns: int) -> list[Change]:
         """Return the faults that may begin; where the pose is vague, they could be anything."""
-        if self._others or self._vague_ns == self._seen_ns:
+        if self._others:
             return []
+        if self._vague_ns[1] == time_ns:  # It may be so because of one of these.
+            return [each for each in self.filter.changes if each.begins]
         present = {fault.name for fault, _ in self._present}
-        found: list[Hypothesis] = []
+        found: list[Change] = []
         if not any(fault.channel == "wheels" for fault, _ in self._present):
             # Counters tell on their own which wheel stands or is slow.
             asked = self._counted is not None
-            found += [each for each in hypotheses.of_wheels() if not asked or isinstance(each, SlippingWheel)]
-        x, y, _ = self.filter.estimate(0).pose
-        things = self.filter.particles.planes.things[0]
-        for name, rows in self._things.items():
-            reach = [
-                math.hypot(x - things[row, flat.CENTRE_X], y - things[row, flat.CENTRE_Y])
-                - things[row, flat.LENGTH]
-                for row in rows
+            found += [
+                Change(each, True)
+                for each in hypotheses.of_wheels()
+                if not asked or isinstance(each, SlippingWheel)
             ]
-            if min(reach) < NEAR:
-                found += [Missing(name, rows), Moved(name, rows)]
-        found.append(Unexpected(int(np.argmax(self._surprise))))
-        return [fault for fault in found if fault.name not in present]
+        for name, rows in self._things.items():
+            came_ns, left_ns, unseen_ns = self._near.get(name, (0, -LEFT_NS, 0))
+            if self._is_near(rows):
+                if time_ns - left_ns > MET_NS:
+                    came_ns, unseen_ns = time_ns, time_ns - max(left_ns, 0)
+                left_ns = time_ns
+                self._near[name] = came_ns, left_ns, unseen_ns
+            if time_ns - left_ns < LEFT_NS:
+                unseen_s = unseen_ns / NS_PER_S if time_ns - came_ns < MET_NS else 0.0
+                found += [Change(each, True, unseen_s) for each in (Missing(name, rows), Moved(name, rows))]
+        found.append(Change(Unexpected(int(np.argmax(self._surprise))), True))
+        return [each for each in found if each.hypothesis.name not in present]
+
+    def _is_near(self, rows: tuple[int, ...]) -> bool:
+        """Return whether a thing is near enough to be seen or missed, with its rows among all things."""
+        _, (x, y, _), covariance = self.filter.estimate(0)
+        things, reach = (
+            self.filter.particles.planes.things[0],
+            NEAR + math.sqrt(covariance[0, 0] + covariance[1, 1]),
+        )
+        return any(
+            math.hypot(x - things[row, flat.CENTRE_X], y - things[row, flat.CENTRE_Y])
+            - things[row, flat.LENGTH]
+            < reach
+            for row in rows
+        )
 
     def _end_lifted(self, time_ns: int) -> None:
         """End the alarm of a robot that was put elsewhere, once its pose is known."""

@@ -6,12 +6,15 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.sensing.mujoco_scene import visible
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.planes import AWAY, N_SPARE
+from khep_twin.shadow.planes import AWAY, N_SPARE, Planes
+
+Floats = NDArray[np.float64]
 
 SIDES = ("left", "right")
 
@@ -30,6 +33,12 @@ ADDED_RADII = 0.004, 0.03
 
 ADDED_REACH = 0.03
 """Farthest that it stands from a sensor that sees it [m] (assumed)."""
+
+REFINED = 0.2
+"""Part of their deviation by which values are drawn anew (assumed)."""
+
+_LEAST_MOVED = 0.003
+"""Least deviation of a thing's place and size, drawn anew [m] (assumed)."""
 
 _HEIGHT = 0.05
 
@@ -60,6 +69,10 @@ class Hypothesis(Protocol):
         """Take it from them."""
         ...
 
+    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Draw what differs among equally probable particles with the fault anew, close to what it is."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class StandingWheel:
@@ -67,7 +80,7 @@ class StandingWheel:
 
     side: int
     channel: str = "wheels"
-    rare: float = 0.0
+    rare: float = 1.0
 
     @property
     def name(self) -> str:
@@ -82,6 +95,9 @@ class StandingWheel:
     def end(self, particles: Particles) -> None:
         """Give it back."""
         particles.planes.strength[:, self.side] = 1
+
+    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Leave them: all differ in one of two ways."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +120,11 @@ class WeakMotor:
     def end(self, particles: Particles) -> None:
         """Strengthen it."""
         particles.planes.strength[:, self.side] = 1
+
+    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Draw its strength anew."""
+        strength = particles.planes.strength
+        strength[:, self.side] = np.clip(refined(strength[:, self.side], 0.01, rng), WEAKEST, STRONGEST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +149,11 @@ class SlippingWheel:
         """Make it grip."""
         particles.planes.robots[f"{SIDES[self.side]}_hold"] = 1
 
+    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Draw its hold anew."""
+        hold = particles.planes.robots[f"{SIDES[self.side]}_hold"]
+        hold[:] = np.clip(refined(hold, 0.005, rng), 0, MOST_HOLD)
+
 
 @dataclass(frozen=True, slots=True)
 class Missing:
@@ -136,7 +162,7 @@ class Missing:
     thing: str
     rows: tuple[int, ...]
     channel: str = "proximity"
-    rare: float = 1.0
+    rare: float = 2.0
 
     @property
     def name(self) -> str:
@@ -152,6 +178,9 @@ class Missing:
         """Put it back."""
         particles.planes.restore(self.rows)
 
+    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Leave them: all are the same."""
+
 
 @dataclass(frozen=True, slots=True)
 class Moved:
@@ -160,7 +189,7 @@ class Moved:
     thing: str
     rows: tuple[int, ...]
     channel: str = "proximity"
-    rare: float = 0.0
+    rare: float = 2.0
 
     @property
     def name(self) -> str:
@@ -176,6 +205,10 @@ class Moved:
     def end(self, particles: Particles) -> None:
         """Put it back."""
         particles.planes.restore(self.rows)
+
+    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Draw its place anew."""
+        _move(particles.planes, self.rows, [flat.CENTRE_X, flat.CENTRE_Y], rng)
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,6 +241,10 @@ class Unexpected:
         """Take it away."""
         particles.planes.restore((-N_SPARE,))
 
+    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Draw its place and its size anew."""
+        _move(particles.planes, (-N_SPARE,), [flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH], rng)
+
 
 def of_wheels() -> Iterator[Hypothesis]:
     """Yield the faults of motors and wheels."""
@@ -227,3 +264,25 @@ def things_of(setup: EpisodeSetup) -> dict[str, tuple[int, ...]]:
         if name != "wall":
             rows[name] = (*rows.get(name, ()), row)
     return rows
+
+
+def refined(values: Floats, least: float, rng: np.random.Generator) -> Floats:
+    """Return values drawn anew, each close to one of these, with the same mean and deviation (n, ...).
+
+    Args:
+        values: Values, drawn by their weights (n, ...).
+        least: Least deviation: few may be drawn many times.
+        rng: Random stream.
+    """
+    mean, deviation = values.mean(axis=0), np.maximum(values.std(axis=0), least)
+    kept = math.sqrt(1 - REFINED * REFINED)
+    return mean + kept * (values - mean) + REFINED * deviation * rng.standard_normal(values.shape)
+
+
+def _move(planes: Planes, rows: tuple[int, ...], columns: list[int], rng: np.random.Generator) -> None:
+    """Draw columns of a thing anew, all its rows alike."""
+    before = planes.things[:, rows[0], :][:, columns]
+    planes.things[:, np.array(rows)[:, None], columns] += (refined(before, _LEAST_MOVED, rng) - before)[
+        :, None
+    ]
+    planes.remeasure()

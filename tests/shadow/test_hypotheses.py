@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from twins import AT_THE_CRATE, particles_at, setup_of
+from twins import AT_THE_CRATE, light_of, particles_at, setup_of
 
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.shadow.hypotheses import Hypothesis, Missing, Moved, Unexpected, of_wheels, things_of
@@ -26,7 +26,7 @@ def state(particles: Particles) -> list[object]:
     planes = particles.planes
     seen = [flat.CENTRE_X, flat.CENTRE_Y, flat.COSINE, flat.SINE, flat.LENGTH, flat.WIDTH, flat.TOUCHED]
     robots = [planes.robots[name].tolist() for name in ("joints", "left_hold", "right_hold", "left_wheel")]
-    light = planes.illuminate().tolist()
+    light = light_of(planes).tolist()
     return [planes.things[:, :, seen].tolist(), planes.strength.tolist(), robots, light]
 
 
@@ -85,19 +85,19 @@ def test_wheels_with_a_fault_drive_less_than_sound_ones(side: int) -> None:
 def test_a_thing_that_is_missing_is_not_seen_and_an_unexpected_one_is() -> None:
     particles = particles_at(*[AT_THE_CRATE] * 8)
     particles.planes.advance(1)
-    before = particles.planes.illuminate()[0]
+    before = light_of(particles.planes)[0]
     missing, moved, unexpected = of_things()
     rng = np.random.default_rng(0)
     missing.begin(particles, rng)
-    gone = particles.planes.illuminate()
+    gone = light_of(particles.planes)
     assert before[3:5].min() > 500 > 10 > gone[:, 3:5].max()
     missing.end(particles)
     moved.begin(particles, rng)
-    lit = particles.planes.illuminate()
+    lit = light_of(particles.planes)
     assert len(np.unique(lit[:, 3])) > 4
     moved.end(particles)
     unexpected.begin(particles, rng)
-    lit = particles.planes.illuminate()
+    lit = light_of(particles.planes)
     assert (lit[:, HEADING_45_LEFT] > before[HEADING_45_LEFT] + 30).sum() > 4
     assert (lit[:, 6:] == before[6:]).all()
 
