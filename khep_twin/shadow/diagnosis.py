@@ -6,6 +6,7 @@ is repeated with twins that may be anywhere. Sensors, counters, lamps and the li
 """
 
 import math
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from khep_twin.shadow.hypotheses import Hypothesis, Missing, Moved, SlippingWhee
 from khep_twin.shadow.lamp_watch import LampWatch
 from khep_twin.shadow.line_watch import LOSING, LineWatch
 from khep_twin.shadow.particle_filter import ParticleFilter
-from khep_twin.shadow.search import Search
+from khep_twin.shadow.search import KEPT_NS, Search
 from khep_twin.shadow.sensor_model import SensorModel
 from khep_twin.shadow.sensor_watch import SensorWatch
 from khep_twin.shadow.wheel_watch import WheelWatch
@@ -45,6 +46,9 @@ WAITED_NS = 1_000_000_000
 TRIED_NS = NS_PER_S
 """Interval at which it is [ns]."""
 
+EARLIER_NS = NS_PER_S // 2
+"""Time by which a fault may seem to begin before replies surprise [ns]."""
+
 RAISED = 9.0
 """Logarithm of the odds from which on it is elsewhere."""
 
@@ -57,8 +61,8 @@ TOLD_NS = NS_PER_S
 SETTLED_NS = 5 * NS_PER_S
 """Time for which a fault is probable before it is taken for granted, beside which others may begin [ns]."""
 
-NEAR = 0.09
-"""Farthest distance of a thing from the robot's centre, to be seen or missed [m]."""
+NEAR = 0.12
+"""Farthest distance of a thing from the robot's centre, to be missed or, moved a little, seen [m]."""
 
 MET_NS = NS_PER_S
 """Time after which a thing that is near has been met: what happened to it before is seen by then [ns]."""
@@ -107,6 +111,8 @@ class Diagnosis:
         """Begin and end of the last time for which the pose was vague [ns]."""
         self._searches = not self._known
         self._surprised_ns: int | None = None
+        self._onsets: deque[int] = deque(maxlen=20)
+        """Times of the replies before those that began to surprise [ns]."""
         self.ended: tuple[Alarm, ...] = ()
 
     @property
@@ -123,6 +129,7 @@ class Diagnosis:
 
     def follow(self, action: Action) -> Floats:
         """Follow an action; return what counters tell beyond commands (2,)."""
+        self._search.note(action, self.filter.evidence)
         told = self.filter.act(action, self._sensors.sound)
         if isinstance(action, Seen):
             left = self.filter.range_left
@@ -136,7 +143,6 @@ class Diagnosis:
             self._counted = action.counters.astype(np.float64)
         elif isinstance(action, Restarted):
             self._counted = None
-        self._search.note(action)
         if isinstance(action, Seen):
             self._see(action)
         return told
@@ -164,13 +170,14 @@ class Diagnosis:
             self._surprised_ns = None
         elif self._surprised_ns is None:
             self._surprised_ns = time_ns
+            self._onsets.append(before_ns)
         elif (
             time_ns - max(self._tried_ns, self._surprised_ns) >= TRIED_NS
             and time_ns - self._surprised_ns >= WAITED_NS
             and self._known
         ):
             self._tried_ns = time_ns
-            self._find(time_ns, time_ns - WINDOW_NS, RAISED)
+            self._find(time_ns, max(self._onsets[-1], time_ns - WINDOW_NS), RAISED)
         self._search.keep(time_ns, self.filter)
 
     @property
@@ -211,7 +218,10 @@ class Diagnosis:
                     self._present.append((fault, leading[1]))
                     self._leading = None
                     self._adopt(number, time_ns)
-                elif time_ns - max(self._tried_ns, leading[1].raised_ns) >= TRIED_NS:
+                elif (
+                    time_ns - max(self._tried_ns, leading[1].raised_ns) >= TRIED_NS
+                    and time_ns - leading[1].since_ns < KEPT_NS
+                ):
                     self._tried_ns = time_ns
                     self._find(time_ns, leading[1].since_ns, 0.0)
         ends = [Change(fault, False) for fault, _ in self._present]
@@ -232,6 +242,7 @@ class Diagnosis:
     def _find(self, time_ns: int, since_ns: int, least: float) -> bool:
         """Go on elsewhere, if the odds that the robot was put there since a time are above the least."""
         use = self._sensors.sound
+        since_ns = next((each for each in self._onsets if each > since_ns - EARLIER_NS), since_ns)
         if self._search.odds(self.filter, since_ns, use) < least:
             return False
         # Of a robot whose commands are lost the twins know as little.

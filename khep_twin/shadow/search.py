@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.rollout.episode_setup import EpisodeSetup
-from khep_twin.shadow.actions import Action
+from khep_twin.shadow.actions import Action, repeat
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.start import anywhere
@@ -15,8 +15,9 @@ from khep_twin.shadow.start import anywhere
 GROUP = 120
 """Particles of a snapshot."""
 
-LOST, TRIED, FOUND = 10_000, 3000, 1500
-"""Particles of a robot that was put anywhere, of one that may have been, and of one that was found."""
+LOST, TRIED, FOUND, HERE = 10_000, 3000, 1500, 500
+"""Particles of a robot that was put anywhere, of one that may have been, of one that was found, and of one
+that was not moved."""
 
 SNAPSHOT_NS = 250_000_000
 """Interval of the snapshots [ns]."""
@@ -38,23 +39,21 @@ class Search:
 
     def __init__(self, setup: EpisodeSetup, rng: np.random.Generator) -> None:
         self._setup, self._rng = setup, rng
-        self._snapshots: deque[tuple[int, Particles, float]] = deque()
-        self._actions: deque[Action] = deque()
+        self._snapshots: deque[tuple[int, Particles]] = deque()
+        self._actions: deque[tuple[Action, float]] = deque()
 
-    def note(self, action: Action) -> None:
-        """Note an action."""
-        self._actions.append(action)
+    def note(self, action: Action, evidence: float) -> None:
+        """Note an action, and the logarithm of the probability of all readings before it."""
+        self._actions.append((action, evidence))
 
     def keep(self, time_ns: int, tracker: ParticleFilter) -> None:
         """Keep what a filter knows at a time [ns], now and then."""
         if self._snapshots and time_ns - self._snapshots[-1][0] < SNAPSHOT_NS:
             return
-        self._snapshots.append(
-            (time_ns, tracker.particles.drawn(GROUP, self._rng.random()), tracker.evidence)
-        )
+        self._snapshots.append((time_ns, tracker.particles.drawn(GROUP, self._rng.random())))
         while self._snapshots[0][0] < time_ns - KEPT_NS:
             self._snapshots.popleft()
-        while self._actions[0].time_ns < self._snapshots[0][0]:
+        while self._actions[0][0].time_ns < self._snapshots[0][0]:
             self._actions.popleft()
 
     def odds(self, tracker: ParticleFilter, since_ns: int, use: NDArray[np.bool_]) -> float:
@@ -62,41 +61,48 @@ class Search:
 
         Args:
             tracker: Filter.
-            since_ns: Time when it may have been put elsewhere [ns].
+            since_ns: Time after which it may have been put elsewhere [ns].
             use: Sensors to rely on (8,).
         """
         if not self._snapshots:
             return -np.inf
-        return (
-            self._anywhere(since_ns, TRIED, use).evidence
-            - RARE
-            - (tracker.evidence - self._since(since_ns)[2])
-        )
+        since_ns = max(since_ns, self._snapshots[0][0])
+        before = next((told for action, told in self._actions if action.time_ns > since_ns), tracker.evidence)
+        here = max(tracker.evidence - before, self._repeated(since_ns, HERE, use, False).evidence)
+        return self._repeated(since_ns, TRIED, use, True).evidence - RARE - here
 
     def lost(self, since_ns: int, use: NDArray[np.bool_]) -> Particles:
         """Return particles of a robot that was put anywhere, by the replies since; forget what was before.
 
         Args:
-            since_ns: Time when it was [ns].
+            since_ns: Time after which it was [ns].
             use: Sensors to rely on (8,).
         """
-        particles = self._anywhere(since_ns, LOST, use).particles
+        particles = self._repeated(max(since_ns, self._snapshots[0][0]), LOST, use, True).particles
         self._snapshots.clear()
         return particles
 
-    def _since(self, time_ns: int) -> tuple[int, Particles, float]:
-        """Return the snapshot next to a time [ns]."""
-        return min(self._snapshots, key=lambda each: abs(each[0] - time_ns))
+    def _repeated(self, since_ns: int, count: int, use: NDArray[np.bool_], elsewhere: bool) -> ParticleFilter:
+        """Return a filter of so many twins that repeat what was since a time, with known sensors and faults.
 
-    def _anywhere(self, since_ns: int, count: int, use: NDArray[np.bool_]) -> ParticleFilter:
-        """Return a filter of so many twins that repeat what was since a time, with known gains and faults."""
-        begin_ns, start, _ = self._since(since_ns)
-        particles = start.drawn(count, 0.5)
+        Args:
+            since_ns: Time [ns].
+            count: Number of particles.
+            use: Sensors to rely on (8,).
+            elsewhere: Whether they are anywhere at that time, not where the robot was known to be.
+        """
+        begin_ns, start = next(each for each in reversed(self._snapshots) if each[0] <= since_ns)
+        few, actions = start.drawn(GROUP, 0.5), [action for action, _ in self._actions]
+        for action in actions:
+            if begin_ns < action.time_ns <= since_ns:
+                repeat(action, few)
+        particles = few.drawn(count, 0.5)
         particles.changes[:] = 0
-        particles.planes.move(anywhere(self._setup, particles.planes, self._rng))
-        tracker = ParticleFilter(self._setup, particles, self._rng, FOUND)
+        if elsewhere:
+            particles.planes.move(anywhere(self._setup, particles.planes, self._rng))
+        tracker = ParticleFilter(self._setup, particles, self._rng, min(count, FOUND))
         tracker.spread()
-        for action in self._actions:
-            if action.time_ns > begin_ns:
+        for action in actions:
+            if action.time_ns > since_ns:
                 tracker.act(action, use)
         return tracker
