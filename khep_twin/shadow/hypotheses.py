@@ -12,7 +12,7 @@ from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.sensing.mujoco_scene import visible
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.planes import AWAY, N_SPARE, Planes
+from khep_twin.shadow.planes import AWAY, N_SPARE
 
 Floats = NDArray[np.float64]
 
@@ -25,8 +25,9 @@ it, so that nothing shows at the speeds that hosts drive."""
 MOST_HOLD = 0.1
 """Part of its friction that a slipping tyre has at the most: with more, hosts' speeds show little."""
 
-MOVED_BY = 0.025
-"""Standard deviation of x and y of a thing that was moved [m] (assumed)."""
+MOVED_LEAST, MOVED_BY = 0.015, 0.02
+"""Least distance by which a thing was moved, lest errors of the pose are taken for it, and the standard
+deviation of what comes to it [m] (assumed)."""
 
 ADDED_RADII = 0.004, 0.03
 """Radii of a thing that is not in the playpen [m] (assumed)."""
@@ -37,7 +38,7 @@ ADDED_REACH = 0.03
 REFINED = 0.2
 """Part of their deviation by which values are drawn anew (assumed)."""
 
-_LEAST_MOVED = 0.003
+_LEAST_SPREAD = 0.003
 """Least deviation of a thing's place and size, drawn anew [m] (assumed)."""
 
 _HEIGHT = 0.05
@@ -198,9 +199,9 @@ class Moved:
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Move the thing."""
-        by = rng.standard_normal((len(particles), 1, 2)) * MOVED_BY
-        particles.planes.things[:, self.rows, flat.CENTRE_X : flat.CENTRE_Y + 1] += by
-        particles.planes.remeasure()
+        by = MOVED_LEAST + np.abs(rng.standard_normal(len(particles))) * MOVED_BY
+        way = rng.uniform(0, math.tau, len(particles))
+        particles.planes.offset(self.rows, np.stack([by * np.cos(way), by * np.sin(way)], axis=1))
 
     def end(self, particles: Particles) -> None:
         """Put it back."""
@@ -208,7 +209,9 @@ class Moved:
 
     def refine(self, particles: Particles, rng: np.random.Generator) -> None:
         """Draw its place anew."""
-        _move(particles.planes, self.rows, [flat.CENTRE_X, flat.CENTRE_Y], rng)
+        offsets = refined(particles.planes.offsets(self.rows), _LEAST_SPREAD, rng)
+        by = np.hypot(*offsets.T)[:, None]
+        particles.planes.offset(self.rows, offsets * np.maximum(MOVED_LEAST / np.maximum(by, 1e-9), 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +220,7 @@ class Unexpected:
 
     sensor: int
     channel: str = "proximity"
-    rare: float = 3.0
+    rare: float = 2.0
     name: str = "unexpected thing"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
@@ -243,7 +246,10 @@ class Unexpected:
 
     def refine(self, particles: Particles, rng: np.random.Generator) -> None:
         """Draw its place and its size anew."""
-        _move(particles.planes, (-N_SPARE,), [flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH], rng)
+        columns = [flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH]
+        row = particles.planes.things[:, -N_SPARE]
+        row[:, columns] = refined(row[:, columns], _LEAST_SPREAD, rng)
+        particles.planes.remeasure()
 
 
 def of_wheels() -> Iterator[Hypothesis]:
@@ -277,12 +283,3 @@ def refined(values: Floats, least: float, rng: np.random.Generator) -> Floats:
     mean, deviation = values.mean(axis=0), np.maximum(values.std(axis=0), least)
     kept = math.sqrt(1 - REFINED * REFINED)
     return mean + kept * (values - mean) + REFINED * deviation * rng.standard_normal(values.shape)
-
-
-def _move(planes: Planes, rows: tuple[int, ...], columns: list[int], rng: np.random.Generator) -> None:
-    """Draw columns of a thing anew, all its rows alike."""
-    before = planes.things[:, rows[0], :][:, columns]
-    planes.things[:, np.array(rows)[:, None], columns] += (refined(before, _LEAST_MOVED, rng) - before)[
-        :, None
-    ]
-    planes.remeasure()

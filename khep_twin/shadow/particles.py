@@ -11,10 +11,10 @@ from khep_twin.shadow.planes import Planes
 
 Floats = NDArray[np.float64]
 
-TEMPER = float(__import__("os").environ.get("TEMPER", 0.35))
+TEMPER = 0.3
 """Power of the likelihood: errors of the model last for many replies, where noise would not (assumed)."""
 
-MANY_TEMPER = float(__import__("os").environ.get("MTEMPER", 0.1))
+MANY_TEMPER = 0.05
 """The same for many particles, of a robot that may be anywhere: what is dropped too early is lost."""
 
 MANY = 3000

@@ -160,6 +160,17 @@ class Planes:
         self.robots["last"][:, flat.ANCHOR_X] = np.inf
         self._code.measure(self.things, self._order, self.robots)
 
+    def offsets(self, rows: Sequence[int]) -> Floats:
+        """Return how far a thing, with its rows, is from where the playpen has it: x and y (n, 2) [m]."""
+        place = slice(flat.CENTRE_X, flat.CENTRE_Y + 1)
+        return self.things[:, rows[0], place] - self._scene[rows[0], place]
+
+    def offset(self, rows: Sequence[int], offsets: Floats) -> None:
+        """Put a thing, with its rows, so far from where the playpen has it: x and y (n, 2) [m]."""
+        place = slice(flat.CENTRE_X, flat.CENTRE_Y + 1)
+        self.things[:, rows, place] = self._scene[rows, place] + offsets[:, None]
+        self.remeasure()
+
     def restore(self, rows: Sequence[int]) -> None:
         """Put things back to where the playpen has them."""
         self.things[:, rows, : flat.REFLECTANCE + 1] = self._scene[rows, : flat.REFLECTANCE + 1]

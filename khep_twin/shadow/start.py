@@ -69,9 +69,8 @@ def begun(
     traits[:, :, 0] = rng.standard_normal((count, 1)) * spread.gain
     thresholds = calibration.THRESHOLD_SPREAD * planes.proximity["threshold"]
     own = np.zeros((count, 8, 3, 3))
-    own[:, :, [0, 1, 2], [0, 1, 2]] = np.square(
-        np.stack([*np.broadcast_arrays(calibration.GAIN_SPREAD, HEADING_DEVIATION, thresholds)], axis=1)
-    )
+    own[:, :, 0, 0], own[:, :, 1, 1] = calibration.GAIN_SPREAD**2, HEADING_DEVIATION**2
+    own[:, :, 2, 2] = thresholds**2
     return Particles(
         planes,
         np.full(count, -math.log(count)),

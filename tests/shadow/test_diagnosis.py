@@ -27,8 +27,8 @@ class Driven:
     def __init__(self, seed: int, counters: bool = False) -> None:
         setup = setup_of("workshop")
         self.robot = planes_at((START[0] + 5, START[1] - 4, START[2] + 3))
-        start = begun(setup, metric(START), PUBLISHED, 300, stream(seed, "start"))
-        tracker = ParticleFilter(setup, start, stream(seed, "filter"), 300)
+        start = begun(setup, metric(START), PUBLISHED, 1000, stream(seed, "start"))
+        tracker = ParticleFilter(setup, start, stream(seed, "filter"), 1000)
         self.diagnosis = Diagnosis(setup, tracker, stream(seed, "hypotheses"))
         self._rng, self._counters = stream(seed, "robot"), counters
         self._turning, self._side = 0, 1
