@@ -2,8 +2,7 @@
 
 Stand-in robots of the same make drive for five minutes, and a shadow follows the recordings. Printed is how
 often the robot's own values lie in the 95 % intervals that `khep-twin fit --from` tells, and the errors in
-standard deviations of these. The robots are sound, and faults are not looked for. Headings are in degrees,
-thresholds in counts, other values as parts of the calibration's.
+standard deviations of these. The robots are sound, and faults are not looked for.
 """
 
 import argparse
@@ -38,7 +37,7 @@ def main() -> None:
     Diagnosis._diagnose = lambda self, time_ns: None  # pyright: ignore[reportPrivateUsage]
     playpen = playpens.load(given.playpen)
     start = calibration.read(playpen.robots[0].calibration)[0]
-    errors: defaultdict[str, list[tuple[float, float, float, float]]] = defaultdict(list)
+    errors: defaultdict[str, list[tuple[float, float, float]]] = defaultdict(list)
     with TemporaryDirectory() as temporary:
         folder = given.folder or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
@@ -63,21 +62,20 @@ def main() -> None:
                     pass
             for value, _ in learned_values(learned(shadow), start):
                 _, key, *sensor = value.path
-                unit = 1.0 if key in ("heading_deg", "threshold_counts") else value.of(start)
-                part = value.of(own) / unit, value.value / unit
-                told = value.interval / unit / CONFIDENCE
-                errors[key].append((part[0], part[1], told, value.of(start) / unit))
+                part = value.of(own) / value.of(start), value.value / value.of(start)
+                told = value.interval / value.of(start) / CONFIDENCE
+                errors[key].append((part[0], part[1], told))
                 print(
                     f"{seed} {key}{sensor or ''}: {part[0]:.4f}, found {part[1]:.4f} +- {told:.4f}",
                     flush=True,
                 )
     for key, rows in errors.items():
-        own, value, told, before = np.array(rows, np.float64).reshape(-1, 4).T
+        own, value, told = np.array(rows).T
         off = (value - own) / told
         print(
             f"{key:16} {np.mean(np.abs(off) < CONFIDENCE):4.0%} of {len(rows)} inside of 95 %, errors "
             f"{np.sqrt(np.mean(off**2)):.2f} of the told deviation {np.median(told):.4f}; "
-            f"rms {np.sqrt(np.mean((value - own) ** 2)):.4f}, of robots {np.std(own - before):.4f}"
+            f"rms {np.sqrt(np.mean((value - own) ** 2)):.4f}, of robots {np.std(own):.4f}"
         )
 
 

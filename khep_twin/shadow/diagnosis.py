@@ -174,6 +174,7 @@ class Diagnosis:
         elif (
             time_ns - max(self._tried_ns, self._surprised_ns) >= TRIED_NS
             and time_ns - self._surprised_ns >= WAITED_NS
+            and self._leading is None
             and self._known
         ):
             self._tried_ns = time_ns
@@ -192,10 +193,12 @@ class Diagnosis:
         probabilities = tracker.probabilities
         number = int(np.argmax(probabilities))
         sureness = float(probabilities[number])
-        if number == 0:
-            if leading is not None and sureness > SURE:
+        if leading is not None:
+            leads = [each.begins and each.hypothesis.name == leading[0].name for each in tracker.changes]
+            if probabilities[1:][leads].sum() < 1 - SURE:
                 self._give_up(time_ns)
-        elif probabilities[0] < 1 - SURE and sureness > NAMED:
+                leading = None
+        if number > 0 and probabilities[0] < 1 - SURE and sureness > NAMED:
             fault, begins, _ = tracker.changes[number - 1]
             if not begins:
                 if sureness > SURE:
@@ -209,7 +212,7 @@ class Diagnosis:
                 since_ns = int(np.average(tracker.particles.since_ns[has], weights=tracker.weights[has]))
                 vague = self._vague_ns[0] <= since_ns <= self._vague_ns[1]
                 told = time_ns - since_ns >= TOLD_NS and not vague
-                if told and not self._find(time_ns, since_ns, 0.0):
+                if told and not self._find(time_ns, since_ns, 0.0, fault):
                     self._give_up(time_ns)
                     alarm = Alarm(fault.name, fault.channel, since_ns, time_ns, min(sureness, 0.999))
                     self._leading = fault, alarm
@@ -239,11 +242,11 @@ class Diagnosis:
             self.ended += (replace(self._leading[1], ended_ns=time_ns),)
             self._leading = None
 
-    def _find(self, time_ns: int, since_ns: int, least: float) -> bool:
-        """Go on elsewhere, if the odds that the robot was put there since a time are above the least."""
+    def _find(self, time_ns: int, since_ns: int, least: float, fault: Hypothesis | None = None) -> bool:
+        """Go on elsewhere, if the odds that the robot was put there, not of a fault, are above the least."""
         use = self._sensors.sound
         since_ns = next((each for each in self._onsets if each > since_ns - EARLIER_NS), since_ns)
-        if self._search.odds(self.filter, since_ns, use) < least:
+        if self._search.odds(self.filter, since_ns, use, fault) < least:
             return False
         # Of a robot whose commands are lost the twins know as little.
         self._searches = self._searches or any(each.fault == LOSING for each in self._line.alarms)
@@ -280,8 +283,13 @@ class Diagnosis:
             if time_ns - left_ns < LEFT_NS:
                 unseen_s = unseen_ns / NS_PER_S if time_ns - came_ns < MET_NS else 0.0
                 found += [Change(each, True, unseen_s) for each in (Missing(name, rows), Moved(name, rows))]
-        found.append(Change(Unexpected(int(np.argmax(self._surprise))), True))
+        found.append(Change(self._unexpected, True))
         return [each for each in found if each.hypothesis.name not in present]
+
+    @property
+    def _unexpected(self) -> Hypothesis:
+        """A thing where readings surprise most."""
+        return Unexpected(int(np.argmax(self._surprise)))
 
     def _is_near(self, rows: tuple[int, ...]) -> bool:
         """Return whether a thing is near enough to be seen or missed, with its rows among all things."""

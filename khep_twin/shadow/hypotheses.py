@@ -107,7 +107,7 @@ class WeakMotor:
 
     side: int
     channel: str = "wheels"
-    rare: float = 0.0
+    rare: float = 1.0
 
     @property
     def name(self) -> str:
@@ -134,7 +134,7 @@ class SlippingWheel:
 
     side: int
     channel: str = "wheels"
-    rare: float = 0.0
+    rare: float = 1.0
 
     @property
     def name(self) -> str:

@@ -1,6 +1,7 @@
 """Search for a robot that was put elsewhere: the last replies, repeated with twins that may be anywhere."""
 
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Action, repeat
+from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.start import anywhere
@@ -56,20 +58,27 @@ class Search:
         while self._actions[0][0].time_ns < self._snapshots[0][0]:
             self._actions.popleft()
 
-    def odds(self, tracker: ParticleFilter, since_ns: int, use: NDArray[np.bool_]) -> float:
+    def odds(
+        self, tracker: ParticleFilter, since_ns: int, use: NDArray[np.bool_], fault: Hypothesis | None = None
+    ) -> float:
         """Return the logarithm of the odds that the robot was put elsewhere, against what a filter considers.
 
         Args:
             tracker: Filter.
             since_ns: Time after which it may have been put elsewhere [ns].
             use: Sensors to rely on (8,).
+            fault: Fault that may have begun then instead.
         """
         if not self._snapshots:
             return -np.inf
         since_ns = max(since_ns, self._snapshots[0][0])
         before = next((told for action, told in self._actions if action.time_ns > since_ns), tracker.evidence)
-        here = max(tracker.evidence - before, self._repeated(since_ns, HERE, use, False).evidence)
-        return self._repeated(since_ns, TRIED, use, True).evidence - RARE - here
+        here = max(tracker.evidence - before, self._repeated(since_ns, HERE, use, self._leave).evidence)
+        if fault is not None:
+            # As rare; a filter considers it some replies later, which surprise all its twins.
+            begun = self._repeated(since_ns, HERE, use, lambda particles: fault.begin(particles, self._rng))
+            here = max(here, begun.evidence - RARE)
+        return self._repeated(since_ns, TRIED, use, self._scatter).evidence - RARE - here
 
     def lost(self, since_ns: int, use: NDArray[np.bool_]) -> Particles:
         """Return particles of a robot that was put anywhere, by the replies since; forget what was before.
@@ -78,18 +87,26 @@ class Search:
             since_ns: Time after which it was [ns].
             use: Sensors to rely on (8,).
         """
-        particles = self._repeated(max(since_ns, self._snapshots[0][0]), LOST, use, True).particles
+        particles = self._repeated(max(since_ns, self._snapshots[0][0]), LOST, use, self._scatter).particles
         self._snapshots.clear()
         return particles
 
-    def _repeated(self, since_ns: int, count: int, use: NDArray[np.bool_], elsewhere: bool) -> ParticleFilter:
+    def _scatter(self, particles: Particles) -> None:
+        particles.planes.move(anywhere(self._setup, particles.planes, self._rng))
+
+    def _leave(self, particles: Particles) -> None:
+        pass
+
+    def _repeated(
+        self, since_ns: int, count: int, use: NDArray[np.bool_], change: Callable[[Particles], None]
+    ) -> ParticleFilter:
         """Return a filter of so many twins that repeat what was since a time, with known sensors and faults.
 
         Args:
             since_ns: Time [ns].
             count: Number of particles.
             use: Sensors to rely on (8,).
-            elsewhere: Whether they are anywhere at that time, not where the robot was known to be.
+            change: Function that does to the particles what happened at that time.
         """
         begin_ns, start = next(each for each in reversed(self._snapshots) if each[0] <= since_ns)
         few, actions = start.drawn(GROUP, 0.5), [action for action, _ in self._actions]
@@ -98,8 +115,7 @@ class Search:
                 repeat(action, few)
         particles = few.drawn(count, 0.5)
         particles.changes[:] = 0
-        if elsewhere:
-            particles.planes.move(anywhere(self._setup, particles.planes, self._rng))
+        change(particles)
         tracker = ParticleFilter(self._setup, particles, self._rng, min(count, FOUND))
         tracker.spread()
         for action in actions:

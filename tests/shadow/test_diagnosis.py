@@ -84,7 +84,7 @@ def test_a_sound_robot_has_no_alarms() -> None:
 
 @pytest.mark.parametrize("counters", [False, True])
 def test_a_motor_that_dies_is_named_until_it_runs_again(counters: bool) -> None:
-    driven, dead = Driven(1, counters), "dead motor or blocked wheel left"
+    driven, dead = Driven(2, counters), "dead motor or blocked wheel left"
     driven.drive(4)
     driven.robot.strength[:, 0] = 0
     driven.drive(4)

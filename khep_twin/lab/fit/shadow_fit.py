@@ -1,4 +1,4 @@
-"""Calibration from what a shadow has learned of its robot: wheels, and gains, headings and thresholds.
+"""Calibration from what a shadow has learned of its robot: wheels, and the gains of its sensors.
 
 The shadow's log has it in `/shadow/learned`; the line of a relay is followed first. Values that the robot's
 drive has not determined better than they were known before stay as they were.
@@ -7,7 +7,6 @@ drive has not determined better than they were known before stay as they were.
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,24 +25,21 @@ from khep_twin.shadow.learned import LEARNED, Learned, learned
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.start import PUBLISHED
-from khep_twin.units import N_SENSORS
 
 WHEEL_ERRORS = 0.012, 0.0055, 0.022
 """Errors of the wheels' radius, ratio and base beyond the particles' deviations, as parts: so far off were
 those of six stand-in robots after five minutes of N and D (`benchmarks.shadow_fits`), as few
 remain of the wheels that a filter has begun with."""
 
-GAIN_ERROR, HEADING_ERROR_DEG, THRESHOLD_ERROR = 0.06, 1.5, 20.0
-"""Those of a sensor's gain, as a part, heading [deg] and threshold [counts]."""
+GAIN_ERROR = 0.13
+"""That of a gain; headings and thresholds are known to 2.5 degrees and 49 counts then, hardly better than
+they were before, and stay as they are."""
 
 _WHEELS = "radius_mm", "right_over_left", "base_mm"
 _TOLD = {
     "radius_mm": ("wheel radius", "{:.3f} mm +- {:.3f}"),
     "right_over_left": ("right over left", "{:.4f} +- {:.4f}"),
     "base_mm": ("wheel base", "{:.2f} mm +- {:.2f}"),
-    "gain_counts_mm2": ("gain", "{:.4g} +- {:.4g}"),
-    "heading_deg": ("heading", "{:.1f} +- {:.1f} degrees"),
-    "threshold_counts": ("threshold", "{:.0f} +- {:.0f}"),
 }
 
 
@@ -95,28 +91,26 @@ def follow_all(
 def fit_learned(found: Learned, start: Calibration) -> RobotFit:
     """Return the calibration of a robot that a shadow has followed with `start`."""
     values, lines, kept = list[FittedValue](), list[str](), list[str]()
-    changes: dict[str, dict[str, Any]] = {"wheels": {}, "proximity": {}, "": {}}
+    wheels, gains = dict[str, float](), list(start.proximity.gain_counts_mm2)
     for each, known in learned_values(found, start):
-        table, key, *sensor = each.path
-        name, words = _TOLD[str(key)]
-        if sensor:
-            name = f"{SENSORS[sensor[0]]}: {name}"
+        key, sensor = each.path[1], each.path[2] if len(each.path) > 2 else None
+        name, words = _TOLD[key] if sensor is None else (SENSORS[sensor], "gain {:.4g} +- {:.4g}")
         if each.interval > DETERMINED * known:
-            kept.append(name)
+            kept.append(name if sensor is None else f"gain of {name}")
             continue
         values.append(each)
-        lines.append(f"{name:20}  {words.format(each.value, each.interval)} (95 %)")
-        if sensor:
-            before = list(getattr(getattr(start, table) if table else start, key))
-            changes[table].setdefault(key, before)[sensor[0]] = each.value
+        lines.append(f"{name:15}  {words.format(each.value, each.interval)} (95 %)")
+        if sensor is None:
+            wheels[key] = each.value
         else:
-            changes[table][key] = each.value
+            gains[sensor] = each.value
     if kept:
-        lines.append(f"{'as before':20}  not determined by this drive: {', '.join(kept)}")
-    turning = start.wheels.model_copy(update=changes["wheels"])
-    near = start.proximity.model_copy(update=changes["proximity"])
-    after = start.model_copy(update={**changes[""], "wheels": turning, "proximity": near})
-    return RobotFit(after, tuple(values), tuple(lines))
+        lines.append(f"as before        not determined by this drive: {', '.join(kept)}")
+    near = start.proximity.model_copy(update={"gain_counts_mm2": tuple(gains)})
+    turning = start.wheels.model_copy(update=wheels)
+    return RobotFit(
+        start.model_copy(update={"wheels": turning, "proximity": near}), tuple(values), tuple(lines)
+    )
 
 
 def learned_values(found: Learned, start: Calibration) -> Iterator[tuple[FittedValue, float]]:
@@ -126,34 +120,15 @@ def learned_values(found: Learned, start: Calibration) -> Iterator[tuple[FittedV
     for key, part, deviation, before in zip(_WHEELS, found.wheels.tolist(), deviations, known, strict=True):
         unit = CONFIDENCE * float(getattr(start.wheels, key))
         yield FittedValue(("wheels", key), unit / CONFIDENCE * part, unit * deviation), unit * before
-    near = start.proximity
-    gains, thresholds = np.array(near.gain_counts_mm2), np.array(near.threshold_counts)
-    turns, turn_deviations = np.degrees(found.turns), np.degrees(found.turn_deviations)
-    gain_spread = math.hypot(PUBLISHED.gain, calibration.GAIN_SPREAD)
-    traits = (
-        (
-            "proximity",
-            "gain_counts_mm2",
-            gains * found.gains,
-            gains * found.gains * np.hypot(found.gain_deviations, GAIN_ERROR),
-            gains * found.gains * gain_spread,
-        ),
-        (
-            "",
-            "heading_deg",
-            np.array(start.heading_deg) + turns,
-            np.hypot(turn_deviations, HEADING_ERROR_DEG),
-            np.full(N_SENSORS, calibration.HEADING_SPREAD_DEG),
-        ),
-        (
-            "proximity",
-            "threshold_counts",
-            thresholds + found.thresholds,
-            np.hypot(found.threshold_deviations, THRESHOLD_ERROR),
-            thresholds * calibration.THRESHOLD_SPREAD,
-        ),
-    )
-    for table, key, value, apart, before in traits:
-        for sensor in range(N_SENSORS):
-            interval, wide = CONFIDENCE * float(apart[sensor]), CONFIDENCE * float(before[sensor])
-            yield FittedValue((table, key, sensor), float(value[sensor]), interval), wide
+    before = math.hypot(PUBLISHED.gain, calibration.GAIN_SPREAD)
+    for sensor, (gain, part, deviation) in enumerate(
+        zip(
+            start.proximity.gain_counts_mm2,
+            found.gains.tolist(),
+            np.hypot(found.gain_deviations, GAIN_ERROR).tolist(),
+            strict=True,
+        )
+    ):
+        unit = CONFIDENCE * gain * part
+        path = ("proximity", "gain_counts_mm2", sensor)
+        yield FittedValue(path, gain * part, unit * deviation), unit * before
