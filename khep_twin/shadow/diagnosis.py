@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S
 from khep_twin.log.exchanges import Exchange
 from khep_twin.rollout.episode_setup import EpisodeSetup
-from khep_twin.rollout.planar import plane as flat
-from khep_twin.shadow import hypotheses
 from khep_twin.shadow.actions import Action, Counted, Restarted, Seen, Waited
 from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.candidates import Candidates
 from khep_twin.shadow.changes import Change
-from khep_twin.shadow.hypotheses import Hypothesis, Missing, Moved, SlippingWheel, Unexpected
+from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.lamp_watch import LampWatch
 from khep_twin.shadow.line_watch import LOSING, LineWatch
 from khep_twin.shadow.particle_filter import ParticleFilter
@@ -61,15 +60,6 @@ TOLD_NS = NS_PER_S
 SETTLED_NS = 5 * NS_PER_S
 """Time for which a fault is probable before it is taken for granted, beside which others may begin [ns]."""
 
-NEAR = 0.12
-"""Farthest distance of a thing from the robot's centre, to be missed or, moved a little, seen [m]."""
-
-MET_NS = NS_PER_S
-"""Time after which a thing that is near has been met: what happened to it before is seen by then [ns]."""
-
-LEFT_NS = 4 * NS_PER_S
-"""Time for which it is considered after it was near: twins that miss it may leave it [ns]."""
-
 FOUND_NS = 5 * NS_PER_S
 """Time of replies without surprise after which a pose that was searched counts as found [ns]."""
 
@@ -97,9 +87,7 @@ class Diagnosis:
         self._wheels, self._line = WheelWatch(), LineWatch()
         self._lamps = LampWatch(tracker.particles.planes.lamps.names)
         self._counted: Floats | None = None
-        self._things = hypotheses.things_of(setup)
-        self._near: dict[str, tuple[int, int, int]] = {}
-        """When each thing came near, was so last, and for how long it was not before [ns]."""
+        self._begins = Candidates(setup)
         self._present: list[tuple[Hypothesis, Alarm]] = []
         self._leading: tuple[Hypothesis, Alarm] | None = None
         self._others: list[Alarm] = []
@@ -264,46 +252,13 @@ class Diagnosis:
         if self._vague_ns[1] == time_ns:  # It may be so because of one of these.
             return [each for each in self.filter.changes if each.begins]
         present = {fault.name for fault, _ in self._present}
-        found: list[Change] = []
-        if not any(fault.channel == "wheels" for fault, _ in self._present):
-            # Counters tell on their own which wheel stands or is slow.
-            asked = self._counted is not None
-            found += [
-                Change(each, True)
-                for each in hypotheses.of_wheels()
-                if not asked or isinstance(each, SlippingWheel)
-            ]
-        for name, rows in self._things.items():
-            came_ns, left_ns, unseen_ns = self._near.get(name, (0, -LEFT_NS, 0))
-            if self._is_near(rows):
-                if time_ns - left_ns > MET_NS:
-                    came_ns, unseen_ns = time_ns, time_ns - max(left_ns, 0)
-                left_ns = time_ns
-                self._near[name] = came_ns, left_ns, unseen_ns
-            if time_ns - left_ns < LEFT_NS:
-                unseen_s = unseen_ns / NS_PER_S if time_ns - came_ns < MET_NS else 0.0
-                found += [Change(each, True, unseen_s) for each in (Missing(name, rows), Moved(name, rows))]
-        found.append(Change(self._unexpected, True))
-        return [each for each in found if each.hypothesis.name not in present]
-
-    @property
-    def _unexpected(self) -> Hypothesis:
-        """A thing where readings surprise most."""
-        return Unexpected(int(np.argmax(self._surprise)))
-
-    def _is_near(self, rows: tuple[int, ...]) -> bool:
-        """Return whether a thing is near enough to be seen or missed, with its rows among all things."""
-        _, (x, y, _), covariance = self.filter.estimate(0)
-        things, reach = (
-            self.filter.particles.planes.things[0],
-            NEAR + math.sqrt(covariance[0, 0] + covariance[1, 1]),
-        )
-        return any(
-            math.hypot(x - things[row, flat.CENTRE_X], y - things[row, flat.CENTRE_Y])
-            - things[row, flat.LENGTH]
-            < reach
-            for row in rows
-        )
+        stands = any(fault.channel == "wheels" for fault, _ in self._present)
+        sensor, counted = int(np.argmax(self._surprise)), self._counted is not None
+        return [
+            each
+            for each in self._begins.at(time_ns, self.filter, sensor, counted)
+            if each.hypothesis.name not in present and not (stands and each.hypothesis.channel == "wheels")
+        ]
 
     def _end_lifted(self, time_ns: int) -> None:
         """End the alarm of a robot that was put elsewhere, once its pose is known."""

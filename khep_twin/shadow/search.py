@@ -73,7 +73,7 @@ class Search:
             return -np.inf
         since_ns = max(since_ns, self._snapshots[0][0])
         before = next((told for action, told in self._actions if action.time_ns > since_ns), tracker.evidence)
-        here = max(tracker.evidence - before, self._repeated(since_ns, HERE, use, self._leave).evidence)
+        here = max(tracker.evidence - before, self._repeated(since_ns, HERE, use).evidence)
         if fault is not None:
             # As rare; a filter considers it some replies later, which surprise all its twins.
             begun = self._repeated(since_ns, HERE, use, lambda particles: fault.begin(particles, self._rng))
@@ -94,11 +94,12 @@ class Search:
     def _scatter(self, particles: Particles) -> None:
         particles.planes.move(anywhere(self._setup, particles.planes, self._rng))
 
-    def _leave(self, particles: Particles) -> None:
-        pass
-
     def _repeated(
-        self, since_ns: int, count: int, use: NDArray[np.bool_], change: Callable[[Particles], None]
+        self,
+        since_ns: int,
+        count: int,
+        use: NDArray[np.bool_],
+        change: Callable[[Particles], None] | None = None,
     ) -> ParticleFilter:
         """Return a filter of so many twins that repeat what was since a time, with known sensors and faults.
 
@@ -115,7 +116,8 @@ class Search:
                 repeat(action, few)
         particles = few.drawn(count, 0.5)
         particles.changes[:] = 0
-        change(particles)
+        if change is not None:
+            change(particles)
         tracker = ParticleFilter(self._setup, particles, self._rng, min(count, FOUND))
         tracker.spread()
         for action in actions:
