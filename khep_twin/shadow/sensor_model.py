@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 OUTLIERS = 0.02
 """Part of the readings that the twins cannot explain (assumed)."""
 
-MODEL = 0.15
+MODEL = 0.1
 """Relative deviation of readings from the twin's, besides the sensors' traits (assumed)."""
 
 LEAST = 0.03, math.radians(0.5), 10.0
