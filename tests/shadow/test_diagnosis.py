@@ -43,7 +43,7 @@ class Driven:
             time_ns = robot.ticks * SECOND // 100
             diagnosis.hear(Exchange(b"N", time_ns, b"n,0,0,0,0,0,0,0,0", time_ns))
             light = readings(robot)
-            noisy = np.where(light > 0, light + self._rng.normal(0, 4, 8), self._rng.exponential(2, 8))
+            noisy = np.where(light > 0, light + self._rng.normal(0, 20, 8), self._rng.exponential(2, 8))
             diagnosis.follow(Seen(time_ns, noisy.clip(0, 1023).astype(np.int64)))
             if self._counters:
                 angles = robot.robots["joints"][0, [flat.LEFT_ANGLE, flat.RIGHT_ANGLE]]
@@ -76,7 +76,7 @@ class Driven:
 
 
 def test_a_sound_robot_has_no_alarms() -> None:
-    driven = Driven(0)
+    driven = Driven(1)
     driven.drive(20)
     assert driven.names == []
     assert driven.off_mm < 10
