@@ -2,8 +2,7 @@
 
 Stand-in robots of the same make drive for five minutes, and a shadow follows the recordings. Printed is how
 often the robot's own values lie in the 95 % intervals that `khep-twin fit --from` tells, and the errors in
-standard deviations of these. The robots are sound, and faults are not looked for. A gain is compared as it
-is: what a sensor's heading, lobe and threshold do to its counts, the shadow takes for gain.
+standard deviations of these. The robots are sound, and faults are not looked for.
 """
 
 import argparse
@@ -35,7 +34,7 @@ def main() -> None:
     options.add_argument("--particles", type=int, default=1000, help="particles of the shadow")
     options.add_argument("--asks-counters", action="store_true", help="ask H as well")
     given = options.parse_args()
-    Diagnosis._try = lambda self, time_ns: None
+    Diagnosis._diagnose = lambda self, time_ns: None  # pyright: ignore[reportPrivateUsage]
     playpen = playpens.load(given.playpen)
     start = calibration.read(playpen.robots[0].calibration)[0]
     errors: defaultdict[str, list[tuple[float, float, float]]] = defaultdict(list)

@@ -13,11 +13,15 @@ def compile_all(
     ] = None,
 ) -> None:
     """Compile the stepping core with numba, so that later commands find it in numba's cache."""
+    import numpy as np
+
     from khep_twin.errors import choices
     from khep_twin.playpen import load
     from khep_twin.rollout.controllers import Braitenberg
     from khep_twin.rollout.episode import Episode, EpisodeSetup
-    from khep_twin.shadow.planes import SPEED, Planes
+    from khep_twin.shadow.planes import SPEED
+    from khep_twin.shadow.sensor_model import SensorModel
+    from khep_twin.shadow.start import PUBLISHED, begun
     from khep_twin.simulation.ready import CODE
     from khep_twin.world import World
 
@@ -28,13 +32,11 @@ def compile_all(
             world = World(load("default"), compiled=True)
             world.advance_to(world.timing.step_ns)
         elif part == "shadow":
-            planes = Planes(EpisodeSetup(load("two-lamps"), planar=True), 1)
-            planes.put(planes.poses)
-            planes.command(SPEED, 0, 0)
-            planes.advance(1)
-            planes.illuminate()
-            planes.lamplight(0.0)
-            planes.free(planes.poses)
+            setup, rng = EpisodeSetup(load("two-lamps"), planar=True), np.random.default_rng(0)
+            particles = begun(setup, None, PUBLISHED, 1, rng)
+            particles.planes.command(SPEED, 0, 0)
+            particles.planes.advance(1)
+            SensorModel(particles.planes).explain(particles, np.zeros(8, np.int64), np.ones(8, np.bool_))
         else:
             setup = EpisodeSetup(load("default"), planar=part == "plane")
             Episode(setup, Braitenberg(), compiled=True).begin()

@@ -32,10 +32,12 @@ class Change(NamedTuple):
     Attributes:
         hypothesis: Fault.
         begins: Whether it begins.
+        unseen_s: Time before it was considered, for which it may have happened unseen [s].
     """
 
     hypothesis: Hypothesis
     begins: bool
+    unseen_s: float = 0.0
 
     @property
     def key(self) -> tuple[str, bool]:
@@ -85,12 +87,15 @@ def mixed(
     sources: NDArray[np.intp] = order[weights[order] > 0]
     had, weights = particles.changes[sources], weights[sources]
     rates = [UNDONE, *(change.rate for change in changes)]
+    unseen_s = [0.0, *(change.unseen_s for change in changes)]
     rows: list[NDArray[np.intp]] = []
     logs: list[Floats] = []
     for number, rate in zip(numbers, rates, strict=True):
         staying = math.exp(-(sum(rates) - rate) * passed_s)
-        shares: Floats = weights * np.where(had == number, staying, rate * passed_s)
-        size = round(count * float(weights[had == number].sum())) + (QUOTA if changes else 0)
+        has = had == number
+        for_s = passed_s if has.any() else passed_s + unseen_s[number]
+        shares: Floats = weights * np.where(has, staying, rate * for_s)
+        size = round(count * float(weights[has].sum())) + (QUOTA if changes else 0)
         picked: NDArray[np.intp] = sources[drawn(shares, size, rng.random())]
         rows.append(picked)
         logs.append(np.full(size, math.log(float(shares.sum()) / size), np.float64))
@@ -103,8 +108,11 @@ def mixed(
     edges = np.flatnonzero(turns)
     for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         old, new = int(before[start]), int(made.changes[start])
+        part = made.taken(slice(start, stop))
+        for number, change in enumerate(changes, 1):
+            if old == new and (number == new) == change.begins:
+                change.hypothesis.refine(part, rng)  # All of these have that fault.
         if old != new:
-            part = made.taken(slice(start, stop))
             part.since_ns[:] = time_ns
             if old:
                 changes[old - 1].undo(part, rng)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from khep_twin import units
 from khep_twin.board import kernel
+from khep_twin.compilable import compilable
 from khep_twin.rollout.planar import casting, contact_solver, motion, plane, shadows
 from khep_twin.rollout.planar import compiled as planar_compiled
 from khep_twin.rollout.planar.plane import Plane
@@ -18,6 +19,7 @@ from khep_twin.sensing import optics, reflection, seen_surfaces
 from khep_twin.sensing.optics import SLIGHT, Light, chip_of, light_counts, received
 from khep_twin.sensing.reflection import Lobe, reflected, sift
 from khep_twin.sensing.scene import position, surfaces
+from khep_twin.sensing.seen_surfaces import Chip
 from khep_twin.shadow.planes import DUTY, SPEED, TARGET
 from khep_twin.simulation.compiled import compiled
 
@@ -38,6 +40,9 @@ _SOURCES = (
 
 _RIGHT = kernel.RIGHT
 _LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
+
+_TURN = math.radians(1)
+"""Turn of a sensor for whose slope its light is computed again [rad]."""
 
 _HOLD = 6.0
 """Brake of a wheel that is blocked, as a part of that of a motor without voltage."""
@@ -81,23 +86,82 @@ def _advance(things, order, planes, registers, processor, strength, drive, volta
             scene.robot.ctrl[1] = own + (wanted - own) * part + own * held
 
 
-def _illuminate(things, order, planes, sensors, light):
+def _illuminate(things, order, planes, sensors, turns, light, slope):
     for twin in range(len(planes)):
         scene = Plane(things[twin], order[twin], planes[twin])
-        proximity = sensors[0].proximity
         for channel in range(units.N_SENSORS):
-            chip = chip_of(scene, sensors[0], channel)
-            count = surfaces(scene, sensors[0], channel, chip, proximity.reach[channel])
-            lobe = Lobe(
-                proximity.whole[channel],
-                proximity.part[channel],
-                proximity.norm[channel],
-                proximity.width[channel],
-                proximity.table[channel],
-            )
-            gain, found = proximity.gain[channel], proximity.found
-            count, _ = sift(found, count, lobe, SLIGHT / gain)
-            light[twin, channel] = gain * reflected(found, count, chip, lobe) if count else 0.0
+            chip, turn = chip_of(scene, sensors[0], channel), turns[twin, channel]
+            light[twin, channel] = seen = _light(scene, sensors[0], channel, chip, turn)
+            slope[twin, channel] = 0.0
+            if seen > 0:
+                slope[twin, channel] = (_light(scene, sensors[0], channel, chip, turn + _TURN) - seen) / _TURN
+
+
+@compilable
+def _light(scene, sensors, channel, mounted, turn):
+    """Return the light that a sensor gets back [counts], whose chip is turned about its face [rad]."""
+    proximity = sensors.proximity
+    c, s, offset = math.cos(turn), math.sin(turn), proximity.offset[channel]
+    ahead, left = c * mounted.ahead - s * mounted.left, s * mounted.ahead + c * mounted.left
+    x, y = mounted.x + offset * (mounted.ahead - ahead), mounted.y + offset * (mounted.left - left)
+    chip = Chip(x, y, ahead, left, mounted.height, mounted.reach)
+    count = surfaces(scene, sensors, channel, chip, proximity.reach[channel])
+    lobe = Lobe(
+        proximity.whole[channel],
+        proximity.part[channel],
+        proximity.norm[channel],
+        proximity.width[channel],
+        proximity.table[channel],
+    )
+    gain, found = proximity.gain[channel], proximity.found
+    count, _ = sift(found, count, lobe, SLIGHT / gain)
+    return gain * reflected(found, count, chip, lobe) if count else 0.0
+
+
+def _explain(light, slope, range_left, readings, use, law, traits, covariances, counts, deviations, chances):
+    for twin in range(len(traits)):
+        for channel in range(units.N_SENSORS):
+            sensor, known = traits[twin, channel], covariances[twin, channel]
+            gain = math.exp(sensor[0])
+            scaled, along = gain * light[twin, channel], gain * slope[twin, channel]
+            count, reading = scaled - law.threshold[channel] - sensor[2], readings[channel]
+            low, high = reading <= law.quiet, reading >= law.full
+            if low or high:
+                reading = law.quiet if low else law.full
+            if not high:
+                count = min(count, law.limit * range_left[twin, channel])
+            first = known[0, 0] * scaled + known[0, 1] * along - known[0, 2]
+            second = known[1, 0] * scaled + known[1, 1] * along - known[1, 2]
+            third = known[2, 0] * scaled + known[2, 1] * along - known[2, 2]
+            apart = law.model * max(count, 0.0)
+            variance = law.noise[channel] + apart * apart + scaled * first + along * second - third
+            deviation = math.sqrt(variance)
+            off = (reading - count) / deviation
+            bell = math.exp(-0.5 * off * off) / math.sqrt(math.tau)
+            if low or high:
+                # Only that the count is beyond: its expectation and variance are those of a normal tail.
+                beyond = off if low else -off
+                inside = 1 / (1 + math.exp(-1.702 * max(min(beyond, 400.0), -400.0)))
+                tail = bell / max(inside, 1e-6)
+                learned, off = max(min(tail * (tail + beyond), 1.0), 0.0), -tail if low else tail
+                outside = 1.0
+            else:
+                inside, learned, outside = bell / deviation, 1.0, 1 / (law.limit + 1)
+            chance = (1 - law.outliers) * inside + law.outliers * outside
+            counts[twin, channel], deviations[twin, channel] = count, deviation
+            chances[twin, channel] = chance
+            if use[channel] and range_left[twin, channel] >= 1:
+                trust = (1 - law.outliers) * inside / chance
+                step = trust * off / deviation
+                sensor[0] += step * first
+                sensor[1] += step * second
+                sensor[2] += step * third
+                step = trust * learned / variance
+                for row, by in ((0, first), (1, second), (2, third)):
+                    known[row, 0] -= step * by * first
+                    known[row, 1] -= step * by * second
+                    known[row, 2] -= step * by * third
+                    known[row, row] = max(known[row, row], law.least[row])
 
 
 def _lamplight(things, order, planes, sensors, law, bulbs, hidden, powers, least, light):
@@ -152,7 +216,15 @@ advance: Any = compiled(_advance, _SOURCES)
 """Advance twins by control ticks of 10 ms: motion, encoders, controllers, voltages."""
 
 illuminate: Any = compiled(_illuminate, _SOURCES)
-"""Compute the light at each sensor, at the gains of the shared calibration (n, 8) [counts]."""
+"""Compute the light at each sensor, at the gains of the shared calibration, and its slope as it turns (n, 8)
+[counts, counts/rad]."""
+
+explain: Any = compiled(_explain, _SOURCES)
+"""Compute what each sensor is expected to read, and the probability of its reading; learn its traits.
+
+A reading that is not clipped is a Kalman filter's observation of gain, turn and threshold; of one that is,
+the mean and the variance of the normal tail beyond the limit are taken.
+"""
 
 lamplight: Any = compiled(_lamplight, _SOURCES)
 """Compute the light of each lamp at each receiver, below its dark level (n, 8, n_lamps) [counts].

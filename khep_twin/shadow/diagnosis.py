@@ -6,6 +6,7 @@ is repeated with twins that may be anywhere. Sensors, counters, lamps and the li
 """
 
 import math
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -14,16 +15,15 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S
 from khep_twin.log.exchanges import Exchange
 from khep_twin.rollout.episode_setup import EpisodeSetup
-from khep_twin.rollout.planar import plane as flat
-from khep_twin.shadow import hypotheses
 from khep_twin.shadow.actions import Action, Counted, Restarted, Seen, Waited
 from khep_twin.shadow.alarms import Alarm
+from khep_twin.shadow.candidates import Candidates
 from khep_twin.shadow.changes import Change
-from khep_twin.shadow.hypotheses import Hypothesis, Missing, Moved, SlippingWheel, Unexpected
+from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.lamp_watch import LampWatch
 from khep_twin.shadow.line_watch import LOSING, LineWatch
 from khep_twin.shadow.particle_filter import ParticleFilter
-from khep_twin.shadow.search import Search
+from khep_twin.shadow.search import KEPT_NS, Search
 from khep_twin.shadow.sensor_model import SensorModel
 from khep_twin.shadow.sensor_watch import SensorWatch
 from khep_twin.shadow.wheel_watch import WheelWatch
@@ -45,6 +45,9 @@ WAITED_NS = 1_000_000_000
 TRIED_NS = NS_PER_S
 """Interval at which it is [ns]."""
 
+EARLIER_NS = NS_PER_S // 2
+"""Time by which a fault may seem to begin before replies surprise [ns]."""
+
 RAISED = 9.0
 """Logarithm of the odds from which on it is elsewhere."""
 
@@ -56,9 +59,6 @@ TOLD_NS = NS_PER_S
 
 SETTLED_NS = 5 * NS_PER_S
 """Time for which a fault is probable before it is taken for granted, beside which others may begin [ns]."""
-
-NEAR = 0.09
-"""Farthest distance of a thing from the robot's centre, to be seen or missed [m]."""
 
 FOUND_NS = 5 * NS_PER_S
 """Time of replies without surprise after which a pose that was searched counts as found [ns]."""
@@ -87,16 +87,20 @@ class Diagnosis:
         self._wheels, self._line = WheelWatch(), LineWatch()
         self._lamps = LampWatch(tracker.particles.planes.lamps.names)
         self._counted: Floats | None = None
-        self._things = hypotheses.things_of(setup)
+        self._begins = Candidates(setup)
         self._present: list[tuple[Hypothesis, Alarm]] = []
         self._leading: tuple[Hypothesis, Alarm] | None = None
         self._others: list[Alarm] = []
         self._search = Search(setup, rng)
         self._surprise: Floats = np.zeros(8)
         self._seen_ns = self._tried_ns = 0
-        self._lost_ns, self._vague_ns = 0, -1
+        self._lost_ns = 0
+        self._vague_ns = -1, -1
+        """Begin and end of the last time for which the pose was vague [ns]."""
         self._searches = not self._known
         self._surprised_ns: int | None = None
+        self._onsets: deque[int] = deque(maxlen=20)
+        """Times of the replies before those that began to surprise [ns]."""
         self.ended: tuple[Alarm, ...] = ()
 
     @property
@@ -113,6 +117,7 @@ class Diagnosis:
 
     def follow(self, action: Action) -> Floats:
         """Follow an action; return what counters tell beyond commands (2,)."""
+        self._search.note(action, self.filter.evidence)
         told = self.filter.act(action, self._sensors.sound)
         if isinstance(action, Seen):
             left = self.filter.range_left
@@ -126,7 +131,6 @@ class Diagnosis:
             self._counted = action.counters.astype(np.float64)
         elif isinstance(action, Restarted):
             self._counted = None
-        self._search.note(action)
         if isinstance(action, Seen):
             self._see(action)
         return told
@@ -141,25 +145,28 @@ class Diagnosis:
     def _see(self, action: Seen) -> None:
         """Take a reply to N: diagnose, keep a snapshot, and search while it surprises."""
         time_ns = action.time_ns
-        passed_s = (time_ns - self._seen_ns) * 1e-9
-        self._seen_ns = time_ns
+        before_ns, self._seen_ns = self._seen_ns, time_ns
+        passed_s = (time_ns - before_ns) * 1e-9
         self._surprise = self._surprise * math.exp(-passed_s / SURPRISE_S)
         self._surprise += np.maximum(self.filter.surprise - _USUAL, 0)
         self._end_lifted(time_ns)
         if not self._known and np.argmax(self.filter.probabilities) == 0:
-            self._vague_ns = time_ns
+            began_ns, last_ns = self._vague_ns
+            self._vague_ns = (began_ns if last_ns == before_ns else time_ns), time_ns
         self._diagnose(time_ns)
         if self._surprise.max() <= SURPRISED:
             self._surprised_ns = None
         elif self._surprised_ns is None:
             self._surprised_ns = time_ns
+            self._onsets.append(before_ns)
         elif (
             time_ns - max(self._tried_ns, self._surprised_ns) >= TRIED_NS
             and time_ns - self._surprised_ns >= WAITED_NS
+            and self._leading is None
             and self._known
         ):
             self._tried_ns = time_ns
-            self._find(time_ns, time_ns - WINDOW_NS, RAISED)
+            self._find(time_ns, max(self._onsets[-1], time_ns - WINDOW_NS), RAISED)
         self._search.keep(time_ns, self.filter)
 
     @property
@@ -174,11 +181,13 @@ class Diagnosis:
         probabilities = tracker.probabilities
         number = int(np.argmax(probabilities))
         sureness = float(probabilities[number])
-        if number == 0:
-            if leading is not None and sureness > SURE:
+        if leading is not None:
+            leads = [each.begins and each.hypothesis.name == leading[0].name for each in tracker.changes]
+            if probabilities[1:][leads].sum() < 1 - SURE:
                 self._give_up(time_ns)
-        elif probabilities[0] < 1 - SURE and sureness > NAMED:
-            fault, begins = tracker.changes[number - 1]
+                leading = None
+        if number > 0 and probabilities[0] < 1 - SURE and sureness > NAMED:
+            fault, begins, _ = tracker.changes[number - 1]
             if not begins:
                 if sureness > SURE:
                     self.ended += tuple(
@@ -189,8 +198,9 @@ class Diagnosis:
             elif leading is None or (leading[0].name != fault.name and sureness > SURE):
                 has = tracker.particles.changes == number
                 since_ns = int(np.average(tracker.particles.since_ns[has], weights=tracker.weights[has]))
-                told = time_ns - since_ns >= TOLD_NS and since_ns >= self._vague_ns
-                if told and not self._find(time_ns, since_ns, 0.0):
+                vague = self._vague_ns[0] <= since_ns <= self._vague_ns[1]
+                told = time_ns - since_ns >= TOLD_NS and not vague
+                if told and not self._find(time_ns, since_ns, 0.0, fault):
                     self._give_up(time_ns)
                     alarm = Alarm(fault.name, fault.channel, since_ns, time_ns, min(sureness, 0.999))
                     self._leading = fault, alarm
@@ -199,8 +209,14 @@ class Diagnosis:
                     self._present.append((fault, leading[1]))
                     self._leading = None
                     self._adopt(number, time_ns)
-        changes = [Change(fault, True) for fault in self._candidates()]
-        tracker.consider([*changes, *(Change(fault, False) for fault, _ in self._present)])
+                elif (
+                    time_ns - max(self._tried_ns, leading[1].raised_ns) >= TRIED_NS
+                    and time_ns - leading[1].since_ns < KEPT_NS
+                ):
+                    self._tried_ns = time_ns
+                    self._find(time_ns, leading[1].since_ns, 0.0)
+        ends = [Change(fault, False) for fault, _ in self._present]
+        tracker.consider([*self._candidates(time_ns), *ends])
 
     def _adopt(self, number: int, time_ns: int) -> None:
         """Take a change for what the robot is now."""
@@ -214,10 +230,11 @@ class Diagnosis:
             self.ended += (replace(self._leading[1], ended_ns=time_ns),)
             self._leading = None
 
-    def _find(self, time_ns: int, since_ns: int, least: float) -> bool:
-        """Go on elsewhere, if the odds that the robot was put there since a time are above the least."""
+    def _find(self, time_ns: int, since_ns: int, least: float, fault: Hypothesis | None = None) -> bool:
+        """Go on elsewhere, if the odds that the robot was put there, not of a fault, are above the least."""
         use = self._sensors.sound
-        if self._search.odds(self.filter, since_ns, use) < least:
+        since_ns = next((each for each in self._onsets if each > since_ns - EARLIER_NS), since_ns)
+        if self._search.odds(self.filter, since_ns, use, fault) < least:
             return False
         # Of a robot whose commands are lost the twins know as little.
         self._searches = self._searches or any(each.fault == LOSING for each in self._line.alarms)
@@ -228,28 +245,20 @@ class Diagnosis:
         self._surprise[:] = 0
         return True
 
-    def _candidates(self) -> list[Hypothesis]:
+    def _candidates(self, time_ns: int) -> list[Change]:
         """Return the faults that may begin; where the pose is vague, they could be anything."""
-        if self._others or self._vague_ns == self._seen_ns:
+        if self._others:
             return []
+        if self._vague_ns[1] == time_ns:  # It may be so because of one of these.
+            return [each for each in self.filter.changes if each.begins]
         present = {fault.name for fault, _ in self._present}
-        found: list[Hypothesis] = []
-        if not any(fault.channel == "wheels" for fault, _ in self._present):
-            # Counters tell on their own which wheel stands or is slow.
-            asked = self._counted is not None
-            found += [each for each in hypotheses.of_wheels() if not asked or isinstance(each, SlippingWheel)]
-        x, y, _ = self.filter.estimate(0).pose
-        things = self.filter.particles.planes.things[0]
-        for name, rows in self._things.items():
-            reach = [
-                math.hypot(x - things[row, flat.CENTRE_X], y - things[row, flat.CENTRE_Y])
-                - things[row, flat.LENGTH]
-                for row in rows
-            ]
-            if min(reach) < NEAR:
-                found += [Missing(name, rows), Moved(name, rows)]
-        found.append(Unexpected(int(np.argmax(self._surprise))))
-        return [fault for fault in found if fault.name not in present]
+        stands = any(fault.channel == "wheels" for fault, _ in self._present)
+        sensor, counted = int(np.argmax(self._surprise)), self._counted is not None
+        return [
+            each
+            for each in self._begins.at(time_ns, self.filter, sensor, counted)
+            if each.hypothesis.name not in present and not (stands and each.hypothesis.channel == "wheels")
+        ]
 
     def _end_lifted(self, time_ns: int) -> None:
         """End the alarm of a robot that was put elsewhere, once its pose is known."""

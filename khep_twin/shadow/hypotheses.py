@@ -6,12 +6,15 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.sensing.mujoco_scene import visible
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import AWAY, N_SPARE
+
+Floats = NDArray[np.float64]
 
 SIDES = ("left", "right")
 
@@ -22,14 +25,21 @@ it, so that nothing shows at the speeds that hosts drive."""
 MOST_HOLD = 0.1
 """Part of its friction that a slipping tyre has at the most: with more, hosts' speeds show little."""
 
-MOVED_BY = 0.025
-"""Standard deviation of x and y of a thing that was moved [m] (assumed)."""
+MOVED_LEAST, MOVED_BY = 0.015, 0.02
+"""Least distance by which a thing was moved, lest errors of the pose are taken for it, and the standard
+deviation of what comes to it [m] (assumed)."""
 
 ADDED_RADII = 0.004, 0.03
 """Radii of a thing that is not in the playpen [m] (assumed)."""
 
 ADDED_REACH = 0.03
 """Farthest that it stands from a sensor that sees it [m] (assumed)."""
+
+REFINED = 0.2
+"""Part of their deviation by which values are drawn anew (assumed)."""
+
+_LEAST_SPREAD = 0.003
+"""Least deviation of a thing's place and size, drawn anew [m] (assumed)."""
 
 _HEIGHT = 0.05
 
@@ -60,6 +70,10 @@ class Hypothesis(Protocol):
         """Take it from them."""
         ...
 
+    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Draw what differs among equally probable particles with the fault anew, close to what it is."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class StandingWheel:
@@ -67,7 +81,7 @@ class StandingWheel:
 
     side: int
     channel: str = "wheels"
-    rare: float = 0.0
+    rare: float = 1.0
 
     @property
     def name(self) -> str:
@@ -83,6 +97,9 @@ class StandingWheel:
         """Give it back."""
         particles.planes.strength[:, self.side] = 1
 
+    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Leave them: all differ in one of two ways."""
+
 
 @dataclass(frozen=True, slots=True)
 class WeakMotor:
@@ -90,7 +107,7 @@ class WeakMotor:
 
     side: int
     channel: str = "wheels"
-    rare: float = 0.0
+    rare: float = 1.0
 
     @property
     def name(self) -> str:
@@ -105,6 +122,11 @@ class WeakMotor:
         """Strengthen it."""
         particles.planes.strength[:, self.side] = 1
 
+    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Draw its strength anew."""
+        strength = particles.planes.strength
+        strength[:, self.side] = np.clip(refined(strength[:, self.side], 0.01, rng), WEAKEST, STRONGEST)
+
 
 @dataclass(frozen=True, slots=True)
 class SlippingWheel:
@@ -112,7 +134,7 @@ class SlippingWheel:
 
     side: int
     channel: str = "wheels"
-    rare: float = 0.0
+    rare: float = 1.0
 
     @property
     def name(self) -> str:
@@ -128,6 +150,11 @@ class SlippingWheel:
         """Make it grip."""
         particles.planes.robots[f"{SIDES[self.side]}_hold"] = 1
 
+    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Draw its hold anew."""
+        hold = particles.planes.robots[f"{SIDES[self.side]}_hold"]
+        hold[:] = np.clip(refined(hold, 0.005, rng), 0, MOST_HOLD)
+
 
 @dataclass(frozen=True, slots=True)
 class Missing:
@@ -136,7 +163,7 @@ class Missing:
     thing: str
     rows: tuple[int, ...]
     channel: str = "proximity"
-    rare: float = 1.0
+    rare: float = 2.0
 
     @property
     def name(self) -> str:
@@ -152,6 +179,9 @@ class Missing:
         """Put it back."""
         particles.planes.restore(self.rows)
 
+    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Leave them: all are the same."""
+
 
 @dataclass(frozen=True, slots=True)
 class Moved:
@@ -160,7 +190,7 @@ class Moved:
     thing: str
     rows: tuple[int, ...]
     channel: str = "proximity"
-    rare: float = 0.0
+    rare: float = 2.0
 
     @property
     def name(self) -> str:
@@ -169,13 +199,19 @@ class Moved:
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Move the thing."""
-        by = rng.standard_normal((len(particles), 1, 2)) * MOVED_BY
-        particles.planes.things[:, self.rows, flat.CENTRE_X : flat.CENTRE_Y + 1] += by
-        particles.planes.remeasure()
+        by = MOVED_LEAST + np.abs(rng.standard_normal(len(particles))) * MOVED_BY
+        way = rng.uniform(0, math.tau, len(particles))
+        particles.planes.offset(self.rows, np.stack([by * np.cos(way), by * np.sin(way)], axis=1))
 
     def end(self, particles: Particles) -> None:
         """Put it back."""
         particles.planes.restore(self.rows)
+
+    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Draw its place anew."""
+        offsets = refined(particles.planes.offsets(self.rows), _LEAST_SPREAD, rng)
+        by = np.hypot(*offsets.T)[:, None]
+        particles.planes.offset(self.rows, offsets * np.maximum(MOVED_LEAST / np.maximum(by, 1e-9), 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +220,7 @@ class Unexpected:
 
     sensor: int
     channel: str = "proximity"
-    rare: float = 3.0
+    rare: float = 2.0
     name: str = "unexpected thing"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
@@ -208,6 +244,13 @@ class Unexpected:
         """Take it away."""
         particles.planes.restore((-N_SPARE,))
 
+    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Draw its place and its size anew."""
+        columns = [flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH]
+        row = particles.planes.things[:, -N_SPARE]
+        row[:, columns] = refined(row[:, columns], _LEAST_SPREAD, rng)
+        particles.planes.remeasure()
+
 
 def of_wheels() -> Iterator[Hypothesis]:
     """Yield the faults of motors and wheels."""
@@ -227,3 +270,16 @@ def things_of(setup: EpisodeSetup) -> dict[str, tuple[int, ...]]:
         if name != "wall":
             rows[name] = (*rows.get(name, ()), row)
     return rows
+
+
+def refined(values: Floats, least: float, rng: np.random.Generator) -> Floats:
+    """Return values drawn anew, each close to one of these, with the same mean and deviation (n, ...).
+
+    Args:
+        values: Values, drawn by their weights (n, ...).
+        least: Least deviation: few may be drawn many times.
+        rng: Random stream.
+    """
+    mean, deviation = values.mean(axis=0), np.maximum(values.std(axis=0), least)
+    kept = math.sqrt(1 - REFINED * REFINED)
+    return mean + kept * (values - mean) + REFINED * deviation * rng.standard_normal(values.shape)

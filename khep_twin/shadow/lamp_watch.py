@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.sensor_model import below
 
 Floats = NDArray[np.float64]
 
@@ -113,3 +112,8 @@ def _log(readings: NDArray[np.int64], light: Floats, dark: float, floor: float, 
     inside = np.exp(-0.5 * z * z) / (deviation * math.sqrt(math.tau))
     inside = np.where(clipped, below(z), inside)
     return np.log(((1 - _MOST) * inside + _MOST / 500).mean(axis=0))
+
+
+def below(z: Floats) -> Floats:
+    """Return the probability of a normal number below z, to 0.01."""
+    return 1 / (1 + np.exp(-np.clip(1.702 * z, -500, 500)))

@@ -56,8 +56,9 @@ def of_particles(particles: Particles) -> Learned:
     """Return what particles have learned: means by their weights, and what is left of their spread."""
     weights = np.exp(particles.logs)
     wheels = weights @ particles.wheels
-    logs = weights @ particles.gains
+    gains = particles.traits[:, :, 0]
+    logs = weights @ gains
     apart = weights @ (particles.wheels - wheels) ** 2
     # A gain's variance: that within each particle, and that between them.
-    gain_apart = weights @ (particles.variances + (particles.gains - logs) ** 2)
+    gain_apart = weights @ (particles.covariances[:, :, 0, 0] + (gains - logs) ** 2)
     return Learned(wheels, np.sqrt(apart), np.exp(logs), np.sqrt(gain_apart))

@@ -28,7 +28,7 @@ RADIUS_DRIFT, RATIO_DRIFT, BASE_DRIFT = 2e-4, 5e-5, 2e-4
 PLACE_NOISE, TURN_NOISE = 1e-3, 0.015
 """Noise of the motion in a second's square root, besides wheels [m, rad] (assumed)."""
 
-SLIP_NOISE = 3.0
+SLIP_NOISE = 6.0
 """Factor of that noise where a tyre slips or something is touched (assumed)."""
 
 LEAST_EFFECTIVE = 0.5

@@ -11,10 +11,10 @@ from khep_twin.shadow.planes import Planes
 
 Floats = NDArray[np.float64]
 
-TEMPER = 0.2
+TEMPER = 0.3
 """Power of the likelihood: errors of the model last for many replies, where noise would not (assumed)."""
 
-MANY_TEMPER = 0.1
+MANY_TEMPER = 0.05
 """The same for many particles, of a robot that may be anywhere: what is dropped too early is lost."""
 
 MANY = 3000
@@ -31,8 +31,9 @@ class Particles:
         planes: Their twins.
         logs: Logarithms of their weights (n,).
         wheels: Wheels' mean radius, ratio and base, as parts of the calibration's (n, 3).
-        gains: Logarithms of each sensor's gain, over the calibration's (n, 8).
-        variances: Their variances (n, 8).
+        traits: Logarithm of each sensor's gain, its turn [rad] and its threshold [counts], beyond those of
+            the calibration (n, 8, 3).
+        covariances: Their covariances (n, 8, 3, 3).
         counted: Counters as replied last, less the twins' own (n, 2) [pulses]; NaN before the first reply.
         changes: What each has, among the changes that a filter considers; 0 for none of them (n,).
         since_ns: Time since when it has that (n,) [ns].
@@ -41,8 +42,8 @@ class Particles:
     planes: Planes
     logs: Floats
     wheels: Floats
-    gains: Floats
-    variances: Floats
+    traits: Floats
+    covariances: Floats
     counted: Floats
     changes: NDArray[np.int64]
     since_ns: NDArray[np.int64]

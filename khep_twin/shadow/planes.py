@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,30 @@ N_SPARE = 1
 
 AWAY = 1e3
 """Position of what is not in the playpen [m]."""
+
+
+class SensorLaw(NamedTuple):
+    """Constants of the likelihood of all sensors' readings; see `sensor_model`.
+
+    Attributes:
+        threshold: Thresholds (8,) [counts].
+        noise: Variances of the noise (8,) [counts^2].
+        least: Variances below which no trait is taken for known (3,).
+        limit: Highest reading [counts].
+        quiet: Highest reading with nothing in reach [counts].
+        full: Lowest reading that may be at the limit, which lamps lower [counts].
+        model: Relative deviation of readings from the twin's.
+        outliers: Part of the readings that the twins cannot explain.
+    """
+
+    threshold: Floats
+    noise: Floats
+    least: Floats
+    limit: int
+    quiet: float
+    full: float
+    model: float
+    outliers: float
 
 
 class Planes:
@@ -136,6 +160,17 @@ class Planes:
         self.robots["last"][:, flat.ANCHOR_X] = np.inf
         self._code.measure(self.things, self._order, self.robots)
 
+    def offsets(self, rows: Sequence[int]) -> Floats:
+        """Return how far a thing, with its rows, is from where the playpen has it: x and y (n, 2) [m]."""
+        place = slice(flat.CENTRE_X, flat.CENTRE_Y + 1)
+        return self.things[:, rows[0], place] - self._scene[rows[0], place]
+
+    def offset(self, rows: Sequence[int], offsets: Floats) -> None:
+        """Put a thing, with its rows, so far from where the playpen has it: x and y (n, 2) [m]."""
+        place = slice(flat.CENTRE_X, flat.CENTRE_Y + 1)
+        self.things[:, rows, place] = self._scene[rows, place] + offsets[:, None]
+        self.remeasure()
+
     def restore(self, rows: Sequence[int]) -> None:
         """Put things back to where the playpen has them."""
         self.things[:, rows, : flat.REFLECTANCE + 1] = self._scene[rows, : flat.REFLECTANCE + 1]
@@ -158,14 +193,43 @@ class Planes:
         state = self.things, self._order, self.robots, self.registers, self.processor, self.strength
         self._code.advance(*state, self._drive, voltage, ticks)
 
-    def illuminate(self) -> Floats:
-        """Return the light at each sensor at the start of the last step (n, 8) [counts].
+    def illuminate(self, turns: Floats) -> tuple[Floats, Floats]:
+        """Return the light at each sensor at the start of the last step, and its slope as the sensor turns.
 
-        Gains are those of the calibration.
+        Both are (n, 8) [counts, counts/rad], with the gains of the calibration.
+
+        Args:
+            turns: Turns of the sensors to the left, from their headings in the calibration (n, 8) [rad].
         """
-        light = np.zeros((len(self), units.N_SENSORS))
-        self._code.illuminate(self.things, self._order, self.robots, self.sensors, light)
-        return light
+        light, slope = np.zeros((2, len(self), units.N_SENSORS))
+        state = self.things, self._order, self.robots, self.sensors
+        self._code.illuminate(*state, turns, light, slope)
+        return light, slope
+
+    def explain(
+        self,
+        traits: Floats,
+        covariances: Floats,
+        law: SensorLaw,
+        range_left: Floats,
+        readings: NDArray[np.int64],
+        use: NDArray[np.bool_],
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return expected counts, their deviations and readings' probabilities (n, 8); learn the traits.
+
+        Args:
+            traits: Traits of the sensors (n, 8, 3), changed in place.
+            covariances: Their covariances (n, 8, 3, 3), changed in place.
+            law: Constants of all sensors.
+            range_left: Part of each sensor's range that the lamps leave (n, 8).
+            readings: Proximity (8,) [counts].
+            use: Sensors that may be learned from (8,).
+        """
+        light, slope = self.illuminate(traits[:, :, 1])
+        counts, deviations, chances = np.zeros((3, len(self), units.N_SENSORS))
+        given = light, slope, range_left, readings, use
+        self._code.explain(*given, law, traits, covariances, counts, deviations, chances)
+        return counts, deviations, chances
 
     def roll(self, pulses: Floats) -> None:
         """Move the twins as their wheels roll by so many pulses, left and right (n, 2)."""

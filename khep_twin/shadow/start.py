@@ -11,9 +11,11 @@ from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.sensing import calibration
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import Planes
-from khep_twin.shadow.sensor_model import GAIN_DEVIATION
 
 Floats = NDArray[np.float64]
+
+HEADING_DEVIATION = math.radians(calibration.HEADING_SPREAD_DEG)
+"""Standard deviation of a sensor's heading from the calibration's [rad]."""
 
 
 class Spread(NamedTuple):
@@ -63,13 +65,18 @@ def begun(
         planes.put(pose + rng.standard_normal((count, 3)) * (spread.place, spread.place, spread.heading))
     wheels = 1 + rng.standard_normal((count, 3)) * (spread.radius, spread.ratio, spread.base)
     planes.set_wheels(*wheels.T)
-    gains = np.repeat(rng.standard_normal((count, 1)) * spread.gain, 8, axis=1)
+    traits = np.zeros((count, 8, 3))
+    traits[:, :, 0] = rng.standard_normal((count, 1)) * spread.gain
+    thresholds = calibration.THRESHOLD_SPREAD * planes.proximity["threshold"]
+    own = np.zeros((count, 8, 3, 3))
+    own[:, :, 0, 0], own[:, :, 1, 1] = calibration.GAIN_SPREAD**2, HEADING_DEVIATION**2
+    own[:, :, 2, 2] = thresholds**2
     return Particles(
         planes,
         np.full(count, -math.log(count)),
         wheels,
-        gains,
-        np.full((count, 8), GAIN_DEVIATION**2),
+        traits,
+        own,
         np.full((count, 2), np.nan),
         np.zeros(count, np.int64),
         np.zeros(count, np.int64),

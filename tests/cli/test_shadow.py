@@ -102,6 +102,7 @@ def test_a_calibration_is_taken_from_what_a_shadow_has_learned(
     assert "determines nothing better than it was known" in early.stderr
     # As after minutes.
     monkeypatch.setattr("khep_twin.lab.fit.shadow_fit.GAIN_ERROR", 0.0)
+    monkeypatch.setattr("khep_twin.lab.fit.shadow_fit.DETERMINED", 0.9)
     shadow, found = tmp_path / "shadow.mcap", tmp_path / "mine.toml"
     assert khep_twin("shadow", "obstacles", log, "-o", shadow).returncode == 0
     done = khep_twin("fit", "--from", shadow, "-o", found)

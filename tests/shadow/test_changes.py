@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from twins import AT_THE_CRATE, SECOND, particles_at
+from twins import AT_THE_CRATE, SECOND, particles_at, setup_of
 
 from khep_twin.shadow.changes import QUOTA, Change, mixed
-from khep_twin.shadow.hypotheses import StandingWheel, WeakMotor
+from khep_twin.shadow.hypotheses import STRONGEST, WEAKEST, Missing, StandingWheel, WeakMotor, things_of
 from khep_twin.shadow.particles import Particles
 
 STANDS, WEAK = Change(StandingWheel(0), True), Change(WeakMotor(1), True)
@@ -60,6 +60,30 @@ def test_an_end_takes_the_fault_from_twins_that_have_it() -> None:
     made = mix(particles, Change(StandingWheel(0), False))
     assert (made.planes.strength[:, 0] == made.changes).all()
     assert made.changes.any()
+
+
+def test_what_may_have_happened_unseen_has_the_probability_of_that_time_once() -> None:
+    gone = Change(Missing("block1", things_of(setup_of("workshop"))["block1"]), True, unseen_s=60.0)
+    made = mix(particles_at(*[AT_THE_CRATE] * 50), gone)
+    assert shares(made, 1)[1] == pytest.approx(gone.rate * 60.5, rel=0.02)
+    later = mix(made, gone)
+    assert shares(later, 1)[1] == pytest.approx(gone.rate * 61, rel=0.05)
+
+
+@pytest.mark.parametrize("begins", [True, False])
+def test_twins_that_keep_a_fault_differ_a_little_from_those_they_were_drawn_of(begins: bool) -> None:
+    weak, particles = WeakMotor(1), particles_at(*[AT_THE_CRATE] * 50)
+    weak.begin(particles, np.random.default_rng(0))
+    particles.changes[:] = begins
+    before = particles.planes.strength[:, 1].copy()
+    made = mix(particles, Change(weak, begins), count=1000)
+    has = made.planes.strength[made.changes == int(begins), 1]
+    assert len(np.unique(has)) > 1000
+    assert has.mean() == pytest.approx(before.mean(), abs=0.01)
+    assert has.std() == pytest.approx(before.std(), rel=0.1)
+    assert WEAKEST <= has.min() < has.max() <= STRONGEST
+    # Those that have it no more, or are not to have it, are whole.
+    assert (made.planes.strength[made.changes != int(begins), 1] == 1).all()
 
 
 def test_without_changes_twins_are_drawn_by_their_weights() -> None:

@@ -1,11 +1,23 @@
 """What may be wrong: a fault begins in the twins that are given it, and ends without a trace."""
 
+import math
+
 import numpy as np
 import pytest
-from twins import AT_THE_CRATE, particles_at, setup_of
+from twins import AT_THE_CRATE, light_of, particles_at, setup_of
 
 from khep_twin.rollout.planar import plane as flat
-from khep_twin.shadow.hypotheses import Hypothesis, Missing, Moved, Unexpected, of_wheels, things_of
+from khep_twin.shadow.hypotheses import (
+    MOVED_LEAST,
+    REFINED,
+    Hypothesis,
+    Missing,
+    Moved,
+    Unexpected,
+    of_wheels,
+    refined,
+    things_of,
+)
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import SPEED
 
@@ -26,7 +38,7 @@ def state(particles: Particles) -> list[object]:
     planes = particles.planes
     seen = [flat.CENTRE_X, flat.CENTRE_Y, flat.COSINE, flat.SINE, flat.LENGTH, flat.WIDTH, flat.TOUCHED]
     robots = [planes.robots[name].tolist() for name in ("joints", "left_hold", "right_hold", "left_wheel")]
-    light = planes.illuminate().tolist()
+    light = light_of(planes).tolist()
     return [planes.things[:, :, seen].tolist(), planes.strength.tolist(), robots, light]
 
 
@@ -85,19 +97,19 @@ def test_wheels_with_a_fault_drive_less_than_sound_ones(side: int) -> None:
 def test_a_thing_that_is_missing_is_not_seen_and_an_unexpected_one_is() -> None:
     particles = particles_at(*[AT_THE_CRATE] * 8)
     particles.planes.advance(1)
-    before = particles.planes.illuminate()[0]
+    before = light_of(particles.planes)[0]
     missing, moved, unexpected = of_things()
     rng = np.random.default_rng(0)
     missing.begin(particles, rng)
-    gone = particles.planes.illuminate()
+    gone = light_of(particles.planes)
     assert before[3:5].min() > 500 > 10 > gone[:, 3:5].max()
     missing.end(particles)
     moved.begin(particles, rng)
-    lit = particles.planes.illuminate()
+    lit = light_of(particles.planes)
     assert len(np.unique(lit[:, 3])) > 4
     moved.end(particles)
     unexpected.begin(particles, rng)
-    lit = particles.planes.illuminate()
+    lit = light_of(particles.planes)
     assert (lit[:, HEADING_45_LEFT] > before[HEADING_45_LEFT] + 30).sum() > 4
     assert (lit[:, 6:] == before[6:]).all()
 
@@ -115,3 +127,34 @@ def test_things_have_the_names_of_the_scene_and_rows_of_the_plane(name: str) -> 
         centre = planes.things[0, list(rows), flat.CENTRE_X : flat.CENTRE_Y + 1].mean(axis=0)
         assert centre * 1e3 == pytest.approx([items[thing].x_mm, items[thing].y_mm], abs=1e-6)
     assert len({row for rows in found.values() for row in rows}) == sum(map(len, found.values()))
+
+
+def test_a_thing_that_was_moved_stays_moved_as_its_place_is_refined() -> None:
+    particles, rng = particles_at(*[AT_THE_CRATE] * 200), np.random.default_rng(0)
+    _, moved, _ = of_things()
+    rows = things_of(setup_of("workshop"))["block1"]
+    moved.begin(particles, rng)
+    before = particles.planes.offsets(rows)
+    away = np.hypot(*before.T)
+    assert away.min() >= MOVED_LEAST
+    assert 0.025 < np.median(away) < 0.035
+    for _ in range(20):
+        moved.refine(particles, rng)
+    after = particles.planes.offsets(rows)
+    assert np.hypot(*after.T).min() >= 0.999 * MOVED_LEAST
+    assert after.mean(axis=0) == pytest.approx(before.mean(axis=0), abs=0.005)
+    assert after.std(axis=0) == pytest.approx(before.std(axis=0), rel=0.4)
+    # All its faces have moved together, and what one robot sees is not what another does.
+    faces = particles.planes.things[:, rows, flat.CENTRE_X]
+    assert np.ptp(faces - faces[:, :1], axis=0) == pytest.approx(np.zeros(len(rows)), abs=1e-12)
+
+
+def test_values_drawn_anew_have_their_mean_and_deviation_but_not_less_than_the_least() -> None:
+    rng = np.random.default_rng(0)
+    values = rng.normal(3.0, 0.5, 4000)
+    drawn = refined(values, 0.01, rng)
+    assert (drawn != values).all()
+    assert np.corrcoef(drawn, values)[0, 1] == pytest.approx(math.sqrt(1 - REFINED**2), abs=0.01)
+    assert drawn.mean() == pytest.approx(3.0, abs=0.05)
+    assert drawn.std() == pytest.approx(0.5, rel=0.05)
+    assert refined(np.full(4000, 2.0), 0.1, rng).std() == pytest.approx(0.1 * REFINED, rel=0.1)

@@ -41,13 +41,13 @@ def test_they_are_drawn_as_often_as_their_weights_say(offset: float) -> None:
 def test_one_that_alone_counts_is_all_that_is_drawn() -> None:
     particles = four()
     particles.logs = np.array([-50.0, 0.0, -50.0, -900.0])
-    particles.gains[1], particles.wheels[1], particles.variances[1] = 0.3, 1.01, 0.02
+    particles.traits[1], particles.wheels[1], particles.covariances[1] = 0.3, 1.01, 0.02
     particles.counted[1] = 7, 8
     drawn = particles.drawn(6, 0.5)
     assert places(drawn) == [1] * 6
-    assert (drawn.gains == 0.3).all()
+    assert (drawn.traits == 0.3).all()
     assert (drawn.wheels == 1.01).all()
-    assert (drawn.variances == 0.02).all()
+    assert (drawn.covariances == 0.02).all()
     assert drawn.counted.tolist() == [[7, 8]] * 6
 
 
@@ -55,7 +55,7 @@ def test_copies_leave_the_others_alone() -> None:
     particles = four()
     copies = particles.taken(np.array([0, 1, 2, 3]))
     copies.logs += 1
-    copies.gains += 1
+    copies.traits += 1
     copies.wheels *= 1.02
     copies.set_wheels()
     copies.planes.command(SPEED, 9, 9)
@@ -63,7 +63,7 @@ def test_copies_leave_the_others_alone() -> None:
     copies.count(np.array([0, 0]))
     before = four()
     assert particles.logs.tolist() == before.logs.tolist()
-    assert particles.gains.tolist() == before.gains.tolist()
+    assert particles.traits.tolist() == before.traits.tolist()
     assert particles.planes.poses.tolist() == before.planes.poses.tolist()
     assert particles.planes.robots["left_wheel"].tolist() == before.planes.robots["left_wheel"].tolist()
     assert np.isnan(particles.counted).all()

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from twins import AT_THE_CRATE, Pose, planes_at, readings, setup_of
+from twins import AT_THE_CRATE, Pose, light_of, planes_at, readings, setup_of
 
 from khep_twin import playpen as playpens
 from khep_twin import shadow, units
@@ -64,7 +64,7 @@ def test_twins_beside_each_other_are_as_each_alone() -> None:
     for row, each in enumerate(alone):
         assert together.poses[row].tolist() == each.poses[0].tolist()
         assert together.registers[row].tolist() == each.registers[0].tolist()
-        assert together.illuminate()[row].tolist() == each.illuminate()[0].tolist()
+        assert light_of(together)[row].tolist() == light_of(each)[0].tolist()
         assert together.lamplight(1.0)[row].tolist() == each.lamplight(1.0)[0].tolist()
 
 
@@ -109,12 +109,12 @@ def test_a_thing_that_is_moved_in_one_twin_is_seen_and_felt_by_that_one_alone() 
     planes = planes_at(AT_THE_CRATE, AT_THE_CRATE)
     rows = things_of(setup_of("workshop"))["block1"]
     planes.advance(1)
-    before = planes.illuminate()
+    before = light_of(planes)
     assert before[0].tolist() == before[1].tolist()
     assert before[0, 3:5].min() > 200
     planes.things[1, rows, flat.CENTRE_X] += 0.05
     planes.remeasure()
-    moved = planes.illuminate()
+    moved = light_of(planes)
     assert moved[0].tolist() == before[0].tolist()
     assert moved[1, 3:5].max() < 0.3 * before[1, 3:5].min()
     planes.command(SPEED, 5, 5)

@@ -1,10 +1,10 @@
-"""The likelihood of proximity readings, and what they tell of gains."""
+"""The likelihood of proximity readings, and what they tell of gains, headings and thresholds."""
 
 import math
 
 import numpy as np
 import pytest
-from twins import ALL, AT_THE_CRATE, particles_at, planes_at, readings, setup_of
+from twins import ALL, AT_THE_CRATE, metric, particles_at, planes_at, readings, setup_of
 
 from khep_twin.rollout.controllers import ConstantSpeed
 from khep_twin.rollout.episode import Episode
@@ -44,7 +44,7 @@ def test_what_is_expected_surprises_less_than_what_is_not() -> None:
     model, told = SensorModel(particles.planes), seen()
     expected, usual, _ = model.explain(particles, told, ALL)
     assert expected == pytest.approx(told, abs=1)
-    assert usual.max() < 0.2
+    assert usual.max() < 0.3
     other = told.copy()
     other[3], other[7] = 0, 700
     _, surprise, _ = model.explain(particles, other, ALL)
@@ -59,36 +59,61 @@ def test_a_sensor_that_is_not_relied_on_tells_nothing() -> None:
     told[3], use[3] = 0, False
     _, surprise, logs = SensorModel(particles.planes).explain(particles, told, use)
     assert surprise[3] == logs[0, 3] == 0
-    assert particles.gains[0, 3] == 0
+    assert not particles.traits[0, 3].any()
+    assert particles.traits[0, 4].all()
     assert logs[0].any()
 
 
-def test_gains_are_learned_by_the_sensors_that_see_something() -> None:
+def test_traits_are_learned_by_the_sensors_that_see_something() -> None:
     particles = particles_at(AT_THE_CRATE)
     particles.planes.advance(1)
     model, told = SensorModel(particles.planes), seen(math.exp(0.2))
-    sees = (told > 100) & (told < 900)
+    sees, nothing = (told > 100) & (told < 900), told == 0
     assert sees.any()
-    assert not sees.all()
-    before = particles.variances.copy()
+    assert nothing.any()
+    before = particles.covariances.copy()
     for _ in range(100):
         model.explain(particles, told, ALL)
-    assert particles.gains[0, sees] == pytest.approx(np.full(sees.sum(), 0.2), abs=0.1)
-    assert (particles.variances[0, sees] < 0.2 * before[0, sees]).all()
-    assert (particles.variances > 0).all()
-    nothing = seen() == 0
-    assert particles.gains[0, nothing] == pytest.approx(np.zeros(nothing.sum()), abs=0.01)
+    expected, _, _ = model.explain(particles, told, ALL)
+    assert expected[sees] == pytest.approx(told[sees], abs=2)
+    variances = np.einsum("stt->st", particles.covariances[0])
+    assert (variances[sees, 0] < 0.7 * np.einsum("stt->st", before[0])[sees, 0]).all()
+    assert (variances > 0).all()
+    assert particles.traits[0, nothing] == pytest.approx(np.zeros((nothing.sum(), 3)), abs=0.01)
 
 
-def test_a_gain_is_learned_from_noisy_readings_as_well_as_they_tell() -> None:
-    particles, rng = particles_at(AT_THE_CRATE), np.random.default_rng(0)
+def test_a_sensors_gain_heading_and_threshold_are_told_apart_by_many_views() -> None:
+    rng = np.random.default_rng(0)
+    own = np.array([0.15, math.radians(-6), 60.0])
+    particles = particles_at(AT_THE_CRATE)
+    planes, model = particles.planes, SensorModel(particles.planes)
+    threshold = planes.proximity["threshold"]
+    for _ in range(400):
+        dx, dy, turn = rng.uniform(-15, 0), rng.uniform(-5, 15), rng.uniform(-60, 60)
+        planes.put(np.array([metric((X + dx, Y + dy, HEADING + turn))]))
+        light = planes.illuminate(np.full((1, 8), own[1]))[0][0]
+        counts = math.exp(own[0]) * light - threshold - own[2] + 20 * rng.standard_normal(8)
+        model.explain(particles, np.rint(counts.clip(0, 1023)).astype(np.int64), ALL)
+    gain, turn, shift = particles.traits[0, 1:5].T
+    assert gain == pytest.approx(np.full(4, own[0]), abs=0.06)
+    assert turn == pytest.approx(np.full(4, own[1]), abs=math.radians(1.5))
+    assert shift == pytest.approx(np.full(4, own[2]), abs=35)
+
+
+@pytest.mark.parametrize(("reading", "sign"), [(0, -1), (1023, 1)])
+def test_what_is_beyond_the_range_tells_on_which_side_the_count_is(reading: int, sign: int) -> None:
+    particles = particles_at(AT_THE_CRATE)
     particles.planes.advance(1)
-    model, told = SensorModel(particles.planes), seen(math.exp(-0.15))
-    sees = told > 100
-    for _ in range(200):
-        noisy = np.rint(told + rng.standard_normal(8) * 5).clip(0, 1023).astype(np.int64)
-        model.explain(particles, np.where(told > 0, noisy, 0), ALL)
-    assert particles.gains[0, sees] == pytest.approx(np.full(sees.sum(), -0.15), abs=0.1)
+    model, told = SensorModel(particles.planes), seen()
+    sees = (told > 100) & (told < 900)
+    for _ in range(50):
+        model.explain(particles, np.full(8, reading), ALL)
+    assert (sign * particles.traits[0, sees, 0] > 0.02).all()
+    far = particles_at(AT_THE_CRATE)
+    far.traits[:, :, 0] = 3.0 * sign  # Counts that are beyond anyhow.
+    far.planes.advance(1)
+    model.explain(far, np.full(8, reading), ALL)
+    assert far.traits[0, sees, 0] == pytest.approx(np.full(sees.sum(), 3.0 * sign), abs=1e-3)
 
 
 def test_beside_a_lamp_sensors_have_a_part_of_their_range_as_those_of_an_episode() -> None:
@@ -106,8 +131,8 @@ def test_beside_a_lamp_sensors_have_a_part_of_their_range_as_those_of_an_episode
     assert (expected <= 1023 * model.range_left + 1e-9).all()
     assert expected == pytest.approx(np.where(told > 0, told, expected.clip(max=model.quiet)), abs=15)
     assert surprise.max() < 0.3
-    # What a blinded sensor reads tells nothing of its gain.
-    assert not particles.gains[0, model.range_left < 1].any()
+    # What a blinded sensor reads tells nothing of its traits.
+    assert not particles.traits[0, model.range_left < 1].any()
 
 
 def test_sums_of_logarithms_do_not_overflow() -> None:

@@ -54,10 +54,15 @@ def particles_at(*poses: Pose, name: str = "workshop") -> Particles:
     return made
 
 
+def light_of(planes: Planes) -> NDArray[np.float64]:
+    """The light at each sensor of each twin, as the calibration has them."""
+    return planes.illuminate(np.zeros((len(planes), 8)))[0]
+
+
 def readings(planes: Planes, gain: float = 1.0) -> Integers:
     """What the first twin would reply to N without noise, if its sensors had this gain."""
     proximity, ambient = planes.proximity, planes.ambient
-    counts = gain * planes.illuminate()[0] - proximity["threshold"]
+    counts = gain * light_of(planes)[0] - proximity["threshold"]
     # A lamp leaves a sensor a part of its range.
     left = 1 - planes.lamplight(0.0)[0].sum(axis=1) / float(ambient["dark"] - ambient["floor"])
     return np.rint(np.clip(counts, 0, float(proximity["limit"]) * left.clip(0))).astype(np.int64)

@@ -1,0 +1,65 @@
+"""Faults that may begin now: of wheels, of things near the robot, and of one that is not in the playpen."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.rollout.planar import plane as flat
+from khep_twin.shadow.changes import Change
+from khep_twin.shadow.hypotheses import Missing, Moved, SlippingWheel, Unexpected, of_wheels, things_of
+from khep_twin.shadow.particle_filter import ParticleFilter
+
+NEAR = 0.12
+"""Farthest distance of a thing from the robot's centre, to be missed or, moved a little, seen [m]."""
+
+MET_NS = NS_PER_S
+"""Time after which a thing that is near has been met: what happened to it before is seen by then [ns]."""
+
+LEFT_NS = 4 * NS_PER_S
+"""Time for which it is considered after it was near: twins that miss it may leave it [ns]."""
+
+
+class Candidates:
+    """Faults that may begin.
+
+    Args:
+        setup: Playpen with the robot, prepared for the plane.
+    """
+
+    def __init__(self, setup: EpisodeSetup) -> None:
+        self._things = things_of(setup)
+        self._near: dict[str, tuple[int, int, int]] = {}
+        """When each thing came near, was so last, and for how long it was not before [ns]."""
+
+    def at(self, time_ns: int, tracker: ParticleFilter, sensor: int, counted: bool) -> Iterator[Change]:
+        """Yield the faults that may begin.
+
+        Args:
+            time_ns: Present time [ns].
+            tracker: Filter of the robot.
+            sensor: Sensor whose readings surprise most.
+            counted: Whether counters tell which wheel stands or is slow.
+        """
+        for wheel in of_wheels():
+            if not counted or isinstance(wheel, SlippingWheel):
+                yield Change(wheel, True)
+        _, (x, y, _), covariance = tracker.estimate(0)
+        things = tracker.particles.planes.things[0]
+        away = np.hypot(x - things[:, flat.CENTRE_X], y - things[:, flat.CENTRE_Y]) - things[:, flat.LENGTH]
+        near: NDArray[np.bool_] = away < NEAR + math.sqrt(covariance[0, 0] + covariance[1, 1])
+        for name, rows in self._things.items():
+            came_ns, left_ns, unseen_ns = self._near.get(name, (0, -LEFT_NS, 0))
+            if near[list(rows)].any():
+                if time_ns - left_ns > MET_NS:
+                    came_ns, unseen_ns = time_ns, time_ns - max(left_ns, 0)
+                left_ns = time_ns
+                self._near[name] = came_ns, left_ns, unseen_ns
+            if time_ns - left_ns < LEFT_NS:
+                unseen_s = unseen_ns / NS_PER_S if time_ns - came_ns < MET_NS else 0.0
+                yield Change(Missing(name, rows), True, unseen_s)
+                yield Change(Moved(name, rows), True, unseen_s)
+        yield Change(Unexpected(sensor), True)
