@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from khep_twin.shadow.alarms import Alarm
-from khep_twin.shadow.particle_filter import Estimate, Floats
+from khep_twin.shadow.particle_filter import Floats, PoseEstimate
 from khep_twin.shadow.shadow import Residuals, Update
 
 MS = 1_000_000
@@ -26,7 +26,7 @@ def updates() -> Iterator[Update]:
         proximity = np.arange(8.0) if asked else nothing
         yield Update(
             time_ns,
-            Estimate(time_ns, (x, 0.15, 0.25), covariance),
+            PoseEstimate(time_ns, (x, 0.15, 0.25), covariance),
             (x + 0.01, 0.16, 0.5),
             particles,
             expected,

@@ -252,13 +252,7 @@ def proximity_counts(
     chip = chip_of(scene, sensors, channel)
     count = surfaces(scene, sensors, channel, chip, near)
     gain, found = proximity.gain[channel], proximity.found
-    lobe = Lobe(
-        proximity.whole[channel],
-        proximity.part[channel],
-        proximity.norm[channel],
-        proximity.width[channel],
-        proximity.table[channel],
-    )
+    lobe = lobe_of(proximity, channel)
     count, most = sift(found, count, lobe, SLIGHT / gain)
     if count and gain * most > -level:
         level += gain * reflected(found, count, chip, lobe)
@@ -277,6 +271,18 @@ def chip_of(scene: Scene, sensors: RobotSensors, channel: int) -> Chip:
     ahead, left = ahead * scale, left * scale
     x, y, reach = place[0] - offset * ahead, place[1] - offset * left, sensors.proximity.reach[channel]
     return Chip(x, y, ahead, left, place[2], reach)
+
+
+@compilable
+def lobe_of(proximity: Proximity, channel: int) -> Lobe:
+    """Return the lobe of a sensor."""
+    return Lobe(
+        proximity.whole[channel],
+        proximity.part[channel],
+        proximity.norm[channel],
+        proximity.width[channel],
+        proximity.table[channel],
+    )
 
 
 @compilable

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
-from khep_twin.shadow.changes import Change
+from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.hypotheses import Missing, Moved, SlippingWheel, Unexpected, of_wheels, things_of
 from khep_twin.shadow.particle_filter import ParticleFilter
 
@@ -35,7 +35,7 @@ class Candidates:
         self._near: dict[str, tuple[int, int, int]] = {}
         """When each thing came near, was so last, and for how long it was not before [ns]."""
 
-    def at(self, time_ns: int, tracker: ParticleFilter, sensor: int, counted: bool) -> Iterator[Change]:
+    def at(self, time_ns: int, tracker: ParticleFilter, sensor: int, counted: bool) -> Iterator[FaultChange]:
         """Yield the faults that may begin.
 
         Args:
@@ -46,7 +46,7 @@ class Candidates:
         """
         for wheel in of_wheels():
             if not counted or isinstance(wheel, SlippingWheel):
-                yield Change(wheel, True)
+                yield FaultChange(wheel, True)
         _, (x, y, _), covariance = tracker.estimate(0)
         things = tracker.particles.planes.things[0]
         away = np.hypot(x - things[:, flat.CENTRE_X], y - things[:, flat.CENTRE_Y]) - things[:, flat.LENGTH]
@@ -60,6 +60,6 @@ class Candidates:
                 self._near[name] = came_ns, left_ns, unseen_ns
             if time_ns - left_ns < LEFT_NS:
                 unseen_s = unseen_ns / NS_PER_S if time_ns - came_ns < MET_NS else 0.0
-                yield Change(Missing(name, rows), True, unseen_s)
-                yield Change(Moved(name, rows), True, unseen_s)
-        yield Change(Unexpected(sensor), True)
+                yield FaultChange(Missing(name, rows), True, unseen_s)
+                yield FaultChange(Moved(name, rows), True, unseen_s)
+        yield FaultChange(Unexpected(sensor), True)

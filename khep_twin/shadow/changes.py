@@ -26,7 +26,7 @@ UNDONE = 0.05
 """Rate at which a change turns out not to have happened, lest what nothing tells becomes probable [1/s]."""
 
 
-class Change(NamedTuple):
+class FaultChange(NamedTuple):
     """A fault that begins or ends.
 
     Attributes:
@@ -63,7 +63,7 @@ class Change(NamedTuple):
 
 def mixed(
     particles: Particles,
-    changes: Sequence[Change],
+    changes: Sequence[FaultChange],
     count: int,
     passed_s: float,
     time_ns: int,

@@ -16,8 +16,8 @@ from khep_twin.rollout.planar import casting, contact_solver, motion, plane, sha
 from khep_twin.rollout.planar import compiled as planar_compiled
 from khep_twin.rollout.planar.plane import Plane
 from khep_twin.sensing import optics, reflection, seen_surfaces
-from khep_twin.sensing.optics import SLIGHT, Light, chip_of, light_counts, received
-from khep_twin.sensing.reflection import Lobe, reflected, sift
+from khep_twin.sensing.optics import SLIGHT, Light, chip_of, light_counts, lobe_of, received
+from khep_twin.sensing.reflection import reflected, sift
 from khep_twin.sensing.scene import position, surfaces
 from khep_twin.sensing.seen_surfaces import Chip
 from khep_twin.shadow.planes import DUTY, SPEED, TARGET
@@ -48,7 +48,7 @@ _HOLD = 6.0
 """Brake of a wheel that is blocked, as a part of that of a motor without voltage."""
 
 
-class Drive(NamedTuple):
+class MotorDrive(NamedTuple):
     """Constants of all twins' motors.
 
     Attributes:
@@ -106,13 +106,7 @@ def _light(scene, sensors, channel, mounted, turn):
     x, y = mounted.x + offset * (mounted.ahead - ahead), mounted.y + offset * (mounted.left - left)
     chip = Chip(x, y, ahead, left, mounted.height, mounted.reach)
     count = surfaces(scene, sensors, channel, chip, proximity.reach[channel])
-    lobe = Lobe(
-        proximity.whole[channel],
-        proximity.part[channel],
-        proximity.norm[channel],
-        proximity.width[channel],
-        proximity.table[channel],
-    )
+    lobe = lobe_of(proximity, channel)
     gain, found = proximity.gain[channel], proximity.found
     count, _ = sift(found, count, lobe, SLIGHT / gain)
     return gain * reflected(found, count, chip, lobe) if count else 0.0

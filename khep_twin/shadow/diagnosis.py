@@ -18,7 +18,7 @@ from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Action, Counted, Restarted, Seen, Waited
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.candidates import Candidates
-from khep_twin.shadow.changes import Change
+from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.lamp_watch import LampWatch
 from khep_twin.shadow.line_watch import LOSING, LineWatch
@@ -215,7 +215,7 @@ class Diagnosis:
                 ):
                     self._tried_ns = time_ns
                     self._find(time_ns, leading[1].since_ns, 0.0)
-        ends = [Change(fault, False) for fault, _ in self._present]
+        ends = [FaultChange(fault, False) for fault, _ in self._present]
         tracker.consider([*self._candidates(time_ns), *ends])
 
     def _adopt(self, number: int, time_ns: int) -> None:
@@ -245,7 +245,7 @@ class Diagnosis:
         self._surprise[:] = 0
         return True
 
-    def _candidates(self, time_ns: int) -> list[Change]:
+    def _candidates(self, time_ns: int) -> list[FaultChange]:
         """Return the faults that may begin; where the pose is vague, they could be anything."""
         if self._others:
             return []

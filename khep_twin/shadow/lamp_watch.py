@@ -110,10 +110,10 @@ def _log(readings: NDArray[np.int64], light: Floats, dark: float, floor: float, 
     clipped = readings <= edge
     z = (np.where(clipped, edge, readings) - (dark - light)) / deviation
     inside = np.exp(-0.5 * z * z) / (deviation * math.sqrt(math.tau))
-    inside = np.where(clipped, below(z), inside)
+    inside = np.where(clipped, _below(z), inside)
     return np.log(((1 - _MOST) * inside + _MOST / 500).mean(axis=0))
 
 
-def below(z: Floats) -> Floats:
+def _below(z: Floats) -> Floats:
     """Return the probability of a normal number below z, to 0.01."""
     return 1 / (1 + np.exp(-np.clip(1.702 * z, -500, 500)))

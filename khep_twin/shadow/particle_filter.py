@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.shadow.actions import Action, Counted, Seen, repeat
-from khep_twin.shadow.changes import QUOTA, Change, mixed
+from khep_twin.shadow.changes import QUOTA, FaultChange, mixed
 from khep_twin.shadow.particles import Particles, drawn
 from khep_twin.shadow.planes import TICK_NS
 from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
@@ -49,7 +49,7 @@ _IMPROBABLE = 0.01
 """Probability below which a change need not be considered any more."""
 
 
-class Estimate(NamedTuple):
+class PoseEstimate(NamedTuple):
     """Estimate of a pose.
 
     Attributes:
@@ -85,7 +85,7 @@ class ParticleFilter:
     ) -> None:
         self._setup, self.particles, self._rng, self._count = setup, particles, rng, count
         self._model = SensorModel(particles.planes)
-        self.changes: list[Change] = []
+        self.changes: list[FaultChange] = []
         self.evidence = 0.0
         self.expected: Floats = np.zeros(8)
         self.surprise: Floats = np.zeros(8)
@@ -113,7 +113,7 @@ class ParticleFilter:
         """Part of each sensor's range that the lamps left at the last reply (8,)."""
         return self._model.range_left
 
-    def consider(self, wanted: Sequence[Change]) -> None:
+    def consider(self, wanted: Sequence[FaultChange]) -> None:
         """Consider changes from now on, and those of the present ones that are not improbable."""
         keys = [each.key for each in wanted]
         probable = self.probabilities[1:] > _IMPROBABLE
@@ -163,7 +163,7 @@ class ParticleFilter:
         self.evidence += norm
         particles.logs -= norm
 
-    def estimate(self, time_ns: int) -> Estimate:
+    def estimate(self, time_ns: int) -> PoseEstimate:
         """Return the estimate of the pose, of the most probable change."""
         likely = self.particles.changes == np.argmax(self.probabilities)
         poses, weights = self.particles.planes.poses[likely], self.weights[likely]
@@ -172,7 +172,7 @@ class ParticleFilter:
         heading = math.atan2(weights @ np.sin(poses[:, 2]), weights @ np.cos(poses[:, 2]))
         off: Floats = poses - np.array([x, y, heading])
         off[:, 2] = (off[:, 2] + math.pi) % math.tau - math.pi
-        return Estimate(time_ns, (x, y, heading), (off * weights[:, None]).T @ off)
+        return PoseEstimate(time_ns, (x, y, heading), (off * weights[:, None]).T @ off)
 
     @property
     def weights(self) -> Floats:

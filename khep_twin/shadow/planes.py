@@ -106,7 +106,7 @@ class Planes:
             as_records(light.bulbs, Bulb()),
             as_records(light.hidden, Hidden()),
         )
-        drive = compiled.Drive(
+        drive = compiled.MotorDrive(
             flat.LEFT_ANGLE, flat.RIGHT_ANGLE, flat.LEFT_ANGLE, flat.RIGHT_ANGLE, state.motor_constant
         )
         self._drive = as_records([drive], drive)

@@ -49,14 +49,13 @@ class SensorModel:
         self.range_left: Floats = np.ones(8)
         self.quiet = 10 * max(float(proximity["idle"]), float(proximity["floor"]))
         noise = np.square(proximity["noise"]) + quantum * quantum / 12
-        self._full = self.limit * (1 - _BRIGHT if planes.lamps.names else 1)
         self._law = SensorLaw(
             proximity["threshold"].astype(np.float64),
             noise.astype(np.float64),
             np.square(LEAST),
             self.limit,
             self.quiet,
-            self._full,
+            self.limit * (1 - _BRIGHT if planes.lamps.names else 1),
             MODEL,
             OUTLIERS,
         )
@@ -82,7 +81,7 @@ class SensorModel:
         weights /= weights.sum()
         expected = np.clip(weights @ counts, 0, self.limit)
         self.range_left = weights @ range_left
-        clipped = (readings <= self.quiet) | (readings >= self._full)
+        clipped = (readings <= self.quiet) | (readings >= self._law.full)
         best = np.where(clipped, 1.0, 1 / (weights @ deviations * math.sqrt(math.tau)))
         surprise = np.where(
             use, particles.temper * np.log(np.maximum(best / (weights @ likelihood), 1.0)), 0.0

@@ -29,7 +29,7 @@ from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Action, Commanded, Configured, Counted, Restarted, Seen, Waited
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.diagnosis import Diagnosis
-from khep_twin.shadow.particle_filter import Estimate, ParticleFilter
+from khep_twin.shadow.particle_filter import ParticleFilter, PoseEstimate
 from khep_twin.shadow.planes import DUTY, POSITION, SPEED, TARGET
 from khep_twin.shadow.start import PUBLISHED, Spread, begun
 from khep_twin.units import BITS_PER_BYTE
@@ -116,7 +116,7 @@ class Update:
     """
 
     time_ns: int
-    estimate: Estimate
+    estimate: PoseEstimate
     reckoned: Pose
     particles: Floats
     expected: Floats

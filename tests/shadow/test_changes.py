@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from twins import AT_THE_CRATE, SECOND, particles_at, setup_of
 
-from khep_twin.shadow.changes import QUOTA, Change, mixed
+from khep_twin.shadow.changes import QUOTA, FaultChange, mixed
 from khep_twin.shadow.hypotheses import STRONGEST, WEAKEST, Missing, StandingWheel, WeakMotor, things_of
 from khep_twin.shadow.particles import Particles
 
-STANDS, WEAK = Change(StandingWheel(0), True), Change(WeakMotor(1), True)
+STANDS, WEAK = FaultChange(StandingWheel(0), True), FaultChange(WeakMotor(1), True)
 
 
-def mix(particles: Particles, *changes: Change, count: int = 100, passed_s: float = 0.5) -> Particles:
+def mix(particles: Particles, *changes: FaultChange, count: int = 100, passed_s: float = 0.5) -> Particles:
     return mixed(particles, changes, count, passed_s, SECOND, np.random.default_rng(0))
 
 
@@ -57,13 +57,13 @@ def test_twins_without_a_change_any_more_are_sound_again() -> None:
 def test_an_end_takes_the_fault_from_twins_that_have_it() -> None:
     particles = particles_at(*[AT_THE_CRATE] * 50)
     particles.planes.strength[:, 0] = 0
-    made = mix(particles, Change(StandingWheel(0), False))
+    made = mix(particles, FaultChange(StandingWheel(0), False))
     assert (made.planes.strength[:, 0] == made.changes).all()
     assert made.changes.any()
 
 
 def test_what_may_have_happened_unseen_has_the_probability_of_that_time_once() -> None:
-    gone = Change(Missing("block1", things_of(setup_of("workshop"))["block1"]), True, unseen_s=60.0)
+    gone = FaultChange(Missing("block1", things_of(setup_of("workshop"))["block1"]), True, unseen_s=60.0)
     made = mix(particles_at(*[AT_THE_CRATE] * 50), gone)
     assert shares(made, 1)[1] == pytest.approx(gone.rate * 60.5, rel=0.02)
     later = mix(made, gone)
@@ -76,7 +76,7 @@ def test_twins_that_keep_a_fault_differ_a_little_from_those_they_were_drawn_of(b
     weak.begin(particles, np.random.default_rng(0))
     particles.changes[:] = begins
     before = particles.planes.strength[:, 1].copy()
-    made = mix(particles, Change(weak, begins), count=1000)
+    made = mix(particles, FaultChange(weak, begins), count=1000)
     has = made.planes.strength[made.changes == int(begins), 1]
     assert len(np.unique(has)) > 1000
     assert has.mean() == pytest.approx(before.mean(), abs=0.01)

@@ -13,7 +13,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Commanded, Counted, Seen
-from khep_twin.shadow.particle_filter import Estimate, ParticleFilter
+from khep_twin.shadow.particle_filter import ParticleFilter, PoseEstimate
 from khep_twin.shadow.planes import SPEED, Planes
 from khep_twin.shadow.start import PUBLISHED, Spread, anywhere, begun
 
@@ -29,7 +29,7 @@ def filtering(
     return ParticleFilter(setup, particles, stream(0, "filter"), count if pose else 300)
 
 
-def driven(robot: Planes, tracker: ParticleFilter, seconds: float) -> Iterator[Estimate]:
+def driven(robot: Planes, tracker: ParticleFilter, seconds: float) -> Iterator[PoseEstimate]:
     """Let a robot turn away from what it sees, and the filter follow; yield its estimates."""
     for _ in range(round(seconds * 100 / TICKS)):
         robot.advance(TICKS)
@@ -42,7 +42,7 @@ def driven(robot: Planes, tracker: ParticleFilter, seconds: float) -> Iterator[E
         yield tracker.estimate(time_ns)
 
 
-def off_mm(estimate: Estimate, robot: Planes) -> float:
+def off_mm(estimate: PoseEstimate, robot: Planes) -> float:
     return 1e3 * math.dist(estimate.pose[:2], robot.poses[0, :2].tolist())
 
 
