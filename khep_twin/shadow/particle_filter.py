@@ -31,6 +31,23 @@ PLACE_NOISE, TURN_NOISE = 1e-3, 0.015
 SLIP_NOISE = 6.0
 """Factor of that noise where a tyre slips or something is touched (assumed)."""
 
+PERSISTENCE = 0.004
+"""Way of a sensor over which errors of the model persist [m] (assumed)."""
+
+LEAST_NEW = 0.05
+"""Power of the likelihood of a reading where the robot stands (assumed)."""
+
+MANY, MANY_TEMPER = 3000, 0.17
+"""Number of particles that are many, of a robot that may be anywhere, and the power of their likelihood: what
+is dropped too early is lost."""
+
+SENSOR_RADIUS = 0.025
+"""Distance of the sensors from the centre, about [m]."""
+
+TAIL, TAIL_NOISE = 10, 5.0
+"""One in so many particles moves by this much more noise: the pose may be farther off than most of them, by
+errors of the model (assumed)."""
+
 LEAST_EFFECTIVE = 0.5
 """Part of the particles that count, below which they are drawn anew."""
 
@@ -90,6 +107,8 @@ class ParticleFilter:
         self.expected: Floats = np.zeros(8)
         self.surprise: Floats = np.zeros(8)
         self._drifted_ticks = particles.planes.ticks
+        self._way = 0.0
+        """Way of a sensor since the last reply to N [m]."""
 
     def act(self, action: Action, use: NDArray[np.bool_], renew: bool = True) -> Floats:
         """Follow an action; return what counters tell beyond commands (2,), NaN for any other one.
@@ -99,7 +118,10 @@ class ParticleFilter:
             use: Sensors to rely on (8,).
             renew: Whether to draw the particles anew where too few count.
         """
+        before = self.particles.planes.poses
         repeat(action, self.particles)
+        along = np.abs(self.particles.planes.poses - before) @ (1, 1, SENSOR_RADIUS)
+        self._way += float(self.weights @ along)
         if isinstance(action, Seen):
             self._see(action.readings, use)
             if renew:
@@ -158,7 +180,12 @@ class ParticleFilter:
         """
         particles = self.particles
         self.expected, self.surprise, logs = self._model.explain(particles, readings, use)
-        particles.logs += logs.sum(axis=1)
+        # Errors of the model persist: readings count by how far their correlation, exp(-way / PERSISTENCE), fell.
+        new = max(math.tanh(self._way / (2 * PERSISTENCE)), LEAST_NEW)
+        new *= MANY_TEMPER if len(particles) > MANY else 1.0
+        self._way = 0.0
+        self.surprise *= new
+        particles.logs += new * logs.sum(axis=1)
         norm = log_of_sum(particles.logs)
         self.evidence += norm
         particles.logs -= norm
@@ -220,7 +247,9 @@ class ParticleFilter:
         count = len(particles)
         slips = planes.robots["last"][:, flat.SLIPS] != 0
         noise = np.array([PLACE_NOISE, PLACE_NOISE, TURN_NOISE]) * root
-        moved = rng.standard_normal((count, 3)) * (noise * np.where(slips, SLIP_NOISE, 1.0)[:, None] + rough)
+        factors = np.where(slips, SLIP_NOISE, 1.0)
+        factors[::TAIL] *= TAIL_NOISE
+        moved = rng.standard_normal((count, 3)) * (noise * factors[:, None] + rough)
         planes.move(planes.poses + moved)
         particles.wheels += rng.standard_normal((count, 3)) * (RADIUS_DRIFT, RATIO_DRIFT, BASE_DRIFT) * root
         particles.set_wheels()

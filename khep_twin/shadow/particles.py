@@ -11,15 +11,6 @@ from khep_twin.shadow.planes import Planes
 
 Floats = NDArray[np.float64]
 
-TEMPER = 0.3
-"""Power of the likelihood: errors of the model last for many replies, where noise would not (assumed)."""
-
-MANY_TEMPER = 0.05
-"""The same for many particles, of a robot that may be anywhere: what is dropped too early is lost."""
-
-MANY = 3000
-"""Number of particles that are many."""
-
 _POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]
 
 
@@ -70,11 +61,6 @@ class Particles:
         self.planes.roll(beyond)
         self.counted[:] = off
         return beyond
-
-    @property
-    def temper(self) -> float:
-        """Power of the likelihood that weighs them."""
-        return MANY_TEMPER if len(self) > MANY else TEMPER
 
     def set_wheels(self) -> None:
         """Give the twins these wheels."""

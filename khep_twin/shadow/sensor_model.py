@@ -83,10 +83,8 @@ class SensorModel:
         self.range_left = weights @ range_left
         clipped = (readings <= self.quiet) | (readings >= self._law.full)
         best = np.where(clipped, 1.0, 1 / (weights @ deviations * math.sqrt(math.tau)))
-        surprise = np.where(
-            use, particles.temper * np.log(np.maximum(best / (weights @ likelihood), 1.0)), 0.0
-        )
-        return expected, surprise, particles.temper * np.where(use, np.log(likelihood), 0.0)
+        surprise = np.where(use, np.log(np.maximum(best / (weights @ likelihood), 1.0)), 0.0)
+        return expected, surprise, np.where(use, np.log(likelihood), 0.0)
 
     def _range_left(self, particles: Particles) -> Floats:
         """Return the part of each sensor's range that the lamps leave (n, 8)."""
