@@ -112,7 +112,9 @@ def _light(scene, sensors, channel, mounted, turn):
     return gain * reflected(found, count, chip, lobe) if count else 0.0
 
 
-def _explain(light, slope, range_left, readings, use, law, traits, covariances, counts, deviations, chances):
+def _explain(
+    light, slope, range_left, readings, use, new, law, traits, covariances, counts, deviations, chances
+):
     for twin in range(len(traits)):
         for channel in range(units.N_SENSORS):
             sensor, known = traits[twin, channel], covariances[twin, channel]
@@ -128,7 +130,8 @@ def _explain(light, slope, range_left, readings, use, law, traits, covariances, 
             second = known[1, 0] * scaled + known[1, 1] * along - known[1, 2]
             third = known[2, 0] * scaled + known[2, 1] * along - known[2, 2]
             apart = law.model * max(count, 0.0)
-            variance = law.noise[channel] + apart * apart + scaled * first + along * second - third
+            own = law.noise[channel] + apart * apart
+            variance = own + scaled * first + along * second - third
             deviation = math.sqrt(variance)
             off = (reading - count) / deviation
             bell = math.exp(-0.5 * off * off) / math.sqrt(math.tau)
@@ -145,7 +148,8 @@ def _explain(light, slope, range_left, readings, use, law, traits, covariances, 
             counts[twin, channel], deviations[twin, channel] = count, deviation
             chances[twin, channel] = chance
             if use[channel] and range_left[twin, channel] >= 1:
-                trust = (1 - law.outliers) * inside / chance
+                # Of an observation that is new in part, its own variance counts as much more.
+                trust = (1 - law.outliers) * inside / chance * variance / (variance + own * (1 / new - 1))
                 step = trust * off / deviation
                 sensor[0] += step * first
                 sensor[1] += step * second

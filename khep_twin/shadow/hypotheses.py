@@ -81,7 +81,7 @@ class StandingWheel:
 
     side: int
     channel: str = "wheels"
-    rare: float = 1.0
+    rare: float = 2.5
 
     @property
     def name(self) -> str:
@@ -107,7 +107,7 @@ class WeakMotor:
 
     side: int
     channel: str = "wheels"
-    rare: float = 1.0
+    rare: float = 2.5
 
     @property
     def name(self) -> str:
@@ -134,7 +134,7 @@ class SlippingWheel:
 
     side: int
     channel: str = "wheels"
-    rare: float = 1.0
+    rare: float = 4.5
 
     @property
     def name(self) -> str:
@@ -163,7 +163,7 @@ class Missing:
     thing: str
     rows: tuple[int, ...]
     channel: str = "proximity"
-    rare: float = 2.0
+    rare: float = 1.0
 
     @property
     def name(self) -> str:
@@ -190,7 +190,7 @@ class Moved:
     thing: str
     rows: tuple[int, ...]
     channel: str = "proximity"
-    rare: float = 2.0
+    rare: float = 1.0
 
     @property
     def name(self) -> str:
@@ -220,7 +220,7 @@ class Unexpected:
 
     sensor: int
     channel: str = "proximity"
-    rare: float = 2.0
+    rare: float = 1.0
     name: str = "unexpected thing"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:

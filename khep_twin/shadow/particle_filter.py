@@ -22,9 +22,6 @@ from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
 
 Floats = NDArray[np.float64]
 
-RADIUS_DRIFT, RATIO_DRIFT, BASE_DRIFT = 2e-4, 5e-5, 2e-4
-"""Drift of the wheels' mean radius, ratio and base in a second's square root, as parts (assumed)."""
-
 PLACE_NOISE, TURN_NOISE = 1e-3, 0.015
 """Noise of the motion in a second's square root, besides wheels [m, rad] (assumed)."""
 
@@ -43,10 +40,6 @@ is dropped too early is lost."""
 
 SENSOR_RADIUS = 0.025
 """Distance of the sensors from the centre, about [m]."""
-
-TAIL, TAIL_NOISE = 10, 5.0
-"""One in so many particles moves by this much more noise: the pose may be farther off than most of them, by
-errors of the model (assumed)."""
 
 LEAST_EFFECTIVE = 0.5
 """Part of the particles that count, below which they are drawn anew."""
@@ -179,11 +172,11 @@ class ParticleFilter:
             use: Sensors to rely on (8,).
         """
         particles = self.particles
-        self.expected, self.surprise, logs = self._model.explain(particles, readings, use)
         # Errors of the model persist: readings count by how far their correlation, exp(-way / PERSISTENCE), fell.
         new = max(math.tanh(self._way / (2 * PERSISTENCE)), LEAST_NEW)
-        new *= MANY_TEMPER if len(particles) > MANY else 1.0
         self._way = 0.0
+        self.expected, self.surprise, logs = self._model.explain(particles, readings, use, new)
+        new *= MANY_TEMPER if len(particles) > MANY else 1.0
         self.surprise *= new
         particles.logs += new * logs.sum(axis=1)
         norm = log_of_sum(particles.logs)
@@ -247,9 +240,6 @@ class ParticleFilter:
         count = len(particles)
         slips = planes.robots["last"][:, flat.SLIPS] != 0
         noise = np.array([PLACE_NOISE, PLACE_NOISE, TURN_NOISE]) * root
-        factors = np.where(slips, SLIP_NOISE, 1.0)
-        factors[::TAIL] *= TAIL_NOISE
-        moved = rng.standard_normal((count, 3)) * (noise * factors[:, None] + rough)
+        moved = rng.standard_normal((count, 3)) * (noise * np.where(slips, SLIP_NOISE, 1.0)[:, None] + rough)
         planes.move(planes.poses + moved)
-        particles.wheels += rng.standard_normal((count, 3)) * (RADIUS_DRIFT, RATIO_DRIFT, BASE_DRIFT) * root
-        particles.set_wheels()
+        particles.forget(root * root, rng)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,30 @@ Floats = NDArray[np.float64]
 _POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]
 
 
+FORGOTTEN_S = 60.0
+"""Time constant with which what was learned of wheels and sensors gives way to what was known before: errors
+of the model were learned, too (assumed) [s]."""
+
+
+class Prior(NamedTuple):
+    """What is known of a robot before it drives.
+
+    Attributes:
+        wheels: Standard deviations of wheels' mean radius, ratio and base, as parts (3,).
+        traits: Covariances of each sensor's traits (8, 3, 3).
+    """
+
+    wheels: Floats
+    traits: Floats
+
+
 @dataclass(slots=True)
 class Particles:
     """Particles of a filter.
 
     Attributes:
         planes: Their twins.
+        prior: What is known of the robot before it drives.
         logs: Logarithms of their weights (n,).
         wheels: Wheels' mean radius, ratio and base, as parts of the calibration's (n, 3).
         traits: Logarithm of each sensor's gain, its turn [rad] and its threshold [counts], beyond those of
@@ -31,6 +50,7 @@ class Particles:
     """
 
     planes: Planes
+    prior: Prior
     logs: Floats
     wheels: Floats
     traits: Floats
@@ -41,8 +61,8 @@ class Particles:
 
     def taken(self, indices: NDArray[np.intp] | slice) -> "Particles":
         """Return copies of particles at these indices, or those of a slice themselves."""
-        rest = (getattr(self, each.name)[indices] for each in fields(self)[1:])
-        return Particles(self.planes.taken(indices), *rest)
+        rest = (getattr(self, each.name)[indices] for each in fields(self)[2:])
+        return Particles(self.planes.taken(indices), self.prior, *rest)
 
     def drawn(self, count: int, offset: float) -> "Particles":
         """Return copies drawn by the weights, at equal distances from an offset of 0 to 1."""
@@ -62,9 +82,22 @@ class Particles:
         self.counted[:] = off
         return beyond
 
-    def set_wheels(self) -> None:
-        """Give the twins these wheels."""
+    def forget(self, passed_s: float, rng: np.random.Generator) -> None:
+        """Forget a part of what was learned of wheels and sensors, but the sensors' common gain.
+
+        Args:
+            passed_s: Time since it was forgotten last [s].
+            rng: Random stream.
+        """
+        kept = math.exp(-passed_s / FORGOTTEN_S)
+        drift = rng.standard_normal((len(self), 3)) * self.prior.wheels * math.sqrt(1 - kept * kept)
+        self.wheels = 1 + (self.wheels - 1) * kept + drift
         self.planes.set_wheels(*self.wheels.T)
+        common = self.traits[:, :, 0].mean(axis=1)[:, None] * (1 - kept)
+        self.traits *= kept
+        self.traits[:, :, 0] += common
+        self.covariances *= kept * kept
+        self.covariances += (1 - kept * kept) * self.prior.traits
 
     def __len__(self) -> int:
         return len(self.logs)

@@ -61,7 +61,7 @@ class SensorModel:
         )
 
     def explain(
-        self, particles: Particles, readings: NDArray[np.int64], use: NDArray[np.bool_]
+        self, particles: Particles, readings: NDArray[np.int64], use: NDArray[np.bool_], new: float = 1.0
     ) -> tuple[Floats, Floats, Floats]:
         """Learn the traits of the particles' sensors from readings.
 
@@ -72,10 +72,11 @@ class SensorModel:
             particles: Particles.
             readings: Proximity (8,) [counts].
             use: Sensors to rely on (8,); the others have likelihood 1.
+            new: Part of the readings that is new since the last ones.
         """
         range_left = self._range_left(particles)
         counts, deviations, likelihood = particles.planes.explain(
-            particles.traits, particles.covariances, self._law, range_left, readings, use
+            particles.traits, particles.covariances, self._law, range_left, readings, use, new
         )
         weights = np.exp(particles.logs - particles.logs.max())
         weights /= weights.sum()

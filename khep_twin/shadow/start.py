@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from khep_twin.errors import PlaypenError
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.sensing import calibration
-from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.particles import Particles, Prior
 from khep_twin.shadow.planes import Planes
 
 Floats = NDArray[np.float64]
@@ -68,15 +68,16 @@ def begun(
     traits = np.zeros((count, 8, 3))
     traits[:, :, 0] = rng.standard_normal((count, 1)) * spread.gain
     thresholds = calibration.THRESHOLD_SPREAD * planes.proximity["threshold"]
-    own = np.zeros((count, 8, 3, 3))
-    own[:, :, 0, 0], own[:, :, 1, 1] = calibration.GAIN_SPREAD**2, HEADING_DEVIATION**2
-    own[:, :, 2, 2] = thresholds**2
+    prior = np.zeros((8, 3, 3))
+    prior[:, 0, 0], prior[:, 1, 1] = calibration.GAIN_SPREAD**2, HEADING_DEVIATION**2
+    prior[:, 2, 2] = thresholds**2
     return Particles(
         planes,
+        Prior(np.array([spread.radius, spread.ratio, spread.base]), prior),
         np.full(count, -math.log(count)),
         wheels,
         traits,
-        own,
+        np.repeat(prior[None], count, axis=0),
         np.full((count, 2), np.nan),
         np.zeros(count, np.int64),
         np.zeros(count, np.int64),
