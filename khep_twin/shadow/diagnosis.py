@@ -48,7 +48,7 @@ TRIED_NS = NS_PER_S
 EARLIER_NS = NS_PER_S // 2
 """Time by which a fault may seem to begin before replies surprise [ns]."""
 
-RAISED = 9.0
+RAISED = 7.0
 """Logarithm of the odds from which on it is elsewhere."""
 
 SURE, NAMED = 0.95, 0.5
@@ -83,7 +83,8 @@ class Diagnosis:
     def __init__(self, setup: EpisodeSetup, tracker: ParticleFilter, rng: np.random.Generator) -> None:
         self._setup, self.filter, self._rng = setup, tracker, rng
         self._model = SensorModel(tracker.particles.planes)
-        self._sensors = SensorWatch(self._model.quiet, self._model.limit)
+        lit = bool(tracker.particles.planes.lamps.names)
+        self._sensors = SensorWatch(self._model.quiet, self._model.limit, lit)
         self._wheels, self._line = WheelWatch(), LineWatch()
         self._lamps = LampWatch(tracker.particles.planes.lamps.names)
         self._counted: Floats | None = None

@@ -30,14 +30,15 @@ class SensorWatch:
     Args:
         quiet: Highest reading with nothing in reach [counts].
         limit: Highest reading [counts].
+        lit: Whether there are lamps.
 
     Attributes:
         sound: Whether each sensor is neither stuck nor dead (8,).
         alarms: Alarms that last.
     """
 
-    def __init__(self, quiet: float, limit: int) -> None:
-        self._quiet, self._limit = quiet, limit
+    def __init__(self, quiet: float, limit: int, lit: bool) -> None:
+        self._quiet, self._limit, self._lit = quiet, limit, lit
         self._repeats = np.tile(np.array(_PRIOR), (2, N_SENSORS, 1))
         self._last: NDArray[np.int64] | None = None
         self._odds = np.zeros(N_SENSORS)
@@ -83,7 +84,11 @@ class SensorWatch:
                 self._repeats[kind, sensor] += now == last, 1
                 told = -math.log(others[0] / others[1]) if now == last else 0.0
             self._odds[sensor] = max(self._odds[sensor] + told, 0)
-            if self._odds[sensor] > RAISED and sensor not in self._alarms:
+        # Several that read 0 at once are blinded by a lamp, which is elsewhere or nearer than the twins believe.
+        dark = (action.readings == 0) & (self._odds > RAISED / 2)
+        blinded = dark & (self._lit and dark.sum() > 1)
+        for sensor, now in enumerate(action.readings.tolist()):
+            if self._odds[sensor] > RAISED and sensor not in self._alarms and not blinded[sensor]:
                 fault = f"dead sensor {sensor}" if now == 0 else f"stuck sensor {sensor}"
                 since_ns, sureness = self._since_ns[sensor], 1 / (1 + math.exp(_RARE - self._odds[sensor]))
                 self._alarms[sensor] = Alarm(fault, "proximity", since_ns, action.time_ns, sureness)
