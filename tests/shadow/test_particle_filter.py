@@ -78,6 +78,18 @@ def test_particles_spread_in_the_open_where_no_reply_tells_them_apart(field: Pla
     assert off_mm(tracker.estimate(0), robot) < 20
 
 
+def test_a_reading_counts_the_more_the_farther_the_robot_went_since_the_last() -> None:
+    told = []
+    for speed in (0, 3, 10):
+        tracker = filtering(setup_of("workshop"), metric(AT_THE_CRATE), EXACT)
+        tracker.act(Commanded(0, SPEED, -speed, speed), ALL)
+        for turn in (30, 36):
+            before = tracker.evidence
+            tracker.act(Seen(turn * SECOND // 100, np.full(8, 500)), ALL)
+        told.append(before - tracker.evidence)
+    assert 0 < 3 * told[0] < told[1] < 0.6 * told[2]
+
+
 def test_replies_are_more_probable_for_a_filter_that_is_right() -> None:
     robot = planes_at(AT_THE_CRATE)
     right, wrong = (

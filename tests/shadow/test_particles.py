@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from twins import particles_at
+from twins import particles_at, setup_of
 
 from khep_twin import units
 from khep_twin.board import kernel
-from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.particles import FORGOTTEN_S, Particles
 from khep_twin.shadow.planes import SPEED
+from khep_twin.shadow.start import PUBLISHED, begun
 
 OPEN = 350.0, 250.0, 0.0
 POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]
@@ -57,7 +58,7 @@ def test_copies_leave_the_others_alone() -> None:
     copies.logs += 1
     copies.traits += 1
     copies.wheels *= 1.02
-    copies.set_wheels()
+    copies.forget(1.0, np.random.default_rng(0))
     copies.planes.command(SPEED, 9, 9)
     copies.planes.advance(20)
     copies.count(np.array([0, 0]))
@@ -91,7 +92,26 @@ def test_counters_move_them_by_what_the_commands_do_not_explain() -> None:
     assert particles.count(told + 40).tolist() == [[0, 0]] * 2
 
 
-def test_many_are_weighed_more_carefully_than_few() -> None:
-    few = four()
-    many = few.taken(np.zeros(5000, np.intp))
-    assert 0 < many.temper < few.temper <= 1
+def test_what_was_learned_gives_way_to_what_was_known_but_for_the_common_gain() -> None:
+    particles = begun(setup_of("workshop"), (0.35, 0.25, 0.0), PUBLISHED, 2000, np.random.default_rng(0))
+    particles.wheels[:], particles.covariances[:] = (1.02, 0.99, 1.01), 0
+    particles.traits[:] = 0.1, 0.05, 40
+    particles.traits[:, 3, 0] = 0.9
+    particles.forget(FORGOTTEN_S, np.random.default_rng(0))
+    kept = math.exp(-1)
+    assert particles.wheels.mean(axis=0) == pytest.approx(1 + kept * np.array([0.02, -0.01, 0.01]), abs=1e-3)
+    assert particles.wheels.std(axis=0) == pytest.approx(
+        math.sqrt(1 - kept * kept) * particles.prior.wheels, rel=0.05
+    )
+    # The mean of the gains, 0.2, stays.
+    assert particles.traits[0, 2] == pytest.approx([0.2 - 0.1 * kept, 0.05 * kept, 40 * kept])
+    assert particles.traits[0, 3, 0] == pytest.approx(0.2 + 0.7 * kept)
+    assert particles.covariances[0] == pytest.approx((1 - kept * kept) * particles.prior.traits)
+    # The twins drive with these wheels.
+    wheels = particles.planes.robots["left_wheel"]
+    assert np.ptp(wheels / wheels.mean()) > 0.02
+    # What passes in no time is nothing.
+    before = particles.wheels.copy(), particles.traits.copy()
+    particles.forget(0.0, np.random.default_rng(0))
+    assert particles.wheels.tolist() == before[0].tolist()
+    assert particles.traits == pytest.approx(before[1])

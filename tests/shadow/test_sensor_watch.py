@@ -19,8 +19,8 @@ Integers = NDArray[np.int64]
 class Watched:
     """A watch that sees replies every 60 ms: sound ones have noise, like those of a robot that drives."""
 
-    def __init__(self, levels: Sequence[float]) -> None:
-        self.watch = SensorWatch(20.0, LIMIT)
+    def __init__(self, levels: Sequence[float], lit: bool = False) -> None:
+        self.watch = SensorWatch(20.0, LIMIT, lit)
         self._levels, self._rng = np.array(levels), np.random.default_rng(0)
         self.time_ns = 0
         self.ended: list[Alarm] = []
@@ -113,3 +113,17 @@ def test_a_sensor_that_a_lamp_blinds_is_neither_dead_nor_stuck(value: int) -> No
     assert watched.see(60, holding(1, value), range_left=blinded) == []
     # In the dark the same replies tell.
     assert [alarm.fault[-8:] for alarm in watched.see(5, holding(1, value))] == ["sensor 1"]
+
+
+def test_sensors_that_read_0_at_once_are_blinded_where_there_are_lamps() -> None:
+    def change(readings: Integers) -> None:
+        readings[[2, 3]] = 0
+
+    for lit, faults in ((True, []), (False, ["dead sensor 2", "dead sensor 3"])):
+        watched = Watched(BUSY, lit)
+        watched.see(5)
+        assert [alarm.fault for alarm in watched.see(5, change)] == faults
+    # One alone is dead there, too.
+    watched = Watched(BUSY, lit=True)
+    watched.see(5)
+    assert [alarm.fault for alarm in watched.see(5, holding(2, 0))] == ["dead sensor 2"]
