@@ -48,7 +48,7 @@ TRIED_NS = NS_PER_S
 EARLIER_NS = NS_PER_S // 2
 """Time by which a fault may seem to begin before replies surprise [ns]."""
 
-RAISED = 7.0
+RAISED = 9.0
 """Logarithm of the odds from which on it is elsewhere."""
 
 SURE, NAMED = 0.95, 0.5

@@ -172,7 +172,8 @@ class ParticleFilter:
             use: Sensors to rely on (8,).
         """
         particles = self.particles
-        # Errors of the model persist: readings count by how far their correlation, exp(-way / PERSISTENCE), fell.
+        # Errors of the model persist: readings count by how far their correlation, exp(-way / PERSISTENCE),
+        # has fallen.
         new = max(math.tanh(self._way / (2 * PERSISTENCE)), LEAST_NEW)
         self._way = 0.0
         self.expected, self.surprise, logs = self._model.explain(particles, readings, use, new)

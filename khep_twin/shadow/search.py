@@ -27,7 +27,7 @@ SNAPSHOT_NS = 250_000_000
 KEPT_NS = 4 * NS_PER_S
 """Time for which they are kept [ns]."""
 
-RARE = 10.0
+RARE = 11.0
 """Logarithm of the odds against a robot that is put elsewhere (assumed)."""
 
 

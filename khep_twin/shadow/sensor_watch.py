@@ -84,7 +84,7 @@ class SensorWatch:
                 self._repeats[kind, sensor] += now == last, 1
                 told = -math.log(others[0] / others[1]) if now == last else 0.0
             self._odds[sensor] = max(self._odds[sensor] + told, 0)
-        # Several that read 0 at once are blinded by a lamp, which is elsewhere or nearer than the twins believe.
+        # Several that read 0 at once are blinded by a lamp, which the twins believe to be farther.
         dark = (action.readings == 0) & (self._odds > RAISED / 2)
         blinded = dark & (self._lit and dark.sum() > 1)
         for sensor, now in enumerate(action.readings.tolist()):
