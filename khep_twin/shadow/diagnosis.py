@@ -39,6 +39,10 @@ SURPRISE_S = 0.7
 SURPRISED = 3.0
 """Surprise of one sensor from which on the robot may be elsewhere."""
 
+STARTLED = 1.2
+"""Surprise of one sensor without which nothing has begun: what explains readings a little better for long
+explains errors of the model."""
+
 WAITED_NS = 1_000_000_000
 """Time for which replies surprise before it is looked for everywhere [ns]."""
 
@@ -98,6 +102,8 @@ class Diagnosis:
         self._lost_ns = 0
         self._vague_ns = -1, -1
         """Begin and end of the last time for which the pose was vague [ns]."""
+        self._startled_ns = -KEPT_NS
+        """Time of the last reply that surprised so much [ns]."""
         self._searches = not self._known
         self._surprised_ns: int | None = None
         self._onsets: deque[int] = deque(maxlen=20)
@@ -154,6 +160,8 @@ class Diagnosis:
         if not self._known and np.argmax(self.filter.probabilities) == 0:
             began_ns, last_ns = self._vague_ns
             self._vague_ns = (began_ns if last_ns == before_ns else time_ns), time_ns
+        if self._surprise.max() > STARTLED:
+            self._startled_ns = time_ns
         self._diagnose(time_ns)
         if self._surprise.max() <= SURPRISED:
             self._surprised_ns = None
@@ -200,7 +208,8 @@ class Diagnosis:
                 has = tracker.particles.changes == number
                 since_ns = int(np.average(tracker.particles.since_ns[has], weights=tracker.weights[has]))
                 vague = self._vague_ns[0] <= since_ns <= self._vague_ns[1]
-                told = time_ns - since_ns >= TOLD_NS and not vague
+                startled = self._startled_ns > since_ns - EARLIER_NS
+                told = startled and time_ns - since_ns >= TOLD_NS and not vague
                 if told and not self._find(time_ns, since_ns, 0.0, fault):
                     self._give_up(time_ns)
                     alarm = Alarm(fault.name, fault.channel, since_ns, time_ns, min(sureness, 0.999))

@@ -87,7 +87,8 @@ class ParticleFilter:
         changes: Changes that are considered: 1, 2, ... of the particles'.
         evidence: Logarithm of the probability of all readings so far.
         expected: Readings expected last, over all particles (8,).
-        surprise: What the last reply was less likely than an expected one, by sensor (8,), in logarithms.
+        surprise: What the last reply was less likely than an expected one, by sensor (8,), in logarithms, to
+            particles without a change.
     """
 
     def __init__(

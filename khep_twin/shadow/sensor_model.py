@@ -65,8 +65,8 @@ class SensorModel:
     ) -> tuple[Floats, Floats, Floats]:
         """Learn the traits of the particles' sensors from readings.
 
-        Returns expected counts (8,), what each reading was less likely than an expected one (8,), and the log
-        likelihoods (n, 8).
+        Returns expected counts (8,), what each reading was less likely than an expected one (8,), by particles
+        without a change, and the log likelihoods (n, 8).
 
         Args:
             particles: Particles.
@@ -82,6 +82,8 @@ class SensorModel:
         weights /= weights.sum()
         expected = np.clip(weights @ counts, 0, self.limit)
         self.range_left = weights @ range_left
+        weights *= particles.changes == 0
+        weights /= weights.sum()
         clipped = (readings <= self.quiet) | (readings >= self._law.full)
         best = np.where(clipped, 1.0, 1 / (weights @ deviations * math.sqrt(math.tau)))
         surprise = np.where(use, np.log(np.maximum(best / (weights @ likelihood), 1.0)), 0.0)
