@@ -1,8 +1,9 @@
 """A particle filter whose particles are planar twins: where a robot is, from commands and sensor replies.
 
-Each particle has a pose and wheels of its own: mean radius, ratio and base, which drift a little. Replies to
-N weigh the particles (`sensor_model`), those to H move them; where few of them count, they are drawn anew.
-Some have a fault that may have begun, or ended (`changes`).
+Each particle has a pose, wheels and sensors of its own; what was learned of these is forgotten slowly.
+Replies to N weigh the particles (`sensor_model`), by how far the robot went since the last; those to H move
+them; where few of them count, they are drawn anew. Some have a fault that may have begun, or ended
+(`changes`).
 """
 
 import math

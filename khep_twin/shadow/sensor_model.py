@@ -6,7 +6,8 @@ updates by the readings. The likelihood of a reading z, where the twin predicts 
     (1 - e) N(z; c, s^2) + e / 1024,    s^2 = noise^2 + (MODEL c)^2 + J P J'
 
 with the derivatives J of c by the traits; where the reading is clipped, at the limit or by the noise floor,
-it is the probability of what is beyond.
+it is the probability of what is beyond. Of a reading that is new in part only, as the robot has hardly
+moved since the last, noise and errors of the model have so much larger a variance for the traits.
 """
 
 import math
@@ -65,8 +66,8 @@ class SensorModel:
     ) -> tuple[Floats, Floats, Floats]:
         """Learn the traits of the particles' sensors from readings.
 
-        Returns expected counts (8,), what each reading was less likely than an expected one (8,), by particles
-        without a change, and the log likelihoods (n, 8).
+        Returns expected counts (8,), what each reading was less likely than an expected one to particles
+        without a change (8,), and the log likelihoods (n, 8).
 
         Args:
             particles: Particles.

@@ -75,8 +75,9 @@ class Driven:
         return 7, 6
 
 
-def test_a_sound_robot_has_no_alarms() -> None:
-    driven = Driven(1)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sound_robot_has_no_alarms(seed: int) -> None:
+    driven = Driven(seed)
     driven.drive(20)
     assert driven.names == []
     assert driven.off_mm < 10
