@@ -114,7 +114,7 @@ class Firmware:
 
     @property
     def powered(self) -> bool:
-        """Whether the supply suffices for the processor."""
+        """True if the supply suffices for the processor."""
         return bool(self._processor[kernel.POWERED])
 
     def state(self) -> FirmwareState:

@@ -332,7 +332,7 @@ class Robot:
 
     @property
     def leds_differ(self) -> bool:
-        """Whether the lights do not show what the LEDs' registers say yet."""
+        """True if the lights do not show what the LEDs' registers say yet."""
         return [self._register_view[led] for led in _LEDS] != self._shown
 
     def show_leds(self) -> None:

@@ -180,7 +180,7 @@ class Diagnosis:
 
     @property
     def _known(self) -> bool:
-        """Whether the pose is known."""
+        """True if the pose is known."""
         spread = self.filter.estimate(0).covariance.diagonal()
         return bool(spread[0] + spread[1] < _KNOWN * _KNOWN and spread[2] < _KNOWN_TURN * _KNOWN_TURN)
 

@@ -38,7 +38,7 @@ class Learned(NamedTuple):
 
     @property
     def row(self) -> Floats:
-        """All values (22,), as `LEARNED` names them."""
+        """Row of all values (22,), as `LEARNED` names them."""
         return np.concatenate(self)
 
     @classmethod

@@ -21,7 +21,7 @@ of the model were learned, too (assumed) [s]."""
 
 
 class Prior(NamedTuple):
-    """What is known of a robot before it drives.
+    """Knowledge of a robot before it drives.
 
     Attributes:
         wheels: Standard deviations of wheels' mean radius, ratio and base, as parts (3,).

@@ -19,7 +19,7 @@ HEADING_DEVIATION = math.radians(calibration.HEADING_SPREAD_DEG)
 
 
 class Spread(NamedTuple):
-    """What is known of a robot at the start: standard deviations.
+    """Knowledge of a robot at the start: standard deviations.
 
     Attributes:
         place: Of x and y [m]; infinite for an unknown start.

@@ -126,7 +126,7 @@ class Simulation:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether compiled code steps it."""
+        """True if compiled code steps it."""
         return self._compiled
 
     def run_by(self, advance: Advance, compiled: bool) -> None:
