@@ -1,4 +1,4 @@
-"""Hypotheses of what may be wrong: each makes twins with that fault of sound ones, and sound ones of those."""
+"""Hypotheses of what may be wrong: each makes twins with a fault of sound ones, and sound ones of those."""
 
 import math
 from collections.abc import Iterator

@@ -52,7 +52,7 @@ class SensorWatch:
 
     @property
     def sound(self) -> NDArray[np.bool_]:
-        """True for each sensor that is neither stuck nor dead (8,)."""
+        """True for each sensor neither stuck nor dead (8,)."""
         return np.array([sensor not in self._alarms for sensor in range(N_SENSORS)])
 
     def see(self, action: Seen, range_left: Floats, surprise: Floats) -> tuple[Alarm, ...]:
