@@ -98,11 +98,10 @@ def test_what_cannot_be_is_one_line(log: Path, options: list[str], message: str)
 def test_a_calibration_is_taken_from_what_a_shadow_has_learned(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    early = khep_twin("fit", "--from", log, "--playpen", "obstacles")
-    assert "determines nothing better than it was known" in early.stderr
-    # As after minutes.
-    monkeypatch.setattr("khep_twin.lab.fit.shadow_fit.GAIN_ERROR", 0.0)
-    monkeypatch.setattr("khep_twin.lab.fit.shadow_fit.DETERMINED", 0.9)
+    with monkeypatch.context() as strict:
+        strict.setattr("khep_twin.lab.fit.shadow_fit.DETERMINED", 0.01)
+        early = khep_twin("fit", "--from", log, "--playpen", "obstacles")
+        assert "determines nothing better than it was known" in early.stderr
     shadow, found = tmp_path / "shadow.mcap", tmp_path / "mine.toml"
     assert khep_twin("shadow", "obstacles", log, "-o", shadow).returncode == 0
     done = khep_twin("fit", "--from", shadow, "-o", found)

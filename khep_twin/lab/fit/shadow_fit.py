@@ -26,15 +26,6 @@ from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.start import PUBLISHED
 
-WHEEL_ERRORS = 0.02, 0.0055, 0.022
-"""Errors of the wheels' radius, ratio and base beyond the particles' deviations, as parts: so far off were
-those of six stand-in robots after five minutes of N and D (`benchmarks.shadow_fits`), as few
-remain of the wheels that a filter has begun with."""
-
-GAIN_ERROR = 0.15
-"""That of a gain; headings and thresholds are known to 2.5 degrees and 49 counts then, hardly better than
-they were before, and stay as they are."""
-
 _WHEELS = "radius_mm", "right_over_left", "base_mm"
 _TOLD = {
     "radius_mm": ("wheel radius", "{:.3f} mm +- {:.3f}"),
@@ -116,8 +107,8 @@ def fit_learned(found: Learned, start: Calibration) -> RobotFit:
 def learned_values(found: Learned, start: Calibration) -> Iterator[tuple[FittedValue, float]]:
     """Yield all values with their intervals, and the intervals in which they were known before."""
     known = PUBLISHED.radius, PUBLISHED.ratio, PUBLISHED.base
-    deviations = np.hypot(found.wheel_deviations, WHEEL_ERRORS).tolist()
-    for key, part, deviation, before in zip(_WHEELS, found.wheels.tolist(), deviations, known, strict=True):
+    parts, deviations = found.wheels.tolist(), found.wheel_deviations.tolist()
+    for key, part, deviation, before in zip(_WHEELS, parts, deviations, known, strict=True):
         unit = CONFIDENCE * float(getattr(start.wheels, key))
         yield FittedValue(("wheels", key), unit / CONFIDENCE * part, unit * deviation), unit * before
     before = math.hypot(PUBLISHED.gain, calibration.GAIN_SPREAD)
@@ -125,7 +116,7 @@ def learned_values(found: Learned, start: Calibration) -> Iterator[tuple[FittedV
         zip(
             start.proximity.gain_counts_mm2,
             found.gains.tolist(),
-            np.hypot(found.gain_deviations, GAIN_ERROR).tolist(),
+            found.gain_deviations.tolist(),
             strict=True,
         )
     ):
