@@ -25,10 +25,12 @@ class Prior(NamedTuple):
 
     Attributes:
         wheels: Standard deviations of wheels' mean radius, ratio and base, as parts (3,).
+        gain: Standard deviation of the logarithm of the sensors' common gain.
         traits: Covariances of each sensor's traits (8, 3, 3).
     """
 
     wheels: Floats
+    gain: float
     traits: Floats
 
 
@@ -83,19 +85,18 @@ class Particles:
         return beyond
 
     def forget(self, passed_s: float, rng: np.random.Generator) -> None:
-        """Forget a part of what was learned of wheels and sensors, but the sensors' common gain.
+        """Forget a part of what was learned of wheels and sensors.
 
         Args:
             passed_s: Time since it was forgotten last [s].
             rng: Random stream.
         """
         kept = math.exp(-passed_s / FORGOTTEN_S)
-        drift = rng.standard_normal((len(self), 3)) * self.prior.wheels * math.sqrt(1 - kept * kept)
-        self.wheels = 1 + (self.wheels - 1) * kept + drift
+        drift = rng.standard_normal((len(self), 4)) * math.sqrt(1 - kept * kept)
+        self.wheels = 1 + (self.wheels - 1) * kept + drift[:, :3] * self.prior.wheels
         self.planes.set_wheels(*self.wheels.T)
-        common = self.traits[:, :, 0].mean(axis=1)[:, None] * (1 - kept)
         self.traits *= kept
-        self.traits[:, :, 0] += common
+        self.traits[:, :, 0] += drift[:, 3:] * self.prior.gain
         self.covariances *= kept * kept
         self.covariances += (1 - kept * kept) * self.prior.traits
 

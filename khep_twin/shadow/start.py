@@ -73,7 +73,7 @@ def begun(
     prior[:, 2, 2] = thresholds**2
     return Particles(
         planes,
-        Prior(np.array([spread.radius, spread.ratio, spread.base]), prior),
+        Prior(np.array([spread.radius, spread.ratio, spread.base]), spread.gain, prior),
         np.full(count, -math.log(count)),
         wheels,
         traits,

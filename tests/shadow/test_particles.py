@@ -92,7 +92,7 @@ def test_counters_move_them_by_what_the_commands_do_not_explain() -> None:
     assert particles.count(told + 40).tolist() == [[0, 0]] * 2
 
 
-def test_what_was_learned_gives_way_to_what_was_known_but_for_the_common_gain() -> None:
+def test_what_was_learned_gives_way_to_what_was_known() -> None:
     particles = begun(setup_of("workshop"), (0.35, 0.25, 0.0), PUBLISHED, 2000, np.random.default_rng(0))
     particles.wheels[:], particles.covariances[:] = (1.02, 0.99, 1.01), 0
     particles.traits[:] = 0.1, 0.05, 40
@@ -103,9 +103,11 @@ def test_what_was_learned_gives_way_to_what_was_known_but_for_the_common_gain() 
     assert particles.wheels.std(axis=0) == pytest.approx(
         math.sqrt(1 - kept * kept) * particles.prior.wheels, rel=0.05
     )
-    # The mean of the gains, 0.2, stays.
-    assert particles.traits[0, 2] == pytest.approx([0.2 - 0.1 * kept, 0.05 * kept, 40 * kept])
-    assert particles.traits[0, 3, 0] == pytest.approx(0.2 + 0.7 * kept)
+    assert particles.traits[0, 2, 1:] == pytest.approx([0.05 * kept, 40 * kept])
+    # All gains of a particle change by the same factor.
+    common = particles.traits[:, 2, 0] - 0.1 * kept
+    assert common.std() == pytest.approx(math.sqrt(1 - kept * kept) * PUBLISHED.gain, rel=0.05)
+    assert particles.traits[:, 3, 0] - 0.9 * kept == pytest.approx(common)
     assert particles.covariances[0] == pytest.approx((1 - kept * kept) * particles.prior.traits)
     # The twins drive with these wheels.
     wheels = particles.planes.robots["left_wheel"]
