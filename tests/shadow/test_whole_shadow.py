@@ -193,7 +193,7 @@ def test_an_unknown_start_is_looked_for_everywhere_and_replies_narrow_it() -> No
     deviation = math.sqrt(np.trace(first.estimate.covariance[:2, :2]))
     assert deviation > 0.1
     assert first.alarms == ()
-    # A thing close before the robot, which stands: of 24 replies little is new. It leaves the places at things.
+    # A thing close before the robot leaves the places at things; of its replies little is new, as it stands.
     near = b"n,0,100,700,700,100,0,0,0\r\n"
     last = conversation(shadow, *[(100 * turn, b"N\n", near) for turn in range(1, 25)])[-1]
     x, y = last.particles[:, 0], last.particles[:, 1]
