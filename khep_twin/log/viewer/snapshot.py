@@ -36,7 +36,7 @@ def still(recording: Path, at_s: float, target: Path) -> None:
         target: Path of the PNG file.
 
     Raises:
-        LogError: The viewer does not start or does not answer.
+        LogError: The viewer does not start, does not answer or cannot draw.
     """
     # The viewer's output is hidden by default.
     os.environ.setdefault("RUST_LOG", "error")
@@ -49,19 +49,17 @@ def still(recording: Path, at_s: float, target: Path) -> None:
             executable_path=str(program) if program.exists() else None,
             hide_welcome_screen=True,
         )
-    except Exception as error:  # rerun's own errors are of many kinds
-        raise LogError(f"{target}: rerun's viewer does not start: {_first_line(error)}") from error
-    try:
-        _show(viewer, recording, at_s)
-        picture = viewer.take_screenshot(max_size=_WIDTH)
-    except Exception as error:
+        try:
+            _show(viewer, recording, at_s)
+            picture = viewer.take_screenshot(max_size=_WIDTH)
+        finally:
+            with suppress(Exception):  # it may have ended by itself
+                viewer.quit()
+    except Exception as error:  # rerun's own errors are of many kinds, at the start or later
         raise LogError(
             f"{target}: rerun's viewer cannot draw here: {_first_line(error)}; expected Vulkan, of a "
             "graphics driver or of the package mesa-vulkan-drivers"
         ) from error
-    finally:
-        with suppress(Exception):  # it may have ended by itself
-            viewer.quit()
     write_whole(target, picture)
 
 
