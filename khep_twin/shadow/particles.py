@@ -12,12 +12,11 @@ from khep_twin.shadow.planes import Planes
 
 Floats = NDArray[np.float64]
 
-_POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]
-
-
 FORGOTTEN_S = 60.0
 """Time constant with which what was learned of wheels and sensors gives way to what was known before: errors
 of the model were learned, too (assumed) [s]."""
+
+_POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]
 
 
 class Prior(NamedTuple):

@@ -79,10 +79,11 @@ class SensorModel:
         counts, deviations, likelihood = particles.planes.explain(
             particles.traits, particles.covariances, self._law, range_left, readings, use, new
         )
-        weights = _weights(particles.logs)
+        weights = np.exp(particles.logs - log_of_sum(particles.logs))
         expected = np.clip(weights @ counts, 0, self.limit)
         self.range_left = weights @ range_left
-        weights = _weights(np.where(particles.changes == 0, particles.logs, -np.inf))
+        logs = np.where(particles.changes == 0, particles.logs, -np.inf)
+        weights = np.exp(logs - log_of_sum(logs))
         clipped = (readings <= self.quiet) | (readings >= self._law.full)
         best = np.where(clipped, 1.0, 1 / (weights @ deviations * math.sqrt(math.tau)))
         surprise = np.where(use, np.log(np.maximum(best / (weights @ likelihood), 1.0)), 0.0)
@@ -95,11 +96,6 @@ class SensorModel:
         ambient = particles.planes.ambient
         reach = float(ambient["dark"] - ambient["floor"])
         return np.clip(1 - particles.planes.lamplight(_BRIGHT * reach).sum(axis=2) / reach, 0, 1)
-
-
-def _weights(logs: Floats) -> Floats:
-    weights = np.exp(logs - logs.max())
-    return weights / weights.sum()
 
 
 def log_of_sum(logs: Floats) -> float:
