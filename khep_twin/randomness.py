@@ -47,6 +47,11 @@ def stream(seed: int, *names: str | int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, int.from_bytes(digest)])))
 
 
+def key(seed: int, *names: str | int) -> int:
+    """Return a key of 64 bits for a counter-based generator; names and errors are those of `stream`."""
+    return int(stream(seed, *names).integers(1 << 64, dtype=np.uint64))
+
+
 def position(rng: np.random.Generator) -> StreamState:
     """Return the position in a random stream."""
     found = rng.bit_generator.state

@@ -17,6 +17,7 @@ from khep_twin import units
 from khep_twin.board import battery, kernel
 from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.noise import Tables, draws
 from khep_twin.sensing.optics import Light, RobotSensors, convert
 from khep_twin.sensing.scene import (
     Scene,
@@ -37,9 +38,9 @@ WARNED, OUT_OF_BOUNDS, NO_SPEED = 4, 5, 6
 """Reasons for a return that end a run: the physics has warned, or has left its bounds, or a controller (of
 `khep_twin.rollout.stepping`) gave a speed that is no number."""
 
-STEPS, PHASE, FIRST, DRAWS = 0, 1, 2, 3
+STEPS, PHASE, FIRST, DRAWN = 0, 1, 2, 3
 """Indices in `Simulated.counters`: steps done, part of the step that is done (DONE, STEPPED or TICKED), step
-of the first row of `StepInputs.powers`, and conversions for which random numbers have been used."""
+of the first row of `StepInputs.powers`, and number of conversions of each robot so far."""
 N_COUNTERS = 4
 
 SOUND, STUCK, DEAD = 0, 1, 2
@@ -89,6 +90,7 @@ class RobotState(NamedTuple):
         sensor_states: State of each sensor, SOUND, STUCK or DEAD (8,).
         strengths: Part of its torque that the left and the right motor give (2,).
         voltage: Supply voltage as measured last (1,) [V].
+        noise: Words of the key of its random draws (2,).
     """
 
     left_angle: int
@@ -108,6 +110,7 @@ class RobotState(NamedTuple):
     sensor_states: Vector[int]
     strengths: Vector[float]
     voltage: Vector[float]
+    noise: Vector[int]
 
 
 class Simulated(NamedTuple):
@@ -129,16 +132,15 @@ class Simulated(NamedTuple):
 
 
 class StepInputs(NamedTuple):
-    """Lamps and random draws of some steps.
+    """Lamps of some steps, and the distributions of random draws.
 
     Attributes:
         powers: Powers of the lamps (n_steps or 1, n_lamps) [W].
-        draws: Random draws of each robot (n_robots, 3, n): for proximity and ambient counts with standard
-            deviation 1, for idle counts with mean 1.
+        tables: Quantiles of the random draws, as of `noise`.
     """
 
     powers: Sequence[Sequence[float]]
-    draws: Sequence[Sequence[Sequence[float]]]
+    tables: Tables
 
 
 @compilable
@@ -147,7 +149,7 @@ def advance(simulated: Simulated, inputs: StepInputs, until: int, stops: int) ->
 
     Args:
         simulated: Scene, robots and lamps.
-        inputs: Lamps and random draws, for all of these steps.
+        inputs: Lamps of all of these steps, and random draws.
         until: Number of steps since the start of the run.
         stops: Sum of STEPPED to return after each step of the physics, and TICKED after each tick.
     """
@@ -204,7 +206,7 @@ def switch_on(simulated: Simulated, inputs: StepInputs) -> int:
 
 @compilable
 def convert_sensor(
-    simulated: Simulated, inputs: StepInputs, robot: int, row: int, time_ns: int, channel: int, draw: int
+    simulated: Simulated, inputs: StepInputs, robot: int, row: int, time_ns: int, channel: int
 ) -> None:
     """Convert one sensor of a robot.
 
@@ -215,11 +217,10 @@ def convert_sensor(
         row: Row of the lamps' powers.
         time_ns: Time of the conversion [ns].
         channel: Number of the sensor.
-        draw: Index of the random draws.
     """
-    state, draws = simulated.robots[robot], inputs.draws[robot]
+    state = simulated.robots[robot]
     registers = state.registers
-    noise = draws[0][draw], draws[1][draw], draws[2][draw]
+    noise = draws(inputs.tables, state.noise, simulated.counters[DRAWN])
     proximity, ambient = convert(
         simulated.scene, state.sensors, simulated.light, inputs.powers[row], time_ns, channel, noise
     )
@@ -279,8 +280,8 @@ def _scan(simulated: Simulated, inputs: StepInputs, first: int) -> None:
     for turn in range(conversions):
         for robot in range(len(simulated.robots)):
             time_ns, channel = (first + turn) * units.STEP_NS, (first + turn) % units.N_SENSORS
-            convert_sensor(simulated, inputs, robot, row, time_ns, channel, counters[DRAWS])
-        counters[DRAWS] += 1
+            convert_sensor(simulated, inputs, robot, row, time_ns, channel)
+        counters[DRAWN] += 1
 
 
 @compilable

@@ -264,12 +264,6 @@ def test_with_nothing_in_reach_only_a_few_counts_are_left() -> None:
     assert np.percentile(idle, 99) <= 12
 
 
-def test_a_draw_without_chance_is_zero() -> None:
-    world = World(playpen.load("default"), noise=False)
-    draws = (row[0] for row in world.simulation.inputs.draws[0])
-    assert [next(draws) for _ in range(3)] == [0.0, 0.0, 0.0]
-
-
 def test_the_same_seed_spreads_a_robot_alike_and_each_robot_of_a_playpen_on_its_own() -> None:
     second = "[[robot]]\nx_mm = 972.5\ny_mm = 700\nheading_deg = 0\n"
     text = scene(second, x_mm=948, y_mm=300).replace("x_mm = 972.5", "x_mm = 948")

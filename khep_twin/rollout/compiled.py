@@ -27,10 +27,10 @@ EPISODE_SOURCES = (*SOURCES, fitness, networks, stepping)
 """Modules that are compiled."""
 
 
-def _run(controllers, scene, timing, law, bulbs, hidden, robots, counters, powers, draws, until, stops):
+def _run(controllers, scene, timing, law, bulbs, hidden, robots, counters, powers, tables, until, stops):
     calls, light = MujocoCalls(scene[0][0], scene[1]), Light(law[0], bulbs, hidden)
     simulated = Simulated(calls, timing[0], light, robots, counters)
-    return stepping.run(controllers, simulated, StepInputs(powers, draws), until, stops)
+    return stepping.run(controllers, simulated, StepInputs(powers, tables), until, stops)
 
 
 run = compiled(_run, EPISODE_SOURCES)

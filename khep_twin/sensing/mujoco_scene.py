@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import view
-from khep_twin.sensing.optics import RobotSensors
+from khep_twin.sensing.optics import RobotSensors, chip_behind
 from khep_twin.sensing.scene import FASTEST, FEW, MANY, Triple
 from khep_twin.sensing.seen_surfaces import Chip, Upright, add_upright
 
@@ -99,16 +99,19 @@ class MujocoScene:
         """Answer the query `position`."""
         return self.positions[sensors.cameras[channel]].tolist()
 
-    def sensor_frame(self, sensors: RobotSensors, channel: int) -> Sequence[float]:
-        """Answer the query `sensor_frame`."""
-        return self._frames[sensors.cameras[channel]].tolist()
+    def chip(self, sensors: RobotSensors, channel: int) -> Chip:
+        """Answer the query `chip`."""
+        camera = sensors.cameras[channel]
+        place, frame = self.positions[camera].tolist(), self._frames[camera].tolist()
+        return chip_behind(place, frame, sensors.proximity, channel)
 
-    def surfaces(self, sensors: RobotSensors, channel: int, chip: Chip, near: float) -> int:
+    def surfaces(self, sensors: RobotSensors, channel: int, chip: Chip, needed: float) -> int:
         """Answer the query `surfaces`."""
         found, count, model, data = sensors.proximity.found, 0, self._model, self._data
         ways: Floats = data.geom_xpos[self._geoms, :2] - (chip.x, chip.y)
         away: Floats = np.sqrt((ways * ways).sum(axis=1)) - model.geom_rbound[self._geoms]
         away[self._bodies == sensors.base] = math.inf  # the robot itself
+        near = math.sqrt(sensors.proximity.bound[channel] / needed) if needed else math.inf
         if not (away <= near + _ROUNDING).any():
             return 0
         for index in (away <= chip.reach + _ROUNDING).nonzero()[0].tolist():

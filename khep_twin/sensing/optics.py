@@ -17,8 +17,8 @@ from khep_twin.sensing.scene import (
     Triple,
     blocked,
     body_frame,
+    chip,
     position,
-    sensor_frame,
     stopped,
     surfaces,
 )
@@ -247,30 +247,36 @@ def proximity_counts(
     """
     proximity = sensors.proximity
     level = proximity.noise[channel] * noise + added - proximity.threshold[channel]
-    # Where all is farther off, nothing passes the threshold, or changes the reading by half a step.
-    near = math.sqrt(proximity.bound[channel] / max(-level, proximity.quantum / 2))
-    chip = chip_of(scene, sensors, channel)
-    count = surfaces(scene, sensors, channel, chip, near)
+    # Less passes no threshold, or changes the reading by less than half a step.
+    needed = max(-level, proximity.quantum / 2)
+    mounted = chip(scene, sensors, channel)
+    count = surfaces(scene, sensors, channel, mounted, needed)
     gain, found = proximity.gain[channel], proximity.found
     lobe = lobe_of(proximity, channel)
     count, most = sift(found, count, lobe, SLIGHT / gain)
     if count and gain * most > -level:
-        level += gain * reflected(found, count, chip, lobe)
+        level += gain * reflected(found, count, mounted, lobe)
     limit = int(proximity.limit * range_left)
     counts = min(round(min(level, float(limit)) / proximity.quantum) * proximity.quantum, limit)
     return max(counts, min(int(proximity.idle * idle), limit), proximity.floor)
 
 
 @compilable
-def chip_of(scene: Scene, sensors: RobotSensors, channel: int) -> Chip:
-    """Return the place of a sensor's chip, behind its face."""
-    place, frame = position(scene, sensors, channel), sensor_frame(scene, sensors, channel)
+def chip_behind(place: Sequence[float], frame: Sequence[float], proximity: Proximity, channel: int) -> Chip:
+    """Return a sensor's chip, behind its face.
+
+    Args:
+        place: Position of the sensor (3,) [m].
+        frame: Orientation of the sensor (9,), which looks against its third axis.
+        proximity: Numbers of proximity.
+        channel: Number of the sensor.
+    """
     # The robot stands upright; what little it tilts does not count.
-    ahead, left, offset = -frame[2], -frame[5], sensors.proximity.offset[channel]
+    ahead, left, offset = -frame[2], -frame[5], proximity.offset[channel]
     scale = 1 / math.sqrt(max(ahead * ahead + left * left, 1e-12))
     ahead, left = ahead * scale, left * scale
-    x, y, reach = place[0] - offset * ahead, place[1] - offset * left, sensors.proximity.reach[channel]
-    return Chip(x, y, ahead, left, place[2], reach)
+    x, y = place[0] - offset * ahead, place[1] - offset * left
+    return Chip(x, y, ahead, left, place[2], proximity.reach[channel])
 
 
 @compilable

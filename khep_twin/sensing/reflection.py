@@ -94,6 +94,8 @@ def sift(found: Vector[float], count: int, lobe: Lobe, least: float) -> tuple[in
             ahead = 1 - edge * edge
             for _ in range((lobe.whole - 1) >> 1):
                 around *= ahead
+        if around <= least:
+            continue
         # An endless wall in its place; ((1 + cos) / 2)^k is above its light, with k by the lobe.
         away = found[first + DISTANCE] - found[first + RADIUS]
         wall = 1 / (away * away)
@@ -352,7 +354,7 @@ def _below(height: float, length: float) -> float:
     sine = height / math.sqrt(height * height + length * length)
     square = sine * sine
     # The integral of cos^7, the lobe's cos^3 and four factors of the elevation.
-    return sine * (1 - square * (1 - square * (0.6 - square / 7))) * (35 / 32)
+    return sine * (1 - square * (1 - square * (0.6 - square * (1 / 7)))) * (35 / 32)
 
 
 @compilable

@@ -78,15 +78,15 @@ class SceneSight(Protocol):
         """Answer the query `position`."""
         ...
 
-    def sensor_frame(self, sensors: "RobotSensors", channel: int) -> Sequence[float]:
-        """Answer the query `sensor_frame`."""
+    def chip(self, sensors: "RobotSensors", channel: int) -> Chip:
+        """Answer the query `chip`."""
         ...
 
 
 class SceneRays(Protocol):
     """Surfaces and rays of the sensors in a scene."""
 
-    def surfaces(self, sensors: "RobotSensors", channel: int, chip: Chip, near: float) -> int:
+    def surfaces(self, sensors: "RobotSensors", channel: int, chip: Chip, needed: float) -> int:
         """Answer the query `surfaces`."""
         ...
 
@@ -162,12 +162,12 @@ def position(scene: Scene, sensors: "RobotSensors", channel: int) -> Sequence[fl
     return scene.position(sensors, channel)
 
 
-def sensor_frame(scene: Scene, sensors: "RobotSensors", channel: int) -> Sequence[float]:
-    """Return the orientation of a sensor (9,), which looks against its third axis."""
-    return scene.sensor_frame(sensors, channel)
+def chip(scene: Scene, sensors: "RobotSensors", channel: int) -> Chip:
+    """Return the place of a sensor's chip, in the frame in which `surfaces` finds what it sees."""
+    return scene.chip(sensors, channel)
 
 
-def surfaces(scene: Scene, sensors: "RobotSensors", channel: int, chip: Chip, near: float) -> int:
+def surfaces(scene: Scene, sensors: "RobotSensors", channel: int, chip: Chip, needed: float) -> int:
     """Fill in `proximity.found` with the surfaces that a sensor may see; return their number.
 
     Args:
@@ -175,9 +175,10 @@ def surfaces(scene: Scene, sensors: "RobotSensors", channel: int, chip: Chip, ne
         sensors: Sensors of the robot.
         channel: Number of the sensor.
         chip: Chip of the sensor.
-        near: Distance within which one of them must be to matter [m]; 0 may be returned where none is.
+        needed: Light that matters [counts]; 0 may be returned where all is so far off that, by
+            `proximity.bound`, none gives as much.
     """
-    return scene.surfaces(sensors, channel, chip, near)
+    return scene.surfaces(sensors, channel, chip, needed)
 
 
 def stopped(scene: Scene, sensors: "RobotSensors", channel: int, way: Triple, glass: float) -> bool:

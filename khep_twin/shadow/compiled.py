@@ -16,9 +16,9 @@ from khep_twin.rollout.planar import casting, contact_solver, motion, plane, sha
 from khep_twin.rollout.planar import compiled as planar_compiled
 from khep_twin.rollout.planar.plane import Plane
 from khep_twin.sensing import optics, reflection, seen_surfaces
-from khep_twin.sensing.optics import SLIGHT, Light, chip_of, light_counts, lobe_of, received
+from khep_twin.sensing.optics import SLIGHT, Light, light_counts, lobe_of, received
 from khep_twin.sensing.reflection import reflected, sift
-from khep_twin.sensing.scene import position, surfaces
+from khep_twin.sensing.scene import chip, position, surfaces
 from khep_twin.sensing.seen_surfaces import Chip
 from khep_twin.shadow.planes import DUTY, SPEED, TARGET
 from khep_twin.simulation.compiled import compiled
@@ -66,9 +66,9 @@ class MotorDrive(NamedTuple):
     constant: float
 
 
-def _advance(things, order, planes, registers, processor, strength, drive, voltage, ticks):
+def _advance(things, order, near, planes, registers, processor, strength, drive, voltage, ticks):
     for twin in range(len(planes)):
-        scene = Plane(things[twin], order[twin], planes[twin])
+        scene = Plane(things[twin], order[twin], near, planes[twin])
         board = registers[twin]
         for _ in range(ticks):
             motion.step(scene)
@@ -86,15 +86,17 @@ def _advance(things, order, planes, registers, processor, strength, drive, volta
             scene.robot.ctrl[1] = own + (wanted - own) * part + own * held
 
 
-def _illuminate(things, order, planes, sensors, turns, light, slope):
+def _illuminate(things, order, near, planes, sensors, turns, light, slope):
     for twin in range(len(planes)):
-        scene = Plane(things[twin], order[twin], planes[twin])
+        scene = Plane(things[twin], order[twin], near, planes[twin])
+        motion.look_around(scene)
         for channel in range(units.N_SENSORS):
-            chip, turn = chip_of(scene, sensors[0], channel), turns[twin, channel]
-            light[twin, channel] = seen = _light(scene, sensors[0], channel, chip, turn)
+            mounted, turn = chip(scene, sensors[0], channel), turns[twin, channel]
+            light[twin, channel] = seen = _light(scene, sensors[0], channel, mounted, turn)
             slope[twin, channel] = 0.0
             if seen > 0:
-                slope[twin, channel] = (_light(scene, sensors[0], channel, chip, turn + _TURN) - seen) / _TURN
+                turned = _light(scene, sensors[0], channel, mounted, turn + _TURN)
+                slope[twin, channel] = (turned - seen) / _TURN
 
 
 @compilable
@@ -104,12 +106,12 @@ def _light(scene, sensors, channel, mounted, turn):
     c, s, offset = math.cos(turn), math.sin(turn), proximity.offset[channel]
     ahead, left = c * mounted.ahead - s * mounted.left, s * mounted.ahead + c * mounted.left
     x, y = mounted.x + offset * (mounted.ahead - ahead), mounted.y + offset * (mounted.left - left)
-    chip = Chip(x, y, ahead, left, mounted.height, mounted.reach)
-    count = surfaces(scene, sensors, channel, chip, proximity.reach[channel])
+    at = Chip(x, y, ahead, left, mounted.height, mounted.reach)
+    count = surfaces(scene, sensors, channel, at, 0.0)
     lobe = lobe_of(proximity, channel)
     gain, found = proximity.gain[channel], proximity.found
     count, _ = sift(found, count, lobe, SLIGHT / gain)
-    return gain * reflected(found, count, chip, lobe) if count else 0.0
+    return gain * reflected(found, count, at, lobe) if count else 0.0
 
 
 def _explain(
@@ -162,9 +164,9 @@ def _explain(
                     known[row, row] = max(known[row, row], law.least[row])
 
 
-def _lamplight(things, order, planes, sensors, law, bulbs, hidden, powers, least, light):
+def _lamplight(things, order, near, planes, sensors, law, bulbs, hidden, powers, least, light):
     for twin in range(len(planes)):
-        scene = Plane(things[twin], order[twin], planes[twin])
+        scene = Plane(things[twin], order[twin], near, planes[twin])
         for channel in range(units.N_SENSORS):
             for lamp in range(len(bulbs)):
                 bulb, ambient = bulbs[lamp], sensors[0].ambient
@@ -205,9 +207,9 @@ def _clear(things, planes, poses, free):
                 break
 
 
-def _measure(things, order, planes):
+def _measure(things, order, near, planes):
     for twin in range(len(planes)):
-        motion.measure(Plane(things[twin], order[twin], planes[twin]))
+        motion.measure(Plane(things[twin], order[twin], near, planes[twin]))
 
 
 advance: Any = compiled(_advance, _SOURCES)

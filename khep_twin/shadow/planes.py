@@ -85,12 +85,13 @@ class Planes:
         forms = PlanarForms(setup.scene_model, setup.planar_scene)
         forms.put(None)
         state = forms.robot_states()[0]
-        things, order, robot = forms.compiled()
+        things, order, _, robot = forms.compiled()
         spare = np.zeros((N_SPARE, flat.N_COLUMNS))
         spare[:, [flat.CENTRE_X, flat.COSINE, flat.WIDTH]] = AWAY, 1.0, -1.0
         self._scene: Floats = np.concatenate([things, spare])
         self.things: Floats = np.repeat(self._scene[None], count, axis=0)
         self._order = np.repeat(np.concatenate([order, len(order) + np.arange(N_SPARE)])[None], count, axis=0)
+        self._near = np.zeros_like(self._scene)
         self.robots: Any = np.repeat(robot, count)
         self.sensors: Any = as_records([state.sensors], state.sensors)
         self.registers: NDArray[np.int64] = np.zeros((count, kernel.N_REGISTERS), np.int64)
@@ -158,7 +159,7 @@ class Planes:
     def remeasure(self) -> None:
         """Have the distances to all obstacles measured again, as after one was moved."""
         self.robots["last"][:, flat.ANCHOR_X] = np.inf
-        self._code.measure(self.things, self._order, self.robots)
+        self._code.measure(self.things, self._order, self._near, self.robots)
 
     def offsets(self, rows: Sequence[int]) -> Floats:
         """Return how far a thing, with its rows, is from where the playpen has it: x and y (n, 2) [m]."""
@@ -190,8 +191,9 @@ class Planes:
         """Advance all twins by control ticks."""
         self.ticks += ticks
         voltage = battery.voltage(self._used_min, self.ticks * TICK_NS)
-        state = self.things, self._order, self.robots, self.registers, self.processor, self.strength
-        self._code.advance(*state, self._drive, voltage, ticks)
+        boards = self.registers, self.processor, self.strength
+        state = self.things, self._order, self._near, self.robots
+        self._code.advance(*state, *boards, self._drive, voltage, ticks)
 
     def illuminate(self, turns: Floats) -> tuple[Floats, Floats]:
         """Return the light at each sensor at the start of the last step, and its slope as the sensor turns.
@@ -202,7 +204,7 @@ class Planes:
             turns: Turns of the sensors to the left, from their headings in the calibration (n, 8) [rad].
         """
         light, slope = np.zeros((2, len(self), units.N_SENSORS))
-        state = self.things, self._order, self.robots, self.sensors
+        state = self.things, self._order, self._near, self.robots, self.sensors
         self._code.illuminate(*state, turns, light, slope)
         return light, slope
 
@@ -257,7 +259,7 @@ class Planes:
         powers = np.array(self.lamps.powers)
         light = np.zeros((len(self), units.N_SENSORS, len(powers)))
         if powers.any():
-            state = self.things, self._order, self.robots, self.sensors
+            state = self.things, self._order, self._near, self.robots, self.sensors
             self._code.lamplight(*state, *self._light, powers, least, light)
         return light
 

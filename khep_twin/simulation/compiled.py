@@ -22,7 +22,7 @@ from numba.extending import register_jitable
 from khep_twin import step, units
 from khep_twin.board import battery, kernel
 from khep_twin.compilable import FUNCTIONS
-from khep_twin.sensing import mujoco_scene, optics, reflection, scene, seen_surfaces
+from khep_twin.sensing import mujoco_scene, noise, optics, reflection, scene, seen_surfaces
 from khep_twin.sensing.optics import Light
 from khep_twin.simulation import addresses, foreign, mujoco_calls
 from khep_twin.simulation.mujoco_calls import MujocoCalls
@@ -31,7 +31,7 @@ from khep_twin.step import Simulated, StepInputs
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-_OPTICS = seen_surfaces, reflection, optics, mujoco_scene
+_OPTICS = noise, seen_surfaces, reflection, optics, mujoco_scene
 SOURCES = (units, battery, kernel, scene, *_OPTICS, step, addresses, foreign, mujoco_calls)
 """Modules that are compiled."""
 
@@ -88,10 +88,10 @@ class _Announcer(event.Listener):
             self._shown.close()
 
 
-def _advance(scene, timing, law, bulbs, hidden, robots, counters, powers, draws, until, stops):
+def _advance(scene, timing, law, bulbs, hidden, robots, counters, powers, tables, until, stops):
     calls, light = MujocoCalls(scene[0][0], scene[1]), Light(law[0], bulbs, hidden)
     simulated = Simulated(calls, timing[0], light, robots, counters)
-    inputs = StepInputs(powers, draws)
+    inputs = StepInputs(powers, tables)
     if until < 0:
         return step.switch_on(simulated, inputs)
     return step.advance(simulated, inputs, until, stops)

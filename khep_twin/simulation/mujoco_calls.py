@@ -16,6 +16,7 @@ from khep_twin.compilable import compilable
 from khep_twin.sensing import scene as queries
 from khep_twin.sensing.buffers import as_records
 from khep_twin.sensing.mujoco_scene import fixed, points_of_a_bulb, upright, visible
+from khep_twin.sensing.optics import chip_behind
 from khep_twin.sensing.scene import FASTEST, FEW, MANY
 from khep_twin.sensing.seen_surfaces import add_upright
 from khep_twin.simulation.addresses import function_address, object_address
@@ -241,9 +242,11 @@ def _body_frame(scene, sensors):
     return _nine(scene.at.xmat, sensors.base)
 
 
-@implements(queries.sensor_frame, MujocoCalls)
-def _sensor_frame(scene, sensors, channel):
-    return _nine(scene.at.cam_xmat, sensors.cameras[channel])
+@implements(queries.chip, MujocoCalls)
+def _chip(scene, sensors, channel):
+    camera = sensors.cameras[channel]
+    place, frame = _three(scene.at.cam_xpos, camera), _nine(scene.at.cam_xmat, camera)
+    return chip_behind(place, frame, sensors.proximity, channel)
 
 
 @implements(queries.position, MujocoCalls)
@@ -268,7 +271,7 @@ def _nine(address, index):
 
 
 @implements(queries.surfaces, MujocoCalls)
-def _surfaces(scene, sensors, channel, chip, near):
+def _surfaces(scene, sensors, channel, chip, needed):
     found, count = sensors.proximity.found, 0
     for i in range(len(scene.solids)):
         solid = scene.solids[i]

@@ -222,4 +222,5 @@ def robot_state(
         sensor_states=np.zeros(units.N_SENSORS, np.int64),
         strengths=np.ones(2),
         voltage=np.zeros(1),
+        noise=np.zeros(2, np.int64),
     )

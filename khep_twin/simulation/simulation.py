@@ -5,27 +5,28 @@ Both kinds of code work on the same memory and give the same bits, so a run may 
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Annotated, Any, NamedTuple, Protocol, Self, cast
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Base64UrlBytes, Field
+from pydantic import Field
 
 from khep_twin import step
 from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lighting
-from khep_twin.randomness import StreamState, position, resume, stream
+from khep_twin.randomness import key, stream
 from khep_twin.sensing.buffers import as_plain, as_records, fill_record
 from khep_twin.sensing.lamps import Lamps
+from khep_twin.sensing.noise import key_words, no_noise, quantiles
 from khep_twin.sensing.optics import Bulb, Hidden, Light, LightLaw
 from khep_twin.step import RobotState, Simulated, StepInputs, Timing
 from khep_twin.units import N_SENSORS
 
-N_DRAWS = 2048
-"""Length of the buffers of random draws [conversions]; no effect on results."""
-
 NO_LIGHT = Light(LightLaw(False, 0.0, 0.0, True, 1, 0.0), (), ())
 """Lamps of a scene without any."""
+
+_TABLES = no_noise(), quantiles()
+_TABLE_ARRAYS = tuple(np.array(each) for each in _TABLES)
 
 Advance = Callable[..., int]
 """`step.advance`, or `step.switch_on` where `until` is below 0; compiled code gets all as separate arrays."""
@@ -68,19 +69,14 @@ class SimulationState(NamedTuple):
     Attributes:
         steps: Number of steps done.
         phase: Part of the step that is done.
-        streams: Positions in the three random streams of each robot before they were drawn from last; empty
-            without noise.
-        kept: Draws that were kept from before that (n_robots, 3, n), as 64-bit floats.
-        drawn: Number of draws that were taken from each stream then.
-        used: Number of conversions for which draws in the buffers have been used.
+        keys: Key of each robot's random draws; empty without noise.
+        drawn: Number of conversions of each robot so far.
     """
 
     steps: Annotated[int, Field(ge=0, lt=2**62)]
     phase: Annotated[int, Field(ge=step.DONE, le=step.TICKED)]
-    streams: tuple[tuple[StreamState, StreamState, StreamState], ...]
-    kept: Base64UrlBytes
-    drawn: Annotated[int, Field(ge=0)]
-    used: Annotated[int, Field(ge=0)]
+    keys: tuple[Annotated[int, Field(ge=0, lt=2**64)], ...]
+    drawn: Annotated[int, Field(ge=0, lt=2**62)]
 
 
 class Simulation:
@@ -89,7 +85,6 @@ class Simulation:
     Args:
         scene: Scene.
         timing: Divisions of time, and bounds.
-        n_draws: Length of the buffers of random draws [conversions].
 
     Attributes:
         title: Subject of error messages.
@@ -98,23 +93,22 @@ class Simulation:
         records: Robots as records of `step.RobotState` (n_robots,): their present state.
         counters: Counters (step.N_COUNTERS,).
         plain: State for plain code.
-        inputs: Lamps and random draws for plain code.
+        inputs: Lamps, and distributions of random draws, for plain code.
     """
 
-    def __init__(self, scene: SceneForms, timing: Timing, n_draws: int = N_DRAWS) -> None:
-        self._scene, self._n_draws = scene, n_draws
+    def __init__(self, scene: SceneForms, timing: Timing) -> None:
+        self._scene = scene
         robots = scene.robot_states()
         self.title = "the simulation"
         self.lamps: Lamps | None = None
         self.on_switch: Callable[[], None] | None = None
         self.records: Any = as_records(robots, robots[0]) if robots else np.zeros(0, np.int64)
         self.counters: NDArray[np.int64] = np.zeros(step.N_COUNTERS, np.int64)
-        self._draws = np.zeros((len(robots), 3, n_draws))
-        self._streams: Sequence[_Streams] = ()
-        self._enough = self._powered = 0
+        self._keys: tuple[int, ...] = ()
+        self._powered = 0
         self._compiled = self._is_varied = False
         self.plain = Simulated(scene.plain(), timing, NO_LIGHT, (), self.counters.data)
-        self.inputs = StepInputs([[]], self._draws.tolist())
+        self.inputs = StepInputs([[]], _TABLES[0])
         self._run: Advance = plain_advance
         self._arrays: tuple[Any, ...] = ()
         self._show_plain(robots)
@@ -135,8 +129,6 @@ class Simulation:
         if compiled:
             timing = self.plain.timing
             self._arrays = (self._scene.compiled(), as_records([timing], timing), *_arrays(self.plain.light))
-        else:
-            self._list_draws()
         self._bind()
 
     def reset(self, seed: int, *, noise: bool, vary: bool) -> None:
@@ -161,12 +153,7 @@ class Simulation:
         if len(self.records):
             self.records["strengths"] = 1
         self.counters[:] = 0
-        self.counters[step.DRAWS] = self._n_draws
-        self._streams, self._enough = [_Streams.of(rng) for rng in rngs] if noise else (), 0
-        self._note_draws(self._n_draws)
-        if not noise and self._draws.any():
-            self._draws[:] = 0
-            self._list_draws()
+        self._draw_by(_keys(seed, len(self.records)) if noise else ())
 
     def take_scene(self) -> None:
         """Take the present forms of the scene, which has changed."""
@@ -177,8 +164,8 @@ class Simulation:
 
     def state(self) -> SimulationState:
         """Return the state besides scene, robots and lamps."""
-        steps, phase, _, used = self.counters.tolist()
-        return SimulationState(steps, phase, self._before, self._kept.tobytes(), self._drawn, used)
+        steps, phase, _, drawn = self.counters.tolist()
+        return SimulationState(steps, phase, self._keys, drawn)
 
     def set_state(self, state: SimulationState) -> None:
         """Take over a state; the lamps have to be set afterwards.
@@ -186,38 +173,15 @@ class Simulation:
         Raises:
             ValueError: It is of other robots.
         """
-        count, kept = len(self.records), np.frombuffer(state.kept, np.float64)
-        rows = 3 * count
-        rest = len(kept) // rows if rows else 0
-        if len(state.streams) not in (0, count) or len(kept) != rows * rest:
-            raise ValueError(f"random draws of {len(state.streams)} robots; expected {count}")
-        if (filled := rest + state.drawn) not in (0, self._n_draws) or state.used > self._n_draws:
-            raise ValueError(f"{state.used} of {filled} random draws; expected at most {self._n_draws}")
-        names = _Streams._fields
-        if state.streams and not self._streams:
-            self._streams = [_Streams(*(stream(0, name) for name in names)) for _ in range(count)]
-        elif not state.streams:
-            self._streams = ()
-        for streams, positions in zip(self._streams, state.streams, strict=True):
-            for rng, at in zip(streams, positions, strict=True):
-                resume(rng, at)
-        self.counters[:] = state.steps, state.phase, 0, state.used
-        self._draws[:] = 0
-        self._kept = kept.reshape(count, 3, rest)
-        self._before = state.streams
-        self._drawn = 0
-        if filled:
-            self._draw(self._kept, state.drawn)
-        self._list_draws()
-        self._count_draws()
+        if len(state.keys) not in (0, len(self.records)):
+            raise ValueError(f"random draws of {len(state.keys)} robots; expected {len(self.records)}")
+        self.counters[:] = state.steps, state.phase, 0, state.drawn
+        self._draw_by(state.keys)
 
     def reseed(self, seed: int) -> None:
-        """Draw from the random streams of another seed from now on."""
-        if self._streams:
-            self._streams = [_Streams.of(partial(stream, seed, "robot", i)) for i in range(len(self.records))]
-            self.counters[step.DRAWS] = self._n_draws
-            self._note_draws(self._n_draws)
-            self._count_draws()
+        """Draw at random by another seed from now on."""
+        if self._keys:
+            self._draw_by(_keys(seed, len(self.records)))
 
     def set_lamps(self, lamps: Lamps, lighting: Lighting) -> None:
         """Replace the lamps and the law of their light."""
@@ -235,10 +199,7 @@ class Simulation:
         Raises:
             DivergedError: The physics left its bounds.
         """
-        self._refill(N_SENSORS)
-        reason = self._checked(self._run(*self._arguments, -1, 0))
-        self._count_draws()
-        return reason
+        return self._checked(self._run(*self._arguments, -1, 0))
 
     def advance(self, until: int, stops: int = 0) -> int:
         """Run steps until so many are done since the start; return a reason of `step`.
@@ -250,41 +211,33 @@ class Simulation:
         Raises:
             DivergedError: The physics left its bounds, or a controller gave a speed that is no number.
         """
-        lamps, counters = self.lamps, self.counters
-        if until <= self._enough and (lamps is None or lamps.steady):
+        lamps = self.lamps
+        if lamps is None or lamps.steady:
             return self._checked(self._run(*self._arguments, until, stops))
-        by_turns = lamps is not None and lamps.lit is not None
-        if lamps is not None and not (lamps.steady or by_turns) and until > self._powered:
+        by_turns = lamps.lit is not None
+        if not by_turns and until > self._powered:
             self._power(lamps.rows(self.steps, until, self.plain.timing.step_ns))
             self._powered = until
         wanted = stops | step.STEPPED if by_turns else stops
         while True:
-            if self._enough <= (steps := int(counters[step.STEPS])) < until:
-                self._refill(self._n_draws)
-                self._count_draws()
-            end = min(until, self._enough)
-            reason = self._checked(self._run(*self._arguments, end, wanted))
+            reason = self._checked(self._run(*self._arguments, until, wanted))
             if by_turns and reason == step.STEPPED:
                 self._switch_lamps()
                 if not stops & step.STEPPED:
                     continue
-            if reason != step.DONE or self._enough >= until or steps >= until:
-                return reason
+            return reason
 
     def scan(self, first: int) -> None:
         """Convert all sensors of all robots now, from one on, in plain code."""
-        self._refill(N_SENSORS)
-        self._list_draws()
         inputs = self.inputs
         if self.lamps is not None:
             inputs = inputs._replace(powers=[self.lamps.powers])
         time_ns = self.steps * self.plain.timing.step_ns
         for turn in range(N_SENSORS):
-            channel, draw = (first + turn) % N_SENSORS, int(self.counters[step.DRAWS])
+            channel = (first + turn) % N_SENSORS
             for robot in range(len(self.plain.robots)):
-                step.convert_sensor(self.plain, inputs, robot, 0, time_ns, channel, draw)
-            self.counters[step.DRAWS] += 1
-        self._count_draws()
+                step.convert_sensor(self.plain, inputs, robot, 0, time_ns, channel)
+            self.counters[step.DRAWN] += 1
 
     def _checked(self, reason: int) -> int:
         """Return the reason of a return; raise a `DivergedError` where the run has ended."""
@@ -327,45 +280,21 @@ class Simulation:
             self._arguments: tuple[Any, ...] = self.plain, self.inputs
             return
         powers = np.array(self.inputs.powers, np.float64).reshape(len(self.inputs.powers), -1)
-        self._arguments = (*self._arrays, self.records, self.counters, powers, self._draws)
+        self._arguments = (
+            *self._arrays,
+            self.records,
+            self.counters,
+            powers,
+            _TABLE_ARRAYS[bool(self._keys)],
+        )
 
-    def _refill(self, needed: int) -> None:
-        """Draw random numbers, if fewer than `needed` conversions' are left."""
-        used = int(self.counters[step.DRAWS])
-        rest = self._n_draws - used
-        if rest >= needed:
-            return
-        self.counters[step.DRAWS] = 0
-        if not self._streams:
-            return
-        self._note_draws(used)
-        self._draw(self._kept, used)
-
-    def _note_draws(self, used: int) -> None:
-        """Note what the buffers can be filled from again."""
-        self._kept = self._draws[:, :, used:].copy()
-        self._drawn = 0
-        self._before = tuple(streams.positions() for streams in self._streams)
-
-    def _draw(self, kept: NDArray[np.float64], count: int) -> None:
-        """Fill the buffers with draws that were kept (n_robots, 3, n) and `count` new ones."""
-        self._drawn, rest = count, kept.shape[2]
-        self._draws[:, :, :rest] = kept
-        for rows, streams in zip(self._draws, self._streams, strict=True):
-            rows[0, rest:] = streams.proximity.standard_normal(count)
-            rows[1, rest:] = streams.ambient.standard_normal(count)
-            rows[2, rest:] = streams.idle.standard_exponential(count)
-        if not self._compiled:
-            self._list_draws()
-
-    def _list_draws(self) -> None:
-        """Set the random draws of plain code, where lists are faster, to those in the buffers."""
-        cast(Any, self.inputs.draws)[:] = self._draws.tolist()
-
-    def _count_draws(self) -> None:
-        """Note up to which step the random draws suffice."""
-        rest = self._n_draws - int(self.counters[step.DRAWS])
-        self._enough = int(self.counters[step.STEPS]) + rest // self.plain.timing.conversions
+    def _draw_by(self, keys: tuple[int, ...]) -> None:
+        """Draw at random by the key of each robot, or make no noise without any."""
+        for record, own in zip(self.records, keys, strict=False):
+            record["noise"] = key_words(own)
+        self._keys = keys
+        self.inputs = self.inputs._replace(tables=_TABLES[bool(keys)])
+        self._bind()
 
 
 def plain_advance(simulated: Simulated, inputs: StepInputs, until: int, stops: int) -> int:
@@ -373,21 +302,9 @@ def plain_advance(simulated: Simulated, inputs: StepInputs, until: int, stops: i
     return step.switch_on(simulated, inputs) if until < 0 else step.advance(simulated, inputs, until, stops)
 
 
-class _Streams(NamedTuple):
-    """Random streams of a robot's sensors."""
-
-    proximity: np.random.Generator
-    ambient: np.random.Generator
-    idle: np.random.Generator
-
-    @classmethod
-    def of(cls, rng: Callable[[str], np.random.Generator]) -> Self:
-        """Return the streams of a robot."""
-        return cls(*(rng(name) for name in cls._fields))
-
-    def positions(self) -> tuple[StreamState, StreamState, StreamState]:
-        """Return the position in each."""
-        return position(self.proximity), position(self.ambient), position(self.idle)
+def _keys(seed: int, count: int) -> tuple[int, ...]:
+    """Return the key of each robot's random draws."""
+    return tuple(key(seed, "robot", index, "sensors") for index in range(count))
 
 
 def _arrays(light: Light) -> tuple[NDArray[np.void], ...]:

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from khep_twin.errors import SnapshotError
 
-VERSION = 1
+VERSION = 2
 """Version of the format; it rises when a state has other fields."""
 
 _MARK = b"KHEPSNAP"

@@ -17,7 +17,6 @@ from khep_twin.playpen import Playpen
 from khep_twin.rollout import episode as episodes
 from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Function, Network
 from khep_twin.rollout.episode import Episode, EpisodeSetup
-from khep_twin.sensing.optics import chip_of
 from khep_twin.sensing.seen_surfaces import N_COLUMNS
 from khep_twin.units import COUNTS_LIMIT
 from khep_twin.world import World
@@ -109,8 +108,8 @@ def test_compiled_and_plain_code_find_the_same_surfaces_to_the_last_bit() -> Non
     register()
 
     @numba.njit(_nrt=False, error_model="numpy")
-    def surfaces(scene: Any, robots: Any, channel: int, chip: Any, near: float) -> int:
-        return queries.surfaces(MujocoCalls(scene[0][0], scene[1]), robots[0].sensors, channel, chip, near)
+    def surfaces(scene: Any, robots: Any, channel: int, chip: Any, needed: float) -> int:
+        return queries.surfaces(MujocoCalls(scene[0][0], scene[1]), robots[0].sensors, channel, chip, needed)
 
     cylinder = "[[cylinder]]\nx_mm = 300\ny_mm = 300\nradius_mm = 9\nheight_mm = 50\nmovable = true\n"
     world = World(arena(cylinder))
@@ -123,10 +122,10 @@ def test_compiled_and_plain_code_find_the_same_surfaces_to_the_last_bit() -> Non
     for step in range(3000):
         world.advance_to((step + 1) * 2_500_000)
         channel = step % 8
-        chip = chip_of(plain.scene, sensors, channel)
-        count = queries.surfaces(plain.scene, sensors, channel, chip, chip.reach)
+        chip = plain.scene.chip(sensors, channel)
+        count = queries.surfaces(plain.scene, sensors, channel, chip, 0.0)
         expected = sensors.proximity.found[: count * N_COLUMNS]
-        assert surfaces(fast, records, channel, chip, chip.reach) == count
+        assert surfaces(fast, records, channel, chip, 0.0) == count
         assert found[: count * N_COLUMNS].tolist() == expected
         some, several = some + (count > 0), several + (count > 1)
         away = world.data.xpos[body, :2] - (chip.x, chip.y)

@@ -19,7 +19,7 @@ from khep_twin.rollout.planar.motion import step
 from khep_twin.rollout.planar.planar import PlanarScene
 from khep_twin.rollout.planar.planar_world import PlanarForms, PlanarWorld
 from khep_twin.rollout.planar.plane import TOUCHED, distance_to, nearest
-from khep_twin.sensing.optics import RobotSensors, chip_of, proximity_counts
+from khep_twin.sensing.optics import RobotSensors, proximity_counts
 from khep_twin.sensing.seen_surfaces import Chip
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
@@ -273,8 +273,8 @@ def test_leaving_out_what_is_not_near_changes_no_count(name: str) -> None:
             super().__init__(backend.plane)
             self.surfaces = self.near_ones
 
-        def near_ones(self, sensors: RobotSensors, channel: int, chip: Chip, near: float) -> int:
-            near_ones.append(surfaces(self.plane, sensors, channel, chip, near))
+        def near_ones(self, sensors: RobotSensors, channel: int, chip: Chip, needed: float) -> int:
+            near_ones.append(surfaces(self.plane, sensors, channel, chip, needed))
             return near_ones[-1]
 
     class Whole(PlaneScene):
@@ -284,8 +284,8 @@ def test_leaving_out_what_is_not_near_changes_no_count(name: str) -> None:
             super().__init__(backend.plane)
             self.surfaces = self.all_in_reach
 
-        def all_in_reach(self, sensors: RobotSensors, channel: int, chip: Chip, near: float) -> int:
-            return surfaces(self.plane, sensors, channel, chip, math.inf)
+        def all_in_reach(self, sensors: RobotSensors, channel: int, chip: Chip, needed: float) -> int:
+            return surfaces(self.plane, sensors, channel, chip, 0.0)
 
     for _ in range(100):
         backend.put((*rng.uniform((0, 0), (floor.width_mm, floor.height_mm)).tolist(), rng.uniform(0, 360)))
@@ -293,8 +293,8 @@ def test_leaving_out_what_is_not_near_changes_no_count(name: str) -> None:
         for channel, noise in enumerate(rng.normal(size=8).tolist()):
             usual = proximity_counts(Usual(), sensors, channel, noise, 1.0, 1.0, 0.0)
             assert proximity_counts(Whole(), sensors, channel, noise, 1.0, 1.0, 0.0) == usual
-            chip = chip_of(Usual(), sensors, channel)
-            in_reach = surfaces(backend.plane, sensors, channel, chip, math.inf)
+            chip = Usual().chip(sensors, channel)
+            in_reach = surfaces(backend.plane, sensors, channel, chip, 0.0)
             seen, left_out = seen + (usual > 10), left_out + (near_ones[-1] == 0 < in_reach)
     assert seen > 50
     assert left_out > 50

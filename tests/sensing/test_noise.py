@@ -1,4 +1,4 @@
-"""Noise of proximity: the sampled robot's derived figures, and a twin of it in a twin of its room."""
+"""Random draws of the sensors; noise of the sampled robot and of a twin of it in a twin of its room."""
 
 from functools import cache
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.noise_fits import ORDERS, PERIOD, differences, ripple, twin
+from khep_twin.sensing.noise import draws, key_words, no_noise, philox, quantiles
 
 DISTANCES_MM = tuple(range(11, 39, 4))
 
@@ -53,3 +54,28 @@ def test_differences_of_white_noise_are_its_deviation_and_of_a_wave_as_in_closed
     for order, binomials in zip(ORDERS, (6, 70, 924), strict=True):
         expected = 59 / np.sqrt(2) * (2 * np.sin(np.pi / 4.5)) ** order / np.sqrt(binomials)
         assert differences(wave, order) == pytest.approx(expected)
+
+
+def test_the_generator_gives_the_published_answers() -> None:
+    # Known answers of Philox-2x32-10, as its authors' library Random123 tests them.
+    assert philox(0, 0, 0) == (0xFF1DAE59, 0x6CD10DF2)
+    assert philox(0xFFFFFFFF, 0xFFFFFFFF, 0xFFFFFFFF) == (0x2C3F628B, 0xAB4FD7AD)
+    assert philox(0x243F6A88, 0x85A308D3, 0x13198A2E) == (0xDD7CE038, 0xF62A4C12)
+
+
+def test_draws_have_the_moments_of_their_distributions_and_no_relation_to_each_other() -> None:
+    tables, key = quantiles(), key_words(2**63 + 12345)
+    found = np.array([draws(tables, key, number) for number in range(100_000)])
+    assert found.mean(axis=0) == pytest.approx([0, 0, 1], abs=0.01)
+    assert found.std(axis=0) == pytest.approx([1, 1, 1], abs=0.01)
+    assert (found**3).mean(axis=0) == pytest.approx([0, 0, 6], abs=0.25)
+    assert (found[:, :2] ** 4).mean(axis=0) == pytest.approx([3, 3], abs=0.1)
+    related = np.corrcoef(np.hstack([found[1:], found[:-1]]).T)
+    assert np.abs(related - np.eye(6)).max() < 0.015
+
+
+def test_a_draw_without_noise_is_zero_and_another_key_draws_something_else() -> None:
+    assert draws(no_noise(), (1, 2), 3) == (0.0, 0.0, 0.0)
+    tables = quantiles()
+    drawn = {draws(tables, key, number) for key in ((1, 2), (2, 2), (1, 9)) for number in (0, 1, 2**32)}
+    assert len(drawn) == 9

@@ -4,8 +4,8 @@ The robot is a disc on two wheels, among upright boxes and cylinders with height
 `shadows` computes which lamps its sensors see, as MuJoCo does for upright obstacles and no tilt.
 This source runs interpreted and compiled.
 
-No obstacle is left out for its distance. For each a lower bound of its distance is kept, less the distance
-moved since; obstacles are tested in that order, only as long as they can matter.
+No obstacle is left out that can matter. For each a lower bound of its distance is kept, less the distance
+moved since; once per step, those within sight are found in that order and put into the robot's frame.
 """
 
 import math
@@ -21,11 +21,11 @@ from khep_twin.rollout.planar.plane import (
     CENTRE_Y,
     COSINE,
     DISTANCE,
-    HEADING,
     HEADING_COSINE,
     HEADING_SINE,
     LENGTH,
-    MOVED,
+    N_NEAR,
+    NEAREST,
     REFLECTANCE,
     SINE,
     TOP,
@@ -74,7 +74,8 @@ def warned(scene: Plane) -> bool:
 def pose(scene: Plane, index: int) -> tuple[float, float, float, float]:
     """Return the same as `scene.pose`."""
     joints = scene.robot.joints
-    return joints[X], joints[Y], math.cos(joints[HEADING]), math.sin(joints[HEADING])
+    c, s = flat.direction(scene.robot)
+    return joints[X], joints[Y], c, s
 
 
 @compilable
@@ -118,27 +119,25 @@ def position(scene: Plane, sensors: RobotSensors, channel: int) -> tuple[float, 
 
 
 @compilable
-def sensor_frame(scene: Plane, sensors: RobotSensors, channel: int) -> Sequence[float]:
-    """Return the same as `scene.sensor_frame`."""
-    last, mounts = scene.robot.last, scene.robot.mounts
-    c, s = last[HEADING_COSINE], last[HEADING_SINE]
-    x = c * mounts[channel, 2] - s * mounts[channel, 3]
-    y = s * mounts[channel, 2] + c * mounts[channel, 3]
-    return y, 0.0, -x, -x, 0.0, -y, 0.0, 1.0, 0.0
+def chip(scene: Plane, sensors: RobotSensors, channel: int) -> Chip:
+    """Return the same as `scene.chip`, in the robot's frame."""
+    robot, offset, reach = scene.robot, sensors.proximity.offset[channel], sensors.proximity.reach[channel]
+    ahead, left = robot.mounts[channel, 2], robot.mounts[channel, 3]
+    x, y = robot.mounts[channel, 0] - offset * ahead, robot.mounts[channel, 1] - offset * left
+    return Chip(x, y, ahead, left, robot.height, reach)
 
 
 @compilable
-def surfaces(scene: Plane, sensors: RobotSensors, channel: int, chip: Chip, near: float) -> int:
+def surfaces(scene: Plane, sensors: RobotSensors, channel: int, chip: Chip, needed: float) -> int:
     """Fill in the same as `scene.surfaces`."""
-    robot, things, order, proximity = scene.robot, scene.things, scene.order, sensors.proximity
-    away = robot.mounts[channel, 4] + proximity.offset[channel] + robot.last[MOVED]
-    if not _within(scene, chip, near, away):
+    proximity, things, n_near = sensors.proximity, scene.near, int(scene.robot.last[N_NEAR])
+    away = scene.robot.mounts[channel, 4] + proximity.offset[channel]
+    if not _matters(scene, chip, proximity.bound[channel], needed, away):
         return 0
     count, farthest = 0, chip.reach + away
-    for i in range(len(order)):
-        thing = order[i]
+    for thing in range(n_near):
         if things[thing, DISTANCE] > farthest:
-            break
+            continue
         shape = (
             (things[thing, CENTRE_X], things[thing, CENTRE_Y]),
             (things[thing, COSINE], things[thing, SINE]),
@@ -150,15 +149,31 @@ def surfaces(scene: Plane, sensors: RobotSensors, channel: int, chip: Chip, near
 
 
 @compilable
-def _within(scene: Plane, chip: Chip, near: float, away: float) -> bool:
-    """Return whether anything is within a distance of a sensor's chip [m]."""
-    things, order = scene.things, scene.order
-    for i in range(len(order)):
-        if things[order[i], DISTANCE] - away > near:
-            return False
-        if flat.distance_to(things, order[i], chip.x, chip.y) <= near:
+def _matters(scene: Plane, chip: Chip, bound: float, needed: float, away: float) -> bool:
+    """Return whether any obstacle may give as much light as is needed.
+
+    Args:
+        scene: Plane.
+        chip: Chip of the sensor.
+        bound: Largest light of anything at a distance of 1 m [counts m^2].
+        needed: Light that matters [counts].
+        away: Distance of the chip from the robot's centre, at the most [m].
+    """
+    things, last = scene.near, scene.robot.last
+    if _faint(last[NEAREST] - away, bound, needed):
+        return False
+    for thing in range(int(last[N_NEAR])):
+        if not _faint(things[thing, DISTANCE] - away, bound, needed) and not _faint(
+            flat.distance_to(things, thing, chip.x, chip.y), bound, needed
+        ):
             return True
     return False
+
+
+@compilable
+def _faint(distance: float, bound: float, needed: float) -> bool:
+    """Return whether anything at a distance gives less light than is needed."""
+    return distance > 0 and distance * distance * needed > bound
 
 
 @compilable
@@ -195,7 +210,7 @@ QUERIES = (
     set_motor,
     body_frame,
     position,
-    sensor_frame,
+    chip,
     surfaces,
     stopped,
     blocked,

@@ -20,10 +20,10 @@ for query in casting.QUERIES:
     implements(getattr(scene, query.__name__), Plane)(query)
 
 
-def _run(controllers, scene, timing, law, bulbs, hidden, robots, counters, powers, draws, until, stops):
-    flat, light = Plane(scene[0], scene[1], scene[2][0]), Light(law[0], bulbs, hidden)
+def _run(controllers, scene, timing, law, bulbs, hidden, robots, counters, powers, tables, until, stops):
+    flat, light = Plane(scene[0], scene[1], scene[2], scene[3][0]), Light(law[0], bulbs, hidden)
     simulated = Simulated(flat, timing[0], light, robots, counters)
-    return stepping.run(controllers, simulated, StepInputs(powers, draws), until, stops)
+    return stepping.run(controllers, simulated, StepInputs(powers, tables), until, stops)
 
 
 run = compiled(_run, (*EPISODE_SOURCES, casting, contact_solver, motion, plane, shadows))

@@ -38,7 +38,7 @@ from khep_twin.rollout.planar.plane import (
 _ROUNDS = 8
 """Most rounds of the solver in each 2.5 ms; it starts from the last impulses."""
 
-_SETTLED = 1e-6
+_SETTLED = 2e-5
 """Change of speed in a round below which the solver stops [m/s]."""
 
 _GRIPS = 1e-5
@@ -95,7 +95,8 @@ def slide(plane: Plane) -> None:
         touches = touches or count > 0
     if touches:
         x, y = _out(plane, x, y)
-    joints[X], joints[Y], joints[HEADING] = x, y, heading
+    joints[X], joints[Y] = x, y
+    flat.end(robot, heading, c, s)
     speeds[0], speeds[1], speeds[2] = forward, lateral, spin
     speeds[LEFT_ANGLE], speeds[RIGHT_ANGLE] = left / robot.left_wheel, right / robot.right_wheel
     robot.last[SLIPS] = 1.0 if slips else 0.0

@@ -22,13 +22,19 @@ from khep_twin.rollout.planar.plane import (
     ANCHOR_Y,
     CENTRE_X,
     CENTRE_Y,
+    COSINE,
     DISTANCE,
     HEADING,
     HEADING_COSINE,
     HEADING_SINE,
     LEFT_ANGLE,
+    LENGTH,
     MOVED,
+    N_NEAR,
+    NEAREST,
+    REFLECTANCE,
     RIGHT_ANGLE,
+    SINE,
     SLIPS,
     TOUCHED,
     PlanarRobot,
@@ -47,12 +53,13 @@ def step(plane: Plane) -> None:
     robot = plane.robot
     joints, speeds, last = robot.joints, robot.speeds, robot.last
     x, y, heading = joints[X], joints[Y], joints[HEADING]
-    c, s = math.cos(heading), math.sin(heading)
+    c, s = flat.direction(robot)
     last[CENTRE_X], last[CENTRE_Y], last[HEADING_COSINE], last[HEADING_SINE] = x, y, c, s
     dx, dy = x - last[ANCHOR_X], y - last[ANCHOR_Y]
     last[MOVED] = math.sqrt(dx * dx + dy * dy)
     if last[MOVED] > _ANCHORED:
         measure(plane)
+    look_around(plane)
     robot.force[0] = robot.stall * robot.ctrl[0] - robot.damping * speeds[LEFT_ANGLE]
     robot.force[1] = robot.stall * robot.ctrl[1] - robot.damping * speeds[RIGHT_ANGLE]
     left, right = robot.left_wheel * speeds[LEFT_ANGLE], robot.right_wheel * speeds[RIGHT_ANGLE]
@@ -79,7 +86,7 @@ def step(plane: Plane) -> None:
         last[SLIPS] != 0
         or left_way * right_way == 0.0
         or force > (robot.grip - robot.relief * pitching) * min(robot.left_hold, robot.right_hold)
-        or not _clear(plane, x, y, robot.radius + most)
+        or not _clear(plane, robot.radius + most)
     ):
         contact_solver.slide(plane)
         return
@@ -100,7 +107,8 @@ def step(plane: Plane) -> None:
         # A wheel stops within the step.
         contact_solver.slide(plane)
         return
-    joints[X], joints[Y], joints[HEADING] = x, y, heading
+    joints[X], joints[Y] = x, y
+    flat.end(robot, heading, c, s)
     joints[LEFT_ANGLE] += left_path * h / robot.left_wheel
     joints[RIGHT_ANGLE] += right_path * h / robot.right_wheel
     speeds[0], speeds[1], speeds[2] = going, 0.0, turning * per_turn
@@ -134,13 +142,32 @@ def measure(plane: Plane) -> None:
 
 
 @compilable
-def _clear(plane: Plane, x: float, y: float, reach: float) -> bool:
-    """Return whether nothing that can be touched is within reach of a position [m]."""
-    things, moved = plane.things, plane.robot.last[MOVED]
-    for i in range(len(plane.order)):
-        if things[plane.order[i], DISTANCE] - moved > reach:
-            return True
-        thing = plane.order[i]
-        if things[thing, TOUCHED] and flat.distance_to(things, thing, x, y) <= reach:
+def look_around(plane: Plane) -> None:
+    """Fill in the obstacles within sight at the start of the last step, nearest to the anchor first."""
+    things, order, near, last = plane.things, plane.order, plane.near, plane.robot.last
+    x, y, c, s = last[CENTRE_X], last[CENTRE_Y], last[HEADING_COSINE], last[HEADING_SINE]
+    count, sight, nearest = 0, plane.robot.sight, math.inf
+    for i in range(len(order)):
+        thing = order[i]
+        if things[thing, DISTANCE] > sight + last[MOVED]:
+            break
+        dx, dy = things[thing, CENTRE_X] - x, things[thing, CENTRE_Y] - y
+        near[count, CENTRE_X], near[count, CENTRE_Y] = dx * c + dy * s, dy * c - dx * s
+        cosine, sine = things[thing, COSINE], things[thing, SINE]
+        near[count, COSINE], near[count, SINE] = cosine * c + sine * s, sine * c - cosine * s
+        for column in range(LENGTH, REFLECTANCE + 1):
+            near[count, column] = things[thing, column]
+        near[count, DISTANCE] = distance = flat.distance_to(near, count, 0.0, 0.0)
+        nearest = min(nearest, distance)
+        count += distance <= sight
+    last[N_NEAR], last[NEAREST] = count, nearest
+
+
+@compilable
+def _clear(plane: Plane, reach: float) -> bool:
+    """Return whether nothing that can be touched was within reach at the start of the step [m]."""
+    near = plane.near
+    for i in range(int(plane.robot.last[N_NEAR])):
+        if near[i, TOUCHED] and near[i, DISTANCE] <= reach:
             return False
-    return True
+    return reach <= plane.robot.sight

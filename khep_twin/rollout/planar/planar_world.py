@@ -36,9 +36,6 @@ from khep_twin.step import DONE, RobotState
 N_CONTACTS = 8
 """Most obstacles that push the robot at once: more than fit around it."""
 
-N_DRAWS = 8192
-"""Length of the buffers of random draws [conversions]: longer than in MuJoCo, as steps here are cheap."""
-
 LIVE = ("joints", "speeds", "ctrl", "force", "grips", "last", "contacts")
 """Fields of `PlanarRobot` that are reset at the start of each episode."""
 
@@ -64,6 +61,7 @@ class PlanarForms:
         numbers: dict[str, Any] = {
             **_constants(planar_scene),
             "height": planar_scene.height,
+            "sight": 0.0,
             "n_few": len(points[0]),
             "points": np.concatenate(points),
             "hidden": np.zeros(sum(map(len, points)), np.int64),
@@ -75,7 +73,8 @@ class PlanarForms:
             "grips": np.zeros(flat.N_GRIPS),
             "last": np.zeros(flat.N_LAST),
         }
-        self._things, self._order = planar_scene.things.copy(), np.zeros(len(planar_scene.things), np.int64)
+        self._things, self._near = planar_scene.things.copy(), np.zeros_like(planar_scene.things)
+        self._order = np.zeros(len(self._things), np.int64)
         robot = PlanarRobot(**numbers)
         self._records = as_records([robot], robot)
         record: Any = self._records[0]
@@ -85,7 +84,8 @@ class PlanarForms:
             name: record[name].data if isinstance(value, np.ndarray) else value
             for name, value in numbers.items()
         }
-        self.plane = Plane(view(self._things), self._order.data, PlanarRobot(**views))
+        self.plane = Plane(view(self._things), self._order.data, view(self._near), PlanarRobot(**views))
+        self._sense(planar_scene)
 
     def plain(self) -> PlaneScene:
         """Return the scene for plain code."""
@@ -93,7 +93,7 @@ class PlanarForms:
 
     def compiled(self) -> tuple[Any, ...]:
         """Return the scene for compiled code, as arrays."""
-        return self._things, self._order, self._records
+        return self._things, self._order, self._near, self._records
 
     def put(self, start: Start | None) -> None:
         """Reset the state, with the robot at rest at its own pose or at the start [mm, deg]."""
@@ -102,8 +102,8 @@ class PlanarForms:
         for array in self.state.values():
             array[:] = 0
         self.state["joints"][:3] = x, y, heading
-        # An infinite distance makes the first step measure all distances.
-        self.state["last"][flat.ANCHOR_X] = np.inf
+        # An infinite distance makes the first step measure all distances, and another heading its cosine.
+        self.state["last"][[flat.ANCHOR_X, flat.END]] = np.inf
         self._things[:, flat.ALONG] = self._things[:, flat.ACROSS] = 0
         # Nearly sorted, which speeds up the first measurement.
         things = self._things
@@ -128,16 +128,11 @@ class PlanarForms:
             self._drawn = calibration.varied(self._calibration, spreads[0])
             fitted.fit([self._drawn], data)
             scene.fit(model, self._indices, data)
-        record: Any = self._records[0]
-        numbers = _constants(scene)
-        for name, value in numbers.items():
-            record[name] = value
-        single = {name: value for name, value in numbers.items() if not isinstance(value, np.ndarray)}
-        self.plane = self.plane._replace(robot=self.plane.robot._replace(**single))
+        self._sense(scene)
 
     def robot_states(self) -> list[RobotState]:
         """Return the state of the robot."""
-        return [robot_state(self._model, self._indices, PlanarScene.JOINTS, self._drawn, self._entry)]
+        return [self._robot_state]
 
     def light(self, lamps: Lamps, lighting: Lighting) -> Light:
         """Return the lamps with the known sight lines to them."""
@@ -157,6 +152,18 @@ class PlanarForms:
     def joints(self) -> Floats:
         """Copy of the joint positions."""
         return self.state["joints"].copy()
+
+    def _sense(self, scene: PlanarScene) -> None:
+        """Take over the constants of a plane, and the sensors of the robot as drawn last."""
+        drawn = robot_state(self._model, self._indices, PlanarScene.JOINTS, self._drawn, self._entry)
+        self._robot_state, proximity = drawn, drawn.sensors.proximity
+        reaches = np.array(proximity.offset) + proximity.reach + scene.mounts[:, 4]
+        record: Any = self._records[0]
+        numbers = {**_constants(scene), "sight": max(float(reaches.max()), 2 * record["radius"])}
+        for name, value in numbers.items():
+            record[name] = value
+        single = {name: value for name, value in numbers.items() if not isinstance(value, np.ndarray)}
+        self.plane = self.plane._replace(robot=self.plane.robot._replace(**single))
 
 
 def _constants(scene: PlanarScene) -> dict[str, Any]:
@@ -183,7 +190,7 @@ class PlanarWorld:
     def __init__(self, scene_model: SceneModel, planar_scene: PlanarScene) -> None:
         self.playpen, self.timing = scene_model.playpen, scene_model.timing
         self.forms = PlanarForms(scene_model, planar_scene)
-        self.simulation = Simulation(self.forms, self.timing, N_DRAWS)
+        self.simulation = Simulation(self.forms, self.timing)
 
     def restart(
         self,

@@ -15,10 +15,13 @@ TOUCHED, REFLECTANCE, DISTANCE, ALONG, ACROSS = 8, 9, 10, 11, 12
 impulse on the body in the last substep, along and across [N s]."""
 N_COLUMNS = 13
 
-HEADING_COSINE, HEADING_SINE, MOVED, ANCHOR_X, ANCHOR_Y, SLIPS = 2, 3, 4, 5, 6, 7
+HEADING_COSINE, HEADING_SINE, MOVED, ANCHOR_X, ANCHOR_Y, SLIPS, END, END_COSINE, END_SINE = range(2, 11)
+N_NEAR, NEAREST = 11, 12
 """Indices in `PlanarRobot.last`, behind CENTRE_X and CENTRE_Y: the pose at the start of the last step, its
-distance from the anchor, the anchor [m], and whether a tyre slips or something is touched."""
-N_LAST = 8
+distance from the anchor, the anchor [m], whether a tyre slips or something is touched, the heading at the end
+of the step with its cosine and sine, and the number of near obstacles at its start, with the
+distance of the nearest [m]."""
+N_LAST = 13
 
 ASIDE, GEAR, PUSHED, PUSHED_ASIDE = 2, 4, 6, 7
 """Indices in `PlanarRobot.grips`, behind the left and right tyre's impulse along: both to the left, those of
@@ -63,6 +66,7 @@ class PlanarRobot(NamedTuple):
         low: Height at which obstacles push [m].
         friction: Friction of the body on obstacles.
         height: Height of the sensors above the floor [m].
+        sight: Distance from the robot's centre within which a sensor may see something [m].
         mounts: Mount of each sensor: x forward, y left, cosine and sine of its direction, distance from the
             robot's centre (8, 5) [m].
         n_few: Number of the few points of a bulb.
@@ -105,6 +109,7 @@ class PlanarRobot(NamedTuple):
     low: float
     friction: float
     height: float
+    sight: float
     mounts: Matrix
     n_few: int
     points: Matrix
@@ -124,11 +129,14 @@ class Plane(NamedTuple):
     Attributes:
         things: Obstacles around the robot (n, N_COLUMNS).
         order: Indices of the obstacles, nearest to the anchor first (n,).
+        near: Buffer for the obstacles within sight at the start of the last step, in the robot's frame
+            (n, N_COLUMNS).
         robot: Robot with its sensors.
     """
 
     things: Matrix
     order: Vector[int]
+    near: Matrix
     robot: PlanarRobot
 
 
@@ -172,8 +180,27 @@ def nearest(things: Matrix, thing: int, x: float, y: float) -> tuple[float, floa
 
 
 @compilable
+def direction(robot: PlanarRobot) -> tuple[float, float]:
+    """Return cosine and sine of the heading."""
+    last, heading = robot.last, robot.joints[HEADING]
+    if heading == last[END]:
+        return last[END_COSINE], last[END_SINE]
+    return math.cos(heading), math.sin(heading)
+
+
+@compilable
+def end(robot: PlanarRobot, heading: float, cosine: float, sine: float) -> None:
+    """Set the heading at the end of a step [rad], and its cosine and sine, which may have drifted apart."""
+    last, scale = robot.last, 1.5 - 0.5 * (cosine * cosine + sine * sine)
+    robot.joints[HEADING] = last[END] = heading
+    last[END_COSINE], last[END_SINE] = cosine * scale, sine * scale
+
+
+@compilable
 def turned(angle: float) -> tuple[float, float]:
     """Return cosine and sine of a substep's turn [rad], to the last bits of a tenth of a radian."""
+    # Products, as divisions take several times as long.
     square = angle * angle
-    cosine = 1 - square / 2 * (1 - square / 12 * (1 - square / 30 * (1 - square / 56)))
-    return cosine, angle * (1 - square / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72))))
+    cosine = 1 - square / 2 * (1 - square * (1 / 12) * (1 - square * (1 / 30) * (1 - square * (1 / 56))))
+    sine = 1 - square * (1 / 6) * (1 - square * (1 / 20) * (1 - square * (1 / 42) * (1 - square * (1 / 72))))
+    return cosine, angle * sine
