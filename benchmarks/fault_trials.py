@@ -145,8 +145,10 @@ def _lamp_moved(scene: _Scene) -> Trial:
     lamp = int(scene.rng.integers(len(scene.playpen.lamps)))
     bulb, arena = scene.playpen.lamps[lamp], scene.playpen.arena
     inwards = math.atan2(arena.height_mm / 2 - bulb.y_mm, arena.width_mm / 2 - bulb.x_mm)
-    by, way = scene.rng.uniform(80, 150), inwards + scene.rng.uniform(-0.8, 0.8)
-    dx, dy = round(by * math.cos(way), 1), round(by * math.sin(way), 1)
+    dx = dy = math.inf
+    while not (0 <= bulb.x_mm + dx <= arena.width_mm and 0 <= bulb.y_mm + dy <= arena.height_mm):
+        by, way = scene.rng.uniform(80, 150), inwards + scene.rng.uniform(-0.8, 0.8)
+        dx, dy = round(by * math.cos(way), 1), round(by * math.sin(way), 1)
     return Trial(
         (f"{_lamp_name(scene, lamp)} moved",),
         "",

@@ -36,6 +36,13 @@ def open_floor() -> Playpen:
     return Playpen(version=1, name="open-floor", arena=arena, robot=(robot,), surfaces={})
 
 
+def without_gripper() -> Playpen:
+    """Return the arena with five cylinders, for a robot without a gripper that pushes them."""
+    scene = playpen.load("garbage")
+    robots = tuple(robot.model_copy(update={"turrets": ()}) for robot in scene.robots)
+    return scene.model_copy(update={"name": "garbage, pushed", "robots": robots})
+
+
 def scenes() -> dict[str, Playpen]:
     shipped = {name: playpen.load(name) for name in ("default", "obstacles", "looping-maze")}
     return {**shipped, TWENTY_BLOCKS: twenty_blocks()}
@@ -80,10 +87,11 @@ def ranks(name: str, scene: Playpen) -> None:
     def judged(first: int, planar: bool) -> dict[str, np.ndarray]:
         seeds = [first + seed for _ in range(GENOMES) for seed in range(SEEDS)]
         found = rollout(scene, NETWORK, seeds, EPISODE_S, genes=genes, planar=planar)
-        return {
-            number: found.metrics[number].reshape(GENOMES, SEEDS).mean(axis=1)
-            for number in ("obstacle_avoidance", "distance_m")
-        }
+        numbers = {number: found.metrics[number] for number in ("obstacle_avoidance", "distance_m")}
+        if found.objects.size:
+            first = rollout(scene, NETWORK, seeds[:1], 0.0, genes=genes[:1], planar=planar).objects
+            numbers["objects moved"] = np.hypot(*(found.objects - first)[..., :2].T).sum(axis=0)
+        return {name: values.reshape(GENOMES, SEEDS).mean(axis=1) for name, values in numbers.items()}
 
     plane, true, again = judged(0, True), judged(0, False), judged(SEEDS, False)
     for number in plane:
@@ -118,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"{GENOMES} networks, {SEEDS} episodes of {EPISODE_S:g} s: Spearman's rank correlation to MuJoCo"
         )
         print(f"{'':34}{'plane':>8}{'own seeds':>12}{f'of {ELITE}':>10}{'own':>10}{'best at':>10}")
-        for name, scene in scenes().items():
+        for name, scene in {**scenes(), "garbage": without_gripper()}.items():
             ranks(name, scene)
 
 

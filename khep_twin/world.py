@@ -180,6 +180,11 @@ class World:
         return [robot.pose for robot in self.robots]
 
     @property
+    def objects(self) -> NDArray[np.float64]:
+        """Positions x, y [m] and headings [rad] of the movable objects, in the playpen's order (n, 3)."""
+        return self._forms.objects
+
+    @property
     def joints(self) -> NDArray[np.float64]:
         """Copy of the positions of all joints."""
         return self.data.qpos.copy()

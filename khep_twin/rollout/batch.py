@@ -31,6 +31,7 @@ from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lamp, Playpen
 from khep_twin.rollout.controllers import Driver, Floats, Network, Policy
 from khep_twin.rollout.episode import METRICS, Episode, EpisodeSetup, Start, is_compiled
+from khep_twin.simulation.mujoco_forms import movable_names
 
 P = ParamSpec("P")
 
@@ -65,12 +66,15 @@ class RolloutResult:
         metrics: Metrics of the episodes by name (`episode.METRICS`), NaN for those that failed, each (n,).
         registers: Registers of each board at the end (n, N_REGISTERS).
         poses: Final x, y [m] and heading [rad] (n, 3).
+        objects: Final x, y [m] and heading [rad] of the movable objects, in the order of `Playpen.objects`
+            (n, n_objects, 3); no axis of robots.
         failures: Episodes that ended early, in the batch's order.
     """
 
     metrics: Mapping[str, Floats]
     registers: NDArray[np.int64]
     poses: Floats
+    objects: Floats
     failures: tuple[Failure, ...]
 
 
@@ -127,7 +131,7 @@ def rollout(
     n_robots = len(setup.playpen.robots)
     weights = _checked_genes(driver, count, n_robots, genes, starts, lamps, threads)
     batch = _Batch(setup, seeds, seconds, weights, starts, lamps, noise, vary, _in_metres(home))
-    results = _Results(count, n_robots)
+    results = _Results(count, n_robots, len(movable_names(setup.playpen)))
     workers = (threads or len(os.sched_getaffinity(0))) if fast else 1
     made = (Episode(setup, driver, compiled=fast, faults=faults) for _ in itertools.count())
     with ThreadPoolExecutor(workers) as pool:
@@ -243,15 +247,17 @@ class _Batch:
 class _Results:
     """Results collected from each episode."""
 
-    def __init__(self, count: int, n_robots: int) -> None:
+    def __init__(self, count: int, n_robots: int, n_objects: int) -> None:
         self.metrics = {name: np.full((count, n_robots), np.nan) for name in METRICS}
         self.registers = np.zeros((count, n_robots, N_REGISTERS), np.int64)
         self.poses = np.zeros((count, n_robots, 3))
+        self.objects = np.zeros((count, n_objects, 3))
         self.failures: list[Failure] = []
 
     def keep(self, index: int, seed: int, episode: Episode, failure: DivergedError | None) -> None:
         """Store the results of an episode that has ended."""
         self.registers[index], self.poses[index] = episode.boards, episode.poses
+        self.objects[index] = episode.objects
         if failure is not None:
             self.failures.append(Failure(index, seed, episode.steps, str(failure)))
             return
@@ -263,9 +269,9 @@ class _Results:
         """Return all results."""
         failures = tuple(sorted(self.failures, key=lambda failure: failure.index))
         if self.poses.shape[1] > 1:
-            return RolloutResult(self.metrics, self.registers, self.poses, failures)
+            return RolloutResult(self.metrics, self.registers, self.poses, self.objects, failures)
         metrics = {name: values[:, 0] for name, values in self.metrics.items()}
-        return RolloutResult(metrics, self.registers[:, 0], self.poses[:, 0], failures)
+        return RolloutResult(metrics, self.registers[:, 0], self.poses[:, 0], self.objects, failures)
 
 
 def _share_out(

@@ -193,6 +193,11 @@ class Episode:
         return self._world.poses[0]
 
     @property
+    def objects(self) -> Floats:
+        """Positions x, y [m] and headings [rad] of the movable objects, in the playpen's order (n, 3)."""
+        return self._world.objects
+
+    @property
     def joints(self) -> Floats:
         """Copy of all joint positions, MuJoCo's qpos or `plane.N_JOINTS` numbers."""
         return self._world.joints

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from khep_twin import units
 from khep_twin.board import kernel
 from khep_twin.compilable import compilable
-from khep_twin.rollout.planar import casting, contact_solver, motion, plane, shadows
+from khep_twin.rollout.planar import casting, contact_solver, motion, plane, pushing, shadows
 from khep_twin.rollout.planar import compiled as planar_compiled
 from khep_twin.rollout.planar.plane import Plane
 from khep_twin.sensing import optics, reflection, seen_surfaces
@@ -35,6 +35,7 @@ _SOURCES = (
     contact_solver,
     motion,
     plane,
+    pushing,
     shadows,
 )
 
@@ -66,9 +67,9 @@ class MotorDrive(NamedTuple):
     constant: float
 
 
-def _advance(things, order, near, planes, registers, processor, strength, drive, voltage, ticks):
+def _advance(things, order, near, none, planes, registers, processor, strength, drive, voltage, ticks):
     for twin in range(len(planes)):
-        scene = Plane(things[twin], order[twin], near, planes[twin])
+        scene = Plane(things[twin], order[twin], near, none, none, planes[twin])
         board = registers[twin]
         for _ in range(ticks):
             motion.step(scene)
@@ -86,9 +87,9 @@ def _advance(things, order, near, planes, registers, processor, strength, drive,
             scene.robot.ctrl[1] = own + (wanted - own) * part + own * held
 
 
-def _illuminate(things, order, near, planes, sensors, turns, light, slope):
+def _illuminate(things, order, near, none, planes, sensors, turns, light, slope):
     for twin in range(len(planes)):
-        scene = Plane(things[twin], order[twin], near, planes[twin])
+        scene = Plane(things[twin], order[twin], near, none, none, planes[twin])
         motion.look_around(scene)
         for channel in range(units.N_SENSORS):
             mounted, turn = chip(scene, sensors[0], channel), turns[twin, channel]
@@ -164,9 +165,9 @@ def _explain(
                     known[row, row] = max(known[row, row], law.least[row])
 
 
-def _lamplight(things, order, near, planes, sensors, law, bulbs, hidden, powers, least, light):
+def _lamplight(things, order, near, none, planes, sensors, law, bulbs, hidden, powers, least, light):
     for twin in range(len(planes)):
-        scene = Plane(things[twin], order[twin], near, planes[twin])
+        scene = Plane(things[twin], order[twin], near, none, none, planes[twin])
         for channel in range(units.N_SENSORS):
             for lamp in range(len(bulbs)):
                 bulb, ambient = bulbs[lamp], sensors[0].ambient
@@ -207,9 +208,9 @@ def _clear(things, planes, poses, free):
                 break
 
 
-def _measure(things, order, near, planes):
+def _measure(things, order, near, none, planes):
     for twin in range(len(planes)):
-        motion.measure(Plane(things[twin], order[twin], near, planes[twin]))
+        motion.measure(Plane(things[twin], order[twin], near, none, none, planes[twin]))
 
 
 advance: Any = compiled(_advance, _SOURCES)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.board import battery, kernel
-from khep_twin.errors import MissingNumbaError
+from khep_twin.errors import MissingNumbaError, PlaypenError
 from khep_twin.randomness import stream
 from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar import plane as flat
@@ -29,6 +29,9 @@ SPEED, DUTY, TARGET, POSITION = 0, 1, 2, 3
 
 N_SPARE = 1
 """Obstacles of each plane that the playpen does not have, out of reach until they are put somewhere."""
+
+_NONE = np.zeros((0, 0))
+"""Table without rows."""
 
 AWAY = 1e3
 """Position of what is not in the playpen [m]."""
@@ -85,9 +88,12 @@ class Planes:
         forms = PlanarForms(setup.scene_model, setup.planar_scene)
         forms.put(None)
         state = forms.robot_states()[0]
-        things, order, _, robot = forms.compiled()
+        things, order, _, bodies, _, robot = forms.compiled()
+        if len(bodies):
+            found = f"{setup.playpen.name}: {len(bodies)} movable objects"
+            raise PlaypenError(f"{found}; expected none in the playpen of a shadow")
         spare = np.zeros((N_SPARE, flat.N_COLUMNS))
-        spare[:, [flat.CENTRE_X, flat.COSINE, flat.WIDTH]] = AWAY, 1.0, -1.0
+        spare[:, [flat.CENTRE_X, flat.COSINE, flat.WIDTH, flat.BODY]] = AWAY, 1.0, -1.0, -1.0
         self._scene: Floats = np.concatenate([things, spare])
         self.things: Floats = np.repeat(self._scene[None], count, axis=0)
         self._order = np.repeat(np.concatenate([order, len(order) + np.arange(N_SPARE)])[None], count, axis=0)
@@ -159,7 +165,7 @@ class Planes:
     def remeasure(self) -> None:
         """Have the distances to all obstacles measured again, as after one was moved."""
         self.robots["last"][:, flat.ANCHOR_X] = np.inf
-        self._code.measure(self.things, self._order, self._near, self.robots)
+        self._code.measure(self.things, self._order, self._near, _NONE, self.robots)
 
     def offsets(self, rows: Sequence[int]) -> Floats:
         """Return how far a thing, with its rows, is from where the playpen has it: x and y (n, 2) [m]."""
@@ -192,7 +198,7 @@ class Planes:
         self.ticks += ticks
         voltage = battery.voltage(self._used_min, self.ticks * TICK_NS)
         boards = self.registers, self.processor, self.strength
-        state = self.things, self._order, self._near, self.robots
+        state = self.things, self._order, self._near, _NONE, self.robots
         self._code.advance(*state, *boards, self._drive, voltage, ticks)
 
     def illuminate(self, turns: Floats) -> tuple[Floats, Floats]:
@@ -204,7 +210,7 @@ class Planes:
             turns: Turns of the sensors to the left, from their headings in the calibration (n, 8) [rad].
         """
         light, slope = np.zeros((2, len(self), units.N_SENSORS))
-        state = self.things, self._order, self._near, self.robots, self.sensors
+        state = self.things, self._order, self._near, _NONE, self.robots, self.sensors
         self._code.illuminate(*state, turns, light, slope)
         return light, slope
 
@@ -259,7 +265,7 @@ class Planes:
         powers = np.array(self.lamps.powers)
         light = np.zeros((len(self), units.N_SENSORS, len(powers)))
         if powers.any():
-            state = self.things, self._order, self._near, self.robots, self.sensors
+            state = self.things, self._order, self._near, _NONE, self.robots, self.sensors
             self._code.lamplight(*state, *self._light, powers, least, light)
         return light
 

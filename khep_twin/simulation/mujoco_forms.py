@@ -83,7 +83,18 @@ class MujocoForms:
         self._fitted: FittedRobots | None = None
         count = len(self._playpen.robots)
         self.indices = [RobotIndices.of(self.model, f"khepera{index}") for index in range(count)]
+        bodies = [self.model.body(name).id for name in movable_names(playpen)]
+        self._free_joints: list[int] = self.model.jnt_qposadr[self.model.body_jntadr[bodies]].tolist()
         self.refresh()
+
+    @property
+    def objects(self) -> NDArray[np.float64]:
+        """Positions x, y [m] and headings [rad] of the movable objects (n, 3)."""
+        rows: list[tuple[float, float, float]] = []
+        for first in self._free_joints:
+            px, py, _, w, x, y, z = self._data.qpos[first : first + 7].tolist()
+            rows.append((px, py, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))))
+        return np.array(rows).reshape(-1, 3)
 
     def refresh(self) -> None:
         """Take over fixed geoms that were moved in the model."""
@@ -163,6 +174,16 @@ class MujocoForms:
             start = entry.x_mm, entry.y_mm, entry.heading_deg
             if start != (own.x_mm, own.y_mm, own.heading_deg):
                 self._data.qpos[at.pose : at.pose + 7] = _free_joint(start)
+
+
+def movable_names(playpen: Playpen) -> list[str]:
+    """Return the names of the movable objects' bodies and geoms, in the order of `Playpen.objects`."""
+    return [
+        f"{kind}{index}"
+        for kind, items in playpen.objects.items()
+        for index, item in enumerate(items)
+        if item.movable
+    ]
 
 
 def _free_joint(start: Start) -> NDArray[np.float64]:

@@ -9,7 +9,6 @@ from test_batch import same
 
 from khep_twin import playpen, units
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
-from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.rollout.batch import RolloutResult, rollout
 from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Network
@@ -298,12 +297,6 @@ def test_leaving_out_what_is_not_near_changes_no_count(name: str) -> None:
             seen, left_out = seen + (usual > 10), left_out + (near_ones[-1] == 0 < in_reach)
     assert seen > 50
     assert left_out > 50
-
-
-def test_what_is_movable_is_refused() -> None:
-    more = "[[cylinder]]\nx_mm = 300\ny_mm = 300\nradius_mm = 9\nheight_mm = 50\nmovable = true\n"
-    with pytest.raises(PlaypenError, match="cylinder 4 is movable; expected fixed ones in the plane"):
-        EpisodeSetup(playpen.parse(playpen.dump(playpen.load("obstacles")) + more, "arena"), planar=True)
 
 
 def test_a_episode_in_a_plane_goes_about_mujocos_way() -> None:

@@ -8,7 +8,7 @@ Imported only where numba is installed.
 
 from khep_twin.rollout import stepping
 from khep_twin.rollout.compiled import EPISODE_SOURCES
-from khep_twin.rollout.planar import casting, contact_solver, motion, plane, shadows
+from khep_twin.rollout.planar import casting, contact_solver, motion, plane, pushing, shadows
 from khep_twin.rollout.planar.plane import Plane
 from khep_twin.sensing import scene
 from khep_twin.sensing.optics import Light
@@ -21,10 +21,11 @@ for query in casting.QUERIES:
 
 
 def _run(controllers, scene, timing, law, bulbs, hidden, robots, counters, powers, tables, until, stops):
-    flat, light = Plane(scene[0], scene[1], scene[2], scene[3][0]), Light(law[0], bulbs, hidden)
+    things, order, near, bodies, touches, records = scene
+    flat, light = Plane(things, order, near, bodies, touches, records[0]), Light(law[0], bulbs, hidden)
     simulated = Simulated(flat, timing[0], light, robots, counters)
     return stepping.run(controllers, simulated, StepInputs(powers, tables), until, stops)
 
 
-run = compiled(_run, (*EPISODE_SOURCES, casting, contact_solver, motion, plane, shadows))
+run = compiled(_run, (*EPISODE_SOURCES, casting, contact_solver, motion, plane, pushing, shadows))
 """`stepping.run` in a plane, compiled."""

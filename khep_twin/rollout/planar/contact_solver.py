@@ -3,7 +3,7 @@
 A tyre slips beyond its share of friction x load, along or across; the load that a pitching moment puts on a
 support is taken off the tyres. A gear's dry friction holds its wheel up to its torque. Obstacles push along
 the line to the disc's centre, with friction across. All impulses of a substep are solved together, in
-repeated rounds.
+repeated rounds, with those of movable obstacles (`pushing`).
 
 Left out: tilt, hopping tyres, soft contacts.
 """
@@ -12,12 +12,17 @@ import math
 
 from khep_twin.compilable import compilable
 from khep_twin.rollout.planar import plane as flat
+from khep_twin.rollout.planar import pushing
 from khep_twin.rollout.planar.plane import (
     ACROSS,
+    ACTIVE,
     ALONG,
     ANCHOR_X,
     ANCHOR_Y,
     ASIDE,
+    BODY,
+    CENTRE_X,
+    CENTRE_Y,
     DISTANCE,
     GEAR,
     HEADING,
@@ -77,9 +82,11 @@ def slide(plane: Plane) -> None:
     for _ in range(robot.n_substeps):
         reach = robot.radius + h * (abs(forward) + abs(lateral)) + _NEAR
         count = _gather(plane, x, y, c, s, reach)
+        n_touches = pushing.begin(plane, c, s)
         forward, lateral, spin, left, right = _solve(
-            plane, count, rates, (forward, lateral, spin, left, right)
+            plane, count, n_touches, rates, (forward, lateral, spin, left, right)
         )
+        moves = pushing.end(plane, c, s)
         x += h * (forward * c - lateral * s)
         y += h * (forward * s + lateral * c)
         joints[LEFT_ANGLE] += h * left / robot.left_wheel
@@ -87,7 +94,7 @@ def slide(plane: Plane) -> None:
         turn = h * spin
         heading += turn
         slip = abs(forward - half * spin - left) + abs(forward + half * spin - right) + abs(lateral)
-        slips = count > 0 or slip > _GRIPS
+        slips = count > 0 or slip > _GRIPS or moves
         # The body's velocity is constant in space while the body turns.
         turn_c, turn_s = flat.turned(turn)
         c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
@@ -116,8 +123,16 @@ def _rates(robot: PlanarRobot) -> _Rates:
 
 
 @compilable
-def _solve(plane: Plane, count: int, rates: _Rates, motion: _Motion) -> _Motion:
-    """Return the motion after a substep's impulses, of the tyres and of `count` contacts."""
+def _solve(plane: Plane, count: int, n_touches: int, rates: _Rates, motion: _Motion) -> _Motion:
+    """Return the motion after a substep's impulses, of the tyres and of all contacts.
+
+    Args:
+        plane: Plane.
+        count: Number of contacts of the robot.
+        n_touches: Number of contacts of movable obstacles with others.
+        rates: Constants of a substep.
+        motion: Motion so far.
+    """
     robot, things, grips = plane.robot, plane.things, plane.robot.grips
     half, inv_mass, inv_inertia, _, _, rim, lag = rates
     forward, lateral, spin, left, right = motion
@@ -135,6 +150,9 @@ def _solve(plane: Plane, count: int, rates: _Rates, motion: _Motion) -> _Motion:
         grips[PUSHED] += along * nx - across * ny
         grips[PUSHED_ASIDE] += along * ny + across * nx
         spin -= across * robot.radius * inv_inertia
+        place_x, place_y = robot.contacts[i, 4], robot.contacts[i, 5]
+        x, y = across * ny - along * nx, -across * nx - along * ny
+        pushing.push(plane, int(things[thing, BODY]), place_x, place_y, x, y)
     forward += (grips[0] + grips[1] + grips[PUSHED]) * inv_mass
     lateral += (grips[ASIDE] + grips[ASIDE + 1] + grips[PUSHED_ASIDE]) * inv_mass
     spin += (grips[1] - grips[0]) * half * inv_inertia
@@ -151,6 +169,7 @@ def _solve(plane: Plane, count: int, rates: _Rates, motion: _Motion) -> _Motion:
         motion, changed = _hold(robot, rates, motion, 0, max(most - rolling, 0.0) * robot.left_hold)
         motion, more = _hold(robot, rates, motion, 1, max(most + rolling, 0.0) * robot.right_hold)
         motion, changed = _push(plane, count, rates, motion, changed + more)
+        changed += pushing.hold(plane, n_touches)
         if changed * inv_mass < _SETTLED:
             break
     return motion
@@ -206,21 +225,31 @@ def _push(plane: Plane, count: int, rates: _Rates, motion: _Motion, changed: flo
     for i in range(count):
         thing = int(robot.contacts[i, 3])
         nx, ny, gap = robot.contacts[i, 0], robot.contacts[i, 1], robot.contacts[i, 2]
-        across = things[thing, ACROSS]
-        side = robot.friction * things[thing, ALONG]
-        new = across - (lateral * nx - forward * ny - robot.radius * spin) * friction_impulse
-        new = min(max(new, -side), side)
+        across, along, body = things[thing, ACROSS], things[thing, ALONG], int(things[thing, BODY])
+        place_x, place_y = robot.contacts[i, 4], robot.contacts[i, 5]
+        mass, turning = robot.mass, friction_impulse
+        if body >= 0:
+            inv_body, inv_turn = pushing.masses(plane, body)
+            arm, arm_across = place_x * ny - place_y * nx, place_x * nx + place_y * ny
+            mass = 1 / (inv_mass + inv_body + arm * arm * inv_turn)
+            turning = 1 / (1 / friction_impulse + inv_body + arm_across * arm_across * inv_turn)
+        speed_x, speed_y = pushing.speed_at(plane, body, place_x, place_y)
+        side, slip = robot.friction * along, (lateral - speed_y) * nx - (forward - speed_x) * ny
+        new = min(max(across - (slip - robot.radius * spin) * turning, -side), side)
         things[thing, ACROSS] = new
         change = new - across
         forward -= change * ny * inv_mass
         lateral += change * nx * inv_mass
         spin -= change * robot.radius * inv_inertia
-        along = things[thing, ALONG]
-        new = max(along - (forward * nx + lateral * ny + gap / h) * robot.mass, 0.0)
+        pushing.push(plane, body, place_x, place_y, change * ny, -change * nx)
+        speed_x, speed_y = pushing.speed_at(plane, body, place_x, place_y)
+        closing = (forward - speed_x) * nx + (lateral - speed_y) * ny
+        new = max(along - (closing + gap / h) * mass, 0.0)
         things[thing, ALONG] = new
         changed += abs(change) + abs(new - along)
         forward += (new - along) * nx * inv_mass
         lateral += (new - along) * ny * inv_mass
+        pushing.push(plane, body, place_x, place_y, (along - new) * nx, (along - new) * ny)
         robot.grips[PUSHED] += (new - along) * nx - change * ny
         robot.grips[PUSHED_ASIDE] += (new - along) * ny + change * nx
     return (forward, lateral, spin, left, right), changed
@@ -229,24 +258,41 @@ def _push(plane: Plane, count: int, rates: _Rates, motion: _Motion, changed: flo
 @compilable
 def _gather(plane: Plane, x: float, y: float, c: float, s: float, reach: float) -> int:
     """Fill in the contacts within reach of a point [m], normals in the robot's frame; return their number."""
-    robot, things, count = plane.robot, plane.things, 0
+    robot, things, order, count = plane.robot, plane.things, plane.order, 0
     dx, dy = x - robot.last[ANCHOR_X], y - robot.last[ANCHOR_Y]
     moved = math.sqrt(dx * dx + dy * dy)
-    for i in range(len(plane.order)):
-        if things[plane.order[i], DISTANCE] - moved > reach or count == len(robot.contacts):
+    for i in range(len(order)):
+        if things[order[i], DISTANCE] - moved > reach:
             break
-        thing = plane.order[i]
-        if not things[thing, TOUCHED]:
-            continue
-        nx, ny, away = flat.nearest(things, thing, x, y)
-        if away > reach:
-            things[thing, ALONG] = things[thing, ACROSS] = 0.0
-            continue
-        robot.contacts[count, 3] = thing
-        robot.contacts[count, 0], robot.contacts[count, 1] = c * nx + s * ny, c * ny - s * nx
-        robot.contacts[count, 2] = max(away - robot.radius, 0.0)
-        count += 1
+        count = _meet(plane, order[i], (x, y), (c, s), reach, count)
+    for thing in range(len(order), len(things)):
+        count = _meet(plane, thing, (x, y), (c, s), reach, count)
     return count
+
+
+@compilable
+def _meet(
+    plane: Plane, thing: int, at: tuple[float, float], axes: tuple[float, float], reach: float, count: int
+) -> int:
+    """Add the contact with an obstacle, if it is within reach; return the number of contacts."""
+    contacts, things = plane.robot.contacts, plane.things
+    if not things[thing, TOUCHED] or count == len(contacts):
+        return count
+    (x, y), (c, s) = at, axes
+    nx, ny, away = flat.nearest(things, thing, x, y)
+    if away > reach:
+        things[thing, ALONG] = things[thing, ACROSS] = 0.0
+        return count
+    gap = away - plane.robot.radius
+    contacts[count, 0], contacts[count, 1] = c * nx + s * ny, c * ny - s * nx
+    contacts[count, 2], contacts[count, 3] = max(gap, 0.0), thing
+    body = int(things[thing, BODY])
+    if body >= 0:
+        plane.bodies[body, ACTIVE] = 1.0
+        dx, dy = x - away * nx - things[thing, CENTRE_X], y - away * ny - things[thing, CENTRE_Y]
+        contacts[count, 2] = pushing.gap_for(gap)
+        contacts[count, 4], contacts[count, 5] = c * dx + s * dy, c * dy - s * dx
+    return count + 1
 
 
 @compilable

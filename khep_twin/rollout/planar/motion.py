@@ -143,24 +143,32 @@ def measure(plane: Plane) -> None:
 
 @compilable
 def look_around(plane: Plane) -> None:
-    """Fill in the obstacles within sight at the start of the last step, nearest to the anchor first."""
-    things, order, near, last = plane.things, plane.order, plane.near, plane.robot.last
-    x, y, c, s = last[CENTRE_X], last[CENTRE_Y], last[HEADING_COSINE], last[HEADING_SINE]
-    count, sight, nearest = 0, plane.robot.sight, math.inf
+    """Fill in the obstacles within sight at the start of the last step."""
+    things, order, last = plane.things, plane.order, plane.robot.last
+    last[N_NEAR], last[NEAREST] = 0.0, math.inf
     for i in range(len(order)):
-        thing = order[i]
-        if things[thing, DISTANCE] > sight + last[MOVED]:
+        if things[order[i], DISTANCE] > plane.robot.sight + last[MOVED]:
             break
-        dx, dy = things[thing, CENTRE_X] - x, things[thing, CENTRE_Y] - y
-        near[count, CENTRE_X], near[count, CENTRE_Y] = dx * c + dy * s, dy * c - dx * s
-        cosine, sine = things[thing, COSINE], things[thing, SINE]
-        near[count, COSINE], near[count, SINE] = cosine * c + sine * s, sine * c - cosine * s
-        for column in range(LENGTH, REFLECTANCE + 1):
-            near[count, column] = things[thing, column]
-        near[count, DISTANCE] = distance = flat.distance_to(near, count, 0.0, 0.0)
-        nearest = min(nearest, distance)
-        count += distance <= sight
-    last[N_NEAR], last[NEAREST] = count, nearest
+        _look_at(plane, order[i])
+    for thing in range(len(order), len(things)):
+        _look_at(plane, thing)
+
+
+@compilable
+def _look_at(plane: Plane, thing: int) -> None:
+    """Add an obstacle to those within sight, if it is."""
+    things, near, last = plane.things, plane.near, plane.robot.last
+    c, s, row = last[HEADING_COSINE], last[HEADING_SINE], int(last[N_NEAR])
+    dx, dy = things[thing, CENTRE_X] - last[CENTRE_X], things[thing, CENTRE_Y] - last[CENTRE_Y]
+    near[row, CENTRE_X], near[row, CENTRE_Y] = dx * c + dy * s, dy * c - dx * s
+    cosine, sine = things[thing, COSINE], things[thing, SINE]
+    near[row, COSINE], near[row, SINE] = cosine * c + sine * s, sine * c - cosine * s
+    for column in range(LENGTH, REFLECTANCE + 1):
+        near[row, column] = things[thing, column]
+    near[row, DISTANCE] = distance = flat.distance_to(near, row, 0.0, 0.0)
+    last[NEAREST] = min(last[NEAREST], distance)
+    if distance <= plane.robot.sight:
+        last[N_NEAR] = row + 1
 
 
 @compilable

@@ -36,6 +36,9 @@ from khep_twin.step import DONE, RobotState
 N_CONTACTS = 8
 """Most obstacles that push the robot at once: more than fit around it."""
 
+N_TOUCHES = 64
+"""Most contacts between movable obstacles and others that are solved at once."""
+
 LIVE = ("joints", "speeds", "ctrl", "force", "grips", "last", "contacts")
 """Fields of `PlanarRobot` that are reset at the start of each episode."""
 
@@ -65,7 +68,7 @@ class PlanarForms:
             "n_few": len(points[0]),
             "points": np.concatenate(points),
             "hidden": np.zeros(sum(map(len, points)), np.int64),
-            "contacts": np.zeros((N_CONTACTS, 4)),
+            "contacts": np.zeros((N_CONTACTS, 6)),
             "joints": np.zeros(flat.N_JOINTS),
             "speeds": np.zeros(flat.N_JOINTS),
             "ctrl": np.zeros(2),
@@ -74,7 +77,8 @@ class PlanarForms:
             "last": np.zeros(flat.N_LAST),
         }
         self._things, self._near = planar_scene.things.copy(), np.zeros_like(planar_scene.things)
-        self._order = np.zeros(len(self._things), np.int64)
+        self._bodies, self._touches = planar_scene.bodies.copy(), np.zeros((N_TOUCHES, flat.N_TOUCH))
+        self._order = np.zeros(len(self._things) - len(self._bodies), np.int64)
         robot = PlanarRobot(**numbers)
         self._records = as_records([robot], robot)
         record: Any = self._records[0]
@@ -84,7 +88,9 @@ class PlanarForms:
             name: record[name].data if isinstance(value, np.ndarray) else value
             for name, value in numbers.items()
         }
-        self.plane = Plane(view(self._things), self._order.data, view(self._near), PlanarRobot(**views))
+        near, bodies, touches = view(self._near), view(self._bodies), view(self._touches)
+        things, order = view(self._things), self._order.data
+        self.plane = Plane(things, order, near, bodies, touches, PlanarRobot(**views))
         self._sense(planar_scene)
 
     def plain(self) -> PlaneScene:
@@ -93,7 +99,7 @@ class PlanarForms:
 
     def compiled(self) -> tuple[Any, ...]:
         """Return the scene for compiled code, as arrays."""
-        return self._things, self._order, self._near, self._records
+        return self._things, self._order, self._near, self._bodies, self._touches, self._records
 
     def put(self, start: Start | None) -> None:
         """Reset the state, with the robot at rest at its own pose or at the start [mm, deg]."""
@@ -104,9 +110,9 @@ class PlanarForms:
         self.state["joints"][:3] = x, y, heading
         # An infinite distance makes the first step measure all distances, and another heading its cosine.
         self.state["last"][[flat.ANCHOR_X, flat.END]] = np.inf
-        self._things[:, flat.ALONG] = self._things[:, flat.ACROSS] = 0
+        self._things[:], self._bodies[:] = self._planar_scene.things, self._planar_scene.bodies
         # Nearly sorted, which speeds up the first measurement.
-        things = self._things
+        things = self._things[: len(self._order)]
         away = np.hypot(things[:, flat.CENTRE_X] - x, things[:, flat.CENTRE_Y] - y)
         self._order[:] = np.argsort(away - things[:, flat.LENGTH], kind="stable")
 
@@ -152,6 +158,13 @@ class PlanarForms:
     def joints(self) -> Floats:
         """Copy of the joint positions."""
         return self.state["joints"].copy()
+
+    @property
+    def objects(self) -> Floats:
+        """Positions x, y [m] and headings [rad] of the movable obstacles (n, 3)."""
+        rows = self._things[len(self._order) :]
+        headings = np.arctan2(rows[:, flat.SINE], rows[:, flat.COSINE])
+        return np.column_stack([rows[:, flat.CENTRE_X], rows[:, flat.CENTRE_Y], headings])
 
     def _sense(self, scene: PlanarScene) -> None:
         """Take over the constants of a plane, and the sensors of the robot as drawn last."""
@@ -233,6 +246,11 @@ class PlanarWorld:
     def poses(self) -> list[tuple[float, float, float]]:
         """True x, y [m] and heading [rad] of the robot."""
         return [self.forms.pose]
+
+    @property
+    def objects(self) -> Floats:
+        """Positions x, y [m] and headings [rad] of the movable objects (n, 3)."""
+        return self.forms.objects
 
     @property
     def joints(self) -> Floats:

@@ -13,7 +13,23 @@ A cylinder has its radius as length, and a width below 0."""
 TOUCHED, REFLECTANCE, DISTANCE, ALONG, ACROSS = 8, 9, 10, 11, 12
 """More columns: 1 if the body can touch it, infrared reflectance, distance from the anchor [m], and its
 impulse on the body in the last substep, along and across [N s]."""
-N_COLUMNS = 13
+BODY = 13
+"""One more: index in `Plane.bodies` of what is movable; below 0 for the others."""
+N_COLUMNS = 14
+
+THING, ACTIVE, SPEED_X, SPEED_Y, SPIN, INVERSE_MASS, INVERSE_INERTIA, GRIP, TWIST, FRICTION = range(10)
+"""Columns of `Plane.bodies`: row of `Plane.things`, 1 if it moves or is touched, velocity [m/s] and rotation
+[rad/s], inverse mass [1/kg] and inertia [1/(kg m^2)], largest force [N] and torque [N m] of the floor's
+friction, and friction on other obstacles."""
+FLOOR_X, FLOOR_Y, TWISTING = 10, 11, 12
+"""More columns: impulses of the floor's friction in the last substep [N s, N m s]."""
+N_BODY = 13
+
+OTHER = 1
+"""Column of `Plane.touches` behind the index of one body: index of the other, below 0 for what is fixed; then
+the normal towards the one, the gap [m], the contact from the centres of both [m], and its impulses along and
+across the normal [N s]."""
+N_TOUCH = 11
 
 HEADING_COSINE, HEADING_SINE, MOVED, ANCHOR_X, ANCHOR_Y, SLIPS, END, END_COSINE, END_SINE = range(2, 11)
 N_NEAR, NEAREST = 11, 12
@@ -72,7 +88,8 @@ class PlanarRobot(NamedTuple):
         n_few: Number of the few points of a bulb.
         points: Points of a bulb, few and then many (n_points, 2).
         hidden: Buffer for which points are hidden (n_points,).
-        contacts: Buffer for contacts: normal, gap and index of the obstacle (n_contacts, 4).
+        contacts: Buffer for contacts: normal, gap, index of the obstacle, and place from its centre
+            (n_contacts, 6).
         joints: Joint positions, live (N_JOINTS,).
         speeds: Joint speeds, live (N_JOINTS,).
         ctrl: Motor voltages (2,) [V].
@@ -127,16 +144,20 @@ class Plane(NamedTuple):
     """The robot and all obstacles of a plane.
 
     Attributes:
-        things: Obstacles around the robot (n, N_COLUMNS).
-        order: Indices of the obstacles, nearest to the anchor first (n,).
+        things: Obstacles around the robot, fixed ones first (n, N_COLUMNS).
+        order: Indices of the fixed obstacles, nearest to the anchor first (n_fixed,).
         near: Buffer for the obstacles within sight at the start of the last step, in the robot's frame
             (n, N_COLUMNS).
+        bodies: Movable obstacles (n_movable, N_BODY).
+        touches: Buffer for contacts of movable obstacles with others (n_touches, N_TOUCH).
         robot: Robot with its sensors.
     """
 
     things: Matrix
     order: Vector[int]
     near: Matrix
+    bodies: Matrix
+    touches: Matrix
     robot: PlanarRobot
 
 

@@ -285,7 +285,8 @@ def test_a_brown_out_is_told_and_what_follows_is_as_at_power_up(tmp_path: Path) 
     robot = checked(recorded(tmp_path / "run.mcap", faults=("brown-out@3",)))
     assert robot.passed
     (banner,) = [each for each in robot.statements if each.name.startswith("a restart shows")]
-    assert (banner.seen, banner.note) == (2, "by itself at 3.04 s")
+    assert banner.seen == 2
+    assert banner.note.startswith("by itself at 3.0")
 
 
 def test_each_robot_of_a_log_is_checked(field: Playpen, tmp_path: Path) -> None:

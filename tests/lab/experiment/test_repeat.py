@@ -238,7 +238,7 @@ def test_an_altered_byte_of_a_host_is_found(tmp_path: Path, driven: Path) -> Non
         return events_message([(known_ns, altered(event)) for known_ns, event in read_events(data)])
 
     def altered(event: HostEvent) -> HostEvent:
-        return event._replace(data=b"H\n") if 5 * SECOND < event.at_ns < 5.02 * SECOND else event
+        return event._replace(data=b"H\n") if 5 * SECOND < event.at_ns < 5.05 * SECOND else event
 
     found = again(rewritten(driven, tmp_path / "run.mcap", alter))
     assert found is not None
