@@ -25,6 +25,9 @@ from khep_twin.units import N_SENSORS
 NO_LIGHT = Light(LightLaw(False, 0.0, 0.0, True, 1, 0.0), (), ())
 """Lamps of a scene without any."""
 
+_SPAN = 20_000
+"""Most steps in one call of compiled code, which nothing interrupts."""
+
 _TABLES = no_noise(), quantiles()
 _TABLE_ARRAYS = tuple(np.array(each) for each in _TABLES)
 
@@ -212,20 +215,20 @@ class Simulation:
             DivergedError: The physics left its bounds, or a controller gave a speed that is no number.
         """
         lamps = self.lamps
-        if lamps is None or lamps.steady:
-            return self._checked(self._run(*self._arguments, until, stops))
-        by_turns = lamps.lit is not None
-        if not by_turns and until > self._powered:
+        by_turns = lamps is not None and lamps.lit is not None
+        if lamps is not None and not (lamps.steady or by_turns) and until > self._powered:
             self._power(lamps.rows(self.steps, until, self.plain.timing.step_ns))
             self._powered = until
         wanted = stops | step.STEPPED if by_turns else stops
         while True:
-            reason = self._checked(self._run(*self._arguments, until, wanted))
+            end = min(until, int(self.counters[step.STEPS]) + _SPAN)
+            reason = self._checked(self._run(*self._arguments, end, wanted))
             if by_turns and reason == step.STEPPED:
                 self._switch_lamps()
                 if not stops & step.STEPPED:
                     continue
-            return reason
+            if reason != step.DONE or end >= until:
+                return reason
 
     def scan(self, first: int) -> None:
         """Convert all sensors of all robots now, from one on, in plain code."""
