@@ -124,11 +124,8 @@ def apply(world: World, change: Change, added: int, rng: np.random.Generator) ->
         case LampOff(lamp=lamp):
             switching.switch(world, lamp, False)
         case LampMoved(lamp=lamp, by_mm=(dx_mm, dy_mm)):
-            lamps, arena = list(world.playpen.lamps), world.playpen.arena
-            # In a world without the change before it, it may not have the room.
-            x_mm = min(max(lamps[lamp].x_mm + dx_mm, 0), arena.width_mm)
-            y_mm = min(max(lamps[lamp].y_mm + dy_mm, 0), arena.height_mm)
-            at = {"x_mm": x_mm, "y_mm": y_mm}
+            lamps = list(world.playpen.lamps)
+            at = {"x_mm": lamps[lamp].x_mm + dx_mm, "y_mm": lamps[lamp].y_mm + dy_mm}
             lamps[lamp] = lamps[lamp].model_copy(update=at)
             switching.relight(world, lamps, world.playpen.lighting)
         case Moved(thing=thing, by_mm=(dx_mm, dy_mm), turned_deg=turned_deg):

@@ -19,7 +19,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.hidden_changes import Change, reachable
+from benchmarks.hidden_changes import Change, LampMoved, reachable
 from benchmarks.stand_in_hosts import HOSTS
 from benchmarks.stand_in_runs import BAUD, Run, converse, noticeable
 from khep_twin import playpen as playpens
@@ -120,7 +120,7 @@ def record(
     seen_ns: list[int] = []
     for index in range(len(faults) + len(changes)):
         fewer = [fault for number, fault in enumerate(faults) if number != index]
-        without = [None if number == index else each for number, each in enumerate(run.made, len(faults))]
+        without = _without(run.made, index - len(faults))
         seen_ns.append(noticeable(exchanges, Run(actual, seed, vary, fewer, without)))
     parsed = [fault_injection.parse(fault) for fault in faults]
     starts_ns = [fault.start_ns for fault in parsed]
@@ -137,6 +137,17 @@ def record(
     )
     truth.save(path.with_suffix(".npz"))
     return truth
+
+
+def _without(made: Sequence[Change | None], index: int) -> list[Change | None]:
+    """Return changes without one of them, and without later moves of its lamp, which may have no room then."""
+
+    def stays(number: int, each: Change | None) -> bool:
+        gone = made[index] if index >= 0 else None
+        moved = isinstance(gone, LampMoved) and isinstance(each, LampMoved) and each.lamp == gone.lamp
+        return number != index and not (moved and number > index)
+
+    return [each if stays(number, each) else None for number, each in enumerate(made)]
 
 
 def _misplaced(playpen: Playpen, seed: int, error: Start | None) -> Playpen:
