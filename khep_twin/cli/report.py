@@ -121,6 +121,7 @@ def _export_dataset(
     from khep_twin.envs.tasks import find
     from khep_twin.lab.dataset.episodes import episodes_of
     from khep_twin.lab.dataset.minari_files import check_new_dataset, spaces_of, spec_of, write_dataset
+    from khep_twin.log.reader import read_end_ns
 
     if not 0 < period < math.inf:
         raise LogError(f"--period {period:g}: expected a time in ms")
@@ -136,8 +137,11 @@ def _export_dataset(
             description=f"{task.name}, from logs, with a control period of {period:g} ms",
             force=force,
         )
-    seconds = n_steps * period / 1e3
-    typer.echo(f"dataset     {folder / dataset_id}: {n_episodes} episodes, {n_steps} steps, {seconds:g} s")
+    used_s, logged_s = n_steps * period / 1e3, sum(read_end_ns(log) for log in logs) / 1e9
+    typer.echo(
+        f"dataset     {folder / dataset_id}: {n_episodes} episodes, {n_steps} steps, {used_s:.1f} of the "
+        f"logs' {logged_s:.1f} s"
+    )
 
 
 def report(

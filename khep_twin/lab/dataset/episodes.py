@@ -138,5 +138,6 @@ def _is_at_goal(task: Task, periods: Periods, border: int) -> bool:
     if not task.goal or periods.poses is None:
         return False
     x, y, _ = periods.poses[border].tolist()
-    goal_x, goal_y = periods.goal
-    return (x - goal_x) ** 2 + (y - goal_y) ** 2 <= units.metres(task.reach_mm) ** 2
+    away_x, away_y = x - periods.goal[0], y - periods.goal[1]
+    reach = units.metres(task.reach_mm)
+    return away_x * away_x + away_y * away_y <= reach * reach

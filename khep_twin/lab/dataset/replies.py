@@ -5,6 +5,7 @@ of the host's commands D. There is no pose, no calibration and no playpen.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import partial, reduce
 from pathlib import Path
 
 import numpy as np
@@ -47,14 +48,16 @@ def periods_of(path: Path, robot: str, task: Task, period_ns: int) -> Periods:
     series = {term: each for term, each in found.items() if each is not None}
     first_ns = max(int(times_ns[0]), *(int(each.times_ns[0]) for each in series.values()))
     last_ns = max(int(each.times_ns[-1]) for each in series.values())
-    borders_ns = np.arange(first_ns, max(last_ns, first_ns) + 1, period_ns)
+    # A border is known by the replies of the period before it. Others are left out: a pause may last years.
+    known = [np.unique(-((first_ns - each.times_ns) // period_ns)) for each in series.values()]
+    numbers = reduce(partial(np.intersect1d, assume_unique=True), known)
+    numbers = numbers[(numbers >= 0) & (numbers <= (last_ns - first_ns) // period_ns)]
+    borders_ns = first_ns + numbers * period_ns
     registers = np.zeros((len(borders_ns), N_REGISTERS), np.int64)
     counted = np.zeros((len(borders_ns), 2))
-    fresh = np.ones(len(borders_ns), np.bool_)
     for term, each in series.items():
         _check_values(path, term, each)
         rows = np.searchsorted(each.times_ns, borders_ns, "right") - 1
-        fresh &= borders_ns - each.times_ns[rows] < period_ns
         if term in _READINGS:
             registers[:, _READINGS[term]] = each.values[rows]
         else:
@@ -62,7 +65,7 @@ def periods_of(path: Path, robot: str, task: Task, period_ns: int) -> Periods:
     commanded = speeds[np.searchsorted(times_ns, borders_ns[:-1] + period_ns // 2, "right") - 1]
     before = np.searchsorted(times_ns, borders_ns, "right")
     counts = np.concatenate([[0], np.cumsum(others)])
-    whole = fresh[:-1] & fresh[1:] & (counts[before[1:]] == counts[before[:-1] - 1])
+    whole = (np.diff(numbers) == 1) & (counts[before[1:]] == counts[before[:-1] - 1])
     return Periods(
         period_ns, borders_ns, registers, counted, commanded.astype(np.float64), None, whole, 1.0, 0.0
     )

@@ -20,7 +20,6 @@ from khep_twin.lab.dataset.periods import Periods
 from khep_twin.log.attached import calibration_of, playpen_of
 from khep_twin.log.label import Label
 from khep_twin.log.reader import read_pieces
-from khep_twin.playpen import Playpen
 from khep_twin.world import SAMPLE_NS
 
 _ENCODERS = [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]
@@ -45,7 +44,7 @@ def periods_of(
     Raises:
         LogError: The log is not whole, or lacks samples, a calibration or the task's goal.
     """
-    goal = _goal(playpen_of(label.attachments, path), task, path)
+    goal = _goal(label, task, path)
     times_ns: list[NDArray[np.int64]] = []
     registers: dict[str, list[NDArray[np.int32]]] = {robot: [] for robot in robots}
     poses: dict[str, list[NDArray[np.float64]]] = {robot: [] for robot in robots}
@@ -66,15 +65,16 @@ def periods_of(
             times_ns += [found.times_ns] if robot == robots[0] else []
             registers[robot].append(found.values.astype(np.int32))
             poses[robot].append(pose.values.astype(np.float64))
-    _check_times(path, np.concatenate([np.zeros(0, np.int64), *times_ns]))
+    n_samples = _checked_samples(path, np.concatenate([np.zeros(0, np.int64), *times_ns]))
     for robot in robots:
         calibration = calibration_of(label.attachments, robot, path)
         if calibration is None or not registers[robot]:
             missing = "samples" if calibration is not None else "calibration"
             raise LogError(f"{path}: no {missing} of {robot}; expected a log of khep-twin")
         sampled, pose = np.concatenate(registers[robot]), np.concatenate(poses[robot])
-        if len(sampled) != len(pose):
-            raise LogError(f"{path}: {robot}: {len(sampled)} samples and {len(pose)} poses; expected as many")
+        if {len(sampled), len(pose)} != {n_samples}:
+            found = f"{len(sampled)} samples and {len(pose)} poses"
+            raise LogError(f"{path}: {robot}: {found}; expected {n_samples} of each")
         dark, floor = calibration.ambient.dark_counts, calibration.ambient.floor_counts
         yield _periods(sampled, pose, moves_ns[robot], period_ns, (dark, floor), goal)
 
@@ -133,18 +133,20 @@ def _between(before: NDArray[np.int32], after: NDArray[np.int32]) -> NDArray[np.
     return registers
 
 
-def _check_times(path: Path, times_ns: NDArray[np.int64]) -> None:
-    """Raise a `LogError` unless there is a sample every 20 ms from the start."""
+def _checked_samples(path: Path, times_ns: NDArray[np.int64]) -> int:
+    """Return the number of samples; raise a `LogError` unless there is one every 20 ms from the start."""
     due_ns = np.arange(len(times_ns)) * SAMPLE_NS
     if (missing := np.flatnonzero(times_ns != due_ns)).size:
         at_s = due_ns[missing[0]] / 1e9
         raise LogError(f"{path}: no sample at {at_s:.2f} s; expected one every {SAMPLE_NS // 10**6} ms")
+    return len(times_ns)
 
 
-def _goal(playpen: Playpen, task: Task, path: Path) -> tuple[float, float]:
+def _goal(label: Label, task: Task, path: Path) -> tuple[float, float]:
     """Return the position of the task's goal [m]; 0, 0 without one."""
     if not task.goal:
         return 0.0, 0.0
+    playpen = playpen_of(label.attachments, path)
     positions = {
         item.name: (units.metres(item.x_mm), units.metres(item.y_mm))
         for item in (*playpen.patches, *playpen.cylinders)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from log_rewriting import rewritten
 
 from khep_twin.envs.task_episode import TaskEpisode, TaskSetup
 from khep_twin.envs.tasks import TASKS, State, find
@@ -159,6 +160,24 @@ def test_a_log_that_lacks_what_a_task_needs_is_told_in_one_line(tmp_path: Path) 
     )
 
 
+def test_a_log_with_odd_samples_is_refused_in_one_line(tmp_path: Path) -> None:
+    setup = TaskSetup("ObstacleAvoidance", seconds=0.2, compiled=False)
+    path, target = recorded(tmp_path / "run.mcap", setup, 1, [(0.5, 0.5)] * 4), tmp_path / "odd.mcap"
+
+    def late(topic: str, time_ns: int) -> int:
+        return time_ns + MS if time_ns == 60 * MS else time_ns
+
+    assert refusal(rewritten(path, target, time=late)).endswith(
+        "odd.mcap: no sample at 0.06 s; expected one every 20 ms"
+    )
+    floats = rewritten(path, target, rename=lambda topic: topic.replace("/registers", "/board"))
+    assert refusal(floats).endswith(
+        "odd.mcap: no registers of khepera0; expected the log of a twin or of a real robot"
+    )
+    bare = rewritten(path, target, attachment=lambda name, data: None if "calibration" in name else data)
+    assert refusal(bare).endswith("odd.mcap: no calibration of khepera0; expected a log of khep-twin")
+
+
 # Real robots --------------------------------------------------------------------------------------------
 
 
@@ -222,6 +241,9 @@ def test_what_a_real_robots_log_lacks_is_told_in_one_line(tmp_path: Path) -> Non
     )
     silent = relayed(tmp_path / "silent.mcap", (0, "N"), (100, "N"))
     assert "without replies to E (speed), commands D (speeds), which Obst" in refusal(silent)
+    pause = 60 * 365 * 24 * 3600 * 1000
+    years = relayed(tmp_path / "years.mcap", *polled(0, 5), *polled(pause, 5))
+    assert [len(each.rewards) for each in episodes_of(years, find("ObstacleAvoidance"), 50 * MS)] == [3, 3]
     slow = relayed(tmp_path / "slow.mcap", *polled(0, 5, every_ms=200))
     assert "no control period of 50 ms in which all that ObstacleAvoidance needs is known" in refusal(slow)
     assert len(one(slow, "ObstacleAvoidance", 200 * MS).rewards) == 3
