@@ -29,6 +29,7 @@ ORDER = [
     ["shadow"],
     ["envs", "lab.conformance", "lab.experiment", "lab.sensor_test"],
     ["lab.fit", "lab.report", "sweep"],
+    ["lab.dataset"],
     ["toolbox"],
     ["web"],
     ["cli"],

@@ -1,5 +1,7 @@
 """The command line's part for exports of a log: `khep-twin export` and `khep-twin report`."""
 
+import math
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -15,23 +17,72 @@ LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="A log, FILE.mcap.
 
 
 def export(
-    log: LogFile,
+    log: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...", help="A log, FILE.mcap; of a dataset several.", autocompletion=logs
+        ),
+    ],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Table to write: .csv, .parquet or .mat.")
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Table to write: .csv, .parquet or .mat; with --minari a folder of datasets.",
+        ),
     ] = None,
     channels: Annotated[
         str | None,
         typer.Option(help="Write only these, such as proximity,speed; without, all but registers."),
     ] = None,
     robot: Annotated[
-        str | None, typer.Option(help="Name of the robot, such as khepera1; without, the first.")
+        str | None,
+        typer.Option(help="Name of the robot, such as khepera1; without, the first, of a dataset all."),
     ] = None,
     transcript: Annotated[
         Path | None, typer.Option(help="Write the transcript of the serial line as this CSV file.")
     ] = None,
+    minari: Annotated[
+        str | None,
+        typer.Option(
+            help="Write a Minari dataset of this id, such as khepera/avoid-v0, for offline learning."
+        ),
+    ] = None,
+    task: Annotated[
+        str | None,
+        typer.Option(help="Task of the dataset, such as ObstacleAvoidance: observations and rewards."),
+    ] = None,
+    period: Annotated[
+        float | None,
+        typer.Option(help="Control period of the dataset [ms]; without, 50.", show_default=False),
+    ] = None,
     force: Force = False,
 ) -> None:
-    """Write the data of a robot in a log as tables for other programs."""
+    """Write the data of a log as tables, or of logs as a dataset, for other programs."""
+    for name, given in (("--task", task), ("--period", period)):
+        if minari is None and given is not None:
+            raise LogError(f"{name} {given}: expected it with --minari alone")
+    if minari is None:
+        if len(log) > 1:
+            raise LogError(f"{len(log)} logs; expected one for a table, or --minari for a dataset")
+        _export_tables(log[0], output, channels, robot, transcript, force)
+        return
+    if channels is not None or transcript is not None:
+        raise LogError("--minari with --channels or --transcript; expected a dataset alone")
+    if output is None or task is None:
+        raise LogError(f"--minari {minari}: expected -o FOLDER and --task NAME with it")
+    _export_dataset(log, output, minari, task, 50.0 if period is None else period, robot, force)
+
+
+def _export_tables(
+    log: Path,
+    output: Path | None,
+    channels: str | None,
+    robot: str | None,
+    transcript: Path | None,
+    force: bool,
+) -> None:
+    """Write tables and the transcript of a log."""
     from khep_twin.lab.report import export as tables
     from khep_twin.log.reader import read_heads
 
@@ -61,6 +112,36 @@ def export(
         with whole_file(transcript) as file, progress_bar() as progress:
             n_lines = tables.write_transcript(log, name, file, progress)
         typer.echo(f"transcript  {transcript}: {name}: {n_lines} lines")
+
+
+def _export_dataset(
+    logs: list[Path], folder: Path, dataset_id: str, name: str, period: float, robot: str | None, force: bool
+) -> None:
+    """Write a Minari dataset of logs."""
+    from khep_twin.envs.tasks import find
+    from khep_twin.lab.dataset.episodes import episodes_of
+    from khep_twin.lab.dataset.minari_files import check_new_dataset, spaces_of, spec_of, write_dataset
+    from khep_twin.log.reader import read_end_ns
+
+    if not 0 < period < math.inf:
+        raise LogError(f"--period {period:g}: expected a time in ms")
+    task, period_ns = find(name), round(period * 1e6)
+    check_new_dataset(folder, dataset_id, force)
+    with progress_bar() as progress:
+        n_episodes, n_steps = write_dataset(
+            folder,
+            dataset_id,
+            chain.from_iterable(episodes_of(log, task, period_ns, robot, progress) for log in logs),
+            spec_of(task, period_ns),
+            spaces_of(task),
+            description=f"{task.name}, from logs, with a control period of {period:g} ms",
+            force=force,
+        )
+    used_s, logged_s = n_steps * period / 1e3, sum(read_end_ns(log) for log in logs) / 1e9
+    typer.echo(
+        f"dataset     {folder / dataset_id}: {n_episodes} episodes, {n_steps} steps, {used_s:.1f} of the "
+        f"logs' {logged_s:.1f} s"
+    )
 
 
 def report(

@@ -1,0 +1,1 @@
+"""Logs and rollouts as datasets for offline learning."""

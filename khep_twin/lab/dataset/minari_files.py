@@ -1,0 +1,156 @@
+"""Datasets of Minari (extra `minari`): episodes as files, all or nothing.
+
+    FOLDER/NAMESPACE/NAME-v0/data    found by minari.load_dataset("NAMESPACE/NAME-v0")
+                                     with MINARI_DATASETS_PATH=FOLDER
+
+The data are HDF5, Minari's default. The same episodes give the same bytes.
+"""
+
+# Minari is not typed, and Gymnasium only partly; a development environment may lack Minari.
+# pyright: reportMissingImports=false, reportMissingTypeStubs=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+
+import os
+import re
+import shutil
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import numpy as np
+
+from khep_twin.envs.gymnasium import register
+from khep_twin.envs.task_episode import PERIOD_NS
+from khep_twin.envs.tasks import Task
+from khep_twin.errors import KhepTwinError, MissingExtraError
+from khep_twin.lab.dataset.episodes import OfflineEpisode
+from khep_twin.signals import clear_at_end
+
+try:
+    import gymnasium
+    import h5py  # noqa: F401  # pyright: ignore[reportUnusedImport]  # else Minari misses it later
+    import minari
+    from gymnasium.envs.registration import EnvSpec
+    from gymnasium.spaces import Box, Space
+    from minari.data_collector import EpisodeBuffer
+    from minari.dataset.minari_storage import MinariStorage
+except ModuleNotFoundError as error:
+    raise MissingExtraError(error.name or "minari", "minari") from error
+
+_ID = re.compile(r"([A-Za-z0-9_-]{2,}/)*[A-Za-z0-9_-]+-v[0-9]+")
+
+
+def spec_of(task: Task, period_ns: int) -> EnvSpec:
+    """Return the specification of a shipped task's environment with a control period [ns]."""
+    register()
+    spec = gymnasium.spec(f"khep_twin/{task.name}-v0")
+    if period_ns != PERIOD_NS:
+        spec.kwargs |= {"period_ns": period_ns}
+    return spec
+
+
+def spaces_of(task: Task) -> tuple[Space[Any], Space[Any]]:
+    """Return the observation space and action space of a task, normalized."""
+    low, high = task.bounds()
+    return Box(low, high, dtype=np.float32), Box(-1, 1, (2,), np.float32)
+
+
+def check_new_dataset(folder: Path, dataset_id: str, force: bool) -> Path:
+    """Return the path of a dataset.
+
+    Raises:
+        KhepTwinError: The id is malformed, or the path is taken and may not be replaced.
+    """
+    if not _ID.fullmatch(dataset_id):
+        raise KhepTwinError(f"dataset {dataset_id!r}: expected an id such as khepera/avoid-v0")
+    path = folder / dataset_id
+    if path.exists() and not (force and (path / "data" / "metadata.json").is_file()):
+        what = "no dataset; expected another id" if force else "expected another id, or --force to replace it"
+        raise KhepTwinError(f"{path}: is there already{', ' if force else '; '}{what}")
+    return path
+
+
+def write_dataset(
+    folder: Path,
+    dataset_id: str,
+    episodes: Iterable[OfflineEpisode],
+    spec: EnvSpec | None,
+    spaces: tuple[Space[Any], Space[Any]] | None = None,
+    *,
+    description: str = "",
+    force: bool = False,
+) -> tuple[int, int]:
+    """Write a dataset; return the numbers of its episodes and steps.
+
+    Args:
+        folder: Folder of datasets, MINARI_DATASETS_PATH of those who load it.
+        dataset_id: Id of the dataset, e.g. "khepera/avoid-v0".
+        episodes: Episodes, written one by one as they come.
+        spec: Specification of their environment.
+        spaces: Observation space and action space; by default those of the environment.
+        description: Description of the dataset.
+        force: Whether a dataset of this id is replaced.
+
+    Raises:
+        KhepTwinError: The dataset is there already, or cannot be written; nothing of it stays.
+    """
+    target = check_new_dataset(folder, dataset_id, force)
+    observations, actions = spaces or (None, None)
+    try:
+        with _part_of(target) as part:
+            storage = MinariStorage.new(part, observations, actions, spec, data_format="hdf5")
+            storage.update_metadata(
+                {
+                    "dataset_id": dataset_id,
+                    "minari_version": minari.__version__,
+                    "description": description,
+                }
+            )
+            sources: list[dict[str, str]] = []
+            for episode in episodes:
+                storage.update_episodes([_buffer(episode)])
+                sources.append(dict(episode.source))
+            storage.update_episode_metadata(sources)
+            n_episodes, n_steps = storage.total_episodes, storage.total_steps
+    except OSError as error:
+        raise KhepTwinError(f"{target}: cannot be written: {error.strerror}") from error
+    return n_episodes, n_steps
+
+
+def _buffer(episode: OfflineEpisode) -> Any:
+    return EpisodeBuffer(
+        seed=episode.seed,
+        observations=episode.observations,
+        actions=episode.actions,
+        rewards=episode.rewards,
+        terminations=episode.terminations,
+        truncations=episode.truncations,
+        # Minari cannot read arrays of one dimension back.
+        infos={name: values.tolist() for name, values in episode.infos.items()},
+    )
+
+
+@contextmanager
+def _part_of(target: Path) -> Generator[Path]:
+    """Make the folder of a dataset's data, and rename the dataset to `target` when it is whole."""
+    made = [each for each in (target.parent, *target.parent.parents) if not each.exists()]
+    target.parent.mkdir(parents=True, exist_ok=True)
+    # Minari joins relative paths twice.
+    part = Path(mkdtemp(prefix=f".{target.name}.part-", dir=target.parent.resolve()))
+    clear = partial(shutil.rmtree, part, ignore_errors=True)
+    forget = clear_at_end(clear)
+    try:
+        (part / "new" / "data").mkdir(parents=True)
+        yield part / "new" / "data"
+        if target.exists():
+            os.replace(target, part / "old")
+        os.replace(part / "new", target)
+    finally:
+        clear()
+        forget()
+        for each in made:
+            with suppress(OSError):  # it is not empty, as the dataset is there
+                each.rmdir()
