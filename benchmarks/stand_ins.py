@@ -140,7 +140,7 @@ def record(
 
 
 def _without(made: Sequence[Change | None], index: int) -> list[Change | None]:
-    """Return changes without one of them, and without later moves of its lamp, which may have no room then."""
+    """Return changes without one of them, and later moves of its lamp, which may have no room then."""
 
     def stays(number: int, each: Change | None) -> bool:
         gone = made[index] if index >= 0 else None
