@@ -15,6 +15,7 @@ import re
 import shutil
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import mkdtemp
@@ -23,7 +24,6 @@ from typing import Any
 import numpy as np
 
 from khep_twin.envs.gymnasium import register
-from khep_twin.envs.task_episode import PERIOD_NS
 from khep_twin.envs.tasks import Task
 from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.lab.dataset.episodes import OfflineEpisode
@@ -47,9 +47,7 @@ def spec_of(task: Task, period_ns: int) -> EnvSpec:
     """Return the specification of a shipped task's environment with a control period [ns]."""
     register()
     spec = gymnasium.spec(f"khep_twin/{task.name}-v0")
-    if period_ns != PERIOD_NS:
-        spec.kwargs |= {"period_ns": period_ns}
-    return spec
+    return replace(spec, kwargs={**spec.kwargs, "period_ns": period_ns})
 
 
 def spaces_of(task: Task) -> tuple[Space[Any], Space[Any]]:

@@ -86,10 +86,13 @@ def test_a_dataset_comes_back_through_minari(minari: Any, log: Path, tmp_path: P
 def test_a_dataset_names_the_environment_of_its_task_and_period(
     minari: Any, log: Path, tmp_path: Path
 ) -> None:
+    import gymnasium
+
     export(log, *minari_options(tmp_path, "--period", "100"))
     dataset = minari.load_dataset(DATASET)
     environment = dataset.recover_environment(compiled=False)
     assert environment.spec.kwargs["period_ns"] == 100 * MS
+    assert gymnasium.spec(environment.spec.id).kwargs == {"task": "ObstacleAvoidance"}
     assert environment.observation_space == dataset.observation_space
     assert environment.action_space == dataset.action_space
 

@@ -243,7 +243,7 @@ def test_what_a_real_robots_log_lacks_is_told_in_one_line(tmp_path: Path) -> Non
     assert "without replies to E (speed), commands D (speeds), which Obst" in refusal(silent)
     pause = 60 * 365 * 24 * 3600 * 1000
     years = relayed(tmp_path / "years.mcap", *polled(0, 5), *polled(pause, 5))
-    # Before the pause 224 ms is known by replies of 205 and 217 ms; at the end nothing is after the last reply.
+    # Replies of 205 and 217 ms still cover the border at 224 ms; the log's end is its last reply.
     assert [len(each.rewards) for each in episodes_of(years, find("ObstacleAvoidance"), 50 * MS)] == [4, 3]
     slow = relayed(tmp_path / "slow.mcap", *polled(0, 5, every_ms=200))
     assert "no control period of 50 ms in which all that ObstacleAvoidance needs is known" in refusal(slow)
