@@ -10,11 +10,15 @@ import pytest
 FOLDER = Path(__file__).parents[1] / "examples" / "classics"
 
 SHORTER = {
+    "garbage": "--trials 1 --seconds 3",
+    "homing": "--generations 2 --population 4 --check-lives 1",
+    "phototaxis": "--generations 2 --population 4 --episodes 1 --seconds 0.4 --check-starts 1",
     "vehicles": "--starts 2 --seconds 0.4",
+    "wall_or_cylinder": "--generations 2 --population 4 --episodes 1 --seconds 1 --check-starts 1",
 }
 """Options that make an experiment short; each also draws."""
 
-NEEDS_CMAES = {"phototaxis"}
+NEEDS_CMAES = {"phototaxis", "wall_or_cylinder"}
 
 
 @pytest.mark.parametrize("name", SHORTER)
