@@ -8,10 +8,10 @@ hidden neurons from eight proximity sensors, two light receivers, a floor sensor
 V (1 - i) for each action, as a part of 150 actions; a population of 100 and 240 generations. The robot has
 no floor sensor: the floor is told from its position, as the charge from the time.
 
-V is the mean of both speeds, forwards; published is that of their absolute values, with which robots evolve
-here that spin on the spot. An action takes 400 ms, so a charge lasts for 50. Roulette selection, crossover
-(0.1), mutations (0.2, up to 0.5) and full speed (80 mm/s) are assumed. Lives are in the plane; those of the
-last generation's twenty best are repeated in MuJoCo, and the best of these is evaluated there in new lives.
+V is the mean of both speeds, forwards; published is that of their absolute values, which a robot that spins
+on the spot earns, too. An action takes 400 ms, so a charge lasts for 50. Roulette selection, crossover (0.1),
+mutations (0.2, up to 0.5) and full speed (80 mm/s) are assumed. Lives are in the plane; those of the last
+generation's twenty best are repeated in MuJoCo, and the best of these is evaluated there in new lives.
 """
 
 import argparse
