@@ -1,0 +1,131 @@
+"""Phototaxis: a network evolves to find the brighter of two lamps, which a screen hides; minutes on one core.
+
+    .venv/bin/pip install cmaes
+    .venv/bin/python examples/classics/phototaxis.py --picture phototaxis.png
+
+The network connects proximity and light directly to both motors, with feedback of the motors' last values.
+CMA-ES searches its weights in the plane, from weights of 0. An episode begins anywhere; its fitness is the
+time left when the robot arrives within 60 mm of the bright lamp, as a part of the episode, and a fifth of
+exp(-d / 100 mm) for the smallest distance d. The final mean of the search is then compared in MuJoCo, from
+other starts, with Braitenberg's vehicle 2b that also avoids obstacles, and with the ROM's vehicle, which is
+blind to light.
+"""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from curves import draw_curve
+from trajectories import trajectories
+
+from khep_twin import playpen
+from khep_twin.drawing.map import DrawnPath, draw, save
+from khep_twin.errors import pip_install
+from khep_twin.files.atomic import unusable
+from khep_twin.playpen.starts import Start, anywhere
+from khep_twin.randomness import stream
+from khep_twin.rollout.controllers import Braitenberg, Driver, Network
+from khep_twin.rollout.episode import EpisodeSetup
+
+try:
+    from cmaes import CMA
+except ImportError:
+    sys.exit(f"cmaes is not installed; to install it: {pip_install('cmaes')}")
+
+wish = argparse.ArgumentParser(description="Evolve phototaxis around a screen.")
+wish.add_argument("--generations", type=int, default=80)
+wish.add_argument("--population", type=int, default=20)
+wish.add_argument("--episodes", type=int, default=16, help="episodes of a genome")
+wish.add_argument("--seconds", type=float, default=30.0, help="duration of an episode")
+wish.add_argument("--check-starts", type=int, default=100, help="evaluation episodes in MuJoCo")
+wish.add_argument("--seed", type=int, default=0)
+wish.add_argument("--picture", type=Path, help="draw curve and paths to NAME.png and NAME_way.png")
+options = wish.parse_args()
+if options.picture is not None and (reason := unusable(options.picture)):
+    wish.error(f"{options.picture}: cannot be written: {reason}")
+
+ARRIVED_MM = 60.0
+SAMPLE_S = 0.2
+NETWORK = Network(recurrent=True, ambient=True)
+ARENA = playpen.load("light-seeking")
+BRIGHT = np.array((ARENA.lamps[0].x_mm, ARENA.lamps[0].y_mm))
+
+
+def random_starts(first_seed: int, count: int) -> list[Start]:
+    """Return free poses of the arena."""
+    robots = [anywhere(ARENA, seed).robots[0] for seed in range(first_seed, first_seed + count)]
+    return [(robot.x_mm, robot.y_mm, robot.heading_deg) for robot in robots]
+
+
+def vehicle() -> np.ndarray:
+    """Return the genes of vehicle 2b, crossed excitation by light, that turns away from obstacles."""
+    motors = np.zeros((2, 1 + 8 + 8))  # bias, proximity, light
+    motors[:, 0] = 0.3
+    for motor, own, other in ((0, 0, 3), (1, 3, 0)):  # first sensors of the motor's own and other side
+        motors[motor, 1 + own : 4 + own], motors[motor, 1 + other : 4 + other] = 0.5, -1.0
+        motors[motor, 9 + other : 12 + other] = 1 / 3
+    return motors.ravel()
+
+
+def distances_mm(
+    setup: EpisodeSetup, driver: Driver, genes: np.ndarray, starts: list[Start], first_seed: int
+):
+    """Return the distances from the bright lamp (episodes, samples) [mm] and the poses."""
+    poses = trajectories(
+        setup, driver, genes, starts, options.seconds, sample_s=SAMPLE_S, first_seed=first_seed
+    )
+    return np.hypot(*np.moveaxis(poses[..., :2] - BRIGHT, -1, 0)), poses
+
+
+def arrivals(distances: np.ndarray) -> np.ndarray:
+    """Return the times of the arrivals [s] (episodes,), infinity for none."""
+    there = distances < ARRIVED_MM
+    return np.where(there.any(axis=1), there.argmax(axis=1) * SAMPLE_S, np.inf)
+
+
+began = time.monotonic()
+plane = EpisodeSetup(ARENA, planar=True)
+search = CMA(mean=np.zeros(NETWORK.n_genes), sigma=0.8, population_size=options.population, seed=options.seed)
+pool, rng = random_starts(1000, 400), stream(options.seed, "phototaxis")
+curve = []
+for generation in range(options.generations):
+    genomes = np.array([search.ask() for _ in range(options.population)])
+    starts = [pool[index] for index in rng.integers(len(pool), size=options.episodes)] * options.population
+    distances, _ = distances_mm(
+        plane, NETWORK, genomes.repeat(options.episodes, axis=0), starts, generation * len(starts)
+    )
+    left = np.maximum(1 - arrivals(distances) / options.seconds, 0)
+    fitness = (left + 0.2 * np.exp(-distances.min(axis=1) / 100)).reshape(options.population, -1).mean(axis=1)
+    search.tell([(genome, -value) for genome, value in zip(genomes, fitness, strict=True)])
+    curve.append(fitness)
+    print(
+        f"generation {generation:3}  best {fitness.max():.3f}  mean {fitness.mean():.3f}  "
+        f"{time.monotonic() - began:5.0f} s",
+        flush=True,
+    )
+
+mujoco = EpisodeSetup(ARENA)
+starts = random_starts(0, options.check_starts)
+print(f"in MuJoCo, {len(starts)} starts, {options.seconds:g} s   arrive   median time    there at the end")
+for name, driver, genes in (
+    ("ROM's vehicle, blind", Braitenberg(), np.zeros(0)),
+    ("vehicle 2b, avoiding", Network(ambient=True), vehicle()),
+    ("evolved network", NETWORK, search.mean),
+):
+    distances, poses = distances_mm(mujoco, driver, genes, starts, 0)
+    times = arrivals(distances)
+    print(
+        f"{name:32}{np.isfinite(times).mean():9.0%}{np.median(times):12.1f} s"
+        f"{(distances[:, -1] < ARRIVED_MM).mean():18.0%}"
+    )
+
+if options.picture:
+    draw_curve(curve, "time left at arrival, and nearness", options.picture)
+    tracks = [
+        DrawnPath("", np.arange(poses.shape[1]) * SAMPLE_S, each[:, :2])
+        for each in poses[: min(6, len(poses))]
+    ]
+    path_file = options.picture.with_name(f"{options.picture.stem}_way.png")
+    save(draw(ARENA, tracks, title="The evolved network from six starts", longer_side=5), path_file)

@@ -1,0 +1,34 @@
+"""The classic experiments run, shortened."""
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "examples" / "classics"
+
+SHORTER = {
+    "garbage": "--trials 1 --seconds 3",
+    "homing": "--generations 2 --population 4 --check-lives 1",
+    "phototaxis": "--generations 2 --population 4 --episodes 1 --seconds 0.4 --check-starts 1",
+    "vehicles": "--starts 2 --seconds 0.4",
+    "wall_or_cylinder": "--generations 2 --population 4 --episodes 1 --seconds 1 --check-starts 1",
+}
+"""Options that make an experiment short; each also draws."""
+
+NEEDS_CMAES = {"phototaxis", "wall_or_cylinder"}
+
+
+@pytest.mark.parametrize("name", SHORTER)
+def test_a_classic_experiment_runs_and_draws(name: str, tmp_path: Path) -> None:
+    if name in NEEDS_CMAES and importlib.util.find_spec("cmaes") is None:
+        pytest.skip("cmaes is not installed")
+    subprocess.run(
+        [sys.executable, str(FOLDER / f"{name}.py"), *SHORTER[name].split(), "--picture", "classic.png"],
+        check=True,
+        timeout=600,
+        cwd=tmp_path,
+    )
+    assert list(tmp_path.glob("classic*.png"))
