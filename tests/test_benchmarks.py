@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import benchmarks
-from benchmarks import growth, home_test, peers, record, umbmark
+from benchmarks import archive, growth, home_test, peers, record, umbmark
 from benchmarks.ports import line_row, trip_rows
 from benchmarks.scale import bare_row, episode_row, world_row
 from benchmarks.table import COST, Row, Table, Taken, measure, text, timed
@@ -175,6 +175,17 @@ def test_round_trips_go_over_two_pseudo_terminals() -> None:
         floor, twin = measure("B", rows, 1).results
     assert floor.median > 0
     assert twin.note.startswith("p50 ")
+
+
+def test_an_archive_is_a_row_of_cost_coverage_and_score() -> None:
+    row = archive.Archive("Kheperax", 1, 3.0, [1.0, 0.5] * 25, compiling=10.0).row(6000)
+    assert row.split() == "Kheperax 1 3 s 0.50 ms 10 s 2.0 % 38".split()
+
+
+@pytest.mark.skipif(importlib.util.find_spec("jax") is not None, reason="jax is installed")
+def test_an_archive_in_kheperax_without_kheperax_is_one_line() -> None:
+    with pytest.raises(KhepTwinError, match=r"^Kheperax failed: .*No module named 'jax'$"):
+        archive.there(sys.executable, 0, 1, 1, 0.2)
 
 
 def test_kheperax_gets_every_wall_of_a_playpen() -> None:

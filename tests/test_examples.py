@@ -10,12 +10,13 @@ import pytest
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 
-NEEDS = {"03_learn_to_avoid": "stable_baselines3", "04_evolve": "cmaes"}
+NEEDS = {"03_learn_to_avoid": "stable_baselines3", "04_evolve": "cmaes", "05_map_elites": "ribs"}
 """Packages that an example alone needs."""
 
 SHORTER = {
     "03_learn_to_avoid": "ppo.png --seconds 2".split(),
     "04_evolve": "--generations 2 --population 4 --seconds 0.4 --check-seconds 1".split(),
+    "05_map_elites": "--iterations 2 --batch 8 --seconds 1 --judge 2 --picture archive.png".split(),
 }
 """What makes a long one short."""
 
@@ -39,6 +40,16 @@ def test_an_example_runs_on_a_twin_in_its_own_process(example: Path, tmp_path: P
         text=True,
     )
     assert ENDS.get(example.stem, "") in ended.stdout
+
+
+def test_an_archive_of_the_same_seed_has_the_same_bits(tmp_path: Path) -> None:
+    if importlib.util.find_spec("ribs") is None:
+        pytest.skip("ribs is not installed")
+    [example] = [path for path in EXAMPLES if path.stem == "05_map_elites"]
+    for name in "ab":
+        words = f"--iterations 2 --batch 8 --seconds 1 --judge 0 --elites {name}.npz".split()
+        subprocess.run([sys.executable, str(example), *words], check=True, timeout=600, cwd=tmp_path)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
 @pytest.mark.parametrize("name", NEEDS)

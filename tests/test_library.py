@@ -12,6 +12,7 @@ from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.world import World
 
 NAMES = [
+    "deceptive-maze",
     "default",
     "garbage",
     "gripper",

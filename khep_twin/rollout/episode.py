@@ -35,10 +35,18 @@ from khep_twin.rollout.planar.planar_world import PlanarWorld
 from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.world import World
 
-METRICS = ("obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m")
+METRICS = (
+    "obstacle_avoidance",
+    "light_seeking",
+    "homing",
+    "wall_following",
+    "effort",
+    "distance_m",
+    "forward_m",
+)
 """Metrics of an episode: means over its control periods, distance, and distance forwards less backwards."""
 
-_MEANS = stepping.AVOIDANCE, stepping.SEEKING, stepping.HOMING, stepping.FOLLOWING
+_MEANS = stepping.AVOIDANCE, stepping.SEEKING, stepping.HOMING, stepping.FOLLOWING, stepping.EFFORT
 
 
 _LOOK = 2000

@@ -64,6 +64,16 @@ def wall_following(left_pulses: float, right_pulses: float, side: float) -> floa
 
 
 @compilable
+def effort(left_pulses: float, right_pulses: float) -> float:
+    """Return the control effort, the mean of the squares of both speeds as parts of their maximum, 0 to 1.
+
+    It is the energy of Grillotti and Cully's reward (2023) in units of that at full speed.
+    """
+    left, right = _part(left_pulses), _part(right_pulses)
+    return (left * left + right * right) / 2
+
+
+@compilable
 def _part(pulses: float) -> float:
     """Return a speed as a part of the top speed, -1 to 1."""
     return max(-1.0, min(1.0, pulses / TOP_SPEED_PULSES))

@@ -25,7 +25,9 @@ PERIODS, AVOIDANCE, SEEKING, HOMING, FOLLOWING, DISTANCE, CHARGE, LAST_X, LAST_Y
 [s], last position of the robot [m]."""
 FORWARD = 9
 """Index in `Controllers.sums` of the distance forwards less that backwards [m]."""
-N_SUMS = 10
+EFFORT = 10
+"""Index in `Controllers.sums` of the sum of the control effort."""
+N_SUMS = 11
 
 _SPEED_LIMIT = 127
 _CONVERSION = units.STEP_NS * 1e-9
@@ -157,6 +159,7 @@ def note(
     sums[AVOIDANCE] += fitness.obstacle_avoidance(left, right, part)
     sums[SEEKING] += fitness.light_seeking(float(darkest), dark, floor)
     sums[FOLLOWING] += fitness.wall_following(left, right, side)
+    sums[EFFORT] += fitness.effort(left, right)
     if home[2] > 0 and sums[CHARGE] > 0:
         dx, dy = x - home[0], y - home[1]
         if dx * dx + dy * dy <= home[2] * home[2]:

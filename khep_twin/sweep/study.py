@@ -34,7 +34,7 @@ from khep_twin.rollout.episode import METRICS
 from khep_twin.rollout.fitness import TOP_SPEED_PULSES
 
 Fitness = Literal[
-    "obstacle_avoidance", "light_seeking", "homing", "wall_following", "distance_m", "forward_m"
+    "obstacle_avoidance", "light_seeking", "homing", "wall_following", "effort", "distance_m", "forward_m"
 ]
 """Metrics of an episode; `episode.METRICS`."""
 

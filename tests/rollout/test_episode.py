@@ -279,6 +279,12 @@ def test_the_distance_forwards_has_a_sign_and_the_distance_has_none(compiled: bo
     assert abs(ways(-5, 5)[0]) < 0.002
 
 
+@pytest.mark.parametrize(("left", "right", "effort"), [(10, 10, 0.25), (-20, 0, 0.5), (40, 0, 0.5)])
+def test_the_control_effort_is_the_mean_square_of_the_speeds(left: int, right: int, effort: float) -> None:
+    episode = episode_of(playpen.load("default"), 0.2, False, ConstantSpeed(left, right))
+    assert episode.metrics()["effort"] == effort
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
