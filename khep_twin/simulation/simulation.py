@@ -123,6 +123,12 @@ class Simulation:
         """True if compiled code steps it."""
         return self._compiled
 
+    @property
+    def arguments(self) -> tuple[Any, ...] | None:
+        """Arguments of compiled code for any number of steps; None if plain code steps, or lamps change."""
+        steady = self.lamps is None or self.lamps.steady
+        return self._arguments if self._compiled and steady else None
+
     def run_by(self, advance: Advance, compiled: bool) -> None:
         """Step by another function from now on."""
         self._run, self._compiled = advance, compiled
@@ -199,7 +205,7 @@ class Simulation:
         Raises:
             DivergedError: The physics left its bounds.
         """
-        return self._checked(self._run(*self._arguments, -1, 0))
+        return self.checked(self._run(*self._arguments, -1, 0))
 
     def advance(self, until: int, stops: int = 0) -> int:
         """Run steps until so many are done since the start; return a reason of `step`.
@@ -213,14 +219,14 @@ class Simulation:
         """
         lamps = self.lamps
         if lamps is None or lamps.steady:
-            return self._checked(self._run(*self._arguments, until, stops))
+            return self.checked(self._run(*self._arguments, until, stops))
         by_turns = lamps.lit is not None
         if not by_turns and until > self._powered:
             self._power(lamps.rows(self.steps, until, self.plain.timing.step_ns))
             self._powered = until
         wanted = stops | step.STEPPED if by_turns else stops
         while True:
-            reason = self._checked(self._run(*self._arguments, until, wanted))
+            reason = self.checked(self._run(*self._arguments, until, wanted))
             if by_turns and reason == step.STEPPED:
                 self._switch_lamps()
                 if not stops & step.STEPPED:
@@ -239,8 +245,12 @@ class Simulation:
                 step.convert_sensor(self.plain, inputs, robot, 0, time_ns, channel)
             self.counters[step.DRAWN] += 1
 
-    def _checked(self, reason: int) -> int:
-        """Return the reason of a return; raise a `DivergedError` where the run has ended."""
+    def checked(self, reason: int) -> int:
+        """Return the reason of a return of the stepping core.
+
+        Raises:
+            DivergedError: The run has ended.
+        """
         if reason < step.WARNED:
             return reason
         trouble = "a controller gave a speed that is no number, or raised an error"
