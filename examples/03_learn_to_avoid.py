@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from khep_twin.board.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
 from khep_twin.drawing.map import DrawnPath, save
 from khep_twin.drawing.map import draw as drawing
-from khep_twin.envs.task_episode import TaskSetup
+from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.errors import pip_install
 
 try:

@@ -237,6 +237,22 @@ class World:
         if self.change_over_at is not None and simulation.steps >= self.change_over_at:
             self.change_over()
 
+    def go_on(self, reason: int, until: int) -> None:
+        """Act for a return of the stepping core that was not called here, and run on to a step.
+
+        Raises:
+            DivergedError: The physics left its bounds.
+        """
+        returned = self._run(lambda: self.simulation.checked(reason))
+        while returned != step.DONE:
+            returned = self._run(self.simulation.advance, until)
+
+    @property
+    def runs_alone(self) -> bool:
+        """True if nothing outside the stepping core acts amid a run: no turret, fault to come or observer."""
+        idle = self._shares_model and not self._has_turrets and not self.observers
+        return idle and self._fault_ns == NEVER_NS
+
     def scan(self) -> None:
         """Convert all sensors of all robots now, without advancing time."""
         for look in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):

@@ -23,8 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SETPOINTS
-from khep_twin.envs.task_episode import StepResult, TaskEpisode, TaskSetup
+from khep_twin.envs.task_episode import StepResult, TaskEpisode
+from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import TERMS, Task
+from khep_twin.errors import KhepTwinError
 from khep_twin.randomness import stream
 from khep_twin.rollout import version_check
 
@@ -180,6 +182,13 @@ def load(task: Task | str, *, seed: int = 0, **options: Any) -> dm_env.Environme
         task: Task, or its name.
         seed: Seed of its episodes; the same seed and actions give the same steps.
         options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, compiled, normalize.
+
+    Raises:
+        KhepTwinError: The task is unknown, or in a plane.
     """
     setup = TaskSetup(task, **options)
+    if setup.planar:
+        raise KhepTwinError(
+            "planar = True: dm_env shows MuJoCo's physics; expected False, or Gymnasium's environments"
+        )
     return control.Environment(Physics(TaskEpisode(setup)), TrialTask(setup, seed))

@@ -12,6 +12,7 @@
 Observation: the task's terms, each number normalized to -1 to 1 (`tasks.TERMS` has order and ranges).
 Action: speeds of left and right wheel, -1 to 1; 1 is 20 pulses/10 ms, 160 mm/s.
 With `normalize=False` both are in the robot's own units, counts and pulses/10 ms.
+With `planar=True` the robot moves in a plane instead of MuJoCo, many times faster.
 """
 
 # Gymnasium's spaces are only partly typed.
@@ -23,7 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.envs.renderer import Picture, Renderer, View
-from khep_twin.envs.task_episode import TaskEpisode, TaskSetup
+from khep_twin.envs.task_episode import TaskEpisode
+from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import TASKS, Observation, Task
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 
@@ -52,6 +54,17 @@ def spaces(setup: TaskSetup) -> tuple[Space[Any], Space[Any]]:
     return Box(low, high, dtype=np.float32), Box(-limit, limit, (2,), np.float32)
 
 
+def rendering(render_mode: str | None, setup: TaskSetup) -> Info:
+    """Return the metadata of rendering.
+
+    Raises:
+        KhepTwinError: The render mode is unknown.
+    """
+    if render_mode is not None and render_mode not in RENDER_MODES:
+        raise KhepTwinError(f"render_mode {render_mode!r}: unknown; {choices(render_mode, RENDER_MODES)}")
+    return {"render_modes": list(RENDER_MODES), "render_fps": 1e9 / setup.period_ns}
+
+
 class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
     """A task for one robot.
 
@@ -65,7 +78,8 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         render_mode: "rgb_array", or None for no pictures.
         view: View of pictures: "scene" by MuJoCo, "map", or "auto" (`renderer.Renderer`).
         setup: Prepared task, instead of the task and options.
-        options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, compiled, normalize.
+        options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, planar, compiled,
+            normalize.
 
     Attributes:
         labels: Labels of the observation's numbers.
@@ -82,14 +96,12 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         setup: TaskSetup | None = None,
         **options: Any,
     ) -> None:
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise KhepTwinError(f"render_mode {render_mode!r}: unknown; {choices(render_mode, RENDER_MODES)}")
         self._setup = setup or TaskSetup(task, **options)
         self._episode = TaskEpisode(self._setup)
         self._seed = 0
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": 1e9 / self._setup.period_ns}
-        self._painter = Renderer(self._setup.playpen, view)
+        self.metadata = rendering(render_mode, self._setup)
+        self._painter = Renderer(self._setup.playpen, view, self._setup.planar)
         self.labels = self._setup.task.labels
         self.observation_space, self.action_space = spaces(self._setup)
 
@@ -110,7 +122,8 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Return a picture of the present state; None without a render mode."""
         if self.render_mode is None:
             return None
-        return self._painter.picture(self._episode.data, self._episode.poses)
+        scene = None if self._setup.planar else self._episode.data
+        return self._painter.picture(scene, self._episode.poses)
 
     def close(self) -> None:
         """Release the resources of rendering."""

@@ -8,33 +8,33 @@
     actions = environments.action_space.sample()
     observations, rewards, terminated, truncated, infos = environments.step(actions)
 
-Compiled episodes release Python's lock while they step, so that threads run at the same time.
+All episodes are stepped by one call of compiled code for each thread, and their rewards and observations are
+computed as arrays (`task_batch`).
 """
 
 # Gymnasium's spaces are only partly typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 
 import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.envs.gymnasium import Info, KheperaEnvironment, spaces
-from khep_twin.envs.renderer import View
-from khep_twin.envs.task_episode import TaskSetup
+from khep_twin.envs.gymnasium import Info, rendering, spaces
+from khep_twin.envs.renderer import Renderer, View
+from khep_twin.envs.task_batch import TaskBatch
+from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, Task
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 
 try:
+    from gymnasium.utils.seeding import np_random
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
 except ModuleNotFoundError as error:
     raise MissingExtraError("gymnasium", "rl") from error
-
-Result = TypeVar("Result")
 
 
 class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[np.generic]]):
@@ -76,19 +76,17 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
                 raise ValueError(f"{number} {name}; expected 1 or more")
         self._autoreset_mode = _checked_mode(autoreset_mode)
         setup = TaskSetup(task, **options)
-        self._all = [
-            KheperaEnvironment(setup=setup, render_mode=render_mode, view=view) for _ in range(num_envs)
-        ]
+        self._painters = [Renderer(setup.playpen, view, setup.planar) for _ in range(num_envs)]
         self.labels = setup.task.labels
         self.num_envs, self.render_mode = num_envs, render_mode
-        self.metadata = {**self._all[0].metadata, "autoreset_mode": self._autoreset_mode}
+        self.metadata = {**rendering(render_mode, setup), "autoreset_mode": self._autoreset_mode}
         self.single_observation_space, self.single_action_space = spaces(setup)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._threads = min(threads or len(os.sched_getaffinity(0)), num_envs)
-        self._pool = ThreadPoolExecutor(max(self._threads - 1, 1))  # beside the caller's
-        self._observations: list[Observation] = [np.zeros(len(self.labels), np.float32)] * num_envs
-        self._over = np.zeros(num_envs, np.bool_)
+        cores = len(os.sched_getaffinity(0))
+        self._batch = TaskBatch(setup, num_envs, min(threads or cores, num_envs))
+        self._rows, self._over = np.arange(num_envs), np.zeros(num_envs, np.bool_)
+        self._rngs: list[Any] = [None] * num_envs
         self.closed = False
 
     def reset(
@@ -98,90 +96,98 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         if seed is None or isinstance(seed, int):
             seeds = [None if seed is None else seed + index for index in range(self.num_envs)]
         else:
-            seeds = list(seed)
+            seeds = list[int | None](seed)
         if len(seeds) != self.num_envs:
             raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments; expected {self.num_envs}")
         others = dict(options or {})
         chosen = self._chosen(others.pop("reset_mask", None))
-        begun = self._share_out(chosen, lambda i: self._all[i].reset(seed=seeds[i], options=others))
-        infos: Info = {}
-        for index, (observation, info) in zip(chosen, begun, strict=True):
-            self._observations[index], self._over[index] = observation, False
-            infos = self._add_info(infos, info, index)
-        return np.stack(self._observations), infos
+        self._begin(chosen, seeds, others.get("seed"))
+        return self._seen(), self._infos(chosen)
 
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
         """Advance all by a control period with these speeds of left and right wheel (num_envs, 2)."""
-        if np.shape(actions)[:1] != (self.num_envs,):
+        batch, mode = self._batch, self._autoreset_mode
+        if np.shape(actions) != (self.num_envs, 2):
             raise ValueError(f"actions of shape {np.shape(actions)}; expected ({self.num_envs}, 2)")
-        if self._autoreset_mode is AutoresetMode.DISABLED and self._over.any():
-            raise ValueError(
-                f"the episodes of environments {np.flatnonzero(self._over).tolist()} are over; "
-                'expected reset(options={"reset_mask": ...}) first'
-            )
-        results = self._share_out(range(self.num_envs), lambda index: self._step_one(index, actions[index]))
-        observations, rewards, ended, late, each_info = zip(*results, strict=True)
-        self._observations = list(observations)
-        terminated, truncated = np.array(ended, np.bool_), np.array(late, np.bool_)
+        rows = self._rows
+        if self._over.any():
+            if mode is AutoresetMode.DISABLED:
+                raise ValueError(
+                    f"the episodes of environments {np.flatnonzero(self._over).tolist()} are over; "
+                    'expected reset(options={"reset_mask": ...}) first'
+                )
+            if mode is AutoresetMode.NEXT_STEP:
+                rows = np.flatnonzero(~self._over)
+                self._begin(np.flatnonzero(self._over))
+        if len(rows):
+            batch.step(rows, np.asarray(actions)[rows, None])
+        rewards, terminated, truncated = batch.rewards[:, 0].copy(), batch.ended[:, 0].copy(), batch.over
         self._over = terminated | truncated
-        infos: Info = {}
-        for index, info in enumerate(each_info):
-            infos = self._add_info(infos, info, index)
-        return np.stack(observations), np.array(rewards, np.float64), terminated, truncated, infos
+        final: Info = {}
+        if mode is AutoresetMode.SAME_STEP and self._over.any():
+            over, last = np.flatnonzero(self._over), np.full(self.num_envs, None, object)
+            last[over] = list(batch.observations[over, 0])
+            final = {"final_obs": last, "_final_obs": self._over.copy()}
+            final |= {"final_info": self._infos(over), "_final_info": self._over.copy()}
+            self._begin(over)
+        return self._seen(), rewards, terminated, truncated, {**final, **self._infos(self._rows)}
 
     def render(self) -> tuple[Any, ...]:
         """Return a picture of each environment."""
-        return tuple(each.render() for each in self._all)
+        if self.render_mode is None:
+            return (None,) * self.num_envs
+        batch = self._batch
+        scenes = [None if batch.setup.planar else episode.data for episode in batch.episodes]
+        return tuple(
+            painter.picture(scene, [tuple(pose)])
+            for painter, scene, pose in zip(self._painters, scenes, batch.poses[:, 0].tolist(), strict=True)
+        )
 
     def close_extras(self, **kwargs: Any) -> None:
-        """End the threads."""
-        self._pool.shutdown()
-        for each in self._all:
-            each.close()
+        """End the threads, and release the resources of rendering."""
+        self._batch.close()
+        for painter in self._painters:
+            painter.close()
 
-    def _step_one(
-        self, index: int, action: NDArray[np.float32]
-    ) -> tuple[Observation, float, bool, bool, Info]:
-        each, mode = self._all[index], self._autoreset_mode
-        if mode is AutoresetMode.NEXT_STEP and self._over[index]:
-            observation, info = each.reset()
-            return observation, 0.0, False, False, info
-        observation, reward, terminated, truncated, info = each.step(action)
-        if mode is AutoresetMode.SAME_STEP and (terminated or truncated):
-            final = {"final_obs": observation, "final_info": info}
-            observation, info = each.reset()
-            info = {**final, **info}
-        return observation, reward, terminated, truncated, info
+    def _begin(
+        self, rows: NDArray[np.int64], seeds: Sequence[int | None] = (), episode: int | None = None
+    ) -> None:
+        """Start some episodes, as `KheperaEnvironment.reset` with the seeds of all environments does."""
+        drawn: list[int] = []
+        for row in rows.tolist():
+            seed: int | None = seeds[row] if seeds else None
+            if self._rngs[row] is None or seed is not None:
+                self._rngs[row] = np_random(seed)[0]
+            drawn.append(int(self._rngs[row].integers(2**31)))
+        self._batch.begin(rows, drawn if episode is None else [int(episode)] * len(drawn))
+        self._over[rows] = False
 
-    def _chosen(self, mask: NDArray[np.bool_] | None) -> Sequence[int]:
+    def _seen(self) -> Observation:
+        """Return a copy of the observations (num_envs, n)."""
+        return self._batch.observations[:, 0].copy()
+
+    def _infos(self, rows: NDArray[np.int64]) -> Info:
+        """Return the ground truth of some environments, in Gymnasium's form, with the mask of each array."""
+        batch, infos, mask = self._batch, Info(), np.zeros(self.num_envs, np.bool_)
+        mask[rows] = True
+        x, y, heading = batch.poses[:, 0].T
+        truth = {"x": x, "y": y, "heading": heading, "time": batch.times, "seed": batch.seeds}
+        for name, numbers in truth.items():
+            infos[name], infos[f"_{name}"] = np.where(mask, numbers, 0), mask.copy()
+        return infos
+
+    def _chosen(self, mask: NDArray[np.bool_] | None) -> NDArray[np.int64]:
         """Return the indices of the environments of a reset mask."""
         if mask is None:
-            return range(self.num_envs)
+            return self._rows
         given = np.asarray(mask)
         if given.shape != (self.num_envs,) or given.dtype != np.bool_ or not given.any():
             raise ValueError(
                 f"reset_mask = {mask!r}; expected an array of {self.num_envs} bool, at least one of them true"
             )
-        return [int(index) for index in np.flatnonzero(given)]
-
-    def _share_out(self, indices: Sequence[int], action: Callable[[int], Result]) -> list[Result]:
-        """Call a function for each of some environments; each thread has a share."""
-        results: list[Any] = [None] * len(indices)
-
-        def work(first: int) -> None:
-            for place in range(first, len(indices), self._threads):
-                results[place] = action(indices[place])
-
-        shares = [self._pool.submit(work, first) for first in range(1, min(self._threads, len(indices)))]
-        try:
-            work(0)
-        finally:
-            wait(shares)  # so that no thread is still at work when one has raised an error
-        for share in shares:
-            share.result()
-        return results
+        return np.flatnonzero(given)
 
 
 def _checked_mode(mode: AutoresetMode | str) -> AutoresetMode:

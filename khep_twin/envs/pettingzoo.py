@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.envs.gymnasium import RENDER_MODES, Info, ground_truth, spaces
+from khep_twin.envs.gymnasium import Info, ground_truth, rendering, spaces
 from khep_twin.envs.renderer import Picture, Renderer, View
-from khep_twin.envs.task_episode import TaskEpisode, TaskSetup
+from khep_twin.envs.task_episode import TaskEpisode
+from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, Task
-from khep_twin.errors import KhepTwinError, MissingExtraError, choices
+from khep_twin.errors import KhepTwinError, MissingExtraError
 
 try:
     from gymnasium.spaces import Space
@@ -41,7 +42,8 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         robots: Number of robots; a playpen with spots has room for as many as it has spots.
         render_mode: "rgb_array", or None for no pictures.
         view: View of pictures: "scene" by MuJoCo, "map", or "auto".
-        options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, normalize.
+        options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, planar (one robot),
+            compiled, normalize.
     """
 
     def __init__(
@@ -53,18 +55,15 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         view: View = "auto",
         **options: Any,
     ) -> None:
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise KhepTwinError(f"render_mode {render_mode!r}: unknown; {choices(render_mode, RENDER_MODES)}")
         self._setup = TaskSetup(task, robots=robots, **options)
         self._episode = TaskEpisode(self._setup)
-        self._painter = Renderer(self._setup.playpen, view)
+        self._painter = Renderer(self._setup.playpen, view, self._setup.planar)
         self._rng = seeding.np_random(None)[0]
         self._seed = 0
         self.render_mode = render_mode
         self.metadata: Info = {
             "name": f"khep_twin/{self._setup.task.name}-v0",
-            "render_modes": list(RENDER_MODES),
-            "render_fps": 1e9 / self._setup.period_ns,
+            **rendering(render_mode, self._setup),
         }
         self.possible_agents = [f"khepera{index}" for index in range(robots)]
         self.agents: list[str] = []
@@ -128,7 +127,8 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         """Return a picture of the present state; None without a render mode."""
         if self.render_mode is None:
             return None
-        return self._painter.picture(self._episode.data, self._episode.poses)
+        scene = None if self._setup.planar else self._episode.data
+        return self._painter.picture(scene, self._episode.poses)
 
     def close(self) -> None:
         """Release the resources of rendering."""

@@ -45,33 +45,36 @@ class Renderer:
         playpen: Playpen.
         view: "scene" rendered by MuJoCo, "map", or "auto" for a map where there is no screen and no
             `MUJOCO_GL`, else a scene if possible, and if not a map with a warning.
+        planar: Whether the episodes are in a plane, of which there are only maps.
 
     Attributes:
         view: View of the pictures; "auto" before the first.
 
     Raises:
-        KhepTwinError: The view is unknown.
+        KhepTwinError: The view is unknown, or a scene in a plane.
     """
 
-    def __init__(self, playpen: Playpen, view: View = "auto") -> None:
+    def __init__(self, playpen: Playpen, view: View = "auto", planar: bool = False) -> None:
         if view not in VIEWS:
             raise KhepTwinError(f"view {view!r}: unknown; {choices(view, VIEWS)}")
+        if planar and view == "scene":
+            raise KhepTwinError("view 'scene': a plane has no MuJoCo scene; expected 'map' or 'auto'")
         self._playpen = playpen
-        self.view: View = "map" if view == "auto" and not _may_render() else view
+        self.view: View = "map" if planar or (view == "auto" and not _may_render()) else view
         self._renderer: mujoco.Renderer | None = None
         self._own: mujoco.MjData | None = None
 
-    def picture(self, data: mujoco.MjData, poses: Sequence[Pose]) -> Picture:
+    def picture(self, data: mujoco.MjData | None, poses: Sequence[Pose]) -> Picture:
         """Return a picture of a state, which is not changed.
 
         Args:
-            data: State of the scene.
+            data: State of the scene; None in a plane.
             poses: Poses of the robots.
 
         Raises:
             KhepTwinError: The view is "scene", and MuJoCo cannot render here.
         """
-        if self.view != "map":
+        if self.view != "map" and data is not None:
             try:
                 picture = self._scene(data)
             except Exception as error:  # each GL backend raises its own errors

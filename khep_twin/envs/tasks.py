@@ -9,11 +9,14 @@
 A reward is that of one control period, 0 to 1; published rewards are those of `khep_twin.rollout.fitness`,
 with the speeds that the wheels' encoders have counted, not the setpoints. To define a task, create a `Task`,
 e.g. `dataclasses.replace(TASKS["Homing"], charge_s=30.0)`.
+
+A reward is called with the `State` of one robot at a time, or, if it is marked by `batched`, with one whose
+numbers are arrays of all robots. Observations are computed for all robots at once.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +24,7 @@ from numpy.typing import NDArray
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.errors import KhepTwinError, choices
 from khep_twin.rollout import fitness
+from khep_twin.rollout.fitness import Number
 from khep_twin.units import COUNTS_LIMIT, Sensor
 
 Observation = NDArray[np.float32]
@@ -28,10 +32,10 @@ Observation = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """One robot at the end of a control period.
+    """One robot at the end of a control period, or n robots: then each number is an array (n,).
 
     Attributes:
-        registers: Registers of its board (N_REGISTERS,).
+        registers: Registers of its board (N_REGISTERS,), or of each robot's (N_REGISTERS, n).
         left: Speed of the left wheel over the period, as counted by its encoder [pulses/10 ms].
         right: Speed of the right wheel over the period, as counted by its encoder [pulses/10 ms].
         dark: Ambient reading in the dark [counts].
@@ -40,24 +44,48 @@ class State:
         charge: Charge left, 1 to 0.
     """
 
-    registers: Sequence[int]
-    left: float
-    right: float
+    registers: NDArray[np.int64]
+    left: Number
+    right: Number
     dark: float
     floor: float
-    at_goal: bool
-    charge: float
+    at_goal: Any
+    charge: Number
 
     @property
-    def nearest(self) -> float:
+    def nearest(self) -> Number:
         """Largest proximity reading, 0 to 1."""
-        return max(self.registers[index] for index in PROXIMITY) / COUNTS_LIMIT
+        return self.registers[PROXIMITY].max(axis=0) / COUNTS_LIMIT
 
     @property
-    def brightness(self) -> float:
+    def brightness(self) -> Number:
         """Light at the brightest receiver, 0 to 1."""
-        darkest = min(self.registers[index] for index in AMBIENT)
-        return fitness.light_seeking(float(darkest), self.dark, self.floor)
+        return fitness.light_seeking(self.registers[AMBIENT].min(axis=0), self.dark, self.floor)
+
+    def of_robot(self, index: int) -> "State":
+        """Return the state of one of n robots."""
+        return State(
+            self.registers[:, index].copy(),
+            float(self.left[index]),
+            float(self.right[index]),
+            self.dark,
+            self.floor,
+            bool(self.at_goal[index]),
+            float(self.charge[index]),
+        )
+
+
+Reward = Callable[[State], Number]
+"""Function of a state that returns the reward of a control period, 0 to 1."""
+RewardType = TypeVar("RewardType", bound=Reward)
+
+_BATCHED: list[Reward] = []
+
+
+def batched(reward: RewardType) -> RewardType:
+    """Mark a reward as one that takes a state of n robots, too, and returns (n,) then; return the reward."""
+    _BATCHED.append(reward)
+    return reward
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +93,7 @@ class ObservationTerm:
     """A part of an observation: numbers that are clipped to a range, and normalized to -1 to 1.
 
     Attributes:
-        read: Function that returns the numbers of a state (n,).
+        read: Function that returns the numbers of a state (n,), or of n_robots (n, n_robots).
         names: Names of the numbers (n,).
         low: Lower bound, normalized to -1 [unit].
         high: Upper bound, normalized to 1 [unit].
@@ -73,7 +101,7 @@ class ObservationTerm:
         ends: Function that returns the numbers normalized to -1 and 1, if they are not `low` and `high`.
     """
 
-    read: Callable[[State], Sequence[float]]
+    read: Callable[[State], Any]
     names: tuple[str, ...]
     low: float
     high: float
@@ -84,13 +112,14 @@ class ObservationTerm:
         """Return the lower and upper bound of each number."""
         return (-1.0, 1.0) if normalize else (self.low, self.high)
 
-    def observe(self, state: State, normalize: bool) -> list[float]:
-        """Return the numbers of a state, within the bounds (n,)."""
-        if not normalize:
-            return [min(max(number, self.low), self.high) for number in self.read(state)]
-        start, end = self.ends(state) if self.ends else (self.low, self.high)
-        scale = 2 / (end - start)
-        return [min(max((number - start) * scale - 1, -1.0), 1.0) for number in self.read(state)]
+    def observe(self, state: State, normalize: bool) -> NDArray[np.float64]:
+        """Return the numbers of a state, within the bounds (n,), or (n, n_robots)."""
+        numbers = np.asarray(self.read(state), np.float64)
+        if normalize:
+            start, end = self.ends(state) if self.ends else (self.low, self.high)
+            numbers = (numbers - start) * (2 / (end - start)) - 1
+        low, high = self.bounds(normalize)
+        return np.minimum(np.maximum(numbers, low), high)
 
 
 TOP_SPEED = float(fitness.TOP_SPEED_PULSES)
@@ -100,14 +129,14 @@ _SENSORS = tuple(sensor.name.lower() for sensor in Sensor)
 
 TERMS = {
     "proximity": ObservationTerm(
-        lambda state: [state.registers[index] for index in PROXIMITY],
+        lambda state: state.registers[PROXIMITY],
         _SENSORS,
         0.0,
         float(COUNTS_LIMIT),
         "counts of command N",
     ),
     "light": ObservationTerm(
-        lambda state: [state.registers[index] for index in AMBIENT],
+        lambda state: state.registers[AMBIENT],
         _SENSORS,
         0.0,
         float(COUNTS_LIMIT),
@@ -146,7 +175,7 @@ class Task:
     name: str
     playpen: str
     observation_terms: tuple[str, ...]
-    reward: Callable[[State], float]
+    reward: Reward
     seconds: float = 60.0
     starts: Literal["anywhere", "playpen"] = "anywhere"
     goal: str = ""
@@ -179,39 +208,49 @@ class Task:
         return low, high
 
     def observe(self, state: State, normalize: bool = True) -> Observation:
-        """Return the observation (n,), in the order of `labels`."""
-        numbers: list[float] = []
-        for name in self.observation_terms:
-            numbers += TERMS[name].observe(state, normalize)
-        return np.array(numbers, np.float32)
+        """Return the observation (n,), in the order of `labels`, or that of each robot (n_robots, n)."""
+        parts = [TERMS[name].observe(state, normalize) for name in self.observation_terms]
+        return np.concatenate(parts).T.astype(np.float32, order="C")
+
+    def rewards(self, state: State) -> NDArray[np.float64]:
+        """Return the reward of each of n robots (n,)."""
+        if self.reward in _BATCHED:
+            return np.asarray(self.reward(state), np.float64)
+        each = (self.reward(state.of_robot(index)) for index in range(len(state.left)))
+        return np.array([float(reward) for reward in each])
 
 
-def avoiding(state: State) -> float:
+@batched
+def avoiding(state: State) -> Number:
     """Return V (1 - sqrt(dV)) (1 - i) forwards, 0 backwards.
 
     Floreano and Mondada's V has no sign, so learners find driving to and fro, which also avoids obstacles.
     """
-    return avoiding_either_way(state) if state.left + state.right > 0 else 0.0
+    return avoiding_either_way(state) * (state.left + state.right > 0)
 
 
-def avoiding_either_way(state: State) -> float:
+@batched
+def avoiding_either_way(state: State) -> Number:
     """Return V (1 - sqrt(dV)) (1 - i) as published: see `fitness.obstacle_avoidance`."""
     return fitness.obstacle_avoidance(state.left, state.right, state.nearest)
 
 
-def seeking_light(state: State) -> float:
+@batched
+def seeking_light(state: State) -> Number:
     """Return the brightness."""
     return state.brightness
 
 
-def homing(state: State) -> float:
+@batched
+def homing(state: State) -> Number:
     """Return V (1 - i) away from home, 0 at home."""
-    return 0.0 if state.at_goal else fitness.homing(state.left, state.right, state.nearest)
+    return fitness.homing(state.left, state.right, state.nearest) * np.logical_not(state.at_goal)
 
 
-def staying(state: State) -> float:
+@batched
+def staying(state: State) -> Number:
     """Return 1 at the goal, 0 elsewhere."""
-    return float(state.at_goal)
+    return state.at_goal * 1.0
 
 
 TASKS = {

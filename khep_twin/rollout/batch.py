@@ -14,12 +14,12 @@ any number of threads, and the same as those of a single `Episode` with the same
 with the number of episodes: every thread has memory for one episode and reuses it.
 """
 
-import itertools
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
-from typing import ParamSpec
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +31,8 @@ from khep_twin.errors import DivergedError
 from khep_twin.playpen import Lamp, Playpen
 from khep_twin.rollout.controllers import Driver, Floats, Network, Policy
 from khep_twin.rollout.episode import METRICS, Episode, EpisodeSetup, Start, is_compiled
+from khep_twin.rollout.episode_batch import EpisodeBatch
 from khep_twin.simulation.mujoco_forms import movable_names
-
-P = ParamSpec("P")
 
 BATCH_SIZE = 64
 """Episodes in one call of a policy: enough for arrays to pay, at a bounded use of memory."""
@@ -133,15 +132,16 @@ def rollout(
     batch = _Batch(setup, seeds, seconds, weights, starts, lamps, noise, vary, _in_metres(home))
     results = _Results(count, n_robots, len(movable_names(setup.playpen)))
     workers = (threads or len(os.sched_getaffinity(0))) if fast else 1
-    made = (Episode(setup, driver, compiled=fast, faults=faults) for _ in itertools.count())
-    with ThreadPoolExecutor(workers) as pool:
-        if isinstance(driver, Policy):
-            lanes = list(itertools.islice(made, min(BATCH_SIZE, count)))
+    room = min(BATCH_SIZE if isinstance(driver, Policy) else workers, count)
+    episodes = [Episode(setup, driver, compiled=fast, faults=faults) for _ in range(room)]
+    if isinstance(driver, Policy) and count:
+        with closing(EpisodeBatch(episodes, min(workers, room))) as lanes:
             for first in range(0, count, BATCH_SIZE):
-                group = list(zip(range(first, count), lanes, strict=False))
-                _run_together(pool, workers, driver, group, batch, results)
-        else:
-            _share_out(pool, list(itertools.islice(made, min(workers, count))), batch, results)
+                group = range(first, min(first + BATCH_SIZE, count))
+                _run_together(lanes, driver, group, batch, results)
+    else:
+        with ThreadPoolExecutor(workers) as pool:
+            _share_out(pool, episodes, batch, results)
     return results.result()
 
 
@@ -231,10 +231,10 @@ class _Batch:
     vary: bool
     home: tuple[float, float, float, float]
 
-    def begin(self, episode: Episode, index: int) -> None:
-        """Begin an episode of the batch."""
-        episode.begin(
-            int(self.seeds[index]),
+    def options(self, index: int) -> dict[str, Any]:
+        """Return the arguments of `Episode.begin` for an episode of the batch."""
+        return dict(
+            seed=int(self.seeds[index]),
             start=None if self.starts is None else self.starts[index],
             noise=self.noise,
             vary=self.vary,
@@ -284,7 +284,7 @@ def _share_out(
         for index in turns:  # one thread at a time gets the next one
             failure = None
             try:
-                batch.begin(episode, index)
+                episode.begin(**batch.options(index))
                 episode.run(batch.seconds)
             except DivergedError as error:
                 failure = error
@@ -300,55 +300,34 @@ def _share_out(
 
 
 def _run_together(
-    pool: ThreadPoolExecutor,
-    workers: int,
-    policy: Policy,
-    group: Sequence[tuple[int, Episode]],
-    batch: _Batch,
-    results: _Results,
+    lanes: EpisodeBatch, policy: Policy, group: range, batch: _Batch, results: _Results
 ) -> None:
     """Run episodes side by side, one control period at a time."""
     failures: dict[int, DivergedError] = {}
-
-    def attempt(index: int, action: Callable[P, None], *given: P.args, **named: P.kwargs) -> None:
-        if index not in failures:
-            try:
-                action(*given, **named)
-            except DivergedError as error:
-                failures[index] = error
-
-    def all_at_once(action: Callable[[int, Episode], None]) -> None:
-        def work(share: Sequence[tuple[int, Episode]]) -> None:
-            for index, episode in share:
-                attempt(index, action, index, episode)
-
-        for done in [pool.submit(work, group[worker::workers]) for worker in range(workers)]:
-            done.result()
-
-    all_at_once(lambda index, episode: batch.begin(episode, index))
-    steps = batch.setup.steps_per_period
+    for lane, index in enumerate(group):
+        try:
+            lanes.begin(lane, **batch.options(index))
+        except DivergedError as error:
+            failures[lane] = error
+    n_robots = lanes.speeds.shape[1]
     for _ in range(batch.setup.periods(batch.seconds)):
-        living = [(index, episode) for index, episode in group if index not in failures]
-        if not living:
+        living = np.array([lane for lane in range(len(group)) if lane not in failures], np.int64)
+        if not len(living):
             break
-        board = np.concatenate([episode.boards for _, episode in living])
-        robots = [
-            (index, episode, robot) for index, episode in living for robot in range(len(episode.boards))
-        ]
-        which = np.array([index for index, _, _ in robots])
+        board = lanes.registers[living].reshape(-1, N_REGISTERS)
+        which = np.repeat(living + group.start, n_robots)
         decided = policy.decide(board[:, PROXIMITY], board[:, AMBIENT], which)
         try:
             speeds = np.asarray(decided, np.float64)
         except (TypeError, ValueError) as error:
             raise ValueError(
-                f"the policy returned no speeds: {error}; expected an array ({len(robots)}, 2)"
+                f"the policy returned no speeds: {error}; expected an array ({len(which)}, 2)"
             ) from error
-        if speeds.shape != (len(robots), 2):
+        if speeds.shape != (len(which), 2):
             raise ValueError(
-                f"the policy returned speeds of shape {speeds.shape}; expected ({len(robots)}, 2)"
+                f"the policy returned speeds of shape {speeds.shape}; expected ({len(which)}, 2)"
             )
-        for (index, episode, robot), (left, right) in zip(robots, speeds.tolist(), strict=True):
-            attempt(index, episode.drive, left, right, robot)
-        all_at_once(lambda _, episode: episode.step(steps))
-    for index, episode in group:
-        results.keep(index, int(batch.seeds[index]), episode, failures.get(index))
+        lanes.speeds[living] = speeds.reshape(-1, n_robots, 2)
+        failures |= lanes.step(living, batch.setup.steps_per_period)
+    for lane, index in enumerate(group):
+        results.keep(index, int(batch.seeds[index]), lanes.episodes[lane], failures.get(lane))

@@ -20,6 +20,7 @@ from khep_twin.errors import ControllerError
 from khep_twin.rollout import fitness, networks, stepping
 from khep_twin.sensing.optics import Light
 from khep_twin.simulation.compiled import SOURCES, compiled
+from khep_twin.simulation.foreign import moved
 from khep_twin.simulation.mujoco_calls import MujocoCalls
 from khep_twin.step import Simulated, StepInputs
 
@@ -27,14 +28,21 @@ EPISODE_SOURCES = (*SOURCES, fitness, networks, stepping)
 """Modules that are compiled."""
 
 
-def _run(controllers, scene, timing, law, bulbs, hidden, robots, counters, powers, tables, until, stops):
-    calls, light = MujocoCalls(scene[0][0], scene[1]), Light(law[0], bulbs, hidden)
-    simulated = Simulated(calls, timing[0], light, robots, counters)
-    return stepping.run(controllers, simulated, StepInputs(powers, tables), until, stops)
+def _run(given, until, stops, joint):
+    reason = stepping.DONE
+    for turn in range(max(len(joint.rows), 1)):
+        own = moved(given, joint.addresses, joint.rows[turn]) if len(joint.rows) else given
+        controllers, scene, timing, law, bulbs, hidden, robots, counters, powers, tables = own
+        calls, light = MujocoCalls(scene[0][0], scene[1]), Light(law[0], bulbs, hidden)
+        simulated = Simulated(calls, timing[0], light, robots, counters)
+        reason = stepping.run_in_turn(
+            controllers, simulated, StepInputs(powers, tables), until, stops, joint, turn
+        )
+    return reason
 
 
 run = compiled(_run, EPISODE_SOURCES)
-"""`stepping.run`, compiled."""
+"""`stepping.run`, compiled, of one episode or of many."""
 
 
 @cache

@@ -108,7 +108,8 @@ class Episode:
         elif compiled is None and is_compiled(None):
             run = when_ready(self._part)
             self._next_look = 0 if run is None else None
-        self._run, self._compiled = run or stepping.run, run is not None
+        self._run: stepping.Run = run or stepping.run
+        self._compiled = run is not None
         self._world: World | PlanarWorld
         if setup.planar_scene is None:
             self._world = World(
@@ -247,6 +248,30 @@ class Episode:
                 f"robot {robot} was given the speeds {left}, {right}; expected finite numbers"
             )
 
+    def go_on(self, reason: int, until: int) -> None:
+        """Act for a return of the stepping core from a joint run, and run what is left of it.
+
+        Args:
+            reason: Reason of the return.
+            until: Number of steps since the start up to which the episode was to run.
+
+        Raises:
+            DivergedError: The physics left its bounds, or a speed is no number.
+        """
+        self._world.go_on(reason, until)
+
+    @property
+    def joint_arguments(self) -> tuple[stepping.Run, tuple[Any, ...]] | None:
+        """Compiled code with its arguments for a joint run; None if Python must act amid a run."""
+        arguments = self._simulation.arguments
+        if arguments is None or not self._world.runs_alone:
+            return None
+        return self._run, (self._controllers, *arguments)
+
+    def observe(self, joint: stepping.JointRun, row: int) -> None:
+        """Copy the robots' registers and poses into a joint run's arrays."""
+        stepping.observe(self._simulation.plain, joint, row)
+
     def metrics(self, robot: int = 0) -> dict[str, float]:
         """Return a robot's metrics so far (`METRICS`); "homing" is NaN without a home."""
         self._insist()
@@ -259,6 +284,8 @@ class Episode:
         return dict(zip(METRICS, [*means, *distances], strict=True))
 
     def _advance(self, *arguments: Any) -> int:
+        if self._compiled:
+            return self._run((self._controllers, *arguments[:-2]), *arguments[-2:], stepping.ALONE)
         return self._run(self._controllers, *arguments)
 
     def _look(self) -> bool:

@@ -1,12 +1,17 @@
 """Fitness of one control period, as published in evolutionary robotics.
 
-The functions take and return plain numbers, so that they can be compiled. An episode's fitness is the mean
-over its control periods.
+The functions take and return numbers, or arrays of them, and are compiled unchanged for numbers. An episode's
+fitness is the mean over its control periods.
 """
 
-import math
+from typing import Any
+
+import numpy as np
 
 from khep_twin.compilable import compilable
+
+Number = Any
+"""A number, or an array of numbers (n,)."""
 
 TOP_SPEED_PULSES = 20
 """Speed that counts as 1 in the fitness [pulses/10 ms]: twice that of the robot's own demo (assumed)."""
@@ -16,7 +21,7 @@ WALL_COUNTS_SHARE = 0.5
 
 
 @compilable
-def obstacle_avoidance(left_pulses: float, right_pulses: float, nearest: float) -> float:
+def obstacle_avoidance(left_pulses: Number, right_pulses: Number, nearest: Number) -> Number:
     """Return Floreano and Mondada's fitness (1994): V (1 - sqrt(dV)) (1 - i).
 
     V is the mean of both wheels' absolute speeds, dV the absolute difference of their signed speeds, both as
@@ -28,17 +33,17 @@ def obstacle_avoidance(left_pulses: float, right_pulses: float, nearest: float) 
         nearest: Largest proximity as a part of its limit.
     """
     left, right = _part(left_pulses), _part(right_pulses)
-    return (abs(left) + abs(right)) / 2 * (1 - math.sqrt(abs(left - right) / 2)) * (1 - nearest)
+    return (abs(left) + abs(right)) / 2 * (1 - np.sqrt(abs(left - right) / 2)) * (1 - nearest)
 
 
 @compilable
-def homing(left_pulses: float, right_pulses: float, nearest: float) -> float:
+def homing(left_pulses: Number, right_pulses: Number, nearest: Number) -> Number:
     """Return Floreano and Mondada's fitness (1996) outside the home, V (1 - i), with the same V and i."""
     return (abs(_part(left_pulses)) + abs(_part(right_pulses))) / 2 * (1 - nearest)
 
 
 @compilable
-def light_seeking(darkest: float, dark: float, floor: float) -> float:
+def light_seeking(darkest: Number, dark: Number, floor: Number) -> Number:
     """Return the light at the brightest receiver, 0 in the dark to 1 (ours).
 
     Args:
@@ -46,11 +51,11 @@ def light_seeking(darkest: float, dark: float, floor: float) -> float:
         dark: Reading in the dark [counts].
         floor: Reading in the brightest light [counts].
     """
-    return min(max((dark - darkest) / (dark - floor), 0.0), 1.0)
+    return np.minimum(np.maximum((dark - darkest) / (dark - floor), 0.0), 1.0)
 
 
 @compilable
-def wall_following(left_pulses: float, right_pulses: float, side: float) -> float:
+def wall_following(left_pulses: Number, right_pulses: Number, side: Number) -> Number:
     """Return the fitness of driving along a wall: V (1 - sqrt(dV)) (1 - |s - s0| / s0), at least 0 (ours).
 
     Args:
@@ -59,12 +64,12 @@ def wall_following(left_pulses: float, right_pulses: float, side: float) -> floa
         side: Larger reading s of the sensors that look aside, as a part of the limit; s0 is half of it.
     """
     left, right = _part(left_pulses), _part(right_pulses)
-    along = max(left + right, 0.0) / 2 * (1 - math.sqrt(abs(left - right) / 2))
-    return along * max(1 - abs(side - WALL_COUNTS_SHARE) / WALL_COUNTS_SHARE, 0.0)
+    along = np.maximum(left + right, 0.0) / 2 * (1 - np.sqrt(abs(left - right) / 2))
+    return along * np.maximum(1 - abs(side - WALL_COUNTS_SHARE) / WALL_COUNTS_SHARE, 0.0)
 
 
 @compilable
-def effort(left_pulses: float, right_pulses: float) -> float:
+def effort(left_pulses: Number, right_pulses: Number) -> Number:
     """Return the control effort, the mean of the squares of both speeds as parts of their maximum, 0 to 1.
 
     It is the energy of Grillotti and Cully's reward (2023) in units of that at full speed.
@@ -74,6 +79,6 @@ def effort(left_pulses: float, right_pulses: float) -> float:
 
 
 @compilable
-def _part(pulses: float) -> float:
+def _part(pulses: Number) -> Number:
     """Return a speed as a part of the top speed, -1 to 1."""
-    return max(-1.0, min(1.0, pulses / TOP_SPEED_PULSES))
+    return np.maximum(-1.0, np.minimum(1.0, pulses / TOP_SPEED_PULSES))

@@ -7,7 +7,10 @@ arithmetic that runs interpreted and compiled; `episode` provides its data.
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.board import kernel
@@ -70,8 +73,47 @@ class Controllers(NamedTuple):
     sums: Any
 
 
+class JointRun(NamedTuple):
+    """Episodes that one call runs, one after another; an episode that runs alone has none of them.
+
+    Attributes:
+        addresses: Addresses of the arrays of each episode (n, n_arrays).
+        rows: Rows of the episodes to run, in all arrays (n_rows,).
+        untils: Number of steps since the start up to which each episode is run (n,).
+        speeds: Speeds of the wheels, set before (n, n_robots, 2) [pulses/10 ms].
+        reasons: Reason of each return, filled in (n,).
+        registers: States of the boards afterwards, filled in (n, n_robots, N_REGISTERS).
+        poses: True x, y [m] and heading [rad] afterwards, filled in (n, n_robots, 3).
+    """
+
+    addresses: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    untils: NDArray[np.int64]
+    speeds: NDArray[np.float64]
+    reasons: NDArray[np.int64]
+    registers: NDArray[np.int64]
+    poses: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, count: int, n_robots: int, n_arrays: int) -> Self:
+        """Return arrays for some episodes, filled with zeros."""
+        whole = np.int64
+        return cls(
+            np.zeros((count, n_arrays), whole),
+            np.arange(count),
+            np.zeros(count, whole),
+            np.zeros((count, n_robots, 2)),
+            np.zeros(count, whole),
+            np.zeros((count, n_robots, kernel.N_REGISTERS), whole),
+            np.zeros((count, n_robots, 3)),
+        )
+
+
+ALONE = JointRun.of(0, 0, 0)
+"""No joint run: the episode of the other arguments runs alone."""
+
 Run = Callable[..., int]
-"""`run`; compiled code gets the controllers, and all else as separate arrays."""
+"""`run`; compiled code gets arrays, with the controllers first, and a `JointRun`."""
 
 
 @compilable
@@ -98,6 +140,45 @@ def run(controllers: Controllers, simulated: Simulated, inputs: StepInputs, unti
         reason = advance(simulated, inputs, min((begun // period + 1) * period, until), stops)
         if reason != DONE or counters[STEPS] == until:
             return reason
+
+
+@compilable
+def run_in_turn(
+    controllers: Controllers,
+    simulated: Simulated,
+    inputs: StepInputs,
+    until: int,
+    stops: int,
+    joint: JointRun,
+    turn: int,
+) -> int:
+    """Run one episode of a joint run, with its speeds, or an episode alone; arguments are those of `run`."""
+    if len(joint.rows) == 0:
+        return run(controllers, simulated, inputs, until, stops)
+    row, reason = joint.rows[turn], DONE
+    for robot in range(len(simulated.robots)):
+        state = simulated.robots[robot]
+        left, right = joint.speeds[row, robot, 0], joint.speeds[row, robot, 1]
+        if state.processor[kernel.POWERED] and not drive(state.registers, left, right):
+            reason = NO_SPEED
+    if reason == DONE:
+        reason = run(controllers, simulated, inputs, int(joint.untils[row]), stops)
+    joint.reasons[row] = reason
+    observe(simulated, joint, row)
+    return reason
+
+
+@compilable
+def observe(simulated: Simulated, joint: JointRun, row: int) -> None:
+    """Copy registers and poses of an episode's robots."""
+    for robot in range(len(simulated.robots)):
+        state = simulated.robots[robot]
+        for index in range(kernel.N_REGISTERS):
+            joint.registers[row, robot, index] = state.registers[index]
+        x, y, cosine, sine = pose(simulated.scene, state.pose)
+        joint.poses[row, robot, 0] = x
+        joint.poses[row, robot, 1] = y
+        joint.poses[row, robot, 2] = math.atan2(sine, cosine)
 
 
 @compilable

@@ -82,6 +82,34 @@ def address_of(typing_context, array):
 
 
 @intrinsic
+def moved(typing_context, values, addresses, row):
+    """Return nested tuples as given, their arrays at the addresses in a row of a table (n, n_arrays)."""
+
+    def generate(context, builder, signature, arguments):
+        given, table, row = arguments
+        addresses = context.make_array(signature.args[1])(context, builder, table)
+        n_arrays = builder.extract_value(addresses.shape, 1)
+        place = [builder.mul(row, n_arrays)]
+
+        def move(kind, value):
+            if isinstance(kind, types.Array):
+                array = context.make_array(kind)(context, builder, value)
+                address = builder.load(builder.gep(addresses.data, [place[0]]))
+                array.data = builder.inttoptr(address, array.data.type)
+                place[0] = builder.add(place[0], ir.Constant(ir.IntType(64), 1))
+                return array._getvalue()
+            if isinstance(kind, types.BaseTuple):
+                kinds: Any = kind
+                parts = [move(part, builder.extract_value(value, i)) for i, part in enumerate(kinds)]
+                return context.make_tuple(builder, kind, parts)
+            return value
+
+        return move(signature.args[0], given)
+
+    return values(values, addresses, types.intp), generate
+
+
+@intrinsic
 def call_step(typing_context, function, model, data):
     """Call mj_step."""
 

@@ -126,6 +126,12 @@ class Simulation:
         """True if compiled code steps it."""
         return self._compiled
 
+    @property
+    def arguments(self) -> tuple[Any, ...] | None:
+        """Arguments of compiled code for any number of steps; None if plain code steps, or lamps change."""
+        steady = self.lamps is None or self.lamps.steady
+        return self._arguments if self._compiled and steady else None
+
     def run_by(self, advance: Advance, compiled: bool) -> None:
         """Step by another function from now on."""
         self._run, self._compiled = advance, compiled
@@ -202,7 +208,7 @@ class Simulation:
         Raises:
             DivergedError: The physics left its bounds.
         """
-        return self._checked(self._run(*self._arguments, -1, 0))
+        return self.checked(self._run(*self._arguments, -1, 0))
 
     def advance(self, until: int, stops: int = 0) -> int:
         """Run steps until so many are done since the start; return a reason of `step`.
@@ -222,7 +228,7 @@ class Simulation:
         wanted = stops | step.STEPPED if by_turns else stops
         while True:
             end = min(until, int(self.counters[step.STEPS]) + _SPAN)
-            reason = self._checked(self._run(*self._arguments, end, wanted))
+            reason = self.checked(self._run(*self._arguments, end, wanted))
             if by_turns and reason == step.STEPPED:
                 self._switch_lamps()
                 if not stops & step.STEPPED:
@@ -242,8 +248,12 @@ class Simulation:
                 step.convert_sensor(self.plain, inputs, robot, 0, time_ns, channel)
             self.counters[step.DRAWN] += 1
 
-    def _checked(self, reason: int) -> int:
-        """Return the reason of a return; raise a `DivergedError` where the run has ended."""
+    def checked(self, reason: int) -> int:
+        """Return the reason of a return of the stepping core.
+
+        Raises:
+            DivergedError: The run has ended.
+        """
         if reason < step.WARNED:
             return reason
         trouble = "a controller gave a speed that is no number, or raised an error"

@@ -16,7 +16,8 @@ import pytest
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.envs.renderer import MapWarning, Renderer
-from khep_twin.envs.task_episode import TaskEpisode, TaskSetup
+from khep_twin.envs.task_episode import TaskEpisode
+from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import TASKS
 from khep_twin.errors import DivergedError, KhepTwinError, MissingExtraError
 from khep_twin.playpen import Spot

@@ -8,7 +8,8 @@ import pytest
 
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
-from khep_twin.envs.task_episode import TaskEpisode, TaskSetup, with_robots
+from khep_twin.envs.task_episode import TaskEpisode
+from khep_twin.envs.task_setup import TaskSetup, with_robots
 from khep_twin.envs.tasks import TASKS, TERMS, State, Task, avoiding, avoiding_either_way
 from khep_twin.errors import DivergedError, KhepTwinError, PlaypenError
 from khep_twin.playpen.starts import anywhere
@@ -86,9 +87,9 @@ def test_a_compiled_episode_is_the_same_as_a_plain_one() -> None:
 
 def test_speeds_and_observations_are_normalized_by_the_top_speed_and_the_calibration() -> None:
     setup = TaskSetup("LightSeeking", **SHORT)
-    assert setup.speeds([0.5, -2]) == (10, -20)
-    assert TaskSetup("LightSeeking", normalize=False, **SHORT).speeds([10, -40]) == (10, -20)
-    registers = [0] * 100
+    assert setup.speeds([0.5, -2]).tolist() == [10, -20]
+    assert TaskSetup("LightSeeking", normalize=False, **SHORT).speeds([10, -40]).tolist() == [10, -20]
+    registers = np.zeros(100, np.int64)
     registers[PROXIMITY[1]] = 1023
     registers[AMBIENT[0] : AMBIENT[3] + 1] = [500, 50, 275, 600]  # dark, brightest, between, darker than dark
     state = State(registers, 10, -30, dark=500, floor=50, at_goal=False, charge=0.25)
@@ -97,7 +98,7 @@ def test_speeds_and_observations_are_normalized_by_the_top_speed_and_the_calibra
     assert [numbers[f"proximity {name}"] for name in sensors[:2]] == [-1, 1]
     assert [numbers[f"light {name}"] for name in sensors[:4]] == [-1, 1, 0, -1]
     assert (numbers["speed left"], numbers["speed right"]) == (0.5, -1)
-    assert TERMS["charge"].observe(state, True) == [-0.5]
+    assert TERMS["charge"].observe(state, True).tolist() == [-0.5]
     raw = setup.task.observe(state, normalize=False).tolist()
     assert raw == [0, 1023, *[0] * 6, 500, 50, 275, 600, *[0] * 4, 10, -20]
 
@@ -162,7 +163,7 @@ def test_only_beside_the_cylinder_is_there_a_reward() -> None:
 
 def test_avoiding_is_rewarded_by_what_the_wheels_did() -> None:
     def state(left: float, right: float, count: int) -> State:
-        return State([count] * 100, left, right, 500, 50, False, 1)
+        return State(np.full(100, count), left, right, 500, 50, False, 1)
 
     assert avoiding(state(20, 20, 0)) == 1
     assert avoiding(state(10, 10, 0)) == 0.5

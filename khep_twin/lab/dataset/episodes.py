@@ -105,7 +105,7 @@ def _episode(
         if border > first and full_ns:
             charge_ns = full_ns if at_goal else max(charge_ns - periods.period_ns, 0)
         left, right = periods.speeds[border].tolist()
-        registers, charge = periods.registers[border].tolist(), charge_ns / full_ns if full_ns else 1.0
+        registers, charge = periods.registers[border], charge_ns / full_ns if full_ns else 1.0
         state = State(registers, left, right, periods.dark, periods.floor, at_goal, charge)
         observations.append(task.observe(state))
         rewards.append(task.reward(state))

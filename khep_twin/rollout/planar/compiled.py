@@ -13,19 +13,26 @@ from khep_twin.rollout.planar.plane import Plane
 from khep_twin.sensing import scene
 from khep_twin.sensing.optics import Light
 from khep_twin.simulation.compiled import compiled
-from khep_twin.simulation.foreign import implements
+from khep_twin.simulation.foreign import implements, moved
 from khep_twin.step import Simulated, StepInputs
 
 for query in casting.QUERIES:
     implements(getattr(scene, query.__name__), Plane)(query)
 
 
-def _run(controllers, scene, timing, law, bulbs, hidden, robots, counters, powers, tables, until, stops):
-    things, order, near, bodies, touches, records = scene
-    flat, light = Plane(things, order, near, bodies, touches, records[0]), Light(law[0], bulbs, hidden)
-    simulated = Simulated(flat, timing[0], light, robots, counters)
-    return stepping.run(controllers, simulated, StepInputs(powers, tables), until, stops)
+def _run(given, until, stops, joint):
+    reason = stepping.DONE
+    for turn in range(max(len(joint.rows), 1)):
+        own = moved(given, joint.addresses, joint.rows[turn]) if len(joint.rows) else given
+        controllers, scene, timing, law, bulbs, hidden, robots, counters, powers, tables = own
+        things, order, near, bodies, touches, records = scene
+        flat, light = Plane(things, order, near, bodies, touches, records[0]), Light(law[0], bulbs, hidden)
+        simulated = Simulated(flat, timing[0], light, robots, counters)
+        reason = stepping.run_in_turn(
+            controllers, simulated, StepInputs(powers, tables), until, stops, joint, turn
+        )
+    return reason
 
 
 run = compiled(_run, (*EPISODE_SOURCES, casting, contact_solver, motion, plane, pushing, shadows))
-"""`stepping.run` in a plane, compiled."""
+"""`stepping.run` in a plane, compiled, of one episode or of many."""

@@ -238,6 +238,16 @@ class PlanarWorld:
         while self.simulation.advance(time_ns // self.timing.step_ns) != DONE:
             pass
 
+    def go_on(self, reason: int, until: int) -> None:
+        """Act for a return of the stepping core, and run on to a step, as `World.go_on` does."""
+        self.simulation.checked(reason)
+        self.advance_to(until * self.timing.step_ns)
+
+    @property
+    def runs_alone(self) -> bool:
+        """True, as nothing acts amid a run."""
+        return True
+
     def run_by(self, advance: Advance, compiled: bool) -> None:
         """Step by another function from now on, plain or compiled."""
         self.simulation.run_by(advance, compiled)

@@ -91,7 +91,7 @@ def test_a_host_on_the_line_that_sends_speeds_every_50_ms_gives_the_boards_own_r
     found = one(path, "LightSeeking")
     speeds = [(0.0, 0.0), *(np.diff(encoders, axis=0) / 5).tolist()]
     states = [
-        State(board, left, right, setup.dark, setup.floor, False, 1.0)
+        State(np.array(board), left, right, setup.dark, setup.floor, False, 1.0)
         for board, (left, right) in zip(registers, speeds, strict=True)
     ]
     assert found.observations[:21].tolist() == np.stack([task.observe(state) for state in states]).tolist()

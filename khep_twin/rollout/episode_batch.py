@@ -1,0 +1,151 @@
+"""Episodes side by side: all of them run for the same time in one call of compiled code for each thread.
+
+    setup = EpisodeSetup(playpen.load("obstacles"), planar=True)
+    batch = EpisodeBatch([Episode(setup) for _ in range(32)], threads=1)
+    for index in range(32):
+        batch.begin(index, seed=index)
+    batch.speeds[:] = 10, 8
+    failures = batch.step(range(32), setup.steps_per_period)
+    print(batch.registers[:, 0, PROXIMITY], batch.poses[:, 0])
+
+Results are those of the single episodes, bit for bit. Episodes that compiled code cannot run alone (plain
+ones, lamps that change, turrets, faults to come) are run one by one from Python.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.errors import DivergedError
+from khep_twin.rollout.episode import Episode
+from khep_twin.rollout.stepping import JointRun, Run, run
+from khep_twin.step import DONE, NO_SPEED
+
+Rows = Sequence[int] | NDArray[np.int64]
+"""Indices of episodes (n_rows,)."""
+
+
+class EpisodeBatch:
+    """Episodes of one setup without controllers.
+
+    Args:
+        episodes: Episodes.
+        threads: Number of threads.
+
+    Attributes:
+        episodes: Episodes.
+        speeds: Speeds of the wheels, which each step sets first (n, n_robots, 2) [pulses/10 ms].
+        registers: States of the boards (n, n_robots, N_REGISTERS).
+        poses: True x, y [m] and heading [rad] of the robots (n, n_robots, 3).
+    """
+
+    def __init__(self, episodes: Sequence[Episode], threads: int) -> None:
+        self.episodes = episodes
+        count, n_robots = len(episodes), len(episodes[0].boards)
+        self._joint = JointRun.of(count, n_robots, 0)
+        self.speeds, self.registers, self.poses = self._joint.speeds, self._joint.registers, self._joint.poses
+        self._threads = threads
+        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None  # beside the caller's
+        self._run: Run = run
+        self._given: list[tuple[Any, ...]] = [()] * count  # keeps the arrays
+        self._shapes: list[tuple[int, ...]] = []
+        self._runs_jointly = np.zeros(count, np.bool_)
+
+    def begin(self, index: int, seed: int, **options: Any) -> None:
+        """Start an episode; options and errors are those of `Episode.begin`."""
+        self._runs_jointly[index], self._joint.untils[index] = False, 0
+        self.episodes[index].begin(seed, **options)
+        self._take(index)
+
+    def step(self, rows: Rows, steps: int) -> dict[int, DivergedError]:
+        """Set the speeds of some episodes and run them for some steps; return the failures by episode."""
+        joint, chosen = self._joint, np.asarray(rows, np.int64)
+        joint.untils[chosen] += steps
+        together = self._runs_jointly[chosen]
+        if together.all():
+            apart: list[int] = []
+        else:
+            apart, chosen = chosen[~together].tolist(), chosen[together]
+        failures: dict[int, DivergedError] = {}
+        if len(chosen):
+            self._run_jointly(chosen)
+            for index in chosen[joint.reasons[chosen] != DONE].tolist():
+                self._attempt(index, self._finish, failures)
+        for index in apart:
+            self._attempt(index, lambda index: self._step_alone(index, steps), failures)
+        return failures
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+    def _attempt(self, index: int, action: Callable[[int], None], failures: dict[int, DivergedError]) -> None:
+        """Do something with an episode, note its failure, and look at it again."""
+        episode = self.episodes[index]
+        try:
+            action(index)
+        except DivergedError as error:
+            failures[index] = error
+            self._joint.untils[index] = episode.steps
+        self._take(index)
+
+    def _finish(self, index: int) -> None:
+        """Act for an early return from a joint run, and run the rest."""
+        reason, until = int(self._joint.reasons[index]), int(self._joint.untils[index])
+        if reason == NO_SPEED:
+            self._drive(index)  # which tells the speed
+        self.episodes[index].go_on(reason, until)
+
+    def _step_alone(self, index: int, steps: int) -> None:
+        self._drive(index)
+        self.episodes[index].step(steps)
+
+    def _drive(self, index: int) -> None:
+        for robot, (left, right) in enumerate(self.speeds[index].tolist()):
+            self.episodes[index].drive(left, right, robot)
+
+    def _take(self, index: int) -> None:
+        """Take the arrays of an episode, and what it shows."""
+        episode = self.episodes[index]
+        episode.observe(self._joint, index)
+        found = episode.joint_arguments
+        self._runs_jointly[index] = False
+        if found is None:
+            return
+        self._run, given = found
+        arrays = list(_arrays(given))
+        shapes = [each.shape for each in arrays]
+        if not self._shapes:
+            self._shapes = shapes
+            addresses = np.zeros((len(self.episodes), len(arrays)), np.int64)
+            self._joint = self._joint._replace(addresses=addresses)
+        if shapes != self._shapes:  # as with another number of lamps
+            return
+        self._given[index] = given
+        self._joint.addresses[index] = [each.ctypes.data for each in arrays]
+        self._runs_jointly[index] = True
+
+    def _run_jointly(self, rows: NDArray[np.int64]) -> None:
+        run, given = self._run, self._given[int(rows[0])]
+        if self._pool is None:
+            run(given, 0, 0, self._joint._replace(rows=rows))
+            return
+        split = np.array_split(rows, min(self._threads, len(rows)))
+        shares = [self._joint._replace(rows=share) for share in split]
+        others = [self._pool.submit(run, given, 0, 0, share) for share in shares[1:]]
+        run(given, 0, 0, shares[0])
+        for other in others:
+            other.result()
+
+
+def _arrays(values: tuple[Any, ...]) -> Iterator[NDArray[Any]]:
+    """Yield the arrays in nested tuples, in order."""
+    for value in values:
+        if isinstance(value, np.ndarray):
+            yield cast("NDArray[Any]", value)
+        elif isinstance(value, tuple):
+            yield from _arrays(cast("tuple[Any, ...]", value))
