@@ -123,9 +123,9 @@ for name, driver, genes in (
 
 if options.picture:
     draw_curve(curve, "time left at arrival, and nearness", options.picture)
-    tracks = [
-        DrawnPath("", np.arange(poses.shape[1]) * SAMPLE_S, each[:, :2])
-        for each in poses[: min(6, len(poses))]
-    ]
+    tracks = []
+    for each, arrival in list(zip(poses, times, strict=True))[:6]:
+        until = round(min(arrival, options.seconds) / SAMPLE_S) + 1
+        tracks.append(DrawnPath("", np.arange(until) * SAMPLE_S, each[:until, :2]))
     path_file = options.picture.with_name(f"{options.picture.stem}_way.png")
-    save(draw(ARENA, tracks, title="The evolved network from six starts", longer_side=5), path_file)
+    save(draw(ARENA, tracks, title="The evolved network until it arrives", longer_side=5), path_file)
