@@ -156,8 +156,8 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
     ) -> None:
         """Start some episodes, as `KheperaEnvironment.reset` with the seeds of all environments does."""
         drawn: list[int] = []
-        for row in rows.tolist():
-            seed: int | None = seeds[row] if seeds else None
+        for row in map(int, rows):
+            seed = seeds[row] if seeds else None
             if self._rngs[row] is None or seed is not None:
                 self._rngs[row] = np_random(seed)[0]
             drawn.append(int(self._rngs[row].integers(2**31)))
