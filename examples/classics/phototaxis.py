@@ -127,5 +127,6 @@ if options.picture:
     for each, arrival in list(zip(poses, times, strict=True))[:6]:
         until = round(min(arrival, options.seconds) / SAMPLE_S) + 1
         tracks.append(DrawnPath("", np.arange(until) * SAMPLE_S, each[:until, :2]))
+    title = "The evolved network from six starts, until it arrives"
     path_file = options.picture.with_name(f"{options.picture.stem}_way.png")
-    save(draw(ARENA, tracks, title="The evolved network until it arrives", longer_side=5), path_file)
+    save(draw(ARENA, tracks, title=title, longer_side=5), path_file)
