@@ -513,7 +513,7 @@ def test_a_playpen_loads_by_path(tmp_path: Path) -> None:
 
 def test_a_missing_file_is_reported_with_what_ships(tmp_path: Path) -> None:
     with pytest.raises(
-        PlaypenError, match=r"^defualt: no such file; .*did you mean 'default'\? \(choices: default,"
+        PlaypenError, match=r"^defualt: no such file; .*did you mean 'default'\? \(choices: deceptive-maze, default,"
     ):
         playpens.load("defualt")
 

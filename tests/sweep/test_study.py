@@ -145,9 +145,9 @@ def test_the_study_of_the_page_is_as_large_as_it_says(tmp_path: Path) -> None:
 
 def test_what_a_plane_cannot_have_is_refused_before_any_episode(tmp_path: Path) -> None:
     text = (studies.toml_files.folder("playpens") / "default.toml").read_text()
-    movable = "\n[[cylinder]]\nx_mm = 400\ny_mm = 100\nradius_mm = 10\nheight_mm = 30\nmovable = true\n"
+    movable = "\n[[cylinder]]\nx_mm = 400\ny_mm = 100\nradius_mm = 7\nheight_mm = 30\nmovable = true\n"
     (tmp_path / "loose.toml").write_text(text + movable)
     study = STUDY.replace('"default"', '"loose.toml"')
     assert work_of(loaded(tmp_path, study)).n_episodes == 3
-    with pytest.raises(StudyError, match=r"study.toml:3: playpens: .*cylinder 1 is movable; expected fixed"):
+    with pytest.raises(StudyError, match=r"study.toml:3: playpens: .*cylinder 1 is movable, 14 mm wide"):
         work_of(loaded(tmp_path, study + "planar = true\n"))
