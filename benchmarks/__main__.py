@@ -14,7 +14,7 @@ from datetime import date
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks import growth, peers, record
+from benchmarks import environments, growth, peers, record
 from benchmarks.ports import line_row, trip_rows
 from benchmarks.scale import NETWORK, POLICY, bare_row, batch_row, episode_row, world_row
 from benchmarks.table import LEGEND, Table, measure, text
@@ -108,6 +108,7 @@ def tables(quick: bool, python: str | None, found: dict[str, str]) -> Iterator[T
     yield ways_in(part, rounds)
     for name in PEERS[: 1 if quick else None]:
         yield beside_kheperax(name, part, rounds, python, found)
+    yield from environments.tables(part, rounds)
     yield from growth.tables(part, 1 if quick else 3, 2 if quick else None)
 
 

@@ -1,12 +1,13 @@
-"""A robot learns to avoid obstacles: proximal policy optimisation, three minutes on one core.
+"""A robot learns to avoid obstacles: proximal policy optimisation, half a minute on one core.
 
     .venv/bin/pip install stable-baselines3                             with PyTorch, a large download
     .venv/bin/python examples/03_learn_to_avoid.py out/ppo.png          trains and plots; see also `--help`
 
 The reward of a control period is Floreano and Mondada's, for forward motion: fast, straight and away from
 obstacles, 0 to 1. Each episode has another start and randomly varied sensors. stable-baselines3's PPO learns
-with its defaults; it is evaluated in new episodes, next to the robot's own Braitenberg vehicle. The path of
-one episode is drawn into out/ppo_way.png, and out/ppo.zip keeps the policy of the first seed.
+in 64 environments in the plane, which are stepped together, and is evaluated in new episodes in MuJoCo, next
+to the robot's own Braitenberg vehicle. The path of one episode is drawn into out/ppo_way.png, and out/ppo.zip
+keeps the policy of the first seed.
 """
 
 import argparse
@@ -28,13 +29,16 @@ try:
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
     needed = pip_install("gymnasium", "stable-baselines3")
     sys.exit(f"{error.name} is not installed; to install what this example needs: {needed}")
 
 import khep_twin.envs.gymnasium  # noqa: F401  (registers the environments)
 
-NAME = "khep_twin/ObstacleAvoidance-v0"
+TASK = "ObstacleAvoidance"
+ENVIRONMENTS = 64
+"""Environments that are stepped together in training."""
 UNSEEN = 1_000_000
 """First seed of the evaluation; training draws its seeds from its own."""
 EPISODES, EPISODES_WHILE_LEARNING = 20, 5
@@ -42,12 +46,62 @@ TOP_SPEED_PULSES = 20
 """Speed of the action 1 [pulses/10 ms]."""
 
 
+def make(task, count, planar, **options):
+    """Return some environments, stepped together."""
+    name = f"khep_twin/{task}-v0"
+    return gymnasium.make_vec(name, num_envs=count, vary=True, planar=planar, threads=1, **options)
+
+
+class Environments(VecEnv):
+    """Environments of Gymnasium's vectorized kind, as stable-baselines3 expects them."""
+
+    def __init__(self, task, planar):
+        self.inner = make(task, ENVIRONMENTS, planar, autoreset_mode="SameStep")
+        super().__init__(ENVIRONMENTS, self.inner.single_observation_space, self.inner.single_action_space)
+
+    def reset(self):
+        """Start an episode in each."""
+        return self.inner.reset(seed=self._seeds)[0]
+
+    def step_async(self, actions):
+        """Take the actions of the next step."""
+        self.actions = actions
+
+    def step_wait(self):
+        """Advance all by a control period."""
+        seen, rewards, terminated, truncated, info = self.inner.step(self.actions)
+        over = terminated | truncated
+        infos = [{} for _ in over]
+        for index in np.flatnonzero(over):
+            last = info["final_obs"][index]
+            infos[index] = {"terminal_observation": last, "TimeLimit.truncated": not terminated[index]}
+        return seen, rewards, over, infos
+
+    def close(self):
+        """Close all."""
+        self.inner.close()
+
+    def get_attr(self, name, indices=None):
+        """Return an attribute, which all have in common."""
+        return [getattr(self.inner, name)] * self.num_envs
+
+    def set_attr(self, name, value, indices=None):
+        """Raise an error; PPO needs none of this."""
+        raise NotImplementedError
+
+    env_method = set_attr
+
+    def env_is_wrapped(self, wrapper, indices=None):
+        """Return for each that it has no wrapper."""
+        return [False] * self.num_envs
+
+
 def vehicle(speed_pulses):
     """Return the robot's own Braitenberg vehicle with this speed on a free way."""
 
     def drive(seen):
-        counts = (seen[:8] + 1) / 2 * 1023
-        return (np.array(DEMO_WEIGHTS).T @ counts / DEMO_DIVISOR + speed_pulses) / TOP_SPEED_PULSES
+        counts = (seen[:, :8] + 1) / 2 * 1023
+        return (counts @ np.array(DEMO_WEIGHTS) / DEMO_DIVISOR + speed_pulses) / TOP_SPEED_PULSES
 
     return drive
 
@@ -57,21 +111,19 @@ def policy(learner):
     return lambda seen: learner.predict(seen, deterministic=True)[0]
 
 
-def evaluate(drive, episodes):
+def evaluate(drive, episodes, task=TASK, planar=False):
     """Return the mean rewards of a period in new episodes of a minute (episodes,), and the first path."""
-    environment, rewards, path = gymnasium.make(NAME, vary=True), [], []
-    for episode in range(episodes):
-        seen, info = environment.reset(seed=UNSEEN + episode)
-        over, earned = False, []
-        while not over:
-            if not episode:
-                path.append((info["time"], 1000 * info["x"], 1000 * info["y"]))
-            action = np.clip(drive(seen), -1, 1).astype(np.float32)
-            seen, reward, terminated, truncated, info = environment.step(action)
-            earned.append(reward)
-            over = terminated or truncated
-        rewards.append(np.mean(earned))
-    return np.array(rewards), np.array(path)
+    environments = make(task, episodes, planar)
+    seen, info = environments.reset(seed=UNSEEN)
+    over, earned, path = False, [], []
+    while not over:
+        path.append((info["time"][0], 1000 * info["x"][0], 1000 * info["y"][0]))
+        action = np.clip(drive(seen), -1, 1).astype(np.float32)
+        seen, rewards, _, truncated, info = environments.step(action)
+        earned.append(rewards)
+        over = truncated.all()
+    environments.close()
+    return np.mean(earned, axis=0), np.array(path)
 
 
 class Curve(BaseCallback):
@@ -80,7 +132,7 @@ class Curve(BaseCallback):
     The time is that of the process without the evaluations, so that other programs do not count.
     """
 
-    def __init__(self, seconds, every=15):
+    def __init__(self, seconds, every):
         super().__init__()
         self.points, self.seconds, self.every = [], seconds, every
         self.begun, self.evaluating = time.process_time(), 0.0
@@ -105,13 +157,21 @@ class Curve(BaseCallback):
         print(f"{spent:5.0f} s of one core, {self.num_timesteps:7} steps: reward {reward:.3f}", flush=True)
 
 
-def learn(seed, seconds):
-    """Return a trained learner and its curve."""
-    environment = gymnasium.make(NAME, vary=True)
-    learner = PPO("MlpPolicy", environment, seed=seed, device="cpu")
-    curve = Curve(seconds)
+def learn(seed, seconds, task=TASK, planar=True, every=5):
+    """Return a trained learner and its curve; with `every` of None, without a curve."""
+    curve = Curve(seconds, np.inf if every is None else every)
+    learner = PPO(
+        "MlpPolicy",
+        Environments(task, planar),
+        learning_rate=lambda _: 1e-3 * max(1 - curve.spent() / seconds, 0.0),
+        n_steps=64,
+        batch_size=256,
+        seed=seed,
+        device="cpu",
+    )
     learner.learn(10**9, callback=curve)
-    curve.keep()
+    if every is not None:
+        curve.keep()
     return learner, np.array(curve.points)
 
 
@@ -120,22 +180,22 @@ def draw(curves, rewards, file):
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(3, 2), sharey=True)
     for seed, curve in curves.items():
-        left.plot(*curve.T, ".-", lw=1.5, label=f"PPO's defaults, seed {seed}")
+        left.plot(*curve.T, ".-", lw=1.5, label=f"PPO in the plane, seed {seed}")
     for (name, values), style in zip(rewards.items(), ("--", ":"), strict=False):
         left.axhline(values.mean(), color="0.3", ls=style, lw=1.2, label=name.replace("\n", " "))
     left.set(xlabel="time of one core [s]", ylabel="mean reward of a period", ylim=(0, 1))
-    left.set_title(f"while it learns: {EPISODES_WHILE_LEARNING} new episodes")
+    left.set_title(f"while it learns: {EPISODES_WHILE_LEARNING} new episodes in MuJoCo")
     left.legend(frameon=False, loc="lower right", fontsize=8)
     right.boxplot(list(rewards.values()), tick_labels=list(rewards), widths=0.5)
     right.tick_params(axis="x", labelsize=8)
-    right.set_title(f"{EPISODES} new episodes of 60 s")
+    right.set_title(f"{EPISODES} new episodes of 60 s in MuJoCo")
     figure.savefig(file, dpi=160)
 
 
 def draw_path(path, file):
     """Draw the path of the first of the new episodes."""
-    seed = gymnasium.make(NAME).reset(seed=UNSEEN)[1]["seed"]
-    playpen = TaskSetup("ObstacleAvoidance").started(seed)
+    seed = int(make(TASK, 1, True).reset(seed=UNSEEN)[1]["seed"][0])
+    playpen = TaskSetup(TASK).started(seed)
     save(drawing(playpen, [DrawnPath("khepera0", path[:, 0], path[:, 1:])]), file)
 
 
@@ -150,22 +210,28 @@ def measure(name, drive):
     return rewards, path
 
 
-options = argparse.ArgumentParser(description="A robot learns to avoid obstacles.")
-options.add_argument("picture", type=Path)
-options.add_argument("--seconds", type=float, default=180, help="time of one core for each seed")
-options.add_argument("--seeds", type=int, nargs="+", default=[1])
-given = options.parse_args()
-given.picture.parent.mkdir(parents=True, exist_ok=True)
+def main():
+    """Train and draw."""
+    options = argparse.ArgumentParser(description="A robot learns to avoid obstacles.")
+    options.add_argument("picture", type=Path)
+    options.add_argument("--seconds", type=float, default=30, help="time of one core for each seed")
+    options.add_argument("--seeds", type=int, nargs="+", default=[1])
+    given = options.parse_args()
+    given.picture.parent.mkdir(parents=True, exist_ok=True)
+    torch.set_num_threads(1)
+    curves, rewards = {}, {}
+    for name, speed in (("ROM's\nvehicle", DEMO_SPEED_PULSES), ("the same,\nfull speed", TOP_SPEED_PULSES)):
+        rewards[name], _ = measure(name, vehicle(speed))
+    for seed in given.seeds:
+        learner, curves[seed] = learn(seed, given.seconds)
+        name = f"PPO\nseed {seed}"
+        rewards[name], path = measure(name, policy(learner))
+        if seed == given.seeds[0]:
+            # The schedule of the learning rate belongs to this run.
+            learner.save(given.picture.with_suffix(".zip"), exclude=["learning_rate", "lr_schedule"])
+            draw_path(path, given.picture.with_name(given.picture.stem + "_way.png"))
+    draw(curves, rewards, given.picture)
 
-torch.set_num_threads(1)
-curves, rewards = {}, {}
-for name, speed in (("ROM's\nvehicle", DEMO_SPEED_PULSES), ("the same,\nfull speed", TOP_SPEED_PULSES)):
-    rewards[name], _ = measure(name, vehicle(speed))
-for seed in given.seeds:
-    learner, curves[seed] = learn(seed, given.seconds)
-    name = f"PPO\nseed {seed}"
-    rewards[name], path = measure(name, policy(learner))
-    if seed == given.seeds[0]:
-        learner.save(given.picture.with_suffix(".zip"))
-        draw_path(path, given.picture.with_name(given.picture.stem + "_way.png"))
-draw(curves, rewards, given.picture)
+
+if __name__ == "__main__":
+    main()

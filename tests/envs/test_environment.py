@@ -18,8 +18,8 @@ from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.envs.renderer import MapWarning, Renderer
 from khep_twin.envs.task_episode import TaskEpisode
 from khep_twin.envs.task_setup import TaskSetup
-from khep_twin.envs.tasks import TASKS
-from khep_twin.errors import DivergedError, KhepTwinError, MissingExtraError
+from khep_twin.envs.tasks import TASKS, State, batched
+from khep_twin.errors import DivergedError, KhepTwinError, MissingExtraError, PlaypenError
 from khep_twin.playpen import Spot
 from khep_twin.playpen import load as load_playpen
 from khep_twin.rollout import version_check
@@ -361,6 +361,88 @@ def test_lamps_that_blink_shine_the_same_in_any_number_of_threads() -> None:
     assert all((one == other).all() for one, other in zip(alone, together, strict=True))
 
 
+COMPILED = pytest.param(
+    True, marks=pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed"), id="compiled"
+)
+
+
+@pytest.mark.parametrize("compiled", [False, COMPILED])
+@pytest.mark.parametrize("task", ["ObstacleAvoidance", "Homing"])
+def test_each_of_many_in_the_plane_is_the_same_as_a_single_plain_one(task: str, compiled: bool) -> None:
+    many = gyms(3, task=TASKS[task], planar=True, compiled=compiled, vary=True, threads=2)
+    each = [gym(task, planar=True, vary=True) for _ in range(3)]
+    first, infos = many.reset(seed=7)
+    for index, environment in enumerate(each):
+        seen, info = environment.reset(seed=7 + index)
+        assert (seen == first[index]).all()
+        assert info == {name: infos[name][index] for name in info}
+    for action in actions(10, 3):
+        *results, infos = many.step(action)
+        for index, environment in enumerate(each):
+            *alone, info = environment.step(action[index])
+            assert [part[index] for part in results[1:]] == alone[1:]
+            assert (results[0][index] == alone[0]).all()
+            assert info == {name: infos[name][index] for name in info}
+    many.close()
+
+
+def test_in_the_plane_the_observations_are_like_those_of_mujoco() -> None:
+    plane, mujoco = gym("LoopingMaze", planar=True, noise=False), gym("LoopingMaze", noise=False)
+    for environment in (plane, mujoco):
+        environment.reset(seed=2)
+    for _ in range(10):
+        seen, there = plane.step([0.5, 0.4])[0], mujoco.step([0.5, 0.4])[0]
+    assert seen == pytest.approx(there, abs=0.05)
+
+
+def test_in_the_plane_a_picture_is_a_map_and_a_scene_is_refused() -> None:
+    environment = gym("ObstacleAvoidance", planar=True, render_mode="rgb_array")
+    environment.reset(seed=1)
+    assert environment.render().shape[2] == 3
+    assert environment.unwrapped._painter.view == "map"
+    many = gyms(2, planar=True, render_mode="rgb_array")
+    many.reset(seed=1)
+    assert (many.render()[0] == environment.render()).all()
+    many.close()
+    with pytest.raises(KhepTwinError, match=r"view 'scene': a plane has no MuJoCo scene; expected 'map'"):
+        gym("ObstacleAvoidance", planar=True, view="scene")
+
+
+def test_what_a_plane_has_not_is_refused_in_one_line() -> None:
+    scene = load_playpen("obstacles")
+    movable = tuple(block.model_copy(update={"movable": True}) for block in scene.blocks)
+    with pytest.raises(PlaypenError, match=r"is movable; expected fixed ones in the plane"):
+        gyms(2, planar=True, playpen=scene.model_copy(update={"blocks": movable}))
+    with pytest.raises(KhepTwinError, match=r"^planar = True: dm_env shows MuJoCo's physics; expected False"):
+        dm("ObstacleAvoidance", planar=True)
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_a_reward_of_one_state_is_the_same_for_many_as_for_one(planar: bool) -> None:
+    pytest.importorskip("gymnasium", reason="gymnasium, the extra [rl], is not installed")
+    from khep_twin.envs.gymnasium import KheperaEnvironment
+
+    def straight(state: State) -> float:
+        return 1.0 if state.left > 0 and max(state.registers[index] for index in PROXIMITY) < 500 else 0.25
+
+    @batched
+    def straight_of_all(state: State) -> Any:
+        return np.where((state.left > 0) & (state.nearest < 500 / 1023), 1.0, 0.25)
+
+    rewards = []
+    for reward in (straight, straight_of_all):
+        task = dataclasses.replace(TASKS["ObstacleAvoidance"], reward=reward)
+        many = gyms(3, task=task, planar=planar)
+        one = KheperaEnvironment(task, planar=planar, **SHORT)
+        many.reset(seed=3)
+        one.reset(seed=3)
+        rewards.append([many.step(action)[1].tolist() for action in actions(10, 3)])
+        assert [one.step(action[0])[1] for action in actions(10, 3)] == [row[0] for row in rewards[-1]]
+        many.close()
+    assert rewards[0] == rewards[1]
+    assert {0.25, 1.0} == {reward for row in rewards[0] for reward in row}
+
+
 def test_gymnasium_and_dm_env_are_the_same_episode() -> None:
     environment = dm("Homing", seed=3)
     first = environment.reset()
@@ -411,6 +493,15 @@ def test_robots_together_see_each_other() -> None:
     nearest = [environment.reset(seed=0)[0]["khepera0"][:8].max() for environment in (alone, together)]
     assert nearest[0] < -0.8
     assert nearest[1] > 0
+
+
+def test_in_the_plane_there_is_one_robot() -> None:
+    environment = zoo("ObstacleAvoidance", 1, planar=True)
+    seen, _ = environment.reset(seed=1)
+    assert (seen["khepera0"] == zoo("ObstacleAvoidance", 1, planar=True).reset(seed=1)[0]["khepera0"]).all()
+    assert environment.step({"khepera0": np.ones(2, np.float32)})[1].keys() == {"khepera0"}
+    with pytest.raises(PlaypenError, match=r"obstacles: 2 robots; expected one in the plane"):
+        zoo("ObstacleAvoidance", 2, planar=True)
 
 
 def test_an_agent_without_an_action_is_named() -> None:
