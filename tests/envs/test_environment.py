@@ -410,8 +410,8 @@ def test_in_the_plane_a_picture_is_a_map_and_a_scene_is_refused() -> None:
 
 def test_what_a_plane_has_not_is_refused_in_one_line() -> None:
     scene = load_playpen("obstacles")
-    movable = tuple(block.model_copy(update={"movable": True}) for block in scene.blocks)
-    with pytest.raises(PlaypenError, match=r"is movable; expected fixed ones in the plane"):
+    movable = tuple(block.model_copy(update={"movable": True, "width_mm": 9.0}) for block in scene.blocks)
+    with pytest.raises(PlaypenError, match=r"is movable, 9 mm wide .* in the plane, where nothing tips over"):
         gyms(2, planar=True, playpen=scene.model_copy(update={"blocks": movable}))
     with pytest.raises(KhepTwinError, match=r"^planar = True: dm_env shows MuJoCo's physics; expected False"):
         dm("ObstacleAvoidance", planar=True)

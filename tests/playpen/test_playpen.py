@@ -512,9 +512,8 @@ def test_a_playpen_loads_by_path(tmp_path: Path) -> None:
 
 
 def test_a_missing_file_is_reported_with_what_ships(tmp_path: Path) -> None:
-    with pytest.raises(
-        PlaypenError, match=r"^defualt: no such file; .*did you mean 'default'\? \(choices: deceptive-maze, default,"
-    ):
+    choices = r"did you mean 'default'\? \(choices: deceptive-maze, default,"
+    with pytest.raises(PlaypenError, match=rf"^defualt: no such file; .*{choices}"):
         playpens.load("defualt")
 
 
