@@ -119,16 +119,17 @@ def write_dataset(
 
 
 def _buffer(episode: OfflineEpisode) -> Any:
-    return EpisodeBuffer(
-        seed=episode.seed,
-        observations=episode.observations,
-        actions=episode.actions,
-        rewards=episode.rewards,
-        terminations=episode.terminations,
-        truncations=episode.truncations,
-        # Minari cannot read arrays of one dimension back.
-        infos={name: values.tolist() for name, values in episode.infos.items()},
-    )
+    # Minari's annotations name lists alone, where it takes arrays.
+    arrays: dict[str, Any] = {
+        "observations": episode.observations,
+        "actions": episode.actions,
+        "rewards": episode.rewards,
+        "terminations": episode.terminations,
+        "truncations": episode.truncations,
+    }
+    # Minari cannot read arrays of one dimension back.
+    infos = {name: values.tolist() for name, values in episode.infos.items()}
+    return EpisodeBuffer(seed=episode.seed, infos=infos, **arrays)
 
 
 @contextmanager
