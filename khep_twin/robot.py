@@ -14,11 +14,12 @@ from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injecto
 from khep_twin.board.kernel import LEFT, RIGHT, Board, Wheel
 from khep_twin.board.protocol import LINE_END
 from khep_twin.board.rom import ROMS
-from khep_twin.board.turrets import find
+from khep_twin.board.turrets import TurretBody, TurretKind, find
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
 from khep_twin.firmware import Firmware
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import position, resume
+from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.faulty_wheels import FaultyWheels
 from khep_twin.simulation.world_state import HostState, RobotSnapshot
@@ -26,6 +27,9 @@ from khep_twin.simulation.world_state import HostState, RobotSnapshot
 REPLY_LIMIT = 256
 """Bytes of replies queued before the firmware takes no more commands (assumed)."""
 
+
+_TURRET_KEY = 0x85EBCA6B
+"""Factor that turns the number of a turret into a word of its key: any odd one."""
 
 _MOST_WARNINGS = 100
 """Most speeds of a host that are reported; a host may try millions."""
@@ -38,6 +42,18 @@ class WorldContext(Protocol):
     model: mujoco.MjModel
     data: mujoco.MjData
     time_ns: int
+    lamps: Lamps
+    robots: "tuple[Robot, ...]"
+
+    @property
+    def powers(self) -> Sequence[float]:
+        """Present powers of the lamps, without their flicker (n,) [W]."""
+        ...
+
+    @property
+    def is_noisy(self) -> bool:
+        """True if sensors are noisy."""
+        ...
 
     def log_event(self, robot: int | None, text: str) -> None:
         """Log an event."""
@@ -66,6 +82,57 @@ class RobotSettings(NamedTuple):
     faults: tuple[Fault, ...]
 
 
+class TurretPlace:
+    """Place of a turret in a world, a `TurretContext`.
+
+    Args:
+        context: World of the robot.
+        robot: Index of the robot.
+        kind: Kind of the turret.
+        registers: Registers of the turret's electronics.
+        state: Record of the robot.
+    """
+
+    def __init__(
+        self,
+        context: WorldContext,
+        robot: int,
+        kind: TurretKind,
+        registers: NDArray[np.int64],
+        state: NDArray[np.void],
+    ) -> None:
+        self.model, self.data, self.robot, self.registers = context.model, context.data, robot, registers
+        self.prefix = f"khepera{robot}/{kind.name}/"
+        self._context, self._kind, self._state = context, kind, state
+
+    @property
+    def time_ns(self) -> int:
+        """Time of the world [ns]."""
+        return self._context.time_ns
+
+    @property
+    def lamps(self) -> list[tuple[float, float, float, float]]:
+        """Positions [m] and present power [W] of the lamps: x, y, z, power."""
+        world = self._context
+        return [(*at, power) for at, power in zip(world.lamps.positions, world.powers, strict=True)]
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Words of the key of the turret's random draws: those of the robot's sensors, told apart."""
+        low, high = self._state["noise"].tolist()
+        return low ^ (self._kind.number + 1) * _TURRET_KEY & 0xFFFFFFFF, high
+
+    @property
+    def is_noisy(self) -> bool:
+        """True if sensors are noisy."""
+        return self._context.is_noisy
+
+    @property
+    def peers(self) -> list[TurretBody | None]:
+        """Bodies of the turrets of this kind, by the index of their robot; None for a robot without."""
+        return [robot.turret_bodies.get(self._kind.name) for robot in self._context.robots]
+
+
 _RECORDED = ("registers", "processor", "sensor_states", "strengths", "voltage")
 """Fields of a robot's record that change in a run."""
 
@@ -80,6 +147,7 @@ class Robot:
         firmware: Command interpreter.
         uart: Serial line.
         registers: State of the board (N_REGISTERS,).
+        turret_bodies: Bodies of its turrets, by their names.
     """
 
     def __init__(
@@ -97,11 +165,11 @@ class Robot:
         turrets = {kind: kind.make() for kind in find(entry.turrets)}
         self._state = state
         self.firmware = Firmware(ROMS[entry.rom], entry.mode, turrets, state["registers"], state["processor"])
-        self._turret_bodies = [
-            kind.fit(model, data, f"{self.name}/{kind.name}/", turret.registers)
+        self.turret_bodies = {
+            kind.name: kind.fit(TurretPlace(context, index, kind, turret.registers, state))
             for kind, turret in turrets.items()
             if kind.fit is not None
-        ]
+        }
         self.registers = self.firmware.registers
         self._register_view = self.firmware.register_view
         self._has_stopped = False
@@ -385,10 +453,10 @@ class Robot:
 
     def _run_turrets(self) -> None:
         """Run one control period of the turrets."""
-        for body in self._turret_bodies:
+        for body in self.turret_bodies.values():
             body.sense()
         self.firmware.tick_turrets()
-        for body in self._turret_bodies:
+        for body in self.turret_bodies.values():
             body.drive()
 
     def _fail(self) -> None:

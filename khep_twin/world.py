@@ -185,6 +185,16 @@ class World:
         return self._forms.objects
 
     @property
+    def powers(self) -> Sequence[float]:
+        """Present powers of the lamps, without their flicker (n,) [W]."""
+        return self.simulation.powers
+
+    @property
+    def is_noisy(self) -> bool:
+        """True if sensors are noisy."""
+        return self.simulation.is_noisy
+
+    @property
     def joints(self) -> NDArray[np.float64]:
         """Copy of the positions of all joints."""
         return self.data.qpos.copy()

@@ -4,12 +4,11 @@ import math
 from importlib.resources import files
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board.gripper import FRACTION, REVISION, VERSION, GripperElectronics, Register
-from khep_twin.board.turrets import TurretKind
+from khep_twin.board.turrets import TurretContext, TurretKind
 from khep_twin.units import FINGERS_OPEN, GRIPPER_NUMBER
 
 ARM_DEGREES_PER_UNIT = 200 / 255
@@ -39,17 +38,13 @@ class GripperBody:
     """Gripper of one robot in a compiled scene, a `TurretBody`.
 
     Args:
-        model: Model of the scene.
-        data: State of the scene.
-        prefix: Prefix of the turret's names in the scene, e.g. "khepera0/gripper/".
-        registers: Registers of the gripper's electronics.
+        context: Its place in the world.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, prefix: str, registers: NDArray[np.int64]
-    ) -> None:
-        self._data = data
-        self._view = registers.data
+    def __init__(self, context: TurretContext) -> None:
+        model, prefix = context.model, context.prefix
+        self._data = context.data
+        self._view = context.registers.data
         self._shoulder, self._slide = (
             int(model.joint(prefix + name).qposadr[0]) for name in ("shoulder", "left_slide")
         )

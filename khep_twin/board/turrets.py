@@ -49,8 +49,52 @@ class Turret(Protocol):
         ...
 
 
+class TurretContext(Protocol):
+    """Interface of the world to the body of a turret."""
+
+    model: "mujoco.MjModel"
+    """Model of the scene."""
+
+    data: "mujoco.MjData"
+    """State of the scene."""
+
+    prefix: str
+    """Prefix of the turret's names in the scene, e.g. "khepera0/gripper/"."""
+
+    registers: NDArray[np.int64]
+    """Registers of the turret's electronics (n,)."""
+
+    robot: int
+    """Index of the robot that carries it."""
+
+    @property
+    def time_ns(self) -> int:
+        """Time of the world [ns]."""
+        ...
+
+    @property
+    def lamps(self) -> Sequence[tuple[float, float, float, float]]:
+        """Positions [m] and present power [W] of the lamps: x, y, z, power."""
+        ...
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Words of the key of the turret's random draws, for `sensing.noise`; follows the world's seed."""
+        ...
+
+    @property
+    def is_noisy(self) -> bool:
+        """True if sensors are noisy."""
+        ...
+
+    @property
+    def peers(self) -> "Sequence[TurretBody | None]":
+        """Bodies of the turrets of this kind, by the index of their robot; None for a robot without."""
+        ...
+
+
 class TurretBody(Protocol):
-    """Body of a turret in the physics."""
+    """Body of a turret in the world."""
 
     def sense(self) -> None:
         """Store the readings of the turret's converters in the registers; before each control period."""
@@ -73,8 +117,7 @@ class TurretKind:
         make: Factory of its electronics.
         scene: MJCF file, with its origin on the floor under the robot's centre; None without a body. Its
             keyframe "home" has the motors' initial targets.
-        fit: Factory of its body from the model, its data, the prefix of the turret's names in it and the
-            registers.
+        fit: Factory of its body from its place in the world; None without a body.
         reach: Radius of the floor around the robot's centre that it covers at the start [m].
     """
 
@@ -84,7 +127,7 @@ class TurretKind:
     revision: str
     make: Callable[[], Turret]
     scene: Path | None = None
-    fit: "Callable[[mujoco.MjModel, mujoco.MjData, str, NDArray[np.int64]], TurretBody] | None" = None
+    fit: Callable[[TurretContext], TurretBody] | None = None
     reach: float = 0.0
 
 

@@ -122,6 +122,17 @@ class Simulation:
         return self.plain.counters[step.STEPS]
 
     @property
+    def is_noisy(self) -> bool:
+        """True if sensors are noisy."""
+        return bool(self._keys)
+
+    @property
+    def powers(self) -> Sequence[float]:
+        """Powers of the lamps after the last step, without their flicker (n_lamps,) [W]."""
+        rows = self.inputs.powers
+        return rows[0 if len(rows) == 1 else self.steps - 1 - int(self.counters[step.FIRST])]
+
+    @property
     def is_compiled(self) -> bool:
         """True if compiled code steps it."""
         return self._compiled
@@ -303,7 +314,7 @@ class Simulation:
 
     def _draw_by(self, keys: tuple[int, ...]) -> None:
         """Draw at random by the key of each robot, or make no noise without any."""
-        for record, own in zip(self.records, keys, strict=False):
+        for record, own in zip(self.records, keys or [0] * len(self.records), strict=True):
             record["noise"] = key_words(own)
         self._keys = keys
         self.inputs = self.inputs._replace(tables=_TABLES[bool(keys)])
