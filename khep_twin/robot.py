@@ -1,6 +1,6 @@
 """One robot of a world: its board, line, turrets, supply, and body in the physics."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple, Protocol
 
@@ -126,6 +126,11 @@ class TurretPlace:
     def is_noisy(self) -> bool:
         """True if sensors are noisy."""
         return self._context.is_noisy
+
+    @property
+    def settings(self) -> Mapping[str, float]:
+        """Values of the playpen's table for turrets of this kind; empty without one."""
+        return self._context.playpen.turret_settings.get(self._kind.name, {})
 
     @property
     def peers(self) -> list[TurretBody | None]:

@@ -11,7 +11,7 @@ Sources, as cited below:
 
 import math
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 
 from khep_twin.compilable import compilable
 
@@ -218,6 +218,31 @@ ARM_DOWN = 255
 
 FINGERS_OPEN = 200
 """Position of the fingers with the widest gap, 55 mm; 0 is closed (simulators)."""
+
+# Radio -------------------------------------------------------------------------------------------------
+
+RADIO_NUMBER = 4
+"""Number of the radio turret on the T bus (simulators)."""
+
+RADIO_BYTES = 16
+"""Most bytes of a radio message (K-Team's manual of the radio base, 1999)."""
+
+RADIO_ALL = -1
+"""Radio number that addresses all radio turrets at once (manual of the radio base)."""
+
+
+class RadioStatus(IntFlag):
+    """Status bits of the radio turret (the first three: simulators; the last: assumed)."""
+
+    READY = 1
+    """It is not sending."""
+    RECEIVED = 2
+    """A received message waits to be read."""
+    FAILED = 4
+    """The last message was not acknowledged."""
+    OVERRUN = 8
+    """Since the last read a message found the buffer of received ones full."""
+
 
 # Serial line -------------------------------------------------------------------------------------------
 

@@ -88,6 +88,11 @@ class TurretContext(Protocol):
         ...
 
     @property
+    def settings(self) -> Mapping[str, float]:
+        """Values of the playpen's table for turrets of this kind; empty without one."""
+        ...
+
+    @property
     def peers(self) -> "Sequence[TurretBody | None]":
         """Bodies of the turrets of this kind, by the index of their robot; None for a robot without."""
         ...

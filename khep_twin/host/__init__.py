@@ -3,6 +3,8 @@
 from khep_twin.host import commands as commands
 from khep_twin.host.gripper import Gripper as Gripper
 from khep_twin.host.khepera import Khepera as Khepera
+from khep_twin.host.radio import Radio as Radio
+from khep_twin.host.radio import RadioMessage as RadioMessage
 from khep_twin.host.results import MotionStatus as MotionStatus
 from khep_twin.host.results import MotorMode as MotorMode
 from khep_twin.host.results import Positions as Positions
@@ -10,4 +12,5 @@ from khep_twin.host.results import SensorCounts as SensorCounts
 from khep_twin.host.results import Speeds as Speeds
 from khep_twin.host.results import Versions as Versions
 from khep_twin.host.results import WheelStatus as WheelStatus
+from khep_twin.units import RadioStatus as RadioStatus
 from khep_twin.units import Sensor as Sensor

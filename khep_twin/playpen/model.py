@@ -14,7 +14,18 @@ from khep_twin.errors import PlaypenError
 from khep_twin.files import toml_files
 from khep_twin.files.toml_files import PROBLEM_LIMIT, Name, Problems, Table, TomlTable
 from khep_twin.playpen.checks import assigned, completed, following, playpen_problems
-from khep_twin.playpen.parts import Arena, Block, Cylinder, Lamp, Lighting, Patch, Robot, Spot, Wall
+from khep_twin.playpen.parts import (
+    Arena,
+    Block,
+    Cylinder,
+    Lamp,
+    Lighting,
+    Patch,
+    RadioChannel,
+    Robot,
+    Spot,
+    Wall,
+)
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES, Surface
 
 
@@ -25,6 +36,7 @@ class Playpen(TomlTable):
     name: Name
     arena: Arena
     lighting: Lighting = Lighting()
+    radio: RadioChannel = RadioChannel()
     surfaces: Annotated[Mapping[Name, Surface], Field(default_factory=dict[str, Surface])]
     blocks: Annotated[tuple[Block, ...], Field(alias="block")] = ()
     cylinders: Annotated[tuple[Cylinder, ...], Field(alias="cylinder")] = ()
@@ -41,6 +53,11 @@ class Playpen(TomlTable):
             "block": self.blocks,
             "cylinder": self.cylinders,
         }
+
+    @property
+    def turret_settings(self) -> Mapping[str, Mapping[str, float]]:
+        """Values of the tables for turrets, by the name of the turret."""
+        return {"radio": self.radio.model_dump()}
 
     def surface(self, name: str) -> Surface:
         """Return the surface of a name, built-in or this playpen's own."""

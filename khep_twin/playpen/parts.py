@@ -260,6 +260,23 @@ class Lighting(TomlTable):
     mains_hz: Annotated[float, Field(ge=10, le=100)] = 50.0
 
 
+class RadioChannel(TomlTable):
+    """Channel that the robots' radio turrets share.
+
+    Attributes:
+        range_mm: Distance between two robots' centres up to which a transmission arrives (assumed: the
+            largest arena's width).
+        loss: Probability that a transmission is lost on its way to a receiver (none "in a good
+            environment": K-Team's manual of the radio base).
+        air_time_ms: Time that a transmission takes, rounded up to control periods of 10 ms (assumed: 16
+            bytes and as many as 12 around them at the 9600 baud of the radio base).
+    """
+
+    range_mm: Annotated[float, Field(ge=0, le=100_000)] = 10_000.0
+    loss: Annotated[float, Field(ge=0, le=1)] = 0.0
+    air_time_ms: Annotated[float, Field(gt=0, le=10_000)] = 30.0
+
+
 MODELS: Mapping[str, Mapping[str, str]] = {
     "khepera1": {"calibration": "khepera1", "rom": "5.02"},
     "khepera2": {"calibration": "khepera2", "rom": "khepera2"},

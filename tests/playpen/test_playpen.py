@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from khep_twin import playpen as playpens
+from khep_twin.board.turrets import installed
 from khep_twin.errors import PlaypenError
 from khep_twin.files.toml_files import PROBLEM_LIMIT
 from khep_twin.playpen import Block, Cylinder, Lamp, Playpen, Robot
@@ -255,11 +256,24 @@ WRONG = {
     + ARENA
     + ROBOT
     + "rom = 5.02\n": "robot 1: rom = 5.02: unknown; did you mean '5.02'? (choices: 5.02, 4.06, khepera2)",
+    HEAD + "[radio]\nloss = 1.1\n" + ARENA + ROBOT: "radio: loss = 1.1; expected a number from 0 to 1",
+    HEAD
+    + "[radio]\nrange_mm = -1\n"
+    + ARENA
+    + ROBOT: "radio: range_mm = -1; expected a number from 0 to 100000",
+    HEAD
+    + "[radio]\nair_time_ms = 0\n"
+    + ARENA
+    + ROBOT: "radio: air_time_ms = 0; expected a number above 0 up to 10000",
+    HEAD
+    + "[radio]\nrange = 5\n"
+    + ARENA
+    + ROBOT: "radio: range = 5: unknown key; did you mean 'range_mm'? (choices: range_mm, loss, air_time_ms)",
     HEAD
     + ARENA
     + ROBOT
     + 'turrets = ["griper"]\n': "robot 1: turrets = ['griper']: unknown turret 'griper'; "
-    "did you mean 'gripper'? (choices: gripper)",
+    f"did you mean 'gripper'? (choices: {', '.join(installed())})",
     HEAD
     + ARENA
     + ROBOT

@@ -1,0 +1,152 @@
+"""The radio turret's electronics: orders of the T bus and the registers that they write and read.
+
+    B                        versions                                             b,1,0
+    F                        status bits, `units.RadioStatus`                     f,1 for ready to send
+    R                        reads and removes the oldest received message        r,sender,length,16 bytes
+    S,to,length,16 bytes     sends a message to a radio number, -1 for all        s
+
+Orders, replies and the first three status bits are those of a public simulator, KiKS; numbers of radios,
+acknowledgement, repetition and length those of K-Team's manual of the radio base (1999). The turret's own
+manual is not available. Without a received message R reads zeros: no radio turret has the number 0. An order
+S while a message is sent is refused.
+
+A reset drops what is sent and what was received.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+from khep_twin.board.protocol import (
+    PROTOCOL_ERROR,
+    Malformed,
+    parse_turret_order,
+    refusal,
+    turret_reply,
+)
+from khep_twin.units import RADIO_ALL, RADIO_BYTES, RADIO_NUMBER, RadioStatus
+
+VERSION, REVISION = 1, 0
+"""Version and revision in the reply to B (simulators)."""
+
+TRANSMISSIONS = 4
+"""Most transmissions of a message that is not acknowledged (assumed; the manual has "a maximum number")."""
+
+CAPACITY = 4
+"""Received messages that wait to be read (assumed)."""
+
+NUMBER_LIMIT = 255
+"""Largest number of a radio (assumed: a byte)."""
+
+ENTRY = 2 + RADIO_BYTES
+"""Registers of a received message: sender, length and bytes."""
+
+BUSY = refusal("Radio is sending")
+"""Reply to S while a message is sent (assumed)."""
+
+_ORDERS = {"B": 0, "F": 0, "R": 0, "S": ENTRY}
+
+
+class RadioPhase(IntEnum):
+    """Phases of the message that is sent."""
+
+    IDLE = 0  # none
+    WAITING = 1  # for the next control period
+    IN_AIR = 2  # or for its acknowledgement
+
+
+class RadioRegister(IntEnum):
+    """Registers of the radio turret."""
+
+    IS_ON = 0  # 1 after a control period, until the body has run
+    PHASE = 1  # RadioPhase of the message that is sent
+    ARRIVAL = 2  # time when its transmission arrives [ns]
+    TRIES = 3  # transmissions that are left to it
+    IS_HEARD = 4  # 1 if its receiver has taken it
+    TRANSMISSIONS = 5  # since power-up, which number the random draws
+    HAS_FAILED = 6  # 1 if the last message was not acknowledged
+    HAS_OVERRUN = 7  # 1 if a message found the buffer full since the last read
+    RECEIVED = 8  # messages in the buffer
+    TO = 9  # radio that the message is for
+    LENGTH = 10  # its length
+    DATA = 11  # first of its 16 bytes
+    BUFFER = DATA + RADIO_BYTES  # first of the received messages' registers, the oldest first
+
+
+N_REGISTERS = RadioRegister.BUFFER + CAPACITY * ENTRY
+
+
+class RadioElectronics:
+    """The radio turret's electronics, a `Turret`.
+
+    Attributes:
+        registers: State of the electronics (N_REGISTERS,).
+    """
+
+    def __init__(self) -> None:
+        self.registers = np.zeros(N_REGISTERS, np.int64)
+        self._view = self.registers.data
+
+    def receive(self, message: bytes) -> bytes:
+        """Execute an order; return its reply."""
+        order = parse_turret_order(message, _ORDERS)
+        if isinstance(order, Malformed):
+            return order.reply
+        match order.letter, order.arguments:
+            case "B", ():
+                return self._reply("B", VERSION, REVISION)
+            case "F", ():
+                return self._reply("F", int(self._status()))
+            case "R", ():
+                return self._reply("R", *self._take())
+            case _:
+                to, length, *data = order.arguments
+                return self._send(to, length, data)
+
+    def tick(self) -> None:
+        """Let the body run: only a turret with power sends and receives."""
+        self._view[RadioRegister.IS_ON] = 1
+
+    def reset(self) -> None:
+        """Drop what is sent and what was received."""
+        transmissions = self._view[RadioRegister.TRANSMISSIONS]
+        self.registers[:] = 0
+        # Draws of a robot that was reset go on, rather than begin again.
+        self._view[RadioRegister.TRANSMISSIONS] = transmissions
+
+    def _status(self) -> RadioStatus:
+        view = self._view
+        flags = (
+            (RadioStatus.READY, view[RadioRegister.PHASE] == RadioPhase.IDLE),
+            (RadioStatus.RECEIVED, view[RadioRegister.RECEIVED] > 0),
+            (RadioStatus.FAILED, view[RadioRegister.HAS_FAILED] != 0),
+            (RadioStatus.OVERRUN, view[RadioRegister.HAS_OVERRUN] != 0),
+        )
+        return RadioStatus(sum(flag for flag, is_set in flags if is_set))
+
+    def _take(self) -> list[int]:
+        """Return the registers of the oldest received message, zeros without one, and remove it."""
+        view, buffer = self._view, self.registers[RadioRegister.BUFFER :]
+        oldest: list[int] = buffer[:ENTRY].tolist()
+        buffer[:-ENTRY] = buffer[ENTRY:].copy()
+        buffer[-ENTRY:] = 0
+        view[RadioRegister.RECEIVED] = max(view[RadioRegister.RECEIVED] - 1, 0)
+        view[RadioRegister.HAS_OVERRUN] = 0
+        return oldest
+
+    def _send(self, to: int, length: int, data: list[int]) -> bytes:
+        bytes_are_fine = all(0 <= byte <= 255 for byte in data)
+        if not (RADIO_ALL <= to <= NUMBER_LIMIT and 0 <= length <= RADIO_BYTES and bytes_are_fine):
+            return PROTOCOL_ERROR
+        view = self._view
+        if view[RadioRegister.PHASE] != RadioPhase.IDLE:
+            return BUSY
+        view[RadioRegister.PHASE] = RadioPhase.WAITING
+        view[RadioRegister.TRIES] = TRANSMISSIONS
+        view[RadioRegister.HAS_FAILED] = 0
+        sent = data[:length] + [0] * (RADIO_BYTES - length)
+        self.registers[RadioRegister.TO : RadioRegister.BUFFER] = [to, length, *sent]
+        return self._reply("S")
+
+    def _reply(self, letter: str, *values: int) -> bytes:
+        return turret_reply(RADIO_NUMBER, letter, *values)

@@ -1,0 +1,122 @@
+"""The radio turret in the world: transmissions between robots, their range, loss and time in the air.
+
+Robot n of the playpen, counted from 1, has the radio number n. A message begins its transmission in the
+control period after its order, and arrives a whole number of control periods later at every receiver in reach
+that it is for. Receivers take it in the period in which it arrives; the sender looks for the acknowledgement
+in the period after, and sends again without one. So no result depends on the order in which the turrets of a
+period run. Of messages that arrive in the same period, that of the lower number comes first.
+
+Transmissions do not disturb each other, a turret receives while it sends, and no acknowledgement is lost
+(assumed); a message that is for all is neither acknowledged nor repeated (manual of the radio base).
+"""
+
+import math
+
+from khep_twin.board.radio import CAPACITY, ENTRY, REVISION, VERSION, RadioElectronics, RadioPhase
+from khep_twin.board.radio import RadioRegister as Register
+from khep_twin.board.turrets import TurretContext, TurretKind
+from khep_twin.sensing.noise import philox
+from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.units import RADIO_ALL, RADIO_NUMBER, TICK_NS
+
+_WORD = 0xFFFFFFFF
+
+_MESSAGE = slice(Register.LENGTH, Register.BUFFER)
+"""Registers of a message that is sent, which a receiver copies."""
+
+
+class RadioBody:
+    """Radio turret of one robot in a world, a `TurretBody`.
+
+    Args:
+        context: Its place in the world.
+
+    Attributes:
+        number: Radio number.
+    """
+
+    def __init__(self, context: TurretContext) -> None:
+        self.number = context.robot + 1
+        self._context = context
+        self._registers = context.registers
+        self._view = context.registers.data
+        self._indices = RobotIndices.of(context.model, context.prefix.partition("/")[0])
+        settings = context.settings
+        self._range = settings["range_mm"] / 1000
+        self._loss = round(settings["loss"] * (_WORD + 1))
+        self._air_ns = TICK_NS * math.ceil(settings["air_time_ms"] * 1e6 / TICK_NS)
+
+    @property
+    def place(self) -> tuple[float, float]:
+        """Place of its robot: x and y [m]."""
+        x, y, _ = self._indices.pose_in(self._context.data.qpos)
+        return x, y
+
+    def sense(self) -> None:
+        """Do nothing: the turret runs after the orders of the period."""
+
+    def drive(self) -> None:
+        """Send and receive for a control period, if the electronics have run."""
+        view = self._view
+        if view[Register.IS_ON]:
+            view[Register.IS_ON] = 0
+            time_ns = self._context.time_ns
+            self._send(time_ns)
+            self._receive(time_ns)
+
+    def _send(self, time_ns: int) -> None:
+        """End a transmission in the period after its arrival, and begin one."""
+        view = self._view
+        if view[Register.PHASE] == RadioPhase.IN_AIR:
+            if time_ns <= view[Register.ARRIVAL]:
+                return
+            is_done = bool(view[Register.IS_HEARD]) or view[Register.TO] == RADIO_ALL
+            if is_done or view[Register.TRIES] <= 0:
+                view[Register.HAS_FAILED] = int(not is_done)
+                view[Register.PHASE] = RadioPhase.IDLE
+        if view[Register.PHASE] != RadioPhase.IDLE:
+            view[Register.PHASE] = RadioPhase.IN_AIR
+            view[Register.ARRIVAL] = time_ns + self._air_ns
+            view[Register.IS_HEARD] = 0
+            view[Register.TRIES] = max(view[Register.TRIES] - 1, 0)
+            view[Register.TRANSMISSIONS] = (view[Register.TRANSMISSIONS] + 1) & _WORD
+
+    def _receive(self, time_ns: int) -> None:
+        """Take the messages that arrive now, in the order of their senders' numbers."""
+        view = self._view
+        for peer in self._context.peers:
+            if peer is self or not isinstance(peer, RadioBody) or not self._is_reached_by(peer, time_ns):
+                continue
+            received = view[Register.RECEIVED]
+            if not 0 <= received < CAPACITY:
+                view[Register.HAS_OVERRUN] = 1
+                continue
+            entry = Register.BUFFER + received * ENTRY
+            view[entry] = peer.number
+            self._registers[entry + 1 : entry + ENTRY] = peer._registers[_MESSAGE]
+            view[Register.RECEIVED] = received + 1
+            peer._view[Register.IS_HEARD] = 1
+
+    def _is_reached_by(self, peer: "RadioBody", time_ns: int) -> bool:
+        """Return whether a message of a peer for this radio arrives now."""
+        sent = peer._view
+        if sent[Register.PHASE] != RadioPhase.IN_AIR or sent[Register.ARRIVAL] != time_ns:
+            return False
+        if sent[Register.TO] not in (self.number, RADIO_ALL):
+            return False
+        if math.dist(self.place, peer.place) > self._range:
+            return False
+        low, high = self._context.key
+        draw, _ = philox(sent[Register.TRANSMISSIONS] & _WORD, (high + peer.number) & _WORD, low)
+        return draw >= self._loss
+
+
+RADIO = TurretKind(
+    name="radio",
+    number=RADIO_NUMBER,
+    description="messages between robots",
+    revision=f"{VERSION}.{REVISION}",
+    make=RadioElectronics,
+    fit=RadioBody,
+)
+"""The radio turret, as registered under the entry point "khep_twin.turrets"."""

@@ -1,0 +1,269 @@
+"""The radios of several robots, period by period: what is delivered to whom, when, and in which order."""
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from radio_scene import playpen_with_radios
+
+from khep_twin.board.radio import CAPACITY, TRANSMISSIONS, RadioElectronics, RadioRegister
+from khep_twin.playpen import RadioChannel
+from khep_twin.sensing.radio_body import RadioBody
+from khep_twin.units import RADIO_ALL, TICK_NS, RadioStatus
+from khep_twin.world import World
+
+N_ROBOTS = 4
+
+
+class Message(NamedTuple):
+    """A message with the number of its sender."""
+
+    sender: int
+    data: bytes
+
+
+class Place:
+    """A `TurretContext` of a robot that stands still."""
+
+    def __init__(self, air: "Air", robot: int, settings: Mapping[str, float]) -> None:
+        self.model, self.data = air.world.model, air.world.data
+        self.prefix, self.robot = f"khepera{robot}/radio/", robot
+        self.registers = air.electronics[robot].registers
+        self.lamps: Sequence[tuple[float, float, float, float]] = ()
+        self.is_noisy, self.settings = True, settings
+        self.key = (0x12345678 + robot * 0x9E3779B1 & 0xFFFFFFFF, air.seed)
+        self._air = air
+
+    @property
+    def time_ns(self) -> int:
+        return self._air.time_ns
+
+    @property
+    def peers(self) -> Sequence[RadioBody | None]:
+        return self._air.bodies
+
+
+class Air:
+    """Radios on robots that stand still, without a step of the physics.
+
+    Args:
+        world: World with the robots.
+        seed: Seed of the draws.
+        channel: The playpen's table.
+    """
+
+    def __init__(self, world: World, seed: int = 0, **channel: float) -> None:
+        self.world, self.seed, self.time_ns = world, seed, 0
+        self.electronics = [RadioElectronics() for _ in world.robots]
+        settings = RadioChannel(**channel).model_dump()  # type: ignore[arg-type]
+        self.bodies = [RadioBody(Place(self, robot, settings)) for robot in range(len(world.robots))]
+
+    def send(self, sender: int, to: int, data: bytes) -> bool:
+        """Gives the order of a message; returns whether it was accepted."""
+        numbers = [to, len(data), *data, *[0] * (16 - len(data))]
+        return (
+            self.electronics[sender - 1].receive(f"S,{','.join(map(str, numbers))}".encode()) == b"t,4,s\r\n"
+        )
+
+    def status(self, number: int) -> RadioStatus:
+        return RadioStatus(int(self.electronics[number - 1].receive(b"F").split(b",")[3]))
+
+    def read(self, number: int) -> list[Message]:
+        """Reads and removes all messages of a radio."""
+        found: list[Message] = []
+        while self.status(number) & RadioStatus.RECEIVED:
+            sender, length, *data = map(int, self.electronics[number - 1].receive(b"R").split(b",")[3:])
+            found.append(Message(sender, bytes(data[:length])))
+        return found
+
+    def tick(self, order: Sequence[int] = range(N_ROBOTS)) -> None:
+        """Runs a control period of the turrets, robot by robot in this order."""
+        self.time_ns += TICK_NS
+        for robot in order:
+            self.bodies[robot].sense()
+            self.electronics[robot].tick()
+            self.bodies[robot].drive()
+
+    def registers(self) -> list[list[int]]:
+        return [each.registers.tolist() for each in self.electronics]
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return World(playpen_with_radios([(100, 250), (200, 250), (400, 250), (500, 250)]))
+
+
+def run(air: Air, count: int, seed: int, to: Sequence[int], shuffled: bool = False) -> tuple[Counter, dict]:
+    """Sends random messages from all radios, reads them, and returns what was sent and what arrived where."""
+    rng, order = np.random.default_rng(seed), np.random.default_rng(seed + 1)
+    sent: Counter[int] = Counter()
+    arrived: dict[int, list[Message]] = defaultdict(list)
+    failed = 0
+    for _ in range(100 * count):
+        if sum(sent.values()) >= count and all(air.status(number) & 1 for number in range(1, 5)):
+            break
+        for number in range(1, N_ROBOTS + 1):
+            if sum(sent.values()) < count and air.status(number) & RadioStatus.READY and rng.random() < 0.5:
+                failed += bool(air.status(number) & RadioStatus.FAILED)
+                goal = int(rng.choice([other for other in to if other != number]))
+                data = sent[number].to_bytes(4, "little") + rng.bytes(int(rng.integers(13)))
+                assert air.send(number, goal, data)
+                sent[number] += 1
+        air.tick(order.permutation(N_ROBOTS).tolist() if shuffled else range(N_ROBOTS))
+        for number in range(1, N_ROBOTS + 1):
+            arrived[number] += air.read(number)
+    failed += sum(bool(air.status(number) & RadioStatus.FAILED) for number in range(1, N_ROBOTS + 1))
+    sent[0] = failed
+    return sent, arrived
+
+
+def senders(arrived: Sequence[Message]) -> Iterator[tuple[int, list[int]]]:
+    """The numbers of the messages that arrived at a radio, for each sender."""
+    for sender in range(1, N_ROBOTS + 1):
+        found = [
+            int.from_bytes(message.data[:4], "little") for message in arrived if message.sender == sender
+        ]
+        yield sender, found
+
+
+def test_of_10_000_messages_each_is_delivered_at_most_once_and_in_the_order_of_its_sender(
+    world: World,
+) -> None:
+    air = Air(world, seed=3, loss=0.5)
+    sent, arrived = run(air, 10_000, seed=1, to=range(1, 5))
+    failed = sent.pop(0)
+    assert sent.total() == 10_000
+    delivered: Counter[tuple[int, int]] = Counter()
+    for found in arrived.values():
+        for sender, numbers in senders(found):
+            assert numbers == sorted(set(numbers))
+            delivered.update((sender, number) for number in numbers)
+    assert max(delivered.values()) == 1
+    # Every sender knows which of its messages were lost: no acknowledgement in four transmissions.
+    assert delivered.total() + failed == 10_000
+    assert failed / 10_000 == pytest.approx(0.5**TRANSMISSIONS, abs=4 * (0.0625 * 0.9375 / 10_000) ** 0.5)
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.02, 0.3, 0.9, 1.0])
+def test_a_transmission_is_lost_to_each_receiver_as_often_as_the_playpen_has_it(
+    world: World, loss: float
+) -> None:
+    air = Air(world, seed=5, loss=loss)
+    sent, arrived = run(air, 2000, seed=2, to=[RADIO_ALL])
+    assert sent[0] == 0
+    got = sum(map(len, arrived.values())) / (2000 * (N_ROBOTS - 1))
+    assert got == pytest.approx(1 - loss, abs=4 * (loss * (1 - loss) / 6000) ** 0.5)
+    # One receiver's luck is not that of the others.
+    if 0 < loss < 1:
+        [(_, first)] = [each for each in senders(arrived[3]) if each[0] == 1]
+        [(_, second)] = [each for each in senders(arrived[4]) if each[0] == 1]
+        both = len(set(first) & set(second)) / sent[1]
+        assert both == pytest.approx((1 - loss) ** 2, abs=4 * (0.25 / sent[1]) ** 0.5)
+
+
+def test_the_same_seed_gives_the_same_registers_and_another_seed_others(world: World) -> None:
+    outcomes = []
+    for seed in (7, 7, 8):
+        air = Air(world, seed=seed, loss=0.4)
+        outcome = run(air, 300, seed=3, to=[1, 2, 3, 4, RADIO_ALL])
+        outcomes.append((outcome, air.registers()))
+    assert outcomes[0] == outcomes[1]
+    assert outcomes[0] != outcomes[2]
+
+
+def test_the_order_in_which_the_robots_of_a_period_run_changes_nothing(world: World) -> None:
+    outcomes = []
+    for shuffled in (False, True):
+        air = Air(world, seed=7, loss=0.4)
+        outcome = run(air, 1000, seed=4, to=[1, 2, 3, 4, RADIO_ALL], shuffled=shuffled)
+        outcomes.append((outcome, air.registers()))
+    assert outcomes[0] == outcomes[1]
+
+
+@pytest.mark.parametrize(
+    ("range_mm", "reached"), [(99.9, []), (100.1, [2]), (300.1, [2, 3]), (1000, [2, 3, 4])]
+)
+def test_a_message_arrives_as_far_as_the_range(world: World, range_mm: float, reached: list[int]) -> None:
+    air = Air(world, range_mm=range_mm)
+    air.send(1, RADIO_ALL, b"all")
+    for _ in range(10):
+        air.tick()
+    assert [number for number in range(1, 5) if air.read(number)] == reached
+    air.send(1, 3, b"three")
+    for _ in range(40):
+        air.tick()
+    assert bool(air.read(3)) == (3 in reached)
+    assert air.status(1) == (RadioStatus.READY if 3 in reached else RadioStatus.READY | RadioStatus.FAILED)
+
+
+@pytest.mark.parametrize(("air_time_ms", "periods"), [(0.1, 1), (10, 1), (10.1, 2), (30, 3), (200, 20)])
+def test_a_message_is_in_the_air_for_its_time_and_ready_a_period_later(
+    world: World, air_time_ms: float, periods: int
+) -> None:
+    air = Air(world, air_time_ms=air_time_ms)
+    air.send(1, 2, b"hello")
+    air.tick()
+    for _ in range(periods):
+        assert not air.status(2) & RadioStatus.RECEIVED
+        air.tick()
+    assert air.read(2) == [Message(1, b"hello")]
+    assert not air.status(1) & RadioStatus.READY
+    air.tick()
+    assert air.status(1) == RadioStatus.READY
+
+
+def test_a_message_that_nobody_takes_is_sent_four_times_and_fails(world: World) -> None:
+    for to in (0, 1, 5, 255):
+        air = Air(world)
+        air.send(1, to, b"?")
+        ticks = 0
+        while not air.status(1) & RadioStatus.READY:
+            air.tick()
+            ticks += 1
+        assert air.status(1) == RadioStatus.READY | RadioStatus.FAILED
+        assert air.electronics[0].registers[RadioRegister.TRANSMISSIONS] == TRANSMISSIONS
+        assert ticks == 1 + TRANSMISSIONS * 4
+        assert not any(air.read(number) for number in range(1, 5))
+
+
+def test_messages_that_arrive_together_are_read_in_the_order_of_their_senders(world: World) -> None:
+    air = Air(world)
+    for sender in (3, 1, 2):
+        air.send(sender, 4, b"%d" % sender)
+    for _ in range(5):
+        air.tick([3, 2, 1, 0])
+    assert air.read(4) == [Message(sender, b"%d" % sender) for sender in (1, 2, 3)]
+
+
+def test_a_full_buffer_refuses_until_a_message_is_read(world: World) -> None:
+    air = Air(world)
+    for number in range(CAPACITY + 1):
+        air.send(1, 2, bytes([number]))
+        for _ in range(5):
+            air.tick()
+    assert air.status(2) == RadioStatus.READY | RadioStatus.RECEIVED | RadioStatus.OVERRUN
+    assert not air.status(1) & RadioStatus.READY
+    air.electronics[1].receive(b"R")
+    while not air.status(1) & RadioStatus.READY:
+        air.tick()
+    # It was repeated, and found room.
+    assert air.status(1) == RadioStatus.READY
+    assert [message.data for message in air.read(2)] == [bytes([number]) for number in range(1, CAPACITY + 1)]
+
+
+def test_a_turret_without_power_neither_sends_nor_receives(world: World) -> None:
+    air = Air(world)
+    air.send(1, 2, b"hello")
+    air.send(2, 1, b"hello")
+    air.tick([0, 2, 3])
+    air.electronics[1].reset()  # as the board does at a loss of power
+    for _ in range(30):
+        air.time_ns += TICK_NS
+        for robot in (0, 2, 3):
+            air.electronics[robot].tick()
+        for body in air.bodies:
+            body.drive()
+    assert air.status(1) == RadioStatus.READY | RadioStatus.FAILED
+    assert air.status(2) == RadioStatus.READY
