@@ -14,11 +14,11 @@ from khep_twin.board import kernel
 from khep_twin.board.kernel import LEFT, RESET_VALUES, RIGHT, Board, Mode, Wheel
 from khep_twin.board.protocol import COMMAND_NOT_FOUND, Request, Tool, parse
 from khep_twin.board.rom import Rom
-from khep_twin.board.turrets import Turret, TurretKind, find
+from khep_twin.board.turrets import Turret, TurretKind, installed
 from khep_twin.clock import NS_PER_S
 from khep_twin.firmware import Firmware
 from khep_twin.log.exchanges import BANNER, Exchange
-from khep_twin.units import BITS_PER_BYTE, GRIPPER_NUMBER
+from khep_twin.units import BITS_PER_BYTE
 
 _GAINS = {register: value for register, value in RESET_VALUES if Board.SPEED_KP <= register <= Board.SPEED_KD}
 
@@ -129,12 +129,14 @@ class BoardModel:
     def __init__(self, rom: Rom, known: KnownRobot, timed: Sequence[TimedExchange]) -> None:
         kinds = known.turrets
         if kinds is None:
-            answered = any(
-                (each.exchange.reply or b"").startswith(b"t,%d," % GRIPPER_NUMBER) for each in timed
+            replies = [each.exchange.reply or b"" for each in timed]
+            kinds = tuple(
+                kind
+                for kind in installed().values()
+                if any(reply.startswith(b"t,%d," % kind.number) for reply in replies)
             )
-            kinds = tuple(find(["gripper"])) if answered else ()
-        turrets: dict[TurretKind, Turret] = {kind: kind.make() for kind in kinds}
-        self._firmware = Firmware(rom, 1 if known.mode is None else known.mode, turrets)
+        self._turrets: dict[TurretKind, Turret] = {kind: kind.make() for kind in kinds}
+        self._firmware = Firmware(rom, 1 if known.mode is None else known.mode, self._turrets)
         # A robot that a relay finds has been on for long.
         self._sure = known.mode is not None
         self._gains_known = True
@@ -173,6 +175,9 @@ class BoardModel:
         """Carry out a command as far as the robot has; return the board's own reply."""
         firmware, reply = self._firmware, exchange.reply
         before, settings = firmware.registers.copy(), (firmware.baud, firmware.running)
+        for turret in self._turrets.values():
+            # What one does takes time, which does not pass here: each order finds it at rest.
+            turret.reset()
         expected = firmware.receive(exchange.command + b"\n")
         if expected.startswith((b"z,", COMMAND_NOT_FOUND)):
             return expected

@@ -2,9 +2,9 @@
 
 import re
 
-from khep_twin.lab.conformance.checks import ALL as ALL
 from khep_twin.lab.conformance.checks import SETTLE, check, within
 from khep_twin.lab.conformance.conformance import CheckedPort, Deviation
+from khep_twin.lab.conformance.radio_checks import ALL as ALL
 from khep_twin.units import COUNTS_LIMIT, N_SENSORS
 
 FORWARD = "drives about 80 mm forwards and as far back"
