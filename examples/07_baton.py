@@ -1,7 +1,7 @@
-"""Two robots and a baton: one searches it and sends by radio where it is, the other fetches it.
+"""Two robots and a cylinder: one finds it and sends by radio where it is, the other fetches and lifts it.
 
 python examples/07_baton.py              both twins in this process, in lock-step
-python examples/07_baton.py baton.mcap   the same with a log to watch
+python examples/07_baton.py baton.mcap   the same with a log, for `khep-twin view baton.mcap`
 """
 
 import math
@@ -17,10 +17,10 @@ PLAYPEN = Path(__file__).with_suffix(".toml")
 SCOUT, PORTER = 1, 2  # numbers of their radios: robots of the playpen, from 1
 LANES_MM = ((80, 180), (520, 180), (520, 320), (80, 320))  # the scout's way, from its start on
 PORTER_MM = (60, 440)  # the porter's start; both face along x
-SEEN = 150  # counts of a sensor with something before it
+SEEN = 150  # counts of a sensor with the cylinder about 2 cm away
 NEAR = 400  # counts of the front sensors about a centimetre from it
 BALANCED = 150  # difference of the counts on both sides with something straight ahead
-DISTANCE_MM = 27.5 + 10 + 12.5  # between the centres then: half a robot, the gap, half the baton
+DISTANCE_MM = 27.5 + 10 + 12.5  # between the centres then: half a robot, the gap, half the cylinder
 PULSE_MM, WHEEL_BASE_MM = 0.08, 52
 
 
@@ -49,10 +49,10 @@ class Walker:
         self.update()
         return math.hypot(x, y)
 
-    def drive(self, distance_mm: float, speed: int) -> bool:
+    def search(self, distance_mm: float) -> bool:
         """Drive straight ahead until a sensor sees something; return whether one has."""
         x_mm, y_mm = self.x_mm, self.y_mm
-        self.robot.set_speed(speed, speed)
+        self.robot.set_speed(6, 6)
         while not (sees := max(self.robot.proximity()[:6]) > SEEN):
             self.update()
             if math.hypot(self.x_mm - x_mm, self.y_mm - y_mm) >= distance_mm:
@@ -79,22 +79,22 @@ class Walker:
 
 
 def scout(robot: Khepera) -> str:
-    """Search along the lanes; send where the baton is."""
+    """Search along the lanes; send where the cylinder is, and listen."""
     radio, walker = Radio(robot), Walker(robot, *LANES_MM[0])
     for x_mm, y_mm in LANES_MM[1:]:
-        if walker.drive(walker.face(x_mm, y_mm), 6):
+        if walker.search(walker.face(x_mm, y_mm)):
             break
     else:
-        return "the scout found nothing"
+        return "scout: found nothing"
     walker.approach()
     x_mm = round(walker.x_mm + DISTANCE_MM * math.cos(walker.heading))
     y_mm = round(walker.y_mm + DISTANCE_MM * math.sin(walker.heading))
-    robot.move(-0.08)
+    robot.move(-0.08)  # out of the porter's way
     radio.send(PORTER, struct.pack("<hh", x_mm, y_mm))
     if not radio.wait_until_sent():
-        return "nobody heard the scout"
+        return "scout: nobody heard me"
     answer = radio.wait_for_message(timeout=60).data.decode()
-    return f"scout: it is at ({x_mm}, {y_mm}); and then I heard: {answer}"
+    return f"scout: found it at ({x_mm}, {y_mm}) mm; the porter says {answer!r}"
 
 
 def porter(robot: Khepera) -> str:
@@ -102,7 +102,7 @@ def porter(robot: Khepera) -> str:
     radio, gripper, walker = Radio(robot), Gripper(robot), Walker(robot, *PORTER_MM)
     x_mm, y_mm = struct.unpack("<hh", radio.wait_for_message(timeout=120).data)
     start = robot.time
-    walker.drive(walker.face(x_mm, y_mm), 6)
+    walker.search(walker.face(x_mm, y_mm))
     walker.approach()
 
     gripper.lower()
@@ -119,7 +119,7 @@ def porter(robot: Khepera) -> str:
     answer = "lifted" if gripper.barrier() else "missed"
     radio.send(SCOUT, answer.encode())
     radio.wait_until_sent()
-    return f"porter: {answer} {robot.time - start:.1f} s after the message"
+    return f"porter: {answer} it {robot.time - start:.1f} s after the message"
 
 
 options = TwinOptions(seed=1, log=sys.argv[1] if len(sys.argv) > 1 else None)

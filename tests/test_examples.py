@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from khep_twin.lab.experiment.repeat import repeat
+from khep_twin.log.recorded import read_recorded
+
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 
 NEEDS = {"03_learn_to_avoid": "stable_baselines3", "04_evolve": "cmaes", "05_map_elites": "ribs"}
@@ -21,7 +24,10 @@ SHORTER = {
 """What makes a long one short."""
 
 
-ENDS = {"02_pick_and_carry": "carried 96 mm back and put down\nto watch it: python"}
+ENDS = {
+    "02_pick_and_carry": "carried 96 mm back and put down\nto watch it: python",
+    "07_baton": "mm; the porter says 'lifted'\nporter: lifted it ",
+}
 """What an example says at its end."""
 
 
@@ -50,6 +56,22 @@ def test_an_archive_of_the_same_seed_has_the_same_bits(tmp_path: Path) -> None:
         words = f"--iterations 2 --batch 8 --seconds 1 --judge 0 --elites {name}.npz".split()
         subprocess.run([sys.executable, str(example), *words], check=True, timeout=600, cwd=tmp_path)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_the_baton_is_passed_in_the_same_way_each_time_and_its_run_repeats(tmp_path: Path) -> None:
+    [example] = [path for path in EXAMPLES if path.stem == "07_baton"]
+    told = [
+        subprocess.run(
+            [sys.executable, str(example), name],
+            check=True,
+            timeout=600,
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+        ).stdout
+        for name in ("a.mcap", "b.mcap")
+    ]
+    assert told[0] == told[1] != b""
+    assert repeat(read_recorded(tmp_path / "a.mcap")) is None
 
 
 @pytest.mark.parametrize("name", NEEDS)

@@ -11,6 +11,8 @@ The pictures of the tutorial and the README: tutorial.py.
 
 import contextlib
 import copy
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -38,6 +40,9 @@ SOLID = [
 """Corners of the blocks in the scan of docs/import.md [pixels of 1 mm]."""
 
 _EDGE = 10
+
+_LEFT_COLUMN = (0, 30, 800, 876)
+"""Arena, robot and serial line in a still of `khep-twin view` [pixels]."""
 
 
 def draw_sensor_tests() -> None:
@@ -127,6 +132,14 @@ def draw_gripper() -> None:
     _keep(strip, "gripper")
 
 
+def draw_baton() -> None:
+    """Draw the end of the run of examples/07_baton.py and the first robot's line, for docs/host.md."""
+    example = tutorial.PAGE.parents[1] / "examples" / "07_baton.py"
+    subprocess.run([sys.executable, str(example), "baton.mcap"], check=True)
+    _type("view", "baton.mcap", "--png", "baton.png")
+    _keep(Image.open("baton.png").convert("RGB").crop(_LEFT_COLUMN), "baton")
+
+
 def _seen(world: World) -> Image.Image:
     """Render the first robot of a world from nearby."""
     model, data = copy.copy(world.model), copy.copy(world.data)
@@ -157,6 +170,7 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         library_picture.draw(tutorial.PICTURES / "library.png")
         draw_gripper()
+        draw_baton()
         draw_import()
         draw_sensor_tests()
         draw_side_by_side()
