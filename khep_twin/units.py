@@ -219,6 +219,14 @@ ARM_DOWN = 255
 FINGERS_OPEN = 200
 """Position of the fingers with the widest gap, 55 mm; 0 is closed (simulators)."""
 
+# Linear vision -----------------------------------------------------------------------------------------
+
+VISION_NUMBER = 2
+"""Number of the K213 linear vision turret on the T bus (public host programs)."""
+
+VISION_PIXELS = 64
+"""Pixels of its line image (its manual, as public sources have it)."""
+
 # Serial line -------------------------------------------------------------------------------------------
 
 BITS_PER_BYTE = 11
