@@ -221,10 +221,10 @@ FINGERS_OPEN = 200
 
 # Linear vision -----------------------------------------------------------------------------------------
 
-VISION_NUMBER = 2
+K213_NUMBER = 2
 """Number of the K213 linear vision turret on the T bus (public host programs)."""
 
-VISION_PIXELS = 64
+K213_PIXELS = 64
 """Pixels of its line image (its manual, as public sources have it)."""
 
 # Serial line -------------------------------------------------------------------------------------------

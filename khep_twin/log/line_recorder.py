@@ -20,7 +20,7 @@ from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.recorder import SAMPLED, channel_names
 from khep_twin.log.transcript import Transcript
-from khep_twin.units import VISION_NUMBER, VISION_PIXELS
+from khep_twin.units import K213_NUMBER, K213_PIXELS
 
 ROBOT = "khepera0"
 """Name of the robot in the log."""
@@ -29,7 +29,7 @@ _REPLIES = {
     b"n,": ("proximity", 8),
     b"o,": ("ambient", 8),
     b"e,": ("speed", 2),
-    f"t,{VISION_NUMBER},n,".encode(): ("vision", VISION_PIXELS),
+    f"t,{K213_NUMBER},n,".encode(): ("vision", K213_PIXELS),
 }
 """Replies with values that a twin's log samples, by how they begin: topic, and number of integers."""
 
@@ -72,7 +72,7 @@ class LineRecorder:
         self._frames = {
             topic: ArrayFrame(len(columns), kind, label) for topic, _, kind, label, columns in SAMPLED
         }
-        self._image = ImageFrame(VISION_PIXELS, f"{ROBOT}/k213")
+        self._image = ImageFrame(K213_PIXELS, f"{ROBOT}/k213")
         attachment = json.dumps(dict(settings), indent=2, sort_keys=True) + "\n"
         facts = {"robots": ROBOT, "khep_twin": __version__, **settings}
         self._log.describe({"configuration.json": attachment}, facts)

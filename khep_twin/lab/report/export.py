@@ -32,7 +32,7 @@ from khep_twin.files.mat_bytes import mat_bytes
 from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import Recording, TimeSeries, read_pieces
-from khep_twin.units import VISION_PIXELS
+from khep_twin.units import K213_PIXELS
 
 SUFFIXES = (".csv", ".parquet", ".mat")
 
@@ -63,7 +63,7 @@ _KNOWN: dict[str, tuple[tuple[str, str], ...]] = {
     "position": tuple((f"position_{side}", "pulses") for side in _SIDES),
     "duty": tuple((f"duty_{side}", "1/255") for side in _SIDES),
     "leds": (("led_lateral", "1 when lit"), ("led_frontal", "1 when lit")),
-    "vision": tuple((f"vision_{pixel}", "grey") for pixel in range(VISION_PIXELS)),
+    "vision": tuple((f"vision_{pixel}", "grey") for pixel in range(K213_PIXELS)),
     "registers": tuple((f"register_{name}", "") for name in _REGISTERS),
 }
 """Name and unit of each column by channel, in the order of the table."""

@@ -25,7 +25,7 @@ from khep_twin.log.attached import calibration_of, playpen_of
 from khep_twin.log.reader import Recording, TimeSeries
 from khep_twin.log.shadow_channels import ShadowTrack
 from khep_twin.playpen import Playpen
-from khep_twin.units import BODY_RADIUS, VISION_PIXELS
+from khep_twin.units import BODY_RADIUS, K213_PIXELS
 
 USUAL_DARK_COUNTS = 500
 """Default dark level of a sensor, if the log has no calibration [counts]."""
@@ -126,7 +126,7 @@ def _robot(recording: Recording, source: str, playpen: Playpen | None, index: in
         for channel, width in (("pose", 3), ("proximity", 8), ("ambient", 8), ("speed", 4))
     )
     registers = _series(recording, f"/{name}/registers", N_REGISTERS)
-    vision = _series(recording, f"/{name}/vision", VISION_PIXELS)
+    vision = _series(recording, f"/{name}/vision", K213_PIXELS)
     lines = recording.lines.get(f"/{name}/serial", [])
     calibration = calibration_of(recording.label.attachments, name, source)
     dark = None if calibration is None else calibration.ambient.dark_counts
