@@ -244,6 +244,14 @@ class RadioStatus(IntFlag):
     """Since the last read a message found the buffer of received ones full."""
 
 
+# Linear vision -----------------------------------------------------------------------------------------
+
+K213_NUMBER = 2
+"""Number of the K213 linear vision turret on the T bus (public host programs)."""
+
+K213_PIXELS = 64
+"""Pixels of its line image (its manual, as public sources have it)."""
+
 # Serial line -------------------------------------------------------------------------------------------
 
 BITS_PER_BYTE = 11

@@ -74,6 +74,16 @@ class RadioRegister(IntEnum):
 
 
 N_REGISTERS = RadioRegister.BUFFER + CAPACITY * ENTRY
+"""Number of registers."""
+
+_BYTES = [f"byte_{number}" for number in range(RADIO_BYTES)]
+
+NAMES = (
+    *(register.name.lower() for register in RadioRegister if register < RadioRegister.DATA),
+    *_BYTES,
+    *(f"received_{entry}_{part}" for entry in range(CAPACITY) for part in ("sender", "length", *_BYTES)),
+)
+"""Names of the registers."""
 
 
 class RadioElectronics:

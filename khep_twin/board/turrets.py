@@ -9,7 +9,7 @@ registers under the entry point "khep_twin.turrets"; the gripper is part of the 
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -124,6 +124,8 @@ class TurretKind:
             keyframe "home" has the motors' initial targets.
         fit: Factory of its body from its place in the world; None without a body.
         reach: Radius of the floor around the robot's centre that it covers at the start [m].
+        names: Names of its registers, for tables; empty for numbers.
+        image: Registers that hold a line image, from the left to the right, greys of 0 to 255; None without.
     """
 
     name: str
@@ -134,6 +136,8 @@ class TurretKind:
     scene: Path | None = None
     fit: Callable[[TurretContext], TurretBody] | None = None
     reach: float = 0.0
+    names: tuple[str, ...] = ()
+    image: slice | None = field(default=None, hash=False)
 
 
 @cache

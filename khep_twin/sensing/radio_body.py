@@ -12,7 +12,7 @@ Transmissions do not disturb each other, a turret receives while it sends, and n
 
 import math
 
-from khep_twin.board.radio import CAPACITY, ENTRY, REVISION, VERSION, RadioElectronics, RadioPhase
+from khep_twin.board.radio import CAPACITY, ENTRY, NAMES, REVISION, VERSION, RadioElectronics, RadioPhase
 from khep_twin.board.radio import RadioRegister as Register
 from khep_twin.board.turrets import TurretContext, TurretKind
 from khep_twin.sensing.noise import philox
@@ -118,5 +118,6 @@ RADIO = TurretKind(
     revision=f"{VERSION}.{REVISION}",
     make=RadioElectronics,
     fit=RadioBody,
+    names=NAMES,
 )
 """The radio turret, as registered under the entry point "khep_twin.turrets"."""

@@ -2,7 +2,7 @@
 
 import pytest
 
-from khep_twin.board.radio import CAPACITY, ENTRY, RadioElectronics, RadioPhase, RadioRegister
+from khep_twin.board.radio import CAPACITY, ENTRY, NAMES, RadioElectronics, RadioPhase, RadioRegister
 
 NONE = ",0" * 16
 
@@ -114,3 +114,9 @@ def test_a_reset_drops_all_but_the_number_of_the_draws(radio: RadioElectronics) 
     assert radio.registers[RadioRegister.PHASE] == RadioPhase.IDLE
     assert radio.registers[RadioRegister.TRANSMISSIONS] == 12
     assert radio.registers.sum() == 12
+
+
+def test_every_register_has_a_name_of_its_own(radio: RadioElectronics) -> None:
+    assert len(set(NAMES)) == len(NAMES) == len(radio.registers)
+    assert NAMES[RadioRegister.BUFFER + ENTRY] == "received_1_sender"
+    assert NAMES[RadioRegister.LENGTH] == "length"
