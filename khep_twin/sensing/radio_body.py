@@ -16,7 +16,6 @@ from khep_twin.board.radio import CAPACITY, ENTRY, NAMES, REVISION, VERSION, Rad
 from khep_twin.board.radio import RadioRegister as Register
 from khep_twin.board.turrets import TurretContext, TurretKind
 from khep_twin.sensing.noise import philox
-from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.units import RADIO_ALL, RADIO_NUMBER, TICK_NS
 
 _WORD = 0xFFFFFFFF
@@ -40,7 +39,8 @@ class RadioBody:
         self._context = context
         self._registers = context.registers
         self._view = context.registers.data
-        self._indices = RobotIndices.of(context.model, context.prefix.partition("/")[0])
+        robot = context.prefix.partition("/")[0]
+        self._pose = int(context.model.joint(f"{robot}/pose").qposadr[0])
         settings = context.settings
         self._range = settings["range_mm"] / 1000
         self._loss = round(settings["loss"] * (_WORD + 1))
@@ -49,7 +49,7 @@ class RadioBody:
     @property
     def place(self) -> tuple[float, float]:
         """Place of its robot: x and y [m]."""
-        x, y, _ = self._indices.pose_in(self._context.data.qpos)
+        x, y = self._context.data.qpos[self._pose : self._pose + 2].tolist()
         return x, y
 
     def sense(self) -> None:

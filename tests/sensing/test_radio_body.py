@@ -267,3 +267,18 @@ def test_a_turret_without_power_neither_sends_nor_receives(world: World) -> None
             body.drive()
     assert air.status(1) == RadioStatus.READY | RadioStatus.FAILED
     assert air.status(2) == RadioStatus.READY
+
+
+def test_registers_out_of_a_damaged_snapshot_are_no_error(world: World) -> None:
+    rng = np.random.default_rng(6)
+    extremes = np.array([-(2**63), -1, 0, 1, 2, 5, 255, TICK_NS, 2**63 - 1])
+    for _ in range(200):
+        air = Air(world, loss=0.5)
+        for each in air.electronics:
+            each.registers[:] = rng.choice(extremes, len(each.registers))
+        for _ in range(3):
+            air.tick()
+        for number, each in enumerate(air.electronics, 1):
+            assert air.send(number, 1, b"?") in (True, False)
+            for message in (b"F", b"R", b"B"):
+                assert each.receive(message).startswith(b"t,4,")
