@@ -127,14 +127,7 @@ class BoardModel:
     """
 
     def __init__(self, rom: Rom, known: KnownRobot, timed: Sequence[TimedExchange]) -> None:
-        kinds = known.turrets
-        if kinds is None:
-            replies = [each.exchange.reply or b"" for each in timed]
-            kinds = tuple(
-                kind
-                for kind in installed().values()
-                if any(reply.startswith(b"t,%d," % kind.number) for reply in replies)
-            )
+        kinds = _answering(timed) if known.turrets is None else known.turrets
         self._turrets: dict[TurretKind, Turret] = {kind: kind.make() for kind in kinds}
         self._firmware = Firmware(rom, 1 if known.mode is None else known.mode, self._turrets)
         # A robot that a relay finds has been on for long.
@@ -214,6 +207,17 @@ class BoardModel:
             (min(both(view, Wheel.MAX_SPEED)), min(both(view, Wheel.ACCELERATION))),
             self._gains_known and all(view[register] == value for register, value in _GAINS.items()),
         )
+
+
+def _answering(timed: Sequence[TimedExchange]) -> tuple[TurretKind, ...]:
+    """Return the installed turrets under whose numbers there are answers."""
+    numbers = {kind.number: kind for kind in reversed(tuple(installed().values()))}
+    replies = [each.exchange.reply or b"" for each in timed]
+    return tuple(
+        numbers[number]
+        for number in sorted(numbers)
+        if any(reply.startswith(b"t,%d," % number) for reply in replies)
+    )
 
 
 def both(registers: kernel.Registers, register: Wheel) -> tuple[int, int]:
