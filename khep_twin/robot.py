@@ -55,6 +55,11 @@ class WorldContext(Protocol):
         """True if sensors are noisy."""
         ...
 
+    @property
+    def is_compiled(self) -> bool:
+        """True if compiled code steps the world."""
+        ...
+
     def log_event(self, robot: int | None, text: str) -> None:
         """Log an event."""
         ...
@@ -117,6 +122,11 @@ class TurretPlace:
         return [(*at, power) for at, power in zip(world.lamps.positions, world.powers, strict=True)]
 
     @property
+    def room_lux(self) -> float:
+        """Illuminance by the room's own light [lx]."""
+        return self._context.playpen.lighting.room_lux
+
+    @property
     def key(self) -> tuple[int, int]:
         """Words of the key of the turret's random draws: those of the robot's sensors, told apart."""
         low, high = self._state["noise"].tolist()
@@ -126,6 +136,11 @@ class TurretPlace:
     def is_noisy(self) -> bool:
         """True if sensors are noisy."""
         return self._context.is_noisy
+
+    @property
+    def is_compiled(self) -> bool:
+        """True if the world is stepped by compiled code, so that a body may use such code, too."""
+        return self._context.is_compiled
 
     @property
     def peers(self) -> list[TurretBody | None]:

@@ -219,6 +219,22 @@ ARM_DOWN = 255
 FINGERS_OPEN = 200
 """Position of the fingers with the widest gap, 55 mm; 0 is closed (simulators)."""
 
+# Light ------------------------------------------------------------------------------------------------
+
+ROOM_LUX = 300.0
+"""Illuminance by a room's own light [lx] (assumed: an office)."""
+
+# K213 --------------------------------------------------------------------------------------------------
+
+K213_NUMBER = 2
+"""Number of the vision turret K213 on the T bus (public host programs)."""
+
+K213_PIXELS = 64
+"""Number of pixels of its line image (K213 manual 1.2)."""
+
+K213_PERIODS_MS = (0, 50, 100, 150, 250, 500, 1000, 5000)
+"""Period of a scan for each parameter of its order U [ms]; 0 for one by the light (simulators)."""
+
 # Serial line -------------------------------------------------------------------------------------------
 
 BITS_PER_BYTE = 11

@@ -78,6 +78,11 @@ class TurretContext(Protocol):
         ...
 
     @property
+    def room_lux(self) -> float:
+        """Illuminance by the room's own light [lx]."""
+        ...
+
+    @property
     def key(self) -> tuple[int, int]:
         """Words of the key of the turret's random draws, for `sensing.noise`; follows the world's seed."""
         ...
@@ -85,6 +90,11 @@ class TurretContext(Protocol):
     @property
     def is_noisy(self) -> bool:
         """True if sensors are noisy."""
+        ...
+
+    @property
+    def is_compiled(self) -> bool:
+        """True if the world is stepped by compiled code, so that a body may use such code, too."""
         ...
 
     @property

@@ -10,7 +10,7 @@ from khep_twin.files.toml_files import NAME_WISH, Name, TomlTable
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
 from khep_twin.playpen.polygon import Point, area, crossing, edges, pieces, reaching_in
 from khep_twin.playpen.surfaces import Colour
-from khep_twin.units import BODIES, BULB_RADIUS, Body
+from khep_twin.units import BODIES, BULB_RADIUS, ROOM_LUX, Body
 
 BULB_RADIUS_MM = BULB_RADIUS * 1000
 """Radius of a lamp's bulb [mm]."""
@@ -250,6 +250,7 @@ class Lighting(TomlTable):
         min_angle_deg: Toolbox angle, up to which a lamp off the sensor's axis loses nothing.
         max_angle_deg: Toolbox angle, from which on nothing is left.
         mains_hz: Frequency of the mains; lamps flicker twice in each of its periods.
+        room_lux: Illuminance by the room's own light, which a vision turret sees by [lx].
     """
 
     mode: LightingMode = "all"
@@ -258,6 +259,7 @@ class Lighting(TomlTable):
     min_angle_deg: Annotated[float, Field(ge=0, le=180)] = MIN_ANGLE_DEG
     max_angle_deg: Annotated[float, Field(ge=1, le=180)] = MAX_ANGLE_DEG
     mains_hz: Annotated[float, Field(ge=10, le=100)] = 50.0
+    room_lux: Annotated[float, Field(ge=0, le=100_000)] = ROOM_LUX
 
 
 MODELS: Mapping[str, Mapping[str, str]] = {

@@ -62,6 +62,7 @@ class MjModel:
     nbody: int
     ngeom: int
     nv: int
+    nsite: int
     nuser_site: int
     names: bytes
     body_parentid: NDArray[np.int32]
@@ -82,6 +83,7 @@ class MjModel:
     dof_frictionloss: NDArray[np.float64]
     dof_invweight0: NDArray[np.float64]
     qpos0: NDArray[np.float64]
+    cam_bodyid: NDArray[np.int32]
     cam_pos: NDArray[np.float64]
     cam_quat: NDArray[np.float64]
     cam_fovy: NDArray[np.float64]
