@@ -261,6 +261,14 @@ class Robot:
         return self.indices.pose_in(self._context.data.qpos)
 
     @property
+    def line_image(self) -> NDArray[np.int64] | None:
+        """Greys that its turret sees, from the left to the right, 0 to 255 (n,); None without such one."""
+        for kind, turret in self.firmware.turrets.items():
+            if kind.image is not None:
+                return turret.registers[kind.image]
+        return None
+
+    @property
     def disc(self) -> tuple[float, float, float]:
         """Disc of the floor that it covers: x, y and radius [m]."""
         x, y, _ = self.pose

@@ -224,13 +224,13 @@ FINGERS_OPEN = 200
 ROOM_LUX = 300.0
 """Illuminance by a room's own light [lx] (assumed: an office)."""
 
-# K213 --------------------------------------------------------------------------------------------------
+# Linear vision -----------------------------------------------------------------------------------------
 
 K213_NUMBER = 2
-"""Number of the vision turret K213 on the T bus (public host programs)."""
+"""Number of the K213 linear vision turret on the T bus (public host programs)."""
 
 K213_PIXELS = 64
-"""Number of pixels of its line image (K213 manual 1.2)."""
+"""Pixels of its line image (its manual, as public sources have it)."""
 
 K213_PERIODS_MS = (0, 50, 100, 150, 250, 500, 1000, 5000)
 """Period of a scan for each parameter of its order U [ms]; 0 for one by the light (simulators)."""

@@ -102,5 +102,6 @@ GRIPPER = TurretKind(
     scene=Path(str(files("khep_twin"))) / "assets" / "gripper.xml",
     fit=GripperBody,
     reach=0.034,
+    names=tuple(register.name.lower() for register in Register),
 )
 """The gripper, as registered under the entry point "khep_twin.turrets"."""

@@ -13,7 +13,8 @@
 
 Orders and numbers of values as in public host programs and simulators; its own manual is not available. That
 M has two pixels of 4 bits in a value, the left one in the higher bits, is assumed: the sources have 32 values
-of a lower grey resolution. So are the limits of Q and R, and that the first of equal pixels counts for O and P.
+of a lower grey resolution. So are the limits of Q and R, and that of equal pixels the leftmost counts in O
+and P.
 
 The turret scans by itself. `K213Body` writes the pixels and the light into the registers as a scan ends, in
 the control period in which the register LEFT is 1; the answers are those of the last whole scan. The light

@@ -88,14 +88,17 @@ Request = Command | TurretMessage | Tool | Malformed
 class LineReader:
     """Splitter of a byte stream into lines, for chunks of any size.
 
-    Empty lines are dropped, so CR LF is one ending. A line beyond LINE_LIMIT is truncated and marked as too
-    long.
+    Empty lines are dropped, so CR LF is one ending. A line beyond the limit is truncated to one byte more.
+
+    Args:
+        limit: Longest line [bytes].
 
     Attributes:
         begun: Bytes of the incomplete line.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, limit: int = LINE_LIMIT) -> None:
+        self._limit = limit
         self.begun = b""
 
     def feed(self, data: bytes) -> Iterator[bytes]:
@@ -104,8 +107,8 @@ class LineReader:
         # Cleared while a line is handled, the reader goes on with the bytes after it.
         self.begun = b""
         for line in filter(None, lines):
-            yield line[: LINE_LIMIT + 1]
-        self.begun = begun[: LINE_LIMIT + 1]
+            yield line[: self._limit + 1]
+        self.begun = begun[: self._limit + 1]
 
     def clear(self) -> None:
         """Discard the incomplete line."""

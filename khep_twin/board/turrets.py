@@ -129,6 +129,8 @@ class TurretKind:
             keyframe "home" has the motors' initial targets.
         fit: Factory of its body from its place in the world; None without a body.
         reach: Radius of the floor around the robot's centre that it covers at the start [m].
+        names: Names of its registers, for tables; empty for numbers.
+        image: Registers that hold a line image, from the left to the right, greys of 0 to 255; None without.
     """
 
     name: str
@@ -139,6 +141,8 @@ class TurretKind:
     scene: Path | None = None
     fit: Callable[[TurretContext], TurretBody] | None = None
     reach: float = 0.0
+    names: tuple[str, ...] = ()
+    image: slice | None = None
 
 
 @cache

@@ -12,6 +12,7 @@
     /khepera0/leds              std_msgs/Float64MultiArray  LED 0 (lateral), 1 (frontal), 1 when lit
     /khepera0/registers         std_msgs/Int64MultiArray    the board's whole state
     /khepera0/gripper           std_msgs/Int64MultiArray    a turret's whole state, under the turret's name
+    /khepera0/vision            sensor_msgs/Image           greys from left to right, of a turret that sees
     /khepera0/serial            rcl_interfaces/Log          the transcript, one line per message
     /khepera0/host_events       std_msgs/Int64MultiArray    what its host did, to repeat it (`host_events`)
     /state                      std_msgs/Int64MultiArray    hashes of the whole state (`state_hashes`)
@@ -80,6 +81,7 @@ FLOATS = "std_msgs/msg/Float64MultiArray"
 INTEGERS = "std_msgs/msg/Int64MultiArray"
 BYTES = "std_msgs/msg/UInt8MultiArray"
 POSE = "geometry_msgs/msg/PoseStamped"
+IMAGE = "sensor_msgs/msg/Image"
 UNSURE_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 SCHEMAS = {
@@ -87,6 +89,14 @@ SCHEMAS = {
     FLOATS: _ARRAY.format(type="float64", rule=_RULE),
     INTEGERS: _ARRAY.format(type="int64", rule=_RULE),
     BYTES: _ARRAY.format(type="uint8", rule=_RULE),
+    IMAGE: f"""std_msgs/Header header
+uint32 height
+uint32 width
+string encoding
+uint8 is_bigendian
+uint32 step
+uint8[] data
+{_HEADER}""",
     POSE: f"std_msgs/Header header\ngeometry_msgs/Pose pose\n{_HEADER}\n{_POSE}",
     UNSURE_POSE: f"""std_msgs/Header header
 geometry_msgs/PoseWithCovariance pose
@@ -201,6 +211,35 @@ class ArrayFrame:
         """Return a message per row of values (n, length), as rows of bytes (n,)."""
         filled = _copies(self._frame, len(values), self._type)
         filled["values"] = values
+        return filled
+
+
+class ImageFrame:
+    """Messages of one sensor_msgs/Image channel: line images of grey pixels.
+
+    Args:
+        width: Number of pixels.
+        name: Name of the camera's frame.
+    """
+
+    def __init__(self, width: int, name: str) -> None:
+        frame = Encoder()
+        stamp = frame.align(4)
+        frame.time(0).text(name).put("I", 1, width).text("mono8").put("B", 0).put("I", width, width)
+        self._frame = frame.message() + bytes(width)
+        fields = {"stamp": ("<i4", 2, stamp), "data": ("u1", width, len(self._frame) - width)}
+        self._type = _layout(len(self._frame), fields)
+
+    def messages(self, times_ns: NDArray[np.int64], images: NDArray[Any]) -> NDArray[np.void]:
+        """Return a message per time (n,), as rows of bytes (n,).
+
+        Args:
+            times_ns: Times of the messages (n,) [ns].
+            images: Greys from the left to the right, 0 to 255 (n, width).
+        """
+        filled = _copies(self._frame, len(times_ns), self._type)
+        filled["stamp"] = np.column_stack(np.divmod(times_ns, NS_PER_S))
+        filled["data"] = images
         return filled
 
 

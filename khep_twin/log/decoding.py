@@ -202,6 +202,37 @@ def read_arrays_of(
     return np.array(read_each(of_width, messages), number)
 
 
+def read_images_of(messages: Sequence[bytes]) -> NDArray[np.int64]:
+    """Return the greys of the line images of a channel, from the left to the right (n, width).
+
+    Raises:
+        Misfit: One, at its `row`, is no grey sensor_msgs/Image of one row, or of another width.
+    """
+    found = read_each(_read_image, messages)
+    width = len(found[0]) if found else 0
+    for row, image in enumerate(found):
+        if len(image) != width:
+            raise Misfit(f"{len(image)} pixels", f"{width}, as in the channel's first message").in_row(row)
+    return np.frombuffer(b"".join(found), np.uint8).reshape(len(found), width).astype(np.int64)
+
+
+def _read_image(message: bytes) -> bytes:
+    """Return the pixels of a grey image of one row."""
+    decoder = Decoder(message)
+    decoder.time()
+    decoder.text()
+    height, width = decoder.get("I", 2)
+    encoding = decoder.text()
+    decoder.get("B")
+    step, size = decoder.get("I", 2)
+    if (height, encoding) != (1, "mono8") or not width == step == size:
+        found = f"an image of {width} x {height} pixels {shown(encoding)} in {size} bytes"
+        raise Misfit(found, "one row of mono8, with a byte for each pixel")
+    pixels = bytes(decoder.get("B", size))
+    decoder.end()
+    return pixels
+
+
 def read_transforms(message: bytes) -> dict[str, tuple[float, ...]]:
     """Return the poses of a TFMessage by frame: x, y, z [m] and quaternion x, y, z, w.
 

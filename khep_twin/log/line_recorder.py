@@ -1,8 +1,8 @@
 """Recorder of a real robot's serial line: its transcript, and the robot's data in its replies.
 
 The log has the format of a twin's, as far as a line can provide it: the transcript, the events, and the
-sensor values and wheel speeds of the robot's own replies to N, O and E, at the time of their last byte. The
-robot's true pose, known only of a twin, is missing.
+sensor values, wheel speeds and line images of the robot's own replies to N, O, E and T,2,N, at the time of
+their last byte. The robot's true pose, known only of a twin, is missing.
 """
 
 import json
@@ -15,17 +15,26 @@ from khep_twin import __version__
 from khep_twin.board.protocol import Command, LineReader, parse
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import LogError
-from khep_twin.log.channels import FLOATS, INTEGERS, ArrayFrame
+from khep_twin.log.channels import FLOATS, IMAGE, INTEGERS, ArrayFrame, ImageFrame
 from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.recorder import SAMPLED, channel_names
 from khep_twin.log.transcript import Transcript
+from khep_twin.units import K213_NUMBER, K213_PIXELS
 
 ROBOT = "khepera0"
 """Name of the robot in the log."""
 
-_REPLIES = {b"n": ("proximity", 8), b"o": ("ambient", 8), b"e": ("speed", 2)}
-"""Replies with values that a twin's log samples: topic, and number of integers."""
+_REPLIES = {
+    b"n,": ("proximity", 8),
+    b"o,": ("ambient", 8),
+    b"e,": ("speed", 2),
+    f"t,{K213_NUMBER},n,".encode(): ("vision", K213_PIXELS),
+}
+"""Replies with values that a twin's log samples, by how they begin: topic, and number of integers."""
+
+_REPLY_LIMIT = 1024
+"""Longest reply that is looked at [bytes]; a whole line image has up to 264."""
 
 
 class LineRecorder:
@@ -57,12 +66,13 @@ class LineRecorder:
         self.kept = self._log.kept
         self._now = now
         self._transcript = Transcript(self._log, [ROBOT])
-        self._lines = {True: LineReader(), False: LineReader()}
+        self._lines = {True: LineReader(), False: LineReader(_REPLY_LIMIT)}
         self._host_events: list[tuple[int, HostEvent]] = []
         self._setpoints = (0, 0)
         self._frames = {
             topic: ArrayFrame(len(columns), kind, label) for topic, _, kind, label, columns in SAMPLED
         }
+        self._image = ImageFrame(K213_PIXELS, f"{ROBOT}/k213")
         attachment = json.dumps(dict(settings), indent=2, sort_keys=True) + "\n"
         facts = {"robots": ROBOT, "khep_twin": __version__, **settings}
         self._log.describe({"configuration.json": attachment}, facts)
@@ -127,14 +137,22 @@ class LineRecorder:
                 pass
 
     def _take_values(self, time_ns: int, line: bytes) -> None:
-        head, *fields = line.split(b",")
-        topic, count = _REPLIES.get(head, ("", 0))
-        if len(fields) != count or not topic:
+        head = next((each for each in _REPLIES if line.startswith(each)), None)
+        if head is None:
+            return
+        topic, count = _REPLIES[head]
+        fields = line.removeprefix(head).split(b",")
+        if len(fields) != count:
             return
         try:
             values = [int(field) for field in fields]
         except ValueError:
             return  # noise on the line, kept in the transcript
+        if topic == "vision":
+            if all(0 <= value <= 255 for value in values):
+                image = self._image.messages(np.array([time_ns]), np.array([values]))[0].tobytes()
+                self._log.add(f"/{ROBOT}/vision", IMAGE, time_ns, image)
+            return
         if topic == "speed":
             values += self._setpoints
         message = self._frames[topic].messages(np.array([values]))[0].tobytes()

@@ -9,20 +9,25 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.log.channels import FLOATS, INTEGERS, TextLine
+from khep_twin.log.channels import FLOATS, IMAGE, INTEGERS, TextLine
 from khep_twin.log.decoding import (
     LATEST_NS,
     Misfit,
     read_arrays_of,
     read_each,
+    read_images_of,
     read_line,
     read_transforms,
     shown,
 )
 from khep_twin.log.entries import Entry
 
-KINDS = {FLOATS: "d", INTEGERS: "q"}
-"""Format of the numbers of a message type."""
+READERS: dict[str, Callable[[list[bytes]], NDArray[np.int64] | NDArray[np.float64]]] = {
+    FLOATS: partial(read_arrays_of, kind="d"),
+    INTEGERS: partial(read_arrays_of, kind="q"),
+    IMAGE: read_images_of,
+}
+"""Decoders of the message types that hold numbers, to one row for each message."""
 
 FOR_REPEAT = ("host_events", "state", "snapshot")
 """Channels without samples, for `khep-twin repeat` and `branch`, in rows of any length."""
@@ -73,10 +78,10 @@ class Messages:
     def series(self) -> dict[str, TimeSeries]:
         """Return all channels of numbers by topic."""
         return {
-            topic: TimeSeries(*self._decoded(topic, partial(read_arrays_of, kind=KINDS[schema]), schema))
+            topic: TimeSeries(*self._decoded(topic, READERS[schema], schema))
             for topic, found in self._found.items()
             for schema in found
-            if schema in KINDS
+            if schema in READERS
         }
 
     def samples(self, robot: str, name: str) -> NDArray[np.int64]:

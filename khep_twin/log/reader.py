@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
-from khep_twin.log.channels import FLOATS, TextLine
+from khep_twin.log.channels import FLOATS, IMAGE, TextLine
 from khep_twin.log.content import Content
 from khep_twin.log.decoding import Misfit
 from khep_twin.log.entries import Entry
@@ -125,10 +125,10 @@ def hash_of(path: Path) -> str:
 
 
 def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]]:
-    """Read a log's label and its arrays of floats by topic: times (n,) [ns] and values (n, length)."""
+    """Read a log's label and its floats and images by topic: times (n,) [ns] and values (n, length)."""
     with _opened(path) as content:
         label = _label(path, content)
-        messages = Messages(path, (each for each in content.messages() if each.schema == FLOATS))
+        messages = Messages(path, (each for each in content.messages() if each.schema in (FLOATS, IMAGE)))
     series = messages.series()
     return label, {topic: (each.times_ns, each.values.astype(np.float64)) for topic, each in series.items()}
 

@@ -23,7 +23,7 @@ from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.log import channels, foxglove_scene
-from khep_twin.log.channels import BYTES, FLOATS, INTEGERS, ArrayFrame, TransformFrame
+from khep_twin.log.channels import BYTES, FLOATS, IMAGE, INTEGERS, ArrayFrame, ImageFrame, TransformFrame
 from khep_twin.log.description import body_name, urdf
 from khep_twin.log.entries import Entry
 from khep_twin.log.host_events import events_message
@@ -275,7 +275,9 @@ class Recorder:
             powers = np.array([sample.powers for sample in taken]).reshape(shape)
             self._log.add_rows(self._lamps_topic, FLOATS, times_ns, self._lamps.messages(powers))
         for channel in self._channels:
-            messages = channel.frame.messages(samples[:, channel.columns])
+            found, frame = samples[:, channel.columns], channel.frame
+            is_image = isinstance(frame, ImageFrame)
+            messages = frame.messages(times_ns, found) if is_image else frame.messages(found)
             self._log.add_rows(channel.topic, channel.schema, times_ns, messages)
         self._transcript.write()
         for index, robot in enumerate(self._world.robots):
@@ -382,7 +384,7 @@ class _Channel:
 
     topic: str
     schema: str
-    frame: ArrayFrame
+    frame: ArrayFrame | ImageFrame
     columns: list[int] | slice
 
 
@@ -391,8 +393,14 @@ def _channels_of(robot: Robot, start: int) -> Iterator[_Channel]:
     for name, schema, kind, label, registers in SAMPLED:
         frame = ArrayFrame(len(registers), kind, label)
         yield _Channel(f"/{robot.name}/{name}", schema, frame, [start + register for register in registers])
-    names = ["registers", *(kind.name for kind in robot.firmware.turrets)]
-    for name, board in zip(names, boards(robot), strict=True):
-        frame, end = ArrayFrame(len(board), "i8", "registers"), start + len(board)
+    kinds = [None, *robot.firmware.turrets]
+    for kind, board in zip(kinds, boards(robot), strict=True):
+        end, name = start + len(board), "registers" if kind is None else kind.name
+        label = ", ".join(kind.names) if kind and kind.names else "registers"
+        frame = ArrayFrame(len(board), "i8", label)
         yield _Channel(f"/{robot.name}/{name}", INTEGERS, frame, slice(start, end))
+        if kind and kind.image:
+            pixels = range(start, end)[kind.image]
+            frame = ImageFrame(len(pixels), f"{robot.name}/{kind.name}")
+            yield _Channel(f"/{robot.name}/vision", IMAGE, frame, slice(pixels.start, pixels.stop))
         start = end

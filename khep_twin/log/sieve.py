@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 
-from khep_twin.log.decoding import LATEST_NS, Misfit, read_array, read_line, read_transforms
+from khep_twin.log.channels import INTEGERS
+from khep_twin.log.decoding import LATEST_NS, Misfit, read_line, read_transforms
 from khep_twin.log.host_events import read_events
-from khep_twin.log.messages import FOR_REPEAT, KINDS, WIDTHS, line_topics, read_samples
+from khep_twin.log.messages import FOR_REPEAT, READERS, WIDTHS, line_topics, read_samples
 from khep_twin.log.state_hashes import read_states
 
 
@@ -29,7 +30,7 @@ class Sieve:
             return False
 
     def _fits(self, topic: str, schema: str, message: bytes) -> bool:
-        name, kind = topic.rpartition("/")[2], KINDS.get(schema)
+        name = topic.rpartition("/")[2]
         if name == "host_events":
             for _ in read_events(message):
                 pass
@@ -42,7 +43,7 @@ class Sieve:
         widths: dict[str, int] = {}
         if topic in self._sampled:
             widths[name] = read_samples([message], name).shape[1]
-        if kind is not None and not (name in FOR_REPEAT and kind == "q"):
-            widths[schema] = len(read_array(message, kind))
+        if schema in READERS and not (name in FOR_REPEAT and schema == INTEGERS):
+            widths[schema] = READERS[schema]([message]).shape[1]
         # The first message of a channel defines the width of the others.
         return all(self._widths.setdefault((topic, of), width) == width for of, width in widths.items())

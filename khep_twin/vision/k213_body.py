@@ -5,7 +5,7 @@ from pathlib import Path
 
 from khep_twin.board.k213 import PIXELS, REVISION, TICK_MS, VERSION, K213Electronics, Register
 from khep_twin.board.turrets import TurretContext, TurretKind
-from khep_twin.units import K213_NUMBER
+from khep_twin.units import K213_NUMBER, K213_PIXELS
 from khep_twin.vision.camera import LineCamera
 
 
@@ -54,5 +54,7 @@ K213 = TurretKind(
     make=K213Electronics,
     scene=Path(str(files("khep_twin"))) / "assets" / "k213.xml",
     fit=K213Body,
+    names=(*(register.name.lower() for register in Register), *(f"pixel_{k}" for k in range(K213_PIXELS))),
+    image=PIXELS,
 )
 """The K213, as registered under the entry point "khep_twin.turrets"."""

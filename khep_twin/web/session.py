@@ -274,7 +274,7 @@ class TwinActor(WebSession):
         robots: list[dict[str, object]] = []
         now = as_it_stands(world)
         for index, (robot, host, entry) in enumerate(zip(twin.robots, hosts, now.robots, strict=True)):
-            registers = robot.registers
+            registers, image = robot.registers, robot.line_image
             robots.append(
                 {
                     "x_mm": round(entry.x_mm, 2),
@@ -283,6 +283,7 @@ class TwinActor(WebSession):
                     "proximity": registers[PROXIMITY].tolist(),
                     "ambient": registers[AMBIENT].tolist(),
                     "speed": registers[SPEEDS].tolist(),
+                    "vision": None if image is None else image.tolist(),
                     "turrets": self._turrets[index].corners(),
                     "leds": registers[[Board.LED_0, Board.LED_1]].tolist(),
                     "host": host.port.occupied,

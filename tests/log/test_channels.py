@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from khep_twin.log import channels, decoding
-from khep_twin.log.channels import ArrayFrame, Level, TextLine, TransformFrame
+from khep_twin.log.channels import ArrayFrame, ImageFrame, Level, TextLine, TransformFrame
 
 
 @dataclass
@@ -110,3 +110,42 @@ def test_many_arrays_are_read_at_once_as_one_by_one(kind: str, letter: str) -> N
     assert decoding.read_arrays_of(messages + other, letter).tolist() == [*values.tolist(), *values.tolist()]
     with pytest.raises(ValueError, match="2 values; expected 3, as in the channel's first message"):
         decoding.read_arrays_of([*messages, *rows(ArrayFrame(2, kind, "").messages(values[:, :2]))], letter)
+
+
+IMAGES = np.array([[0, 7, 255], [1, 2, 3]])
+
+
+def test_a_line_image_decodes_by_the_rules_of_cdr() -> None:
+    frame = ImageFrame(3, "khepera0/k213")
+    messages = rows(frame.messages(np.array([0, 2_500_000_040]), IMAGES))
+    for message, time, pixels in zip(messages, ((0, 0), (2, 500_000_040)), IMAGES.tolist(), strict=True):
+        cdr = Cdr(message)
+        assert (cdr.take("i"), cdr.take("I"), cdr.string()) == (*time, "khepera0/k213")
+        assert (cdr.take("I"), cdr.take("I"), cdr.string()) == (1, 3, "mono8")
+        assert (cdr.take("B"), cdr.take("I"), cdr.take("I")) == (0, 3, 3)
+        assert [cdr.take("B") for _ in range(3)] == pixels
+        assert cdr.at_end()
+    assert np.array_equal(decoding.read_images_of(messages), IMAGES)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "found"),
+    [
+        (b"mono8", b"mono9", "an image of 3 x 1 pixels mono9 in 3 bytes"),
+        (b"\1\0\0\0\3\0\0\0", b"\2\0\0\0\3\0\0\0", "an image of 3 x 2 pixels mono8 in 3 bytes"),
+        (b"\0\7\xff", b"\0\7", "3 values of 1 bytes"),
+        (b"\0\7\xff", b"\0\7\xff\0", "bytes"),
+    ],
+)
+def test_another_image_is_refused(old: bytes, new: bytes, found: str) -> None:
+    whole, second = rows(ImageFrame(3, "khepera0/k213").messages(np.array([0, 1]), IMAGES))
+    assert whole.count(old) == 1
+    with pytest.raises(decoding.Misfit, match=found) as caught:
+        decoding.read_images_of([second, whole.replace(old, new)])
+    assert caught.value.row == 1
+
+
+def test_images_of_two_widths_are_refused() -> None:
+    narrow, wide = (rows(ImageFrame(n, "a").messages(np.array([0]), np.zeros((1, n))))[0] for n in (3, 4))
+    with pytest.raises(decoding.Misfit, match="4 pixels; expected 3, as in the channel's first message"):
+        decoding.read_images_of([narrow, wide])

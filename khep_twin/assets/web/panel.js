@@ -74,6 +74,34 @@ export class Panel {
   }
 }
 
+// A line image over time, the newest row at the bottom, left is left; a row for each 0.1 s.
+export class Strip {
+  #slot = -1;
+
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.pen = canvas.getContext("2d");
+  }
+
+  clear() {
+    this.#slot = -1;
+    this.canvas.hidden = true;
+  }
+
+  read({ vision }, time) {
+    this.canvas.hidden = !vision;
+    const slot = Math.floor(time * 10);
+    if (!vision || slot === this.#slot) return;
+    const { width, height } = this.canvas;
+    if (slot < this.#slot || this.#slot < 0) this.pen.clearRect(0, 0, width, height);
+    this.#slot = slot;
+    this.pen.drawImage(this.canvas, 0, -1);
+    const row = this.pen.createImageData(width, 1);
+    vision.forEach((grey, pixel) => row.data.set([grey, grey, grey, 255], 4 * pixel));
+    this.pen.putImageData(row, 0, height - 1);
+  }
+}
+
 // An unchanged text costs no layout.
 export function write(node, text) {
   if (node.textContent !== `${text}`) node.textContent = text;

@@ -3,7 +3,7 @@
 import { post } from "./api.js";
 import { closed, make, place } from "./drawing.js";
 import { angle, OBJECTS, tidy } from "./model.js";
-import { Panel, SENSORS, write } from "./panel.js";
+import { Panel, SENSORS, Strip, write } from "./panel.js";
 
 const $ = (selector) => document.querySelector(selector);
 const number = (selector) => ($(selector).value === "" ? null : $(selector).valueAsNumber);
@@ -43,6 +43,7 @@ export class Running {
   constructor(drawing, model, banner, attempt) {
     Object.assign(this, { drawing, model, banner, attempt });
     this.panel = new Panel($("#panel"), $("#readings"));
+    this.strip = new Strip($("#vision"));
     $("#sensor").append(...SENSORS.map((name) => new Option(name, name)));
     const press = (selector, act, about = selector) => $(selector).addEventListener("click", () => attempt(act, about));
     press("#start", () => this.start(), "run");
@@ -199,6 +200,7 @@ export class Running {
     const robot = this.robots[this.which];
     if (!robot) return;
     this.panel.shape(robot);
+    this.strip.clear();
     $("#port").textContent = robot.port;
   }
 
@@ -214,6 +216,7 @@ export class Running {
       this.#buttons();
     }
     if (shown && this.panel.near) this.panel.read(shown);
+    if (shown) this.strip.read(shown, message.time);
     if (message.part !== $("#part").value) $("#part").value = message.part;
     write($("#clock"), `${message.time.toFixed(2)} s${message.paused ? ", paused" : ""}${message.busy ? ", driven from here" : ""}`);
     if (this.real || !this.nodes) return;

@@ -25,13 +25,14 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board.gripper import Register
 from khep_twin.board.kernel import Board, Wheel
+from khep_twin.board.turrets import installed
 from khep_twin.errors import LogError, choices
 from khep_twin.files.mat_bytes import mat_bytes
 from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import Recording, TimeSeries, read_pieces
+from khep_twin.units import K213_PIXELS
 
 SUFFIXES = (".csv", ".parquet", ".mat")
 
@@ -62,14 +63,12 @@ _KNOWN: dict[str, tuple[tuple[str, str], ...]] = {
     "position": tuple((f"position_{side}", "pulses") for side in _SIDES),
     "duty": tuple((f"duty_{side}", "1/255") for side in _SIDES),
     "leds": (("led_lateral", "1 when lit"), ("led_frontal", "1 when lit")),
-    "gripper": tuple((f"gripper_{register.name.lower()}", "") for register in Register),
+    "vision": tuple((f"vision_{pixel}", "grey") for pixel in range(K213_PIXELS)),
     "registers": tuple((f"register_{name}", "") for name in _REGISTERS),
 }
 """Name and unit of each column by channel, in the order of the table."""
 
 _LAST = ("lamps", "registers")
-_UNASKED = ("registers",)
-"""Channels exported only if chosen, as most of their values are in other channels, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +117,8 @@ def chosen_channels(recording: Recording, robot: str, names: Sequence[str] | Non
     Args:
         recording: Recording of the log.
         robot: Name of the robot.
-        names: Names of the channels, in their order; by default all but the registers.
+        names: Names of the channels, in their order; by default all but the registers of the board and of
+            turrets with line images, most of which are in other channels, too.
 
     Raises:
         LogError: The log has no such channel.
@@ -131,7 +131,8 @@ def chosen_channels(recording: Recording, robot: str, names: Sequence[str] | Non
     order = [*(name for name in _KNOWN if name not in _LAST), *sorted({*found} - {*_KNOWN, *_LAST}), *_LAST]
     there = [name for name in order if name in found]
     if names is None:
-        return [found[name] for name in there if name not in _UNASKED]
+        unasked = {"registers", *(kind.name for kind in installed().values() if kind.image)}
+        return [found[name] for name in there if name not in unasked]
     for name in names:
         if name not in found:
             raise LogError(f"--channels {name}: {robot} has none in this log; {choices(name, there)}")
@@ -238,7 +239,8 @@ def write_transcript(
 
 def _columns(name: str, count: int) -> tuple[tuple[str, str], ...]:
     """Return the names and units of a channel's columns."""
-    known = _KNOWN.get(name, ())
+    turret = installed().get(name)
+    known = _KNOWN.get(name, ()) if turret is None else tuple((f"{name}_{each}", "") for each in turret.names)
     if len(known) == count:
         return known
     if name == "lamps":

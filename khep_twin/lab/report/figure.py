@@ -22,7 +22,7 @@ from khep_twin.units import COUNTS_LIMIT, speed
 POINT_LIMIT = 2000
 """Most points of a curve; longer ones are drawn as the extremes of so many intervals."""
 
-SENSOR_HEIGHT, WHEEL_HEIGHT = 4.9, 2.9
+SENSOR_HEIGHT, WHEEL_HEIGHT, VISION_HEIGHT = 4.9, 2.9, 1.9
 """Heights of the figures [inch]."""
 
 _PROXIMITY, _AMBIENT = "#2f6fb0", "#b8860b"
@@ -96,6 +96,26 @@ def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float] 
             axes.legend(handles, labels, ncols=3, fontsize=8, frameon=False, borderpad=0, **place)
         else:
             axes.set_xlabel("time [s]", fontsize=8)
+
+
+def draw_vision(figure: Figure, robot: RobotReport, corner: tuple[float, float] = (0.0, 0.0)) -> None:
+    """Draw the line images over time, their left pixel at the top; the corner is the lower left [inch]."""
+    if robot.vision is None:
+        return
+    grid = within(figure, corner, VISION_HEIGHT, left=0.7, right=0.57)
+    axes = figure.add_subplot(figure.add_gridspec(1, 1, **grid)[0, 0])
+    begin, end = _times(robot)
+    # Each column has the last image before its time.
+    moments_ns = np.linspace(begin, end, POINT_LIMIT) * 1e9
+    rows = np.searchsorted(robot.vision.times_ns, moments_ns, side="right") - 1
+    strip = np.where(rows[:, None] >= 0, robot.vision.values[np.maximum(rows, 0)], 0)
+    extent = (begin, end, strip.shape[1] - 0.5, -0.5)
+    axes.imshow(strip.T, cmap="gray", vmin=0, vmax=255, aspect="auto", interpolation="none", extent=extent)
+    axes.set_title("line image [greys, left pixel at the top]", fontsize=9, loc="left", color=INK)
+    axes.set_ylabel("pixel", fontsize=8)
+    axes.set_xlabel("time [s]", fontsize=8)
+    axes.set_yticks([0, strip.shape[1] - 1])
+    axes.tick_params(labelsize=7, length=2)
 
 
 def within(

@@ -18,7 +18,15 @@ from matplotlib.figure import Figure
 from khep_twin.drawing import map as drawing
 from khep_twin.drawing.map import STYLE
 from khep_twin.lab.report import shadow_section
-from khep_twin.lab.report.figure import SENSOR_HEIGHT, WHEEL_HEIGHT, WIDTH, draw_sensors, draw_wheels
+from khep_twin.lab.report.figure import (
+    SENSOR_HEIGHT,
+    VISION_HEIGHT,
+    WHEEL_HEIGHT,
+    WIDTH,
+    draw_sensors,
+    draw_vision,
+    draw_wheels,
+)
 from khep_twin.lab.report.report import Report, RobotReport
 from khep_twin.lab.report.rows import DEFINITIONS, Row
 from khep_twin.lab.sensor_test.sensor_figure import sheet
@@ -118,6 +126,8 @@ def pictures(robot: RobotReport) -> list[tuple[Draw, float, str]]:
         found.append((draw_sensors, SENSOR_HEIGHT, "Sensors"))
     if robot.speed is not None:
         found.append((draw_wheels, WHEEL_HEIGHT, "Wheel speeds"))
+    if robot.vision is not None:
+        found.append((draw_vision, VISION_HEIGHT, "Line images"))
     return found
 
 

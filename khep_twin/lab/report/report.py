@@ -25,7 +25,7 @@ from khep_twin.log.attached import calibration_of, playpen_of
 from khep_twin.log.reader import Recording, TimeSeries
 from khep_twin.log.shadow_channels import ShadowTrack
 from khep_twin.playpen import Playpen
-from khep_twin.units import BODY_RADIUS
+from khep_twin.units import BODY_RADIUS, K213_PIXELS
 
 USUAL_DARK_COUNTS = 500
 """Default dark level of a sensor, if the log has no calibration [counts]."""
@@ -44,6 +44,7 @@ class RobotReport:
         proximity: Proximity over time [counts], None without.
         ambient: Ambient light over time [counts], None without.
         speed: Speeds left, right, setpoints left, right over time [pulses/10 ms], None without.
+        vision: Line images over time, greys of 0 to 255, None without.
         dark: Dark level of ambient light [counts].
         contact: Intervals of contact (n, 2) [s].
     """
@@ -54,6 +55,7 @@ class RobotReport:
     proximity: TimeSeries | None
     ambient: TimeSeries | None
     speed: TimeSeries | None
+    vision: TimeSeries | None
     dark: float
     contact: statistics.Floats
 
@@ -124,6 +126,7 @@ def _robot(recording: Recording, source: str, playpen: Playpen | None, index: in
         for channel, width in (("pose", 3), ("proximity", 8), ("ambient", 8), ("speed", 4))
     )
     registers = _series(recording, f"/{name}/registers", N_REGISTERS)
+    vision = _series(recording, f"/{name}/vision", K213_PIXELS)
     lines = recording.lines.get(f"/{name}/serial", [])
     calibration = calibration_of(recording.label.attachments, name, source)
     dark = None if calibration is None else calibration.ambient.dark_counts
@@ -156,7 +159,7 @@ def _robot(recording: Recording, source: str, playpen: Playpen | None, index: in
         missing += " Of a real robot it has what the host asked for, at the time of the reply."
     if ambient is not None and dark is None:
         missing += f" No calibration either: the dark level is taken as {USUAL_DARK_COUNTS} counts."
-    return RobotReport(name, tuple(rows), missing.strip(), proximity, ambient, speed, level, contact)
+    return RobotReport(name, tuple(rows), missing.strip(), proximity, ambient, speed, vision, level, contact)
 
 
 def _series(recording: Recording, topic: str, width: int) -> TimeSeries | None:

@@ -89,6 +89,8 @@ class ShadowSamples:
 _POSE = ("Transform3D:child_frame", "Transform3D:translation", "Transform3D:quaternion")
 _STAMPED = ("InstancePoses3D:translations", "InstancePoses3D:quaternions")
 _UNSURE = "geometry_msgs.msg.PoseWithCovarianceStamped:message"
+_PIXELS = ("Image:buffer", "DepthImage:buffer")
+"""Pixels of grey images, which rerun takes for distances, too."""
 _TEXTS = ("/events", "/shadow/alarms")
 _SHADOW = ("pose", "reckoned", "expected", "measured", "residuals")
 
@@ -117,6 +119,11 @@ class Gatherer:
         if not all(np.array_equal(series[0][0], times_ns) for times_ns, _ in series[1:]):
             return None  # a real robot's, which answers one by one
         return Samples(series[0][0], *(values for _, values in series))
+
+    def images(self, robot: str) -> tuple[NDArray[np.int64], Floats] | None:
+        """Return times (n,) [ns] and line images (n, pixels) of a robot that sees; None if there are none."""
+        parts = self._rows.get(f"/{robot}/vision")
+        return _joined(parts) if parts else None
 
     def poses(self) -> Poses | None:
         """Return the poses of all bodies; None if there are none."""
@@ -153,7 +160,7 @@ class Gatherer:
     def _note(self, chunk: Chunk) -> None:
         path = chunk.entity_path
         known = path in ("/tf", "/lamps", "/events") or path.startswith("/shadow/")
-        if not known and not path.endswith(("/proximity", "/ambient", "/speed")):
+        if not known and not path.endswith(("/proximity", "/ambient", "/speed", "/vision")):
             return
         batch: Any = chunk.to_record_batch()
         names = batch.schema.names
@@ -165,6 +172,9 @@ class Gatherer:
         if "Scalars:scalars" in names:
             scalars: Floats = column("Scalars:scalars").flatten().to_numpy(zero_copy_only=False)
             self._rows.setdefault(path, []).append((at, scalars.reshape(len(at), -1)))
+        elif found := [name for name in _PIXELS if name in names]:
+            pixels = column(found[0]).flatten().flatten().to_numpy(zero_copy_only=False)
+            self._rows.setdefault(path, []).append((at, pixels.reshape(len(at), -1)))
         elif path in _TEXTS and "TextLog:text" in names:
             self._events += zip(at.tolist(), column("TextLog:text").flatten().to_pylist(), strict=True)
         elif _UNSURE in names:

@@ -16,6 +16,7 @@ from khep_twin.log.viewer.arena import EVENTS, trail
 from khep_twin.log.viewer.gathered import TIMELINE
 from khep_twin.log.viewer.ghost import RECKONED, TRUTH
 from khep_twin.log.viewer.robot_panel import panel
+from khep_twin.log.viewer.vision import seeing, strip
 from khep_twin.units import Sensor
 
 Colour = tuple[int, int, int]
@@ -79,7 +80,8 @@ def layout(shown: Sequence[Shown]) -> rrb.Blueprint:
 
 
 def _alone(log: Shown) -> rrb.Container:
-    arena, bases, transcripts = _arena(log), _bases(log), _transcripts(log)
+    arena, transcripts = _arena(log), _transcripts(log)
+    bases = [*_bases(log), *_strips(log)]
     below = rrb.Horizontal(*([rrb.Tabs(*bases)] if bases else []), rrb.Tabs(*transcripts))
     return rrb.Horizontal(
         rrb.Vertical(*arena, below, row_shares=[2, 1] if arena else [1]), rrb.Tabs(*_curves(log))
@@ -89,7 +91,7 @@ def _alone(log: Shown) -> rrb.Container:
 def _column(log: Shown) -> rrb.Container:
     """Return the column of one log of several, with the same views in the same rows."""
     arena = _arena(log)
-    rest = rrb.Tabs(*_curves(log), *_bases(log), *_transcripts(log))
+    rest = rrb.Tabs(*_curves(log), *_bases(log), *_strips(log), *_transcripts(log))
     return rrb.Vertical(*arena, rest, row_shares=[2, 3] if arena else [1], name=log.name)
 
 
@@ -112,6 +114,8 @@ def _arena(log: Shown) -> list[rrb.Spatial3DView]:
             contents=[
                 f"{log.place}/**",
                 *(f"- {log.place}{panel(robot)}/**" for robot in log.label.robots),
+                *(f"- {log.place}/{robot}/vision/**" for robot in log.label.robots),
+                *(f"- {log.place}{strip(robot)}/**" for robot in log.label.robots),
             ],
             overrides={place: until_now for place in growing},
             eye_controls=_eye(log.label),
@@ -119,6 +123,16 @@ def _arena(log: Shown) -> list[rrb.Spatial3DView]:
             spatial_information=frame,
             defaults=_SOLID,
         )
+    ]
+
+
+def _strips(log: Shown) -> list[rrb.View]:
+    """Return the line images of the robots that see, over time."""
+    return [
+        rrb.Spatial2DView(
+            origin=f"{log.place}{strip(robot)}", name=f"{robot}: line image, newest at the bottom"
+        )
+        for robot in seeing(log.label)
     ]
 
 

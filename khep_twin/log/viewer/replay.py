@@ -33,6 +33,7 @@ from khep_twin.log.viewer.process import Web, open_viewer
 from khep_twin.log.viewer.robot_panel import SAMPLES_PER_PICTURE, outline_chunks, panel_chunks
 from khep_twin.log.viewer.snapshot import still
 from khep_twin.log.viewer.thinning import Copy, interval_ns
+from khep_twin.log.viewer.vision import INTERVAL_NS, Strips
 
 Progress = Callable[[float], None] | None
 """Function that takes the share that is done, 0 to 1."""
@@ -44,7 +45,7 @@ UNSEEN = ["/host_events$", "^/state$", "/registers$", "^/scene$", "^/channel_nam
 """Topics, as patterns, that no view shows: data for programs, or contained in the views themselves."""
 
 PICTURES = 10_000
-"""Most pictures of bars and rays of a run; a longer one has fewer than ten a second."""
+"""Most pictures of bars, rays and strips of a run; a longer one has fewer than ten a second."""
 
 _FRAMES = ("Transform3D:child_frame", "Transform3D:parent_frame", "CoordinateFrame:frame")
 
@@ -202,7 +203,8 @@ def _chunks(path: Path, copy: Path, label: Label, progress: Progress) -> Generat
         if progress is not None and not chunk.is_static and end_ns:
             progress(min(times_of(chunk.to_record_batch()).max(initial=0) / end_ns, 1.0))
     yield from standing_chunks(label)
-    yield from Additions(label, path).chunks(gatherer, _few)
+    additions = Additions(label, path, max(INTERVAL_NS, end_ns // PICTURES))
+    yield from additions.chunks(gatherer, _few)
 
 
 def _few(samples: Samples) -> Samples:
@@ -216,12 +218,14 @@ class Additions:
     Args:
         label: Label of the log.
         source: Path of the log.
+        interval_ns: Time between two rows of a strip of line images [ns].
     """
 
-    def __init__(self, label: Label, source: Path) -> None:
+    def __init__(self, label: Label, source: Path, interval_ns: int = INTERVAL_NS) -> None:
         self._label, self._source = label, source
         self._rays: Rays | None = None
         self._light: FloorLight | None = None
+        self._strips = Strips(interval_ns)
         self._last: dict[str, Floats] = {}
         self._ghost = Ghost(label, source) if is_shadow(label) else None
 
@@ -232,6 +236,8 @@ class Additions:
         if poses is not None and self._rays is None:
             self._rays, self._light = Rays(self._label, self._source), FloorLight(self._label, self._source)
         for robot in self._label.robots:
+            if (images := gathered.images(robot)) is not None:
+                yield from self._strips.chunks(robot, *images)
             if (samples := gathered.samples(robot)) is not None:
                 few = thinned(samples)
                 yield from panel_chunks(robot, few)
