@@ -110,6 +110,8 @@ def draw_wall(axes: Axes, playpen: Playpen, wall: Wall) -> None:
 def draw_stripes(axes: Axes, playpen: Playpen) -> None:
     """Draw the stripes on walls and objects, as lines along their sides."""
     stripes = list(playpen.panels)
+    if not stripes:
+        return
     lines = LineCollection(
         [panel.ends for panel in stripes],
         colors=[surface_colour(playpen, panel.surface) for panel in stripes],

@@ -24,13 +24,13 @@ FACET_DEG = 6.0
 
 _ROUNDING_MM = 1e-6
 
-Stripe = Annotated[
-    tuple[Annotated[float, Field(ge=1, le=10_000)], Name],
-    Field(description='a width from 1 to 10000 and a surface, such as [20, "black"]'),
-]
+Stripe = tuple[Annotated[float, Field(ge=1, le=10_000)], Name]
 Stripes = Annotated[
     tuple[Stripe, ...],
-    Field(max_length=100, description='widths and surfaces, such as [[20, "black"], [20, "white"]]'),
+    Field(
+        max_length=100,
+        description='widths from 1 to 10000 and surfaces, such as [[20, "black"], [20, "white"]]',
+    ),
 ]
 
 
