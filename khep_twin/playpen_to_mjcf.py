@@ -81,9 +81,6 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     spec.nuser_geom = 2
     spec.nuser_site = 1
     _set_options(spec, any(item.movable for items in playpen.objects.values() for item in items))
-    if any(kind.scene is not None for robot in playpen.robots for kind in find(robot.turrets)):
-        # A gripped object must not slip: 0.01 mm lost in a minute, instead of 31 mm (measured).
-        spec.option.noslip_iterations = 5
     obstacles = _add_arena(spec, playpen)
     for kind, items in playpen.objects.items():
         for index, item in merged(playpen.blocks) if kind == "block" else enumerate(items):
@@ -113,6 +110,9 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
         for obstacle in [*obstacles, *shells]:
             _add_contact(spec, shell, obstacle, SHELL_FRICTION)
         shells.append(shell)
+    if any(hands):
+        # A gripped object must not slip: 0.01 mm lost in a minute, instead of 31 mm (measured).
+        spec.option.noslip_iterations = 5
     for owner, names in enumerate(hands):
         for name in names:
             for shell in [*shells[:owner], *shells[owner + 1 :]]:

@@ -62,6 +62,7 @@ class MjModel:
     nbody: int
     ngeom: int
     nv: int
+    nsensor: int
     nsite: int
     nuser_site: int
     names: bytes
