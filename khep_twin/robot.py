@@ -55,6 +55,11 @@ class WorldContext(Protocol):
         """True if sensors are noisy."""
         ...
 
+    @property
+    def is_compiled(self) -> bool:
+        """True if compiled code steps the world."""
+        ...
+
     def log_event(self, robot: int | None, text: str) -> None:
         """Log an event."""
         ...
@@ -117,6 +122,11 @@ class TurretPlace:
         return [(*at, power) for at, power in zip(world.lamps.positions, world.powers, strict=True)]
 
     @property
+    def room_lux(self) -> float:
+        """Illuminance by the room's own light [lx]."""
+        return self._context.playpen.lighting.room_lux
+
+    @property
     def key(self) -> tuple[int, int]:
         """Words of the key of the turret's random draws: those of the robot's sensors, told apart."""
         low, high = self._state["noise"].tolist()
@@ -131,6 +141,11 @@ class TurretPlace:
     def settings(self) -> Mapping[str, float]:
         """Values of the playpen's table for turrets of this kind; empty without one."""
         return self._context.playpen.turret_settings.get(self._kind.name, {})
+
+    @property
+    def is_compiled(self) -> bool:
+        """True if the world is stepped by compiled code, so that a body may use such code, too."""
+        return self._context.is_compiled
 
     @property
     def peers(self) -> list[TurretBody | None]:

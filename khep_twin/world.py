@@ -195,6 +195,11 @@ class World:
         return self.simulation.is_noisy
 
     @property
+    def is_compiled(self) -> bool:
+        """True if compiled code steps the world."""
+        return self.simulation.is_compiled
+
+    @property
     def joints(self) -> NDArray[np.float64]:
         """Copy of the positions of all joints."""
         return self.data.qpos.copy()

@@ -19,6 +19,7 @@ ORDER = [
     ["firmware", "sensors", "playpen_to_mjcf"],
     ["step"],
     ["simulation"],
+    ["vision"],
     ["robot"],
     ["world"],
     ["interventions", "drawing"],

@@ -34,9 +34,19 @@ def test_the_gripper_grips() -> None:
     assert names["robot"].port.twin.world.data.body("cylinder0").xpos[2] > 0.06
 
 
+def test_the_vision_turret_finds_the_lamp() -> None:
+    names: dict[str, Any] = {}
+    exec(compile(blocks("python")[3], "README.md", "exec"), names)
+    twin = names["robot"].port.twin
+    x, y, heading = twin.robot.pose
+    lamp = twin.world.playpen.lamps[0]
+    bearing = np.arctan2(lamp.y_mm / 1e3 - y, lamp.x_mm / 1e3 - x) - heading
+    assert abs(np.degrees(bearing)) < 8
+
+
 def test_the_controller_runs() -> None:
     names: dict[str, object] = {}
-    exec(compile(blocks("python")[3], "README.md", "exec"), names)
+    exec(compile(blocks("python")[4], "README.md", "exec"), names)
     controller = names["controller"]
     assert callable(controller)
     with Khepera("khep://default") as robot:
@@ -68,5 +78,5 @@ def test_the_picture_is_the_one_that_make_run_leaves(tmp_path: Path) -> None:
 def test_the_environment_of_the_readme_takes_a_step() -> None:
     pytest.importorskip("gymnasium", reason="gymnasium, the extra [rl], is not installed")
     names: dict[str, Any] = {}
-    exec(compile(blocks("python")[4], "README.md", "exec"), names)
+    exec(compile(blocks("python")[5], "README.md", "exec"), names)
     assert names["observation"].shape == (10,)

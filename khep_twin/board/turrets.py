@@ -78,6 +78,11 @@ class TurretContext(Protocol):
         ...
 
     @property
+    def room_lux(self) -> float:
+        """Illuminance by the room's own light [lx]."""
+        ...
+
+    @property
     def key(self) -> tuple[int, int]:
         """Words of the key of the turret's random draws, for `sensing.noise`; follows the world's seed."""
         ...
@@ -90,6 +95,11 @@ class TurretContext(Protocol):
     @property
     def settings(self) -> Mapping[str, float]:
         """Values of the playpen's table for turrets of this kind; empty without one."""
+        ...
+
+    @property
+    def is_compiled(self) -> bool:
+        """True if the world is stepped by compiled code, so that a body may use such code, too."""
         ...
 
     @property

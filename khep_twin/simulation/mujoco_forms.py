@@ -54,8 +54,8 @@ class SceneModel(NamedTuple):
         if step_ns != units.STEP_NS:
             set_step(spec, step_ns)
         model = spec.compile()
-        # Rangefinders are for MuJoCo alone, as sensors see surfaces; a turret may need its own.
-        if not any(robot.turrets for robot in playpen.robots):
+        # Rangefinders are for MuJoCo alone, as sensors see surfaces; a turret may have its own.
+        if model.nsensor == units.N_SENSORS * len(playpen.robots):
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
         return cls(playpen, spec, model, timing(playpen, step_ns))
 

@@ -12,6 +12,7 @@ CODE = {
     "world": "khep_twin.simulation.compiled:advance",
     "episodes": "khep_twin.rollout.compiled:run",
     "plane": "khep_twin.rollout.planar.compiled:run",
+    "vision": "khep_twin.vision.compiled:see",
     "shadow": "khep_twin.shadow.compiled:advance",
 }
 """Parts that are compiled, and their functions; that of the shadow is one of several."""

@@ -122,5 +122,6 @@ def test_what_cannot_be_compiled_is_refused_in_one_line() -> None:
     )
     assert (told.returncode, told.stdout) == (2, "")
     assert told.stderr == (
-        "khep-twin: part 'wrold': unknown; did you mean 'world'? (choices: world, episodes, plane, shadow)\n"
+        "khep-twin: part 'wrold': unknown; did you mean 'world'? (choices: world, episodes, plane, vision, "
+        "shadow)\n"
     )

@@ -62,6 +62,8 @@ class MjModel:
     nbody: int
     ngeom: int
     nv: int
+    nsensor: int
+    nsite: int
     nuser_site: int
     names: bytes
     body_parentid: NDArray[np.int32]
@@ -82,6 +84,7 @@ class MjModel:
     dof_frictionloss: NDArray[np.float64]
     dof_invweight0: NDArray[np.float64]
     qpos0: NDArray[np.float64]
+    cam_bodyid: NDArray[np.int32]
     cam_pos: NDArray[np.float64]
     cam_quat: NDArray[np.float64]
     cam_fovy: NDArray[np.float64]
@@ -139,6 +142,8 @@ class MjData:
     ctrl: NDArray[np.float64]
     cvel: NDArray[np.float64]
     geom_xmat: NDArray[np.float64]
+    site_xpos: NDArray[np.float64]
+    site_xmat: NDArray[np.float64]
     geom_xpos: NDArray[np.float64]
     history: NDArray[np.float64]
     model: MjModel

@@ -1,0 +1,137 @@
+"""The electronics of the K213, a linear vision turret: a line of 64 pixels, and a light sensor.
+
+    B        versions                                        b,1,0
+    N        all pixels, 0 (dark) to 255, from the left      n, and 64 values
+    M        all pixels in 16 greys, two in each value       m, and 32 values
+    S        every second pixel, from pixel 0 on             s, and 32 values
+    T        every fourth pixel, from pixel 0 on             t, and 16 values
+    Q,start  8 pixels from this one on, 0 to 56              q, and 8 values
+    R,start  16 pixels from this one on, 0 to 48             r, and 16 values
+    O, P     index of the brightest, of the darkest pixel    o,…
+    L        light sensor, high and low byte                 l,high,low
+    U,period scan rate: 0 by the light, 1 to 7 fixed         u
+
+Orders and numbers of values as in public host programs and simulators; its own manual is not available. That
+M has two pixels of 4 bits in a value, the left one in the higher bits, is assumed: the sources have 32 values
+of a lower grey resolution. So are the limits of Q and R, and that of equal pixels the leftmost counts in O
+and P.
+
+The turret scans by itself. `K213Body` writes the pixels and the light into the registers as a scan ends, in
+the control period in which the register LEFT is 1; the answers are those of the last whole scan. The light
+sensor reads its period: 200 in the light of a room, more in the dark. By itself (U,0) a scan takes as many
+milliseconds, so that a white wall has the same grey in any light.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+from khep_twin.board.protocol import PROTOCOL_ERROR, Malformed, parse_turret_order, turret_reply
+from khep_twin.units import K213_NUMBER, K213_PERIODS_MS, K213_PIXELS, TICK_NS
+
+VERSION, REVISION = 1, 0
+"""Version and revision in the reply to B (simulators)."""
+
+SHORTEST_MS, LONGEST_MS = 50, 1000
+"""Shortest and longest scan by the light [ms] (assumed: the fixed periods but the longest)."""
+
+LIGHT_LIMIT = 65535
+"""Largest reading of the light sensor."""
+
+TICK_MS = TICK_NS // 1_000_000
+"""Control period, in which scans are counted [ms]."""
+
+_ORDERS = {"B": 0, "L": 0, "M": 0, "N": 0, "O": 0, "P": 0, "Q": 1, "R": 1, "S": 0, "T": 0, "U": 1}
+
+
+class Register(IntEnum):
+    """Registers of the K213, before its pixels."""
+
+    LIGHT = 0  # reading of the light sensor, the lower the brighter
+    PERIOD = 1  # parameter of U
+    SCAN = 2  # duration of the present scan [10 ms]; 0 for the first one, which is done at once
+    LEFT = 3  # rest of it [10 ms]
+    SCANS = 4  # whole scans so far
+
+
+PIXELS = slice(len(Register), len(Register) + K213_PIXELS)
+"""Registers of the pixels, 0 to 255, from the left to the right."""
+
+
+class K213Electronics:
+    """The K213's electronics, a `Turret`.
+
+    Attributes:
+        registers: State of the electronics (69,).
+    """
+
+    def __init__(self) -> None:
+        self.registers = np.zeros(PIXELS.stop, np.int64)
+        self._view = self.registers.data
+        self.reset()
+
+    def receive(self, message: bytes) -> bytes:
+        """Execute an order; return its reply."""
+        order = parse_turret_order(message, _ORDERS)
+        if isinstance(order, Malformed):
+            return order.reply
+        pixels: list[int] = self.registers[PIXELS].tolist()
+        match order.letter, order.arguments:
+            case "B", ():
+                values = [VERSION, REVISION]
+            case "L", ():
+                values = divmod(self._view[Register.LIGHT], 256)
+            case "M", ():
+                values = [left // 16 * 16 + right // 16 for left, right in _pairs(pixels)]
+            case "N", ():
+                values = pixels
+            case "O", ():
+                values = [pixels.index(max(pixels))]
+            case "P", ():
+                values = [pixels.index(min(pixels))]
+            case ("Q" | "R") as letter, (start,) if 0 <= start <= K213_PIXELS - _LENGTHS[letter]:
+                values = pixels[start : start + _LENGTHS[letter]]
+            case "S", ():
+                values = pixels[::2]
+            case "T", ():
+                values = pixels[::4]
+            case "U", (period,) if 0 <= period < len(K213_PERIODS_MS):
+                self._view[Register.PERIOD] = period
+                self._begin()
+                values = []
+            case _:
+                return PROTOCOL_ERROR
+        return turret_reply(K213_NUMBER, order.letter, *values)
+
+    def tick(self) -> None:
+        """Go on with the scan, and begin the next one when it ends."""
+        view = self._view
+        view[Register.LEFT] -= 1
+        if view[Register.LEFT] <= 0:
+            view[Register.SCANS] += 1
+            self._begin()
+
+    def reset(self) -> None:
+        """Scan by the light, the first time at once."""
+        self._view[Register.PERIOD] = self._view[Register.SCAN] = 0
+        self._view[Register.LEFT] = 1
+
+    def _begin(self) -> None:
+        """Begin a scan."""
+        view = self._view
+        period_ms = K213_PERIODS_MS[view[Register.PERIOD]] or period_by_light(view[Register.LIGHT])
+        view[Register.SCAN] = view[Register.LEFT] = (period_ms + TICK_MS // 2) // TICK_MS
+
+
+def period_by_light(light: int) -> int:
+    """Return the duration of a scan at a reading of the light sensor [ms]."""
+    return min(max(light, SHORTEST_MS), LONGEST_MS)
+
+
+_LENGTHS = {"Q": 8, "R": 16}
+"""Numbers of pixels in the replies to these orders."""
+
+
+def _pairs(pixels: list[int]) -> list[tuple[int, int]]:
+    """Return the pixels two by two."""
+    return list(zip(pixels[::2], pixels[1::2], strict=True))

@@ -1,0 +1,1 @@
+"""The K213 in the world: its body, and its images plain and compiled."""

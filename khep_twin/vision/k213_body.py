@@ -1,0 +1,63 @@
+"""The K213 in the physics: what its camera sees, and the light on it."""
+
+from importlib.resources import files
+from pathlib import Path
+
+from khep_twin.board.k213 import PIXELS, REVISION, TICK_MS, VERSION, K213Electronics, Register
+from khep_twin.board.turrets import TurretContext, TurretKind
+from khep_twin.sensing.line_faces import fixed_faces, moving_faces, places
+from khep_twin.units import K213_NUMBER, K213_PIXELS
+from khep_twin.vision.camera import LineCamera, eye_of
+
+
+class K213Body:
+    """K213 of one robot in a compiled scene, a `TurretBody`.
+
+    An image is that of the moment at which a scan ends: what moves during a scan does not blur it.
+
+    Args:
+        context: Its place in the world.
+    """
+
+    def __init__(self, context: TurretContext) -> None:
+        model = context.model
+        self._context = context
+        self._view = context.registers.data
+        self._pixels = context.registers[PIXELS]
+        self._eye = model.camera(context.prefix + "eye").id
+        moving = moving_faces(model, int(model.cam_bodyid[self._eye]))
+        self._camera = LineCamera(fixed_faces(model), moving, places(context.data))
+
+    def sense(self) -> None:
+        """Take an image where a scan ends in this control period."""
+        view, context = self._view, self._context
+        if view[Register.LEFT] > 1:
+            return
+        view[Register.LIGHT] = self._camera.take(
+            eye_of(context.data, self._eye),
+            self._pixels,
+            context.lamps,
+            context.room_lux,
+            view[Register.SCAN] * TICK_MS,
+            context.key,
+            view[Register.SCANS],
+            noisy=context.is_noisy,
+            compiled=context.is_compiled,
+        )
+
+    def drive(self) -> None:
+        """Do nothing, as the turret has no motors."""
+
+
+K213 = TurretKind(
+    name="k213",
+    number=K213_NUMBER,
+    description="linear vision, 64 pixels",
+    revision=f"{VERSION}.{REVISION}",
+    make=K213Electronics,
+    scene=Path(str(files("khep_twin"))) / "assets" / "k213.xml",
+    fit=K213Body,
+    names=(*(register.name.lower() for register in Register), *(f"pixel_{k}" for k in range(K213_PIXELS))),
+    image=PIXELS,
+)
+"""The K213, as registered under the entry point "khep_twin.turrets"."""
