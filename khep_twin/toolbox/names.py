@@ -45,6 +45,7 @@ from khep_twin.toolbox.serial_commands import cls as cls
 from khep_twin.toolbox.serial_commands import con as con
 from khep_twin.toolbox.serial_commands import cpid as cpid
 from khep_twin.toolbox.serial_commands import cspc as cspc
+from khep_twin.toolbox.serial_commands import kturret as kturret
 from khep_twin.toolbox.serial_commands import ports as ports
 from khep_twin.toolbox.serial_commands import rad as rad
 from khep_twin.toolbox.serial_commands import rls as rls

@@ -33,6 +33,7 @@ __all__ = [
     "con",
     "cpid",
     "cspc",
+    "kturret",
     "ports",
     "rad",
     "rls",
@@ -204,6 +205,30 @@ def rps(port_id: Port) -> Row:
 def rls(port_id: Port) -> Row:
     """Return ambient light (8,) in the order of `rps`; about 500 dark, less where bright (command O)."""
     return _row(robot_at(port_id).ambient())
+
+
+# Turrets -------------------------------------------------------------------------------------------------
+
+
+def kturret(port_id: Port, turret: SupportsFloat, message: str) -> Row:
+    """Pass a message on to a turret; return the integers of its reply, 64 pixels for 2 and "N" (command T).
+
+    The toolbox had no such command; its name is that of K-Team's own functions for Matlab.
+
+    Raises:
+        ProtocolError: The turret is absent, does not know the message, or replies with other than integers.
+    """
+    robot = robot_at(port_id)
+    (number,) = _whole("kturret", turret=turret)
+    answer = robot.turret(number, message)
+    letter, *fields = answer.split(",")
+    try:
+        values = [int(field) for field in fields]
+    except ValueError:
+        letter, values = "", []
+    if letter != message[:1].lower():
+        raise ProtocolError(f"{robot.name}: turret {number} answered {message!r} with {answer!r}")
+    return _row(tuple(values))
 
 
 # The rest ------------------------------------------------------------------------------------------------

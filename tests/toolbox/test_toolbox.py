@@ -11,7 +11,7 @@ import pytest
 from scipy.io import loadmat, savemat
 from serial.serialutil import SerialBase
 
-from khep_twin.errors import PortError
+from khep_twin.errors import PortError, ProtocolError
 from khep_twin.host import Khepera
 from khep_twin.toolbox import serial_commands
 
@@ -181,3 +181,23 @@ def test_the_commands_load_no_simulator() -> None:
     )
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert result.stdout == "[]\n"
+
+
+def test_a_turret_is_asked_by_its_number() -> None:
+    with Khepera("khep://gripper?noise=off") as robot:
+        assert serial_commands.kturret(robot, 1, "B").tolist() == [1, 0]
+        assert serial_commands.kturret(robot, 1.0, "H,0").tolist() == [200]
+        assert serial_commands.kturret(robot, 1, "D,1").tolist() == []
+
+
+@pytest.mark.parametrize(
+    ("turret", "message", "answer"),
+    [
+        (2, "N", "Turret order not supported"),
+        (1, "X", "Turret order not supported"),
+        (1, "H,7", "Protocol error"),
+    ],
+)
+def test_what_no_turret_answers_is_an_error(turret: int, message: str, answer: str) -> None:
+    with Khepera("khep://gripper") as robot, pytest.raises(ProtocolError, match=answer):
+        serial_commands.kturret(robot, turret, message)
