@@ -9,7 +9,7 @@ registers under the entry point "khep_twin.turrets"; the gripper is part of the 
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -142,7 +142,7 @@ class TurretKind:
     fit: Callable[[TurretContext], TurretBody] | None = None
     reach: float = 0.0
     names: tuple[str, ...] = ()
-    image: slice | None = None
+    image: slice | None = field(default=None, hash=False)
 
 
 @cache
