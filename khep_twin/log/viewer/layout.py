@@ -80,9 +80,10 @@ def layout(shown: Sequence[Shown]) -> rrb.Blueprint:
 
 
 def _alone(log: Shown) -> rrb.Container:
-    arena, transcripts = _arena(log), _transcripts(log)
-    bases = [*_bases(log), *_strips(log)]
-    below = rrb.Horizontal(*([rrb.Tabs(*bases)] if bases else []), rrb.Tabs(*transcripts))
+    arena = _arena(log)
+    below = rrb.Horizontal(
+        *(rrb.Tabs(*views) for views in (_bases(log), _strips(log), _transcripts(log)) if views)
+    )
     return rrb.Horizontal(
         rrb.Vertical(*arena, below, row_shares=[2, 1] if arena else [1]), rrb.Tabs(*_curves(log))
     )
