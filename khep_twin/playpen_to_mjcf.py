@@ -2,8 +2,9 @@
 
 Names in the scene: "floor"; "wall_left", "wall_right", "wall_bottom", "wall_top", or "wall_1" … along an
 outline; "block0", "cylinder0", "patch0", "lamp0" … and pieces of walls "wall0_0" … in the file's order,
-where nameless adjoining blocks are merged under the first one's number; the robots as bodies
-"khepera0/base" … with the same prefix for all their parts, their turrets as "khepera0/gripper/arm" ….
+where nameless adjoining blocks are merged under the first one's number; stripes as sites
+"stripe_block0_0" …; the robots as bodies "khepera0/base" … with the same prefix for all their parts, their
+turrets as "khepera0/gripper/arm" ….
 The keyframe "home" is the start, with the motors' targets; MuJoCo alone begins with all controls at 0.
 The MJCF holds the sensors' inputs: a geom's `user` values are its infrared reflectance and its
 electrical conductance [S], a lamp is a site whose `user` value is its power [W].
@@ -14,6 +15,8 @@ with everything by MuJoCo's own filter.
 """
 
 import math
+from collections.abc import Iterable
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -22,11 +25,14 @@ import mujoco
 
 from khep_twin import units
 from khep_twin.board.turrets import find
-from khep_twin.playpen import Block, Cylinder, Patch, Playpen, Robot, Wall
-from khep_twin.playpen.footprint import Circle, Footprint
+from khep_twin.playpen import Arena, Block, Cylinder, Patch, Playpen, Robot, Wall
+from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
 from khep_twin.playpen.merge import merged
 from khep_twin.playpen.polygon import walls_around
+from khep_twin.playpen.stripes import Panel, panels, panels_within
+from khep_twin.playpen.surfaces import Surface
 from khep_twin.sensing import calibration
+from khep_twin.sensing.line_faces import STRIPE
 
 ROBOT_FILE = Path(str(files("khep_twin"))) / "assets" / "khepera.xml"
 
@@ -52,6 +58,9 @@ at a speed by impedance x friction x speed x time constant: a stiff one leaves t
 
 _PATCH_HEIGHT = 0.0002
 """Height of patches on the floor [m]: as thin as paint."""
+
+_PANEL_GAP = 5e-5
+"""Distance of stripes in front of what they are on, and their thickness [m]."""
 
 _FLOOR_COLOUR = [0.93, 0.92, 0.88, 1]
 
@@ -169,6 +178,8 @@ def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
 def _add_arena(spec: mujoco.MjSpec, playpen: Playpen) -> list[str]:
     """Add floor, light and walls of the arena; return the walls' names."""
     arena = playpen.arena
+    within = panels_within(arena.corners, arena.stripes)
+    _add_stripes(spec.worldbody, playpen, "wall", within, units.metres(arena.wall_height_mm))
     width, depth = units.metres(arena.width_mm), units.metres(arena.height_mm)
     thickness, height = units.metres(arena.wall_thickness_mm), units.metres(arena.wall_height_mm)
     spec.worldbody.add_light(
@@ -191,7 +202,7 @@ def _add_arena(spec: mujoco.MjSpec, playpen: Playpen) -> list[str]:
         names: list[str] = []
         for number, shape in enumerate(walls_around(arena.outline_mm, arena.wall_thickness_mm), 1):
             geom = _add_upright(spec, f"wall_{number}", shape, height)
-            _paint(geom, playpen, arena.surface, movable=False)
+            _paint(geom, playpen, arena, movable=False)
             names.append(f"wall_{number}")
         return names
     # The walls stand outside the arena's inner edge; left and right ones fill the corners.
@@ -208,7 +219,7 @@ def _add_arena(spec: mujoco.MjSpec, playpen: Playpen) -> list[str]:
             pos=[*centre, height / 2],
             size=[*half_size, height / 2],
         )
-        _paint(geom, playpen, arena.surface, movable=False)
+        _paint(geom, playpen, arena, movable=False)
     return list(walls)
 
 
@@ -218,24 +229,31 @@ def _add_object(spec: mujoco.MjSpec, playpen: Playpen, name: str, item: Block | 
         body = spec.worldbody.add_body(name=name, **_pose(shape, height))
         body.add_freejoint()
         geom = body.add_geom(name=name, mass=units.kilograms(item.mass_g), **_form(shape, height))
+        at_origin = replace(shape, x_mm=0.0, y_mm=0.0)
+        if isinstance(at_origin, Rectangle):
+            at_origin = replace(at_origin, angle_deg=0.0)
+        _add_stripes(body, playpen, name, panels(at_origin, item.stripes), height, -height / 2)
     else:
         geom = _add_upright(spec, name, shape, height)
-    _paint(geom, playpen, item.surface, item.movable)
+        _add_stripes(spec.worldbody, playpen, name, panels(shape, item.stripes), height)
+    _paint(geom, playpen, item, item.movable)
     return name
 
 
 def _add_wall(spec: mujoco.MjSpec, playpen: Playpen, name: str, wall: Wall) -> list[str]:
     names: list[str] = []
     for piece, shape in enumerate(wall.footprints):
-        geom = _add_upright(spec, f"{name}_{piece}", shape, units.metres(wall.height_mm))
-        _paint(geom, playpen, wall.surface, movable=False)
+        height = units.metres(wall.height_mm)
+        geom = _add_upright(spec, f"{name}_{piece}", shape, height)
+        _paint(geom, playpen, wall, movable=False)
+        _add_stripes(spec.worldbody, playpen, f"{name}_{piece}", panels(shape, wall.stripes), height)
         names.append(f"{name}_{piece}")
     return names
 
 
 def _add_patch(spec: mujoco.MjSpec, playpen: Playpen, name: str, patch: Patch) -> None:
     geom = _add_upright(spec, name, patch.footprint, _PATCH_HEIGHT)
-    _paint(geom, playpen, patch.surface, movable=False)
+    _paint(geom, playpen, patch, movable=False)
     geom.conaffinity = 0  # visual only
 
 
@@ -260,14 +278,52 @@ def _pose(shape: Footprint, height: float) -> dict[str, Any]:
     return {"pos": at, "quat": [math.cos(half), 0, 0, math.sin(half)]}
 
 
-def _paint(geom: mujoco.MjsGeom, playpen: Playpen, surface_name: str, movable: bool) -> None:
-    surface = playpen.surface(surface_name)
-    geom.rgba = [*(part / 255 for part in surface.rgb), 1]
-    geom.userdata = [surface.reflectance, surface.conductance]
+def _paint(
+    geom: mujoco.MjsGeom, playpen: Playpen, part: Arena | Block | Cylinder | Wall | Patch, movable: bool
+) -> None:
+    surface = playpen.surface(part.surface)
+    reflectance = surface.reflectance if isinstance(part, Patch) else playpen.reflectance(part)
+    geom.rgba = _colour(surface)
+    geom.userdata = [reflectance, surface.conductance]
     geom.contype = 1 if movable else 0
     geom.conaffinity = 1
     geom.solref = _SOLREF
     geom.solimp = _SOLIMP
+
+
+def _colour(surface: Surface) -> list[float]:
+    return [*(part / 255 for part in surface.rgb), 1]
+
+
+def _add_stripes(
+    body: mujoco.MjsBody,
+    playpen: Playpen,
+    name: str,
+    stripes: Iterable[Panel],
+    height: float,
+    bottom: float = 0.0,
+) -> None:
+    """Add the panels of stripes, as sites, which nothing touches and no ray meets, just in front of a side.
+
+    Args:
+        body: Body that they move with.
+        playpen: Playpen with their surfaces.
+        name: Name of what they are on.
+        stripes: Panels in the frame of the body.
+        height: Height of what they are on [m].
+        bottom: Height of its lower end in the frame of the body [m].
+    """
+    for number, panel in enumerate(stripes):
+        angle = units.radians(panel.angle_deg)
+        x, y = units.metres(panel.x_mm), units.metres(panel.y_mm)
+        body.add_site(
+            name=f"{STRIPE}_{name}_{number}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[x + _PANEL_GAP * math.sin(angle), y - _PANEL_GAP * math.cos(angle), bottom + height / 2],
+            quat=[math.cos(angle / 2), 0, 0, math.sin(angle / 2)],
+            size=[units.metres(panel.width_mm) / 2, _PANEL_GAP / 2, height / 2],
+            rgba=_colour(playpen.surface(panel.surface)),
+        )
 
 
 def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> tuple[list[str], list[float]]:

@@ -20,6 +20,7 @@ NAMES = [
     "light-seeking",
     "looping-maze",
     "obstacles",
+    "stripes",
     "t-maze",
     "two-lamps",
     "wall-or-cylinder",

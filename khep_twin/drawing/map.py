@@ -38,6 +38,7 @@ from khep_twin.drawing.symbols import (
     draw_patch,
     draw_robot,
     draw_spot,
+    draw_stripes,
     draw_wall,
     surface_look,
 )
@@ -138,6 +139,7 @@ def draw(
             draw_wall(axes, playpen, wall)
         for item in chain(*playpen.objects.values()):
             draw_object(axes, playpen, item)
+        draw_stripes(axes, playpen)
         for spot in playpen.spots:
             draw_spot(axes, labels, spot)
         for index, robot in enumerate(playpen.robots):
@@ -235,7 +237,10 @@ def _draw_paths(
 def _legend_entries(playpen: Playpen, paths: bool) -> Iterator[Line2D | Patch]:
     objects = list(chain(*playpen.objects.values()))
     painted = (*objects, *playpen.walls, *playpen.patches)
-    for surface in dict.fromkeys((playpen.arena.surface, *(item.surface for item in painted))):
+    striped = (playpen.arena, *objects, *playpen.walls)
+    stripes = (surface for part in striped for _, surface in part.stripes)
+    surfaces = (playpen.arena.surface, *(item.surface for item in painted), *stripes)
+    for surface in dict.fromkeys(surfaces):
         yield Patch(label=surface, **surface_look(playpen, surface, movable=False))
     if any(item.movable for item in objects):
         yield Patch(label="movable", **surface_look(playpen, "white", movable=True))

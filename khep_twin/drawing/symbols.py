@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch, Patch, Polygon, Rectangle
 
@@ -104,6 +105,21 @@ def draw_wall(axes: Axes, playpen: Playpen, wall: Wall) -> None:
         _draw_shape(axes, shape, zorder=2.8, facecolor=colour, edgecolor=INK, lw=1.6)
     for shape in wall.footprints:
         _draw_shape(axes, shape, zorder=2.9, facecolor=colour, lw=0)
+
+
+def draw_stripes(axes: Axes, playpen: Playpen) -> None:
+    """Draw the stripes on walls and objects, as lines along their sides."""
+    stripes = list(playpen.panels)
+    if not stripes:
+        return
+    lines = LineCollection(
+        [panel.ends for panel in stripes],
+        colors=[surface_colour(playpen, panel.surface) for panel in stripes],
+        linewidths=2.4,
+        capstyle="butt",
+        zorder=3.2,
+    )
+    axes.add_collection(lines, autolim=False)
 
 
 def draw_patch(axes: Axes, playpen: Playpen, patch: parts.Patch) -> None:

@@ -1,7 +1,7 @@
 """Checks across a playpen's parts: surfaces exist, robots are consistent, and all have room."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import chain
+from itertools import chain, islice
 from typing import TYPE_CHECKING, cast
 
 from khep_twin.board.rom import ROMS
@@ -11,6 +11,7 @@ from khep_twin.playpen.footprint import Circle, overlap
 from khep_twin.playpen.overlap import Thing, label, placement_problems
 from khep_twin.playpen.parts import BULB_RADIUS_MM, MODELS, SHORTEST_BLINK_S, Robot, Spot
 from khep_twin.playpen.polygon import edges
+from khep_twin.playpen.stripes import PANEL_LIMIT, Stripe
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 from khep_twin.units import BODY_HEIGHT
 
@@ -163,6 +164,22 @@ def _surface_problems(playpen: "Playpen") -> Iterator[Problem]:
         if surface not in known:
             found = f'{place}: surface = "{surface}": unknown'
             yield Problem.of((*location, "surface"), found, tuple(known), surface)
+    yield from _stripe_problems(playpen, tuple(known))
+
+
+def _stripe_problems(playpen: "Playpen", known: tuple[str, ...]) -> Iterator[Problem]:
+    """Yield stripes of unknown surfaces, and too many stripes."""
+    striped: list[tuple[Location, str, Sequence[Stripe]]] = [(("arena",), "arena", playpen.arena.stripes)]
+    for kind, items in {**playpen.objects, "wall": playpen.walls}.items():
+        for index, item in enumerate(items):
+            striped.append(((kind, index), label(kind, index + 1, item.name), item.stripes))
+    for location, place, stripes in striped:
+        for number, (_, surface) in enumerate(stripes, 1):
+            if surface not in known:
+                found = f'{place}: stripes {number}: "{surface}": unknown'
+                yield Problem.of((*location, "stripes"), found, known, surface)
+    if sum(1 for _ in islice(playpen.panels, PANEL_LIMIT + 1)) > PANEL_LIMIT:
+        yield Problem.of((), f"stripes: more than {PANEL_LIMIT} panels", "wider or fewer stripes")
 
 
 def _wall_problems(playpen: "Playpen") -> Iterator[Problem]:

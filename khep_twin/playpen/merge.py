@@ -13,15 +13,19 @@ _SAME = 6
 def merged(blocks: Sequence[Block]) -> list[tuple[int, Block]]:
     """Merge blocks that continue each other; return them with the first number of each.
 
-    Merged are fixed blocks without names, of one angle, height and surface, that touch or cross along one of
-    their axes and are equally thick across it.
+    Merged are fixed blocks without names and stripes, of one angle, height and surface, that touch or cross
+    along one of their axes and are equally thick across it.
     """
     numbered = list(enumerate(blocks))
-    candidates = [(number, block) for number, block in numbered if not (block.movable or block.name)]
-    others = [(number, block) for number, block in numbered if block.movable or block.name]
+    candidates = [(number, block) for number, block in numbered if not _stays(block)]
+    others = [(number, block) for number, block in numbered if _stays(block)]
     for lengthwise in (True, False):
         candidates = _merged_along(candidates, lengthwise)
     return sorted([*candidates, *others], key=lambda item: item[0])
+
+
+def _stays(block: Block) -> bool:
+    return bool(block.movable or block.name or block.stripes)
 
 
 def _merged_along(blocks: list[tuple[int, Block]], lengthwise: bool) -> list[tuple[int, Block]]:

@@ -1,7 +1,7 @@
 """Model of a whole playpen: reading, checking and writing of playpen files."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -15,6 +15,7 @@ from khep_twin.files import toml_files
 from khep_twin.files.toml_files import PROBLEM_LIMIT, Name, Problems, Table, TomlTable
 from khep_twin.playpen.checks import assigned, completed, following, playpen_problems
 from khep_twin.playpen.parts import Arena, Block, Cylinder, Lamp, Lighting, Patch, Robot, Spot, Wall
+from khep_twin.playpen.stripes import Panel, panels, panels_within
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES, Surface
 
 
@@ -45,6 +46,25 @@ class Playpen(TomlTable):
     def surface(self, name: str) -> Surface:
         """Return the surface of a name, built-in or this playpen's own."""
         return BUILT_IN_SURFACES.get(name) or self.surfaces[name]
+
+    def reflectance(self, part: Arena | Block | Cylinder | Wall) -> float:
+        """Return the infrared reflectance of a part: the mean over its stripes, if it has any."""
+        if not part.stripes:
+            return self.surface(part.surface).reflectance
+        widths_mm = [width_mm for width_mm, _ in part.stripes]
+        light = (width_mm * self.surface(name).reflectance for width_mm, name in part.stripes)
+        return sum(light) / sum(widths_mm)
+
+    @property
+    def panels(self) -> Iterator[Panel]:
+        """Panels of all stripes, seen from above."""
+        yield from panels_within(self.arena.corners, self.arena.stripes)
+        for wall in self.walls:
+            for shape in wall.footprints:
+                yield from panels(shape, wall.stripes)
+        for items in self.objects.values():
+            for item in items:
+                yield from panels(item.footprint, item.stripes)
 
     @model_serializer(mode="wrap")
     def _without_empty_arrays(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:

@@ -9,6 +9,7 @@ from khep_twin.board.turrets import installed
 from khep_twin.files.toml_files import NAME_WISH, Name, TomlTable
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
 from khep_twin.playpen.polygon import Point, area, crossing, edges, pieces, reaching_in
+from khep_twin.playpen.stripes import Stripes
 from khep_twin.playpen.surfaces import Colour
 from khep_twin.units import BODIES, BULB_RADIUS, ROOM_LUX, Body
 
@@ -44,6 +45,7 @@ class Arena(TomlTable):
         wall_height_mm: Height of the walls.
         wall_thickness_mm: Thickness of the walls.
         surface: Surface of the walls.
+        stripes: Stripes on the inner sides of the walls.
     """
 
     width_mm: Annotated[float, Field(ge=100, le=10_000)]
@@ -55,6 +57,7 @@ class Arena(TomlTable):
     wall_height_mm: Height = 50.0
     wall_thickness_mm: Annotated[float, Field(ge=1, le=1000)] = 10.0
     surface: Name = "white"
+    stripes: Stripes = ()
 
     @property
     def corners(self) -> tuple[Point, ...]:
@@ -103,6 +106,7 @@ class Wall(TomlTable):
         points_mm: Points where it begins, turns and ends.
         closed: True if it continues from the last point to the first.
         thickness_mm: Thickness, half of it to either side of the line.
+        stripes: Stripes on all sides of each straight piece, and around each corner.
     """
 
     name: ObjectName = None
@@ -116,6 +120,7 @@ class Wall(TomlTable):
     thickness_mm: Annotated[float, Field(ge=1, le=1000)] = 10.0
     height_mm: Height = 50.0
     surface: Name = "white"
+    stripes: Stripes = ()
 
     @property
     def footprints(self) -> tuple[Footprint, ...]:
@@ -159,7 +164,11 @@ class Spot(TomlTable):
 
 
 class Block(TomlTable):
-    """A cuboid on the floor; its length runs at `angle_deg`. `mass_g` applies if it is movable."""
+    """A cuboid on the floor; its length runs at `angle_deg`. `mass_g` applies if it is movable.
+
+    Attributes:
+        stripes: Stripes on its four sides.
+    """
 
     name: ObjectName = None
     x_mm: Place
@@ -169,6 +178,7 @@ class Block(TomlTable):
     width_mm: Size
     height_mm: Height
     surface: Name = "white"
+    stripes: Stripes = ()
     movable: bool = False
     mass_g: Mass = 20.0
 
@@ -179,7 +189,11 @@ class Block(TomlTable):
 
 
 class Cylinder(TomlTable):
-    """An upright cylinder on the floor. `mass_g` applies if it is movable."""
+    """An upright cylinder on the floor. `mass_g` applies if it is movable.
+
+    Attributes:
+        stripes: Stripes around it.
+    """
 
     name: ObjectName = None
     x_mm: Place
@@ -187,6 +201,7 @@ class Cylinder(TomlTable):
     radius_mm: Size
     height_mm: Height
     surface: Name = "white"
+    stripes: Stripes = ()
     movable: bool = False
     mass_g: Mass = 20.0
 

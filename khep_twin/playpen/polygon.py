@@ -38,6 +38,19 @@ def crossing(points: Sequence[Point]) -> tuple[int, int] | None:
     return None
 
 
+def rectangle_corners(shape: Rectangle) -> list[Point]:
+    """Return the corners of a rectangle, counter-clockwise."""
+    (ahead_x, ahead_y), (left_x, left_y) = shape.axes()
+    half_length, half_width = shape.length_mm / 2, shape.width_mm / 2
+    return [
+        (
+            shape.x_mm + along * half_length * ahead_x + across * half_width * left_x,
+            shape.y_mm + along * half_length * ahead_y + across * half_width * left_y,
+        )
+        for along, across in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    ]
+
+
 def contains(points: Sequence[Point], x: float, y: float) -> bool:
     """Return whether a point lies in a polygon or on its edge."""
     inside = False

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from khep_twin import playpen as playpens
+from khep_twin.board.turrets import installed
 from khep_twin.errors import PlaypenError
 from khep_twin.files.toml_files import PROBLEM_LIMIT
 from khep_twin.playpen import Block, Cylinder, Lamp, Playpen, Robot
@@ -181,7 +182,7 @@ WRONG = {
     + ARENA: f"wdith = 3: unknown key; (choices: {', '.join(playpens.schema()['properties'])})",
     HEAD + "arena = 3\n": "arena = 3; expected a table",
     HEAD + ARENA + "widht_mm = 3\n": "arena: widht_mm = 3: unknown key; did you mean 'width_mm'? (choices: "
-    "width_mm, height_mm, outline_mm, wall_height_mm, wall_thickness_mm, surface)",
+    "width_mm, height_mm, outline_mm, wall_height_mm, wall_thickness_mm, surface, stripes)",
     HEAD + ARENA.replace("600", "60"): "arena: width_mm = 60; expected a number from 100 to 10000",
     HEAD + ARENA.replace("600", "20000"): "arena: width_mm = 20000; expected a number from 100 to 10000",
     HEAD + ARENA.replace("500", '"500"'): 'arena: height_mm = "500"; expected a number from 100 to 10000',
@@ -210,7 +211,8 @@ WRONG = {
     + ARENA
     + BLOCK
     + "heigth_mm = 50\n": "block 1: heigth_mm = 50: unknown key; did you mean 'height_mm'? "
-    "(choices: name, x_mm, y_mm, angle_deg, length_mm, width_mm, height_mm, surface, movable, mass_g)",
+    "(choices: name, x_mm, y_mm, angle_deg, length_mm, width_mm, height_mm, surface, stripes, movable, "
+    "mass_g)",
     HEAD + ARENA + BLOCK + BLOCK + "movable = 1\n": "block 2: movable = 1; expected true or false",
     HEAD
     + ARENA
@@ -259,7 +261,7 @@ WRONG = {
     + ARENA
     + ROBOT
     + 'turrets = ["griper"]\n': "robot 1: turrets = ['griper']: unknown turret 'griper'; "
-    "did you mean 'gripper'? (choices: gripper)",
+    f"did you mean 'gripper'? (choices: {', '.join(installed())})",
     HEAD
     + ARENA
     + ROBOT

@@ -167,16 +167,20 @@ export class Drawing {
       const round = (OBJECTS[kind] ?? thing).radius_mm !== undefined;
       const shape = round ? make("circle", { r: Math.max(drawable(thing.radius_mm), 0), class: "shape", fill }) : rectangle(thing.length_mm, thing.width_mm, fill);
       if (kind === "patch") shape.setAttribute("fill-opacity", "0.55");
-      return make("g", {}, shape);
+      const sides = round ? [circle(drawable(thing.radius_mm))] : rectangleSides(drawable(thing.length_mm), drawable(thing.width_mm));
+      return make("g", {}, shape, ...this.#stripes(thing, sides));
     }
     if (kind === "wall") {
       const thick = Math.max(drawable(thing.thickness_mm), 0);
       const path = `M${thing.points_mm.map((point) => point.join(" ")).join("L")}${thing.closed ? "Z" : ""}`;
+      const ends = thing.closed ? [...thing.points_mm, thing.points_mm[0]] : thing.points_mm;
+      const sides = ends.slice(1).flatMap((end, index) => bothSides(ends[index], end, thick / 2));
       return make(
         "g",
         {},
         make("path", { d: path, fill: "none", stroke: "#444", "stroke-width": thick + 1.5, "stroke-linejoin": "bevel" }),
         make("path", { d: path, fill: "none", stroke: this.colour(thing.surface), "stroke-width": thick, "stroke-linejoin": "bevel" }),
+        ...this.#stripes(thing, sides),
         make("path", { d: path, fill: "none", class: "shape" }),
       );
     }
@@ -204,6 +208,16 @@ export class Drawing {
     return parts.map(({ points_mm, rgb }) => make("path", { class: "turret", d: closed(points_mm), fill: `rgb(${rgb})` }));
   }
 
+  // A thing's stripes as lines along its sides, which are points from their left to their right as seen from in front.
+  #stripes(thing, sides) {
+    const stripes = pattern(thing);
+    return sides.flatMap((side) =>
+      stretches(lengthOf(side), stripes).map(([from, to, name]) =>
+        make("path", { d: `M${along(side, from, to).map((point) => point.join(" ")).join("L")}`, fill: "none", stroke: this.colour(name), "stroke-width": 3, "pointer-events": "none" }),
+      ),
+    );
+  }
+
   #floor() {
     const { arena } = this.model.draft;
     const { width_mm: width, height_mm: height, wall_thickness_mm: thick } = this.#arena();
@@ -225,6 +239,7 @@ export class Drawing {
       make("path", { d: path, class: "wall-around", "stroke-width": 2 * thick, "stroke-linejoin": "miter" }),
       make("path", { d: path, fill: "none", stroke: this.colour(arena.surface ?? "white"), "stroke-width": Math.max(2 * thick - 3, 1) }),
       make("path", { d: path, class: "floor" }),
+      ...this.#stripes(arena, [...corners].every((at) => at.length === 2) ? within(corners) : []),
       make("path", { d: lines, class: "grid" }),
       ...texts.map(([x, y, text, anchor]) => Object.assign(make("text", { class: "axis", transform: `translate(${x} ${y}) scale(1,-1)`, "text-anchor": anchor }), { textContent: text })),
     );
@@ -235,6 +250,64 @@ export function place(node, thing) {
   if (thing.points_mm) return;
   const turned = drawable(thing.heading_deg ?? thing.angle_deg);
   node.setAttribute("transform", `translate(${drawable(thing.x_mm)} ${drawable(thing.y_mm)}) rotate(${turned})`);
+}
+
+// A thing's stripes that can be drawn: widths and names of surfaces.
+export function pattern(thing) {
+  const given = Array.isArray(thing.stripes) ? thing.stripes : [];
+  return given.every((each) => Array.isArray(each) && each[0] >= 1 && typeof each[1] === "string") ? given : [];
+}
+
+const STRIPES = 1000;
+
+function stretches(length, stripes) {
+  const found = [];
+  for (let from = 0, turn = 0; stripes.length && from < length - 1e-6 && turn < STRIPES; turn++) {
+    const [width, name] = stripes[turn % stripes.length];
+    found.push([from, Math.min(from + width, length), name]);
+    from += width;
+  }
+  return found;
+}
+
+const apart = ([x0, y0], [x1, y1]) => Math.hypot(x1 - x0, y1 - y0);
+const lengthOf = (side) => side.slice(1).reduce((sum, point, index) => sum + apart(side[index], point), 0);
+
+// The part of a line of points between two distances from its start.
+function along(side, from, to) {
+  const points = [];
+  let start = 0;
+  side.slice(1).forEach((end, index) => {
+    const length = apart(side[index], end);
+    const at = (distance) => [0, 1].map((axis) => side[index][axis] + ((distance - start) / length) * (end[axis] - side[index][axis]));
+    if (length && start + length > from && start < to) {
+      if (!points.length) points.push(at(Math.max(from, start)));
+      points.push(at(Math.min(to, start + length)));
+    }
+    start += length;
+  });
+  return points;
+}
+
+const circle = (radius) => Array.from({ length: 61 }, (_, turn) => [radius * cos(6 * turn), radius * sin(6 * turn)]);
+
+function rectangleSides(length, width) {
+  const [x, y] = [length / 2, width / 2];
+  const corners = [[-x, -y], [x, -y], [x, y], [-x, y]];
+  return corners.map((corner, index) => [corner, corners[(index + 1) % 4]]);
+}
+
+function bothSides([x0, y0], [x1, y1], half) {
+  const length = Math.hypot(x1 - x0, y1 - y0) || 1;
+  const [dx, dy] = [((y1 - y0) / length) * half, ((x0 - x1) / length) * half];
+  return [[[x0 + dx, y0 + dy], [x1 + dx, y1 + dy]], [[x1 - dx, y1 - dy], [x0 - dx, y0 - dy]]];
+}
+
+// The inner sides of the walls around a floor.
+function within(corners) {
+  const area = corners.reduce((sum, [x0, y0], index) => sum + x0 * corners[(index + 1) % corners.length][1] - corners[(index + 1) % corners.length][0] * y0, 0);
+  const ring = area < 0 ? corners : [...corners].reverse();
+  return ring.map((corner, index) => [corner, ring[(index + 1) % ring.length]]);
 }
 
 export const closed = (points) => `M${points.map((point) => point.join(" ")).join("L")}Z`;

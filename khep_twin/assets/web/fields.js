@@ -9,20 +9,21 @@ const CHOICES = {
   "lighting.law": ["optics", "toolbox"],
 };
 const KEYS = {
-  ...Object.fromEntries(Object.entries(OBJECTS).map(([kind, keys]) => [kind, ["name", "x_mm", "y_mm", ...Object.keys(keys)]])),
-  wall: ["name", "points_mm", "closed", "thickness_mm", "height_mm", "surface"],
+  ...Object.fromEntries(Object.entries(OBJECTS).map(([kind, keys]) => [kind, ["name", "x_mm", "y_mm", ...Object.keys(keys), "stripes"]])),
+  wall: ["name", "points_mm", "closed", "thickness_mm", "height_mm", "surface", "stripes"],
   patch: ["name", "x_mm", "y_mm", "radius_mm", "length_mm", "width_mm", "angle_deg", "surface"],
   lamp: ["name", "x_mm", "y_mm", "z_mm", "power_w", "dim", "rgb", "on_s", "blink_period_s", "blink_duty", "fade_s", "flicker"],
   robot: ["name", "x_mm", "y_mm", "heading_deg", "model", "calibration", "mode", "rom", "turrets", "spots", "battery_used_min"],
   spot: ["name", "x_mm", "y_mm", "heading_deg"],
 };
 const PARTS = [
-  ["arena", ["width_mm", "height_mm", "wall_height_mm", "wall_thickness_mm", "surface", "outline_mm"]],
-  ["lighting", ["mode", "switch_distance_mm", "law", "min_angle_deg", "max_angle_deg", "mains_hz"]],
+  ["arena", ["width_mm", "height_mm", "wall_height_mm", "wall_thickness_mm", "surface", "stripes", "outline_mm"]],
+  ["lighting", ["mode", "switch_distance_mm", "law", "min_angle_deg", "max_angle_deg", "mains_hz", "room_lux"]],
 ];
 const TEXTS = new Set(["name", "surface", "model", "calibration", "rom", "mode"]);
-const LISTS = new Set(["points_mm", "outline_mm", "rgb", "on_s", "spots"]);
+const LISTS = new Set(["points_mm", "outline_mm", "rgb", "on_s", "spots", "stripes"]);
 const PLACES = new Set(["points_mm", "outline_mm"]);
+const EXAMPLES = { spots: 'names, such as "spot1"', stripes: 'widths and surfaces, such as [20, "black"], [20, "white"]' };
 const WORDS = { mm: "mm", deg: "°", w: "W", g: "g", s: "s", min: "min" };
 
 export class Fields {
@@ -113,7 +114,7 @@ export class Fields {
       input.checked = value === true;
     } else if (LISTS.has(key) || TEXTS.has(key) && !(kind === "robot" && key === "mode")) {
       input.value = LISTS.has(key) ? listed(value) : value ?? "";
-      if (LISTS.has(key)) input.title = key === "spots" ? 'names, such as "spot1"' : "numbers, such as [0, 0], [600, 0]";
+      if (LISTS.has(key)) input.title = EXAMPLES[key] ?? "numbers, such as [0, 0], [600, 0]";
     } else {
       input.type = "number";
       input.step = "any";

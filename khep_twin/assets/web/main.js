@@ -1,7 +1,7 @@
 // The page: files, banners, dialogs, keys, and the connections between the parts.
 
 import { listen, post, tab, upload } from "./api.js";
-import { Drawing } from "./drawing.js";
+import { Drawing, pattern } from "./drawing.js";
 import { Editor } from "./editor.js";
 import { Fields } from "./fields.js";
 import { KINDS, Model, OBJECTS } from "./model.js";
@@ -298,7 +298,8 @@ function keepNow(more = {}) {
 const PLURALS = { patch: "patches" };
 
 function legend() {
-  const used = new Set([model.draft.arena.surface ?? "white", ...[...Object.keys(OBJECTS), "wall", "patch"].flatMap((kind) => model.list(kind).map((thing) => thing.surface ?? "white"))]);
+  const painted = [model.draft.arena, ...[...Object.keys(OBJECTS), "wall", "patch"].flatMap((kind) => model.list(kind))];
+  const used = new Set(painted.flatMap((thing) => [thing.surface ?? "white", ...pattern(thing).map(([, name]) => name)]));
   const entries = [...used].map((name) => {
     const box = document.createElement("i");
     box.style.background = drawing.colour(name);

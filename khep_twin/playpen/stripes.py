@@ -1,0 +1,110 @@
+"""Stripes: upright panels of other surfaces on the sides of walls and objects. Lengths in mm.
+
+A pattern is a list of widths and surfaces, such as [[20, "black"], [20, "white"]]. It begins at the left end
+of each side, as seen by who stands in front of it, and repeats up to its right end; a cylinder has one side,
+which begins in the direction of x and runs counter-clockwise. Stripes are as high as what they are on.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
+
+from khep_twin.files.toml_files import Name
+from khep_twin.playpen.footprint import Circle, Footprint
+from khep_twin.playpen.polygon import Point, area, edges, rectangle_corners
+
+PANEL_LIMIT = 5000
+"""Most panels of a playpen's stripes."""
+
+FACET_DEG = 6.0
+"""Largest arc of a cylinder that one flat panel covers [deg]: at its edges it is 0.14 % of the radius off."""
+
+_ROUNDING_MM = 1e-6
+
+Stripe = tuple[Annotated[float, Field(ge=1, le=10_000)], Name]
+Stripes = Annotated[
+    tuple[Stripe, ...],
+    Field(
+        max_length=100,
+        description='widths from 1 to 10000 and surfaces, such as [[20, "black"], [20, "white"]]',
+    ),
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """A stripe, or a flat part of one, seen from above.
+
+    Attributes:
+        x_mm: Middle.
+        y_mm: Middle.
+        angle_deg: Direction from its left to its right end, as seen from in front of it.
+        width_mm: Width.
+        surface: Name of its surface.
+    """
+
+    x_mm: float
+    y_mm: float
+    angle_deg: float
+    width_mm: float
+    surface: str
+
+    @property
+    def ends(self) -> tuple[Point, Point]:
+        """Left and right end."""
+        angle, half = math.radians(self.angle_deg), self.width_mm / 2
+        dx, dy = half * math.cos(angle), half * math.sin(angle)
+        return (self.x_mm - dx, self.y_mm - dy), (self.x_mm + dx, self.y_mm + dy)
+
+
+def panels(shape: Footprint, stripes: Sequence[Stripe]) -> Iterator[Panel]:
+    """Yield the panels on the sides of what has a footprint."""
+    if not stripes:
+        return
+    if isinstance(shape, Circle):
+        yield from _around(shape, stripes)
+        return
+    for side in edges(rectangle_corners(shape), closed=True):
+        yield from _along(*side, stripes)
+
+
+def panels_within(corners: Sequence[Point], stripes: Sequence[Stripe]) -> Iterator[Panel]:
+    """Yield the panels on the inner sides of the walls around a floor with these corners."""
+    ring = list(corners) if area(corners) < 0 else list(reversed(corners))
+    for start, end in edges(ring, closed=True) if stripes else ():
+        yield from _along(start, end, stripes)
+
+
+def stretches(length_mm: float, stripes: Sequence[Stripe]) -> Iterator[tuple[float, float, str]]:
+    """Yield the start and the end of each stripe along a side, and its surface."""
+    start_mm = 0.0
+    while start_mm < length_mm - _ROUNDING_MM:
+        for width_mm, surface in stripes:
+            end_mm = min(start_mm + width_mm, length_mm)
+            if end_mm > start_mm + _ROUNDING_MM:
+                yield start_mm, end_mm, surface
+            start_mm = end_mm
+
+
+def _along(start: Point, end: Point, stripes: Sequence[Stripe]) -> Iterator[Panel]:
+    (x0, y0), (x1, y1) = start, end
+    length_mm, angle_deg = math.hypot(x1 - x0, y1 - y0), math.degrees(math.atan2(y1 - y0, x1 - x0))
+    for first_mm, last_mm, surface in stretches(length_mm, stripes):
+        part = (first_mm + last_mm) / 2 / length_mm
+        x_mm, y_mm = x0 + part * (x1 - x0), y0 + part * (y1 - y0)
+        yield Panel(x_mm, y_mm, angle_deg, last_mm - first_mm, surface)
+
+
+def _around(shape: Circle, stripes: Sequence[Stripe]) -> Iterator[Panel]:
+    for first_mm, last_mm, surface in stretches(math.tau * shape.radius_mm, stripes):
+        start, turn = first_mm / shape.radius_mm, (last_mm - first_mm) / shape.radius_mm
+        facets = math.ceil(math.degrees(turn) / FACET_DEG)
+        width_mm = 2 * shape.radius_mm * math.tan(turn / facets / 2)
+        for facet in range(facets):
+            at = start + (facet + 0.5) * turn / facets
+            x_mm = shape.x_mm + shape.radius_mm * math.cos(at)
+            y_mm = shape.y_mm + shape.radius_mm * math.sin(at)
+            yield Panel(x_mm, y_mm, math.degrees(at) + 90, width_mm, surface)
