@@ -130,9 +130,7 @@ def _arena(log: Shown) -> list[rrb.Spatial3DView]:
 def _strips(log: Shown) -> list[rrb.View]:
     """Return the line images of the robots that see, over time."""
     return [
-        rrb.Spatial2DView(
-            origin=f"{log.place}{strip(robot)}", name=f"{robot}: line image, newest at the bottom"
-        )
+        rrb.Spatial2DView(origin=f"{log.place}{strip(robot)}", name=f"{robot}: line image")
         for robot in seeing(log.label)
     ]
 
