@@ -10,4 +10,5 @@ from khep_twin.host.results import SensorCounts as SensorCounts
 from khep_twin.host.results import Speeds as Speeds
 from khep_twin.host.results import Versions as Versions
 from khep_twin.host.results import WheelStatus as WheelStatus
+from khep_twin.host.vision import Vision as Vision
 from khep_twin.units import Sensor as Sensor
