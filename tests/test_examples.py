@@ -21,7 +21,10 @@ SHORTER = {
 """What makes a long one short."""
 
 
-ENDS = {"02_pick_and_carry": "carried 96 mm back and put down\nto watch it: python"}
+ENDS = {
+    "02_pick_and_carry": "carried 96 mm back and put down\nto watch it: python",
+    "08_landmark": "before the striped mast after ",
+}
 """What an example says at its end."""
 
 
