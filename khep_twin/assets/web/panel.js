@@ -89,6 +89,7 @@ export class Strip {
   }
 
   read({ vision }, time) {
+    if (vision === undefined) return; // not read this time
     this.canvas.hidden = !vision;
     const slot = Math.floor(time * 10);
     if (!vision || slot === this.#slot) return;
