@@ -232,6 +232,9 @@ K213_NUMBER = 2
 K213_PIXELS = 64
 """Pixels of its line image (its manual, as public sources have it)."""
 
+K213_EYE_AHEAD, K213_EYE_HEIGHT = 0.012, 0.040
+"""Place of its lens, in front of the robot's centre [m] (assumed) and above the floor [m] (simulators)."""
+
 K213_PERIODS_MS = (0, 50, 100, 150, 250, 500, 1000, 5000)
 """Period of a scan for each parameter of its order U [ms]; 0 for one by the light (simulators)."""
 

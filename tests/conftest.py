@@ -64,7 +64,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     ):
         run = [sys.executable, "-m", "khep_twin", "compile"]
         compilers = [
-            subprocess.Popen([*run, *parts]) for parts in (("plane", "shadow"), ("world", "episodes"))
+            subprocess.Popen([*run, *parts])
+            for parts in (("plane", "vision", "shadow"), ("world", "episodes"))
         ]
         for each in compilers:
             each.wait()

@@ -9,7 +9,8 @@ from khep_twin.cli.options import usage
 
 def compile_all(
     parts: Annotated[
-        list[str] | None, typer.Argument(help="world, episodes, plane or shadow; all of them if not given.")
+        list[str] | None,
+        typer.Argument(help="world, episodes, plane, vision or shadow; all of them if not given."),
     ] = None,
 ) -> None:
     """Compile the stepping core with numba, so that later commands find it in numba's cache."""
@@ -23,6 +24,7 @@ def compile_all(
     from khep_twin.shadow.sensor_model import SensorModel
     from khep_twin.shadow.start import PUBLISHED, begun
     from khep_twin.simulation.ready import CODE
+    from khep_twin.vision.camera import take_one
     from khep_twin.world import World
 
     for part in parts or CODE:
@@ -31,6 +33,8 @@ def compile_all(
         if part == "world":
             world = World(load("default"), compiled=True)
             world.advance_to(world.timing.step_ns)
+        elif part == "vision":
+            take_one()
         elif part == "shadow":
             setup, rng = EpisodeSetup(load("two-lamps"), planar=True), np.random.default_rng(0)
             particles = begun(setup, None, PUBLISHED, 1, rng)

@@ -8,7 +8,7 @@ they lie on what does.
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -142,8 +142,7 @@ def moving_faces(model: mujoco.MjModel, base: int) -> MovingFaces:
 
 def places(data: mujoco.MjData) -> Places:
     """Return positions and orientations of a scene, live."""
-    state: Any = data
-    return Places(state.geom_xpos, state.geom_xmat, state.site_xpos, state.site_xmat)
+    return Places(data.geom_xpos, data.geom_xmat, data.site_xpos, data.site_xmat)
 
 
 def most_faces(moving: MovingFaces, n_fixed: int, n_lamps: int) -> int:

@@ -180,10 +180,13 @@ def look(scene: LineScene, eye: Eye) -> None:
 
 @compilable
 def shade(scene: LineScene, eye: Eye) -> None:
-    """Fill in the luminance on each ray."""
+    """Fill in the luminance on each ray whose light comes into the image."""
     faces, before, pixel = scene.faces, -2, -1
     for ray in range(N_RAYS):
         face, depth = scene.owners[ray], scene.depths[ray]
+        at, half = _place(ray), _half_blur(depth)
+        if at + half <= 0 or at - half >= K213_PIXELS:
+            continue  # none of its light comes into the image
         if face < 0:
             scene.lights[ray] = BEYOND * scene.room[0] / math.pi
             continue
@@ -208,11 +211,8 @@ def blur(scene: LineScene) -> None:
     sums = scene.sums
     for pixel in range(K213_PIXELS):
         sums[0, pixel] = sums[1, pixel] = 0.0
-    least, per_vergence = 0.5 / RAYS_PER_PIXEL, APERTURE / 2 * _HALF / HALF_FIELD
     for ray in range(N_RAYS):
-        at = (ray + 0.5) / RAYS_PER_PIXEL - MARGIN
-        vergence = abs(1 / scene.depths[ray] - 1 / FOCUS)
-        half = max(least, min(per_vergence * vergence, float(MARGIN)))
+        at, half = _place(ray), _half_blur(scene.depths[ray])
         low, high = at - half, at + half
         first, last = max(int(low + MARGIN) - MARGIN, 0), min(int(high + MARGIN) - MARGIN, K213_PIXELS - 1)
         for pixel in range(first, last + 1):
@@ -321,9 +321,22 @@ def _put(scene: LineScene, ray: int, face: int, depth: float) -> None:
 
 
 @compilable
+def _place(ray: int) -> float:
+    """Return the place of a ray in the image [pixels]."""
+    return (ray + 0.5) / RAYS_PER_PIXEL - MARGIN
+
+
+@compilable
 def _slope(ray: int) -> float:
     """Return the tangent of a ray's direction, to the left."""
-    return HALF_FIELD * (1 - ((ray + 0.5) / RAYS_PER_PIXEL - MARGIN) / _HALF)
+    return HALF_FIELD * (1 - _place(ray) / _HALF)
+
+
+@compilable
+def _half_blur(depth: float) -> float:
+    """Return half of the width over which the lens spreads a point at a depth [pixels]."""
+    half = APERTURE / 2 * abs(1 / depth - 1 / FOCUS) * (_HALF / HALF_FIELD)
+    return max(0.5 / RAYS_PER_PIXEL, min(half, float(MARGIN)))
 
 
 @compilable

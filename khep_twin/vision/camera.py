@@ -1,5 +1,6 @@
-"""A line camera in MuJoCo's scene: its images by plain or compiled code, with the same greys."""
+"""Line cameras: their images by plain or compiled code, with the same greys."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,8 +20,8 @@ from khep_twin.sensing.line_faces import (
 )
 from khep_twin.sensing.line_image import N_COLUMNS, N_RAYS, Eye, LineScene, take_image
 from khep_twin.sensing.noise import Tables, no_noise, quantiles
-from khep_twin.simulation.ready import when_ready
-from khep_twin.units import K213_PIXELS
+from khep_twin.simulation.ready import function_of, when_ready
+from khep_twin.units import K213_PIXELS, ROOM_LUX
 
 Lamp = tuple[float, float, float, float]
 """Position [m] and power [W] of a lamp: x, y, z, power."""
@@ -33,26 +34,30 @@ _CHECKS = 16
 
 
 class LineCamera:
-    """A line camera on a robot.
+    """A line camera among faces.
 
     Args:
-        model: Model of the scene.
-        data: State of the scene.
-        camera: Index of the camera.
-        base: Body of the robot.
+        fixed: Faces that cannot move (n, N_COLUMNS).
+        moving: What can move.
+        at: Its positions, live.
+        compiled: Compiled code, `see`; by default it is looked for when it is wanted.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, camera: int, base: int) -> None:
-        self._data, self._camera = data, camera
-        self._fixed = fixed_faces(model)
-        self._moving, self._at = moving_faces(model, base), places(data)
-        self._compiled: Callable[..., int] | None = None
+    def __init__(
+        self,
+        fixed: NDArray[np.float64],
+        moving: MovingFaces,
+        at: Places,
+        compiled: Callable[..., int] | None = None,
+    ) -> None:
+        self._fixed, self._moving, self._at, self._compiled = fixed, moving, at, compiled
         self._n_lamps = -1
         self._key, self._taken = np.zeros(2, np.int64), 0
         self._prepare(0)
 
     def take(
         self,
+        eye: Eye,
         pixels: NDArray[np.int64],
         lamps: Sequence[Lamp],
         room_lux: float,
@@ -66,6 +71,7 @@ class LineCamera:
         """Take an image; return the reading of the light sensor.
 
         Args:
+            eye: Place of the camera.
             pixels: Filled in with greys, 0 to 255, from the left to the right (64,).
             lamps: Lamps with their present powers.
             room_lux: Illuminance by the room's own light [lx].
@@ -83,10 +89,6 @@ class LineCamera:
         if compiled and self._compiled is None and self._taken % _CHECKS == 0:
             self._compiled = when_ready("vision")
         self._taken += 1
-        x, y, height = self._data.cam_xpos[self._camera].tolist()
-        turn = self._data.cam_xmat[self._camera].tolist()
-        scale = 1 / max((turn[2] * turn[2] + turn[5] * turn[5]) ** 0.5, 1e-6)
-        eye = Eye(x, y, height, -turn[2] * scale, -turn[5] * scale)
         tables: Any = _TABLES[noisy]
         if compiled and self._compiled is not None:
             arrays = _TABLE_ARRAYS[noisy]
@@ -118,6 +120,28 @@ class LineCamera:
             MovingFaces(*_views(self._moving)),
             Places(*_views(self._at)),
         )
+
+
+def eye_of(data: mujoco.MjData, camera: int) -> Eye:
+    """Return the place of a camera in MuJoCo's scene, which looks level."""
+    x, y, height = data.cam_xpos[camera].tolist()
+    turn = data.cam_xmat[camera].tolist()
+    ahead, left = -turn[2], -turn[5]
+    scale = 1 / max(math.sqrt(ahead * ahead + left * left), 1e-6)
+    return Eye(x, y, height, ahead * scale, left * scale)
+
+
+def take_one() -> int:
+    """Take an image of nothing by compiled code, which compiles it; return the reading of the light sensor.
+
+    Raises:
+        ImportError: numba is not installed.
+    """
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    nothing = moving_faces(model, 0), places(mujoco.MjData(model))
+    camera = LineCamera(fixed_faces(model), *nothing, function_of("vision"))
+    pixels, eye = np.zeros(K213_PIXELS, np.int64), Eye(0.0, 0.0, 0.0, 1.0, 0.0)
+    return camera.take(eye, pixels, (), ROOM_LUX, 0, (0, 0), 0, compiled=True)
 
 
 def see(

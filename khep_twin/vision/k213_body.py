@@ -5,8 +5,9 @@ from pathlib import Path
 
 from khep_twin.board.k213 import PIXELS, REVISION, TICK_MS, VERSION, K213Electronics, Register
 from khep_twin.board.turrets import TurretContext, TurretKind
+from khep_twin.sensing.line_faces import fixed_faces, moving_faces, places
 from khep_twin.units import K213_NUMBER, K213_PIXELS
-from khep_twin.vision.camera import LineCamera
+from khep_twin.vision.camera import LineCamera, eye_of
 
 
 class K213Body:
@@ -23,8 +24,9 @@ class K213Body:
         self._context = context
         self._view = context.registers.data
         self._pixels = context.registers[PIXELS]
-        camera = model.camera(context.prefix + "eye").id
-        self._camera = LineCamera(model, context.data, camera, int(model.cam_bodyid[camera]))
+        self._eye = model.camera(context.prefix + "eye").id
+        moving = moving_faces(model, int(model.cam_bodyid[self._eye]))
+        self._camera = LineCamera(fixed_faces(model), moving, places(context.data))
 
     def sense(self) -> None:
         """Take an image where a scan ends in this control period."""
@@ -32,6 +34,7 @@ class K213Body:
         if view[Register.LEFT] > 1:
             return
         view[Register.LIGHT] = self._camera.take(
+            eye_of(context.data, self._eye),
             self._pixels,
             context.lamps,
             context.room_lux,

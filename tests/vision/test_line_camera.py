@@ -1,6 +1,7 @@
 """A line camera by plain and by compiled code, in playpens with all that moves."""
 
 import importlib.util
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from khep_twin import playpen as playpens
 from khep_twin.board.k213 import PIXELS, Register
 from khep_twin.simulation.ready import function_of
-from khep_twin.vision.camera import LineCamera
+from khep_twin.vision.camera import LineCamera, eye_of
 from khep_twin.world import World
 from tests.vision.seen import block, cylinder, image, lamp, registers, world
 
@@ -42,13 +43,13 @@ def test_plain_and_compiled_code_take_the_same_image(noise: bool) -> None:
     for step in range(12):
         scene.advance_to(scene.time_ns + 130_000_000)
         for robot in (0, 1):
-            context = scene.robots[robot].turret_bodies["k213"]._context  # type: ignore[attr-defined]
-            camera = camera_of(scene, robot)
+            body: Any = scene.robots[robot].turret_bodies["k213"]
+            camera, eye = camera_of(scene, robot), eye_of(scene.data, body._eye)
             plain, compiled = np.zeros(64, np.int64), np.zeros(64, np.int64)
-            given = context.lamps, 300.0, 50 * (step % 3), context.key, step
-            light = camera.take(plain, *given, noisy=noise)
+            given = body._context.lamps, 300.0, 50 * (step % 3), body._context.key, step
+            light = camera.take(eye, plain, *given, noisy=noise)
             camera._compiled = see
-            assert camera.take(compiled, *given, noisy=noise, compiled=True) == light
+            assert camera.take(eye, compiled, *given, noisy=noise, compiled=True) == light
             camera._compiled = None
             assert compiled.tolist() == plain.tolist()
             assert len(set(plain.tolist())) > 5

@@ -141,6 +141,8 @@ class MjData:
     ctrl: NDArray[np.float64]
     cvel: NDArray[np.float64]
     geom_xmat: NDArray[np.float64]
+    site_xpos: NDArray[np.float64]
+    site_xmat: NDArray[np.float64]
     geom_xpos: NDArray[np.float64]
     history: NDArray[np.float64]
     model: MjModel

@@ -14,11 +14,11 @@ from khep_twin.board import kernel
 from khep_twin.board.kernel import LEFT, RESET_VALUES, RIGHT, Board, Mode, Wheel
 from khep_twin.board.protocol import COMMAND_NOT_FOUND, Request, Tool, parse
 from khep_twin.board.rom import Rom
-from khep_twin.board.turrets import Turret, TurretKind, find
+from khep_twin.board.turrets import Turret, TurretKind, installed
 from khep_twin.clock import NS_PER_S
 from khep_twin.firmware import Firmware
 from khep_twin.log.exchanges import BANNER, Exchange
-from khep_twin.units import BITS_PER_BYTE, GRIPPER_NUMBER
+from khep_twin.units import BITS_PER_BYTE
 
 _GAINS = {register: value for register, value in RESET_VALUES if Board.SPEED_KP <= register <= Board.SPEED_KD}
 
@@ -127,12 +127,7 @@ class BoardModel:
     """
 
     def __init__(self, rom: Rom, known: KnownRobot, timed: Sequence[TimedExchange]) -> None:
-        kinds = known.turrets
-        if kinds is None:
-            answered = any(
-                (each.exchange.reply or b"").startswith(b"t,%d," % GRIPPER_NUMBER) for each in timed
-            )
-            kinds = tuple(find(["gripper"])) if answered else ()
+        kinds = _answering(timed) if known.turrets is None else known.turrets
         turrets: dict[TurretKind, Turret] = {kind: kind.make() for kind in kinds}
         self._firmware = Firmware(rom, 1 if known.mode is None else known.mode, turrets)
         # A robot that a relay finds has been on for long.
@@ -209,6 +204,17 @@ class BoardModel:
             (min(both(view, Wheel.MAX_SPEED)), min(both(view, Wheel.ACCELERATION))),
             self._gains_known and all(view[register] == value for register, value in _GAINS.items()),
         )
+
+
+def _answering(timed: Sequence[TimedExchange]) -> tuple[TurretKind, ...]:
+    """Return the installed turrets under whose numbers there are answers."""
+    numbers = {kind.number: kind for kind in reversed(tuple(installed().values()))}
+    replies = [each.exchange.reply or b"" for each in timed]
+    return tuple(
+        numbers[number]
+        for number in sorted(numbers)
+        if any(reply.startswith(b"t,%d," % number) for reply in replies)
+    )
 
 
 def both(registers: kernel.Registers, register: Wheel) -> tuple[int, int]:

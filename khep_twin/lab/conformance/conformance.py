@@ -195,7 +195,8 @@ def examine(line: CheckedPort, name: str, *, move: bool = False) -> ConformanceR
 def checks(move: bool) -> Iterator[Check]:
     """Return all checks, with or without those that move the robot."""
     # Those that move the robot come behind the others, in one list.
-    from khep_twin.lab.conformance.motion import ALL
+    from khep_twin.lab.conformance import motion as motion
+    from khep_twin.lab.conformance.vision_checks import ALL
 
     return (check for check in ALL if move or not check.moves)
 

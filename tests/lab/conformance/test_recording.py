@@ -329,3 +329,20 @@ def test_options_of_a_port_and_logs_without_a_line_are_refused(sound: Path, tmp_
     with open_twin("default", TwinOptions(log=str(log))) as twin:
         twin.advance_to(MS)
     assert "nothing crossed a line" in khep_twin("conform", str(log)).stderr
+
+
+# A K213 --------------------------------------------------------------------------------------------------
+
+
+def test_the_messages_of_a_k213_are_known_also_to_who_only_hears_them(tmp_path: Path) -> None:
+    log, heard = tmp_path / "run.mcap", tmp_path / "relay.mcap"
+    with open_twin("stripes", TwinOptions(seed=4, mode=3, log=str(log))) as twin:
+        relay = Relay(twin)
+        for message in ("B", "N", "M", "S", "T", "L", "O", "P", "Q,3", "R,4", "U,2", "Q,99", "X", "N"):
+            twin.robot.send(f"T,2,{message}\n".encode())
+            twin.advance_to(twin.world.time_ns + 300 * MS)
+    relay.write(heard)
+    for path in (log, heard):
+        assert failed(checked(path)) == []
+    worse = changed(log, tmp_path / "worse.mcap", replies(r"^t,2,q,\d+", "t,2,q"))
+    assert failed(checked(worse)) == ["a turret answers under its number, an absent one is refused"]

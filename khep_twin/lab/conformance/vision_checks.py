@@ -1,0 +1,185 @@
+"""Checks of `conformance` of a K213, which pass where there is none.
+
+What they ask of it is what hosts need. That M has 16 greys, and what exactly is answered to a wrong
+parameter, is left open, as no source says it.
+"""
+
+import re
+
+from khep_twin.lab.conformance.checks import ALL as ALL
+from khep_twin.lab.conformance.checks import FIRST_BYTE, check, within
+from khep_twin.lab.conformance.conformance import CheckedPort, Deviation
+from khep_twin.units import BITS_PER_BYTE, K213_NUMBER, K213_PERIODS_MS, K213_PIXELS
+
+TURN = "turns on the spot by 6 degrees and back, if it has a K213"
+
+SECTION = "K213"
+
+_SLOWEST = len(K213_PERIODS_MS) - 1
+_SCAN = 1.1
+"""Longest time until an image by the light is there [s] (assumed: scans of up to a second)."""
+
+_TURN_PULSES = 34
+"""Pulses of each wheel for a turn by 6 degrees, 10 pixels, on the spot."""
+
+_CONTRAST = 60
+"""Difference between brightest and darkest pixel from which an image tells a turn [greys] (assumed)."""
+
+_REAL_TIME_SLACK = 0.02
+"""Delay by a scheduler that is no fault of the port's [s]."""
+
+
+def _is_there(line: CheckedPort) -> bool:
+    return not line.ask(f"T,{K213_NUMBER},B").startswith("z,")
+
+
+def _values(line: CheckedPort, message: str, count: int, limit: int = 255) -> list[int]:
+    """Return the numbers of a reply; raise a `Deviation` unless there are `count` from 0 to a limit."""
+    request, letter = f"T,{K213_NUMBER},{message}", message[0].lower()
+    answer = line.ask(request)
+    if not re.fullmatch(rf"t,{K213_NUMBER},{letter}(,(0|[1-9]\d*)){{{count}}}", answer):
+        raise Deviation(
+            f"{request!r} was answered {answer!r}; expected 't,{K213_NUMBER},{letter}' and {count} numbers"
+        )
+    values = [int(field) for field in answer.split(",")[3:]]
+    within(request, values, 0, limit)
+    return values
+
+
+def _set_period(line: CheckedPort, period: int) -> None:
+    line.expect(f"T,{K213_NUMBER},U,{period}", f"t,{K213_NUMBER},u")
+
+
+def _image(line: CheckedPort) -> list[int]:
+    return _values(line, "N", K213_PIXELS)
+
+
+@check("a K213, if there is one, tells its version by two integers", SECTION)
+def _versions(line: CheckedPort) -> None:
+    if _is_there(line):
+        _values(line, "B", 2)
+
+
+@check("a K213, if there is one, has 64 greys of 8 bits, and 32 values in M", SECTION)
+def _greys(line: CheckedPort) -> None:
+    if _is_there(line):
+        _image(line)
+        _values(line, "M", K213_PIXELS // 2)
+
+
+@check("the light sensor of a K213, if there is one, reads two bytes", SECTION)
+def _light(line: CheckedPort) -> None:
+    if _is_there(line):
+        _values(line, "L", 2)
+
+
+@check(
+    "parts of the image of a K213, if there is one, are its pixels, and those of O and P its limits", SECTION
+)
+def _parts(line: CheckedPort) -> None:
+    if not _is_there(line):
+        return
+    # Within the longest period the image stays.
+    _set_period(line, _SLOWEST)
+    image = _image(line)
+    for message, wanted in (
+        ("S", image[::2]),
+        ("T", image[::4]),
+        ("Q,0", image[:8]),
+        ("Q,29", image[29:37]),
+        ("R,0", image[:16]),
+        ("R,48", image[48:]),
+    ):
+        if (values := _values(line, message, len(wanted))) != wanted:
+            raise Deviation(f"'T,{K213_NUMBER},{message}' gave {values}; expected {wanted} of the image")
+    for letter, wanted in (("O", max(image)), ("P", min(image))):
+        (index,) = _values(line, letter, 1, K213_PIXELS - 1)
+        if image[index] != wanted:
+            found = f"'T,{K213_NUMBER},{letter}' gave {index}, a pixel of {image[index]}"
+            raise Deviation(f"{found}; expected one of {wanted}")
+    _set_period(line, 0)
+
+
+@check("a K213, if there is one, takes every period and refuses others", SECTION)
+def _periods(line: CheckedPort) -> None:
+    if not _is_there(line):
+        return
+    for period in (*range(1, len(K213_PERIODS_MS)), 0):
+        _set_period(line, period)
+    _refuses(line, f"U,{len(K213_PERIODS_MS)}", "U,-1", "U")
+
+
+@check(
+    "a K213, if there is one, refuses pixels that it has not, wrong parameters and unknown letters", SECTION
+)
+def _refusals(line: CheckedPort) -> None:
+    if _is_there(line):
+        _refuses(line, f"Q,{K213_PIXELS}", "Q,-1", "Q", f"R,{K213_PIXELS}", "R", "N,1", "L,x", "X")
+
+
+def _refuses(line: CheckedPort, *messages: str) -> None:
+    for message in messages:
+        answer = line.ask(f"T,{K213_NUMBER},{message}")
+        if not answer.startswith("z,"):
+            request = f"T,{K213_NUMBER},{message}"
+            raise Deviation(f"{request!r} was answered {answer!r}; expected a line that starts with 'z,'")
+
+
+@check("a long reply of a K213, if there is one, begins within 10 ms and takes its bytes' time", SECTION)
+def _pace(line: CheckedPort) -> None:
+    if not _is_there(line):
+        return
+    byte_time = BITS_PER_BYTE / line.port.baudrate
+    slack = 0.0 if hasattr(line.port, "time_ns") else _REAL_TIME_SLACK
+    in_one_piece = str(line.port.port).startswith(("socket:", "rfc2217:"))
+    request = f"T,{K213_NUMBER},N\n"
+    start = line.time()
+    line.send(request)
+    first: bytes = line.port.read(1)
+    begun = line.time() - start
+    rest: bytes = line.port.read_until(b"\n")
+    took = line.time() - start
+    whole = len(request) + len(first + rest)
+    if begun > (whole if in_one_piece else len(request) + 1) * byte_time + FIRST_BYTE + slack:
+        raise Deviation(f"the first byte of the reply to {request!r} came after {begun * 1000:.1f} ms")
+    if took > whole * byte_time + FIRST_BYTE + 2 * slack:
+        raise Deviation(f"{request!r} and its reply of {len(first + rest)} bytes took {took * 1000:.1f} ms")
+
+
+@check("the image of a K213, if there is one, moves right as it turns left, at its period", SECTION, TURN)
+def _turning(line: CheckedPort) -> None:
+    if not _is_there(line):
+        return
+    _set_period(line, 0)
+    line.sleep(_SCAN)
+    before = _image(line)
+    _turn(line, _TURN_PULSES)
+    after = _image(line)
+    _set_period(line, _SLOWEST)
+    frozen = _image(line)
+    _turn(line, 0)
+    if (later := _image(line)) != frozen:
+        raise Deviation(f"with U,{_SLOWEST} the image changed from {frozen} to {later} within 5 s")
+    _set_period(line, 0)
+    line.order("D,0,0")
+    if max(before) - min(before) < _CONTRAST or max(after) - min(after) < _CONTRAST:
+        return  # nothing to tell a turn by
+    way = min(range(-24, 25), key=lambda way: (_difference(before, after, way), abs(way)))
+    if not 4 <= way <= 18:
+        raise Deviation(f"a turn to the left by 6 degrees moved the image by {way} pixels; expected about 10")
+
+
+def _turn(line: CheckedPort, pulses: int) -> None:
+    """Turn on the spot to counters of -pulses and pulses, and wait until an image of it is there."""
+    if pulses:
+        line.order("D,0,0", "G,0,0")
+    line.order(f"C,{-pulses},{pulses}", pause=0.8)
+    line.sleep(_SCAN)
+
+
+def _difference(before: list[int], after: list[int], way: int) -> float:
+    """Return the mean difference of two images of which one is moved to the right by some pixels."""
+    pairs = [
+        (before[pixel - way], after[pixel]) for pixel in range(K213_PIXELS) if 0 <= pixel - way < K213_PIXELS
+    ]
+    return sum(abs(one - other) for one, other in pairs) / len(pairs)

@@ -1,0 +1,143 @@
+"""K213s that are broken on purpose: the conformance checks catch every one of them."""
+
+import subprocess
+import sys
+from contextlib import closing
+
+import pytest
+
+from khep_twin.board.k213 import Register
+from khep_twin.host import Khepera
+from khep_twin.lab.conformance import vision_checks
+from khep_twin.lab.conformance.conformance import CheckedPort, run_check
+from khep_twin.ports.twin import Twin
+from tests.lab.conformance.test_mutants import Mutation, break_answers, think, to
+
+CHECKS = [check for check in vision_checks.ALL if check.section == vision_checks.SECTION]
+
+
+def fields(reply: bytes) -> list[bytes]:
+    return reply.rstrip(b"\r\n").split(b",")
+
+
+def whole(parts: list[bytes]) -> bytes:
+    return b",".join(parts) + b"\r\n"
+
+
+ANSWERS: dict[str, Mutation] = {
+    "without its number": to("T,2,N", lambda reply: reply.replace(b"t,2,", b"t,")),
+    "upper-case letter": to("T,2,N", lambda reply: reply.replace(b",n,", b",N,")),
+    "63 pixels": to("T,2,N", lambda reply: whole(fields(reply)[:-1])),
+    "65 pixels": to("T,2,N", lambda reply: whole([*fields(reply), b"0"])),
+    "a grey of 256": to("T,2,N", lambda reply: whole([*fields(reply)[:-1], b"256"])),
+    "a negative grey": to("T,2,N", lambda reply: whole([*fields(reply)[:-1], b"-1"])),
+    "greys with a comma behind": to("T,2,N", lambda reply: reply.replace(b"\r\n", b",\r\n")),
+    "the image in two lines": to("T,2,N", lambda reply: reply.replace(b",", b"\r\n", 9)),
+    "M of 64 values": to("T,2,M", lambda reply: whole([*fields(reply), *[b"1"] * 32])),
+    "light in one number": to("T,2,L", lambda reply: b"t,2,l,200\r\n"),
+    "light of ten bits in the low byte": to("T,2,L", lambda reply: b"t,2,l,0,700\r\n"),
+    "no version": to("T,2,B", lambda reply: b"t,2,b\r\n"),
+    "S of the left half": to("T,2,S", lambda reply: whole([b"t", b"2", b"s", *[b"7"] * 32])),
+    "T in the other direction": to("T,2,T", lambda reply: whole([b"t", b"2", b"t", *fields(reply)[:2:-1]])),
+    "Q counted from 1": to("T,2,Q,29", lambda reply: whole([b"t", b"2", b"q", *fields(reply)[4:], b"3"])),
+    "R of 8 pixels": to("T,2,R,.*", lambda reply: whole(fields(reply)[:11])),
+    "O of the darkest": to("T,2,O", lambda reply: b"t,2,o,0\r\n"),
+    "P beyond the image": to("T,2,P", lambda reply: b"t,2,p,64\r\n"),
+    "U without its number": to("T,2,U,.*", lambda reply: b"u\r\n"),
+    "U without a reply": to("T,2,U,.*", lambda reply: b""),
+    "a ninth period": to("T,2,U,8", lambda reply: b"t,2,u\r\n"),
+    "pixels beyond the image": to("T,2,Q,64", lambda reply: whole([b"t", b"2", b"q", *[b"NaN"] * 8])),
+    "an unknown letter": to("T,2,X", lambda reply: b"t,2,x\r\n"),
+    "a wrong parameter": to("T,2,N,1", lambda reply: b"t,2,n,1\r\n"),
+    "mirrored": to("T,2,N", lambda reply: whole([b"t", b"2", b"n", *fields(reply)[:2:-1]])),
+}
+
+
+def late(twin: Twin) -> None:
+    """Thinks for 60 ms before its image."""
+    think(twin, lambda reply: 60_000_000 if reply.startswith(b"t,2,n") else 0)
+
+
+def frozen(twin: Twin) -> None:
+    """Keeps its first image."""
+    twin.robot.turret_bodies["k213"].sense = lambda: None  # type: ignore[method-assign]
+
+
+def restless(twin: Twin) -> None:
+    """Scans in each control period."""
+    turret = next(iter(twin.robot.firmware.turrets.values()))
+    tick = turret.tick
+
+    def always() -> None:
+        tick()
+        turret.registers[Register.LEFT] = 1
+
+    turret.tick = always  # type: ignore[method-assign]
+
+
+def with_a_mirror(twin: Twin) -> None:
+    """Has its pixels from the right to the left, in all replies alike."""
+    turret = next(iter(twin.robot.firmware.turrets.values()))
+    receive = turret.receive
+
+    def mirrored(message: bytes) -> bytes:
+        turret.registers[5:] = turret.registers[:4:-1].copy()
+        reply = receive(message)
+        turret.registers[5:] = turret.registers[:4:-1].copy()
+        return reply
+
+    turret.receive = mirrored  # type: ignore[method-assign]
+
+
+BOARDS = [late, frozen, restless, with_a_mirror]
+
+
+def deviations(robot: Khepera) -> list[str]:
+    line = CheckedPort(robot.port)
+    return [result.deviation for check in CHECKS if (result := run_check(check, line)).deviation]
+
+
+def test_there_are_checks_that_stand_and_one_that_moves() -> None:
+    assert len(CHECKS) > 5
+    assert [check.moves for check in CHECKS].count("") == len(CHECKS) - 1
+
+
+@pytest.mark.parametrize("mode", [1, 2, 3])
+@pytest.mark.parametrize("noise", ["on", "off"])
+def test_a_sound_k213_passes(noise: str, mode: int) -> None:
+    baud = {1: 9600, 2: 19200, 3: 38400}[mode]
+    with closing(Khepera(f"khep://stripes?noise={noise}&mode={mode}", baudrate=baud)) as robot:
+        assert deviations(robot) == []
+
+
+def test_a_robot_without_a_k213_passes() -> None:
+    with closing(Khepera("khep://default?noise=off")) as robot:
+        assert deviations(robot) == []
+
+
+def test_a_sound_k213_on_a_pseudo_terminal_passes() -> None:
+    command = [sys.executable, "-m", "khep_twin", "serve", "stripes", "--mode", "3"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        try:
+            assert process.stdout is not None
+            with Khepera(process.stdout.readline().strip(), baudrate=38400) as robot:
+                found = deviations(robot)
+        finally:
+            process.terminate()
+    # A busy machine may delay a reply.
+    assert [text for text in found if " ms" not in text] == []
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+def test_a_k213_that_answers_wrongly_is_caught(name: str) -> None:
+    with closing(Khepera("khep://stripes?noise=off")) as robot:
+        break_answers(robot.port.twin, ANSWERS[name])
+        assert deviations(robot)
+
+
+@pytest.mark.parametrize("breaking", BOARDS, ids=lambda breaking: breaking.__name__)
+def test_a_k213_that_is_broken_inside_is_caught(breaking) -> None:
+    with closing(Khepera("khep://stripes?noise=off")) as robot:
+        robot.sleep(0.3)
+        breaking(robot.port.twin)
+        assert deviations(robot)
