@@ -403,12 +403,6 @@ def test_a_twin_that_does_not_come_up_is_not_waited_for(visit: Visit) -> None:
 def test_line_images_are_a_strip_below_the_readings(visit: Visit) -> None:
     page = visit.page
     visit.add("robot", (300, 200))
-    page.click('[data-tab="run"]')
-    page.click("#start")
-    page.wait_for_selector(".live")
-    visit.wait("document.querySelector('#vision').hidden")
-    page.click("#end")
-    page.click('[data-tab="object"]')
     page.check("#field-robot-turrets input[value=k213]")
     page.click('[data-tab="run"]')
     page.click("#start")

@@ -80,7 +80,7 @@ export class Strip {
 
   constructor(canvas) {
     this.canvas = canvas;
-    this.pen = canvas.getContext("2d");
+    this.pen = canvas.getContext("2d", { willReadFrequently: true }); // the strip is copied upwards
   }
 
   clear() {
