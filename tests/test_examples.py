@@ -27,6 +27,7 @@ SHORTER = {
 ENDS = {
     "02_pick_and_carry": "carried 96 mm back and put down\nto watch it: python",
     "07_baton": "mm; the porter says 'lifted'\nporter: lifted it ",
+    "08_landmark": "before the striped mast after ",
 }
 """What an example says at its end."""
 

@@ -11,6 +11,7 @@ The pictures of the tutorial and the README: tutorial.py.
 
 import contextlib
 import copy
+import runpy
 import subprocess
 import sys
 import tempfile
@@ -57,6 +58,18 @@ def draw_sensor_tests() -> None:
     _type("sense", "khep://bench.toml?seed=1", "--speed", "4", *near, "--picture", "sense_rotational.png")
     for name in ("sense_linear", "sense_rotational"):
         _keep(tutorial.shrunk(Path(f"{name}.png"), 1050), name)
+
+
+def draw_vision() -> None:
+    """Draw the sensor test with line images of docs/sense.md, and the example of the README in rerun."""
+    turn = ["--what", "vision", "--rotate", "360", "--speed", "1"]
+    _type("sense", "khep://stripes?seed=1", *turn, "--picture", "sense_vision.png")
+    _keep(tutorial.shrunk(Path("sense_vision.png"), 1050), "sense_vision")
+    example = Path(__file__).parents[1] / "examples" / "08_landmark.py"
+    sys.argv[1:] = ["khep://landmark?log=landmark.mcap"]
+    runpy.run_path(str(example), run_name="__main__")
+    _type("view", "landmark.mcap", "--png", "landmark.png")
+    _keep(tutorial.shrunk(Path("landmark.png"), 1000), "landmark")
 
 
 def draw_side_by_side() -> None:
@@ -173,6 +186,7 @@ if __name__ == "__main__":
         draw_baton()
         draw_import()
         draw_sensor_tests()
+        draw_vision()
         draw_side_by_side()
         draw_branches()
         draw_shadow()

@@ -26,6 +26,7 @@ class Sensors(StrEnum):
 
     PROXIMITY = "proximity"
     LIGHT = "light"
+    VISION = "vision"
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +100,9 @@ class PictureOptions:
 
         if self.picture.suffix.lower() not in (".png", ".svg", ".pdf"):
             raise SensorTestError(f"{self.picture}: expected a name that ends in .png, .svg or .pdf")
-        ends = [np.array([(0,) * 10, (*test.target, *(0,) * 8)]) for test in tests]
+        ends = [np.zeros((2, 2 + len(test.quantity.names)), np.int64) for test in tests]
+        for end, test in zip(ends, tests, strict=True):
+            end[1, :2] = test.target
         expected = [SensorRun(test, end, np.zeros(2)) for test, end in zip(tests, ends, strict=True)]
         sensor_figure.check([*earlier, *expected], sensor=self.sensor, y_min=self.y_min or 0)
 
@@ -126,7 +129,7 @@ def sense(
         ),
     ] = None,
     what: Annotated[
-        Sensors | None, typer.Option(help="Kind of sensors to read: proximity (default) or light.")
+        Sensors | None, typer.Option(help="Quantity to read: proximity (default), light or vision.")
     ] = None,
     *,
     drive: DriveOptions,
@@ -222,7 +225,6 @@ def _show_part(show: Callable[[float], None], number: int, count: int, part: flo
 def _keep(done: "list[SensorRun]", run: "SensorRun", names: list[list[Path]]) -> None:
     """Write a run's files, and print a summary of its readings."""
     from khep_twin.lab.sensor_test.sensor_files import save
-    from khep_twin.lab.sensor_test.sensor_test import SENSORS
 
     if not len(run.dv):
         return
@@ -236,8 +238,11 @@ def _keep(done: "list[SensorRun]", run: "SensorRun", names: list[list[Path]]) ->
             failures.append(str(error))
     way = f"{run.travelled[-1]:.1f} {run.test.unit}"
     typer.echo(f"run {len(done)}: {len(run.dv)} rows over {way} in {run.times[-1]:.1f} s")
-    for sensor, counts in zip(SENSORS, run.dv[:, 2:].T, strict=True):
-        typer.echo(f"  {sensor:10}  {counts.min():4} to {counts.max():4} counts")
+    if run.test.what == "vision":
+        typer.echo(f"  line image  {run.dv[:, 2:].min():4} to {run.dv[:, 2:].max():4} greys")
+    else:
+        for sensor, counts in zip(run.test.quantity.names, run.dv[:, 2:].T, strict=True):
+            typer.echo(f"  {sensor:10}  {counts.min():4} to {counts.max():4} counts")
     if failures:
         raise KhepTwinError("\n".join(failures))
     for path in paths:

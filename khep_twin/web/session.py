@@ -12,8 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SPEEDS, Board
-from khep_twin.errors import KhepTwinError, PortError
-from khep_twin.host import Khepera, commands
+from khep_twin.errors import KhepTwinError, PortError, ProtocolError
+from khep_twin.host import Khepera, Vision, commands
 from khep_twin.interventions.move_robot import as_it_stands, put
 from khep_twin.interventions.switching import switch
 from khep_twin.playpen import Playpen
@@ -321,6 +321,7 @@ class RobotActor(WebSession):
         self._url = url
         self._halt = threading.Event()
         self._robot: Khepera | None = None
+        self._vision: Vision | None = None
         self._began = self._looked = 0.0
 
     def stop(self) -> None:
@@ -330,6 +331,8 @@ class RobotActor(WebSession):
     def _live(self) -> None:
         with Khepera(self._url) as robot:
             self._robot, self._began = robot, robot.time
+            with suppress(ProtocolError):  # a robot without this turret
+                self._vision = Vision(robot)
             told = {"name": robot.name, "port": self._url, **shape("khepera1", "khepera1")}
             self.publish({"kind": "robot", "robots": [told]})
             while not self._ended.is_set():
@@ -354,6 +357,8 @@ class RobotActor(WebSession):
         proximity, ambient, speed = robot.burst(commands.proximity(), commands.ambient(), commands.speed())
         self._looked = robot.time
         reading = {"proximity": [*proximity], "ambient": [*ambient], "speed": [*speed], "leds": [0, 0]}
+        if self._vision is not None and self.job is None:  # a program's turns are not to wait for an image
+            reading["vision"] = [*self._vision.image()]
         time_s, busy = robot.time - self._began, self.job is not None
         self.publish(
             {"kind": "picture", "time": time_s, "busy": busy, "part": self._part, "robots": [reading]}

@@ -398,3 +398,18 @@ def test_a_twin_that_does_not_come_up_is_not_waited_for(visit: Visit) -> None:
     page.click("#run")
     visit.wait("document.querySelector('#clock').textContent.includes('driven')")
     page.click("#end")
+
+
+def test_line_images_are_a_strip_below_the_readings(visit: Visit) -> None:
+    page = visit.page
+    visit.add("robot", (300, 200))
+    page.check("#field-robot-turrets input[value=k213]")
+    page.click('[data-tab="run"]')
+    page.click("#start")
+    pixels = "document.querySelector('#vision').getContext('2d').getImageData(0, {}, 64, 1).data"
+    # Rows rise: the first one has come up from the bottom after a second.
+    visit.wait(f"!document.querySelector('#vision').hidden && {pixels.format(90)}[3] === 255")
+    white = page.evaluate(f"[...{pixels.format(99)}].filter((_, byte) => byte % 4 === 0)")
+    assert min(white) > 100  # the walls
+    visit.picture("18-line-image")
+    page.click("#end")

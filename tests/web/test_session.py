@@ -261,6 +261,23 @@ def test_a_robot_at_a_port_shows_its_readings_and_stops(actor: TwinActor, ear: E
     assert not robot.alive
 
 
+def test_the_page_has_the_line_images_of_a_twin_and_of_a_robot_at_a_port(ear: Ear) -> None:
+    """The robot's port is the twin's, too."""
+    twin = TwinActor(playpens.load("stripes"), TwinOptions(), None, ear)
+    twin.begin()
+    port = ear.wait("twin")["robots"][0]["port"]
+    first = ear.wait("picture", lambda told: told["time"] > 0.5)["robots"][0]["vision"]
+    assert len(first) == 64
+    assert max(first) - min(first) > 100  # stripes
+    heard = Ear()
+    robot = RobotActor(port, heard)
+    robot.begin()
+    other = heard.wait("picture")["robots"][0]["vision"]
+    assert max(abs(a - b) for a, b in zip(first, other, strict=True)) < 80  # it stands; the noise differs
+    robot.end()
+    twin.end()
+
+
 def test_how_far_a_job_is_comes_with_the_pictures_and_wakes_nobody_between(
     actor: TwinActor, ear: Ear
 ) -> None:

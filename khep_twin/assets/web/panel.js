@@ -80,7 +80,7 @@ export class Strip {
 
   constructor(canvas) {
     this.canvas = canvas;
-    this.pen = canvas.getContext("2d");
+    this.pen = canvas.getContext("2d", { willReadFrequently: true }); // the strip is copied upwards
   }
 
   clear() {
@@ -89,6 +89,7 @@ export class Strip {
   }
 
   read({ vision }, time) {
+    if (vision === undefined) return; // not read this time
     this.canvas.hidden = !vision;
     const slot = Math.floor(time * 10);
     if (!vision || slot === this.#slot) return;

@@ -1,5 +1,7 @@
 """Figures of sensor tests: all eight sensors laid out as on the robot, or one alone, of one run or several.
 
+Line images are drawn as a strip over the path for each run, left at the top, and one pixel as a sensor.
+
 A straight drive counts down to its end, which is 0 cm at the right; a turn is shown in degrees, positive
 counter-clockwise. Several runs are thin lines, with their mean and a band of one standard deviation to either
 side, over the part of the path that all of them cover.
@@ -24,7 +26,7 @@ from khep_twin.drawing.map import STYLE
 from khep_twin.drawing.symbols import INK, Look
 from khep_twin.errors import SensorTestError
 from khep_twin.lab.sensor_test.sensor_test import SENSORS, SensorRun
-from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_POSITIONS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
+from khep_twin.units import BODY_RADIUS, SENSOR_POSITIONS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +48,7 @@ def draw(
 
     Args:
         runs: Runs to draw, at least one.
-        sensor: Name of a single sensor, e.g. "left 10"; by default all eight.
+        sensor: Name of a single sensor or pixel, e.g. "left 10"; by default all.
         y_min: Lower limit of the axis of counts.
         grid: If true, draw grid lines.
 
@@ -58,15 +60,17 @@ def draw(
         if sensor is not None:
             figure = sheet(6.4, 4.4)
             axes = figure.add_axes((0.11, 0.12, 0.86, 0.79 if len(runs) == 1 else 0.73))
-            _draw_sensor(axes, runs, SENSORS.index(sensor), y_min, grid)
+            _draw_sensor(axes, runs, _names(runs).index(sensor), y_min, grid)
             axes.set_xlabel(_UNITS[runs[0].test.motion])
-            axes.set_ylabel(_counts(runs[0]))
+            axes.set_ylabel(runs[0].test.quantity.title)
             title = f"{sensor}: {', '.join(_facts(runs))}"
             axes.set_title(title, loc="left", fontsize=10, pad=6 if len(runs) == 1 else 25)
             if len(runs) > 1:
                 # Above the axes, where no data can be.
                 above: Look = {"loc": "lower left", "bbox_to_anchor": (-0.015, 0.99)}
                 axes.legend(ncols=3, fontsize=8, frameon=False, **above)
+        elif runs[0].test.what == "vision":
+            figure = _draw_images(runs)
         else:
             figure = _draw_all(runs, y_min, grid)
     return figure
@@ -74,14 +78,14 @@ def draw(
 
 def check(runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 0) -> None:
     """Raise the errors of `draw`."""
-    if sensor is not None and sensor not in SENSORS:
-        found = f"sensor = {sensor}: no such sensor"
-        raise SensorTestError(found, key="sensor", value=sensor, expected=SENSORS)
     kinds = list(dict.fromkeys(f"{run.test.what}, {run.test.motion}" for run in runs))
     if len(kinds) != 1:
         raise SensorTestError(
             f"runs of {' and of '.join(kinds) or 'no kind'}; expected runs of one kind in a figure"
         )
+    if sensor is not None and sensor not in (names := _names(runs)):
+        found = f"sensor = {sensor}: no such sensor"
+        raise SensorTestError(found, key="sensor", value=sensor, expected=names)
     if not all(len(run.dv) for run in runs):
         raise SensorTestError("a run without rows; expected runs with rows")
     if not 0 <= y_min < _limit(runs[0]):
@@ -101,16 +105,16 @@ def mean_and_spread(runs: Sequence[SensorRun]) -> tuple[Floats, Floats, Floats]:
     """Return mean and spread of several runs, over the range that all of them cover.
 
     Returns:
-        Abscissas (m,) as of `positions`, mean counts (m, 8), and sample standard deviations (m, 8).
+        Abscissas (m,) as of `positions`, mean readings (m, n), and sample standard deviations (m, n).
 
     Raises:
         SensorTestError: They do not overlap.
     """
     x = np.linspace(*_common(runs), _GRID_POINTS)
-    counts = np.empty((len(runs), len(x), len(SENSORS)))
+    counts = np.empty((len(runs), len(x), len(_names(runs))))
     for index, run in enumerate(runs):
         order = np.argsort(positions(run), kind="stable")
-        for sensor in range(len(SENSORS)):
+        for sensor in range(counts.shape[2]):
             counts[index, :, sensor] = np.interp(x, positions(run)[order], run.dv[order, 2 + sensor])
     return x, counts.mean(axis=0), counts.std(axis=0, ddof=min(len(runs) - 1, 1))
 
@@ -140,7 +144,7 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
         _draw_sensor(axes, runs, index, y_min, grid)
         axes.set_title(name, fontsize=10)
         if name in ("left 45", "left 90", "back left"):
-            axes.set_ylabel(_counts(runs[0]))
+            axes.set_ylabel(runs[0].test.quantity.title)
         if row > 0:
             axes.set_xlabel(_UNITS[runs[0].test.motion], fontsize=8)
         if index == 0 and len(runs) > 1:
@@ -149,6 +153,29 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
     _draw_robot(figure.add_subplot(cells[1, 1:3]))
     about = figure.text(0.07, 0.075, "\n".join(_description(runs)), va="bottom", fontsize=9, linespacing=1.4)
     about.set_parse_math(False)  # a dollar in the text is a dollar
+    return figure
+
+
+def _draw_images(runs: Sequence[SensorRun]) -> Figure:
+    """Draw the line images of each run over its path."""
+    figure = sheet(8.0, 1.0 + 1.9 * len(runs))
+    all_axes = [figure.add_subplot(len(runs), 1, row) for row in range(1, len(runs) + 1)]
+    for axes, run in zip(all_axes, runs, strict=True):
+        x = positions(run)
+        order = np.argsort(x, kind="stable")
+        ends = float(x.min()), float(x.max())
+        grid_x = np.linspace(*ends, _GRID_POINTS)
+        # Each column has the reading that is nearest to it.
+        nearest = np.abs(x[order][None, :] - grid_x[:, None]).argmin(axis=1)
+        strip = run.dv[order[nearest], 2:].T
+        extent = (*ends, len(strip) - 0.5, -0.5)
+        axes.imshow(strip, cmap="gray", vmin=0, vmax=255, aspect="auto", interpolation="none", extent=extent)
+        axes.set(ylabel="pixel", yticks=[0, len(strip) - 1])
+        if run.test.motion == "linear":
+            axes.invert_xaxis()
+    all_axes[0].set_title(", ".join(_facts(runs)), loc="left", fontsize=10)
+    all_axes[-1].set_xlabel(_UNITS[runs[0].test.motion])
+    figure.tight_layout()
     return figure
 
 
@@ -223,9 +250,9 @@ def _span(values: Sequence[float]) -> str:
     return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
-def _counts(run: SensorRun) -> str:
-    return "proximity [counts]" if run.test.what == "proximity" else "ambient [counts]"
+def _names(runs: Sequence[SensorRun]) -> tuple[str, ...]:
+    return runs[0].test.quantity.names
 
 
 def _limit(run: SensorRun) -> int:
-    return COUNTS_LIMIT if run.test.what == "proximity" else AMBIENT_LIMIT
+    return AMBIENT_LIMIT if run.test.what == "light" else run.test.quantity.limit

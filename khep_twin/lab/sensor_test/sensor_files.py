@@ -1,8 +1,8 @@
 """Files of sensor tests: CSV, MAT as of the Khepera Toolbox, MCAP for rerun.
 
     .csv    lines "# key: value", then a table with a row for each reading
-    .mat    `dv` (n, 10) and `dlgstr`, as the toolbox's own programs need; the test in further variables
-    .mcap   /khepera0/proximity or /khepera0/ambient and /khepera0/position; the test as metadata "run"
+    .mat    `dv` (n, 10 or 66) and `dlgstr`, as the toolbox's own programs need; the test in further variables
+    .mcap   /khepera0/position, and /khepera0/proximity, ambient or vision; the test as metadata "run"
 
 The same run gives the same bytes. All three formats hold the whole run.
 """
@@ -25,21 +25,18 @@ from khep_twin.errors import LogError, SensorTestError
 from khep_twin.files.atomic import read_regular, write_whole
 from khep_twin.files.mat_bytes import mat_bytes
 from khep_twin.lab.sensor_test.sensor_mat import read_mat
-from khep_twin.lab.sensor_test.sensor_test import SENSORS, SensorRun, SensorTest, What
-from khep_twin.log.channels import FLOATS, ArrayFrame
+from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, What, check_what
+from khep_twin.log.channels import FLOATS, IMAGE, ArrayFrame, ImageFrame
 from khep_twin.log.decoding import shown
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.reader import read_arrays
-from khep_twin.units import COUNTS_LIMIT
 
 SUFFIXES = (".csv", ".mat", ".mcap")
 
 Number = TypeVar("Number", int, float)
 
-_COLUMNS = ("left_pulses", "right_pulses", *(name.replace(" ", "_") for name in SENSORS))
 _TITLE = "# khep-twin: sensor test"
 _ROBOT = "khepera0"
-_TOPICS: dict[What, str] = {"proximity": "proximity", "light": "ambient"}
 
 
 def save(path: Path, run: SensorRun) -> None:
@@ -115,10 +112,9 @@ def _test(words: Mapping[str, str]) -> SensorTest:
             raise SensorTestError(f"{key}: missing; expected an integer")
         return _number(key, words[key], int)
 
-    what = words.get("what")
-    if what != "proximity" and what != "light":
-        found = "what: missing" if what is None else f"what = {shown(what)}"
-        raise SensorTestError(f"{found}; expected proximity or light")
+    if "what" not in words:
+        raise SensorTestError("what: missing; expected proximity, light or vision")
+    what = check_what(words["what"])
     linear_cm, rotate_deg = (
         _number(key, words[key], float) if key in words else None for key in ("linear_cm", "rotate_deg")
     )
@@ -139,12 +135,18 @@ def _number(name: str, text: str, kind: type[Number]) -> Number:
         raise SensorTestError(f"{name} = {text[:40]!r}; expected {wanted}") from None
 
 
+def _columns(test: SensorTest) -> list[str]:
+    """Return the names of a table's columns."""
+    names = (name.replace(" ", "_") for name in test.quantity.names)
+    return ["time_s", "left_pulses", "right_pulses", *names]
+
+
 def _csv(run: SensorRun) -> str:
     head = [_TITLE, *(f"# {key}: {value}" for key, value in facts(run.test).items())]
     head += [f"# text: {line}" for line in run.text.split("\n")]
     data = zip(run.times.tolist(), run.dv.tolist(), strict=True)
     rows = (",".join([repr(time), *map(str, row)]) for time, row in data)
-    return "\n".join([*head, ",".join(["time_s", *_COLUMNS]), *rows, ""])
+    return "\n".join([*head, ",".join(_columns(run.test)), *rows, ""])
 
 
 def _from_csv(data: bytes) -> SensorRun:
@@ -167,7 +169,8 @@ def _from_csv(data: bytes) -> SensorRun:
             text.append(parts[2])
         else:
             words[parts[1]] = parts[2]
-    columns = ["time_s", *_COLUMNS]
+    test = _test(words)
+    columns, limit = _columns(test), test.quantity.limit
     place = 1 + len(head)
     if lines[place].split(",") != columns:
         raise SensorTestError(f"line {place + 1}: {lines[place][:40]!r}; expected {','.join(columns)}")
@@ -181,16 +184,16 @@ def _from_csv(data: bytes) -> SensorRun:
         if not math.isfinite(times[-1]) and fields[0] != "nan":
             wanted = "expected a time, or nan in all rows"
             raise SensorTestError(f"line {number}: time_s = {fields[0][:40]}; {wanted}")
-        counts = zip(_COLUMNS, fields[1:], strict=True)
+        counts = zip(columns[1:], fields[1:], strict=True)
         rows.append([_count(f"line {number}: {name}", field) for name, field in counts])
-        if any(not 0 <= count <= COUNTS_LIMIT for count in rows[-1][2:]):
-            wanted = f"expected 0 to {COUNTS_LIMIT}, as of N and O"
-            raise SensorTestError(f"line {number}: a count out of range; {wanted}")
+        if any(not 0 <= count <= limit for count in rows[-1][2:]):
+            wanted = f"expected 0 to {limit}"
+            raise SensorTestError(f"line {number}: a reading out of range; {wanted}")
     if 0 < sum(map(math.isnan, times)) < len(times):
         raise SensorTestError("time_s: nan in some rows; expected a time in each, or nan in all")
     if not rows:
         raise SensorTestError(f"line {len(lines)}: no rows; expected one for each reading")
-    return SensorRun(_test(words), np.array(rows, np.int64), np.array(times, np.float64), "\n".join(text))
+    return SensorRun(test, np.array(rows, np.int64), np.array(times, np.float64), "\n".join(text))
 
 
 def _count(name: str, text: str) -> int:
@@ -211,15 +214,17 @@ def _write_log(path: Path, run: SensorRun) -> None:
     if not np.isfinite(run.times).all():
         raise SensorTestError(f"{path}: the rows have no times, which a log needs; expected .csv or .mat")
     times_ns = np.rint(run.times * 1e9).astype(np.int64)
-    topic = _TOPICS[run.test.what]
     log = LogFile(path, lambda: int(times_ns[-1]))
     log.describe({}, {"robots": _ROBOT, "khep_twin": __version__, **facts(run.test), "text": run.text})
-    for name, label, values in (
-        ("position", "left, right [pulses]", run.dv[:, :2]),
-        (topic, "counts", run.dv[:, 2:]),
-    ):
-        frame = ArrayFrame(values.shape[1], "f8", label)
-        log.add_rows(f"/{_ROBOT}/{name}", FLOATS, times_ns, frame.messages(values))
+    position = ArrayFrame(2, "f8", "left, right [pulses]").messages(run.dv[:, :2])
+    log.add_rows(f"/{_ROBOT}/position", FLOATS, times_ns, position)
+    topic, readings = f"/{_ROBOT}/{run.test.quantity.topic}", run.dv[:, 2:]
+    if run.test.what == "vision":
+        images = ImageFrame(readings.shape[1], f"{_ROBOT}/k213").messages(times_ns, readings)
+        log.add_rows(topic, IMAGE, times_ns, images)
+    else:
+        counts = ArrayFrame(readings.shape[1], "f8", "counts").messages(readings)
+        log.add_rows(topic, FLOATS, times_ns, counts)
     log.finish()
 
 
@@ -233,12 +238,12 @@ def _from_log(path: Path) -> SensorRun:
     test = _test(label.metadata)
     parts: list[NDArray[np.int64]] = []
     times: list[NDArray[np.int64]] = []
-    for name, width in (("position", 2), (_TOPICS[test.what], 8)):
+    for name, width in (("position", 2), (test.quantity.topic, len(test.quantity.names))):
         topic = f"/{_ROBOT}/{name}"
         if topic not in arrays or arrays[topic][1].shape[1] != width:
             raise SensorTestError(f"{topic}: missing; expected messages of {width} values")
         times.append(arrays[topic][0])
         parts.append(arrays[topic][1].astype(np.int64))
     if not np.array_equal(times[0], times[1]):
-        raise SensorTestError("positions and counts differ in time; expected one of each for every reading")
+        raise SensorTestError("positions and readings differ in time; expected one of each for every reading")
     return SensorRun(test, np.hstack(parts), times[0] / 1e9, label.metadata.get("text", ""))

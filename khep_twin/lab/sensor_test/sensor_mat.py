@@ -15,9 +15,11 @@ from khep_twin.files.mat_file import Variable, read_variables
 from khep_twin.lab.sensor_test.sensor_test import (
     PULSES_PER_CM,
     PULSES_PER_DEGREE,
+    QUANTITIES,
     SensorRun,
     SensorTest,
     What,
+    check_what,
 )
 
 
@@ -31,18 +33,20 @@ def read_mat(data: bytes, what: What | None) -> SensorRun:
         values = read_variables(data)
     except MatError as error:
         raise SensorTestError(str(error)) from None
-    dv = _matrix(values)
+    told = check_what(_text(values, "what") or what or "proximity")
+    dv = _matrix(values, 2 + len(QUANTITIES[told].names))
     times = _numbers(values, "times").reshape(-1) if "times" in values else np.full(len(dv), np.nan)
     if len(times) != len(dv):
         raise SensorTestError(f"times: {len(times)} values; expected {len(dv)}, as many as rows in dv")
-    return SensorRun(_test(values, dv, what), dv, times, _text(values, "dlgstr"))
+    return SensorRun(_test(values, dv, told), dv, times, _text(values, "dlgstr"))
 
 
-def _matrix(values: Mapping[str, Variable]) -> NDArray[np.int64]:
+def _matrix(values: Mapping[str, Variable], width: int) -> NDArray[np.int64]:
     dv = _numbers(values, "dv")
-    if dv.ndim != 2 or dv.shape[1] != 10 or not len(dv):
+    if dv.ndim != 2 or dv.shape[1] != width or not len(dv):
         shape = " x ".join(map(str, dv.shape))
-        raise SensorTestError(f"dv: is {shape}; expected rows of 10, two counters and eight sensors")
+        read = "eight sensors" if width == 10 else "an image"
+        raise SensorTestError(f"dv: is {shape}; expected rows of {width}, two counters and {read}")
     # Negated, as comparisons with NaN are false.
     wrong = ~((np.abs(dv) < 2**31) & (dv == np.round(dv)))
     if wrong.any():
@@ -51,10 +55,7 @@ def _matrix(values: Mapping[str, Variable]) -> NDArray[np.int64]:
     return dv.astype(np.int64)
 
 
-def _test(values: Mapping[str, Variable], dv: NDArray[np.int64], what: What | None) -> SensorTest:
-    told = _text(values, "what") or what or "proximity"
-    if told != "proximity" and told != "light":
-        raise SensorTestError(f"what = {told[:40]!r}; expected proximity or light")
+def _test(values: Mapping[str, Variable], dv: NDArray[np.int64], told: What) -> SensorTest:
     motions = ("linear_cm", "rotate_deg")
     if not values.keys() & {*motions}:
         return _guessed(told, dv)

@@ -1,30 +1,69 @@
-"""Sensor tests: a robot drives straight or turns on the spot while its eight sensors are read.
+"""Sensor tests: a robot drives straight or turns on the spot while its sensors are read.
 
     dv = (left, right position counter, left 90, left 45, ... back left), a row for each reading
 
-A reading is a reply to H and one to N or O. The counters are older by the time of the second, some 20 ms at
-9600 baud: at speed 20 that is 3 mm, at speed 4 half a millimetre. A wheel that slips, as both do at a wall,
-counts on: the counters measure the wheels' motion.
+A reading is a reply to H and one to N or O, or to T,2,N, which has 64 pixels in place of the eight sensors.
+The counters are older by the time of the second, some 20 ms at 9600 baud (a fifth of a second for an image):
+at speed 20 that is 3 mm, at speed 4 half a millimetre. A wheel that slips, as both do at a wall, counts on:
+the counters measure the wheels' motion.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Literal
+from operator import attrgetter
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.errors import KhepTwinError, SensorTestError
-from khep_twin.host import Khepera
-from khep_twin.units import PULSE_LENGTH, WHEEL_BASE, Sensor
+from khep_twin.host import Khepera, Vision
+from khep_twin.log.decoding import shown
+from khep_twin.units import COUNTS_LIMIT, K213_PIXELS, PULSE_LENGTH, WHEEL_BASE, Sensor
 
-What = Literal["proximity", "light"]
+What = Literal["proximity", "light", "vision"]
 """Quantity that the sensors measure."""
 
 SENSORS = tuple(sensor.name.lower().replace("_", " ") for sensor in Sensor)
 """Names of the sensors, in the manual's order."""
+
+
+class Quantity(NamedTuple):
+    """Quantity that is measured.
+
+    Attributes:
+        names: Names of the sensors or pixels, in the order of the reply.
+        topic: Channel in logs.
+        title: Name and unit of a reading.
+        limit: Largest reading.
+        reader: Function that returns, for a robot, the function that reads all of them.
+    """
+
+    names: tuple[str, ...]
+    topic: str
+    title: str
+    limit: int
+    reader: Callable[[Khepera], Callable[[], Sequence[int]]]
+
+
+def _images_of(robot: Khepera) -> Callable[[], Sequence[int]]:
+    return Vision(robot).image
+
+
+QUANTITIES: Mapping[What, Quantity] = {
+    "proximity": Quantity(SENSORS, "proximity", "proximity [counts]", COUNTS_LIMIT, attrgetter("proximity")),
+    "light": Quantity(SENSORS, "ambient", "ambient [counts]", COUNTS_LIMIT, attrgetter("ambient")),
+    "vision": Quantity(
+        tuple(f"pixel {pixel}" for pixel in range(K213_PIXELS)),
+        "vision",
+        "line image [greys]",
+        255,
+        _images_of,
+    ),
+}
+"""Quantities by name."""
 
 DEFAULT_SPEED, DEFAULT_ACCELERATION = 20, 64
 """Values of command J after a reset (manual, appendix A)."""
@@ -51,12 +90,25 @@ _NEAR_PULSES = 10
 """Distance to the target from which on the robot's status is read; reading it always would cost rows."""
 
 
+def check_what(what: str) -> What:
+    """Return a quantity by its name.
+
+    Raises:
+        SensorTestError: There is no such quantity.
+    """
+    for known in QUANTITIES:
+        if what == known:
+            return known
+    found = f"what = {shown(what)}"
+    raise SensorTestError(found, key="what", value=what, expected="proximity, light or vision")
+
+
 @dataclass(frozen=True, slots=True)
 class SensorTest:
     """Motion and readings of a test; one of `linear_cm` and `rotate_deg` is given.
 
     Attributes:
-        what: Quantity to read, "proximity" or "light".
+        what: Quantity to read, "proximity", "light" or "vision".
         linear_cm: Distance straight on, 5 to 60, or backwards, -5 to -60 [cm].
         rotate_deg: Turn on the spot, 15 to 360 counter-clockwise, or -15 to -360 [degrees].
         speed: Speed of command J, 1 to 127 [pulses/10 ms]; None if unknown.
@@ -73,9 +125,7 @@ class SensorTest:
 
     def __post_init__(self) -> None:
         """Raise a `SensorTestError` if a value is out of its range, or there is not one motion."""
-        if self.what not in ("proximity", "light"):
-            found = f"what = {self.what}"
-            raise SensorTestError(found, key="what", value=self.what, expected="proximity or light")
+        check_what(self.what)
         if (self.linear_cm is None) == (self.rotate_deg is None):
             given = "none" if self.linear_cm is None else "both"
             raise SensorTestError(f"linear and rotate: {given} given; expected one of them")
@@ -90,6 +140,11 @@ class SensorTest:
         for name, value, limit in (("speed", self.speed, 127), ("acceleration", self.acceleration, 255)):
             if value is not None and not 1 <= value <= limit:
                 raise SensorTestError(key=name, value=value, expected=f"an integer from 1 to {limit}")
+
+    @property
+    def quantity(self) -> Quantity:
+        """Quantity that is measured."""
+        return QUANTITIES[self.what]
 
     @property
     def motion(self) -> Literal["linear", "rotational"]:
@@ -123,7 +178,7 @@ class SensorRun:
     Attributes:
         test: Settings of the test.
         dv: Left and right position counter [pulses] and the eight sensors in the manual's order [counts]
-            (n, 10), named and ordered as in the Khepera Toolbox.
+            (n, 10), named and ordered as in the Khepera Toolbox; or the counters and 64 pixels (n, 66).
         times: Times of the rows since the start (n,) [s].
         text: Description, the toolbox's dlgstr.
     """
@@ -135,8 +190,9 @@ class SensorRun:
 
     def __post_init__(self) -> None:
         """Check the shapes; raise a `SensorTestError` for a text that not every file can hold."""
-        if self.dv.shape != (len(self.times), 10) or self.times.ndim != 1:
-            raise ValueError(f"shapes {self.dv.shape} and {self.times.shape} are not (n, 10) and (n,)")
+        width = 2 + len(self.test.quantity.names)
+        if self.dv.shape != (len(self.times), width) or self.times.ndim != 1:
+            raise ValueError(f"shapes {self.dv.shape} and {self.times.shape}; expected (n, {width}) and (n,)")
         if wrong := next((each for each in self.text if not each.isprintable() and each not in "\n\t"), ""):
             raise SensorTestError(f"text: has the character {wrong!r}; expected plain text in lines")
 
@@ -206,7 +262,7 @@ def sense(
         InterruptedTest: Ctrl-C was pressed; likewise.
         SensorTestError: The text cannot be kept.
     """
-    gathered = _Gathered(robot, test, text, progress)
+    gathered = _Gathered(robot, test, text, progress, test.quantity.reader(robot))
     gathered.run()
     asked = stop or (lambda: False)
     try:
@@ -236,6 +292,7 @@ class _Gathered:
     test: SensorTest
     text: str
     progress: Callable[[float], None] | None
+    read: Callable[[], Sequence[int]]
     rows: list[tuple[int, ...]] = field(default_factory=list[tuple[int, ...]])
     times: list[float] = field(default_factory=list[float])
     start: float | None = None
@@ -246,7 +303,7 @@ class _Gathered:
             self.start = self.robot.time
         # Whole nanoseconds survive a log unchanged.
         time = round(self.robot.time - self.start, 9)
-        values = self.robot.proximity() if self.test.what == "proximity" else self.robot.ambient()
+        values = self.read()
         self.times.append(time)
         self.rows.append((*position, *values))
         if self.progress is not None:
@@ -255,7 +312,7 @@ class _Gathered:
 
     def run(self) -> SensorRun:
         """Return the data so far."""
-        dv = np.array(self.rows, np.int64).reshape(len(self.rows), 10)
+        dv = np.array(self.rows, np.int64).reshape(len(self.rows), 2 + len(self.test.quantity.names))
         return SensorRun(self.test, dv, np.array(self.times, np.float64), self.text)
 
     @property

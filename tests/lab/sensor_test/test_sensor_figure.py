@@ -122,3 +122,26 @@ def test_the_same_runs_give_the_same_bytes_whatever_matplotlib_is_set_to(suffix:
     with mpl.rc_context({"lines.linewidth": 9, "font.size": 20, "svg.hashsalt": "x", "savefig.dpi": 30}):
         save(draw(runs), tmp_path / f"b.{suffix}")
     assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
+
+
+@pytest.mark.parametrize("test", [SensorTest("vision", linear_cm=10), SensorTest("vision", rotate_deg=-90)])
+def test_line_images_are_strips_over_the_path_with_the_left_pixel_at_the_top(test: SensorTest) -> None:
+    part = np.array([0.0, 0.6, 1.0])
+    dv = np.zeros((3, 66), np.int64)
+    dv[:, :2] = np.round(np.outer(part, test.target))
+    dv[:, 2:] = np.arange(64) + np.array([[0], [100], [150]])
+    run = SensorRun(test, dv, np.arange(3) / 10)
+    figure = draw([run, run])
+    assert len(figure.axes) == 2
+    axes = figure.axes[0]
+    [strip] = axes.images
+    pixels = np.asarray(strip.get_array())
+    left, right, bottom, top = strip.get_extent()
+    assert (top, bottom) == (-0.5, 63.5)
+    # The picture is drawn at its own x values, whatever way the axis runs.
+    assert (left, right) == pytest.approx((positions(run).min(), positions(run).max()))
+    columns = pixels.shape[1]
+    for reading, x in zip(dv[:, 2:], positions(run), strict=True):
+        column = round((x - left) / (right - left) * (columns - 1))
+        assert np.array_equal(pixels[:, column], reading)
+    assert axes.xaxis_inverted() == (test.motion == "linear")

@@ -16,11 +16,12 @@ from khep_twin.log.reader import read_label
 
 LINEAR = SensorTest("light", linear_cm=-12.5, speed=7, acceleration=30, return_to_zero=True)
 TURN = SensorTest(rotate_deg=360)
+IMAGES = SensorTest("vision", rotate_deg=-90, speed=2)
 
 
 def made_up(test: SensorTest, text: str = "a wall, 5 $\n  Bäume ") -> SensorRun:
     rng = np.random.default_rng(1)
-    dv = rng.integers(0, 1024, (20, 10))
+    dv = rng.integers(0, test.quantity.limit + 1, (20, 2 + len(test.quantity.names)))
     dv[:, :2] = np.linspace(0, 1, 20)[:, None] * test.target
     return SensorRun(test, dv, np.round(np.sort(rng.uniform(0, 5, 20)), 9), text)
 
@@ -32,7 +33,7 @@ def toolbox_dv(left: int, right: int) -> Any:
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-@pytest.mark.parametrize("test", [LINEAR, TURN], ids=["linear", "turn"])
+@pytest.mark.parametrize("test", [LINEAR, TURN, IMAGES], ids=["linear", "turn", "images"])
 @pytest.mark.parametrize("text", ["", "a wall, 5 $\n  Bäume "])
 def test_what_is_written_comes_back(suffix: str, test: SensorTest, text: str, tmp_path: Path) -> None:
     run, path = made_up(test, text), tmp_path / f"run{suffix}"
@@ -123,7 +124,7 @@ def test_a_damaged_file_is_refused_in_one_line_or_read(suffix: str, tmp_path: Pa
         ("# speed: 20", "# speed: fast", "speed = 'fast'; expected an integer"),
         ("# speed: 20\n", "", "speed: missing; expected an integer"),
         ("# speed: 20", "# speed: 0", "speed = 0; expected an integer from 1 to 127"),
-        ("# what: proximity", "# what: sound", "what = sound; expected proximity or light"),
+        ("# what: proximity", "# what: sound", "what = sound; expected proximity, light or vision"),
         ("# motion: rotational", "# motion: linear", "motion = linear; expected rotational here"),
         (",left_90", ",left", "line 9: 'time_s,left_pulses,right_pulses,left,lef'; expected"),
         ("\n0.", "\n0x", "line 10: time_s = '0x"),
@@ -150,7 +151,7 @@ def test_a_mistake_in_a_table_is_reported_by_line_and_field(
         ({"dv": np.zeros((3, 10))}, "dv: the counters end at 0"),
         ({"dv": np.full((3, 10), 0.5)}, r"dv\(1,1\) = 0.5; expected an integer"),
         ({"dv": np.full((3, 10), np.nan)}, r"dv\(1,1\) = nan; expected an integer"),
-        ({"dv": np.ones((3, 10)), "what": "sound"}, "what = 'sound'; expected proximity or light"),
+        ({"dv": np.ones((3, 10)), "what": "sound"}, "what = sound; expected proximity, light or vision"),
         ({"dv": np.ones((3, 10)), "times": np.ones(2)}, "times: 2 values; expected 3"),
     ],
 )

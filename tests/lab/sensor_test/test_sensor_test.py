@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen
-from khep_twin.errors import SensorTestError
-from khep_twin.host import Khepera
+from khep_twin.errors import KhepTwinError, SensorTestError
+from khep_twin.host import Khepera, Vision
 from khep_twin.lab.sensor_test.sensor_test import SENSORS, BrokenOffError, SensorRun, SensorTest, sense
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -132,7 +132,7 @@ def test_progress_rises_to_1() -> None:
 @pytest.mark.parametrize(
     ("values", "line"),
     [
-        ({"what": "lihgt", "linear_cm": 5}, "what = lihgt; expected proximity or light"),
+        ({"what": "lihgt", "linear_cm": 5}, "what = lihgt; expected proximity, light or vision"),
         ({}, "linear and rotate: none given; expected one of them"),
         ({"linear_cm": 5, "rotate_deg": 90}, "linear and rotate: both given; expected one of them"),
         ({"linear_cm": 4.9}, "linear = 4.9 cm; expected 5 to 60, or -5 to -60 to drive backwards"),
@@ -158,3 +158,20 @@ def test_a_text_that_no_file_could_hold_is_refused_before_the_robot_moves() -> N
 def test_rows_of_another_shape_are_a_mistake() -> None:
     with pytest.raises(ValueError, match=r"\(3, 9\)"):
         SensorRun(SensorTest(linear_cm=5), np.zeros((3, 9), np.int64), np.zeros(3))
+
+
+def test_line_images_are_read_on_the_way() -> None:
+    with Khepera("khep://stripes?noise=off") as robot:
+        run = sense(robot, SensorTest("vision", rotate_deg=15, speed=1))
+        last = Vision(robot).image()
+    assert run.dv.shape[1] == 66
+    assert len(run.dv) > 2
+    # The robot stands still at the end, and a later scan is alike.
+    assert np.abs(run.dv[-1, 2:] - last).max() < 60
+    assert set(run.dv[:, 2:].ravel()) <= set(range(256))
+    assert np.ptp(run.dv[-1, 2:]) > 100  # stripes
+
+
+def test_a_robot_without_vision_is_one_line() -> None:
+    with Khepera("khep://default") as robot, pytest.raises(KhepTwinError, match="order not supported"):
+        sense(robot, SensorTest("vision", rotate_deg=15))
