@@ -43,7 +43,10 @@ if options.picture is not None and (reason := unusable(options.picture)):
 PERIOD = 0.1  # of the rules [s]
 SPEED = 8  # of the wheels [pulses/10 ms]
 SEEN, NEAR = 100, 500  # counts of a sensor that sees something, and of one that sees it near
-LEAVING = (0.5, 0.03, 0.003)  # chances per second to leave with 0, 1 and more neighbours around
+LEAVING, STAYING = (
+    0.3,
+    0.3,
+)  # chance per second to leave a rest, and its factor for each sensor that sees something
 GAP = 0.015  # largest gap between robots of a cluster [m]
 
 
@@ -56,10 +59,7 @@ def gather(index: int, robot: Khepera) -> None:
         seen = [count > SEEN for count in proximity]
         ahead = max(proximity[1:5])
         if is_resting:
-            # A neighbour lights one sensor or two beside each other: count the groups around the robot.
-            ring = [seen[sensor] for sensor in (0, 1, 2, 3, 4, 5, 6, 7)]
-            neighbours = sum(here and not before for before, here in zip([ring[-1], *ring[:-1]], ring, strict=True))
-            if rng.random() < LEAVING[min(neighbours, 2)] * PERIOD:
+            if rng.random() < LEAVING * STAYING ** sum(seen) * PERIOD:
                 is_resting, turn_until = False, robot.time + rng.uniform(0.4, 1.2)
                 turn = int(rng.choice([-SPEED, SPEED]))
         elif robot.time < turn_until:

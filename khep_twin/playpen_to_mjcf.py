@@ -24,7 +24,7 @@ from typing import Any
 import mujoco
 
 from khep_twin import units
-from khep_twin.board.turrets import find
+from khep_twin.board.turrets import find, raised_by
 from khep_twin.playpen import Arena, Block, Cylinder, Patch, Playpen, Robot, Wall
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
 from khep_twin.playpen.merge import merged
@@ -343,12 +343,14 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> tuple[list[str
         camera = child.camera(sensor.name.lower())
         camera.alt.xyaxes = [math.sin(heading), -math.cos(heading), 0, 0, 0, 1]
     hands: list[str] = []
-    for kind in find(robot.turrets):
+    kinds = find(robot.turrets)
+    for kind, raised in zip(kinds, raised_by(kinds), strict=True):
         if kind.scene is not None:
             turret = mujoco.MjSpec.from_file(str(kind.scene))
             hands += [f"{prefix}{kind.name}/{geom.name}" for geom in turret.geoms if geom.contype]
             controls += _take_home(turret)
-            child.attach(turret, prefix=f"{kind.name}/", frame=child.body("base").add_frame())
+            frame = child.body("base").add_frame(pos=[0, 0, raised])
+            child.attach(turret, prefix=f"{kind.name}/", frame=frame)
     sag = _tyre_sag(child)
     heading = units.radians(robot.heading_deg)
     frame = spec.worldbody.add_frame(
