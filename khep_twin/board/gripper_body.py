@@ -105,6 +105,8 @@ GRIPPER = TurretKind(
     scene=Path(str(files("khep_twin"))) / "assets" / "gripper.xml",
     fit=GripperBody,
     reach=0.034,
+    height=BOARD_HEIGHT,
+    is_lowest=True,
     names=tuple(register.name.lower() for register in Register),
 )
 """The gripper, as registered under the entry point "khep_twin.turrets"."""
