@@ -80,7 +80,11 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     spec.modelname = playpen.name
     spec.nuser_geom = 2
     spec.nuser_site = 1
-    _set_options(spec, any(item.movable for items in playpen.objects.values() for item in items))
+    _set_options(
+        spec,
+        any(item.movable for items in playpen.objects.values() for item in items),
+        n_robots=len(playpen.robots),
+    )
     obstacles = _add_arena(spec, playpen)
     for kind, items in playpen.objects.items():
         for index, item in merged(playpen.blocks) if kind == "block" else enumerate(items):
@@ -151,7 +155,7 @@ def set_step(spec: mujoco.MjSpec, step_ns: int) -> None:
                 sensor.interval = [scan, (channel // conversions + 0.5) * step - scan]
 
 
-def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
+def _set_options(spec: mujoco.MjSpec, movable: bool, n_robots: int) -> None:
     spec.option.timestep = units.STEP_NS * 1e-9
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # The same friction in all directions; a pyramid's depends on the heading by 10 to 15 %.
@@ -164,7 +168,9 @@ def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
     if movable:
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-    else:
+    elif n_robots < 2:
+        # With several robots each group that touches is solved by itself: 13 times as fast for twenty of
+        # which some push (measured).
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     # Viewers need these to show a scene of half a metre.
     spec.visual.map.znear = 0.005
