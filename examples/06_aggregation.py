@@ -44,10 +44,8 @@ if options.picture is not None and (reason := unusable(options.picture)):
 PERIOD = 0.1  # of the rules [s]
 SPEED = 8  # of the wheels [pulses/10 ms]
 SEEN, NEAR = 100, 500  # counts of a sensor that sees something, and of one that sees it near
-LEAVING, STAYING = (
-    0.3,
-    0.3,
-)  # chance per second to leave a rest, and its factor for each sensor that sees something
+LEAVING = 2.0  # chance per second to leave, for a resting robot that sees nothing
+STAYING = 0.15  # factor of that chance for each sensor that sees something
 GAP = 0.015  # largest gap between robots of a cluster [m]
 
 
