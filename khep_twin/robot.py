@@ -185,11 +185,9 @@ class Robot:
         turrets = {kind: kind.make() for kind in find(entry.turrets)}
         self._state = state
         self.firmware = Firmware(ROMS[entry.rom], entry.mode, turrets, state["registers"], state["processor"])
-        self.turret_bodies = {
-            kind.name: kind.fit(TurretPlace(context, index, kind, turret.registers, state))
-            for kind, turret in turrets.items()
-            if kind.fit is not None
-        }
+        self._context = context
+        self.index = index
+        self.fit_turrets()
         self.registers = self.firmware.registers
         self._register_view = self.firmware.register_view
         self._has_stopped = False
@@ -198,8 +196,6 @@ class Robot:
         self._baud = self.firmware.baud
         self._host: LineSettings | None = None
         self._warned: set[tuple[int, int]] = set()
-        self._context = context
-        self.index = index
         self.indices = indices
         positions = [model.body_pos[light] for light in self.indices.led_lights]
         hidden: list[NDArray[np.float64]] = [position.copy() for position in positions]
@@ -210,6 +206,14 @@ class Robot:
         self._wheels = None
         if any(fault.device == WHEEL for fault in settings.faults):
             self._wheels = FaultyWheels(model, data, indices)
+
+    def fit_turrets(self) -> None:
+        """Give its turrets their bodies in the scene as it is now; their state is in their registers."""
+        self.turret_bodies = {
+            kind.name: kind.fit(TurretPlace(self._context, self.index, kind, turret.registers, self._state))
+            for kind, turret in self.firmware.turrets.items()
+            if kind.fit is not None
+        }
 
     def state(self, since_ns: int = -1) -> RobotSnapshot:
         """Return the state, with the replies that reach the host after a time [ns]."""

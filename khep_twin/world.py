@@ -377,6 +377,8 @@ class World:
         """Take over fixed geoms that were moved in the model, which no other world may share."""
         self._forms.refresh()
         self.simulation.take_scene()
+        for robot in self.robots:
+            robot.fit_turrets()
         self.simulation.set_lamps(self.lamps, self.playpen.lighting)
 
     def compile(self) -> None:

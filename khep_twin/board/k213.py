@@ -119,7 +119,9 @@ class K213Electronics:
     def _begin(self) -> None:
         """Begin a scan."""
         view = self._view
-        period_ms = K213_PERIODS_MS[view[Register.PERIOD]] or period_by_light(view[Register.LIGHT])
+        # A snapshot from outside may hold any number.
+        fixed_ms = K213_PERIODS_MS[view[Register.PERIOD] % len(K213_PERIODS_MS)]
+        period_ms = fixed_ms or period_by_light(view[Register.LIGHT])
         view[Register.SCAN] = view[Register.LEFT] = (period_ms + TICK_MS // 2) // TICK_MS
 
 

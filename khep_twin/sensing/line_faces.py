@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import Matrix, Vector
-from khep_twin.sensing.line_image import (
+from khep_twin.sensing.line_light import BULB_LUMINANCE
+from khep_twin.sensing.line_scene import (
     BOTTOM,
-    BULB_LUMINANCE,
     CASTS,
     END_X,
     END_Y,

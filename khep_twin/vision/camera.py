@@ -18,7 +18,8 @@ from khep_twin.sensing.line_faces import (
     places,
     set_out,
 )
-from khep_twin.sensing.line_image import N_COLUMNS, N_RAYS, Eye, LineScene, take_image
+from khep_twin.sensing.line_image import take_image
+from khep_twin.sensing.line_scene import N_COLUMNS, N_RAYS, Eye, LineScene
 from khep_twin.sensing.noise import Tables, no_noise, quantiles
 from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.units import K213_PIXELS, ROOM_LUX

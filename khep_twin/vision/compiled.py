@@ -7,9 +7,10 @@ Imported only where numba is installed.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 from khep_twin import units
-from khep_twin.sensing import line_faces, line_image, mujoco_scene, noise
+from khep_twin.sensing import line_faces, line_image, line_light, line_scene, mujoco_scene, noise
 from khep_twin.sensing.line_faces import MovingFaces, Places, set_out
-from khep_twin.sensing.line_image import Eye, LineScene, take_image
+from khep_twin.sensing.line_image import take_image
+from khep_twin.sensing.line_scene import Eye, LineScene
 from khep_twin.simulation.compiled import compiled
 
 
@@ -25,5 +26,5 @@ def _see(scene, n_fixed, moving, at, eye, exposure_ms, tables, key, number, pixe
     return take_image(around, stands, exposure_ms, tables, key, number, pixels)
 
 
-see = compiled(_see, (units, noise, mujoco_scene, line_image, line_faces))
+see = compiled(_see, (units, noise, mujoco_scene, line_scene, line_light, line_image, line_faces))
 """`camera.see`, compiled."""

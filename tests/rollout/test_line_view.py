@@ -12,7 +12,7 @@ from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.rollout.planar.line_view import PlaneView
 from khep_twin.rollout.planar.planar_world import PlanarWorld
 from khep_twin.sensing.line_faces import fixed_faces, moving_faces, places
-from khep_twin.sensing.line_image import Eye
+from khep_twin.sensing.line_scene import Eye
 from khep_twin.units import K213_EYE_AHEAD, K213_EYE_HEIGHT
 from khep_twin.vision.camera import LineCamera
 from khep_twin.world import World

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from khep_twin import playpen as playpens
 from khep_twin.board.k213 import PIXELS, Register
-from khep_twin.sensing.line_image import HALF_FIELD, WHITE, WHITE_GREY
+from khep_twin.sensing.line_image import WHITE, WHITE_GREY
+from khep_twin.sensing.line_scene import HALF_FIELD
 from khep_twin.world import World
 
 EYE_MM = 12.0

@@ -82,6 +82,14 @@ def test_stripes_on_what_moves_move_with_it() -> None:
     assert stripes[1] > 1
 
 
+def test_what_is_moved_in_the_model_is_seen_where_it_is() -> None:
+    scene = world(block(450, 250, 30))
+    assert (image(scene)[28:36] < 20).all()
+    scene.model.geom_pos[scene.model.geom("block0").id, 1] += 0.1
+    scene.refresh()
+    assert (image(scene)[28:36] > 150).all()
+
+
 def test_the_same_seed_sees_the_same_and_another_one_other_noise() -> None:
     first, second, other = (image(world(CROWD, noise=True, seed=seed)) for seed in (1, 1, 2))
     assert (first == second).all()

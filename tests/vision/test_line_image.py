@@ -7,7 +7,8 @@ import pytest
 
 from khep_twin.board.k213 import PIXELS, Register
 from khep_twin.sensing.line_faces import luminous_reflectance
-from khep_twin.sensing.line_image import EFFICACY, NOISE
+from khep_twin.sensing.line_image import NOISE
+from khep_twin.sensing.line_light import EFFICACY
 from khep_twin.units import ROOM_LUX
 from tests.vision.seen import (
     BLACK_SURFACE,

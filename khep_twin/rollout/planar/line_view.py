@@ -16,7 +16,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.rollout.planar import plane as flat
 from khep_twin.rollout.planar.plane import Plane
 from khep_twin.sensing.line_faces import Places, fixed_faces, moving_faces
-from khep_twin.sensing.line_image import Eye
+from khep_twin.sensing.line_scene import Eye
 from khep_twin.simulation.mujoco_forms import movable_names
 from khep_twin.units import K213_EYE_AHEAD, K213_EYE_HEIGHT
 from khep_twin.vision.camera import Lamp, LineCamera
