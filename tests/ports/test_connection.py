@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from khep_twin import playpen
 from khep_twin.board.uart import LineSettings
 from khep_twin.clock import NEVER_NS
+from khep_twin.ports import serve as serving
 from khep_twin.ports.connection import Connection
 from khep_twin.ports.host_port import NOTHING, Received
 from khep_twin.ports.serve import WIRE, serve
@@ -93,6 +95,23 @@ def test_bytes_wait_for_the_world_while_a_command_may_wait_for_room(cable: Cable
     twin.advance_to(due_ns)
     connection.give()
     assert cable.written == [b"b"]
+
+
+@pytest.mark.parametrize(("look_ns", "answered"), [(2**62, []), (0, [REPLY])])
+def test_a_host_that_has_not_woken_the_loop_is_looked_after_regularly_alone(
+    look_ns: int, answered: list[bytes], cable: Cable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serving, "LOOK_NS", look_ns)
+    scene = playpen.load("swarm")
+    scene = scene.model_copy(update={"robots": scene.robots[:2]})
+    twin = open_twin(scene, TwinOptions(robot=None))
+    reader, writer = os.pipe()
+    quiet = Cable(reader, [Received(b"B\n")])
+    serve(twin, [quiet, cable], WIRE, stop=turns(1), notify=print)
+    assert cable.written == [REPLY]
+    assert quiet.written == answered
+    os.close(reader)
+    os.close(writer)
 
 
 def test_an_idle_line_has_nothing_due(cable: Cable) -> None:

@@ -140,6 +140,17 @@ def test_turrets_are_boxes_and_the_gripper_is_drawn(visit: Visit, tmp_path: Path
     assert [robot.turrets for robot in saved.robots] == [("gripper",), ("gripper",)]
 
 
+def test_a_turret_that_is_checked_later_goes_below_those_that_stand_on_it(
+    visit: Visit, tmp_path: Path
+) -> None:
+    visit.add("robot", (150, 120))
+    for turret in ("k213", "gripper"):
+        visit.page.check(f"#field-robot-turrets input[value={turret}]")
+    visit.page.wait_for_selector("#problems.none")
+    visit.save_as("stack.toml")
+    assert playpens.load(tmp_path / "stack.toml").robots[-1].turrets == ("gripper", "k213")
+
+
 def test_what_was_not_saved_is_offered_again(visit: Visit, tmp_path: Path) -> None:
     visit.add("block", (200, 200))
     # As when the tab is closed: at once, before the page has kept its draft by itself.
