@@ -16,7 +16,7 @@ from khep_twin.playpen import Arena, Block, Playpen, Robot
 from khep_twin.rollout.episode import EpisodeSetup
 
 BLOCKS = (0, 20, 100, 1000)
-ROBOTS = (1, 2, 8)
+ROBOTS = (1, 2, 8, 20)
 BATCHES = (32, 128, 1024)
 
 TWENTY_BLOCKS = "twenty blocks"

@@ -24,7 +24,7 @@ from typing import Any
 import mujoco
 
 from khep_twin import units
-from khep_twin.board.turrets import find
+from khep_twin.board.turrets import find, raised_by
 from khep_twin.playpen import Arena, Block, Cylinder, Patch, Playpen, Robot, Wall
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
 from khep_twin.playpen.merge import merged
@@ -80,7 +80,11 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     spec.modelname = playpen.name
     spec.nuser_geom = 2
     spec.nuser_site = 1
-    _set_options(spec, any(item.movable for items in playpen.objects.values() for item in items))
+    _set_options(
+        spec,
+        any(item.movable for items in playpen.objects.values() for item in items),
+        n_robots=len(playpen.robots),
+    )
     obstacles = _add_arena(spec, playpen)
     for kind, items in playpen.objects.items():
         for index, item in merged(playpen.blocks) if kind == "block" else enumerate(items):
@@ -151,7 +155,7 @@ def set_step(spec: mujoco.MjSpec, step_ns: int) -> None:
                 sensor.interval = [scan, (channel // conversions + 0.5) * step - scan]
 
 
-def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
+def _set_options(spec: mujoco.MjSpec, movable: bool, n_robots: int) -> None:
     spec.option.timestep = units.STEP_NS * 1e-9
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # The same friction in all directions; a pyramid's depends on the heading by 10 to 15 %.
@@ -164,7 +168,9 @@ def _set_options(spec: mujoco.MjSpec, movable: bool) -> None:
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
     if movable:
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-    else:
+    elif n_robots < 2:
+        # With several robots each group that touches is solved by itself: 13 times as fast for twenty of
+        # which some push (measured).
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     # Viewers need these to show a scene of half a metre.
     spec.visual.map.znear = 0.005
@@ -343,12 +349,14 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> tuple[list[str
         camera = child.camera(sensor.name.lower())
         camera.alt.xyaxes = [math.sin(heading), -math.cos(heading), 0, 0, 0, 1]
     hands: list[str] = []
-    for kind in find(robot.turrets):
+    kinds = find(robot.turrets)
+    for kind, raised in zip(kinds, raised_by(kinds), strict=True):
         if kind.scene is not None:
             turret = mujoco.MjSpec.from_file(str(kind.scene))
             hands += [f"{prefix}{kind.name}/{geom.name}" for geom in turret.geoms if geom.contype]
             controls += _take_home(turret)
-            child.attach(turret, prefix=f"{kind.name}/", frame=child.body("base").add_frame())
+            frame = child.body("base").add_frame(pos=[0, 0, raised])
+            child.attach(turret, prefix=f"{kind.name}/", frame=frame)
     sag = _tyre_sag(child)
     heading = units.radians(robot.heading_deg)
     frame = spec.worldbody.add_frame(

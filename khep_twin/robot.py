@@ -349,7 +349,9 @@ class Robot:
 
     def next_exchange_ns(self) -> int | None:
         """Return the earliest time for which `exchange` has something to do [ns], None for an empty line."""
-        return self.uart.rx.next_ns if (command := self._next_command()) is None else command[1]
+        if (first_ns := self.uart.rx.next_ns) is None:
+            return None
+        return first_ns if (command := self._next_command()) is None else command[1]
 
     def next_answer_ns(self) -> int | None:
         """Return the earliest time of the firmware's next output [ns], None if none is due.

@@ -15,6 +15,7 @@ import benchmarks
 from benchmarks import archive, growth, home_test, peers, record, umbmark
 from benchmarks.ports import line_row, trip_rows
 from benchmarks.scale import bare_row, episode_row, world_row
+from benchmarks.swarm import swarm_rows
 from benchmarks.table import COST, Row, Table, Taken, measure, text, timed
 from khep_twin import playpen, units
 from khep_twin.errors import KhepTwinError
@@ -175,6 +176,19 @@ def test_round_trips_go_over_two_pseudo_terminals() -> None:
         floor, twin = measure("B", rows, 1).results
     assert floor.median > 0
     assert twin.note.startswith("p50 ")
+
+
+def test_many_lines_are_polled_and_their_delays_measured() -> None:
+    with swarm_rows("default", 0.3) as rows:
+        table = measure("default", rows, 1, unit="s of each line per s")
+    assert [row.name for row in table.results] == [
+        "bare paced echoes (floor)",
+        "default served",
+        "default served, logged",
+    ]
+    for row in table.results:
+        assert row.median > 0
+        assert "ms p99" in row.note
 
 
 def test_an_archive_is_a_row_of_cost_coverage_and_score() -> None:

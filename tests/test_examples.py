@@ -20,6 +20,7 @@ SHORTER = {
     "03_learn_to_avoid": "ppo.png --seconds 2".split(),
     "04_evolve": "--generations 2 --population 4 --seconds 0.4 --check-seconds 1".split(),
     "05_map_elites": "--iterations 2 --batch 8 --seconds 1 --judge 2 --picture archive.png".split(),
+    "06_aggregation": "--seconds 3 --robots 3 --picture swarm.png".split(),
 }
 """What makes a long one short."""
 
@@ -73,6 +74,16 @@ def test_the_baton_is_passed_in_the_same_way_each_time_and_its_run_repeats(tmp_p
     ]
     assert told[0] == told[1] != b""
     assert repeat(read_recorded(tmp_path / "a.mcap")) is None
+
+
+def test_a_swarm_of_the_same_seed_gathers_in_the_same_way(tmp_path: Path) -> None:
+    [example] = [path for path in EXAMPLES if path.stem == "06_aggregation"]
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        words = f"--seconds 6 --robots 4 --seed {seed} --picture {name}.png".split()
+        subprocess.run([sys.executable, str(example), *words], check=True, timeout=600, cwd=tmp_path)
+    same, again, other = ((tmp_path / f"{name}.png").read_bytes() for name in "abc")
+    assert same == again
+    assert same != other
 
 
 @pytest.mark.parametrize("name", NEEDS)

@@ -21,6 +21,7 @@ NAMES = [
     "looping-maze",
     "obstacles",
     "stripes",
+    "swarm",
     "t-maze",
     "two-lamps",
     "wall-or-cylinder",

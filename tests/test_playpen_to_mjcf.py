@@ -204,10 +204,13 @@ def test_the_calibration_turns_the_sensors() -> None:
         assert -frame[:, 2] == pytest.approx((math.cos(heading), math.sin(heading), 0), abs=1e-9)
 
 
-def test_islands_are_off_unless_something_moves() -> None:
+def test_islands_are_off_unless_something_moves_beside_the_robot() -> None:
     still = to_spec(playpen.load("default")).compile()
     moving = to_spec(playpen.parse(SCENE, "scene")).compile()
+    swarm = to_spec(playpen.load("swarm")).compile()
     assert still.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND
+    assert not swarm.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND
+    assert not swarm.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP
     assert not moving.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND
     assert moving.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP
 

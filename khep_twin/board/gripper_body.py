@@ -27,6 +27,9 @@ SERIES_RESISTANCE = 10_000.0
 FINGER_THICKNESS = 0.003
 """Thickness of a finger in assets/gripper.xml [m]: the light barrier's rays start behind its face."""
 
+BOARD_HEIGHT = 0.008
+"""Height of the board in assets/gripper.xml, on which another turret stands [m] (assumed)."""
+
 N_RAYS = 3
 """Number of the light barrier's rays in assets/gripper.xml."""
 
@@ -102,6 +105,8 @@ GRIPPER = TurretKind(
     scene=Path(str(files("khep_twin"))) / "assets" / "gripper.xml",
     fit=GripperBody,
     reach=0.034,
+    height=BOARD_HEIGHT,
+    is_lowest=True,
     names=tuple(register.name.lower() for register in Register),
 )
 """The gripper, as registered under the entry point "khep_twin.turrets"."""

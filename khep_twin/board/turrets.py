@@ -6,6 +6,9 @@ registers under the entry point "khep_twin.turrets"; the gripper is part of the 
 
     [project.entry-points."khep_twin.turrets"]
     gripper = "khep_twin.board.gripper_body:GRIPPER"
+
+Several turrets stack in the order of their names, from the robot upwards. The scene of each is drawn as right
+on the robot, and raised by the heights of those below it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -136,6 +139,8 @@ class TurretKind:
         reach: Radius of the floor around the robot's centre that it covers at the start [m].
         names: Names of its registers, for tables; empty for numbers.
         image: Registers that hold a line image, from the left to the right, greys of 0 to 255; None without.
+        height: Height by which it raises what stands on it [m]; None if nothing fits on it.
+        is_lowest: True if it fits only right on the robot, as an arm that reaches the floor.
     """
 
     name: str
@@ -148,11 +153,13 @@ class TurretKind:
     reach: float = 0.0
     names: tuple[str, ...] = ()
     image: slice | None = field(default=None, hash=False)
+    height: float | None = 0.0
+    is_lowest: bool = False
 
 
 @cache
 def installed() -> Mapping[str, TurretKind]:
-    """Return the turrets of all installed packages, by name.
+    """Return the turrets of all installed packages, by name, in an order in which they stack.
 
     Raises:
         TurretError: A package registers an object that is no turret, or a name that is taken.
@@ -170,14 +177,15 @@ def installed() -> Mapping[str, TurretKind]:
             )
         if kinds.setdefault(kind.name, kind) is not kind:
             raise TurretError(f"turret {entry.name}: {entry.value}: the name is taken by another package")
-    return kinds
+    return dict(sorted(kinds.items(), key=lambda item: (not item[1].is_lowest, item[1].height is None)))
 
 
 def find(names: Sequence[str]) -> tuple[TurretKind, ...]:
-    """Return the turrets of these names, in their order.
+    """Return the turrets of these names, in their order, which is that of the stack from the robot upwards.
 
     Raises:
-        TurretError: A name is unknown, or two turrets have the same number on the bus.
+        TurretError: A name is unknown, two turrets have the same number on the bus, or one does not fit on
+            those below it.
     """
     known = installed()
     by_number: dict[int, TurretKind] = {}
@@ -190,4 +198,33 @@ def find(names: Sequence[str]) -> tuple[TurretKind, ...]:
         if other := by_number.get(kind.number):
             raise TurretError(f"turret {name!r} and {other.name!r} are both number {kind.number}")
         by_number[kind.number] = kind
-    return tuple(by_number.values())
+    kinds = tuple(by_number.values())
+    raised_by(kinds)
+    return kinds
+
+
+def raised_by(kinds: Sequence[TurretKind]) -> tuple[float, ...]:
+    """Return the height by which each turret of a stack is raised by those below it [m].
+
+    Raises:
+        TurretError: One does not fit on those below it.
+    """
+    heights: list[float] = []
+    below, top = 0.0, None
+    for kind in kinds:
+        if top is not None and takes_room(kind):
+            raise TurretError(
+                f"nothing fits on turret {top.name!r}; expected it last, not below {kind.name!r}"
+            )
+        if kind.is_lowest and below > 0:
+            raise TurretError(f"turret {kind.name!r} fits only right on the robot; expected it first")
+        heights.append(below)
+        if kind.height is None:
+            top = kind
+        below += kind.height or 0.0
+    return tuple(heights)
+
+
+def takes_room(kind: TurretKind) -> bool:
+    """Return whether a turret has a place in the stack: a body, or a height."""
+    return kind.scene is not None or kind.height != 0

@@ -190,7 +190,7 @@ def _serve_twin(
     viewer: bool,
 ) -> None:
     """Serve a twin at so many simulated seconds per real second."""
-    from khep_twin.ports.serve import WIRE
+    from khep_twin.ports.serve import MANY, WIRE
     from khep_twin.ports.serve import serve as serve_twin
 
     with (
@@ -205,7 +205,7 @@ def _serve_twin(
 
             window = stack.enter_context(closing(MujocoViewer(real_time=False)))
             window.watch(twin.world)
-        if factor > 1 or factor == WIRE:
+        if factor > 1 or factor == WIRE or len(twin.world.robots) >= MANY:
             # Before the first host, as loading compiled code takes half a second.
             twin.world.change_over()
         with endpoint.announced(ports, f"twin in {name}"):

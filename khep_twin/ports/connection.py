@@ -24,15 +24,23 @@ class Connection:
         self._cable = port
         self._notify = notify
 
+    @property
+    def has_room(self) -> bool:
+        """True if the robot's line takes more bytes of the host."""
+        uart = self._robot.uart
+        return uart.rx.next_ns is None or uart.room > 0
+
     def descriptors(self) -> Sequence[int]:
         """Return the descriptors to wait for."""
-        uart = self._robot.uart
-        return self._cable.descriptors(uart.rx.next_ns is None or uart.room > 0)
+        return self._cable.descriptors(self.has_room)
 
     def next_ns(self) -> int:
         """Return the time of the robot's next command, or of its next byte's arrival at the host [ns]."""
         uart = self._robot.uart
-        byte_ns, command_ns = uart.tx.next_ns, self._command_ns()
+        byte_ns = uart.tx.next_ns
+        if uart.rx.next_ns is None:
+            return NEVER_NS if byte_ns is None else byte_ns
+        command_ns = self._command_ns()
         return command_ns if byte_ns is None else min(byte_ns, command_ns)
 
     def next_stop_ns(self) -> int:

@@ -25,6 +25,9 @@ FLUSH_NS = NS_PER_S // 2
 WIRE = 0.0
 """Speed of the wire clock: only the bytes on the line take time."""
 
+MANY = 4
+"""Robots from which on plain code takes more of a processor in real time than their lines."""
+
 
 def serve(
     twin: Twin,
@@ -71,16 +74,15 @@ def _serve_by_clock(
     while not stop():
         # On to the next command, the robots' next byte or the next control tick, whatever is first.
         tick_ns, event_ns = world.time_ns + TICK_NS, _next_ns(connections)
-        is_called, due_ns = wait(pacer.wait(min(tick_ns, event_ns))), 0
-        if not is_called or event_ns != NEVER_NS:
+        callers, due_ns = wait(pacer.wait(min(tick_ns, event_ns))), 0
+        if not callers or event_ns != NEVER_NS:
             due_ns = now()
             # The simulation of what is due takes time, for which bytes that are due do not wait.
             for connection in connections:
                 connection.give_early(due_ns)
-        if is_called:
-            for connection in connections:
-                # Without time on the line, a command that has just come is due already.
-                due_ns = max(connection.take(now), due_ns)
+        for connection in callers:
+            # Without time on the line, a command that has just come is due already.
+            due_ns = max(connection.take(now), due_ns)
         due_ns = due_ns or now()
         advance_to(max(min(due_ns, tick_ns), world.time_ns))
         for connection in connections:
@@ -95,9 +97,8 @@ def _serve_at_once(twin: Twin, connections: Sequence[Connection], stop: Callable
     world, advance_to = twin.world, twin.time_source.advance_to
     flush, wait = Flush(twin.recorder), _Waiting(connections)
     while not stop():
-        if wait(0.0):
-            for connection in connections:
-                connection.take()
+        for connection in wait(0.0):
+            connection.take()
         advance_to(max(min(world.time_ns + TICK_NS, _next_ns(connections)), world.time_ns))
         for connection in connections:
             connection.give()
@@ -109,8 +110,8 @@ def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable
     world, advance_to = twin.world, twin.time_source.advance_to
     flush, wait = Flush(twin.recorder), _Waiting(connections)
     while not stop():
-        if wait(LONGEST_WAIT):
-            for connection in connections:
+        if callers := wait(LONGEST_WAIT):
+            for connection in callers:
                 connection.take()
             while (next_ns := min([each.next_stop_ns() for each in connections])) != NEVER_NS:
                 advance_to(max(next_ns, world.time_ns))
@@ -129,23 +130,28 @@ class _Waiting:
 
     def __init__(self, connections: Sequence[Connection]) -> None:
         self._connections = connections
+        self._callers: dict[int, Connection] | None = None
         self._looked_ns = 0
 
-    def __call__(self, duration: float) -> bool:
-        """Wait at most `duration` [s]; return whether the hosts are to be looked after.
+    def __call__(self, duration: float) -> Sequence[Connection]:
+        """Wait at most `duration` [s]; return the connections whose hosts are to be looked after.
 
-        Some cannot wake the loop, and are looked after regularly.
+        Some hosts cannot wake the loop, so all are looked after regularly.
         """
-        descriptors: list[int] = []
-        for connection in self._connections:
-            descriptors += connection.descriptors()
-        if select.select(descriptors, [], [], min(max(duration, 0.0), LONGEST_WAIT))[0]:
-            return True
+        connections = self._connections
+        if (callers := self._callers) is None:
+            callers = {each: connection for connection in connections for each in connection.descriptors()}
+            # What wakes the loop changes when a host is looked after, and when a line has room again.
+            self._callers = callers if all(each.has_room for each in connections) else None
+        ready = select.select(callers, [], [], min(max(duration, 0.0), LONGEST_WAIT))[0]
         time_ns = time.monotonic_ns()
-        if time_ns - self._looked_ns < LOOK_NS:
-            return False
-        self._looked_ns = time_ns
-        return True
+        if time_ns - self._looked_ns >= LOOK_NS:
+            self._looked_ns, called = time_ns, connections
+        else:
+            called = tuple({callers[each]: None for each in ready})
+        if called:
+            self._callers = None
+        return called
 
 
 class Flushed(Protocol):

@@ -57,6 +57,7 @@ K213 = TurretKind(
     make=K213Electronics,
     scene=Path(str(files("khep_twin"))) / "assets" / "k213.xml",
     fit=K213Body,
+    height=None,  # its camera is on top (assumed)
     names=(*(register.name.lower() for register in Register), *(f"pixel_{k}" for k in range(K213_PIXELS))),
     image=PIXELS,
 )

@@ -1,18 +1,22 @@
 """Turrets: how they are found and plugged on."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.metadata import EntryPoint, EntryPoints
 from typing import Any
 
 import numpy as np
 import pytest
 
+from khep_twin import playpen
 from khep_twin.board import turrets
+from khep_twin.board.gripper_body import GRIPPER
 from khep_twin.board.protocol import turret_reply
 from khep_twin.board.rom import ROMS
-from khep_twin.board.turrets import TurretKind, find, installed
+from khep_twin.board.turrets import TurretKind, find, installed, raised_by
 from khep_twin.errors import TurretError
 from khep_twin.firmware import Firmware
+from khep_twin.playpen_to_mjcf import to_spec
 
 
 class Radio:
@@ -34,6 +38,9 @@ class Radio:
 
 RADIO = TurretKind("radio", 4, "counts messages", "0.1", Radio)
 SECOND = TurretKind("second", 4, "has the same number", "0.1", Radio)
+MAST = TurretKind("mast", 24, "has nothing on it", "0.1", Radio, height=None)
+ARM = TurretKind("arm", 25, "reaches the floor", "0.1", Radio, height=0.01, is_lowest=True)
+BOARD = TurretKind("board", 26, "stands anywhere", "0.1", Radio, height=0.02)
 BEYOND = TurretKind("beyond", 32, "has a number that the bus has not", "0.1", Radio)
 NOTHING = 5
 
@@ -79,6 +86,46 @@ def test_turrets_that_cannot_be_plugged_on_are_reported(
     offered: list[str], names: list[str], line: str
 ) -> None:
     offered += ["RADIO", "SECOND"]
+    with pytest.raises(TurretError) as caught:
+        find(names)
+    assert str(caught.value) == line
+
+
+def test_each_turret_of_a_stack_is_raised_by_those_below_it(offered: list[str]) -> None:
+    offered += ["MAST", "BOARD", "ARM", "RADIO"]
+    assert list(installed()) == ["arm", "board", "radio", "mast"]
+    assert raised_by(find(["arm", "board", "mast"])) == pytest.approx((0, 0.01, 0.03))
+    # One without a body and a height has no place in the stack.
+    assert raised_by(find(["radio", "arm"])) == (0, 0)
+    assert raised_by(find(["mast", "radio"])) == (0, 0)
+
+
+def test_the_body_of_a_turret_stands_on_the_one_below_it(
+    offered: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lens = replace(MAST, name="lens", scene=GRIPPER.scene)
+    monkeypatch.setitem(globals(), "LENS", lens)
+    offered += ["GRIPPER", "LENS"]
+    scene = playpen.load("gripper")
+    robot = scene.robots[0].model_copy(update={"turrets": ("gripper", "lens")})
+    model = to_spec(scene.model_copy(update={"robots": (robot,)})).compile()
+    lower, upper = (model.body(f"khepera0/{name}/board").pos for name in ("gripper", "lens"))
+    assert (upper - lower).tolist() == pytest.approx([0, 0, 0.008])
+    alone = to_spec(scene).compile().body("khepera0/gripper/board").pos
+    assert lower.tolist() == alone.tolist()
+
+
+@pytest.mark.parametrize(
+    ("names", "line"),
+    [
+        (["board", "arm"], "turret 'arm' fits only right on the robot; expected it first"),
+        (["mast", "board"], "nothing fits on turret 'mast'; expected it last, not below 'board'"),
+    ],
+)
+def test_a_turret_that_does_not_fit_on_those_below_it_is_one_line(
+    offered: list[str], names: list[str], line: str
+) -> None:
+    offered += ["MAST", "BOARD", "ARM"]
     with pytest.raises(TurretError) as caught:
         find(names)
     assert str(caught.value) == line

@@ -156,10 +156,17 @@ export class Fields {
     const group = Object.assign(document.createElement("div"), { className: "row" });
     group.setAttribute("role", "group");
     const named = things.flatMap((thing) => thing.turrets ?? []);
-    const boxes = [...new Set([...Object.keys(this.turrets), ...named])].map((name) => {
+    const order = [...new Set([...Object.keys(this.turrets), ...named])];
+    const boxes = order.map((name) => {
       const box = Object.assign(document.createElement("input"), { type: "checkbox", value: name });
       box.addEventListener("change", () => {
-        for (const thing of things) thing.turrets = [...(thing.turrets ?? []).filter((each) => each !== name), ...(box.checked ? [name] : [])];
+        for (const thing of things) {
+          const others = (thing.turrets ?? []).filter((each) => each !== name);
+          // A new one comes on those that stack below it.
+          const above = others.findIndex((each) => order.indexOf(each) > order.indexOf(name));
+          if (box.checked) others.splice(above < 0 ? others.length : above, 0, name);
+          thing.turrets = others;
+        }
         this.#commit();
       });
       const label = Object.assign(document.createElement("label"), { title: this.turrets[name]?.description ?? "not installed" });

@@ -1,0 +1,174 @@
+"""Many robots in real time, each polled on a line of its own, beside bare pseudo-terminals that answer.
+
+`python -m benchmarks.swarm` serves the playpen `swarm` with and without a log, and asks each of its twenty
+robots for N and D in turn, as often as 9600 baud allows. The floor is a process that answers on as many
+pseudo-terminals with ready bytes at the line's pace and does nothing else. The unit is the share of the time
+in which bytes cross a line: its ratio to the floor's is the share of real time that is reached.
+"""
+
+import os
+import select
+import statistics
+import subprocess
+import sys
+import time
+import tty
+from collections.abc import Generator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from benchmarks.table import LEGEND, Row, Taken, measure, text
+from khep_twin import playpen
+
+ROUNDS = 3
+SECONDS = 10.0
+
+BYTE = 11 / 9600
+"""Duration of a byte on the line [s]."""
+
+REQUESTS = (b"N\n", b"D,5,4\n")
+
+
+@contextmanager
+def swarm_rows(name: str, seconds: float) -> Generator[list[Row]]:
+    """Measure the floor and a served playpen with and without a log, while their processes run.
+
+    Args:
+        name: Playpen.
+        seconds: Duration of one run [s].
+    """
+    count = len(playpen.load(name).robots)
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(TemporaryDirectory()))
+        rows = [Polled(*stack.enter_context(_echoes(count)), seconds).row("bare paced echoes (floor)")]
+        for title, options in (("served", ()), ("served, logged", ("--log", str(folder / "swarm.mcap")))):
+            process, paths = stack.enter_context(_served(name, count, *options))
+            rows.append(Polled(process, paths, seconds).row(f"{name} {title}"))
+        yield rows
+
+
+class Polled:
+    """Lines of a process, all polled at once by this one.
+
+    Args:
+        process: Process that answers.
+        paths: Paths of its terminals.
+        seconds: Duration of one run [s].
+
+    Attributes:
+        late: Delays of the replies of the last run beyond the line's time [s].
+    """
+
+    def __init__(self, process: subprocess.Popen[str], paths: Sequence[str], seconds: float) -> None:
+        self.late: list[float] = []
+        self._process, self._paths, self._seconds = process, paths, seconds
+
+    def row(self, name: str) -> Row:
+        """Return the row of a table: seconds of the lines' time per second, and the delays."""
+        return Row(name, 1, self.run, lambda rate: self._delays())
+
+    def run(self) -> Taken:
+        """Poll all lines for the duration; return the times for one second on each line."""
+        self.late = []
+        ports = [os.open(path, os.O_RDWR | os.O_NOCTTY) for path in self._paths]
+        poll, busy = select.epoll(), 0.0
+        heard = {port: b"" for port in ports}
+        asked = dict.fromkeys(ports, 0)
+        sent: dict[int, float] = {}
+        try:
+            cpu, start = _processor_time(self._process.pid), time.perf_counter()
+            for port in ports:
+                poll.register(port, select.EPOLLIN)
+                sent[port] = time.perf_counter()
+                os.write(port, REQUESTS[0])
+            # Two delays at least, for their percentiles.
+            while (now := time.perf_counter()) - start < self._seconds or len(self.late) < 2:
+                for port, _ in poll.poll(0.1):
+                    heard[port] += os.read(port, 4096)
+                    if heard[port].endswith(b"\n"):
+                        now = time.perf_counter()
+                        line = (len(REQUESTS[asked[port]]) + len(heard[port])) * BYTE
+                        self.late.append(now - sent[port] - line)
+                        busy += line / len(ports)
+                        heard[port], asked[port] = b"", (asked[port] + 1) % len(REQUESTS)
+                        sent[port] = now
+                        os.write(port, REQUESTS[asked[port]])
+            cpu, wall = _processor_time(self._process.pid) - cpu, now - start
+        finally:
+            poll.close()
+            for port in ports:
+                os.close(port)
+        time.sleep(0.1)
+        return Taken(wall / busy, cpu / busy)
+
+    def _delays(self) -> str:
+        p99 = statistics.quantiles(self.late, n=100)[98]
+        return f"late {statistics.median(self.late) * 1e3:.2f} ms p50, {p99 * 1e3:.2f} ms p99"
+
+
+_ECHOES = f"""
+import os, select, sys, time
+masters = [int(each) for each in sys.argv[1:]]
+due = {{}}
+while True:
+    now = time.perf_counter()
+    for master, (at, reply) in list(due.items()):
+        while reply and at <= now:
+            os.write(master, reply[:1])
+            at, reply = at + {BYTE}, reply[1:]
+        due[master] = at, reply
+        if not reply:
+            del due[master]
+    wait = min((at for at, _ in due.values()), default=now + 1) - time.perf_counter()
+    for master in select.select(masters, [], [], max(wait, 0))[0]:
+        request = os.read(master, 100)
+        reply = b"n,0,0,0,0,0,0,0,0\\r\\n" if request[:1] == b"N" else b"d\\r\\n"
+        due[master] = time.perf_counter() + (len(request) + 1) * {BYTE}, reply
+"""
+
+
+@contextmanager
+def _echoes(count: int) -> Generator[tuple[subprocess.Popen[str], list[str]]]:
+    pairs = [os.openpty() for _ in range(count)]
+    for _, host_side in pairs:
+        tty.setraw(host_side)
+    masters = [master for master, _ in pairs]
+    command = [sys.executable, "-c", _ECHOES, *map(str, masters)]
+    process = subprocess.Popen(command, pass_fds=masters, text=True)
+    try:
+        yield process, [os.ttyname(host_side) for _, host_side in pairs]
+    finally:
+        process.kill()
+        process.wait()
+        for end in (*masters, *(host_side for _, host_side in pairs)):
+            os.close(end)
+
+
+@contextmanager
+def _served(name: str, count: int, *options: str) -> Generator[tuple[subprocess.Popen[str], list[str]]]:
+    command = [sys.executable, "-m", "khep_twin", "serve", name, *options]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    assert process.stdout is not None
+    try:
+        yield process, [process.stdout.readline().strip() for _ in range(count)]
+    finally:
+        process.terminate()
+        process.wait()
+        process.stdout.close()
+
+
+def _processor_time(pid: int) -> float:
+    """Return the processor time of a process, as Linux shows it [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def main() -> None:
+    with swarm_rows("swarm", SECONDS) as rows:
+        print(text([measure("swarm, N and D at 9600 baud", rows, ROUNDS, unit="s of each line per s")]))
+    print(LEGEND)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""Robots see each other by infrared and stand in each other's light, as they pass."""
+
+import numpy as np
+import pytest
+
+from khep_twin import playpen
+from khep_twin.board.kernel import AMBIENT, PROXIMITY
+from khep_twin.units import SENSOR_POSITIONS
+from khep_twin.world import World
+
+SCENE = """version = 1
+name = "passing"
+[arena]
+width_mm = 800
+height_mm = 600
+{lamp}
+[[robot]]
+x_mm = 400
+y_mm = 250
+heading_deg = 0
+calibration = "khepera1-manual"
+[[robot]]
+x_mm = 280
+y_mm = {y_mm}
+heading_deg = 0
+calibration = "khepera1-manual"
+"""
+
+
+def passed(y_mm: float, lamp: str = "") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Let the second robot pass the first; return its places, and what both see, every 10 ms.
+
+    Returns:
+        Places x, y beside the first (n, 2) [m], proximity (n, 2, 8), ambient (n, 2, 8).
+    """
+    world = World(playpen.parse(SCENE.format(y_mm=y_mm, lamp=lamp), "passing"), noise=False)
+    world.robots[1].send(b"D,10,10\n")
+    places: list[tuple[float, float]] = []
+    proximity: list[list[np.ndarray]] = []
+    ambient: list[list[np.ndarray]] = []
+    for tick in range(1, 301):
+        world.advance_to(tick * 10_000_000)
+        (x, y, _), (other_x, other_y, _) = world.poses
+        places.append((other_x - x, other_y - y))
+        proximity.append([robot.registers[PROXIMITY].copy() for robot in world.robots])
+        ambient.append([robot.registers[AMBIENT].copy() for robot in world.robots])
+    return np.array(places), np.array(proximity), np.array(ambient)
+
+
+@pytest.mark.parametrize(("side", "lateral", "oblique"), [(1, 0, 1), (-1, 5, 4)])
+def test_a_robot_that_passes_is_seen_by_one_sensor_after_the_other(
+    side: int, lateral: int, oblique: int
+) -> None:
+    places, proximity, _ = passed(250 + side * 58)
+    seen = proximity[:, 0]
+    assert seen[:, lateral].max() > 100
+    assert seen[:, oblique].max() > 100
+    # It comes from behind: first it is beside the sensor that looks sideways, then before the oblique one.
+    beside, before = (np.average(places[:, 0], weights=seen[:, sensor]) for sensor in (lateral, oblique))
+    assert beside == pytest.approx(SENSOR_POSITIONS[lateral][0], abs=0.006)
+    assert beside + 0.005 < before < 0.055
+    others = [sensor for sensor in range(6) if (sensor < 3) != (side == 1)]
+    assert not seen[:, others].any()
+
+
+def test_it_sees_the_one_that_it_passes_as_that_one_sees_it() -> None:
+    places, proximity, _ = passed(250 + 58)
+    seen, back = proximity[:, 0, 0], proximity[:, 1, 5]
+    # At the same heading, one is on the left of the other, and that one on its right.
+    ahead, ahead_of_other = np.average(places[:, 0], weights=seen), np.average(-places[:, 0], weights=back)
+    assert ahead == pytest.approx(ahead_of_other, abs=0.003)
+
+
+def test_a_robot_is_seen_the_more_the_nearer_it_passes() -> None:
+    peaks = [passed(250 + 55 + gap_mm)[1][:, 0, 0].max() for gap_mm in (4, 6, 8, 12, 40)]
+    assert peaks == sorted(peaks, reverse=True)
+    assert peaks[0] > 2 * peaks[2] or peaks[0] == 1023
+    assert peaks[-1] == 0
+
+
+def test_a_robot_that_passes_before_a_lamp_takes_its_light() -> None:
+    lamp = "[[lamp]]\nx_mm = 400\ny_mm = 420\npower_w = 4\n"
+    places, _, ambient = passed(340, lamp)
+    light = ambient[:, 0, 0].max() - ambient[:, 0, 0]
+    dark = light < 0.1 * light.max()
+    # The shadow lies where the way from the lamp to the sensor crosses the robot: it is as wide as the robot.
+    assert dark.any()
+    assert np.abs(places[dark, 0]).max() < 0.0275 + 0.01
+    assert light[np.abs(places[:, 0]) > 0.0275 + 0.02].min() > 0.9 * light.max()
