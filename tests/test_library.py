@@ -17,6 +17,7 @@ NAMES = [
     "garbage",
     "gripper",
     "homing",
+    "landmark",
     "light-seeking",
     "looping-maze",
     "obstacles",
