@@ -139,10 +139,10 @@ def test_the_shipped_playpens_are_listed() -> None:
 
 
 @pytest.mark.parametrize("name", playpens.names())
-def test_a_shipped_playpen_bears_its_file_s_name_and_has_a_robot(name: str) -> None:
+def test_a_shipped_playpen_bears_its_file_s_name_and_has_robots(name: str) -> None:
     playpen = playpens.load(name)
     assert playpen.name == name
-    assert len(playpen.robots) == 1
+    assert len(playpen.robots) == (20 if name == "swarm" else 1)
 
 
 def test_the_default_is_four_walls_and_one_robot_in_the_middle() -> None:
