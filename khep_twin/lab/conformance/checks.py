@@ -16,11 +16,13 @@ SETTLE = 0.2
 """Silence that ends a banner [s]."""
 
 
-def check(name: str, section: str, moves: str = "") -> Callable[[Callable[[CheckedPort], None]], None]:
+def check(
+    name: str, section: str, moves: str = "", turret: int | None = None
+) -> Callable[[Callable[[CheckedPort], None]], None]:
     """Return a decorator that adds a function to the checks."""
 
     def add(body: Callable[[CheckedPort], None]) -> None:
-        ALL.append(Check(name, section, moves, body))
+        ALL.append(Check(name, section, moves, body, turret))
 
     return add
 

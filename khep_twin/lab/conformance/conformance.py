@@ -37,21 +37,24 @@ class Check:
         section: Section of the manual.
         moves: Motion of the robot during the check; empty if it stands still.
         body: Function that runs the check.
+        turret: Number of the turret that it asks; None for the robot itself.
     """
 
     name: str
     section: str
     moves: str
     body: Callable[["CheckedPort"], None]
+    turret: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """Result of a check; `deviation` is empty if it passed."""
+    """Result of a check; `deviation` is empty if it passed, or if the robot has not the turret it asks."""
 
     name: str
     section: str
     deviation: str
+    absent: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,13 +79,17 @@ class ConformanceReport:
     def text(self) -> str:
         """Return the report as readable text."""
         failed = [result for result in self.results if result.deviation]
+        absent = [result for result in self.results if result.absent]
         lines = [
-            f"{'FAIL' if result.deviation else 'ok  '}  {result.name} [{result.section}]"
+            f"{'FAIL' if result.deviation else 'none' if result.absent else 'ok  '}  "
+            f"{result.name} [{result.section}]"
             for result in self.results
         ]
         lines += [f"skip  {name} (moves the robot; enable with --move)" for name in self.skipped]
         lines += [f"\n{result.name}\n    {result.deviation}" for result in failed]
-        lines.append(f"\n{self.port}: {len(self.results) - len(failed)} passed, {len(failed)} failed")
+        passed = len(self.results) - len(failed) - len(absent)
+        told = f", {len(absent)} of turrets that are absent" if absent else ""
+        lines.append(f"\n{self.port}: {passed} passed, {len(failed)} failed{told}")
         return "\n".join(lines)
 
     def json(self) -> str:
@@ -203,10 +210,12 @@ def checks(move: bool) -> Iterator[Check]:
 
 def run_check(check: Check, line: CheckedPort) -> Result:
     """Run one check on a quiet line and leave the line quiet."""
-    deviation = ""
+    deviation, absent = "", False
     try:
         line.port.reset_input_buffer()
-        check.body(line)
+        absent = check.turret is not None and line.ask(f"T,{check.turret},B").startswith("z,")
+        if not absent:
+            check.body(line)
         line.silent("after the last reply")
     except Deviation as error:
         deviation = str(error)
@@ -215,4 +224,4 @@ def run_check(check: Check, line: CheckedPort) -> Result:
         line.read_for(0.3)
     except (serial.SerialException, OSError) as error:
         deviation = f"the port failed: {error}"
-    return Result(check.name, check.section, deviation)
+    return Result(check.name, check.section, deviation, absent)

@@ -1,6 +1,7 @@
-"""Checks of `conformance` for the radio turret; a robot without one passes them."""
+"""Checks of `conformance` for the radio turret."""
 
 import re
+from functools import partial
 
 from khep_twin.lab.conformance.checks import ALL as ALL
 from khep_twin.lab.conformance.checks import SETTLE, check, within
@@ -13,15 +14,13 @@ MESSAGE_TIME = 10.0
 NOBODY = 255
 """Number that no radio has."""
 
+_check = partial(check, turret=RADIO_NUMBER)
+
 _PAUSE = 0.05
 """Pause between two reads of the status [s]."""
 
 _MOST_READS = 20
 """Most messages that may wait to be read."""
-
-
-def _has_radio(line: CheckedPort) -> bool:
-    return not line.ask(f"T,{RADIO_NUMBER},B").startswith("z,")
 
 
 def _values(line: CheckedPort, message: str, count: int) -> list[int]:
@@ -58,10 +57,8 @@ def _sent(line: CheckedPort) -> RadioStatus:
     return status
 
 
-@check("a radio, if there is one, reports its version, its status and received messages", "simulators")
+@_check("a radio reports its version, its status and received messages", "simulators")
 def _reads(line: CheckedPort) -> None:
-    if not _has_radio(line):
-        return
     _values(line, "B", 2)
     _sent(line)
     for _ in range(_MOST_READS):
@@ -75,10 +72,8 @@ def _reads(line: CheckedPort) -> None:
     raise Deviation(f"a radio still had a message after {_MOST_READS} reads")
 
 
-@check("a radio refuses orders and messages that do not exist", "assumed")
+@_check("a radio refuses orders and messages that do not exist", "assumed")
 def _refusals(line: CheckedPort) -> None:
-    if not _has_radio(line):
-        return
     _sent(line)
     _values(line, _order(RADIO_ALL, 0), 0)
     _sent(line)
@@ -92,20 +87,16 @@ def _refusals(line: CheckedPort) -> None:
         raise Deviation("a radio has sent a message that it has refused")
 
 
-@check("a radio sends a message to all radios, which needs no acknowledgement", "radio base manual, A")
+@_check("a radio sends a message to all radios, which needs no acknowledgement", "radio base manual, A")
 def _to_all(line: CheckedPort) -> None:
-    if not _has_radio(line):
-        return
     _sent(line)
     _values(line, _order(RADIO_ALL, 5, *b"hello"), 0)
     if (status := _sent(line)) & RadioStatus.FAILED:
         raise Deviation(f"a message to all failed: status {status:d}")
 
 
-@check("a radio is not ready while it sends, and takes no second message", "assumed")
+@_check("a radio is not ready while it sends, and takes no second message", "assumed")
 def _busy(line: CheckedPort) -> None:
-    if not _has_radio(line):
-        return
     _sent(line)
     message = f"T,{RADIO_NUMBER},{_order(NOBODY, 1, 7)}"
     status_request = f"T,{RADIO_NUMBER},F"
@@ -120,10 +111,8 @@ def _busy(line: CheckedPort) -> None:
     _sent(line)
 
 
-@check("a message that no radio acknowledges fails, until the next message", "radio base manual, 4.4")
+@_check("a message that no radio acknowledges fails, until the next message", "radio base manual, 4.4")
 def _failure(line: CheckedPort) -> None:
-    if not _has_radio(line):
-        return
     _sent(line)
     _values(line, _order(NOBODY, RADIO_BYTES, *range(RADIO_BYTES)), 0)
     for _ in range(2):
@@ -134,10 +123,8 @@ def _failure(line: CheckedPort) -> None:
         raise Deviation(f"a radio reports the failure of an earlier message: status {status:d}")
 
 
-@check("a restart drops the message that a radio sends", "assumed")
+@_check("a restart drops the message that a radio sends", "assumed")
 def _restart(line: CheckedPort) -> None:
-    if not _has_radio(line):
-        return
     _sent(line)
     _values(line, _order(NOBODY, 1, 7), 0)
     line.send("restart\n")

@@ -1,19 +1,22 @@
-"""Checks of `conformance` of a K213, which pass where there is none.
+"""Checks of `conformance` of a K213.
 
 What they ask of it is what hosts need. That M has 16 greys, and what exactly is answered to a wrong
 parameter, is left open, as no source says it.
 """
 
 import re
+from functools import partial
 
 from khep_twin.lab.conformance.checks import ALL as ALL
 from khep_twin.lab.conformance.checks import FIRST_BYTE, check, within
 from khep_twin.lab.conformance.conformance import CheckedPort, Deviation
 from khep_twin.units import BITS_PER_BYTE, K213_NUMBER, K213_PERIODS_MS, K213_PIXELS
 
-TURN = "turns on the spot by 6 degrees and back, if it has a K213"
+TURN = "turns on the spot by 6 degrees and back"
 
 SECTION = "K213"
+
+_check = partial(check, turret=K213_NUMBER)
 
 _SLOWEST = len(K213_PERIODS_MS) - 1
 _SCAN = 1.1
@@ -27,10 +30,6 @@ _CONTRAST = 60
 
 _REAL_TIME_SLACK = 0.02
 """Delay by a scheduler that is no fault of the port's [s]."""
-
-
-def _is_there(line: CheckedPort) -> bool:
-    return not line.ask(f"T,{K213_NUMBER},B").startswith("z,")
 
 
 def _values(line: CheckedPort, message: str, count: int, limit: int = 255) -> list[int]:
@@ -54,31 +53,24 @@ def _image(line: CheckedPort) -> list[int]:
     return _values(line, "N", K213_PIXELS)
 
 
-@check("a K213, if there is one, tells its version by two integers", SECTION)
+@_check("a K213 tells its version by two integers", SECTION)
 def _versions(line: CheckedPort) -> None:
-    if _is_there(line):
-        _values(line, "B", 2)
+    _values(line, "B", 2)
 
 
-@check("a K213, if there is one, has 64 greys of 8 bits, and 32 values in M", SECTION)
+@_check("a K213 has 64 greys of 8 bits, and 32 values in M", SECTION)
 def _greys(line: CheckedPort) -> None:
-    if _is_there(line):
-        _image(line)
-        _values(line, "M", K213_PIXELS // 2)
+    _image(line)
+    _values(line, "M", K213_PIXELS // 2)
 
 
-@check("the light sensor of a K213, if there is one, reads two bytes", SECTION)
+@_check("the light sensor of a K213 reads two bytes", SECTION)
 def _light(line: CheckedPort) -> None:
-    if _is_there(line):
-        _values(line, "L", 2)
+    _values(line, "L", 2)
 
 
-@check(
-    "parts of the image of a K213, if there is one, are its pixels, and those of O and P its limits", SECTION
-)
+@_check("parts of the image of a K213 are its pixels, and those of O and P its limits", SECTION)
 def _parts(line: CheckedPort) -> None:
-    if not _is_there(line):
-        return
     # Within the longest period the image stays.
     _set_period(line, _SLOWEST)
     image = _image(line)
@@ -100,21 +92,16 @@ def _parts(line: CheckedPort) -> None:
     _set_period(line, 0)
 
 
-@check("a K213, if there is one, takes every period and refuses others", SECTION)
+@_check("a K213 takes every period and refuses others", SECTION)
 def _periods(line: CheckedPort) -> None:
-    if not _is_there(line):
-        return
     for period in (*range(1, len(K213_PERIODS_MS)), 0):
         _set_period(line, period)
     _refuses(line, f"U,{len(K213_PERIODS_MS)}", "U,-1", "U")
 
 
-@check(
-    "a K213, if there is one, refuses pixels that it has not, wrong parameters and unknown letters", SECTION
-)
+@_check("a K213 refuses pixels that it has not, wrong parameters and unknown letters", SECTION)
 def _refusals(line: CheckedPort) -> None:
-    if _is_there(line):
-        _refuses(line, f"Q,{K213_PIXELS}", "Q,-1", "Q", f"R,{K213_PIXELS}", "R", "N,1", "L,x", "X")
+    _refuses(line, f"Q,{K213_PIXELS}", "Q,-1", "Q", f"R,{K213_PIXELS}", "R", "N,1", "L,x", "X")
 
 
 def _refuses(line: CheckedPort, *messages: str) -> None:
@@ -125,10 +112,8 @@ def _refuses(line: CheckedPort, *messages: str) -> None:
             raise Deviation(f"{request!r} was answered {answer!r}; expected a line that starts with 'z,'")
 
 
-@check("a long reply of a K213, if there is one, begins within 10 ms and takes its bytes' time", SECTION)
+@_check("a long reply of a K213 begins within 10 ms and takes its bytes' time", SECTION)
 def _pace(line: CheckedPort) -> None:
-    if not _is_there(line):
-        return
     byte_time = BITS_PER_BYTE / line.port.baudrate
     slack = 0.0 if hasattr(line.port, "time_ns") else _REAL_TIME_SLACK
     in_one_piece = str(line.port.port).startswith(("socket:", "rfc2217:"))
@@ -146,10 +131,8 @@ def _pace(line: CheckedPort) -> None:
         raise Deviation(f"{request!r} and its reply of {len(first + rest)} bytes took {took * 1000:.1f} ms")
 
 
-@check("the image of a K213, if there is one, moves right as it turns left, at its period", SECTION, TURN)
+@_check("the image of a K213 moves right as it turns left, at its period", SECTION, TURN)
 def _turning(line: CheckedPort) -> None:
-    if not _is_there(line):
-        return
     _set_period(line, 0)
     line.sleep(_SCAN)
     before = _image(line)
