@@ -15,4 +15,4 @@ def test_a_block_of_the_guide_runs(block: str) -> None:
 
 
 def test_there_are_blocks() -> None:
-    assert len(BLOCKS) == 5
+    assert len(BLOCKS) == 6
