@@ -44,7 +44,7 @@ TICK_MS = TICK_NS // 1_000_000
 _ORDERS = {"B": 0, "L": 0, "M": 0, "N": 0, "O": 0, "P": 0, "Q": 1, "R": 1, "S": 0, "T": 0, "U": 1}
 
 
-class Register(IntEnum):
+class K213Register(IntEnum):
     """Registers of the K213, before its pixels."""
 
     LIGHT = 0  # reading of the light sensor, the lower the brighter
@@ -54,7 +54,7 @@ class Register(IntEnum):
     SCANS = 4  # whole scans so far
 
 
-PIXELS = slice(len(Register), len(Register) + K213_PIXELS)
+PIXELS = slice(len(K213Register), len(K213Register) + K213_PIXELS)
 """Registers of the pixels, 0 to 255, from the left to the right."""
 
 
@@ -80,7 +80,7 @@ class K213Electronics:
             case "B", ():
                 values = [VERSION, REVISION]
             case "L", ():
-                values = divmod(self._view[Register.LIGHT], 256)
+                values = divmod(self._view[K213Register.LIGHT], 256)
             case "M", ():
                 values = [left // 16 * 16 + right // 16 for left, right in _pairs(pixels)]
             case "N", ():
@@ -96,7 +96,7 @@ class K213Electronics:
             case "T", ():
                 values = pixels[::4]
             case "U", (period,) if 0 <= period < len(K213_PERIODS_MS):
-                self._view[Register.PERIOD] = period
+                self._view[K213Register.PERIOD] = period
                 self._begin()
                 values = []
             case _:
@@ -106,23 +106,23 @@ class K213Electronics:
     def tick(self) -> None:
         """Go on with the scan, and begin the next one when it ends."""
         view = self._view
-        view[Register.LEFT] -= 1
-        if view[Register.LEFT] <= 0:
-            view[Register.SCANS] += 1
+        view[K213Register.LEFT] -= 1
+        if view[K213Register.LEFT] <= 0:
+            view[K213Register.SCANS] += 1
             self._begin()
 
     def reset(self) -> None:
         """Scan by the light, the first time at once."""
-        self._view[Register.PERIOD] = self._view[Register.SCAN] = 0
-        self._view[Register.LEFT] = 1
+        self._view[K213Register.PERIOD] = self._view[K213Register.SCAN] = 0
+        self._view[K213Register.LEFT] = 1
 
     def _begin(self) -> None:
         """Begin a scan."""
         view = self._view
         # A snapshot from outside may hold any number.
-        fixed_ms = K213_PERIODS_MS[view[Register.PERIOD] % len(K213_PERIODS_MS)]
-        period_ms = fixed_ms or period_by_light(view[Register.LIGHT])
-        view[Register.SCAN] = view[Register.LEFT] = (period_ms + TICK_MS // 2) // TICK_MS
+        fixed_ms = K213_PERIODS_MS[view[K213Register.PERIOD] % len(K213_PERIODS_MS)]
+        period_ms = fixed_ms or period_by_light(view[K213Register.LIGHT])
+        view[K213Register.SCAN] = view[K213Register.LEFT] = (period_ms + TICK_MS // 2) // TICK_MS
 
 
 def period_by_light(light: int) -> int:

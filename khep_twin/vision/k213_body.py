@@ -3,7 +3,7 @@
 from importlib.resources import files
 from pathlib import Path
 
-from khep_twin.board.k213 import PIXELS, REVISION, TICK_MS, VERSION, K213Electronics, Register
+from khep_twin.board.k213 import PIXELS, REVISION, TICK_MS, VERSION, K213Electronics, K213Register
 from khep_twin.board.turrets import TurretContext, TurretKind
 from khep_twin.sensing.line_faces import fixed_faces, moving_faces, places
 from khep_twin.units import K213_NUMBER, K213_PIXELS
@@ -31,16 +31,16 @@ class K213Body:
     def sense(self) -> None:
         """Take an image where a scan ends in this control period."""
         view, context = self._view, self._context
-        if view[Register.LEFT] > 1:
+        if view[K213Register.LEFT] > 1:
             return
-        view[Register.LIGHT] = self._camera.take(
+        view[K213Register.LIGHT] = self._camera.take(
             eye_of(context.data, self._eye),
             self._pixels,
             context.lamps,
             context.room_lux,
-            view[Register.SCAN] * TICK_MS,
+            view[K213Register.SCAN] * TICK_MS,
             context.key,
-            view[Register.SCANS],
+            view[K213Register.SCANS],
             noisy=context.is_noisy,
             compiled=context.is_compiled,
         )
@@ -58,7 +58,10 @@ K213 = TurretKind(
     scene=Path(str(files("khep_twin"))) / "assets" / "k213.xml",
     fit=K213Body,
     height=None,  # its camera is on top (assumed)
-    names=(*(register.name.lower() for register in Register), *(f"pixel_{k}" for k in range(K213_PIXELS))),
+    names=(
+        *(register.name.lower() for register in K213Register),
+        *(f"pixel_{k}" for k in range(K213_PIXELS)),
+    ),
     image=PIXELS,
 )
 """The K213, as registered under the entry point "khep_twin.turrets"."""

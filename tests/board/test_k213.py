@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from khep_twin.board.k213 import PIXELS, K213Electronics, Register
+from khep_twin.board.k213 import PIXELS, K213Electronics, K213Register
 
 GREYS = [(7 * pixel + 11) % 251 for pixel in range(64)]
 
@@ -12,7 +12,7 @@ GREYS = [(7 * pixel + 11) % 251 for pixel in range(64)]
 def k213() -> K213Electronics:
     turret = K213Electronics()
     turret.registers[PIXELS] = GREYS
-    turret.registers[Register.LIGHT] = 258
+    turret.registers[K213Register.LIGHT] = 258
     return turret
 
 
@@ -71,10 +71,10 @@ def test_a_wrong_order_changes_nothing(k213: K213Electronics) -> None:
 
 
 def ticks_of_a_scan(k213: K213Electronics) -> int:
-    scans = k213.registers[Register.SCANS]
+    scans = k213.registers[K213Register.SCANS]
     for ticks in range(1, 1000):
         k213.tick()
-        if k213.registers[Register.SCANS] > scans:
+        if k213.registers[K213Register.SCANS] > scans:
             return ticks
     raise AssertionError("no scan has ended")
 
@@ -89,7 +89,7 @@ def test_the_first_scan_ends_at_once(k213: K213Electronics) -> None:
 def test_a_scan_by_the_light_takes_as_many_milliseconds_as_the_sensor_reads(
     k213: K213Electronics, light: int, ticks: int
 ) -> None:
-    k213.registers[Register.LIGHT] = light
+    k213.registers[K213Register.LIGHT] = light
     ticks_of_a_scan(k213)
     assert ticks_of_a_scan(k213) == ticks
 
@@ -107,10 +107,10 @@ def test_a_fixed_period_begins_with_its_order(k213: K213Electronics, period: int
 def test_any_numbers_of_a_snapshot_are_borne(k213: K213Electronics, value: int) -> None:
     k213.registers[:] = value
     for _ in range(3):
-        k213.registers[Register.LEFT] = 1
-        k213.registers[Register.SCANS] = 0
+        k213.registers[K213Register.LEFT] = 1
+        k213.registers[K213Register.SCANS] = 0
         k213.tick()
-    assert 0 < k213.registers[Register.LEFT] <= 500
+    assert 0 < k213.registers[K213Register.LEFT] <= 500
     for order in (b"N", b"M", b"L", b"O", b"Q,0"):
         assert k213.receive(order).startswith(b"t,2,")
 

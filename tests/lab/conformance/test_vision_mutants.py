@@ -6,7 +6,7 @@ from contextlib import closing
 
 import pytest
 
-from khep_twin.board.k213 import Register
+from khep_twin.board.k213 import K213Register
 from khep_twin.host import Khepera
 from khep_twin.lab.conformance import vision_checks
 from khep_twin.lab.conformance.conformance import CheckedPort, run_check
@@ -70,7 +70,7 @@ def restless(twin: Twin) -> None:
 
     def always() -> None:
         tick()
-        turret.registers[Register.LEFT] = 1
+        turret.registers[K213Register.LEFT] = 1
 
     turret.tick = always  # type: ignore[method-assign]
 
