@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen as playpens
-from khep_twin.board.k213 import PIXELS, Register
+from khep_twin.board.k213 import PIXELS, K213Register
 from khep_twin.errors import ProtocolError
 from khep_twin.host import Khepera, Vision, commands
 from khep_twin.host.vision import read_image, read_light, read_region
@@ -39,16 +39,16 @@ def test_every_read_is_a_part_of_the_image(pair: tuple[Khepera, Twin]) -> None:
     assert list(vision.every_second()) == greys[::2]
     assert list(vision.every_fourth()) == greys[::4]
     assert (vision.brightest(), vision.darkest()) == (int(np.argmax(greys)), int(np.argmin(greys)))
-    assert vision.light() == state(twin)[Register.LIGHT] > 0
+    assert vision.light() == state(twin)[K213Register.LIGHT] > 0
 
 
 def test_the_period_is_set(pair: tuple[Khepera, Twin]) -> None:
     robot, twin = pair
     vision = Vision(robot)
     vision.set_period(7)
-    assert state(twin)[Register.SCAN] == 500
+    assert state(twin)[K213Register.SCAN] == 500
     vision.set_period(0)
-    assert state(twin)[Register.SCAN] == 20
+    assert state(twin)[K213Register.SCAN] == 20
 
 
 @pytest.mark.parametrize("period", [-1, 8])
@@ -67,7 +67,7 @@ def test_reads_go_into_a_burst(pair: tuple[Khepera, Twin]) -> None:
     robot, twin = pair
     image, light, proximity = robot.burst(read_image(), read_light(), commands.proximity())
     assert list(image) == state(twin)[PIXELS].tolist()
-    assert light == state(twin)[Register.LIGHT]
+    assert light == state(twin)[K213Register.LIGHT]
     assert len(proximity) == 8
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import playpen as playpens
-from khep_twin.board.k213 import PIXELS, Register
+from khep_twin.board.k213 import PIXELS, K213Register
 from khep_twin.sensing.line_image import WHITE, WHITE_GREY
 from khep_twin.sensing.line_scene import HALF_FIELD
 from khep_twin.world import World
@@ -48,8 +48,8 @@ def registers(world: World, robot: int = 0) -> NDArray[np.int64]:
 def image(world: World, robot: int = 0, scans: int = 1) -> NDArray[np.int64]:
     """The image of a later scan."""
     state = registers(world, robot)
-    wanted = state[Register.SCANS] + scans
-    while state[Register.SCANS] < wanted:
+    wanted = state[K213Register.SCANS] + scans
+    while state[K213Register.SCANS] < wanted:
         world.advance_to(world.time_ns + 10_000_000)
     return state[PIXELS].copy()
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen as playpens
-from khep_twin.board.k213 import PIXELS, Register
+from khep_twin.board.k213 import PIXELS, K213Register
 from khep_twin.simulation.ready import function_of
 from khep_twin.vision.camera import LineCamera, eye_of
 from khep_twin.world import World
@@ -108,7 +108,7 @@ def test_a_snapshot_goes_on_amid_a_scan_as_if_nothing_had_been() -> None:
     scene = world(CROWD, noise=True)
     scene.robots[0].send(b"T,2,U,3\nD,2,-2\n")
     scene.advance_to(430_000_000)
-    assert registers(scene)[Register.LEFT] not in (0, registers(scene)[Register.SCAN])
+    assert registers(scene)[K213Register.LEFT] not in (0, registers(scene)[K213Register.SCAN])
     kept = scene.snapshot()
     scene.advance_to(1_500_000_000)
     other = world(CROWD, noise=True)

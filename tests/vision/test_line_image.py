@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from khep_twin.board.k213 import PIXELS, Register
+from khep_twin.board.k213 import PIXELS, K213Register
 from khep_twin.sensing.line_faces import luminous_reflectance
 from khep_twin.sensing.line_image import NOISE
 from khep_twin.sensing.line_light import EFFICACY
@@ -151,7 +151,7 @@ def test_the_light_on_a_wall_falls_off_with_a_lamp_s_distance_and_angle() -> Non
     on_the_wall = ROOM_LUX + intensity * 0.18 / distance**3
     at_the_eye = ROOM_LUX + intensity / ((0.42 - 0.312) ** 2 + 0.15**2)
     light = round(200 * ROOM_LUX / at_the_eye)
-    assert registers(scene)[Register.LIGHT] == light
+    assert registers(scene)[K213Register.LIGHT] == light
     scan_ms = (light + 5) // 10 * 10
     assert within_a_grey(image(scene), greys(WHITE_SURFACE, on_the_wall / ROOM_LUX * scan_ms / 200))
 
@@ -186,7 +186,7 @@ def test_by_the_light_a_scan_is_as_long_as_white_needs(room_lux: float, light: i
     scene = world(f"[lighting]\nroom_lux = {room_lux}\n")
     assert within_a_grey(image(scene), greys(WHITE_SURFACE, part))
     assert within_a_grey(image(scene), greys(WHITE_SURFACE, part))
-    assert registers(scene)[Register.LIGHT] == light
+    assert registers(scene)[K213Register.LIGHT] == light
 
 
 @pytest.mark.parametrize(("period", "part"), [(1, 0.25), (2, 0.5), (4, 1.25), (5, 2.5)])
@@ -200,7 +200,7 @@ def test_a_fixed_period_is_the_exposure(period: int, part: float) -> None:
 def test_in_the_dark_all_is_black(lamps: str) -> None:
     scene = world(f"[lighting]\nroom_lux = 0\n{lamps}")
     assert image(scene).tolist() == [0] * 64
-    assert registers(scene)[Register.LIGHT] == 65535
+    assert registers(scene)[K213Register.LIGHT] == 65535
 
 
 @pytest.mark.parametrize(("distance_mm", "low", "high"), [(60, 0, 2), (300, 0, 2), (20, 3, 5), (16, 4, 6)])
