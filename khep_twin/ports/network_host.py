@@ -33,6 +33,12 @@ LONGEST_LINE = 512
 SILENCE = 0.1
 """Wall time after the last byte at which an unfinished line is sent all the same [s]."""
 
+_OF_BROWSERS = (b"GET ", b"HEAD ", b"POST ", b"OPTIONS ", b"\x16\x03")
+"""Beginnings of what a browser sends: requests of HTTP that a page may send anywhere, and TLS.
+
+Any page can have its browser send a request here, with commands for the robot in it, a line each.
+"""
+
 _MOST_RETRANSMISSIONS = 7
 """Retransmissions, for half a minute, before a host is taken to have vanished.
 
@@ -64,6 +70,7 @@ class NetworkHost:
         client.setblocking(False)
         self._finished = False
         self._ahead = bytearray()  # as it came, with negotiations
+        self._beginning = b""  # of all that it has sent
         self._line = bytearray()
         self._heard = 0.0
         self._waiting = bytearray()
@@ -149,6 +156,14 @@ class NetworkHost:
                 return
             self._ahead += data
             self._finished = not data
+            if len(self._beginning) < max(map(len, _OF_BROWSERS)):
+                self._beginning += data
+                self._refuse_browsers()
+
+    def _refuse_browsers(self) -> None:
+        if self._beginning.startswith(_OF_BROWSERS) and not self.fault:
+            self.fault = f"it begins with {self._beginning[:8]}, as a browser does; expected a robot's host"
+            self.lost = self._finished = True
 
     def _flush(self) -> None:
         if self._waiting:

@@ -228,6 +228,26 @@ def test_a_host_that_negotiates_on_and_never_reads_is_cut_off(negotiating: TcpPo
     assert received.notices[0].endswith("expected a host that reads its answers")
 
 
+@pytest.mark.parametrize("beginning", [b"POST / HTTP/1.1", b"OPTIONS / HTTP/1.1", b"GET / HTTP/1.1", b"\x16\x03\1"])
+@pytest.mark.parametrize("limit", [6, 1024])
+@pytest.mark.parametrize("is_negotiated", [False, True])
+def test_a_browser_is_cut_off_before_a_command_in_its_request_is_taken(
+    port: TcpPort, negotiating: TcpPort, beginning: bytes, limit: int, is_negotiated: bool
+) -> None:
+    served = negotiating if is_negotiated else port
+    with connect(served) as page:
+        page.sendall(beginning + b"\r\nHost: 127.0.0.1\r\n\r\nD,10,10\nD,10,10\n")
+        taken, received = b"", Received()
+        end = time.monotonic() + PATIENCE_S
+        while not received.left and time.monotonic() < end:
+            received = served.receive(limit)
+            taken += received.data + received.last
+    assert b"\n" not in taken
+    assert len(received.notices) == 1
+    assert received.notices[0].endswith("as a browser does; expected a robot's host")
+    assert not served.occupied
+
+
 @pytest.mark.parametrize("number", [errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETDOWN, errno.ECONNRESET])
 def test_an_error_of_the_network_is_a_host_that_has_gone(number: int) -> None:
     class Failing(socket.socket):

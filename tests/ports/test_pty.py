@@ -11,6 +11,7 @@ import serial
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
 from khep_twin.ports import pty as pty_module
+from khep_twin.ports.link import private_folder
 from khep_twin.ports.pty import PtyPort
 
 
@@ -124,3 +125,26 @@ def test_no_descriptor_is_left_open(tmp_path: Path) -> None:
         with pytest.raises(PortError):
             PtyPort(tmp_path / "nowhere" / "link")
     assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_other_users_can_neither_read_nor_write_a_terminal() -> None:
+    with PtyPort() as port:
+        assert os.stat(port.name).st_uid == os.getuid()
+        # The group, tty, may write messages to it where the system is set so.
+        assert os.stat(port.name).st_mode & 0o057 == 0
+
+
+def test_a_directory_that_others_can_write_to_is_no_private_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    folder = tmp_path / "khep_twin"
+    folder.mkdir()
+    folder.chmod(0o777)
+    with pytest.raises(PortError, match="not a directory of this user's alone"):
+        private_folder()
+    folder.rmdir()
+    (tmp_path / "other").mkdir()
+    folder.symlink_to(tmp_path / "other")
+    with pytest.raises(PortError, match=r"not a directory of this user's alone|cannot make"):
+        private_folder()

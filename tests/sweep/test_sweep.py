@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pyarrow.parquet as pq
@@ -327,6 +328,40 @@ def test_a_cluster_is_given_by_host_and_port() -> None:
     for wrong in ("10.0.0.1", ":6379", "host:", "host:0", "host:65536", "ray://host:10001"):
         with pytest.raises(ValueError, match=rf"^{wrong}: expected HOST:PORT, such as .*, or auto$"):
             ray_workers.host_and_port(wrong)
+
+
+def test_ray_here_has_a_token_and_no_dashboard_and_is_refused_where_others_reach_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "ray").mkdir()
+    (tmp_path / "ray" / "__init__.py").write_text("")
+    (tmp_path / "ray" / "exceptions.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("ray", "ray.exceptions"):
+        # Set first, so that what was there is put back.
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))
+        del sys.modules[name]
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("RAY_")}
+    monkeypatch.setattr(os, "environ", environment)
+    ray_workers.on_ray()
+    assert environment["RAY_AUTH_MODE"] == "token"
+    assert len(environment["RAY_AUTH_TOKEN"]) == 64
+
+    class Ray(ModuleType):
+        def __init__(self, address: str) -> None:
+            super().__init__("ray")
+            self.address, self.given = address, dict[str, object]()
+
+        def init(self, **given: object) -> SimpleNamespace:
+            self.given = given
+            return SimpleNamespace(address_info={"node_ip_address": self.address})
+
+    here = Ray("127.0.0.1")
+    ray_workers._join(here, None, 1)
+    assert here.given["address"] == "local"
+    assert here.given["include_dashboard"] is False
+    with pytest.raises(KhepTwinError, match=r"listens at 10\.0\.0\.1; expected 127\.0\.0\.1 alone"):
+        ray_workers._join(Ray("10.0.0.1"), None, 1)
 
 
 def test_a_worker_with_other_versions_does_nothing(tmp_path: Path) -> None:
