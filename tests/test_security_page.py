@@ -18,7 +18,11 @@ PAGE = (ROOT / "docs" / "security.md").read_text()
 SOURCES = sorted((ROOT / "khep_twin").rglob("*.py"))
 
 LISTENERS, STATEMENTS = (
-    [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in part.splitlines()[4:] if "|" in line]
+    [
+        [cell.strip() for cell in line.strip("| ").split(" | ")]
+        for line in part.splitlines()[4:]
+        if "|" in line
+    ]
     for part in (
         PAGE.split("## What listens where")[1].split("\n## ")[0],
         PAGE.split("## A web page in your browser")[1].split("\n## Not protected")[0],

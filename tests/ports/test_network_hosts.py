@@ -228,7 +228,9 @@ def test_a_host_that_negotiates_on_and_never_reads_is_cut_off(negotiating: TcpPo
     assert received.notices[0].endswith("expected a host that reads its answers")
 
 
-@pytest.mark.parametrize("beginning", [b"POST / HTTP/1.1", b"OPTIONS / HTTP/1.1", b"GET / HTTP/1.1", b"\x16\x03\1"])
+@pytest.mark.parametrize(
+    "beginning", [b"POST / HTTP/1.1", b"OPTIONS / HTTP/1.1", b"GET / HTTP/1.1", b"\x16\x03\1"]
+)
 @pytest.mark.parametrize("limit", [6, 1024])
 @pytest.mark.parametrize("is_negotiated", [False, True])
 def test_a_browser_is_cut_off_before_a_command_in_its_request_is_taken(
