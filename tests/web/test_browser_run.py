@@ -309,6 +309,8 @@ def test_a_held_robot_gets_a_red_outline_where_it_has_no_room(visit: Visit) -> N
     page.click('[data-tab="run"]')
     page.click("#start")
     page.wait_for_selector(".live")
+    # Before the first picture there is no place from which to lift it.
+    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 0")
     page.mouse.move(*visit.at(300, 200))
     page.mouse.down()
     for place, bad in (((310, 390), True), ((400, 300), False), ((-20, 300), True), ((310, 380), True)):
