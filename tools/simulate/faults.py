@@ -1,0 +1,78 @@
+"""Faults of a simulation: each is drawn from a stream of its own, so that one left out shifts no other."""
+
+import random
+from collections import Counter
+from collections.abc import Collection
+
+_MASK = (1 << 64) - 1
+
+
+def mixed(*words: int | str) -> int:
+    """Return 64 bits that depend on all words, in any process the same."""
+    state = 0
+    for word in words:
+        number = word if isinstance(word, int) else int.from_bytes(word.encode(), "little")
+        while True:
+            # splitmix64 (Steele, Lea and Flood 2014), over each 64 bits of the word.
+            state = (state + (number & _MASK) + 0x9E3779B97F4A7C15) & _MASK
+            state = ((state ^ (state >> 30)) * 0xBF58476D1CE4E5B9) & _MASK
+            state = ((state ^ (state >> 27)) * 0x94D049BB133111EB) & _MASK
+            state ^= state >> 31
+            number >>= 64
+            if number <= 0:
+                break
+    return state
+
+
+class Faults:
+    """Faults of one simulation, with rates that vary by seed: most seeds have few kinds, and many of those.
+
+    Args:
+        seed: Seed of the simulation.
+        kept: Names of the faults that happen where they would; None for all.
+
+    Attributes:
+        happened: Names of those that have happened, in order.
+    """
+
+    def __init__(self, seed: int, kept: Collection[str] | None = None) -> None:
+        self.happened: list[str] = []
+        self._seed = seed
+        self._kept = None if kept is None else frozenset(kept)
+        self._rates: dict[str, float] = {}
+        self._opportunities: Counter[tuple[str, str]] = Counter()
+        self._keys: dict[tuple[str, str], int] = {}
+
+    def rate(self, kind: str, most: float) -> float:
+        """Return the rate of a kind of fault in this simulation: 0 for half of all seeds."""
+        if kind not in self._rates:
+            rng = random.Random(mixed(self._seed, "rate", kind))
+            self._rates[kind] = 0.0 if rng.random() < 0.5 else most * 10 ** rng.uniform(-2, 0)
+        return self._rates[kind]
+
+    def happens(self, kind: str, where: str, most: float) -> bool:
+        """Return whether a fault happens at this opportunity.
+
+        Args:
+            kind: Kind of the fault, such as "stall".
+            where: Place of it, such as the name of a process.
+            most: Highest probability of this kind for any seed.
+        """
+        place = kind, where
+        self._opportunities[place] = number = self._opportunities[place] + 1
+        rate = self.rate(kind, most)
+        if not rate:
+            return False
+        if place not in self._keys:
+            self._keys[place] = mixed(self._seed, kind, where)
+        if mixed(self._keys[place], number) >= rate * 2**64:
+            return False
+        name = f"{kind}/{where}/{number}"
+        if self._kept is not None and name not in self._kept:
+            return False
+        self.happened.append(name)
+        return True
+
+    def drawn(self, kind: str, where: str) -> random.Random:
+        """Return the generator for the details of the fault that has just happened there."""
+        return random.Random(mixed(self._seed, kind, where, self._opportunities[kind, where], "details"))

@@ -1,0 +1,374 @@
+"""The simulated kernel in place of Python's modules of the operating system, in the modules that use them.
+
+Descriptors below `FIRST_DESCRIPTOR`, and paths without a device, are the machine's own.
+"""
+
+# The functions are Python's, which documents them.
+# ruff: noqa: D102
+
+import errno
+import fcntl
+import os
+import select
+import sys
+import termios
+import threading
+import time
+from collections.abc import Callable, Generator, Iterable, Mapping
+from contextlib import ExitStack, contextmanager
+from types import ModuleType
+from typing import Any, Protocol
+from unittest.mock import patch
+
+from tools.simulate.kernel import FIRST_DESCRIPTOR, NS_PER_S, Kernel, OpenFile, Process
+
+EPOCH_NS = 1_700_000_000 * NS_PER_S
+"""Wall time at the start of a simulation [ns] (assumed)."""
+
+BEGIN_MODULES = "pathlib", "serial.serialposix", "serial.serialutil", "khep_twin."
+"""Beginnings of the names of the modules that get the simulated system."""
+
+
+class Device(Protocol):
+    """A path that is served by the simulated kernel."""
+
+    def open(self, process: Process, flags: int) -> OpenFile:
+        """Open it.
+
+        Raises:
+            OSError: It cannot be opened.
+        """
+        ...
+
+
+class Shim:
+    """A module of which some functions are simulated; all others are its own."""
+
+    def __init__(self, module: ModuleType, kernel: Kernel) -> None:
+        self._module = module
+        self.kernel = kernel
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
+
+class System:
+    """The simulated modules of one simulation.
+
+    Args:
+        kernel: Kernel below them.
+
+    Attributes:
+        devices: Devices by path.
+        modules: Simulated modules by name.
+    """
+
+    def __init__(self, kernel: Kernel) -> None:
+        self.devices: dict[str, Device] = {}
+        self.modules: dict[str, object] = {
+            "os": SimulatedOs(kernel, self.devices),
+            "select": SimulatedSelect(kernel),
+            "time": SimulatedTime(kernel),
+            "fcntl": SimulatedFcntl(kernel),
+            "termios": SimulatedTermios(kernel),
+            "threading": SimulatedThreading(kernel),
+        }
+
+    @contextmanager
+    def installed(self) -> Generator[None]:
+        """Replace the modules in all modules of the product, of pyserial, and of pathlib."""
+        with ExitStack() as stack:
+            for name, module in [*sys.modules.items()]:
+                if name.startswith(BEGIN_MODULES):
+                    for used, simulated in self.modules.items():
+                        if getattr(module, used, None) is sys.modules[used]:
+                            stack.enter_context(patch.object(module, used, simulated))
+            yield
+
+
+class SimulatedOs(Shim):
+    """Module `os`; what a dead process would still do does not happen."""
+
+    def __init__(self, kernel: Kernel, devices: Mapping[str, Device]) -> None:
+        super().__init__(os, kernel)
+        self._devices = devices
+
+    def getpid(self) -> int:
+        process = self.kernel.current
+        return os.getpid() if process is None else process.pid
+
+    def open(self, path: Any, flags: int, mode: int = 0o777, *, dir_fd: int | None = None) -> int:
+        if self.kernel.current is None:
+            return os.open(path, flags, mode, dir_fd=dir_fd)
+        process = self.kernel.called()
+        # A link leads to its device, as long as that is there.
+        if (device := self._devices.get(os.path.realpath(path))) is not None:
+            file = device.open(process, flags)
+            file.blocking = not flags & os.O_NONBLOCK
+            return process.opened(file)
+        descriptor = os.open(path, flags, mode, dir_fd=dir_fd)
+        if flags & (os.O_WRONLY | os.O_RDWR):  # others pass to an object of Python's, which closes them
+            process.real.add(descriptor)
+        return descriptor
+
+    def close(self, descriptor: int) -> None:
+        process = self.kernel.current
+        if process is None:
+            os.close(descriptor)
+        elif descriptor >= FIRST_DESCRIPTOR:
+            self.kernel.called().close(descriptor)
+        else:
+            self.kernel.called().real.discard(descriptor)
+            os.close(descriptor)
+
+    def read(self, descriptor: int, limit: int) -> bytes:
+        if descriptor < FIRST_DESCRIPTOR:
+            return os.read(descriptor, limit)
+        file = self.kernel.called().file(descriptor)
+        if file.blocking:
+            self.kernel.wait([file], file.readable, None)
+        return file.read(limit)
+
+    def write(self, descriptor: int, data: Any) -> int:
+        process = self.kernel.called()
+        if descriptor < FIRST_DESCRIPTOR:
+            return os.write(descriptor, data)
+        file = process.file(descriptor)
+        if file.blocking:
+            self.kernel.wait([file], file.writable, None)
+        return file.write(bytes(data))
+
+    def set_blocking(self, descriptor: int, blocking: bool) -> None:
+        if descriptor < FIRST_DESCRIPTOR:
+            os.set_blocking(descriptor, blocking)
+        else:
+            self.kernel.called().file(descriptor).blocking = blocking
+
+    def pipe(self) -> tuple[int, int]:
+        process = self.kernel.called()
+        reader = _Pipe(self.kernel)
+        return process.opened(reader), process.opened(_PipeEnd(reader))
+
+    def _passed_on(name: str) -> Callable[..., Any]:  # type: ignore[misc]
+        """Return a function of the machine's own that a dead process cannot call."""
+
+        def call(self: "SimulatedOs", *args: Any, **options: Any) -> Any:
+            if self.kernel.current is not None:
+                self.kernel.called()
+            return getattr(os, name)(*args, **options)
+
+        return call
+
+    unlink, remove, symlink, link = map(_passed_on, ("unlink", "remove", "symlink", "link"))
+    replace, rename, truncate = map(_passed_on, ("replace", "rename", "truncate"))
+    ftruncate, fsync, pwrite = map(_passed_on, ("ftruncate", "fsync", "pwrite"))
+    mkdir, rmdir, chmod = map(_passed_on, ("mkdir", "rmdir", "chmod"))
+
+
+class _Pipe(OpenFile):
+    """Reading end of a pipe."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        super().__init__(kernel)
+        self.data = bytearray()
+        self.writer_is_open = True
+
+    def readable(self) -> bool:
+        return bool(self.data) or not self.writer_is_open
+
+    def read(self, limit: int) -> bytes:
+        if not self.readable():
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        taken = bytes(self.data[:limit])
+        del self.data[:limit]
+        return taken
+
+
+class _PipeEnd(OpenFile):
+    """Writing end of a pipe."""
+
+    def __init__(self, reader: _Pipe) -> None:
+        super().__init__(reader.kernel)
+        self._reader = reader
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: bytes) -> int:
+        self._reader.data += data
+        self._reader.changed()
+        return len(data)
+
+    def closed(self) -> None:
+        self._reader.writer_is_open = False
+        self._reader.changed()
+
+
+class SimulatedSelect(Shim):
+    """Module `select`."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        super().__init__(select, kernel)
+
+    def select(
+        self, readers: Iterable[Any], writers: Iterable[Any], _: Iterable[Any], timeout: float | None = None
+    ) -> tuple[list[Any], list[Any], list[Any]]:
+        kernel = self.kernel
+        process = kernel.called()
+        reading = [(each, process.file(_number(each))) for each in readers]
+        writing = [(each, process.file(_number(each))) for each in writers]
+
+        def found() -> tuple[list[Any], list[Any], list[Any]]:
+            return (
+                [each for each, file in reading if file.readable() or file.hung_up()],
+                [each for each, file in writing if file.writable() or file.hung_up()],
+                [],
+            )
+
+        deadline_ns = None if timeout is None else kernel.now_ns + max(round(timeout * NS_PER_S), 0)
+        kernel.wait([file for _, file in reading + writing], lambda: any(found()), deadline_ns)
+        return found()
+
+    def poll(self) -> "SimulatedPoll":
+        return SimulatedPoll(self.kernel)
+
+
+class SimulatedPoll:
+    """Object of `select.poll`."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        self._kernel = kernel
+        self._masks: dict[int, int] = {}
+
+    def register(self, descriptor: Any, mask: int = select.POLLIN | select.POLLPRI | select.POLLOUT) -> None:
+        self._masks[_number(descriptor)] = mask
+
+    def unregister(self, descriptor: Any) -> None:
+        del self._masks[_number(descriptor)]
+
+    def poll(self, timeout_ms: float | None = None) -> list[tuple[int, int]]:
+        kernel = self._kernel
+        process = kernel.called()
+        files = {each: process.files.get(each) for each in self._masks}
+
+        def found() -> list[tuple[int, int]]:
+            states: list[tuple[int, int]] = []
+            for each, file in files.items():
+                if file is None:
+                    states.append((each, select.POLLNVAL))
+                    continue
+                mask = self._masks[each]
+                state = (select.POLLIN if file.readable() else 0) | (select.POLLOUT if file.writable() else 0)
+                state = (state & mask) | (select.POLLHUP if file.hung_up() else 0)
+                if state:
+                    states.append((each, state))
+            return states
+
+        if timeout_ms == 0:
+            return found()
+        deadline_ns = (
+            None if timeout_ms is None or timeout_ms < 0 else kernel.now_ns + round(timeout_ms * 1e6)
+        )
+        kernel.wait([file for file in files.values() if file], lambda: bool(found()), deadline_ns)
+        return found()
+
+
+class SimulatedTime(Shim):
+    """Module `time`.
+
+    Attributes:
+        ahead_ns: Wall time beyond the one that has passed, as a clock that is set jumps [ns].
+    """
+
+    def __init__(self, kernel: Kernel) -> None:
+        super().__init__(time, kernel)
+        self.ahead_ns = 0
+
+    def monotonic_ns(self) -> int:
+        return self.kernel.now_ns
+
+    def monotonic(self) -> float:
+        return self.kernel.now_ns / NS_PER_S
+
+    perf_counter_ns, perf_counter = monotonic_ns, monotonic
+
+    def time_ns(self) -> int:
+        return EPOCH_NS + self.kernel.now_ns + self.ahead_ns
+
+    def time(self) -> float:
+        return self.time_ns() / NS_PER_S
+
+    def sleep(self, duration: float) -> None:
+        self.kernel.called()
+        self.kernel.wait([], lambda: False, self.kernel.now_ns + round(duration * NS_PER_S))
+
+
+class SimulatedFcntl(Shim):
+    """Module `fcntl`."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        super().__init__(fcntl, kernel)
+
+    def ioctl(self, descriptor: Any, request: int, argument: Any = 0, mutate: bool = True) -> Any:
+        if (number := _number(descriptor)) < FIRST_DESCRIPTOR:
+            return fcntl.ioctl(descriptor, request, argument, mutate)
+        return _asked(self.kernel, number, "ioctl")(request, argument)
+
+    def fcntl(self, descriptor: Any, command: int, argument: Any = 0) -> Any:
+        if (number := _number(descriptor)) < FIRST_DESCRIPTOR:
+            return fcntl.fcntl(descriptor, command, argument)
+        file = self.kernel.called().file(number)
+        if command == fcntl.F_SETFL:
+            file.blocking = not argument & os.O_NONBLOCK
+        return 0 if file.blocking else os.O_NONBLOCK
+
+    def flock(self, descriptor: Any, operation: int) -> None:
+        if (number := _number(descriptor)) < FIRST_DESCRIPTOR:
+            if self.kernel.current is not None:
+                self.kernel.called()
+            fcntl.flock(descriptor, operation)
+        else:
+            _asked(self.kernel, number, "flock")(operation)
+
+
+class SimulatedTermios(Shim):
+    """Module `termios`: the functions ask the open file, which is a terminal's."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        super().__init__(termios, kernel)
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(termios, name)
+        if not name.startswith("tc"):
+            return found
+
+        def call(descriptor: Any, *args: Any) -> Any:
+            if (number := _number(descriptor)) < FIRST_DESCRIPTOR:
+                return found(descriptor, *args)
+            return _asked(self.kernel, number, name)(*args)
+
+        return call
+
+
+class SimulatedThreading(Shim):
+    """Module `threading`, in which each process has a main thread of its own."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        super().__init__(threading, kernel)
+
+    def get_native_id(self) -> int:
+        process = self.kernel.current
+        return threading.get_native_id() if process is None else process.pid
+
+
+def _asked(kernel: Kernel, descriptor: int, name: str) -> Callable[..., Any]:
+    """Return the method of an open file for a call; without one it is no terminal."""
+    file = kernel.called().file(descriptor)
+    method = getattr(file, name, None)
+    if method is None:
+        raise OSError(errno.ENOTTY, os.strerror(errno.ENOTTY))
+    return method
+
+
+def _number(descriptor: Any) -> int:
+    return descriptor if isinstance(descriptor, int) else descriptor.fileno()
