@@ -76,14 +76,21 @@ class System:
 
     @contextmanager
     def installed(self) -> Generator[None]:
-        """Replace the modules in all modules of the product, of pyserial, and of pathlib."""
+        """Replace the modules in all modules of the product, of pyserial, and of pathlib.
+
+        Raises:
+            RuntimeError: A module was imported meanwhile, and has used the real system.
+        """
         with ExitStack() as stack:
-            for name, module in [*sys.modules.items()]:
-                if name.startswith(BEGIN_MODULES):
-                    for used, simulated in self.modules.items():
-                        if getattr(module, used, None) is sys.modules[used]:
-                            stack.enter_context(patch.object(module, used, simulated))
+            for module in _users():
+                for used, simulated in self.modules.items():
+                    if getattr(module, used, None) is sys.modules[used]:
+                        stack.enter_context(patch.object(module, used, simulated))
+            before = _users()
             yield
+            for module in _users():
+                if module not in before and not self.modules.keys().isdisjoint(vars(module)):
+                    raise RuntimeError(f"{module.__name__} was imported within a simulation; expected before")
 
 
 class SimulatedOs(Shim):
@@ -359,6 +366,11 @@ class SimulatedThreading(Shim):
     def get_native_id(self) -> int:
         process = self.kernel.current
         return threading.get_native_id() if process is None else process.pid
+
+
+def _users() -> list[ModuleType]:
+    """Return the modules that get the simulated system, as far as they are imported."""
+    return [module for name, module in [*sys.modules.items()] if name.startswith(BEGIN_MODULES)]
 
 
 def _asked(kernel: Kernel, descriptor: int, name: str) -> Callable[..., Any]:
