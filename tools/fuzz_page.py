@@ -14,7 +14,6 @@ import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from tempfile import gettempdir
 from typing import Any
 
 from fuzzing import fuzz
@@ -46,14 +45,24 @@ FORBIDDEN |= {"socket.bind", "socket.getaddrinfo", "os.symlink", "os.link", "shu
 
 
 class Touched:
-    """Watch on all files that the process opens, lists or changes while a request is answered."""
+    """Watch on all files that the process opens, lists or changes while a request is answered.
+
+    `registry` is the one folder outside that may be touched.
+    """
 
     def __init__(self, inside: Path) -> None:
         self.found: list[str] = []
         self._inside = str(inside)
-        self._registry = f"{gettempdir()}/khep_twin-{os.getuid()}"
-        ours = (Path(sys.prefix), Path(sys.base_prefix), Path(__file__).parents[1], Path("/usr"), Path("/sys"))
+        self.registry = ""
+        ours = (
+            Path(sys.prefix),
+            Path(sys.base_prefix),
+            Path(__file__).parents[1],
+            Path("/usr"),
+            Path("/sys"),
+        )
         self._known = tuple(str(each.resolve()) for each in ours)
+        self._searched = {os.path.realpath(each) for each in sys.path}  # for modules
         self.on = False
         sys.addaudithook(self._look)
 
@@ -75,9 +84,11 @@ class Touched:
                     self.found.append(f"{event} {place}")
 
     def _allowed(self, place: str, writes: bool) -> bool:
-        if place == self._registry or place == self._inside or place.startswith(self._inside + "/"):
+        if any(place == folder or place.startswith(folder + "/") for folder in (self._inside, self.registry)):
             return True
-        return not writes and (place.startswith(self._known) or place.startswith(("/proc/", "/dev")))
+        return not writes and (
+            place in self._searched or place.startswith(self._known) or place.startswith(("/proc/", "/dev"))
+        )
 
 
 class Place:
@@ -124,7 +135,10 @@ class Place:
                 is_ours = entry.path in (str(self.root), str(self.root / "sub"))
                 stat = entry.stat(follow_symlinks=False)
                 # A folder's time changes with a temporary file, too.
-                yield entry.path, (stat.st_mode,) if is_ours else (stat.st_ino, stat.st_size, stat.st_mtime_ns)
+                yield (
+                    entry.path,
+                    (stat.st_mode,) if is_ours else (stat.st_ino, stat.st_size, stat.st_mtime_ns),
+                )
                 if is_folder:
                     yield from self._states(entry.path)
 
@@ -153,7 +167,10 @@ def check(data: bytes) -> None:
             file, a stranger's request is accepted, something outside the folder is touched, or its content
             told.
     """
+    from khep_twin.ports.link import private_folder
+
     place, touched, designer_ = designer()
+    touched.registry = str(private_folder().resolve())  # of running servers, whose ports the page offers
     if place.look() != place.state:
         place.make()
     designer_.errors.records.clear()
@@ -189,7 +206,7 @@ def check_answers(asked: bytes, sent: bytes, changed: bool) -> None:
         is_uvicorns = status in (400, 426) and b"application/json" not in head
         is_sockets = status == 101 or b"websocket" in asked.lower()
         assert is_uvicorns or is_sockets or b"content-security-policy" in head, head
-        if status >= 400 and body:
+        if status >= 400 and (body or not (is_sockets or b"HEAD" in asked)):
             check_refusal(head, body)
     assert not changed or any(status < 400 for status, _, _ in found), found
 

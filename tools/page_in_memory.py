@@ -150,17 +150,22 @@ class Designer:
     """Designer of one folder; `errors` has what its server reported."""
 
     def __init__(self, folder: Path) -> None:
+        self.folder, self.errors = folder, Errors()
+        self.loop = asyncio.new_event_loop()
+        self.take_over()
+        logging.getLogger("uvicorn.error").propagate = False
+        for name in ("uvicorn.error", "asyncio"):
+            logging.getLogger(name).addHandler(self.errors)
+
+    def take_over(self) -> None:
+        """Replace what needs threads, ports or a second for a picture."""
+
         async def at_once(function: Callable[..., Any], *words: Any) -> Any:
             return function(*words)
 
         routes.run_in_threadpool = at_once
-        routes.TwinActor, routes.RobotActor = Session, Unopened
-        routes.render = lambda playpen, path: b"\x89PNG" + repr(playpen.name).encode()
-        self.folder, self.errors = folder, Errors()
-        self.loop = asyncio.new_event_loop()
-        logging.getLogger("uvicorn.error").addHandler(self.errors)
-        logging.getLogger("uvicorn.error").propagate = False
-        logging.getLogger("asyncio").addHandler(self.errors)
+        routes.TwinActor, routes.RobotActor = Session, Unopened  # pyright: ignore
+        routes.render = lambda playpen, path: b"\x89PNG" + repr(playpen.name).encode()  # pyright: ignore
 
     def opened(self) -> "Browser":
         """Return a browser at a new page."""
@@ -174,7 +179,7 @@ class Browser:
         self._loop, self._state = designer.loop, ServerState()
         self.page = routes.Page(Documents(designer.folder), None)
         test = SensorTest("proximity", 10.0, None, 10, 64, False)
-        self.page._sensed.append(SensorRun(test, np.ones((2, 10), np.int64), np.arange(2.0)))  # noqa: SLF001  # pyright: ignore
+        self.page._sensed.append(SensorRun(test, np.ones((2, 10), np.int64), np.arange(2.0)))  # pyright: ignore
         self._config = uvicorn.Config(
             Guard(self.page.app(), TOKEN, {HOST, HOST.replace("127.0.0.1", "localhost")}),
             log_config=None,
@@ -217,7 +222,7 @@ class Browser:
             # Only the page's files are read by another thread.
             is_answering = cycle is not None and not cycle.more_body
             await asyncio.sleep(0)
-            if not self._loop._ready:  # noqa: SLF001  # pyright: ignore
+            if not self._loop._ready:  # pyright: ignore
                 if not is_answering:
                     return
                 await asyncio.sleep(0.0001)
