@@ -8,8 +8,10 @@ Descriptors below `FIRST_DESCRIPTOR`, and paths without a device, are the machin
 
 import errno
 import fcntl
+import io
 import os
 import select
+import signal
 import sys
 import termios
 import threading
@@ -25,7 +27,7 @@ from tools.simulate.kernel import FIRST_DESCRIPTOR, NS_PER_S, Kernel, OpenFile, 
 EPOCH_NS = 1_700_000_000 * NS_PER_S
 """Wall time at the start of a simulation [ns] (assumed)."""
 
-BEGIN_MODULES = "pathlib", "serial.serialposix", "serial.serialutil", "khep_twin."
+BEGIN_MODULES = "pathlib", "tempfile", "shutil", "serial.serialposix", "serial.serialutil", "khep_twin."
 """Beginnings of the names of the modules that get the simulated system."""
 
 
@@ -38,6 +40,30 @@ class Device(Protocol):
         Raises:
             OSError: It cannot be opened.
         """
+        ...
+
+
+class Storage(Protocol):
+    """A disk that holds the files of a simulation."""
+
+    def holds(self, path: Any, dir_fd: int | None = None) -> bool:
+        """Return whether a path, or a descriptor, is of a file on it."""
+        ...
+
+    def open(self, path: Any, flags: int, mode: int) -> int:
+        """Open a file."""
+        ...
+
+    def write(self, descriptor: int, data: Any) -> int:
+        """Write to an open file."""
+        ...
+
+    def call(self, name: str, *args: Any, **options: Any) -> Any:
+        """Call another function of `os`, by its name."""
+        ...
+
+    def open_buffered(self, path: Any, mode: str, *options: Any) -> Any:
+        """Open a file as `io.open` does."""
         ...
 
 
@@ -60,13 +86,17 @@ class System:
 
     Attributes:
         devices: Devices by path.
+        os: Simulated module `os`, which may have a disk.
         modules: Simulated modules by name.
     """
 
     def __init__(self, kernel: Kernel) -> None:
         self.devices: dict[str, Device] = {}
+        self.os = SimulatedOs(kernel, self.devices)
         self.modules: dict[str, object] = {
-            "os": SimulatedOs(kernel, self.devices),
+            "os": self.os,
+            "io": SimulatedIo(self.os),
+            "signal": SimulatedSignal(kernel),
             "select": SimulatedSelect(kernel),
             "time": SimulatedTime(kernel),
             "fcntl": SimulatedFcntl(kernel),
@@ -84,8 +114,9 @@ class System:
         with ExitStack() as stack:
             for module in _users():
                 for used, simulated in self.modules.items():
-                    if getattr(module, used, None) is sys.modules[used]:
-                        stack.enter_context(patch.object(module, used, simulated))
+                    for alias in (used, f"_{used}"):
+                        if getattr(module, alias, None) is sys.modules[used]:
+                            stack.enter_context(patch.object(module, alias, simulated))
             before = _users()
             yield
             for module in _users():
@@ -94,17 +125,24 @@ class System:
 
 
 class SimulatedOs(Shim):
-    """Module `os`; what a dead process would still do does not happen."""
+    """Module `os`; what a dead process would still do does not happen.
+
+    Attributes:
+        disk: Disk of the files; None for one without faults.
+    """
 
     def __init__(self, kernel: Kernel, devices: Mapping[str, Device]) -> None:
         super().__init__(os, kernel)
         self._devices = devices
+        self.disk: Storage | None = None
 
     def getpid(self) -> int:
         process = self.kernel.current
         return os.getpid() if process is None else process.pid
 
     def open(self, path: Any, flags: int, mode: int = 0o777, *, dir_fd: int | None = None) -> int:
+        if self.disk is not None and dir_fd is None and self.disk.holds(path):
+            return self.disk.open(path, flags, mode)
         if self.kernel.current is None:
             return os.open(path, flags, mode, dir_fd=dir_fd)
         process = self.kernel.called()
@@ -137,6 +175,8 @@ class SimulatedOs(Shim):
         return file.read(limit)
 
     def write(self, descriptor: int, data: Any) -> int:
+        if self.disk is not None and self.disk.holds(descriptor):
+            return self.disk.write(descriptor, data)
         process = self.kernel.called()
         if descriptor < FIRST_DESCRIPTOR:
             return os.write(descriptor, data)
@@ -160,6 +200,8 @@ class SimulatedOs(Shim):
         """Return a function of the machine's own that a dead process cannot call."""
 
         def call(self: "SimulatedOs", *args: Any, **options: Any) -> Any:
+            if self.disk is not None and self.disk.holds(args[0], options.get("dir_fd")):
+                return self.disk.call(name, *args, **options)
             if self.kernel.current is not None:
                 self.kernel.called()
             return getattr(os, name)(*args, **options)
@@ -209,6 +251,33 @@ class _PipeEnd(OpenFile):
     def closed(self) -> None:
         self._reader.writer_is_open = False
         self._reader.changed()
+
+
+class SimulatedIo(Shim):
+    """Module `io`: files of Python's that are opened for writing write to the disk."""
+
+    def __init__(self, system: SimulatedOs) -> None:
+        super().__init__(io, system.kernel)
+        self._os = system
+
+    def open(self, path: Any, mode: str = "r", *options: Any) -> Any:
+        disk = self._os.disk
+        if disk is None or not set("wxa+") & set(mode) or not disk.holds(path):
+            return open(path, mode, *options)
+        return disk.open_buffered(path, mode, *options)
+
+
+class SimulatedSignal(Shim):
+    """Module `signal`: processes take turns in one, which none may change."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        super().__init__(signal, kernel)
+
+    def getsignal(self, number: int) -> Any:
+        return signal.getsignal(number) if self.kernel.current is None else signal.SIG_DFL
+
+    def signal(self, number: int, handler: Any) -> Any:
+        return signal.signal(number, handler) if self.kernel.current is None else signal.SIG_DFL
 
 
 class SimulatedSelect(Shim):
