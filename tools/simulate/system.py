@@ -14,7 +14,6 @@ import select
 import signal
 import sys
 import termios
-import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import ExitStack, contextmanager
@@ -22,12 +21,14 @@ from types import ModuleType
 from typing import Any, Protocol
 from unittest.mock import patch
 
+from serial.serialutil import Timeout
+
 from tools.simulate.kernel import FIRST_DESCRIPTOR, NS_PER_S, Kernel, OpenFile, Process
 
 EPOCH_NS = 1_700_000_000 * NS_PER_S
 """Wall time at the start of a simulation [ns] (assumed)."""
 
-BEGIN_MODULES = "pathlib", "tempfile", "shutil", "serial.serialposix", "serial.serialutil", "khep_twin."
+BEGIN_MODULES = "pathlib", "tempfile", "shutil", "serial.", "khep_twin."
 """Beginnings of the names of the modules that get the simulated system."""
 
 
@@ -93,7 +94,7 @@ class System:
     def __init__(self, kernel: Kernel) -> None:
         self.devices: dict[str, Device] = {}
         self.os = SimulatedOs(kernel, self.devices)
-        self.modules: dict[str, object] = {
+        self.modules: dict[str, Any] = {
             "os": self.os,
             "io": SimulatedIo(self.os),
             "signal": SimulatedSignal(kernel),
@@ -101,7 +102,6 @@ class System:
             "time": SimulatedTime(kernel),
             "fcntl": SimulatedFcntl(kernel),
             "termios": SimulatedTermios(kernel),
-            "threading": SimulatedThreading(kernel),
         }
 
     @contextmanager
@@ -112,11 +112,14 @@ class System:
             RuntimeError: A module was imported meanwhile, and has used the real system.
         """
         with ExitStack() as stack:
+            replaced = {id(sys.modules[name]): simulated for name, simulated in self.modules.items()}
             for module in _users():
-                for used, simulated in self.modules.items():
-                    for alias in (used, f"_{used}"):
-                        if getattr(module, alias, None) is sys.modules[used]:
-                            stack.enter_context(patch.object(module, alias, simulated))
+                # Some import a module under another name.
+                for used, value in [*vars(module).items()]:
+                    if (simulated := replaced.get(id(value))) is not None:
+                        stack.enter_context(patch.object(module, used, simulated))
+            # pyserial keeps the clock itself.
+            stack.enter_context(patch.object(Timeout, "TIME", self.modules["time"].monotonic))
             before = _users()
             yield
             for module in _users():
@@ -138,7 +141,7 @@ class SimulatedOs(Shim):
 
     def getpid(self) -> int:
         process = self.kernel.current
-        return os.getpid() if process is None else process.pid
+        return os.getpid() if process is None else process.leader.pid
 
     def open(self, path: Any, flags: int, mode: int = 0o777, *, dir_fd: int | None = None) -> int:
         if self.disk is not None and dir_fd is None and self.disk.holds(path):
@@ -424,17 +427,6 @@ class SimulatedTermios(Shim):
             return _asked(self.kernel, number, name)(*args)
 
         return call
-
-
-class SimulatedThreading(Shim):
-    """Module `threading`, in which each process has a main thread of its own."""
-
-    def __init__(self, kernel: Kernel) -> None:
-        super().__init__(threading, kernel)
-
-    def get_native_id(self) -> int:
-        process = self.kernel.current
-        return threading.get_native_id() if process is None else process.pid
 
 
 def _users() -> list[ModuleType]:
