@@ -89,6 +89,7 @@ class Process:
         real: The machine's own descriptors that it has open for writing, such as those of a log.
         alive: True until it has ended.
         mortal: True if the fault "kill" may end it.
+        calls_left: Number of calls after which it is killed; None if it is not.
         error: Exception that ended it; None if it returned.
         on_end: Function called with the process when it has ended.
         said: Times and lines that it has told its user [ns].
@@ -102,6 +103,7 @@ class Process:
         self.alive = True
         self.dying = False
         self.mortal = False
+        self.calls_left: int | None = None
         self.error: BaseException | None = None
         self.on_end: Callable[[Process], object] | None = None
         self.said: list[tuple[int, str]] = []
@@ -244,6 +246,10 @@ class Kernel:
             raise Killed
         self.n_calls += 1
         delay_ns = process.rng.randrange(*_CALL_NS)
+        if process.calls_left is not None:
+            process.calls_left -= 1
+            if process.calls_left < 0:
+                self._die(process)
         if process.mortal and self.faults.happens("kill", process.name, 1e-4):
             self._die(process)
         if self.faults.happens("stall", process.name, MOST_STALLED):

@@ -10,6 +10,7 @@ import errno
 import fcntl
 import os
 import select
+import stat
 import sys
 import termios
 import threading
@@ -114,7 +115,8 @@ class SimulatedOs(Shim):
             file.blocking = not flags & os.O_NONBLOCK
             return process.opened(file)
         descriptor = os.open(path, flags, mode, dir_fd=dir_fd)
-        if flags & (os.O_WRONLY | os.O_RDWR):  # others pass to an object of Python's, which closes them
+        # Others pass to an object of Python's, which closes them.
+        if flags & (os.O_WRONLY | os.O_RDWR) or stat.S_ISDIR(os.fstat(descriptor).st_mode):
             process.real.add(descriptor)
         return descriptor
 
