@@ -89,6 +89,7 @@ class Process:
         real: The machine's own descriptors that it has open for writing, such as those of a log.
         alive: True until it has ended.
         mortal: True if the fault "kill" may end it.
+        calls_left: Number of calls after which it is killed; None if it is not.
         error: Exception that ended it; None if it returned.
         on_end: Function called with the process when it has ended.
         on_call: Function called at the beginning of each of its calls; it may arrange faults.
@@ -114,6 +115,7 @@ class Process:
         self.alive = True
         self.dying = False
         self.mortal = False
+        self.calls_left: int | None = None
         self.error: BaseException | None = None
         self.on_end: Callable[[Process], object] | None = None
         self.on_call: Callable[[], object] | None = None
@@ -280,6 +282,10 @@ class Kernel:
         if process.on_call is not None:
             process.on_call()
         delay_ns = process.rng.randrange(*_CALL_NS)
+        if process.calls_left is not None:
+            process.calls_left -= 1
+            if process.calls_left < 0:
+                self._die(process)
         if process.mortal and self.faults.happens("kill", process.name, 1e-4):
             self._die(process)
         if self.faults.happens("stall", process.name, MOST_STALLED):

@@ -12,6 +12,7 @@ import io
 import os
 import select
 import signal
+import stat
 import sys
 import termios
 import time
@@ -155,7 +156,8 @@ class SimulatedOs(Shim):
             file.blocking = not flags & os.O_NONBLOCK
             return process.opened(file)
         descriptor = os.open(path, flags, mode, dir_fd=dir_fd)
-        if flags & (os.O_WRONLY | os.O_RDWR):  # others pass to an object of Python's, which closes them
+        # Others pass to an object of Python's, which closes them.
+        if flags & (os.O_WRONLY | os.O_RDWR) or stat.S_ISDIR(os.fstat(descriptor).st_mode):
             process.real.add(descriptor)
         return descriptor
 
