@@ -17,31 +17,23 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from collections.abc import Iterator
 from itertools import count, islice
-from multiprocessing import get_context
 from pathlib import Path
-from typing import TypeVar
 
 from tools.simulate.case import SECONDS, Case
 from tools.simulate.catalogue import mutants, scenarios
+from tools.simulate.many import caught, in_processes, timed
 from tools.simulate.shrink import shrunk
-from tools.simulate.simulation import Outcome
 
 FOUND = Path("out/simulate")
 """Folder of the cases that violate an invariant."""
-
-MUTANT_S = 3600.0
-"""Simulated time within which a mutant must be caught [s]."""
 
 MOST_FAULTS = 5
 """Most faults of a shrunk mutant."""
 
 PACKAGES = ("ports", "log", "host")
 """Packages whose lines are counted."""
-
-Item, Result = TypeVar("Item"), TypeVar("Result")
 
 
 def main() -> int:
@@ -80,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
     hours, spent_s = Counter[str](), Counter[str]()
     counts, seeds = Counter[str](), Counter[str]()
     found: list[Case] = []
-    for case, outcome, case_s in _parallel(_outcome, _cases(options), options.jobs):
+    for case, outcome, case_s in in_processes(timed, _cases(options), options.jobs):
         hours[case.scenario] += outcome.simulated_ns / 3.6e12
         spent_s[case.scenario] += case_s
         seeds[case.scenario] += 1
@@ -124,7 +116,7 @@ def run_mutants(options: argparse.Namespace) -> int:
     names = options.names or [*mutants()]
     missed, rows = 0, list[dict[str, object]]()
     searches = [(name, options.first, options.seconds) for name in names]
-    for name, case, simulated_s in _parallel(_caught, searches, options.jobs):
+    for name, case, simulated_s in in_processes(caught, searches, options.jobs):
         n_faults = None if case is None else len(case.faults or ())
         if case is None or n_faults is None or n_faults > MOST_FAULTS:
             missed += 1
@@ -163,38 +155,6 @@ def _cases(options: argparse.Namespace) -> Iterator[Case]:
     seeds = count(options.first)
     turns = (Case(name, seed, options.seconds) for seed in seeds for name in names)
     return islice(turns, n_cases)
-
-
-def _outcome(case: Case) -> tuple[Case, Outcome, float]:
-    begun = time.process_time()
-    return case, case.run(), time.process_time() - begun
-
-
-def _caught(search: tuple[str, int, float]) -> tuple[str, Case | None, float]:
-    """Return the shrunk case that catches a mutant, None if none does, and the simulated time [s]."""
-    name, first, seconds = search
-    mutant, simulated_s = mutants()[name], 0.0
-    for seed in count(first):
-        case = Case(mutant.scenario, seed, min(seconds, MUTANT_S - simulated_s), name)
-        outcome = case.run()
-        simulated_s += outcome.simulated_ns / 1e9
-        if outcome.invariant == mutant.invariant:
-            return name, shrunk(case, outcome), simulated_s
-        if simulated_s >= MUTANT_S - 1:
-            return name, None, simulated_s
-    raise AssertionError
-
-
-def _parallel(function: Callable[[Item], Result], items: Iterable[Item], n_jobs: int) -> Iterator[Result]:
-    """Yield the results of a function in processes of their own, as they come."""
-    rest = iter(items)
-    with ProcessPoolExecutor(n_jobs, get_context("spawn")) as pool:
-        waiting = {pool.submit(function, item) for item in islice(rest, 2 * n_jobs)}
-        while waiting:
-            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            waiting |= {pool.submit(function, item) for item in islice(rest, len(done))}
-            for each in done:
-                yield each.result()
 
 
 def _kept(case: Case) -> Case:

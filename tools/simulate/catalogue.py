@@ -5,7 +5,7 @@ from importlib import import_module
 from tools.simulate.mutants import Mutant
 from tools.simulate.simulation import Scenario
 
-MODULES = ("serving", "relaying", "networking", "recording", "sweeping", "paging")
+MODULES = ("sweeping",)
 """Modules of the scenarios."""
 
 

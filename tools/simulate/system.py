@@ -182,10 +182,11 @@ class SimulatedOs(Shim):
     def write(self, descriptor: int, data: Any) -> int:
         if self.disk is not None and self.disk.holds(descriptor):
             return self.disk.write(descriptor, data)
-        process = self.kernel.called()
         if descriptor < FIRST_DESCRIPTOR:
+            if self.kernel.current is not None:
+                self.kernel.called()
             return os.write(descriptor, data)
-        file = process.file(descriptor)
+        file = self.kernel.called().file(descriptor)
         if file.blocking:
             self.kernel.wait([file], file.writable, None)
         return file.write(bytes(data))
