@@ -64,7 +64,7 @@ class Storage(Protocol):
         """Call another function of `os`, by its name."""
         ...
 
-    def open_buffered(self, path: Any, mode: str, *options: Any) -> Any:
+    def open_buffered(self, path: Any, mode: str, *args: Any, **options: Any) -> Any:
         """Open a file as `io.open` does."""
         ...
 
@@ -266,11 +266,11 @@ class SimulatedIo(Shim):
         super().__init__(io, system.kernel)
         self._os = system
 
-    def open(self, path: Any, mode: str = "r", *options: Any) -> Any:
+    def open(self, path: Any, mode: str = "r", *args: Any, **options: Any) -> Any:
         disk = self._os.disk
         if disk is None or not set("wxa+") & set(mode) or not disk.holds(path):
-            return open(path, mode, *options)
-        return disk.open_buffered(path, mode, *options)
+            return open(path, mode, *args, **options)
+        return disk.open_buffered(path, mode, *args, **options)
 
 
 class SimulatedSignal(Shim):
