@@ -86,7 +86,7 @@ class Disk:
             if flags & os.O_TRUNC:
                 file.truncate(0)
             if process is not None:
-                process.real.add(descriptor)
+                process.opened_real(descriptor)
         else:
             self._open.pop(descriptor, None)
         self._after("open", writes)

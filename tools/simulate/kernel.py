@@ -86,7 +86,7 @@ class Process:
         name: Name, which also names its random streams.
         pid: Number.
         files: Open files by descriptor.
-        real: The machine's own descriptors that it has open for writing, such as those of a log.
+        real: The machine's own descriptors that it has open for writing, such as a log's, with their files.
         alive: True until it has ended.
         mortal: True if the fault "kill" may end it.
         calls_left: Number of calls after which it is killed; None if it is not.
@@ -111,7 +111,7 @@ class Process:
         self.leader = leader or self
         self.threads: list[Process] = []
         self.files: dict[int, OpenFile] = {} if leader is None else leader.files
-        self.real: set[int] = set() if leader is None else leader.real
+        self.real: dict[int, tuple[int, int]] = {} if leader is None else leader.real
         self.alive = True
         self.dying = False
         self.mortal = False
@@ -155,6 +155,12 @@ class Process:
         file.references -= 1
         if not file.references:
             file.closed()
+
+    def opened_real(self, descriptor: int) -> int:
+        """Keep a descriptor of the machine's own; return it."""
+        if (file := _identity(descriptor)) is not None:
+            self.real[descriptor] = file
+        return descriptor
 
     def _run(self) -> None:
         try:
@@ -259,8 +265,10 @@ class Kernel:
                 self.kill(thread)
             for descriptor in [*process.files]:
                 process.close(descriptor)
-            for descriptor in process.real:
-                os.close(descriptor)
+            for descriptor, file in process.real.items():
+                # An object of Python's may have closed it since, and its number may be another's.
+                if _identity(descriptor) == file:
+                    os.close(descriptor)
             process.real.clear()
         if process.on_end is not None:
             process.on_end(process)
@@ -369,3 +377,12 @@ class Kernel:
     def _die(self, process: Process) -> NoReturn:
         process.dying = True
         raise Killed
+
+
+def _identity(descriptor: int) -> tuple[int, int] | None:
+    """Return device and number of the file of a descriptor of the machine's own; None without one."""
+    try:
+        found = os.fstat(descriptor)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino

@@ -18,6 +18,8 @@ import termios
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import ExitStack, contextmanager
+from importlib import import_module
+from pkgutil import iter_modules
 from types import ModuleType
 from typing import Any, Protocol
 from unittest.mock import patch
@@ -31,6 +33,10 @@ EPOCH_NS = 1_700_000_000 * NS_PER_S
 
 BEGIN_MODULES = "pathlib", "tempfile", "shutil", "serial.", "khep_twin."
 """Beginnings of the names of the modules that get the simulated system."""
+
+
+LEFT_OUT = "__main__", "cli", "drawing", "envs", "lab", "rollout", "shadow", "toolbox", "viewer"
+"""Parts of khep_twin that a scenario imports by itself if it uses them."""
 
 
 class Device(Protocol):
@@ -66,6 +72,20 @@ class Storage(Protocol):
 
     def open_buffered(self, path: Any, mode: str, *args: Any, **options: Any) -> Any:
         """Open a file as `io.open` does."""
+        ...
+
+
+class Terminals(Protocol):
+    """Terminals of a simulation.
+
+    Attributes:
+        root: Folder in place of the machine's root.
+    """
+
+    root: str
+
+    def make(self) -> tuple[int, int]:
+        """Make a terminal; return the descriptors of its two sides."""
         ...
 
 
@@ -139,26 +159,28 @@ class SimulatedOs(Shim):
         super().__init__(os, kernel)
         self._devices = devices
         self.disk: Storage | None = None
+        self.terminals: Terminals | None = None
 
     def getpid(self) -> int:
         process = self.kernel.current
         return os.getpid() if process is None else process.leader.pid
 
     def open(self, path: Any, flags: int, mode: int = 0o777, *, dir_fd: int | None = None) -> int:
-        if self.disk is not None and dir_fd is None and self.disk.holds(path):
+        # A link leads to its device, as long as that is there.
+        device = self._devices.get(os.path.realpath(path)) if self._devices else None
+        if device is None and self.disk is not None and dir_fd is None and self.disk.holds(path):
             return self.disk.open(path, flags, mode)
         if self.kernel.current is None:
             return os.open(path, flags, mode, dir_fd=dir_fd)
         process = self.kernel.called()
-        # A link leads to its device, as long as that is there.
-        if (device := self._devices.get(os.path.realpath(path))) is not None:
+        if device is not None:
             file = device.open(process, flags)
             file.blocking = not flags & os.O_NONBLOCK
             return process.opened(file)
         descriptor = os.open(path, flags, mode, dir_fd=dir_fd)
         # Others pass to an object of Python's, which closes them.
         if flags & (os.O_WRONLY | os.O_RDWR) or stat.S_ISDIR(os.fstat(descriptor).st_mode):
-            process.real.add(descriptor)
+            process.opened_real(descriptor)
         return descriptor
 
     def close(self, descriptor: int) -> None:
@@ -168,7 +190,7 @@ class SimulatedOs(Shim):
         elif descriptor >= FIRST_DESCRIPTOR:
             self.kernel.called().close(descriptor)
         else:
-            self.kernel.called().real.discard(descriptor)
+            self.kernel.called().real.pop(descriptor, None)
             os.close(descriptor)
 
     def read(self, descriptor: int, limit: int) -> bytes:
@@ -190,6 +212,22 @@ class SimulatedOs(Shim):
         if file.blocking:
             self.kernel.wait([file], file.writable, None)
         return file.write(bytes(data))
+
+    def openpty(self) -> tuple[int, int]:
+        assert self.terminals is not None, "a simulation without terminals"
+        return self.terminals.make()
+
+    def ttyname(self, descriptor: int) -> str:
+        return str(self.kernel.called().file(descriptor).terminal.path)
+
+    def readlink(self, path: Any, *, dir_fd: int | None = None) -> str:
+        found = os.readlink(path, dir_fd=dir_fd)
+        if self.kernel.current is not None:
+            self.kernel.called()
+        # The descriptors of the simulated /proc lead to the simulated /dev.
+        if self.terminals is not None and os.fspath(path).startswith(f"{self.terminals.root}/proc/"):
+            return found.removeprefix(self.terminals.root)
+        return found
 
     def set_blocking(self, descriptor: int, blocking: bool) -> None:
         if descriptor < FIRST_DESCRIPTOR:
@@ -432,6 +470,14 @@ class SimulatedTermios(Shim):
         return call
 
 
+def load(package: str = "khep_twin") -> None:
+    """Import a package and what is in it, as what is imported within a simulation would use the machine's own."""
+    found = import_module(package)
+    for each in iter_modules(getattr(found, "__path__", ())):
+        if each.name not in LEFT_OUT:
+            load(f"{package}.{each.name}")
+
+
 def _users() -> list[ModuleType]:
     """Return the modules that get the simulated system, as far as they are imported."""
     return [module for name, module in [*sys.modules.items()] if name.startswith(BEGIN_MODULES)]
@@ -448,3 +494,6 @@ def _asked(kernel: Kernel, descriptor: int, name: str) -> Callable[..., Any]:
 
 def _number(descriptor: Any) -> int:
     return descriptor if isinstance(descriptor, int) else descriptor.fileno()
+
+
+load()
