@@ -15,6 +15,7 @@ SIGNALS := 1000
 EDGES := 2000
 BRANCHES := 200
 TRIALS :=
+HOURS := 1000
 
 # An environment that is there stays what it is.
 ifneq ($(and $(PYTHON),$(wildcard $(BIN)/python)),)
@@ -23,7 +24,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges branches twin-trials record recordings soak determinism kills day worker-kills signals pyserial browser schemas commands reference tutorial bench fidelity lock build clean
+.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges branches simulate mutants twin-trials record recordings soak determinism kills day worker-kills signals pyserial browser schemas commands reference tutorial bench fidelity lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -65,6 +66,12 @@ fuzz-logs: $(VENV)/dev.stamp ## a million changed logs, read, exported and recov
 
 fuzz-rfc2217: $(VENV)/dev.stamp ## a million connections that negotiate by RFC 2217, well or not; a quarter of an hour
 	@$(BIN)/python tools/fuzz_rfc2217.py -runs=1000000
+
+simulate: $(VENV)/dev.stamp ## 1,000 simulated hours of the whole system with faults at random; HOURS=1 for fewer; hours
+	@$(BIN)/python -m tools.simulate run --hours $(HOURS)
+
+mutants: $(VENV)/dev.stamp ## broken builds, each of which the simulation must catch
+	@$(BIN)/python -m tools.simulate mutants
 
 recordings: $(VENV)/dev.stamp ## logs of 300 sound robots with random hosts, in which conform must find nothing; ten minutes
 	@$(BIN)/python tools/recorded_hosts.py 300

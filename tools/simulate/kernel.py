@@ -89,21 +89,37 @@ class Process:
         real: The machine's own descriptors that it has open for writing, such as those of a log.
         alive: True until it has ended.
         mortal: True if the fault "kill" may end it.
+        calls_left: Number of calls after which it is killed; None if it is not.
         error: Exception that ended it; None if it returned.
         on_end: Function called with the process when it has ended.
+        on_call: Function called at the beginning of each of its calls; it may arrange faults.
+        leader: Process whose files it has, if it is a thread of another; else itself.
+        threads: Its threads.
         said: Times and lines that it has told its user [ns].
         token: Number of its present wait; wake-ups for an earlier one do nothing.
     """
 
-    def __init__(self, kernel: "Kernel", name: str, pid: int, function: Callable[[], object]) -> None:
+    def __init__(
+        self,
+        kernel: "Kernel",
+        name: str,
+        pid: int,
+        function: Callable[[], object],
+        leader: "Process | None" = None,
+    ) -> None:
         self.kernel, self.name, self.pid = kernel, name, pid
-        self.files: dict[int, OpenFile] = {}
-        self.real: set[int] = set()
+        self.leader = leader or self
+        self.threads: list[Process] = []
+        self.files: dict[int, OpenFile] = {} if leader is None else leader.files
+        self.real: set[int] = set() if leader is None else leader.real
         self.alive = True
         self.dying = False
         self.mortal = False
+        self.calls_left: int | None = None
         self.error: BaseException | None = None
         self.on_end: Callable[[Process], object] | None = None
+        self.on_call: Callable[[], object] | None = None
+        self.thrown: BaseException | None = None
         self.said: list[tuple[int, str]] = []
         self.token = 0
         self.rng = random.Random(mixed(kernel.seed, "process", name))
@@ -185,6 +201,22 @@ class Kernel:
         self._push(self.now_ns + delay_ns, process)
         return process
 
+    def spawn_thread(self, function: Callable[[], object]) -> Process:
+        """Start a thread of the current process: it has the files of the process, and ends with it."""
+        leader = self._running().leader
+        name = f"{leader.name}/{len(leader.threads) + 1}"
+        thread = Process(self, name, next(self._pids), function, leader)
+        leader.threads.append(thread)
+        self.processes.append(thread)
+        self._push(self.now_ns, thread)
+        return thread
+
+    def interrupt(self, process: Process, error: BaseException) -> None:
+        """Raise an exception in a process, at its next call or in the one that it waits in, as a signal does."""
+        if process.alive and not process.dying:
+            process.thrown = error
+            self.wake(process)
+
     def at(self, time_ns: int, action: Callable[[], object]) -> None:
         """Call a function at a time, between processes."""
         heapq.heappush(self._events, (time_ns, next(self._numbers), None, 0, action))
@@ -221,12 +253,15 @@ class Kernel:
             self.kill(process)
 
     def ended(self, process: Process) -> None:
-        """Close what a process that has ended left open."""
-        for descriptor in [*process.files]:
-            process.close(descriptor)
-        for descriptor in process.real:
-            os.close(descriptor)
-        process.real.clear()
+        """Close what a process that has ended left open; its threads end with it."""
+        if process.leader is process:
+            for thread in process.threads:
+                self.kill(thread)
+            for descriptor in [*process.files]:
+                process.close(descriptor)
+            for descriptor in process.real:
+                os.close(descriptor)
+            process.real.clear()
         if process.on_end is not None:
             process.on_end(process)
 
@@ -242,8 +277,15 @@ class Kernel:
         assert process is not None, "a call without a process"
         if process.dying:
             raise Killed
+        self._throw(process)
         self.n_calls += 1
+        if process.on_call is not None:
+            process.on_call()
         delay_ns = process.rng.randrange(*_CALL_NS)
+        if process.calls_left is not None:
+            process.calls_left -= 1
+            if process.calls_left < 0:
+                self._die(process)
         if process.mortal and self.faults.happens("kill", process.name, 1e-4):
             self._die(process)
         if self.faults.happens("stall", process.name, MOST_STALLED):
@@ -315,6 +357,14 @@ class Kernel:
         parent.switch()
         if process.dying:
             raise Killed
+        self._throw(process)
+
+    @staticmethod
+    def _throw(process: Process) -> None:
+        """Raise the exception of a signal."""
+        if (error := process.thrown) is not None:
+            process.thrown = None
+            raise error
 
     def _die(self, process: Process) -> NoReturn:
         process.dying = True
