@@ -23,6 +23,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -124,9 +125,9 @@ class Process:
 
     def stop(self) -> None:
         """End it with all that it has started."""
-        for number in (signal.SIGINT, signal.SIGKILL):
+        for each in (signal.SIGINT, signal.SIGKILL):
             try:
-                os.killpg(self._process.pid, number)
+                os.killpg(self._process.pid, each)
                 self._process.wait(10)
             except (ProcessLookupError, subprocess.TimeoutExpired):
                 continue
@@ -184,7 +185,10 @@ def commit_now() -> str:
 
 def wanted_of(part: Part, share: float) -> float:
     """Return the count that a share of a night wants of a part."""
-    return max(part.wanted * share, part.least) if share < 1 else part.wanted
+    if share == 1:
+        return part.wanted
+    wanted = part.wanted * share
+    return max(ceil(wanted) if part.least == 1 else wanted, part.least)
 
 
 class Night:
@@ -241,8 +245,8 @@ class Night:
                 if left >= 1e-6:
                     return None  # the others end first
                 continue
-            number = max([state.number, *(share.number + 1 for share in mine)])
-            return part, Share(number, first, max(min(left, part.share), part.least))
+            place = max([state.number, *(share.number + 1 for share in mine)])
+            return part, Share(place, first, max(min(left, part.share), part.least))
         return None
 
     def _reap(self) -> None:
@@ -313,9 +317,8 @@ def main() -> int:
     if wish.what == "list":
         for row in rows(wish.folder):
             part = row["part"]
-            print(
-                f"{part.name:14} {row['done']:>12,.10g} of {part.wanted:>12,.10g} {part.unit:16} {part.what}"
-            )
+            done = f"{number(row['done']):>10} of {number(part.wanted):>10} {part.unit}"
+            print(f"{part.name:13} {done:41} {part.what}")
     else:
         write_page(wish.folder)
         print(wish.folder / "index.html")

@@ -108,7 +108,7 @@ def html(rows: Rows, now: str) -> str:
     cards = [
         (f"{sum(row['done'] >= row['part'].wanted for row in rows)} of {len(rows)}", "parts whole"),
         (f"{sum(bool(row['done']) for row in rows)}", "parts begun"),
-        (f"{findings}", "findings"),
+        (f"{findings or 'no'}", "finding" + "s" * (findings != 1)),
         (took(sum(row["seconds"] for row in rows)), "time of all processes"),
     ]
     body = "".join(_row(row) for row in rows)

@@ -158,7 +158,7 @@ PARTS = (
         "simulated hours",
         72,
         24,
-        lambda share: ("tools/day.py", f"{share.count:g}"),
+        lambda share: ("tools/day.py", f"{share.count:g}", "--seed", str(share.number + 1)),
         done=r"([\d.]+) h  [^\n]*\n(?=closed in)",
         figures=r"^.* MB more than after the first minute$",
         least=0.05,
@@ -212,7 +212,7 @@ PARTS = (
         100,
         lambda share: (
             *("tools/worker_kills.py", "--tasks", f"{2 * share.count:.0f}"),
-            *("--kills", f"{share.count:.0f}"),
+            *("--kills", f"{share.count:.0f}", "--seed", str(share.number)),
         ),
         done=r"^(\d+) workers killed in ",
         figures=r"each is there once.*$",
