@@ -193,6 +193,7 @@ class Kernel:
         self.current: Process | None = None
         self.n_calls = 0
         self._events: list[tuple[int, int, Process | None, int, Callable[[], object] | None]] = []
+        self._until_ns = 0
         self._numbers = count()
         self._pids = count(1000)
         self._main = getcurrent()
@@ -207,9 +208,9 @@ class Kernel:
         self._push(self.now_ns + delay_ns, process)
         return process
 
-    def spawn_thread(self, function: Callable[[], object]) -> Process:
-        """Start a thread of the current process: it has the files of the process, and ends with it."""
-        leader = self._running().leader
+    def spawn_thread(self, function: Callable[[], object], leader: Process | None = None) -> Process:
+        """Start a thread of a process, the current one: it has the process's files, and ends with it."""
+        leader = leader or self._running().leader
         name = f"{leader.name}/{len(leader.threads) + 1}"
         thread = Process(self, name, next(self._pids), function, leader)
         leader.threads.append(thread)
@@ -229,7 +230,7 @@ class Kernel:
 
     def run(self, until_ns: int) -> None:
         """Run everything that happens up to a time."""
-        events = self._events
+        events, self._until_ns = self._events, until_ns
         while events and events[0][0] <= until_ns:
             time_ns, _, process, token, action = heapq.heappop(events)
             if action is not None:
@@ -304,7 +305,7 @@ class Kernel:
     def elapse(self, duration_ns: int) -> None:
         """Let time pass for the current process; others may run meanwhile."""
         due_ns = self.now_ns + duration_ns
-        if not self._events or self._events[0][0] > due_ns:
+        if self._is_quiet_to(due_ns):
             self.now_ns = due_ns
             return
         process = self._running()
@@ -326,13 +327,17 @@ class Kernel:
                 each.waiters[process] = process.token
             if deadline_ns is not None:
                 late_ns = process.rng.randrange(*_WAKE_NS)
-                if not self._events or self._events[0][0] > deadline_ns + late_ns:
+                if self._is_quiet_to(deadline_ns + late_ns):
                     # Nothing can change it before.
                     self.now_ns = max(self.now_ns, deadline_ns + late_ns)
                     continue
                 self._push(deadline_ns + late_ns, process)
             self._leave(process)
         return True
+
+    def _is_quiet_to(self, time_ns: int) -> bool:
+        """Return whether nothing happens up to a time, which is not after the end of the run."""
+        return time_ns <= self._until_ns and (not self._events or self._events[0][0] > time_ns)
 
     def wake(self, process: Process) -> None:
         """Wake a process that waits, in a moment."""
