@@ -5,7 +5,7 @@ import io
 import os
 import pathlib
 import shutil
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,8 @@ from tools.simulate.kernel import Killed
 from tools.simulate.simulation import Simulation
 from tools.simulate.system import Shim
 
-MOST_FULL = 0.02
-"""Highest probability that a write finds no room."""
+MOST_FULL, MOST_TORN = 0.02, 0.5
+"""Highest probabilities that a write finds no room, and that a power failure tears a file."""
 
 
 class KernelFile(io.FileIO):
@@ -54,7 +54,7 @@ class WritesThroughKernel(Shim):
 
 
 class _TableWriter:
-    """Writer of a table that may be killed, or find no room, at each task; a killed one leaves a torn file."""
+    """Writer of a table that may be killed, or find no room, at each task; then the file is torn."""
 
     def __init__(self, simulation: Simulation, path: Path, *options: Any) -> None:
         simulation.kernel.called()
@@ -82,7 +82,7 @@ class _Parquet:
     def __getattr__(self, name: str) -> Any:
         return getattr(pq, name)
 
-    def ParquetWriter(self, *options: Any) -> _TableWriter:  # noqa: N802
+    def ParquetWriter(self, *options: Any) -> _TableWriter:
         return _TableWriter(self._simulation, *options)
 
 
@@ -110,7 +110,7 @@ def tear(simulation: Simulation, folder: Path) -> Iterator[str]:
     """Tear files, as a power failure does to what was not on disk yet; yield their names."""
     faults = simulation.faults
     for part in sorted(folder.glob("parts/task-*.parquet")):
-        if not faults.happens("torn", "results", 0.3):
+        if not faults.happens("torn", "results", MOST_TORN):
             continue
         rng = faults.drawn("torn", "results")
         size = part.stat().st_size

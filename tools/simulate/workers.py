@@ -23,7 +23,7 @@ TASK_S = 0.05, 2.0
 """Shortest and longest usual time of a task [s] (assumed)."""
 
 MOST_KILLED, MOST_LATE, MOST_KILLERS, MOST_AWAY = 0.4, 0.3, 0.02, 0.2
-"""Highest probabilities that a worker dies, that it is late, that a task kills all, that a cluster is away."""
+"""Highest probabilities: a worker dies or is late, a task kills all its workers, a cluster is away."""
 
 PATIENCE_S = 5.0
 """Time after which a pool gives a task to another worker, too [s] (assumed)."""
