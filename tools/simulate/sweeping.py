@@ -141,8 +141,8 @@ class User:
         }[self._rng.choice(["ray", "ray", "pool", "pool", "local"])]
         run = Run(simulation, name, folder, kept, torn, resume)
         run.process = simulation.spawn(f"sweep {self._n_sweeps}", lambda: run.work(executor()))
-        if faults.happens("killed", "sweep", MOST_KILLED):
-            run.process.calls_left = round(MOST_CALLS ** faults.drawn("killed", "sweep").random())
+        if faults.happens("sweep-killed", "sweep", MOST_KILLED):
+            run.process.calls_left = round(MOST_CALLS ** faults.drawn("sweep-killed", "sweep").random())
         run.process.on_end = lambda process: self._end(process, run)
         return run
 

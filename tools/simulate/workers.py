@@ -84,10 +84,10 @@ class Cluster:
         self._n_workers += 1
         name = f"{self.name} worker {self._n_workers}"
         duration = simulation.rng(name).uniform(*TASK_S)
-        if faults.happens("late", "workers", MOST_LATE):
-            duration *= faults.drawn("late", "workers").uniform(5, 50)
-        dies = reference.deadly or faults.happens("killed", "workers", MOST_KILLED)
-        lived = faults.drawn("killed", "workers").uniform(0, 1.1) if dies else 1.0
+        if faults.happens("worker-late", "workers", MOST_LATE):
+            duration *= faults.drawn("worker-late", "workers").uniform(5, 50)
+        dies = reference.deadly or faults.happens("worker-killed", "workers", MOST_KILLED)
+        lived = faults.drawn("worker-killed", "workers").uniform(0, 1.1) if dies else 1.0
 
         def work() -> None:
             kernel.called()

@@ -1,0 +1,3 @@
+"""Broken builds of the page."""
+
+MUTANTS = {}
