@@ -19,6 +19,7 @@ from khep_twin.web import routes, session
 from khep_twin.web.documents import Documents
 from khep_twin.web.guard import Guard
 from khep_twin.web.routes import Page
+from tools.simulate import kernel
 from tools.simulate.kernel import NS_PER_S, OpenFile, Process
 from tools.simulate.simulation import Simulation
 from tools.simulate.threads import REQUEST, Group, Loop
@@ -27,6 +28,9 @@ HOST = "127.0.0.1:8000"
 
 MOST_KILLED = 0.02
 """Highest probability that the designer is killed in one of the threads that it starts."""
+
+MOST_STALLED = 3e-3
+"""Highest probability that a thread is held up at a call: threads are more often than processes (assumed)."""
 
 MOST_CALLS = 60, 10_000
 """Most calls of the thread of a request, and of a twin, until then."""
@@ -125,14 +129,14 @@ class Designer:
         Raises:
             UnreachedError: There is none, or the page has left before.
         """
-        kernel = self._simulation.kernel
-        kernel.called()
+        simulated = self._simulation.kernel
+        simulated.called()
         if not self.alive:
             raise UnreachedError
         self._open.append(asked)
         self.loop.call_soon_threadsafe(self._begin, asked, body, headers)
-        deadline_ns = None if patience_s is None else kernel.now_ns + round(patience_s * NS_PER_S)
-        kernel.wait([asked.file], lambda: asked.done or not self.group.alive, deadline_ns)
+        deadline_ns = None if patience_s is None else simulated.now_ns + round(patience_s * NS_PER_S)
+        simulated.wait([asked.file], lambda: asked.done or not self.group.alive, deadline_ns)
         asked.left = True
         self._open.remove(asked)
         if not asked.done:
@@ -265,6 +269,7 @@ def installed(simulation: Simulation, present: Callable[[], Designer], private: 
             (session, "PtyPort", QuietPort),
             (session, "exact_timeouts", lambda: None),
             (service_registry, "private_folder", lambda: private),
+            (kernel, "MOST_STALLED", MOST_STALLED),
             (signals, "_writing", simulation.system.modules["threading"].RLock()),
         ):
             stack.enter_context(patch.object(place, name, value))

@@ -127,6 +127,10 @@ class Office:
         designer = self._present()
         if designer.loop.trouble is not None:
             self.simulation.violate("errors", f"the designer failed: {designer.loop.trouble!r}")
+        killed = any(each.startswith("designer-killed") for each in self.simulation.faults.happened)
+        parts = sorted(each.name for each in self.folder.glob(".*.part*"))
+        if parts and not killed and not designer.group.requests:
+            self.simulation.violate("leftovers", f"no request is carried out, and {parts[0]} is there")
         stages = [each for each in designer.group.threads if " stage " in each.name]
         notes = sorted(self._private.iterdir())
         ended = designer.page is not None and designer.page._actor is None and not designer.group.requests
@@ -337,6 +341,8 @@ class Browser:
         place = before, self._tab
         wanted = {"file": name, "draft": draft, "version": version, "base": self._base}
         wanted |= {"overwrite": overwrite, "rename": False, "tab": self._tab}
+        if self._faults.happens("second-window", "pages", 0.3):
+            self._save_elsewhere(wanted)
         asked = self._ask_once("save", wanted)
         found = self._read(asked)
         if found is None:
@@ -360,6 +366,25 @@ class Browser:
         self._has_draft = False
         self._file, self._version, self._base = name, found["version"], {"file": name}
         self._saved = told(draft)
+
+    def _save_elsewhere(self, wanted: dict[str, Any]) -> None:
+        """Save other changes of the same version in a second window, at the same time."""
+        tab = f"{self._tab}-second-{self._office.unique()}"
+        robot = {"x_mm": 100 + self._office.unique() / 100, "y_mm": 150.0, "heading_deg": 0.0}
+        wanted = {**wanted, "draft": {**wanted["draft"], "robot": [robot]}, "tab": tab, "overwrite": False}
+        asked = Asked(self._simulation, "save", wanted)
+        designer = self._designer
+
+        def save() -> None:
+            try:
+                designer.ask(asked, json.dumps(wanted).encode(), {}, PATIENCE_S)
+            except UnreachedError:
+                return
+            if found := self._read(asked):
+                if not found.get("conflict"):
+                    self._office.ledger.saved(asked, found["version"])
+
+        self._simulation.spawn(f"second window {tab}", save)
 
     def _save_as(self) -> None:
         self._save(self._rng.choice(NAMES))
