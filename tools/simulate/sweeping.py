@@ -30,7 +30,7 @@ from tools.simulate.simulation import Simulation
 from tools.simulate.sweep_mutants import MUTANTS as _MUTANTS
 from tools.simulate.workers import SimulatedRay, pool
 
-MOST_KILLED, MOST_TWO = 0.7, 0.5
+MOST_KILLED, MOST_TWO = 1.0, 0.5
 """Highest probabilities that a sweep is killed, and that a second one is started beside it."""
 
 MOST_CALLS = 3000
@@ -119,13 +119,14 @@ class User:
                 [self._ended], lambda runs=runs: not any(each.process.alive for each in runs), None
             )
             self._left(folder)
+            if not any(each.killed for each in runs) and (new := _parts(folder) - runs[0].parts):
+                simulation.violate("leftovers", f"a sweep that was not killed has left {min(new)}")
             for each in runs:
                 self._check_end(each, runs, folder, kept)
             if any(each.done for each in runs):
                 self._check_table(name, folder)
                 return
-            if any(each.killed for each in runs):
-                torn |= {*sweep_disk.tear(simulation, folder)}
+            torn |= {*sweep_disk.tear(simulation, folder)}
             self._pause(self._rng.uniform(0.1, 2))
         simulation.violate("results", f"the sweep does not end in {MOST_TRIES} starts")
 
@@ -140,8 +141,8 @@ class User:
         }[self._rng.choice(["ray", "ray", "pool", "pool", "local"])]
         run = Run(simulation, name, folder, kept, torn, resume)
         run.process = simulation.spawn(f"sweep {self._n_sweeps}", lambda: run.work(executor()))
-        if faults.happens("killed", "sweep", MOST_KILLED):
-            run.process.calls_left = round(MOST_CALLS ** faults.drawn("killed", "sweep").random())
+        if faults.happens("sweep-killed", "sweep", MOST_KILLED):
+            run.process.calls_left = round(MOST_CALLS ** faults.drawn("sweep-killed", "sweep").random())
         run.process.on_end = lambda process: self._end(process, run)
         return run
 
@@ -218,7 +219,8 @@ class Run:
         resume: True if it was started with --resume.
         torn: True if files were torn before.
         n_faults: Number of faults that had happened before.
-        began_with: True if there were parts before.
+        began_with: True if there were results of tasks before.
+        parts: Names of the unfinished files that were there before.
     """
 
     process: Process
@@ -232,6 +234,7 @@ class Run:
         self.resume, self.torn = resume, bool(torn)
         self.n_faults = len(simulation.faults.happened)
         self.began_with = any(folder.glob("parts/*"))
+        self.parts = _parts(folder)
         self._coming: Shard | None = None
 
     def work(self, executor: Executor) -> None:
@@ -321,6 +324,11 @@ def _work_of(name: str) -> Work:
 
 def _work(file: study.StudyFile) -> Work:
     return _work_of(file.study.name)
+
+
+def _parts(folder: Path) -> set[str]:
+    """Return the names of unfinished files."""
+    return {each.name for each in folder.rglob(".*.part*")}
 
 
 def _open() -> int:

@@ -23,7 +23,7 @@ TASK_S = 0.05, 2.0
 """Shortest and longest usual time of a task [s] (assumed)."""
 
 MOST_KILLED, MOST_LATE, MOST_KILLERS, MOST_AWAY = 0.4, 0.3, 0.02, 0.2
-"""Highest probabilities that a worker dies, that it is late, that a task kills all, that a cluster is away."""
+"""Highest probabilities: a worker dies or is late, a task kills all its workers, a cluster is away."""
 
 PATIENCE_S = 5.0
 """Time after which a pool gives a task to another worker, too [s] (assumed)."""
@@ -84,10 +84,10 @@ class Cluster:
         self._n_workers += 1
         name = f"{self.name} worker {self._n_workers}"
         duration = simulation.rng(name).uniform(*TASK_S)
-        if faults.happens("late", "workers", MOST_LATE):
-            duration *= faults.drawn("late", "workers").uniform(5, 50)
-        dies = reference.deadly or faults.happens("killed", "workers", MOST_KILLED)
-        lived = faults.drawn("killed", "workers").uniform(0, 1.1) if dies else 1.0
+        if faults.happens("worker-late", "workers", MOST_LATE):
+            duration *= faults.drawn("worker-late", "workers").uniform(5, 50)
+        dies = reference.deadly or faults.happens("worker-killed", "workers", MOST_KILLED)
+        lived = faults.drawn("worker-killed", "workers").uniform(0, 1.1) if dies else 1.0
 
         def work() -> None:
             kernel.called()
