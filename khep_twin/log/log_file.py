@@ -118,6 +118,8 @@ class LogFile:
         """Complete the file and rename it to its path."""
         with self.guarded():
             self._writer.finish()
+            # A log under its own name is whole, also after a power failure; that may take the name back.
+            self._file.synchronize()
             os.replace(self.part, self._target)
             self._close()
 

@@ -43,6 +43,14 @@ class PartFile:
         """Return the number of bytes written."""
         return self._size
 
+    def synchronize(self) -> None:
+        """Bring everything to the disk, so that a power failure takes nothing of it.
+
+        Raises:
+            OSError: The disk fails.
+        """
+        os.fsync(self._descriptor)
+
     def close(self) -> None:
         """Close the file."""
         if self._descriptor >= 0:

@@ -191,6 +191,8 @@ class Kernel:
 
     def run(self, until_ns: int) -> None:
         """Run everything that happens up to a time."""
+        # A process that is alone does not run beyond it either.
+        self.at(until_ns, lambda: None)
         events = self._events
         while events and events[0][0] <= until_ns:
             time_ns, _, process, token, action = heapq.heappop(events)
