@@ -127,8 +127,11 @@ class LogFile:
         """Remove the file, for a run that has not begun."""
         with undisturbed():
             if self.open:
-                self._close()
-                self.part.unlink(missing_ok=True)
+                try:
+                    # As long as it is locked, the name is that of no other run's file.
+                    self.part.unlink(missing_ok=True)
+                finally:
+                    self._close()
 
     @contextmanager
     def guarded(self) -> Generator[None, None, None]:

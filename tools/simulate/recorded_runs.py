@@ -13,6 +13,7 @@ from khep_twin.interventions.switching import relight, switch
 from khep_twin.log.line_recorder import ROBOT, LineRecorder
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.serve import Flush
+from khep_twin.ports.taking_up import end_of
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from tools.simulate.kernel import NS_PER_S
 from tools.simulate.simulation import Simulation
@@ -37,7 +38,7 @@ class Run:
         path: Path of the finished log.
         truth: What has happened in it.
         duration: Simulated time of it [s].
-        parent: Log that it takes up, with its truth.
+        parent: Log that it takes up; None for a run of its own.
         failures: Lines about a log that cannot be written any more.
         goes_on: True if it goes on without its log.
     """
@@ -47,7 +48,7 @@ class Run:
     path: Path
     truth: Truth
     duration: float
-    parent: tuple[Path, Truth] | None = None
+    parent: Path | None = None
     failures: list[str] | None = None
     goes_on: bool = False
 
@@ -62,12 +63,12 @@ class Run:
         self.failures = []
         return self.failures.append if self.goes_on else None
 
-    def watch(self, twin: Twin, parent: Truth | None = None) -> None:
+    def watch(self, twin: Twin) -> None:
         """Keep what happens in a twin from now on."""
         recorder = twin.recorder
         assert recorder is not None
         self.truth.failed = lambda: recorder.failure is not None
-        self.truth.watch([robot.name for robot in twin.world.robots], twin.world, parent)
+        self.truth.watch([robot.name for robot in twin.world.robots], twin.world)
 
     def lock_step(self) -> None:
         """Drive a twin of khep:// by a host in its own process."""
@@ -77,12 +78,13 @@ class Run:
             noise = rng.choice(("on", "off"))
             url = f"khep://{rng.choice(PLAYPENS)}?seed={self.number}&noise={noise}&log={path}"
         else:
-            at = rng.uniform(0.1, max(self.parent[1].last_ns / NS_PER_S, 0.2))
-            url = f"khep://{quote(str(self.parent[0]))}?at={at:.9f}&seed={self.number}&log={path}"
+            at_s = rng.uniform(0.1, end_of(self.parent) / NS_PER_S)
+            at = "" if rng.random() < 0.2 else f"at={at_s:.9f}&"
+            url = f"khep://{quote(str(self.parent))}?{at}seed={self.number}&log={path}"
         port = Serial(timeout=0.5)
         port.port = url
         port.open()
-        self.watch(port.twin, self.parent and self.parent[1])
+        self.watch(port.twin)
         end_ns = port.time_ns + round(self.duration * NS_PER_S)
         while port.time_ns < end_ns:
             self.clock.sleep(10 ** rng.uniform(-3, 0.3))

@@ -86,8 +86,8 @@ class _Lab:
         parents = [each for each in sorted(self._simulation.folder.glob("*.mcap")) if each != run.path]
         if kind == run.lock_step and parents and rng.random() < 0.5:
             truth = self._truth_of(parents[0])
-            if truth is not None and truth.last_ns > NS_PER_S and truth.samples and truth.closed:
-                run.parent = parents[0], truth
+            if truth is not None and truth.last_ns > NS_PER_S and truth.samples:
+                run.parent = parents[0]
         name = f"run{run.number}"
         process = self._simulation.spawn(name, kind, round(delay * NS_PER_S))
         process.mortal = True
@@ -99,7 +99,12 @@ class _Lab:
 
     def _truth_of(self, path: Path) -> Truth | None:
         """Return the truth of a log, by its seed, or by that with which it was branched off."""
-        label = read_label(path)
+        try:
+            label = read_label(path)
+        except LogError as error:
+            if "no log of khep_twin" not in str(error):
+                raise
+            return None  # recovered, of a run that ended as it began
         seeds = [change.seed for change in changes_of(path, label)]
         return self._truths.get(seeds[-1] or 0 if seeds else int(label.metadata.get("seed", "0")))
 
@@ -197,8 +202,10 @@ class _Lab:
         while process.alive:
             simulation.run(0.1)
         # As a process that has ended does: a memory map would keep its lock.
-        if process.error is not None:
-            clear_frames(process.error.__traceback__)
+        error = process.error
+        while error is not None:
+            clear_frames(error.__traceback__)
+            error = error.__cause__
         if self.disk.cuts != cuts and not part.exists():
             return None
         if not rescues:
@@ -219,15 +226,11 @@ class _Lab:
         return self._compare(rescue.path, rescue, self.disk.cuts != cuts)
 
     def _compare(self, path: Path, rescue: Rescue, cut: bool) -> Truth | None:
-        simulation = self._simulation
-        try:
-            truth = self._truth_of(path)
-        except LogError:
-            if not cut and rescue.messages:
-                raise
-            return None  # of a run that ended as it began
+        simulation, truth = self._simulation, self._truth_of(path)
         if truth is None:
-            simulation.violate("recovery", f"{path.name} is of no run")
+            if not cut and rescue.messages:
+                simulation.violate("recovery", f"{path.name} is of no run")
+            return None
         if not cut and rescue.damaged:
             simulation.violate(
                 "recovery", f"{path.name}: {rescue.damaged} damaged places without a power cut"
@@ -243,15 +246,13 @@ class _Lab:
         key = path.name, _hash(path)
         try:
             truth = self._truth_of(path)
-            if key in self._known:
+            if truth is None or key in self._known:
                 return truth
             self._known.add(key)
             _, _, recovered = read_raw(path, lambda _: True)
         except LogError as error:
-            if "no log of khep_twin" in str(error):  # recovered, of a run that ended as it began
-                return None
             self._simulation.violate("recovery", f"{path.name} is taken for whole: {error}")
-        if recovered or truth is None:
+        if recovered:
             return truth
         if not truth.closing:
             self._simulation.violate("recovery", f"{path.name} is of run {truth.number}, which did not end")

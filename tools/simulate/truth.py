@@ -20,6 +20,9 @@ LOCK_STEP_LOSS_NS = 5 * NS_PER_S
 WALL_LOSS_NS = NS_PER_S // 2
 """Wall time that a log of a served twin may lack after a kill, and a turn of its loop [ns]."""
 
+_SETTLED_NS = 2 * NS_PER_S
+"""Time after which all that was on a line has arrived: 1024 bytes at 9600 baud take 1.2 s [ns]."""
+
 _Line = tuple[int, str, str]
 """Time [ns], name and text."""
 
@@ -48,17 +51,17 @@ class Truth:
         self.lines: dict[str, list[_Line]] = {}
         self.host: dict[str, list[tuple[int, HostEvent]]] = {}
         self.events: list[_Line] = []
-        self._bytes: list[tuple[int, int, bool, bytes]] = []
         self._rests: dict[tuple[str, bool], bytes] = {}
         self._turns: list[tuple[int, int]] = []
 
-    def watch(self, names: Iterable[str], world: World | None = None, parent: "Truth | None" = None) -> None:
-        """Begin, at the start of a run or where it is branched off a parent."""
+    def watch(self, names: Iterable[str], world: World | None = None) -> None:
+        """Begin, at the start of a run or where it is branched off another one."""
         self.names = [*names]
-        if parent is not None and world is not None:
-            self._begin_as(parent, world.time_ns)
         if world is not None:
-            world.add_observer(self, at_once=parent is None)
+            if world.time_ns:
+                self.begun_ns = world.time_ns
+                self.kept_ns = world.time_ns - LOCK_STEP_LOSS_NS
+            world.add_observer(self, at_once=not world.time_ns)
 
     def sample(self, world: World) -> None:
         """Keep the registers."""
@@ -74,7 +77,6 @@ class Truth:
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Keep the lines that bytes complete."""
-        self._bytes.append((time_ns, robot, to_robot, data))
         name = self.names[robot]
         rest = self._rests.pop((name, to_robot), b"")
         for byte in data:
@@ -123,7 +125,7 @@ class Truth:
             messages = found.get(topic, [])
             wrong = _first_wrong(
                 [(time_ns, (data,)) for time_ns, data in samples.items()],
-                [(time_ns, (_words(data),)) for time_ns, data in messages],
+                [(time_ns, (_words(data),)) for time_ns, data in messages if time_ns > self.begun_ns],
                 gaps,
                 must_ns,
             )
@@ -133,12 +135,14 @@ class Truth:
             lines = _lines(found, f"/{name}/serial")
             expected = self.lines.get(name, [])
             rests = sorted(_told(*key[1:], rest) for key, rest in self._rests.items() if key[0] == name)
-            if self.closing and rests and (whole or len(lines) > len(expected)):
+            if self.begun_ns >= 0:
+                del lines[len(lines) - len(rests) * self.closing :]
+            elif self.closing and rests and (whole or len(lines) > len(expected)):
                 ends = sorted(line[1:] for line in lines[len(expected) :])
                 if ends != rests:
                     return f"/{name}/serial: ends with {ends}, not {rests}"
                 del lines[len(expected) :]
-            if wrong := _first_wrong(expected, lines, gaps, must_ns):
+            if wrong := self._first_wrong(expected, lines, gaps, must_ns):
                 return f"/{name}/serial: {wrong}"
             events = [each for data in _data(found, f"/{name}/host_events") for each in read_events(data)]
             if wrong := self._first_wrong(self.host.get(name, []), events, gaps, must_ns):
@@ -149,25 +153,10 @@ class Truth:
     def _first_wrong(
         self, expected: Sequence[tuple[Any, ...]], found: Sequence[tuple[Any, ...]], gaps: bool, must_ns: int
     ) -> str:
-        """Compare entries except those at the moment of branching, when this did not yet watch."""
-        at_ns = self.begun_ns
-        kept, there = ([each for each in entries if each[0] != at_ns] for entries in (expected, found))
+        """Compare entries, of a branch those of lines that were not on their way when it began."""
+        since_ns = self.begun_ns + _SETTLED_NS if self.begun_ns >= 0 else -1
+        kept, there = ([each for each in entries if each[0] > since_ns] for entries in (expected, found))
         return _first_wrong(kept, there, gaps, must_ns)
-
-    def _begin_as(self, parent: "Truth", at_ns: int) -> None:
-        """Take over what has happened before a moment."""
-        self.begun_ns = self.last_ns = at_ns
-        self.kept_ns = at_ns - LOCK_STEP_LOSS_NS
-        self.samples = {
-            topic: {time_ns: data for time_ns, data in samples.items() if time_ns <= at_ns}
-            for topic, samples in parent.samples.items()
-        }
-        for each in parent._bytes:
-            if each[0] <= at_ns:
-                self.on_bytes(*each)
-        for name, events in parent.host.items():
-            self.host[name] = [each for each in events if each[0] <= at_ns]
-        self.events = [each for each in parent.events if each[0] <= at_ns]
 
 
 def _data(found: Mapping[str, Sequence[tuple[int, bytes]]], topic: str) -> list[bytes]:
