@@ -21,8 +21,8 @@ from khep_twin.web.guard import Guard
 from khep_twin.web.routes import Page
 from tools.simulate import kernel
 from tools.simulate.kernel import NS_PER_S, OpenFile, Process
-from tools.simulate.simulation import Simulation
 from tools.simulate.page_threads import REQUEST, Group, Loop
+from tools.simulate.simulation import Simulation
 
 HOST = "127.0.0.1:8000"
 

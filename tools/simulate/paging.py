@@ -20,8 +20,8 @@ from tools.simulate.kernel_files import WritesThroughKernel
 from tools.simulate.ledger import Ledger, told
 from tools.simulate.mutants import Mutant
 from tools.simulate.page_mutants import MUTANTS as _MUTANTS
-from tools.simulate.simulation import Simulation
 from tools.simulate.page_threads import Threading
+from tools.simulate.simulation import Simulation
 
 N_BROWSERS = 3
 NAMES = "first.toml", "second.toml", "third.toml"
