@@ -2,10 +2,11 @@
 
 import random
 from collections.abc import Callable
+from contextlib import AbstractContextManager, closing
 from unittest.mock import patch
 
 import khep_twin.host.line
-import khep_twin.status_line
+from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.network import TcpPort
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.serve import WIRE, serve
@@ -73,18 +74,23 @@ class Site:
         self._stopping = False
 
         def run() -> None:
-            port = TcpPort("127.0.0.1", _NUMBER, rfc2217=self._rfc2217, baud=twin.robot.firmware.baud)
-            try:
+            with self._endpoint(twin.robot.firmware.baud) as port:
                 serve(twin, [port], self.speed, stop=lambda: self._stopping, notify=self._notice)
-            finally:
-                port.close()
             process = self.simulation.kernel.current
             if process is not None and process.files:
                 self.simulation.violate("leftovers", f"the server leaves {len(process.files)} descriptors")
+            self._check_rest()
 
         self.server = self.simulation.spawn("server", run)
         self.server.mortal = True
         self.server.on_end = self._ended
+
+    def _endpoint(self, baud: int) -> AbstractContextManager[HostPort]:
+        """Open the port that hosts come to."""
+        return closing(TcpPort("127.0.0.1", _NUMBER, rfc2217=self._rfc2217, baud=baud))
+
+    def _check_rest(self) -> None:
+        """Check that a server that has ended leaves nothing else."""
 
     def _ended(self, process: Process) -> None:
         self.simulation.check_end(process)
@@ -129,7 +135,12 @@ class Site:
     def hosts(self) -> None:
         """Come one after another, each in a process of its own: a process of the scenario."""
         simulation, rng = self.simulation, self.simulation.rng("hosts")
-        time = simulation.system.modules["time"]
+        time, ended = simulation.system.modules["time"], simulation.system.modules["threading"].Event()
+
+        def gone(process: Process) -> None:
+            simulation.check_end(process)
+            ended.set()
+
         while True:
             number = self.number()
             own = simulation.rng("host", number)
@@ -138,9 +149,13 @@ class Site:
             else:
                 process = simulation.spawn(f"host{number}", lambda: self._library(number, own))  # noqa: B023
                 process.mortal = True
-            while process.alive:
-                time.sleep(0.05)
-            time.sleep(rng.choice([0.1, 0.5, 2.0]))
+            ended.clear()
+            process.on_end = gone
+            ended.wait()
+            if simulation.faults.happens("quick", "hosts", 0.5):
+                time.sleep(simulation.faults.drawn("quick", "hosts").choice([0.0, 1e-5, 1e-4, 1e-3, 1e-2]))
+            else:
+                time.sleep(rng.choice([0.1, 0.5, 2.0]))
 
     def _raw(self, number: int, rng: random.Random) -> Raw:
         return Raw(self.simulation, _NUMBER, lambda: self.truth, number, rng, self.is_exact, self.may_fail)
@@ -217,8 +232,9 @@ class Site:
                 simulation.count("rogues")
 
 
-def _network(simulation: Simulation, seconds: float, *, rfc2217: bool) -> None:
-    site = Site(simulation, rfc2217=rfc2217)
+def visit(site: Site, seconds: float) -> None:
+    """Have hosts come to a site, and watch it, for so many simulated seconds."""
+    simulation = site.simulation
 
     def clear_at_end(clear: Callable[[], object]) -> Callable[[], object]:
         process = simulation.kernel.current
@@ -234,12 +250,12 @@ def _network(simulation: Simulation, seconds: float, *, rfc2217: bool) -> None:
 
 def tcp(simulation: Simulation, seconds: float) -> None:
     """Hosts at a TCP port."""
-    _network(simulation, seconds, rfc2217=False)
+    visit(Site(simulation, rfc2217=False), seconds)
 
 
 def rfc2217(simulation: Simulation, seconds: float) -> None:
     """Hosts at an RFC 2217 port."""
-    _network(simulation, seconds, rfc2217=True)
+    visit(Site(simulation, rfc2217=True), seconds)
 
 
 def lockstep(simulation: Simulation, seconds: float) -> None:

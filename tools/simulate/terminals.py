@@ -1,8 +1,8 @@
 """Simulated pseudo-terminals with the semantics of Linux, in raw mode.
 
 Written bytes are in transit for a while, in which a flush of the writer's side removes them; a reader that
-finds nothing else takes them at once. A closing is reported by inotify first, and takes effect a little later. The
-last closing of the host side hangs the master up until the next opening. Numbers are reused at once.
+finds nothing else takes them at once. A closing is reported by inotify first, and takes effect a little later.
+The last closing of the host side hangs the master up until the next opening. Numbers are reused at once.
 There are no echo and no lines: khep_twin makes its terminals raw before it names them.
 """
 
@@ -89,6 +89,7 @@ class Terminal:
         to_master: Bytes to the master.
         settings: Settings as of `termios.tcgetattr`.
         hosts: Open files of the host side whose closing has not taken effect.
+        openings: Processes that have opened the host side, in order.
         exclusive: True if it is locked by TIOCEXCL.
         locked_by: Open file that has it locked by flock; None without.
     """
@@ -101,6 +102,7 @@ class Terminal:
         characters: list[bytes | int] = [b"\0"] * 32
         self.settings: list[Any] = [0, 0, control, 0, _SPEED, _SPEED, characters]
         self.hosts: list[HostSide] = []
+        self.openings: list[Process] = []
         self.exclusive = False
         self.locked_by: HostSide | None = None
         self.master = Master(self)
@@ -109,8 +111,9 @@ class Terminal:
         """Open the host side."""
         if self.exclusive:
             raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
-        file = HostSide(self, writes=bool(flags & (os.O_WRONLY | os.O_RDWR)))
+        file = HostSide(self, process.leader, writes=bool(flags & (os.O_WRONLY | os.O_RDWR)))
         self.hosts.append(file)
+        self.openings.append(process.leader)
         self.report(IN_OPEN)
         return file
 
@@ -226,10 +229,15 @@ class Master(_Side):
 
 
 class HostSide(_Side):
-    """One open file of the host side."""
+    """One open file of the host side.
 
-    def __init__(self, terminal: Terminal, writes: bool) -> None:
+    Attributes:
+        process: Process that has opened it.
+    """
+
+    def __init__(self, terminal: Terminal, process: Process, writes: bool) -> None:
         super().__init__(terminal)
+        self.process = process
         self._writes = writes
 
     @property
