@@ -74,8 +74,8 @@ class Raw:
                 host.sendall(b"D,0,0\n")
                 if rng.random() < 0.3:
                     host.shutdown(real_socket.SHUT_WR)
-                while rng.random() < 0.5 and host.recv(4096):
-                    pass
+                    while host.recv(4096):
+                        pass
         except TimeoutError:
             if truth is self.truth() and self.is_exact and not self.simulation.faults.happened:
                 self.simulation.violate("answers", f"raw host {self.number} waited for {PATIENCE_S} s")
