@@ -1,7 +1,7 @@
 """Host programs by the real host library: what a user's script does, and the ways in which it ends."""
 
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,13 +13,7 @@ from tools.simulate.kernel import Killed
 from tools.simulate.simulation import Simulation
 from tools.simulate.truth import Truth, tag
 
-READS: Sequence[Callable[[], HostCommand[Any]]] = (
-    commands.position,
-    commands.proximity,
-    commands.ambient,
-    commands.speed,
-    commands.versions,
-)
+READS = "position", "proximity", "ambient", "speed", "versions"
 """Commands that a good host reads by."""
 
 
@@ -154,9 +148,9 @@ class Session:
         rng = self.rng
         match rng.randrange(16):
             case 0 | 1 | 2:
-                self.read(robot, truth, rng.choice(READS)())
+                self.read(robot, truth, _command(rng.choice(READS)))
             case 3:
-                self.read(robot, truth, *(rng.choice(READS)() for _ in range(rng.randint(2, 9))))
+                self.read(robot, truth, *(_command(rng.choice(READS)) for _ in range(rng.randint(2, 9))))
             case 4 | 5:
                 robot.set_speed(rng.randint(-20, 20), rng.randint(-20, 20))
             case 6 | 7 | 8:
@@ -247,6 +241,10 @@ class Session:
 def ending(rng: random.Random) -> BaseException:
     """Return an exception by which a program ends amid its work."""
     return rng.choice([KeyboardInterrupt(), Program("a mistake\nin two lines")])
+
+
+def _command(name: str) -> HostCommand[Any]:
+    return getattr(commands, name)()
 
 
 def _reads(command: HostCommand[Any], reply: str) -> Any:

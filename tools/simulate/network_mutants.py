@@ -1,7 +1,6 @@
 """Broken builds of the host library, of network ports, and of the robot behind them."""
 
 import socket
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from unittest.mock import PropertyMock, patch
@@ -16,8 +15,6 @@ from khep_twin.ports import network, network_host
 from khep_twin.ports.network_host import NetworkHost
 from khep_twin.robot import Robot
 from tools.simulate.mutants import Mutant
-
-_Broken = Callable[[], AbstractContextManager[object]]
 
 
 def _no_stop() -> AbstractContextManager[object]:
@@ -46,7 +43,8 @@ def _old_replies() -> AbstractContextManager[object]:
 
 
 def _swapped_values() -> AbstractContextManager[object]:
-    swapped = replace(commands.position(), read=lambda text: commands.Positions(*_numbers(text)[::-1]))
+    sound = commands.position()
+    swapped = replace(sound, read=lambda text: commands.Positions(*sound.read(text)[::-1]))
     return patch.object(commands, "position", lambda: swapped)
 
 

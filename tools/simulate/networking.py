@@ -4,12 +4,8 @@ import random
 from collections.abc import Callable
 from unittest.mock import patch
 
-import serial.rfc2217
-import serial.urlhandler.protocol_rfc2217
-import serial.urlhandler.protocol_socket
-
 import khep_twin.host.line
-import khep_twin.status_line  # noqa: F401 (imported where code is compiled)
+import khep_twin.status_line
 from khep_twin.ports.network import TcpPort
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.serve import WIRE, serve
@@ -221,8 +217,8 @@ class Site:
         simulation, rng = self.simulation, self.simulation.rng("rogues")
         time, faults = simulation.system.modules["time"], simulation.faults
         while True:
-            time.sleep(rng.uniform(0.5, 8.0))
-            if faults.happens("rogue", "rogues", 0.5):
+            time.sleep(rng.uniform(0.2, 4.0))
+            if faults.happens("rogue", "rogues", 1.0):
                 own = faults.drawn("rogue", "rogues")
                 number = self.number()
                 simulation.spawn(f"rogue{number}", self._raw(number, own).rogue)

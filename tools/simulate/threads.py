@@ -25,16 +25,16 @@ class SimulatedThreading(Shim):
         process = self.kernel.current
         return threading.get_native_id() if process is None else process.pid
 
-    def Lock(self) -> Any:  # noqa: N802
+    def Lock(self) -> Any:
         return threading.Lock() if self.kernel.current is None else Lock(self.kernel, reentrant=False)
 
-    def RLock(self) -> Any:  # noqa: N802
+    def RLock(self) -> Any:
         return threading.RLock() if self.kernel.current is None else Lock(self.kernel, reentrant=True)
 
-    def Event(self) -> Any:  # noqa: N802
+    def Event(self) -> Any:
         return threading.Event() if self.kernel.current is None else Event(self.kernel)
 
-    def Thread(self, *args: Any, **options: Any) -> Any:  # noqa: N802
+    def Thread(self, *args: Any, **options: Any) -> Any:
         if self.kernel.current is None:
             return threading.Thread(*args, **options)
         return Thread(self.kernel, *args, **options)
@@ -46,7 +46,7 @@ class SimulatedQueue(Shim):
     def __init__(self, kernel: Kernel) -> None:
         super().__init__(queue, kernel)
 
-    def Queue(self, maxsize: int = 0) -> Any:  # noqa: N802
+    def Queue(self, maxsize: int = 0) -> Any:
         return queue.Queue(maxsize) if self.kernel.current is None else Queue(self.kernel)
 
 
@@ -162,10 +162,10 @@ class Thread(_Shared):
         self._target, self._args, self._options = target, tuple(args), dict(kwargs or {})
         self._process: Process | None = None
 
-    def setDaemon(self, daemon: bool) -> None:  # noqa: N802
+    def setDaemon(self, daemon: bool) -> None:
         self.daemon = daemon
 
-    def setName(self, name: str) -> None:  # noqa: N802
+    def setName(self, name: str) -> None:
         self.name = name
 
     @property

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from khep_twin.board.kernel import LEFT, RIGHT, Mode, Wheel
-from khep_twin.board.kernel import AMBIENT, PROXIMITY
+from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, RIGHT, Mode, Wheel
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.ports.twin import Twin
 from khep_twin.robot import Robot
