@@ -221,7 +221,7 @@ def test_a_thread_shares_the_descriptors_of_its_process_and_ends_with_it() -> No
         modules = simulation.system.modules
 
         def host() -> None:
-            server, client, accepted = pair(modules["socket"])
+            _server, client, accepted = pair(modules["socket"])
             heard = modules["queue"].Queue()
 
             def listen() -> None:

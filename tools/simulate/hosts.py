@@ -59,8 +59,8 @@ class Session:
 
     def run(self, count: int) -> None:
         """Open the port, do `count` things, and leave; check all values and errors."""
-        simulation, rng = self.simulation, self.rng
-        end_at = rng.randrange(count) if self.ending is not None or self.on_hang is not None else count
+        ends = self.ending is not None or self.on_hang is not None
+        end_at = self.rng.randrange(count) if ends else count
         error: BaseException | None = None
         is_open = False
         truth: Truth | None = None

@@ -1,11 +1,15 @@
-"""Scenarios of hosts: at TCP and RFC 2217 ports of a served twin, and in lock-step with a twin of their own."""
+"""Scenarios of hosts: at TCP and RFC 2217 ports of a served twin, and in lock-step with their own twins."""
 
 import random
 from collections.abc import Callable
 from unittest.mock import patch
 
+import serial.rfc2217
+import serial.urlhandler.protocol_rfc2217
+import serial.urlhandler.protocol_socket  # noqa: F401 (pyserial imports these where they are first used)
+
 import khep_twin.host.line
-import khep_twin.status_line
+import khep_twin.status_line  # noqa: F401 (imported where code is compiled)
 from khep_twin.ports.network import TcpPort
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.serve import WIRE, serve

@@ -126,8 +126,8 @@ class Raw:
         return kind.__name__
 
     def second(self) -> None:
-        """Connect while another host has the port; nothing that is sent may reach the robot if it is refused."""
-        truth, session = self.truth(), (REFUSED) * 256 + self.number % 256
+        """Connect beside another host; nothing that is sent reaches the robot if the host is refused."""
+        truth, session = self.truth(), REFUSED * 256 + self.number % 256
         got = b""
         try:
             with self.connect() as host:
