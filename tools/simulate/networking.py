@@ -1,4 +1,4 @@
-"""Scenarios of hosts: at TCP and RFC 2217 ports of a served twin, and in lock-step with a twin of their own."""
+"""Scenarios of hosts: at TCP and RFC 2217 ports of a served twin, and in lock-step with their own twins."""
 
 import random
 from collections.abc import Callable
@@ -22,6 +22,9 @@ _PLAYPENS = "default", "obstacles", "gripper", "stripes"
 
 _NUMBER = 5000
 """Number of the port."""
+
+_LONGEST_TURN_NS = 200 * NS_PER_S
+"""Longest time without another host on the line [ns]: that of a session and of hosts that hold the port."""
 
 _MOST_DROPPED, _MOST_GARBLED = 0.02, 0.01
 """Highest probabilities that a converter loses or garbles a byte of a segment."""
@@ -54,6 +57,7 @@ class Site:
         self._sessions = 0
         self._stopping = False
         self.endings: dict[str, list[Callable[[], object]]] = {}
+        self._last, self._last_ns = -1, simulation.kernel.now_ns
         self._start()
 
     @property
@@ -110,6 +114,10 @@ class Site:
             time.sleep(1.0)
             if simulation.faults.happens("server-stop", "server", 0.02):
                 self._stopping = True
+            if self.truth.said and self.truth.said[-1].session != self._last:
+                self._last, self._last_ns = self.truth.said[-1].session, simulation.kernel.now_ns
+            if simulation.kernel.now_ns - self._last_ns > _LONGEST_TURN_NS:
+                simulation.violate("answers", f"no host was let in for {_LONGEST_TURN_NS / NS_PER_S:.0f} s")
             server = self.server
             if server is not None and server.alive and len(server.files) > 3:
                 simulation.violate("leftovers", f"the server has {len(server.files)} descriptors open")
@@ -224,8 +232,8 @@ class Site:
         simulation, rng = self.simulation, self.simulation.rng("rogues")
         time, faults = simulation.system.modules["time"], simulation.faults
         while True:
-            time.sleep(rng.uniform(0.5, 8.0))
-            if faults.happens("rogue", "rogues", 0.5):
+            time.sleep(rng.uniform(0.2, 4.0))
+            if faults.happens("rogue", "rogues", 1.0):
                 own = faults.drawn("rogue", "rogues")
                 number = self.number()
                 simulation.spawn(f"rogue{number}", self._raw(number, own).rogue)
