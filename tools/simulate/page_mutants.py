@@ -1,7 +1,7 @@
 """Broken builds of the page."""
 
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -20,6 +20,16 @@ def _overwrites() -> AbstractContextManager[object]:
         return _save(self, *args, **{**options, "overwrite": True})
 
     return patch.object(Documents, "save", save)
+
+
+def _unlocked() -> AbstractContextManager[object]:
+    begun = Documents.__init__
+
+    def begin(self: Documents, root: Path) -> None:
+        begun(self, root)
+        self._saving = nullcontext()  # type: ignore[assignment]
+
+    return patch.object(Documents, "__init__", begin)
 
 
 def _draft_first() -> AbstractContextManager[object]:
@@ -93,6 +103,7 @@ def _mute() -> AbstractContextManager[object]:
 
 MUTANTS: dict[str, Mutant] = {
     "page-overwrites-a-changed-file": Mutant("page", "work", _overwrites),
+    "page-two-saves-at-once": Mutant("page", "work", _unlocked),
     "page-draft-deleted-before-the-file-is-written": Mutant("page", "work", _draft_first),
     "page-edit-acknowledged-before-it-is-kept": Mutant("page", "work", _kept_later),
     "page-draft-written-in-place": Mutant("page", "work", _in_place),
