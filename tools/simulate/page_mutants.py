@@ -48,7 +48,12 @@ def _kept_later() -> AbstractContextManager[object]:
 
 
 def _in_place() -> AbstractContextManager[object]:
+    whole = documents.write_whole
+
     def write(path: Path, data: bytes) -> None:
+        if path.suffix != ".draft":
+            whole(path, data)
+            return
         try:
             with path.open("wb") as file:
                 file.write(data)
