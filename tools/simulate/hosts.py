@@ -32,7 +32,7 @@ class Session:
         number: Number of the session.
         rng: Generator of what it does.
         options: Options of `Khepera`.
-        is_exact: Whether what the robot says reaches the library as it is in `truth`.
+        is_exact: Whether what the robot says now reaches the library as it is in `truth`.
         may_fail: Function that returns whether the line may fail just now.
         garbles: Whether bytes may be garbled, so that a wrong command or value cannot be told.
         ending: Exception that ends it amid its work; None to come to its end.
@@ -48,7 +48,7 @@ class Session:
     number: int
     rng: random.Random
     options: dict[str, Any]
-    is_exact: bool
+    is_exact: Callable[[], bool]
     may_fail: Callable[[], bool]
     garbles: bool = False
     ending: BaseException | None = None
@@ -179,7 +179,7 @@ class Session:
         """Read values, and check that the robot has said them since they were asked for."""
         since = len(truth.said)
         values = robot.burst(*wanted)
-        if truth is not self.truth() or not self.is_exact:
+        if truth is not self.truth() or not self.is_exact():
             return
         for command, value in zip(wanted, values, strict=True):
             self.simulation.count("values")

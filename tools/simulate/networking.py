@@ -65,6 +65,10 @@ class Site:
         """URL that hosts open."""
         return f"{'rfc2217' if self._rfc2217 else 'socket'}://127.0.0.1:{_NUMBER}"
 
+    def is_private(self) -> bool:
+        """Return whether all that the robot says reaches the present host as it is."""
+        return self.is_exact
+
     def may_fail(self) -> bool:
         """Return whether a fault has happened that may disturb a host."""
         return bool(self.simulation.faults.happened)
@@ -180,7 +184,7 @@ class Site:
             number,
             rng,
             {"timeout": rng.choice([1.0, 1.0, 2.0])},
-            self.is_exact,
+            self.is_private,
             self.may_fail,
             garbles=self.garbles,
             moves=self.speed != WIRE,
@@ -330,7 +334,7 @@ def _lockstep_session(simulation: Simulation, rng: random.Random, number: int) -
             "baudrate": "auto" if auto else 9600,
             "retries": own.choice([0, 1, 1, 3]),
         },
-        True,
+        lambda: True,
         lambda: bool(faults),
         garbles="garble" in kinds,
     )

@@ -46,7 +46,11 @@ class ServedTerminal(Site):
     def may_fail(self) -> bool:
         """Return whether a host of the library may be disturbed: by a fault, or by another host."""
         kinds = {name.partition("/")[0] for name in self.simulation.faults.happened}
-        return not kinds.isdisjoint(_DISTURBING) or not self.is_alone() or self.may_have_crossed()
+        return not kinds.isdisjoint(_DISTURBING) or not self.is_private()
+
+    def is_private(self) -> bool:
+        """Return whether no other host can have got replies to the present one, nor it theirs."""
+        return self.is_alone() and not self.may_have_crossed()
 
     def is_serving(self, truth: Truth) -> bool:
         """Return whether the server that this is the truth of runs, and is not about to stop."""

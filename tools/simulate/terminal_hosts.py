@@ -23,7 +23,6 @@ class TerminalSite(Protocol):
     """Site of a terminal that hosts come to."""
 
     truth: Truth
-    is_exact: bool
 
     @property
     def url(self) -> str:
@@ -34,12 +33,8 @@ class TerminalSite(Protocol):
         """Return whether the server that this is the truth of runs, and is not about to stop."""
         ...
 
-    def is_alone(self) -> bool:
-        """Return whether no host but the present process has had the terminal open since it opened it."""
-        ...
-
-    def may_have_crossed(self) -> bool:
-        """Return whether the server has said that two hosts crossed since the present process came."""
+    def is_private(self) -> bool:
+        """Return whether no other host can have got replies to the present one, nor it theirs."""
         ...
 
 
@@ -110,7 +105,7 @@ class TerminalHost:
     def _expect_silence(self, truth: Truth, got: bytes, count: int) -> None:
         """Check that there is a reason for a missing reply."""
         site = self.site
-        if site.is_serving(truth) and site.is_exact and site.is_alone() and not site.may_have_crossed():
+        if site.is_serving(truth) and site.is_private():
             n_got = got.count(b"\n")
             self.simulation.violate(
                 "answers", f"host {self.number} has got {n_got} of {count} replies in {PATIENCE_S:.0f} s"
@@ -119,13 +114,13 @@ class TerminalHost:
     def _compare(self, truth: Truth, got: bytes, asked: int) -> None:
         """Check that all that came are the replies to this host's lines, in order."""
         site = self.site
-        if not site.is_serving(truth) or not site.is_exact or not site.is_alone():
+        if not site.is_serving(truth) or not site.is_private():
             self.simulation.count("exchanges shared")
             return
         said = "".join(each.reply for each in truth.replies(self.number))
         received = got.decode("latin-1")
         self.simulation.count("replies", received.count("\n"))
-        if said != received and not site.may_have_crossed():
+        if said != received:
             self.simulation.violate("replies", f"host {self.number} got {received!r}; was told {said!r}")
 
     # Hosts that a port must withstand ------------------------------------------------------------------
