@@ -126,7 +126,7 @@ class Session:
         if any("may still run" in each for each in lines) or not is_open:
             return
         simulation.count("stops")
-        if truth is None or truth is not self.truth() or self.garbles:
+        if truth is None or truth is not self.truth() or self.garbles or not self.is_exact():
             return
         if not truth.stands(self.number):
             simulation.violate("motors", f"host {self.number} has left ({error!r}), and the motors run on")

@@ -1,5 +1,6 @@
 """One simulation: a scenario under a seed, and its outcome."""
 
+import gc
 import random
 import shutil
 import tempfile
@@ -16,6 +17,10 @@ from tools.simulate.socket_module import SimulatedSocketModule
 from tools.simulate.sockets import Network
 from tools.simulate.system import System
 from tools.simulate.threads import SimulatedQueue, SimulatedThreading
+
+
+_COLLECTION_NS = 30 * NS_PER_S
+"""Simulated time between two collections of cyclic garbage, which must not come amid a process [ns]."""
 
 
 class Violation(AssertionError):
@@ -113,7 +118,11 @@ class Simulation:
 
     def run(self, seconds: float) -> None:
         """Run for a simulated time [s]."""
-        self.kernel.run(self.kernel.now_ns + round(seconds * NS_PER_S))
+        end_ns = self.kernel.now_ns + round(seconds * NS_PER_S)
+        while self.kernel.now_ns < end_ns:
+            self.kernel.run(min(self.kernel.now_ns + _COLLECTION_NS, end_ns))
+            # Between processes: objects close their descriptors when they are collected.
+            gc.collect()
 
 
 Scenario = Callable[[Simulation, float], None]
@@ -128,7 +137,7 @@ def simulate(
     Raises:
         Exception: The simulation itself is at fault.
     """
-    with _folder() as folder:
+    with _folder() as folder, _collected_by_hand():
         simulation = Simulation(seed, folder, kept)
         violation: Violation | None = None
         with simulation.system.installed():
@@ -160,3 +169,16 @@ def _folder() -> Generator[Path]:
         yield folder
     finally:
         shutil.rmtree(folder)
+
+
+@contextmanager
+def _collected_by_hand() -> Generator[None]:
+    """Leave cyclic garbage to `Simulation.run`, which collects it at the same times under the same seed."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()

@@ -185,13 +185,14 @@ class SimulatedOs(Shim):
 
     def close(self, descriptor: int) -> None:
         process = self.kernel.current
-        if process is None:
-            os.close(descriptor)
-        elif descriptor >= FIRST_DESCRIPTOR:
-            self.kernel.called().close(descriptor)
-        else:
+        if descriptor >= FIRST_DESCRIPTOR:
+            # An object that goes with its process, or after it, has nothing left to close.
+            if process is not None and not process.dying:
+                self.kernel.called().close(descriptor)
+            return
+        if process is not None:
             self.kernel.called().real.pop(descriptor, None)
-            os.close(descriptor)
+        os.close(descriptor)
 
     def read(self, descriptor: int, limit: int) -> bytes:
         if descriptor < FIRST_DESCRIPTOR:

@@ -167,7 +167,7 @@ class TerminalHost:
             self._pause(self.rng.choice([0.0, 0.1]))
 
     def _never_reads(self, descriptor: int) -> None:
-        for _ in range(self.rng.randint(1, 60)):
+        for _ in range(self.rng.randint(1, 20)):
             self._write(descriptor, b"N\nO\nK\nB\n" * 20)
             self._pause(0.5)
 
@@ -219,7 +219,7 @@ class TerminalHost:
 
     def _write(self, descriptor: int, data: bytes) -> None:
         """Write all, waiting for room for a while."""
-        for _ in range(200):
+        for _ in range(40):
             try:
                 data = data[self._os.write(descriptor, data) :]
             except BlockingIOError:
