@@ -11,8 +11,7 @@ inputs.
 
 import re
 import struct
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -131,21 +130,8 @@ def report(path: Path) -> None:
     from khep_twin.log.shadow_channels import is_shadow, read_shadow
 
     recording = read_series(path)
-    with undrawn():
-        report_on(recording, str(path), read_shadow(path) if is_shadow(recording.label) else None)
-
-
-@contextmanager
-def undrawn() -> Iterator[None]:
-    """Have figures drawn with no pixels, which take half a second."""
-    from matplotlib.figure import Figure
-
-    before = Figure.savefig
-    Figure.savefig = lambda self, file, **_: file.write(b"<svg></svg>")  # pyright: ignore
-    try:
-        yield
-    finally:
-        Figure.savefig = before
+    # Its figures take half a second.
+    report_on(recording, str(path), read_shadow(path) if is_shadow(recording.label) else None)
 
 
 def repeat(path: Path) -> None:
@@ -191,9 +177,7 @@ def follow(path: Path) -> None:
     """Read a log as `khep-twin shadow` does."""
     from khep_twin.shadow.recording import recorded
 
-    robot = recorded(path)
-    with suppress(StopIteration):
-        iter(robot.heard)  # pyright: ignore
+    recorded(path)
 
 
 USES: list[Callable[[Path], None]] = [view, repeat, branch_same, branch_changed, conform, report, follow]

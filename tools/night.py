@@ -311,6 +311,7 @@ def main() -> int:
     if not 0 < wish.share <= 1 or wish.jobs < 1:
         parser.error(f"--share {wish.share:g} --jobs {wish.jobs}: expected above 0 to 1, and at least 1")
     if wish.what == "run":
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # its processes would go on
         parts = [part for part in PARTS if not wish.parts or part.name in wish.parts]
         return Night(parts, wish.share, wish.folder, wish.jobs).run()
     wish.folder.mkdir(parents=True, exist_ok=True)

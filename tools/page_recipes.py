@@ -63,172 +63,57 @@ BASES: list[tuple[str, str, Any]] = [
 ]
 """Method, path, and content: JSON, bytes, or a websocket."""
 
+NAMES = """../outside/secret.toml /etc/passwd link.toml linked/secret.toml linked pipe.toml sub sub/../a.toml
+sub/b.toml a.toml .hidden.toml a.toml/x.toml prog.py prog.py:controller sub/.toml a\b.toml ./a.toml run.mcap
+%2e%2e/secret.toml bad.toml T2 ../T1 ~/x.toml nowhere/x.toml x.mat x.csv x.mcap . .. / /dev/null socket://
+khep://x rfc2217://a:99999 default braitenberg khepera2 6.05 vision Prox9 black linear"""
+
 ODD: list[Any] = [
     *(None, True, False, 0, -1, 1, 2**31, 2**53 + 1, 2**63, 2**64, 10**400, 0.5, -0.0, 1e-320, 1e308),
     *(float("nan"), float("inf"), float("-inf"), [], {}, [[]], {"": {}}, [None], "", " ", "\0", "\ud800"),
-    *("../outside/secret.toml", "/etc/passwd", "link.toml", "linked/secret.toml", "linked", "pipe.toml"),
-    *(
-        "sub",
-        "sub/../a.toml",
-        "sub/b.toml",
-        "a.toml",
-        "a.toml\0",
-        "a" * 600,
-        "a" * 300 + ".toml",
-        "\u202e.toml",
-    ),
-    *(".hidden.toml", "a.toml/x.toml", "prog.py", "prog.py:controller", "sub/.toml", "a\\b.toml", "./a.toml"),
-    *("new\n.toml", "%2e%2e/secret.toml", "run.mcap", "bad.toml", "T2", "../T1", "\u00e9.toml", "~/x.toml"),
-    *("nowhere/x.toml", "x.mat", "x.csv", "x.mcap", ".", "..", "/", "/dev/null", "socket://", "khep://x"),
-    *(
-        "rfc2217://a:99999",
-        "default",
-        "braitenberg",
-        "khepera2",
-        "6.05",
-        "vision",
-        "Prox9",
-        "black",
-        "linear",
-    ),
-    *([1, 2] * 3, [[0, 0], [1, 1], [0, 1]], ["gripper"], ["gripper", "gripper"], {"a": 1}, "x" * 9000),
+    *("a.toml\0", "a" * 600, "a" * 300 + ".toml", "\u202e.toml", "new\n.toml", "\u00e9.toml", "x" * 9000),
+    *([1, 2] * 3, [[0, 0], [1, 1], [0, 1]], ["gripper"], ["gripper", "gripper"], {"a": 1}),
+    *NAMES.split(),
 ]
 """Values that JSON is given."""
 
 TEXTS = [
-    *(
-        b"",
-        b"\r\n",
-        b"\0",
-        b"\xff",
-        b"%2e%2e",
-        b"..",
-        b"//",
-        b"\\",
-        b"{",
-        b"[" * 400,
-        b'"',
-        b"9" * 5000,
-        b",",
-    ),
-    *(
-        b"1e999",
-        b"NaN",
-        b"\xed\xa0\x80",
-        b"\\ud800",
-        b'"a":1,"a":2',
-        b" HTTP/1.1",
-        b": ",
-        b"\t",
-        b"0\r\n\r\n",
-    ),
+    *(b"", b"\r\n", b"\0", b"\xff", b"[" * 400, b"9" * 5000, b"\xed\xa0\x80", b" HTTP/1.1", b": ", b"\t"),
+    *(b"0\r\n\r\n", *rb"""%2e%2e .. // \ { " , 1e999 NaN \ud800 "a":1,"a":2""".split()),
 ]
 """Bytes that are put into a request."""
 
-HEADERS = [
-    b"Host",
-    b"Origin",
-    b"Sec-Fetch-Site",
-    b"Content-Type",
-    b"Content-Length",
-    b"Connection",
-    b"Upgrade",
-]
-HEADERS += [
-    b"Transfer-Encoding",
-    b"Expect",
-    b"Sec-WebSocket-Key",
-    b"Sec-WebSocket-Version",
-    b"Range",
-    b"Cookie",
-]
-HEADERS += [b"Sec-WebSocket-Extensions", b"Sec-WebSocket-Protocol", b"If-None-Match", b"If-Range", b"X"]
+HEADERS = b"""Host Origin Sec-Fetch-Site Content-Type Content-Length Connection Upgrade
+    Transfer-Encoding Expect
+Range Cookie Sec-WebSocket-Key Sec-WebSocket-Version Sec-WebSocket-Extensions Sec-WebSocket-Protocol
+If-None-Match If-Range X""".split()
 
 VALUES = [
-    *(
-        b"",
-        b"127.0.0.1:7000",
-        b"localhost:7000",
-        b"evil.example",
-        b"127.0.0.1",
-        b"[::1]:7000",
-        b"null",
-        b"none",
-    ),
-    *(
-        b"http://127.0.0.1:7000",
-        b"http://evil.example",
-        b"https://127.0.0.1:7000",
-        b"cross-site",
-        b"same-site",
-    ),
-    *(
-        b"same-origin",
-        b"application/json",
-        b"application/octet-stream",
-        b"text/plain",
-        b"multipart/form-data",
-    ),
-    *(
-        b"0",
-        b"1",
-        b"-1",
-        b"+5",
-        b"99999999",
-        b"3000000",
-        b"1, 1",
-        b"1e3",
-        b"\xb2",
-        b"chunked",
-        b"gzip, chunked",
-    ),
-    *(
-        b"100-continue",
-        b"Upgrade",
-        b"close",
-        b"keep-alive, Upgrade",
-        b"websocket",
-        b"13",
-        b"8",
-        b"h2c",
-        b"x" * 40000,
-    ),
-    *(b"bytes=0-1", b"bytes=5-1,0-0", b"bytes=-999999", b"bytes=99999999-", b"permessage-deflate", b"\x80"),
-    *(
-        b"application/json; charset=utf-8",
-        b"http://127.0.0.1:7000.evil",
-        b"a\tb",
-        b"*",
-        b"AAAAAAAAAAAAAAAAAAAAAA==",
-    ),
+    *b"""127.0.0.1:7000 localhost:7000 evil.example 127.0.0.1 [::1]:7000 null none http://127.0.0.1:7000
+    http://evil.example https://127.0.0.1:7000 http://127.0.0.1:7000.evil cross-site same-site same-origin
+    application/json application/octet-stream text/plain multipart/form-data 0 1 -1 +5 99999999 3000000 1e3
+    chunked 100-continue Upgrade close websocket 13 8 h2c bytes=0-1 bytes=5-1,0-0 bytes=-999999
+    bytes=99999999- permessage-deflate * AAAAAAAAAAAAAAAAAAAAAA==""".split(),
+    *(b"", b"1, 1", b"\xb2", b"\x80", b"gzip, chunked", b"keep-alive, Upgrade", b"a\tb", b"x" * 40000),
+    b"application/json; charset=utf-8",
 ]
 """Values that headers are given."""
 
+SOCKET_KEY = b"AAAAAAAAAAAAAAAAAAAAAA=="
+
 PATHS = [
-    b"/..",
-    b"/../",
-    b"%2e%2e/",
-    b"//",
-    b"\\",
-    b"/%00",
-    b"?",
-    b"?name=%ff&mm=nan",
-    b"?mm=1e999",
-    b"#x",
-    b"/do/open",
-]
-PATHS += [
-    b"/static/..",
-    b"/static/%2e",
-    b"/static/",
-    b";x",
-    b"\xc3\xa9",
-    b"/do/nothing",
-    b"?mm=0x1",
-    b"?name=" + b"a" * 9000,
+    *rb"""/.. /../ %2e%2e/ // \ /%00 ? ?name=%ff&mm=nan ?mm=1e999 #x /do/open /static/.. /static/%2e /static/
+    ;x /do/nothing ?mm=0x1""".split(),
+    *(b"\xc3\xa9", b"?name=" + b"a" * 9000),
 ]
 
-METHODS = [b"GET", b"POST", b"HEAD", b"PUT", b"OPTIONS", b"TRACE", b"CONNECT", b"PATCH", b"get", b"BREW"]
+ODD_KEYS = ["", "\0"]
+ODD_KEYS += """file draft tab robot lamp block cylinder stripe x spots turrets page overwrite
+__class__ model_config
+outline_mm name surface lighting radio""".split()
+"""Keys that JSON is given."""
+
+METHODS = b"GET POST HEAD PUT OPTIONS TRACE CONNECT PATCH get BREW".split()
 
 
 class Request:
@@ -245,7 +130,7 @@ class Request:
         self.chunked = False
         if content == "websocket":
             self.headers += [(b"Connection", b"Upgrade"), (b"Upgrade", b"websocket")]
-            self.headers += [(b"Sec-WebSocket-Version", b"13"), (b"Sec-WebSocket-Key", VALUES[-1])]
+            self.headers += [(b"Sec-WebSocket-Version", b"13"), (b"Sec-WebSocket-Key", SOCKET_KEY)]
             self.frames = frame(1, b'{"file": "a.toml"}')
         elif content is not None:
             kind = b"octet-stream" if isinstance(content, bytes) else b"json"
@@ -325,34 +210,6 @@ class Request:
         return [
             each[at : at + size] for each in whole for at in range(0, len(each), max(size, len(each) // 50))
         ]
-
-
-ODD_KEYS = [
-    "",
-    "file",
-    "draft",
-    "tab",
-    "robot",
-    "lamp",
-    "block",
-    "cylinder",
-    "stripe",
-    "x",
-    "\0",
-    "spots",
-    "turrets",
-]
-ODD_KEYS += [
-    "page",
-    "overwrite",
-    "__class__",
-    "model_config",
-    "outline_mm",
-    "name",
-    "surface",
-    "lighting",
-    "radio",
-]
 
 
 def places_in(content: Any) -> Iterator[tuple[Any, Any]]:
