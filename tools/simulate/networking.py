@@ -9,7 +9,7 @@ import serial.urlhandler.protocol_rfc2217
 import serial.urlhandler.protocol_socket  # noqa: F401 (pyserial imports these where they are first used)
 
 import khep_twin.host.line
-import khep_twin.status_line  # noqa: F401 (imported where code is compiled)
+import khep_twin.status_line
 from khep_twin.ports.network import TcpPort
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.serve import WIRE, serve
