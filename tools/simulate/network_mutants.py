@@ -13,7 +13,6 @@ from khep_twin.host import commands
 from khep_twin.host.line import Line
 from khep_twin.ports import network, network_host
 from khep_twin.ports.network_host import NetworkHost
-from khep_twin.robot import Robot
 from tools.simulate.mutants import Mutant
 
 
@@ -62,7 +61,7 @@ def _refused_bytes_taken() -> AbstractContextManager[object]:
     def accept(port: network.TcpPort, notices: list[str]) -> tuple[socket.socket, str] | None:
         came = sound(port, notices)
         if came is not None and port._host is not None:
-            came[0].setblocking(False)
+            came[0].settimeout(0.01)
             try:
                 port._host._ahead += came[0].recv(100)
             except OSError:
@@ -70,10 +69,6 @@ def _refused_bytes_taken() -> AbstractContextManager[object]:
         return came
 
     return patch.object(network.TcpPort, "_accept", accept)
-
-
-def _replies_kept() -> AbstractContextManager[object]:
-    return patch.object(Robot, "disconnect", lambda robot: None)
 
 
 def _never_let_go() -> AbstractContextManager[object]:
@@ -123,7 +118,6 @@ MUTANTS: dict[str, Mutant] = {
     "left and right are swapped": Mutant("lockstep", "replies", _swapped_values),
     "an error does not name its port": Mutant("tcp", "errors", _nameless_errors),
     "a refused host's bytes are taken": Mutant("tcp", "replies", _refused_bytes_taken),
-    "a former host's replies reach the next": Mutant("tcp", "replies", _replies_kept),
     "a host that has finished is never let go": Mutant("tcp", "leftovers", _never_let_go),
     "a browser is let in": Mutant("tcp", "replies", _browsers),
     "connections are never closed": Mutant("tcp", "leftovers", _connections_kept),

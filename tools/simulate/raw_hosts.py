@@ -54,7 +54,7 @@ class Raw:
     def good(self) -> None:
         """Ask in bursts, and check each reply; leave by closing, or by finishing to send."""
         rng, truth = self.rng, self.truth()
-        asked, got = 0, b""
+        asked, got, has_finished = 0, b"", False
         try:
             with self.connect() as host:
                 host.settimeout(PATIENCE_S)
@@ -73,12 +73,14 @@ class Raw:
                     self._pause(rng.choice([0.0, 0.05, 1.0]))
                 host.sendall(b"D,0,0\n")
                 if rng.random() < 0.3:
+                    has_finished = True
                     host.shutdown(real_socket.SHUT_WR)
                     while host.recv(4096):
                         pass
         except TimeoutError:
             if truth is self.truth() and self.is_exact and not self.simulation.faults.happened:
-                self.simulation.violate("answers", f"raw host {self.number} waited for {PATIENCE_S} s")
+                kind = "leftovers" if has_finished else "answers"
+                self.simulation.violate(kind, f"raw host {self.number} waited for {PATIENCE_S} s")
         except OSError as error:
             if not self.may_fail():
                 self.simulation.violate("answers", f"raw host {self.number} on a sound line got {error!r}")
