@@ -41,12 +41,13 @@ class OpenFile:
     Attributes:
         blocking: True if a read or write waits until it can be done.
         references: Number of descriptors of it.
+        released_ns: Time at which the call that closes it returns at the earliest [ns].
     """
 
     def __init__(self, kernel: "Kernel") -> None:
         self.kernel = kernel
         self.blocking = True
-        self.references = 0
+        self.references = self.released_ns = 0
         self.waiters: dict[Process, int] = {}
 
     def readable(self) -> bool:
@@ -68,6 +69,10 @@ class OpenFile:
     def write(self, data: bytes) -> int:
         """Take bytes and return their number; raise BlockingIOError without room."""
         raise OSError(9, "Bad file descriptor")
+
+    def waits(self) -> bool:
+        """Return whether a read waits for something to read."""
+        return self.blocking
 
     def closed(self) -> None:
         """Release it: its last descriptor is closed."""
@@ -162,6 +167,7 @@ class Kernel:
         now_ns: Time since the machine was started [ns].
         processes: All processes, in the order of their starts.
         current: Process that runs; None between processes.
+        delays: Random generator of the delays within the kernel.
     """
 
     def __init__(self, seed: int, faults: Faults) -> None:
@@ -174,7 +180,7 @@ class Kernel:
         self._numbers = count()
         self._pids = count(1000)
         self._main = getcurrent()
-        self._rng = random.Random(mixed(seed, "kernel"))
+        self.delays = random.Random(mixed(seed, "kernel"))
 
     # Processes and events ------------------------------------------------------------------------------
 
@@ -286,7 +292,7 @@ class Kernel:
 
     def wake(self, process: Process) -> None:
         """Wake a process that waits, in a moment."""
-        self._push(self.now_ns + self._rng.randrange(*_WAKE_NS), process)
+        self._push(self.now_ns + self.delays.randrange(*_WAKE_NS), process)
 
     # Turns ---------------------------------------------------------------------------------------------
 

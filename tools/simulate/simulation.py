@@ -13,6 +13,7 @@ from khep_twin.errors import KhepTwinError
 from tools.simulate.faults import Faults, mixed
 from tools.simulate.kernel import NS_PER_S, Kernel, Process
 from tools.simulate.system import System
+from tools.simulate.terminals import Terminals
 
 
 class Violation(AssertionError):
@@ -62,6 +63,7 @@ class Simulation:
         faults: Faults.
         kernel: Kernel.
         system: Modules that the product's code uses.
+        terminals: Pseudo-terminals.
         counts: Numbers of what was checked, by name, for the figures.
     """
 
@@ -70,6 +72,7 @@ class Simulation:
         self.faults = Faults(seed, kept)
         self.kernel = Kernel(seed, self.faults)
         self.system = System(self.kernel)
+        self.terminals = Terminals(self.system, folder)
         self.counts: dict[str, int] = {}
 
     def rng(self, *names: str | int) -> random.Random:

@@ -10,12 +10,13 @@ import errno
 import fcntl
 import os
 import select
+import signal
 import sys
 import termios
 import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from types import ModuleType
 from typing import Any, Protocol
 from unittest.mock import patch
@@ -61,10 +62,12 @@ class System:
     Attributes:
         devices: Devices by path.
         modules: Simulated modules by name.
+        patches: Further things that are replaced, by their full names.
     """
 
     def __init__(self, kernel: Kernel) -> None:
         self.devices: dict[str, Device] = {}
+        self.patches: dict[str, object] = {}
         self.modules: dict[str, object] = {
             "os": SimulatedOs(kernel, self.devices),
             "select": SimulatedSelect(kernel),
@@ -72,6 +75,7 @@ class System:
             "fcntl": SimulatedFcntl(kernel),
             "termios": SimulatedTermios(kernel),
             "threading": SimulatedThreading(kernel),
+            "signal": SimulatedSignal(kernel),
         }
 
     @contextmanager
@@ -83,6 +87,8 @@ class System:
                     for used, simulated in self.modules.items():
                         if getattr(module, used, None) is sys.modules[used]:
                             stack.enter_context(patch.object(module, used, simulated))
+            for name, replacement in self.patches.items():
+                stack.enter_context(patch(name, replacement))
             yield
 
 
@@ -116,7 +122,10 @@ class SimulatedOs(Shim):
         if process is None:
             os.close(descriptor)
         elif descriptor >= FIRST_DESCRIPTOR:
-            self.kernel.called().close(descriptor)
+            file = self.kernel.called().file(descriptor)
+            process.close(descriptor)
+            if not file.references and file.released_ns > self.kernel.now_ns:
+                self.kernel.elapse(file.released_ns - self.kernel.now_ns)
         else:
             self.kernel.called().real.discard(descriptor)
             os.close(descriptor)
@@ -125,18 +134,27 @@ class SimulatedOs(Shim):
         if descriptor < FIRST_DESCRIPTOR:
             return os.read(descriptor, limit)
         file = self.kernel.called().file(descriptor)
-        if file.blocking:
-            self.kernel.wait([file], file.readable, None)
-        return file.read(limit)
+        while True:
+            if file.waits():
+                self.kernel.wait([file], file.readable, None)
+            try:
+                return file.read(limit)
+            except BlockingIOError:  # another reader may have taken it
+                if not file.waits():
+                    raise
 
     def write(self, descriptor: int, data: Any) -> int:
         process = self.kernel.called()
         if descriptor < FIRST_DESCRIPTOR:
             return os.write(descriptor, data)
-        file = process.file(descriptor)
-        if file.blocking:
+        file, left = process.file(descriptor), bytes(data)
+        if not file.blocking:
+            return file.write(left)
+        while left:
             self.kernel.wait([file], file.writable, None)
-        return file.write(bytes(data))
+            with suppress(BlockingIOError):
+                left = left[file.write(left) :]
+        return len(data)
 
     def set_blocking(self, descriptor: int, blocking: bool) -> None:
         if descriptor < FIRST_DESCRIPTOR:
@@ -345,9 +363,22 @@ class SimulatedTermios(Shim):
         def call(descriptor: Any, *args: Any) -> Any:
             if (number := _number(descriptor)) < FIRST_DESCRIPTOR:
                 return found(descriptor, *args)
-            return _asked(self.kernel, number, name)(*args)
+            try:
+                return _asked(self.kernel, number, name)(*args)
+            except OSError as error:
+                raise termios.error(*error.args) from None
 
         return call
+
+
+class SimulatedSignal(Shim):
+    """Module `signal`: processes handle none, as the handlers are the machine's one process's."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        super().__init__(signal, kernel)
+
+    def getsignal(self, number: int) -> Any:
+        return signal.getsignal(number) if self.kernel.current is None else signal.SIG_DFL
 
 
 class SimulatedThreading(Shim):
