@@ -14,7 +14,10 @@ BROWSER :=
 SIGNALS := 1000
 EDGES := 2000
 BRANCHES := 200
+NIGHT :=
+NIGHT_SHARE := 1
 TRIALS :=
+HOURS := 1000
 
 # An environment that is there stays what it is.
 ifneq ($(and $(PYTHON),$(wildcard $(BIN)/python)),)
@@ -23,7 +26,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-rfc2217 edges branches twin-trials record recordings soak determinism kills day worker-kills signals pyserial browser schemas commands reference tutorial bench fidelity lock build clean
+.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-page fuzz-rfc2217 night edges branches simulate mutants twin-trials record recordings soak determinism kills day worker-kills signals pyserial browser schemas commands reference tutorial bench fidelity lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -60,11 +63,24 @@ fuzz-files: $(VENV)/dev.stamp ## damaged playpens, MAT files and PNGs, 1.4 milli
 	@$(BIN)/python tools/fuzz_files.py png 200000 --jobs 2
 	@$(BIN)/python tools/fuzz_files.py toml 1000000 --jobs 2
 
-fuzz-logs: $(VENV)/dev.stamp ## a million changed logs, read, exported and recovered; half an hour
+fuzz-logs: $(VENV)/dev.stamp ## a million changed logs, read, exported and recovered; 5,000 viewed, repeated, branched; about 40 minutes
 	@$(BIN)/python tools/fuzz_logs.py -runs=1000000
+	@$(BIN)/python tools/fuzz_log_uses.py -runs=5000
+
+fuzz-page: $(VENV)/dev.stamp ## 100,000 inputs of up to four requests to the designer's page each; about half an hour
+	@$(BIN)/python tools/fuzz_page.py -runs=100000
+
+night: $(VENV)/dev.stamp ## all long checks, and a page of what they found, out/night/index.html; goes on where it stopped; NIGHT="parser soak" for parts, NIGHT_SHARE=0.01 for less
+	@$(BIN)/python tools/night.py run --share $(NIGHT_SHARE) $(NIGHT)
 
 fuzz-rfc2217: $(VENV)/dev.stamp ## a million connections that negotiate by RFC 2217, well or not; a quarter of an hour
 	@$(BIN)/python tools/fuzz_rfc2217.py -runs=1000000
+
+simulate: $(VENV)/dev.stamp ## 1,000 simulated hours of the whole system with faults at random; HOURS=1 for fewer; hours
+	@$(BIN)/python -m tools.simulate run --hours $(HOURS)
+
+mutants: $(VENV)/dev.stamp ## broken builds, each of which the simulation must catch
+	@$(BIN)/python -m tools.simulate mutants
 
 recordings: $(VENV)/dev.stamp ## logs of 300 sound robots with random hosts, in which conform must find nothing; ten minutes
 	@$(BIN)/python tools/recorded_hosts.py 300

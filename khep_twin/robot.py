@@ -1,10 +1,9 @@
 """One robot of a world: its board, line, turrets, supply, and body in the physics."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple, Protocol
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,51 +13,24 @@ from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injecto
 from khep_twin.board.kernel import LEFT, RIGHT, Board, Wheel
 from khep_twin.board.protocol import LINE_END
 from khep_twin.board.rom import ROMS
-from khep_twin.board.turrets import TurretBody, TurretKind, find
+from khep_twin.board.turrets import find
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
 from khep_twin.firmware import Firmware
-from khep_twin.playpen import Playpen
 from khep_twin.randomness import position, resume
-from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.faulty_wheels import FaultyWheels
+from khep_twin.simulation.turret_place import TurretPlace, TurretWorld
 from khep_twin.simulation.world_state import HostState, RobotSnapshot
 
 REPLY_LIMIT = 256
 """Bytes of replies queued before the firmware takes no more commands (assumed)."""
 
-
-_TURRET_KEY = 0x85EBCA6B
-"""Factor that turns the number of a turret into a word of its key: any odd one."""
-
 _MOST_WARNINGS = 100
 """Most speeds of a host that are reported; a host may try millions."""
 
 
-class WorldContext(Protocol):
+class WorldContext(TurretWorld, Protocol):
     """Interface of the world to its robots."""
-
-    playpen: Playpen
-    model: mujoco.MjModel
-    data: mujoco.MjData
-    time_ns: int
-    lamps: Lamps
-    robots: "tuple[Robot, ...]"
-
-    @property
-    def powers(self) -> Sequence[float]:
-        """Present powers of the lamps, without their flicker (n,) [W]."""
-        ...
-
-    @property
-    def is_noisy(self) -> bool:
-        """True if sensors are noisy."""
-        ...
-
-    @property
-    def is_compiled(self) -> bool:
-        """True if compiled code steps the world."""
-        ...
 
     def log_event(self, robot: int | None, text: str) -> None:
         """Log an event."""
@@ -85,72 +57,6 @@ class RobotSettings(NamedTuple):
     unpaced: bool
     strict_line: bool
     faults: tuple[Fault, ...]
-
-
-class TurretPlace:
-    """Place of a turret in a world, a `TurretContext`.
-
-    Args:
-        context: World of the robot.
-        robot: Index of the robot.
-        kind: Kind of the turret.
-        registers: Registers of the turret's electronics.
-        state: Record of the robot.
-    """
-
-    def __init__(
-        self,
-        context: WorldContext,
-        robot: int,
-        kind: TurretKind,
-        registers: NDArray[np.int64],
-        state: NDArray[np.void],
-    ) -> None:
-        self.model, self.data, self.robot, self.registers = context.model, context.data, robot, registers
-        self.prefix = f"khepera{robot}/{kind.name}/"
-        self._context, self._kind, self._state = context, kind, state
-
-    @property
-    def time_ns(self) -> int:
-        """Time of the world [ns]."""
-        return self._context.time_ns
-
-    @property
-    def lamps(self) -> list[tuple[float, float, float, float]]:
-        """Positions [m] and present power [W] of the lamps: x, y, z, power."""
-        world = self._context
-        return [(*at, power) for at, power in zip(world.lamps.positions, world.powers, strict=True)]
-
-    @property
-    def room_lux(self) -> float:
-        """Illuminance by the room's own light [lx]."""
-        return self._context.playpen.lighting.room_lux
-
-    @property
-    def key(self) -> tuple[int, int]:
-        """Words of the key of the turret's random draws: those of the robot's sensors, told apart."""
-        low, high = self._state["noise"].tolist()
-        return low ^ (self._kind.number + 1) * _TURRET_KEY & 0xFFFFFFFF, high
-
-    @property
-    def is_noisy(self) -> bool:
-        """True if sensors are noisy."""
-        return self._context.is_noisy
-
-    @property
-    def settings(self) -> Mapping[str, float]:
-        """Values of the playpen's table for turrets of this kind; empty without one."""
-        return self._context.playpen.turret_settings.get(self._kind.name, {})
-
-    @property
-    def is_compiled(self) -> bool:
-        """True if the world is stepped by compiled code, so that a body may use such code, too."""
-        return self._context.is_compiled
-
-    @property
-    def peers(self) -> list[TurretBody | None]:
-        """Bodies of the turrets of this kind, by the index of their robot; None for a robot without."""
-        return [robot.turret_bodies.get(self._kind.name) for robot in self._context.robots]
 
 
 _RECORDED = ("registers", "processor", "sensor_states", "strengths", "voltage")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from khep_twin import step, units
 from khep_twin.board.fault_injection import WHEEL, Fault
+from khep_twin.board.turrets import TurretBody
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NEVER_NS
 from khep_twin.errors import DivergedError, MissingNumbaError, SnapshotError
@@ -203,6 +204,10 @@ class World:
     def joints(self) -> NDArray[np.float64]:
         """Copy of the positions of all joints."""
         return self.data.qpos.copy()
+
+    def turret_bodies(self, name: str) -> list[TurretBody | None]:
+        """Return the bodies of all turrets of a kind, by the index of their robot; None for one without."""
+        return [robot.turret_bodies.get(name) for robot in self.robots]
 
     def add_observer(self, observer: Observer, *, at_once: bool = True) -> None:
         """Add an observer.

@@ -46,12 +46,12 @@ def ask(path: str) -> None:
             reply += os.read(port, 4096)
 
 
-def day(hours: float, log: Path) -> float:
+def day(hours: float, log: Path, seed: int) -> float:
     """Serve for so many simulated hours; return the growth of memory [MB]."""
     end_ns = round(hours * HOUR_NS)
     begun, first, next_ns = time.monotonic(), 0.0, WARM_NS
     with ExitStack() as stack:
-        twin = stack.enter_context(open_twin("obstacles", TwinOptions(seed=1, log=str(log))))
+        twin = stack.enter_context(open_twin("obstacles", TwinOptions(seed=seed, log=str(log))))
         port = stack.enter_context(closing(PtyPort(None, twin.robot.firmware.baud)))
         host = stack.enter_context(subprocess.Popen([sys.executable, __file__, "0", "--host", port.path]))
         stack.callback(host.kill)
@@ -86,12 +86,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Serve a twin for simulated hours and measure its memory.")
     parser.add_argument("hours", type=float)
     parser.add_argument("--log", type=Path)
+    parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--host")
     wish = parser.parse_args()
     if wish.host:
         ask(wish.host)
     with tempfile.TemporaryDirectory(prefix="khep-twin-day-") as folder:
-        grown = day(wish.hours, wish.log or Path(folder) / "day.mcap")
+        grown = day(wish.hours, wish.log or Path(folder) / "day.mcap", wish.seed)
     print(f"{grown:.2f} MB more than after the first minute")
     return 0 if grown <= MOST_GROWTH else 1
 

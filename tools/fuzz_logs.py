@@ -155,9 +155,9 @@ class Step:
                 return [*records[:which], changed, *records[which + 1 :]]
 
 
-def cooked(data: bytes) -> bytes:
-    """Return the log of a recipe."""
-    records = list(base())
+def cooked(data: bytes, first: tuple[Record, ...] | None = None) -> bytes:
+    """Return the log of a recipe, made from the small log or from these records."""
+    records = list(base() if first is None else first)
     choice, steps = data[0] if data else 0, list(struct.iter_unpack("<BBHH", whole_steps(data[1:])))
     last = steps.pop() if steps and choice & DAMAGED else None
     for step in steps:

@@ -11,40 +11,21 @@ other starts, with Braitenberg's vehicle 2b that also avoids obstacles, and with
 blind to light.
 """
 
-import argparse
-import sys
-import time
-from pathlib import Path
-
 import numpy as np
 from curves import draw_curve
+from evolution import evolve, parse_options
 from trajectories import trajectories
 
 from khep_twin import playpen
 from khep_twin.drawing.map import DrawnPath, draw, save
-from khep_twin.errors import pip_install
-from khep_twin.files.atomic import unusable
 from khep_twin.playpen.starts import Start, anywhere
 from khep_twin.randomness import stream
 from khep_twin.rollout.controllers import Braitenberg, Driver, Network
 from khep_twin.rollout.episode import EpisodeSetup
 
-try:
-    from cmaes import CMA
-except ImportError:
-    sys.exit(f"cmaes is not installed; to install it: {pip_install('cmaes')}")
-
-wish = argparse.ArgumentParser(description="Evolve phototaxis around a screen.")
-wish.add_argument("--generations", type=int, default=80)
-wish.add_argument("--population", type=int, default=20)
-wish.add_argument("--episodes", type=int, default=16, help="episodes of a genome")
-wish.add_argument("--seconds", type=float, default=30.0, help="duration of an episode")
-wish.add_argument("--check-starts", type=int, default=100, help="evaluation episodes in MuJoCo")
-wish.add_argument("--seed", type=int, default=0)
-wish.add_argument("--picture", type=Path, help="draw curve and paths to NAME.png and NAME_way.png")
-options = wish.parse_args()
-if options.picture is not None and (reason := unusable(options.picture)):
-    wish.error(f"{options.picture}: cannot be written: {reason}")
+options = parse_options(
+    "Evolve phototaxis around a screen.", generations=80, episodes=16, seconds=30.0, check_starts=100
+)
 
 ARRIVED_MM = 60.0
 SAMPLE_S = 0.2
@@ -85,26 +66,19 @@ def arrivals(distances: np.ndarray) -> np.ndarray:
     return np.where(there.any(axis=1), there.argmax(axis=1) * SAMPLE_S, np.inf)
 
 
-began = time.monotonic()
-plane = EpisodeSetup(ARENA, planar=True)
-search = CMA(mean=np.zeros(NETWORK.n_genes), sigma=0.8, population_size=options.population, seed=options.seed)
-pool, rng = random_starts(1000, 400), stream(options.seed, "phototaxis")
-curve = []
-for generation in range(options.generations):
-    genomes = np.array([search.ask() for _ in range(options.population)])
-    starts = [pool[index] for index in rng.integers(len(pool), size=options.episodes)] * options.population
-    distances, _ = distances_mm(
-        plane, NETWORK, genomes.repeat(options.episodes, axis=0), starts, generation * len(starts)
-    )
+def judge(genomes: np.ndarray, generation: int) -> np.ndarray:
+    """Return the fitness of each genome, the mean over its episodes, which are those of all."""
+    starts = [pool[index] for index in rng.integers(len(pool), size=options.episodes)] * len(genomes)
+    genes, first_seed = genomes.repeat(options.episodes, axis=0), generation * len(starts)
+    distances, _ = distances_mm(plane, NETWORK, genes, starts, first_seed)
     left = np.maximum(1 - arrivals(distances) / options.seconds, 0)
-    fitness = (left + 0.2 * np.exp(-distances.min(axis=1) / 100)).reshape(options.population, -1).mean(axis=1)
-    search.tell([(genome, -value) for genome, value in zip(genomes, fitness, strict=True)])
-    curve.append(fitness)
-    print(
-        f"generation {generation:3}  best {fitness.max():.3f}  mean {fitness.mean():.3f}  "
-        f"{time.monotonic() - began:5.0f} s",
-        flush=True,
-    )
+    fitness = left + 0.2 * np.exp(-distances.min(axis=1) / 100)
+    return fitness.reshape(len(genomes), -1).mean(axis=1)
+
+
+plane = EpisodeSetup(ARENA, planar=True)
+pool, rng = random_starts(1000, 400), stream(options.seed, "phototaxis")
+evolved, curve = evolve(NETWORK, 0.8, options, judge)
 
 mujoco = EpisodeSetup(ARENA)
 starts = random_starts(0, options.check_starts)
@@ -112,7 +86,7 @@ print(f"in MuJoCo, {len(starts)} starts, {options.seconds:g} s   arrive   median
 for name, driver, genes in (
     ("ROM's vehicle, blind", Braitenberg(), np.zeros(0)),
     ("vehicle 2b, avoiding", Network(ambient=True), vehicle()),
-    ("evolved network", NETWORK, search.mean),
+    ("evolved network", NETWORK, evolved),
 ):
     distances, poses = distances_mm(mujoco, driver, genes, starts, 0)
     times = arrivals(distances)

@@ -9,40 +9,25 @@ between the edges. The search is CMA-ES in the plane, from weights of 0, instead
 search's final mean is evaluated in MuJoCo from new starts, 100 mm or more from the cylinder.
 """
 
-import argparse
-import sys
-import time
-from pathlib import Path
-
 import numpy as np
 from curves import draw_curve
+from evolution import evolve, parse_options
 from trajectories import trajectories
 
 from khep_twin import playpen
 from khep_twin.drawing.map import DrawnPath, draw, save
-from khep_twin.errors import pip_install
-from khep_twin.files.atomic import unusable
 from khep_twin.playpen.starts import Start
 from khep_twin.randomness import stream
 from khep_twin.rollout.controllers import Network
 from khep_twin.rollout.episode import EpisodeSetup
 
-try:
-    from cmaes import CMA
-except ImportError:
-    sys.exit(f"cmaes is not installed; to install it: {pip_install('cmaes')}")
-
-wish = argparse.ArgumentParser(description="Evolve the discrimination of a cylinder from walls.")
-wish.add_argument("--generations", type=int, default=50)
-wish.add_argument("--population", type=int, default=20)
-wish.add_argument("--episodes", type=int, default=8, help="episodes of a genome")
-wish.add_argument("--seconds", type=float, default=50.0, help="duration of an episode")
-wish.add_argument("--check-starts", type=int, default=50, help="evaluation episodes in MuJoCo")
-wish.add_argument("--seed", type=int, default=0)
-wish.add_argument("--picture", type=Path, help="draw curve and path to NAME.png and NAME_way.png")
-options = wish.parse_args()
-if options.picture is not None and (reason := unusable(options.picture)):
-    wish.error(f"{options.picture}: cannot be written: {reason}")
+options = parse_options(
+    "Evolve the discrimination of a cylinder from walls.",
+    generations=50,
+    episodes=8,
+    seconds=50.0,
+    check_starts=50,
+)
 
 NEAR_MM, SAMPLE_S, ACTION_NS = 80.0, 0.5, 100_000_000
 NETWORK = Network()
@@ -66,29 +51,22 @@ def near_cylinder(poses: np.ndarray) -> np.ndarray:
     return np.hypot(poses[..., 0] - CYLINDER[0], poses[..., 1] - CYLINDER[1]) <= NEAR_MM
 
 
-began = time.monotonic()
-plane = EpisodeSetup(ARENA, planar=True, period_ns=ACTION_NS)
-search = CMA(mean=np.zeros(NETWORK.n_genes), sigma=1.0, population_size=options.population, seed=options.seed)
-curve = []
-for generation in range(options.generations):
-    genomes = np.array([search.ask() for _ in range(options.population)])
-    starts = random_starts(options.episodes) * options.population
+def judge(genomes: np.ndarray, generation: int) -> np.ndarray:
+    """Return the fitness of each genome, the mean over its episodes, which are those of all."""
+    starts = random_starts(options.episodes) * len(genomes)
     genes, first_seed = genomes.repeat(options.episodes, axis=0), generation * len(starts)
     poses = trajectories(
         plane, NETWORK, genes, starts, options.seconds, sample_s=SAMPLE_S, first_seed=first_seed
     )
-    fitness = near_cylinder(poses).reshape(options.population, -1).mean(axis=1)
-    search.tell([(genome, -value) for genome, value in zip(genomes, fitness, strict=True)])
-    curve.append(fitness)
-    print(
-        f"generation {generation:3}  best {fitness.max():.3f}  mean {fitness.mean():.3f}  "
-        f"{time.monotonic() - began:5.0f} s",
-        flush=True,
-    )
+    return near_cylinder(poses).reshape(len(genomes), -1).mean(axis=1)
+
+
+plane = EpisodeSetup(ARENA, planar=True, period_ns=ACTION_NS)
+evolved, curve = evolve(NETWORK, 1.0, options, judge)
 
 mujoco = EpisodeSetup(ARENA, period_ns=ACTION_NS)
 starts = random_starts(options.check_starts)
-poses = trajectories(mujoco, NETWORK, search.mean, starts, options.seconds)
+poses = trajectories(mujoco, NETWORK, evolved, starts, options.seconds)
 near = near_cylinder(poses)
 x_mm, y_mm = poses[..., 0], poses[..., 1]
 sides = ARENA.arena.width_mm, ARENA.arena.height_mm

@@ -72,6 +72,8 @@ def unusable(path: Path) -> str:
 def write_whole(path: Path, data: bytes) -> None:
     """Write a file beside `path` and rename it when it is whole; a link is followed.
 
+    After a power failure, too, the previous or the new file is there, and after the return the new one.
+
     Raises:
         KhepTwinError: It cannot be written; the previous file is unchanged.
     """
@@ -110,10 +112,36 @@ def part_file(path: Path) -> Generator[BinaryIO]:
     try:
         with part.open("w+b") as file:
             yield file
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(part, target)
+        synchronize_folder(target.parent)
     finally:
         clear()
         forget()
+
+
+def synchronize_folder(folder: Path) -> None:
+    """Bring the names in a folder to the disk, so that a power failure does not take a rename back.
+
+    Raises:
+        OSError: The disk fails.
+    """
+    try:
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    except PermissionError:  # it may be written, but not listed
+        return
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in _UNSUPPORTED:
+            raise
+    finally:
+        os.close(descriptor)
+
+
+_UNSUPPORTED = errno.EINVAL, errno.ENOTSUP
+"""Errors of file systems that cannot synchronize a folder, such as some of a network."""
 
 
 def is_part(path: Path, whole: Path) -> bool:

@@ -10,15 +10,15 @@ with Khepera("khep://gripper") as robot:
     gripper.lift()
 """
 
-from khep_twin.errors import PortTimeout, ProtocolError
-from khep_twin.host.khepera import Khepera
+from khep_twin.errors import PortTimeout
+from khep_twin.host.turret import HostTurret
 from khep_twin.units import ARM_DOWN, ARM_UP, GRIPPER_NUMBER
 
 _PAUSE = 0.1
 """Pause between two reads of what moves [s]."""
 
 
-class Gripper:
+class Gripper(HostTurret):
     """Gripper on a robot. Commands return at once; `wait` waits until they are done.
 
     Args:
@@ -28,28 +28,19 @@ class Gripper:
         ProtocolError: The robot has no gripper.
     """
 
-    def __init__(self, robot: Khepera) -> None:
-        self._robot = robot
-        self.versions()
-
-    def versions(self) -> tuple[str, str]:
-        """Return the versions of the turret's software, as it reports them (command B)."""
-        fields = self._robot.turret(GRIPPER_NUMBER, "B").split(",")
-        if len(fields) != 3:
-            raise ProtocolError(f"{self._robot.name}: the gripper reported its versions as {fields}")
-        return fields[1], fields[2]
+    number, name = GRIPPER_NUMBER, "gripper"
 
     def open(self) -> None:
         """Open the fingers (command D)."""
-        self._robot.turret(GRIPPER_NUMBER, "D,0")
+        self._robot.turret(self.number, "D,0")
 
     def close(self) -> None:
         """Close the fingers (command D)."""
-        self._robot.turret(GRIPPER_NUMBER, "D,1")
+        self._robot.turret(self.number, "D,1")
 
     def move_arm(self, position: int) -> None:
         """Move the arm to a position, 152 (up) to 255 (down) (command E)."""
-        self._robot.turret(GRIPPER_NUMBER, f"E,{position}")
+        self._robot.turret(self.number, f"E,{position}")
 
     def lower(self) -> None:
         """Move the arm down, the fingers to the floor (command E)."""
@@ -61,19 +52,19 @@ class Gripper:
 
     def resistivity(self) -> int:
         """Return the resistivity between the fingers, 255 insulator or none, 0 short circuit (command F)."""
-        return self._value("F")
+        return self._values("F", 1)[0]
 
     def barrier(self) -> int:
         """Return the light barrier between the fingers, 0 free to 255 dark (command G)."""
-        return self._value("G")
+        return self._values("G", 1)[0]
 
     def fingers(self) -> int:
         """Return the position of the fingers, 0 closed to 200 open (command H)."""
-        return self._value("H,0")
+        return self._values("H,0", 1)[0]
 
     def arm(self) -> int:
         """Return the position of the arm, 152 up to 255 down (command H)."""
-        return self._value("H,1")
+        return self._values("H,1", 1)[0]
 
     def wait(self, timeout: float = 5.0) -> None:
         """Wait until neither arm nor fingers move.
@@ -88,10 +79,3 @@ class Gripper:
                 raise PortTimeout(f"{self._robot.name}: the gripper still moves after {timeout} s")
             before = now
             self._robot.sleep(_PAUSE)
-
-    def _value(self, message: str) -> int:
-        answer = self._robot.turret(GRIPPER_NUMBER, message)
-        letter, _, value = answer.partition(",")
-        if letter != message[0].lower() or not value.isdigit():
-            raise ProtocolError(f"{self._robot.name}: the gripper answered {message!r} with {answer!r}")
-        return int(value)

@@ -12,7 +12,7 @@ with Khepera("/dev/ttyUSB0") as robot:
 from typing import NamedTuple
 
 from khep_twin.errors import PortTimeout, ProtocolError
-from khep_twin.host.khepera import Khepera
+from khep_twin.host.turret import HostTurret
 from khep_twin.units import RADIO_ALL, RADIO_BYTES, RADIO_NUMBER, RadioStatus
 
 _PAUSE = 0.02
@@ -26,7 +26,7 @@ class RadioMessage(NamedTuple):
     data: bytes
 
 
-class Radio:
+class Radio(HostTurret):
     """Radio turret on a robot. `send` returns at once; `wait_until_sent` waits for the acknowledgement.
 
     Args:
@@ -36,16 +36,7 @@ class Radio:
         ProtocolError: The robot has no radio turret.
     """
 
-    def __init__(self, robot: Khepera) -> None:
-        self._robot = robot
-        self.versions()
-
-    def versions(self) -> tuple[str, str]:
-        """Return the versions of the turret's software, as it reports them (command B)."""
-        fields = self._robot.turret(RADIO_NUMBER, "B").split(",")
-        if len(fields) != 3:
-            raise ProtocolError(f"{self._robot.name}: the radio reported its versions as {fields}")
-        return fields[1], fields[2]
+    number, name = RADIO_NUMBER, "radio"
 
     def status(self) -> RadioStatus:
         """Return the status bits (command F)."""
@@ -108,11 +99,3 @@ class Radio:
         if self._robot.time > end:
             raise PortTimeout(f"{self._robot.name}: {problem}")
         self._robot.sleep(_PAUSE)
-
-    def _values(self, message: str, count: int) -> list[int]:
-        """Return the numbers of an answer."""
-        answer = self._robot.turret(RADIO_NUMBER, message)
-        head, *fields = answer.split(",")
-        if head != message[0].lower() or len(fields) != count or not all(map(str.isdecimal, fields)):
-            raise ProtocolError(f"{self._robot.name}: the radio answered {message!r} with {answer!r}")
-        return [int(field) for field in fields]

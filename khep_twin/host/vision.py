@@ -14,9 +14,8 @@ Reads may be repeated, so a lost reply does no harm. The commands of this module
 
 from functools import cache
 
-from khep_twin.errors import ProtocolError
 from khep_twin.host.commands import HostCommand, turret
-from khep_twin.host.khepera import Khepera
+from khep_twin.host.turret import HostTurret
 from khep_twin.units import K213_NUMBER, K213_PERIODS_MS, K213_PIXELS
 
 Greys = tuple[int, ...]
@@ -53,7 +52,7 @@ def read_region(start: int, count: int) -> HostCommand[Greys]:
     return _greys(_REGIONS[count], count, f",{start}")
 
 
-class Vision:
+class Vision(HostTurret):
     """K213 on a robot.
 
     Args:
@@ -63,16 +62,7 @@ class Vision:
         ProtocolError: The robot has no K213.
     """
 
-    def __init__(self, robot: Khepera) -> None:
-        self._robot = robot
-        self.versions()
-
-    def versions(self) -> tuple[str, str]:
-        """Return the versions of the turret's software, as it reports them (message B)."""
-        fields = self._robot.turret(K213_NUMBER, "B").split(",")
-        if len(fields) != 3 or fields[0] != "b":
-            raise ProtocolError(f"{self._robot.name}: the K213 reported its versions as {fields}")
-        return fields[1], fields[2]
+    number, name = K213_NUMBER, "K213"
 
     def image(self) -> Greys:
         """Return the greys of the last whole scan (64,) (message N)."""
@@ -119,9 +109,7 @@ class Vision:
         """
         if not 0 <= period < len(K213_PERIODS_MS):
             raise ValueError(f"period {period}; expected 0 to {len(K213_PERIODS_MS) - 1}")
-        answer = self._robot.turret(K213_NUMBER, f"U,{period}")
-        if answer != "u":
-            raise ProtocolError(f"{self._robot.name}: the K213 answered 'U,{period}' with {answer!r}")
+        self._values(f"U,{period}", 0)
 
 
 def _greys(letter: str, count: int, arguments: str = "") -> HostCommand[Greys]:

@@ -52,7 +52,7 @@ class EntryReader:
                 name, definition = ("", None) if schema is None else (schema.name, _definition(schema))
                 self._channels.setdefault(channel.id, (channel.topic, name, definition))
             case _:
-                raise Misfit(f"definition at byte {offset}", "texts of the lengths that they say")
+                raise Misfit(f"definition at byte {offset}", "printable names, of the lengths that they say")
 
     def knows(self, topic: str) -> bool:
         """Return whether a channel of a topic is defined."""

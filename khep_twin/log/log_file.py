@@ -118,6 +118,8 @@ class LogFile:
         """Complete the file and rename it to its path."""
         with self.guarded():
             self._writer.finish()
+            # A log under its own name is whole, also after a power failure; that may take the name back.
+            self._file.synchronize()
             os.replace(self.part, self._target)
             self._close()
 
@@ -125,8 +127,11 @@ class LogFile:
         """Remove the file, for a run that has not begun."""
         with undisturbed():
             if self.open:
-                self._close()
-                self.part.unlink(missing_ok=True)
+                try:
+                    # As long as it is locked, the name is that of no other run's file.
+                    self.part.unlink(missing_ok=True)
+                finally:
+                    self._close()
 
     @contextmanager
     def guarded(self) -> Generator[None, None, None]:

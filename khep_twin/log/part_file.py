@@ -18,13 +18,28 @@ class PartFile:
     """An unbuffered file in which each write is there as a whole or not at all.
 
     It is locked while it is open, so that a second run does not take it for the remains of a crash.
+
+    Raises:
+        LogError: Another run that begins now did so, before it was locked.
+        OSError: It cannot be made.
     """
 
     def __init__(self, path: Path) -> None:
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        try:
+            self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        except FileExistsError:
+            raise _written(path) from None
         self._size = 0
-        with suppress(OSError):  # some network file systems have no locks
+        try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            is_ours = _names(path, self._descriptor)
+        except BlockingIOError:
+            is_ours = False
+        except OSError:  # some network file systems have no locks
+            is_ours = True
+        if not is_ours:
+            self.close()
+            raise _written(path)
 
     def write(self, data: bytes) -> int:
         """Append `data`; on an error, remove what was written of it and raise."""
@@ -42,6 +57,14 @@ class PartFile:
     def tell(self) -> int:
         """Return the number of bytes written."""
         return self._size
+
+    def synchronize(self) -> None:
+        """Bring everything to the disk, so that a power failure takes nothing of it.
+
+        Raises:
+            OSError: The disk fails.
+        """
+        os.fsync(self._descriptor)
 
     def close(self) -> None:
         """Close the file."""
@@ -61,17 +84,20 @@ def set_aside(part: Path) -> Path | None:
         LogError: Another run is writing it, or it is no log.
         OSError: It cannot be moved.
     """
-    if not part.exists():
-        return None
     try:
         found = open_regular(part)
+    except FileNotFoundError:
+        return None
     except OSError as error:
         raise LogError(f"{part}: this is no unfinished log: {error.strerror}") from error
     with found as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise LogError(f"{part}: another run is writing it; expected another name for the log") from None
+            raise _written(part) from None
+        # The run that was writing it may have ended just now, and another one have begun.
+        if not _names(part, file.fileno()):
+            return set_aside(part)
         # It may be cut off early; anything else belongs to the user, such as the playpen of this very run.
         if not MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC))):
             raise LogError(f"{part}: this is no unfinished log; expected another name for the log")
@@ -80,3 +106,15 @@ def set_aside(part: Path) -> Path | None:
         number += 1
     os.rename(part, kept)
     return kept
+
+
+def _names(path: Path, descriptor: int) -> bool:
+    """Return whether a path names the file that is open."""
+    try:
+        return os.path.samestat(os.stat(path), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False
+
+
+def _written(part: Path) -> LogError:
+    return LogError(f"{part}: another run is writing it; expected another name for the log")

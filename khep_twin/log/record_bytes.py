@@ -177,13 +177,17 @@ class RecordBytes:
 
 
 def parsed(opcode: int, content: bytes) -> McapRecord | None:
-    """Return the record of exactly these bytes; None if they are none."""
+    """Return the record of exactly these bytes, with printable names; None if they are none."""
     stream = ReadDataStream(BytesIO(content))
     try:
         record = _READERS[opcode](stream)
     except _DAMAGE:
         return None
-    return record if stream.count == len(content) else None
+    if stream.count != len(content):
+        return None
+    # rerun ends the process at a name with a zero byte.
+    name = record.name if isinstance(record, Schema) else record.topic if isinstance(record, Channel) else ""
+    return record if name.isprintable() else None
 
 
 def records_in(data: bytes) -> Generator[tuple[int, int, int], None, None]:

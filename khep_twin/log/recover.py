@@ -143,6 +143,8 @@ def _write(
             until_ns = max(until_ns, message.log_time)
             size += HEAD.size + MESSAGE.size + len(message.data)
         writer.finish()
+        file.flush()
+        os.fsync(file.fileno())
     counts = len(attachments), salvage.damaged, salvage.torn, refused
     return size, Rescue(path, messages, until_ns, *counts)
 

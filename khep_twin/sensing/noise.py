@@ -10,6 +10,8 @@ import math
 from collections.abc import Sequence
 from statistics import NormalDist
 
+import numpy as np
+
 from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import Vector
 
@@ -50,6 +52,13 @@ def quantiles() -> list[list[float]]:
 def no_noise() -> list[list[float]]:
     """Return tables whose draws are all 0."""
     return [[0.0] * (N_CELLS + 1) for _ in range(2)]
+
+
+TABLES = no_noise(), quantiles()
+"""Tables for `draws` without noise and with it, by whether there is any."""
+
+TABLE_ARRAYS = tuple(np.array(tables) for tables in TABLES)
+"""The same for compiled code (2, N_CELLS + 1)."""
 
 
 @compilable

@@ -17,7 +17,7 @@ from khep_twin.playpen import Lighting
 from khep_twin.randomness import key, stream
 from khep_twin.sensing.buffers import as_plain, as_records, fill_record
 from khep_twin.sensing.lamps import Lamps
-from khep_twin.sensing.noise import key_words, no_noise, quantiles
+from khep_twin.sensing.noise import TABLE_ARRAYS, TABLES, key_words
 from khep_twin.sensing.optics import Bulb, Hidden, Light, LightLaw
 from khep_twin.step import RobotState, Simulated, StepInputs, Timing
 from khep_twin.units import N_SENSORS
@@ -27,9 +27,6 @@ NO_LIGHT = Light(LightLaw(False, 0.0, 0.0, True, 1, 0.0), (), ())
 
 _SPAN = 20_000
 """Most steps in one call of compiled code, which nothing interrupts."""
-
-_TABLES = no_noise(), quantiles()
-_TABLE_ARRAYS = tuple(np.array(each) for each in _TABLES)
 
 Advance = Callable[..., int]
 """`step.advance`, or `step.switch_on` where `until` is below 0; compiled code gets all as separate arrays."""
@@ -111,7 +108,7 @@ class Simulation:
         self._powered = 0
         self._compiled = self._is_varied = False
         self.plain = Simulated(scene.plain(), timing, NO_LIGHT, (), self.counters.data)
-        self.inputs = StepInputs([[]], _TABLES[0])
+        self.inputs = StepInputs([[]], TABLES[0])
         self._run: Advance = plain_advance
         self._arrays: tuple[Any, ...] = ()
         self._show_plain(robots)
@@ -309,7 +306,7 @@ class Simulation:
             self.records,
             self.counters,
             powers,
-            _TABLE_ARRAYS[bool(self._keys)],
+            TABLE_ARRAYS[bool(self._keys)],
         )
 
     def _draw_by(self, keys: tuple[int, ...]) -> None:
@@ -317,7 +314,7 @@ class Simulation:
         for record, own in zip(self.records, keys or [0] * len(self.records), strict=True):
             record["noise"] = key_words(own)
         self._keys = keys
-        self.inputs = self.inputs._replace(tables=_TABLES[bool(keys)])
+        self.inputs = self.inputs._replace(tables=TABLES[bool(keys)])
         self._bind()
 
 

@@ -125,9 +125,13 @@ class SweepFolder:
         file, work = self._path / "study.json", self._work
         known = _json(file)
         # A sweep that was killed at once may have left a part of its file.
-        found = sorted(path for path in self._path.iterdir() if not is_part(path, file))
+        there = sorted(self._path.iterdir())
+        left = [path for path in there if is_part(path, file)]
+        found = [path for path in there if path not in left]
         if known is None and found:
             raise StudyError(f"{self._path}: holds {found[0].name} and no study.json; expected a new folder")
+        for path in left:
+            path.unlink(missing_ok=True)
         # A study without results, as with a program that does not compile, may be corrected and restarted.
         if known is None or not self._has_results():
             told = {

@@ -20,15 +20,12 @@ from khep_twin.sensing.line_faces import (
 )
 from khep_twin.sensing.line_image import take_image
 from khep_twin.sensing.line_scene import N_COLUMNS, N_RAYS, Eye, LineScene
-from khep_twin.sensing.noise import Tables, no_noise, quantiles
+from khep_twin.sensing.noise import TABLE_ARRAYS, TABLES, Tables
 from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.units import K213_PIXELS, ROOM_LUX
 
 Lamp = tuple[float, float, float, float]
 """Position [m] and power [W] of a lamp: x, y, z, power."""
-
-_TABLES = no_noise(), quantiles()
-_TABLE_ARRAYS = tuple(np.array(each) for each in _TABLES)
 
 _CHECKS = 16
 """Number of images between two looks whether the compiled code is ready."""
@@ -90,9 +87,9 @@ class LineCamera:
         if compiled and self._compiled is None and self._taken % _CHECKS == 0:
             self._compiled = when_ready("vision")
         self._taken += 1
-        tables: Any = _TABLES[noisy]
+        tables: Any = TABLES[noisy]
         if compiled and self._compiled is not None:
-            arrays = _TABLE_ARRAYS[noisy]
+            arrays = TABLE_ARRAYS[noisy]
             return self._compiled(*self._arrays, tuple(eye), exposure_ms, arrays, self._key, number, pixels)
         return see(*self._plain, eye, exposure_ms, tables, self._key.data, number, pixels.data)
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 
 from khep_twin import __version__
@@ -326,7 +326,7 @@ async def _asset(request: Request) -> Response:
     name = request.path_params.get("name", "index.html")
     known = await asyncio.to_thread(lambda: {path.name: path for path in ASSETS.iterdir()})
     if name not in known or known[name].suffix not in _KINDS:
-        return Response(status_code=404)
+        return PlainTextResponse("404: no such file of the page\n", 404)
     return FileResponse(known[name], media_type=_KINDS[known[name].suffix])
 
 

@@ -1,6 +1,7 @@
 """Thousands of random commands, and the firmware agrees with a model of the board on every reply.
 
-The suite takes a share of them; `KHEP_COMMANDS=50000` takes 50,000 and more, as `make fuzz` does.
+The suite takes a share of them; `KHEP_COMMANDS=50000` takes 50,000 and more, as `make fuzz` does,
+and `KHEP_FIRST=1000` begins with another seed.
 """
 
 import os
@@ -19,6 +20,7 @@ from khep_twin.board.turrets import find
 from khep_twin.firmware import Firmware
 
 COMMANDS_WANTED = int(os.environ.get("KHEP_COMMANDS", "5000"))
+FIRST_SEED = int(os.environ.get("KHEP_FIRST", "0"))
 SESSIONS_A_SEED = 20
 
 EDGES = [0, 1, 2, 3, 6, 7, 63, 64, 127, 128, 255, 256, 1023, 32767, 32768, 2**23 - 2, 2**23, 2**31 - 1, 2**31]
@@ -177,7 +179,7 @@ class Session(RuleBasedStateMachine):
 
 def test_the_firmware_agrees_with_the_model_on_thousands_of_commands() -> None:
     # What hypothesis draws depends on the modules that are loaded, so that only the count tells when to end.
-    Session.n_commands = number = 0
+    Session.n_commands, number = 0, FIRST_SEED
     while Session.n_commands < COMMANDS_WANTED:
         before = Session.n_commands
         run_state_machine_as_test(
@@ -192,6 +194,7 @@ def test_the_firmware_agrees_with_the_model_on_thousands_of_commands() -> None:
         )
         number += 1
         assert Session.n_commands > before
+    print(f"{Session.n_commands} commands agree, seeds {FIRST_SEED} to {number - 1}")
 
 
 def test_the_model_would_notice_a_wrong_reply() -> None:

@@ -4,12 +4,15 @@ import json
 import re
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from driving import SECOND
+from log_mutations import Record, put_together, taken_apart
 from log_rewriting import rewritten
+from mcap.opcode import Opcode
 
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
 from khep_twin.errors import KhepTwinError
@@ -21,6 +24,7 @@ from khep_twin.log.channels import CDR_HEADER, ArrayFrame, Encoder, Level, TextL
 from khep_twin.log.host_events import events_message
 from khep_twin.log.reader import Recording, read, read_arrays, read_end_ns, read_label, read_series
 from khep_twin.log.recorded import read_recorded
+from khep_twin.log.recover import recover as rescue
 from khep_twin.log.viewer.replay import view
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -298,6 +302,33 @@ def test_a_view_of_a_foreign_message_is_one_line(small: Path, tmp_path: Path, to
     path = rewritten(small, tmp_path / "x.mcap", instead(topic, CDR_HEADER + bytes(5)))
     if topic != "/events":  # there is none
         told(lambda path: view([path], tmp_path / "x.rrd"), path)
+
+
+def with_schemas(small: Path, path: Path, old: bytes, new: bytes) -> Path:
+    """A log whose schemas have other bytes, as many."""
+
+    def changed(record: Record) -> Record:
+        inner = tuple(changed(each) for each in record.inner)
+        is_schema = record.opcode == Opcode.SCHEMA
+        return replace(
+            record, inner=inner, content=record.content.replace(old, new) if is_schema else record.content
+        )
+
+    path.write_bytes(put_together([changed(record) for record in taken_apart(small.read_bytes())]))
+    return path
+
+
+def test_a_view_of_types_that_no_viewer_can_read_is_one_line(small: Path, tmp_path: Path) -> None:
+    path = with_schemas(small, tmp_path / "x.mcap", b"uint32 size", b"uint32= size"[:11])
+    line = told(lambda path: view([path], tmp_path / "x.rrd"), path)
+    assert "rerun cannot show it: " in line
+    assert not (tmp_path / "x.rrd").exists()
+
+
+def test_types_with_names_of_zero_bytes_are_refused(small: Path, tmp_path: Path) -> None:
+    path = with_schemas(small, tmp_path / "x.mcap", b"rcl_interfaces", b"\0cl_interfaces")
+    assert "printable names" in told(lambda path: view([path], tmp_path / "x.rrd"), path)
+    assert read(rescue(path).path).robots
 
 
 def test_what_is_not_attached_is_one_line_or_not_needed(small: Path, tmp_path: Path) -> None:

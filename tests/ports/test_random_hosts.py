@@ -1,6 +1,7 @@
 """Hosts that open and close one line at random, several processes at once: every line gets its own reply.
 
-The suite takes a share of them; `KHEP_OPENINGS=2000` takes 2,000, as `make soak` does.
+The suite takes a share of them; `KHEP_OPENINGS=2000` takes 2,000, as `make soak` does, and
+`KHEP_FIRST=8` draws others.
 """
 
 import os
@@ -20,6 +21,7 @@ from khep_twin.ports.holders import count_descriptors
 from test_serve import served, stop  # isort: skip
 
 OPENINGS = int(os.environ.get("KHEP_OPENINGS", "120"))
+SEED = int(os.environ.get("KHEP_FIRST", "7"))
 PATIENCE_S = 20.0
 """Longest wait for a reply; a machine may be busy, a line that is deaf stays so [s]."""
 
@@ -132,7 +134,7 @@ TOOLS = [stty, shell_and_stty, cat_and_printf, socat, picocom]
 
 @pytest.mark.parametrize("relayed", [False, True], ids=["twin", "relay"])
 def test_every_line_of_hosts_that_come_and_go_at_random_gets_its_own_reply(relayed: bool) -> None:
-    rng = random.Random(7)
+    rng = random.Random(SEED)
     tools = [tool for tool in TOOLS if shutil.which(tool.__name__.split("_")[0]) or tool is shell_and_stty]
     with ExitStack() as stack:
         process, path = stack.enter_context(served("default", "--unpaced"))
@@ -182,3 +184,4 @@ def test_every_line_of_hosts_that_come_and_go_at_random_gets_its_own_reply(relay
         _, errors = stop(process)
     # The server cannot tell bytes of two hosts apart that come and go while it sleeps; each time is told.
     assert len(wrong) <= errors.count("came in the moment"), (wrong, errors)
+    print(f"{OPENINGS} reconnects, {len(wrong)} in doubt, each of which the server told")

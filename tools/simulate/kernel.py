@@ -41,13 +41,12 @@ class OpenFile:
     Attributes:
         blocking: True if a read or write waits until it can be done.
         references: Number of descriptors of it.
-        released_ns: Time at which the call that closes it returns at the earliest [ns].
     """
 
     def __init__(self, kernel: "Kernel") -> None:
         self.kernel = kernel
         self.blocking = True
-        self.references = self.released_ns = 0
+        self.references = 0
         self.waiters: dict[Process, int] = {}
 
     def readable(self) -> bool:
@@ -70,10 +69,6 @@ class OpenFile:
         """Take bytes and return their number; raise BlockingIOError without room."""
         raise OSError(9, "Bad file descriptor")
 
-    def waits(self) -> bool:
-        """Return whether a read waits for something to read."""
-        return self.blocking
-
     def closed(self) -> None:
         """Release it: its last descriptor is closed."""
 
@@ -91,24 +86,40 @@ class Process:
         name: Name, which also names its random streams.
         pid: Number.
         files: Open files by descriptor.
-        real: The machine's own descriptors that it has open for writing, such as those of a log.
+        real: The machine's own descriptors that it has open for writing, such as a log's, with their files.
         alive: True until it has ended.
         mortal: True if the fault "kill" may end it.
+        calls_left: Number of calls after which it is killed; None if it is not.
         error: Exception that ended it; None if it returned.
         on_end: Function called with the process when it has ended.
+        on_call: Function called at the beginning of each of its calls; it may arrange faults.
+        leader: Process whose files it has, if it is a thread of another; else itself.
+        threads: Its threads.
         said: Times and lines that it has told its user [ns].
         token: Number of its present wait; wake-ups for an earlier one do nothing.
     """
 
-    def __init__(self, kernel: "Kernel", name: str, pid: int, function: Callable[[], object]) -> None:
+    def __init__(
+        self,
+        kernel: "Kernel",
+        name: str,
+        pid: int,
+        function: Callable[[], object],
+        leader: "Process | None" = None,
+    ) -> None:
         self.kernel, self.name, self.pid = kernel, name, pid
-        self.files: dict[int, OpenFile] = {}
-        self.real: set[int] = set()
+        self.leader = leader or self
+        self.threads: list[Process] = []
+        self.files: dict[int, OpenFile] = {} if leader is None else leader.files
+        self.real: dict[int, tuple[int, int]] = {} if leader is None else leader.real
         self.alive = True
         self.dying = False
         self.mortal = False
+        self.calls_left: int | None = None
         self.error: BaseException | None = None
         self.on_end: Callable[[Process], object] | None = None
+        self.on_call: Callable[[], object] | None = None
+        self.thrown: BaseException | None = None
         self.said: list[tuple[int, str]] = []
         self.token = 0
         self.rng = random.Random(mixed(kernel.seed, "process", name))
@@ -145,6 +156,12 @@ class Process:
         if not file.references:
             file.closed()
 
+    def opened_real(self, descriptor: int) -> int:
+        """Keep a descriptor of the machine's own; return it."""
+        if (file := _identity(descriptor)) is not None:
+            self.real[descriptor] = file
+        return descriptor
+
     def _run(self) -> None:
         try:
             self._function()
@@ -167,7 +184,6 @@ class Kernel:
         now_ns: Time since the machine was started [ns].
         processes: All processes, in the order of their starts.
         current: Process that runs; None between processes.
-        delays: Random generator of the delays within the kernel.
     """
 
     def __init__(self, seed: int, faults: Faults) -> None:
@@ -177,10 +193,11 @@ class Kernel:
         self.current: Process | None = None
         self.n_calls = 0
         self._events: list[tuple[int, int, Process | None, int, Callable[[], object] | None]] = []
+        self._until_ns = 0
         self._numbers = count()
         self._pids = count(1000)
         self._main = getcurrent()
-        self.delays = random.Random(mixed(seed, "kernel"))
+        self._rng = random.Random(mixed(seed, "kernel"))
 
     # Processes and events ------------------------------------------------------------------------------
 
@@ -191,13 +208,29 @@ class Kernel:
         self._push(self.now_ns + delay_ns, process)
         return process
 
+    def spawn_thread(self, function: Callable[[], object], leader: Process | None = None) -> Process:
+        """Start a thread of a process, the current one: it has the process's files, and ends with it."""
+        leader = leader or self._running().leader
+        name = f"{leader.name}/{len(leader.threads) + 1}"
+        thread = Process(self, name, next(self._pids), function, leader)
+        leader.threads.append(thread)
+        self.processes.append(thread)
+        self._push(self.now_ns, thread)
+        return thread
+
+    def interrupt(self, process: Process, error: BaseException) -> None:
+        """Raise an exception in a process, at its next call or in the one that it waits in, as a signal does."""
+        if process.alive and not process.dying:
+            process.thrown = error
+            self.wake(process)
+
     def at(self, time_ns: int, action: Callable[[], object]) -> None:
         """Call a function at a time, between processes."""
         heapq.heappush(self._events, (time_ns, next(self._numbers), None, 0, action))
 
     def run(self, until_ns: int) -> None:
         """Run everything that happens up to a time."""
-        events = self._events
+        events, self._until_ns = self._events, until_ns
         while events and events[0][0] <= until_ns:
             time_ns, _, process, token, action = heapq.heappop(events)
             if action is not None:
@@ -227,12 +260,17 @@ class Kernel:
             self.kill(process)
 
     def ended(self, process: Process) -> None:
-        """Close what a process that has ended left open."""
-        for descriptor in [*process.files]:
-            process.close(descriptor)
-        for descriptor in process.real:
-            os.close(descriptor)
-        process.real.clear()
+        """Close what a process that has ended left open; its threads end with it."""
+        if process.leader is process:
+            for thread in process.threads:
+                self.kill(thread)
+            for descriptor in [*process.files]:
+                process.close(descriptor)
+            for descriptor, file in process.real.items():
+                # An object of Python's may have closed it since, and its number may be another's.
+                if _identity(descriptor) == file:
+                    os.close(descriptor)
+            process.real.clear()
         if process.on_end is not None:
             process.on_end(process)
 
@@ -248,8 +286,15 @@ class Kernel:
         assert process is not None, "a call without a process"
         if process.dying:
             raise Killed
+        self._throw(process)
         self.n_calls += 1
+        if process.on_call is not None:
+            process.on_call()
         delay_ns = process.rng.randrange(*_CALL_NS)
+        if process.calls_left is not None:
+            process.calls_left -= 1
+            if process.calls_left < 0:
+                self._die(process)
         if process.mortal and self.faults.happens("kill", process.name, 1e-4):
             self._die(process)
         if self.faults.happens("stall", process.name, MOST_STALLED):
@@ -260,7 +305,7 @@ class Kernel:
     def elapse(self, duration_ns: int) -> None:
         """Let time pass for the current process; others may run meanwhile."""
         due_ns = self.now_ns + duration_ns
-        if not self._events or self._events[0][0] > due_ns:
+        if self._is_quiet_to(due_ns):
             self.now_ns = due_ns
             return
         process = self._running()
@@ -282,7 +327,7 @@ class Kernel:
                 each.waiters[process] = process.token
             if deadline_ns is not None:
                 late_ns = process.rng.randrange(*_WAKE_NS)
-                if not self._events or self._events[0][0] > deadline_ns + late_ns:
+                if self._is_quiet_to(deadline_ns + late_ns):
                     # Nothing can change it before.
                     self.now_ns = max(self.now_ns, deadline_ns + late_ns)
                     continue
@@ -290,9 +335,13 @@ class Kernel:
             self._leave(process)
         return True
 
+    def _is_quiet_to(self, time_ns: int) -> bool:
+        """Return whether nothing happens up to a time, which is not after the end of the run."""
+        return time_ns <= self._until_ns and (not self._events or self._events[0][0] > time_ns)
+
     def wake(self, process: Process) -> None:
         """Wake a process that waits, in a moment."""
-        self._push(self.now_ns + self.delays.randrange(*_WAKE_NS), process)
+        self._push(self.now_ns + self._rng.randrange(*_WAKE_NS), process)
 
     # Turns ---------------------------------------------------------------------------------------------
 
@@ -321,7 +370,24 @@ class Kernel:
         parent.switch()
         if process.dying:
             raise Killed
+        self._throw(process)
+
+    @staticmethod
+    def _throw(process: Process) -> None:
+        """Raise the exception of a signal."""
+        if (error := process.thrown) is not None:
+            process.thrown = None
+            raise error
 
     def _die(self, process: Process) -> NoReturn:
         process.dying = True
         raise Killed
+
+
+def _identity(descriptor: int) -> tuple[int, int] | None:
+    """Return device and number of the file of a descriptor of the machine's own; None without one."""
+    try:
+        found = os.fstat(descriptor)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino

@@ -12,8 +12,10 @@ from typing import NoReturn
 from khep_twin.errors import KhepTwinError
 from tools.simulate.faults import Faults, mixed
 from tools.simulate.kernel import NS_PER_S, Kernel, Process
+from tools.simulate.socket_module import SimulatedSocketModule
+from tools.simulate.sockets import Network
 from tools.simulate.system import System
-from tools.simulate.terminals import Terminals
+from tools.simulate.threads import SimulatedQueue, SimulatedThreading
 
 
 class Violation(AssertionError):
@@ -62,8 +64,8 @@ class Simulation:
     Attributes:
         faults: Faults.
         kernel: Kernel.
+        network: TCP connections.
         system: Modules that the product's code uses.
-        terminals: Pseudo-terminals.
         counts: Numbers of what was checked, by name, for the figures.
     """
 
@@ -71,8 +73,13 @@ class Simulation:
         self.seed, self.folder = seed, folder
         self.faults = Faults(seed, kept)
         self.kernel = Kernel(seed, self.faults)
+        self.network = Network(self.kernel, self.faults)
         self.system = System(self.kernel)
-        self.terminals = Terminals(self.system, folder)
+        self.system.modules |= {
+            "socket": SimulatedSocketModule(self.kernel, self.network),
+            "threading": SimulatedThreading(self.kernel),
+            "queue": SimulatedQueue(self.kernel),
+        }
         self.counts: dict[str, int] = {}
 
     def rng(self, *names: str | int) -> random.Random:

@@ -8,26 +8,35 @@ Descriptors below `FIRST_DESCRIPTOR`, and paths without a device, are the machin
 
 import errno
 import fcntl
+import io
 import os
 import select
 import signal
+import stat
 import sys
 import termios
-import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
+from importlib import import_module
+from pkgutil import iter_modules
 from types import ModuleType
 from typing import Any, Protocol
 from unittest.mock import patch
+
+from serial.serialutil import Timeout
 
 from tools.simulate.kernel import FIRST_DESCRIPTOR, NS_PER_S, Kernel, OpenFile, Process
 
 EPOCH_NS = 1_700_000_000 * NS_PER_S
 """Wall time at the start of a simulation [ns] (assumed)."""
 
-BEGIN_MODULES = "pathlib", "serial.serialposix", "serial.serialutil", "khep_twin."
+BEGIN_MODULES = "pathlib", "tempfile", "shutil", "serial.", "khep_twin."
 """Beginnings of the names of the modules that get the simulated system."""
+
+
+LEFT_OUT = "__main__", "cli", "drawing", "envs", "lab", "rollout", "shadow", "toolbox", "viewer"
+"""Parts of khep_twin that a scenario imports by itself if it uses them."""
 
 
 class Device(Protocol):
@@ -39,6 +48,44 @@ class Device(Protocol):
         Raises:
             OSError: It cannot be opened.
         """
+        ...
+
+
+class Storage(Protocol):
+    """A disk that holds the files of a simulation."""
+
+    def holds(self, path: Any, dir_fd: int | None = None) -> bool:
+        """Return whether a path, or a descriptor, is of a file on it."""
+        ...
+
+    def open(self, path: Any, flags: int, mode: int) -> int:
+        """Open a file."""
+        ...
+
+    def write(self, descriptor: int, data: Any) -> int:
+        """Write to an open file."""
+        ...
+
+    def call(self, name: str, *args: Any, **options: Any) -> Any:
+        """Call another function of `os`, by its name."""
+        ...
+
+    def open_buffered(self, path: Any, mode: str, *args: Any, **options: Any) -> Any:
+        """Open a file as `io.open` does."""
+        ...
+
+
+class Terminals(Protocol):
+    """Terminals of a simulation.
+
+    Attributes:
+        root: Folder in place of the machine's root.
+    """
+
+    root: str
+
+    def make(self) -> tuple[int, int]:
+        """Make a terminal; return the descriptors of its two sides."""
         ...
 
 
@@ -61,60 +108,79 @@ class System:
 
     Attributes:
         devices: Devices by path.
+        os: Simulated module `os`, which may have a disk.
         modules: Simulated modules by name.
-        patches: Further things that are replaced, by their full names.
     """
 
     def __init__(self, kernel: Kernel) -> None:
         self.devices: dict[str, Device] = {}
-        self.patches: dict[str, object] = {}
-        self.modules: dict[str, object] = {
-            "os": SimulatedOs(kernel, self.devices),
+        self.os = SimulatedOs(kernel, self.devices)
+        self.modules: dict[str, Any] = {
+            "os": self.os,
+            "io": SimulatedIo(self.os),
+            "signal": SimulatedSignal(kernel),
             "select": SimulatedSelect(kernel),
             "time": SimulatedTime(kernel),
             "fcntl": SimulatedFcntl(kernel),
             "termios": SimulatedTermios(kernel),
-            "threading": SimulatedThreading(kernel),
-            "signal": SimulatedSignal(kernel),
         }
 
     @contextmanager
     def installed(self) -> Generator[None]:
-        """Replace the modules in all modules of the product, of pyserial, and of pathlib."""
+        """Replace the modules in all modules of the product, of pyserial, and of pathlib.
+
+        Raises:
+            RuntimeError: A module was imported meanwhile, and has used the real system.
+        """
         with ExitStack() as stack:
-            for name, module in [*sys.modules.items()]:
-                if name.startswith(BEGIN_MODULES):
-                    for used, simulated in self.modules.items():
-                        if getattr(module, used, None) is sys.modules[used]:
-                            stack.enter_context(patch.object(module, used, simulated))
-            for name, replacement in self.patches.items():
-                stack.enter_context(patch(name, replacement))
+            replaced = {id(sys.modules[name]): simulated for name, simulated in self.modules.items()}
+            for module in _users():
+                # Some import a module under another name.
+                for used, value in [*vars(module).items()]:
+                    if (simulated := replaced.get(id(value))) is not None:
+                        stack.enter_context(patch.object(module, used, simulated))
+            # pyserial keeps the clock itself.
+            stack.enter_context(patch.object(Timeout, "TIME", self.modules["time"].monotonic))
+            before = _users()
             yield
+            for module in _users():
+                if module not in before and not self.modules.keys().isdisjoint(vars(module)):
+                    raise RuntimeError(f"{module.__name__} was imported within a simulation; expected before")
 
 
 class SimulatedOs(Shim):
-    """Module `os`; what a dead process would still do does not happen."""
+    """Module `os`; what a dead process would still do does not happen.
+
+    Attributes:
+        disk: Disk of the files; None for one without faults.
+    """
 
     def __init__(self, kernel: Kernel, devices: Mapping[str, Device]) -> None:
         super().__init__(os, kernel)
         self._devices = devices
+        self.disk: Storage | None = None
+        self.terminals: Terminals | None = None
 
     def getpid(self) -> int:
         process = self.kernel.current
-        return os.getpid() if process is None else process.pid
+        return os.getpid() if process is None else process.leader.pid
 
     def open(self, path: Any, flags: int, mode: int = 0o777, *, dir_fd: int | None = None) -> int:
+        # A link leads to its device, as long as that is there.
+        device = self._devices.get(os.path.realpath(path)) if self._devices else None
+        if device is None and self.disk is not None and dir_fd is None and self.disk.holds(path):
+            return self.disk.open(path, flags, mode)
         if self.kernel.current is None:
             return os.open(path, flags, mode, dir_fd=dir_fd)
         process = self.kernel.called()
-        # A link leads to its device, as long as that is there.
-        if (device := self._devices.get(os.path.realpath(path))) is not None:
+        if device is not None:
             file = device.open(process, flags)
             file.blocking = not flags & os.O_NONBLOCK
             return process.opened(file)
         descriptor = os.open(path, flags, mode, dir_fd=dir_fd)
-        if flags & (os.O_WRONLY | os.O_RDWR):  # others pass to an object of Python's, which closes them
-            process.real.add(descriptor)
+        # Others pass to an object of Python's, which closes them.
+        if flags & (os.O_WRONLY | os.O_RDWR) or stat.S_ISDIR(os.fstat(descriptor).st_mode):
+            process.opened_real(descriptor)
         return descriptor
 
     def close(self, descriptor: int) -> None:
@@ -122,39 +188,46 @@ class SimulatedOs(Shim):
         if process is None:
             os.close(descriptor)
         elif descriptor >= FIRST_DESCRIPTOR:
-            file = self.kernel.called().file(descriptor)
-            process.close(descriptor)
-            if not file.references and file.released_ns > self.kernel.now_ns:
-                self.kernel.elapse(file.released_ns - self.kernel.now_ns)
+            self.kernel.called().close(descriptor)
         else:
-            self.kernel.called().real.discard(descriptor)
+            self.kernel.called().real.pop(descriptor, None)
             os.close(descriptor)
 
     def read(self, descriptor: int, limit: int) -> bytes:
         if descriptor < FIRST_DESCRIPTOR:
             return os.read(descriptor, limit)
         file = self.kernel.called().file(descriptor)
-        while True:
-            if file.waits():
-                self.kernel.wait([file], file.readable, None)
-            try:
-                return file.read(limit)
-            except BlockingIOError:  # another reader may have taken it
-                if not file.waits():
-                    raise
+        if file.blocking:
+            self.kernel.wait([file], file.readable, None)
+        return file.read(limit)
 
     def write(self, descriptor: int, data: Any) -> int:
-        process = self.kernel.called()
+        if self.disk is not None and self.disk.holds(descriptor):
+            return self.disk.write(descriptor, data)
         if descriptor < FIRST_DESCRIPTOR:
+            if self.kernel.current is not None:
+                self.kernel.called()
             return os.write(descriptor, data)
-        file, left = process.file(descriptor), bytes(data)
-        if not file.blocking:
-            return file.write(left)
-        while left:
+        file = self.kernel.called().file(descriptor)
+        if file.blocking:
             self.kernel.wait([file], file.writable, None)
-            with suppress(BlockingIOError):
-                left = left[file.write(left) :]
-        return len(data)
+        return file.write(bytes(data))
+
+    def openpty(self) -> tuple[int, int]:
+        assert self.terminals is not None, "a simulation without terminals"
+        return self.terminals.make()
+
+    def ttyname(self, descriptor: int) -> str:
+        return str(self.kernel.called().file(descriptor).terminal.path)
+
+    def readlink(self, path: Any, *, dir_fd: int | None = None) -> str:
+        found = os.readlink(path, dir_fd=dir_fd)
+        if self.kernel.current is not None:
+            self.kernel.called()
+        # The descriptors of the simulated /proc lead to the simulated /dev.
+        if self.terminals is not None and os.fspath(path).startswith(f"{self.terminals.root}/proc/"):
+            return found.removeprefix(self.terminals.root)
+        return found
 
     def set_blocking(self, descriptor: int, blocking: bool) -> None:
         if descriptor < FIRST_DESCRIPTOR:
@@ -171,6 +244,8 @@ class SimulatedOs(Shim):
         """Return a function of the machine's own that a dead process cannot call."""
 
         def call(self: "SimulatedOs", *args: Any, **options: Any) -> Any:
+            if self.disk is not None and self.disk.holds(args[0], options.get("dir_fd")):
+                return self.disk.call(name, *args, **options)
             if self.kernel.current is not None:
                 self.kernel.called()
             return getattr(os, name)(*args, **options)
@@ -220,6 +295,33 @@ class _PipeEnd(OpenFile):
     def closed(self) -> None:
         self._reader.writer_is_open = False
         self._reader.changed()
+
+
+class SimulatedIo(Shim):
+    """Module `io`: files of Python's that are opened for writing write to the disk."""
+
+    def __init__(self, system: SimulatedOs) -> None:
+        super().__init__(io, system.kernel)
+        self._os = system
+
+    def open(self, path: Any, mode: str = "r", *args: Any, **options: Any) -> Any:
+        disk = self._os.disk
+        if disk is None or not set("wxa+") & set(mode) or not disk.holds(path):
+            return open(path, mode, *args, **options)
+        return disk.open_buffered(path, mode, *args, **options)
+
+
+class SimulatedSignal(Shim):
+    """Module `signal`: processes take turns in one, which none may change."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        super().__init__(signal, kernel)
+
+    def getsignal(self, number: int) -> Any:
+        return signal.getsignal(number) if self.kernel.current is None else signal.SIG_DFL
+
+    def signal(self, number: int, handler: Any) -> Any:
+        return signal.signal(number, handler) if self.kernel.current is None else signal.SIG_DFL
 
 
 class SimulatedSelect(Shim):
@@ -363,33 +465,22 @@ class SimulatedTermios(Shim):
         def call(descriptor: Any, *args: Any) -> Any:
             if (number := _number(descriptor)) < FIRST_DESCRIPTOR:
                 return found(descriptor, *args)
-            try:
-                return _asked(self.kernel, number, name)(*args)
-            except OSError as error:
-                raise termios.error(*error.args) from None
+            return _asked(self.kernel, number, name)(*args)
 
         return call
 
 
-class SimulatedSignal(Shim):
-    """Module `signal`: processes handle none, as the handlers are the machine's one process's."""
-
-    def __init__(self, kernel: Kernel) -> None:
-        super().__init__(signal, kernel)
-
-    def getsignal(self, number: int) -> Any:
-        return signal.getsignal(number) if self.kernel.current is None else signal.SIG_DFL
+def load(package: str = "khep_twin") -> None:
+    """Import a package and what is in it, as what is imported within a simulation would use the machine's own."""
+    found = import_module(package)
+    for each in iter_modules(getattr(found, "__path__", ())):
+        if each.name not in LEFT_OUT:
+            load(f"{package}.{each.name}")
 
 
-class SimulatedThreading(Shim):
-    """Module `threading`, in which each process has a main thread of its own."""
-
-    def __init__(self, kernel: Kernel) -> None:
-        super().__init__(threading, kernel)
-
-    def get_native_id(self) -> int:
-        process = self.kernel.current
-        return threading.get_native_id() if process is None else process.pid
+def _users() -> list[ModuleType]:
+    """Return the modules that get the simulated system, as far as they are imported."""
+    return [module for name, module in [*sys.modules.items()] if name.startswith(BEGIN_MODULES)]
 
 
 def _asked(kernel: Kernel, descriptor: int, name: str) -> Callable[..., Any]:
@@ -403,3 +494,6 @@ def _asked(kernel: Kernel, descriptor: int, name: str) -> Callable[..., Any]:
 
 def _number(descriptor: Any) -> int:
     return descriptor if isinstance(descriptor, int) else descriptor.fileno()
+
+
+load()

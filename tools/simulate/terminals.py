@@ -1,398 +1,407 @@
-"""Simulated pseudo-terminals as Linux has them, in raw mode only: nothing is echoed, edited or translated.
+"""Simulated pseudo-terminals with the semantics of Linux, in raw mode.
 
-A terminal's path is that of an empty file in the simulation's folder, so that links and `exists` work.
+Written bytes are in transit for a while, in which a flush of the writer's side removes them; a reader that
+finds nothing else takes them at once. A closing is reported by inotify first, and takes effect a little later. The
+last closing of the host side hangs the master up until the next opening. Numbers are reused at once.
+There are no echo and no lines: khep_twin makes its terminals raw before it names them.
 """
 
+# The functions of open files are the system's, which documents them.
 # ruff: noqa: D102
 
-import copy
 import errno
 import fcntl
 import os
+import shutil
 import struct
 import termios
 import tty
-from collections.abc import Callable
+from collections.abc import Generator
+from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
-from tools.simulate.inotify import SimulatedCtypes, Watches
-from tools.simulate.kernel import Kernel, OpenFile, Process
-from tools.simulate.proc import SimulatedProcesses
-from tools.simulate.system import Shim, System
+from khep_twin.ports import event_sources, holders, pty
+from tools.simulate.inotify import IN_CLOSE_NOWRITE, IN_CLOSE_WRITE, IN_MODIFY, IN_OPEN, Notices
+from tools.simulate.kernel import OpenFile, Process
+from tools.simulate.simulation import Simulation
+from tools.simulate.system import Shim
 
-READY = 4095
-"""Most bytes that wait for a reader; Linux's N_TTY."""
+CAPACITY = 16512
+"""Bytes that one direction takes before it is full, as measured with small writes [bytes]."""
 
-TRANSIT = 12_288
-"""Most bytes in transit, so that some 16 kB are accepted each way (measured 13.8 to 20.9 kB)."""
+_TRANSIT_NS = 200, 60_000
+"""Shortest and longest usual time of written bytes in transit [ns] (assumed)."""
 
-_TRANSIT_NS = 1_000, 80_000
-"""Shortest and longest usual transit of written bytes [ns] (assumed)."""
-
-_CLOSING_NS = 500, 40_000
+_CLOSING_NS = 200, 40_000
 """Shortest and longest usual time from the report of a closing to its effect [ns] (assumed)."""
 
+MOST_SLOW = 1e-3
+"""Highest probability that a transit or a closing takes up to 20 ms."""
+
 _TIOCGEXCL = getattr(termios, "TIOCGEXCL", 0x80045440)
+
+_SPEED, _VMIN = termios.B38400, 1
+
+
+class Way:
+    """Bytes from one side of a terminal to the other.
+
+    Attributes:
+        ready: Bytes that can be read.
+        transit: Bytes that are on their way.
+    """
+
+    def __init__(self) -> None:
+        self.ready, self.transit = bytearray(), bytearray()
+
+    @property
+    def room(self) -> int:
+        """Number of bytes that can be written."""
+        return CAPACITY - len(self.ready) - len(self.transit)
+
+    def arrive(self) -> None:
+        """End the transit of what is on its way."""
+        self.ready += self.transit
+        self.transit.clear()
+
+    def read(self, limit: int) -> bytes:
+        """Take what is ready, or else what is on its way."""
+        if not self.ready:
+            self.arrive()
+        taken = bytes(self.ready[:limit])
+        del self.ready[:limit]
+        return taken
+
+    def __bool__(self) -> bool:
+        return bool(self.ready or self.transit)
+
+
+class Terminal:
+    """A pseudo-terminal.
+
+    Attributes:
+        number: Number of it.
+        path: Path of its host side.
+        to_host: Bytes to the host side.
+        to_master: Bytes to the master.
+        settings: Settings as of `termios.tcgetattr`.
+        hosts: Open files of the host side whose closing has not taken effect.
+        exclusive: True if it is locked by TIOCEXCL.
+        locked_by: Open file that has it locked by flock; None without.
+    """
+
+    def __init__(self, terminals: "Terminals", number: int) -> None:
+        self.terminals, self.kernel, self.number = terminals, terminals.kernel, number
+        self.path = terminals.folder / str(number)
+        self.to_host, self.to_master = Way(), Way()
+        control = termios.CS8 | termios.CREAD
+        characters: list[bytes | int] = [b"\0"] * 32
+        self.settings: list[Any] = [0, 0, control, 0, _SPEED, _SPEED, characters]
+        self.hosts: list[HostSide] = []
+        self.exclusive = False
+        self.locked_by: HostSide | None = None
+        self.master = Master(self)
+
+    def open(self, process: Process, flags: int) -> OpenFile:
+        """Open the host side."""
+        if self.exclusive:
+            raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
+        file = HostSide(self, writes=bool(flags & (os.O_WRONLY | os.O_RDWR)))
+        self.hosts.append(file)
+        self.report(IN_OPEN)
+        return file
+
+    def report(self, kind: int) -> None:
+        """Report what a host does."""
+        self.terminals.notices.report(str(self.path), kind)
+
+    def send(self, way: Way, data: bytes, reader: "Master | None") -> int:
+        """Write bytes of one side; return the number that found room."""
+        if not way.room:
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        sent = data[: way.room]
+        way.transit += sent
+
+        def arrive() -> None:
+            way.arrive()
+            for each in self.hosts if reader is None else [reader]:
+                each.changed()
+
+        self.kernel.at(self.kernel.now_ns + self.terminals.delay_ns("transit", _TRANSIT_NS), arrive)
+        return len(sent)
+
+    def ioctl(self, request: int, argument: Any) -> Any:
+        """Answer a request to the host side."""
+        if request == termios.FIONREAD:
+            return struct.pack("i", len(self.to_host.ready))
+        if request == termios.TIOCOUTQ:
+            return struct.pack("i", 0)
+        if request in (termios.TIOCEXCL, termios.TIOCNXCL):
+            self.exclusive = request == termios.TIOCEXCL
+            return 0
+        if request == _TIOCGEXCL:
+            return struct.pack("i", self.exclusive)
+        raise OSError(errno.ENOTTY, os.strerror(errno.ENOTTY))
+
+    def tcgetattr(self) -> list[Any]:
+        """Return a copy of the settings."""
+        return [*self.settings[:6], [*self.settings[6]]]
+
+    def tcsetattr(self, when: int, settings: list[Any]) -> None:
+        """Set the settings; the driver has eight bits without parity alone."""
+        control = (settings[2] & ~(termios.CSIZE | termios.PARENB)) | termios.CS8 | termios.CREAD
+        self.settings = [*settings[:2], control, *settings[3:6], [*settings[6]]]
+        if when == termios.TCSAFLUSH:
+            self.to_host.ready.clear()
+
+
+class _Side(OpenFile):
+    """Either side of a terminal."""
+
+    def __init__(self, terminal: Terminal) -> None:
+        super().__init__(terminal.kernel)
+        self.terminal = terminal
+
+    def tcgetattr(self) -> list[Any]:
+        """Return the settings."""
+        return self.terminal.tcgetattr()
+
+    def tcsetattr(self, when: int, settings: list[Any]) -> None:
+        """Set the settings."""
+        self.terminal.tcsetattr(when, settings)
+
+    def tcflow(self, _: int) -> None:
+        """Do nothing: no side is ever stopped."""
+
+    def tcdrain(self) -> None:
+        """Return at once, as terminals without a wire do."""
+
+    def tcsendbreak(self, _: int) -> None:
+        """Do nothing: the other side cannot see it."""
+
+    def ioctl(self, request: int, argument: Any) -> Any:
+        """Answer a request."""
+        return self.terminal.ioctl(request, argument)
+
+
+class Master(_Side):
+    """Side of the terminal that belongs to the program that made it."""
+
+    def readable(self) -> bool:
+        return bool(self.terminal.to_master)
+
+    def writable(self) -> bool:
+        return self.terminal.to_host.room > 0
+
+    def hung_up(self) -> bool:
+        return not self.terminal.hosts
+
+    def read(self, limit: int) -> bytes:
+        terminal = self.terminal
+        if data := terminal.to_master.read(limit):
+            for each in terminal.hosts:
+                each.changed()
+            return data
+        if not terminal.hosts:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    def write(self, data: bytes) -> int:
+        return self.terminal.send(self.terminal.to_host, data, None)
+
+    def tcflush(self, queue: int) -> None:
+        """Discard what is in transit, as measured: what has arrived stays."""
+        if queue in (termios.TCOFLUSH, termios.TCIOFLUSH):
+            self.terminal.to_host.transit.clear()
+        if queue in (termios.TCIFLUSH, termios.TCIOFLUSH):
+            self.terminal.to_master.ready.clear()
+
+    def closed(self) -> None:
+        self.terminal.terminals.remove(self.terminal)
+        for each in self.terminal.hosts:
+            each.changed()
+
+
+class HostSide(_Side):
+    """One open file of the host side."""
+
+    def __init__(self, terminal: Terminal, writes: bool) -> None:
+        super().__init__(terminal)
+        self._writes = writes
+
+    @property
+    def _is_dead(self) -> bool:
+        return self.terminal.master.references == 0
+
+    def readable(self) -> bool:
+        return bool(self.terminal.to_host) or self._is_dead
+
+    def writable(self) -> bool:
+        return self.terminal.to_master.room > 0 or self._is_dead
+
+    def hung_up(self) -> bool:
+        return self._is_dead
+
+    def read(self, limit: int) -> bytes:
+        if self._is_dead:
+            return b""
+        if data := self.terminal.to_host.read(limit):
+            self.terminal.master.changed()
+            return data
+        if self.terminal.settings[6][termios.VMIN] in (0, b"\0"):
+            return b""
+        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    def write(self, data: bytes) -> int:
+        self._check()
+        sent = self.terminal.send(self.terminal.to_master, data, self.terminal.master)
+        self.terminal.report(IN_MODIFY)
+        return sent
+
+    def ioctl(self, request: int, argument: Any) -> Any:
+        self._check()
+        return super().ioctl(request, argument)
+
+    def tcgetattr(self) -> list[Any]:
+        self._check()
+        return super().tcgetattr()
+
+    def tcsetattr(self, when: int, settings: list[Any]) -> None:
+        self._check()
+        super().tcsetattr(when, settings)
+
+    def tcflush(self, queue: int) -> None:
+        """Discard what has come and was not read, or what is still in transit."""
+        self._check()
+        if queue in (termios.TCIFLUSH, termios.TCIOFLUSH):
+            self.terminal.to_host.ready.clear()
+        if queue in (termios.TCOFLUSH, termios.TCIOFLUSH):
+            self.terminal.to_master.transit.clear()
+
+    def flock(self, operation: int) -> None:
+        """Lock the device for this open file, or unlock it."""
+        terminal = self.terminal
+        if operation & fcntl.LOCK_UN:
+            terminal.locked_by = None if terminal.locked_by is self else terminal.locked_by
+        elif terminal.locked_by not in (None, self):
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        else:
+            terminal.locked_by = self
+
+    def closed(self) -> None:
+        """Report the closing; it takes effect later, and for the process that closes before it goes on."""
+        terminal, kernel = self.terminal, self.kernel
+        if terminal.locked_by is self:
+            terminal.locked_by = None
+        terminal.report(IN_CLOSE_WRITE if self._writes else IN_CLOSE_NOWRITE)
+        delay_ns = terminal.terminals.delay_ns("closing", _CLOSING_NS)
+        kernel.at(kernel.now_ns + delay_ns, self._gone)
+        process = kernel.current
+        if process is not None and process.alive and not process.dying:
+            kernel.elapse(delay_ns + 1)
+
+    def _gone(self) -> None:
+        self.terminal.hosts.remove(self)
+        if not self.terminal.hosts:
+            self.terminal.master.changed()
+
+    def _check(self) -> None:
+        if self._is_dead:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
 
 
 class Terminals:
     """All pseudo-terminals of a simulation.
 
-    Args:
-        system: System to which they are added.
-        folder: Folder of the simulation.
-
     Attributes:
-        by_number: Terminals that exist, by number.
-        watches: Watches of inotify on them.
+        kernel: Kernel.
+        root: Folder in place of the machine's root.
+        folder: Folder of their host sides, in place of /dev/pts.
+        notices: Reports of inotify.
     """
 
-    def __init__(self, system: System, folder: Path) -> None:
-        shim: Any = system.modules["os"]
-        self.kernel: Kernel = shim.kernel
-        self.by_number: dict[int, Terminal] = {}
-        self.devices = system.devices
-        self.folder = folder / "dev" / "pts"
-        self.folder.mkdir(parents=True)
-        self.watches = Watches(self.kernel, str(self.folder))
-        shim.openpty, shim.ttyname = self.openpty, self.ttyname
-        system.modules["tty"] = SimulatedTty(self.kernel, system)
-        system.modules["ctypes"] = SimulatedCtypes(self.kernel, self.watches)
-        processes = SimulatedProcesses(self.kernel, _link_of)
-        shim.readlink = processes.readlink
-        system.patches["khep_twin.ports.holders._PROCESSES"] = processes
+    def __init__(self, simulation: Simulation) -> None:
+        self.kernel = simulation.kernel
+        self.root = str(simulation.folder)
+        self.folder = simulation.folder / "dev" / "pts"
+        os.makedirs(self.folder)
+        self._processes = simulation.folder / "proc"
+        self._devices = simulation.system.devices
+        self._rng = simulation.rng("terminals")
+        self._open: dict[int, Terminal] = {}
+        self.notices = Notices(simulation.kernel)
+        simulation.system.os.terminals = self
 
-    def openpty(self) -> tuple[int, int]:
-        if self.kernel.current is None:
-            return os.openpty()
+    @contextmanager
+    def installed(self) -> Generator[None]:
+        """Have khep_twin see these terminals, and the descriptors of the processes."""
+        with (
+            patch.object(holders, "_PROCESSES", _ProcessFolder(self)),
+            patch.object(event_sources, "ctypes", self.notices),
+            patch.object(pty, "tty", _Tty(tty, self.kernel)),
+        ):
+            yield
+
+    def make(self) -> tuple[int, int]:
+        """Make a terminal; return the descriptors of its two sides."""
         process = self.kernel.called()
-        number = next(each for each in count() if each not in self.by_number)
-        terminal = self.by_number[number] = Terminal(self, number)
-        terminal.device.touch(mode=0o600)
-        self.devices[terminal.name] = terminal
+        number = next(each for each in count() if each not in self._open)
+        self._open[number] = terminal = Terminal(self, number)
+        os.close(os.open(terminal.path, os.O_CREAT | os.O_EXCL))
+        self._devices[str(terminal.path)] = terminal
         return process.opened(terminal.master), process.opened(terminal.open(process, os.O_RDWR))
 
-    def ttyname(self, descriptor: int) -> str:
-        if self.kernel.current is None:
-            return os.ttyname(descriptor)
-        file = self.kernel.called().file(descriptor)
-        if not isinstance(file, HostSide) or file.terminal.gone:
-            raise OSError(errno.ENOTTY, os.strerror(errno.ENOTTY))
-        return file.terminal.name
+    def remove(self, terminal: Terminal) -> None:
+        """Remove a terminal whose master is closed; its number is free again."""
+        del self._open[terminal.number], self._devices[str(terminal.path)]
+        os.unlink(terminal.path)
+
+    def delay_ns(self, kind: str, usual_ns: tuple[int, int]) -> int:
+        """Draw how long a transit or a closing takes [ns]."""
+        faults = self.kernel.faults
+        if faults.happens(f"slow {kind}", "terminals", MOST_SLOW):
+            return faults.drawn(f"slow {kind}", "terminals").randrange(usual_ns[1], 20_000_000)
+        return self._rng.randrange(*usual_ns)
+
+    def list_processes(self) -> Path:
+        """Write the folder /proc, with the terminals that processes have open; return it."""
+        shutil.rmtree(self._processes, ignore_errors=True)
+        os.makedirs(self._processes)
+        for process in self.kernel.processes:
+            if process.alive and process.leader is process:
+                links = self._processes / str(process.pid) / "fd"
+                os.makedirs(links)
+                for number, file in process.files.items():
+                    if isinstance(file, HostSide):
+                        os.symlink(file.terminal.path, links / str(number))
+        return self._processes
 
 
-class Line:
-    """Bytes on their way to one side.
-
-    Attributes:
-        transit: Bytes that have been written.
-        ready: Bytes that a read returns next.
-        stopped: True while the writer's side has stopped its output.
-    """
-
-    def __init__(self, kernel: Kernel, changed: Callable[[], object]) -> None:
-        self._kernel, self._changed = kernel, changed
-        self.transit, self.ready = bytearray(), bytearray()
-        self.stopped = self._due = False
-
-    def room(self) -> int:
-        return 0 if self.stopped else TRANSIT - len(self.transit)
-
-    def write(self, data: bytes) -> int:
-        taken = data[: self.room()]
-        if data and not taken:
-            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
-        self.transit += taken
-        self._push_later()
-        return len(taken)
-
-    def read(self, limit: int) -> bytes:
-        # A read without anything ready waits for what is in transit, another one does not.
-        if not self.ready:
-            self._push()
-        taken = bytes(self.ready[:limit])
-        del self.ready[:limit]
-        if self.transit:
-            self._push_later()
-        return taken
-
-    def _push_later(self) -> None:
-        if not self._due:
-            self._due = True
-            delay_ns = self._kernel.delays.randrange(*_TRANSIT_NS)
-            self._kernel.at(self._kernel.now_ns + delay_ns, self._pushed)
-
-    def _pushed(self) -> None:
-        self._due = False
-        self._push()
-
-    def _push(self) -> None:
-        moved = self.transit[: READY - len(self.ready)]
-        self.ready += moved
-        del self.transit[: len(moved)]
-        self._changed()
-
-    def __len__(self) -> int:
-        return len(self.ready) + len(self.transit)
-
-
-class Terminal:
-    """One pseudo-terminal, which is the device of its path.
-
-    Attributes:
-        name: Path.
-        master: Open file of the far side.
-        hosts: Open files of the host side, in the order of their openings.
-        hung_up: True if the host side was closed everywhere.
-        gone: True if the far side was closed.
-        attributes: Attributes, those of the host side for both.
-    """
-
-    def __init__(self, terminals: Terminals, number: int) -> None:
-        self.terminals, self.kernel = terminals, terminals.kernel
-        self.number = number
-        self.device = terminals.folder / str(number)
-        self.name = str(self.device)
-        self.hosts: list[HostSide] = []
-        self.hung_up = self.gone = self.exclusive = False
-        self.attributes = copy.deepcopy(_FRESH)
-        self.to_master, self.to_hosts = (Line(self.kernel, self.changed) for _ in range(2))
-        self.master = MasterSide(self)
-        self.locks: dict[OpenFile, int] = {}
-
-    def open(self, process: Process, flags: int) -> "HostSide":
-        if self.gone:
-            raise OSError(errno.EIO, os.strerror(errno.EIO), self.name)
-        if self.exclusive:  # only root passes
-            raise OSError(errno.EBUSY, os.strerror(errno.EBUSY), self.name)
-        file = HostSide(self, writes=bool(flags & (os.O_RDWR | os.O_WRONLY)))
-        self.hosts.append(file)
-        self.hung_up = False
-        self.terminals.watches.opened(self.name)
-        return file
-
-    def changed(self) -> None:
-        self.master.changed()
-        for each in self.hosts:
-            each.changed()
-
-    def left(self, file: "HostSide") -> None:
-        """Complete the closing of a host side."""
-        self.hosts.remove(file)
-        self.locks.pop(file, None)
-        if not self.hosts:
-            self.hung_up = True
-            self.master.changed()
-
-    def vanish(self) -> None:
-        """Hang up: the far side was closed; what hosts have not read is lost."""
-        self.gone = True
-        self.to_hosts.transit.clear()
-        self.to_hosts.ready.clear()
-        del self.terminals.by_number[self.number], self.terminals.devices[self.name]
-        self.device.unlink()
-        for each in self.hosts:
-            each.changed()
-
-
-class _Side(OpenFile):
-    """Open file of a terminal, with what both sides have."""
-
-    def __init__(self, terminal: Terminal, incoming: Line, outgoing: Line) -> None:
-        super().__init__(terminal.kernel)
-        self.terminal, self.incoming, self.outgoing = terminal, incoming, outgoing
-
-    def readable(self) -> bool:
-        return len(self.incoming) > 0
-
-    def writable(self) -> bool:
-        return self.outgoing.room() > 0
-
-    def write(self, data: bytes) -> int:
-        return self.outgoing.write(data)
-
-    def check(self) -> None:
-        """Raise an error where the terminal has gone."""
-
-    def tcgetattr(self) -> list[Any]:
-        self.check()
-        return copy.deepcopy(self.terminal.attributes)
-
-    def tcsetattr(self, when: int, attributes: list[Any]) -> None:
-        self.check()
-        if when == termios.TCSAFLUSH:
-            self.incoming.ready.clear()
-        new = copy.deepcopy(attributes)
-        # The driver has neither parity nor other sizes of bytes.
-        new[2] = (new[2] & ~(termios.CSIZE | termios.PARENB)) | termios.CS8 | termios.CREAD
-        new[4] = new[4] or new[5]
-        is_raw = not new[3] & termios.ICANON
-        for place, each in enumerate(new[6]):
-            number = each if isinstance(each, int) else each[0]
-            is_number = is_raw and place in (termios.VMIN, termios.VTIME)
-            new[6][place] = number if is_number else bytes([number])
-        self.terminal.attributes = new
-
-    def tcflush(self, queue: int) -> None:
-        self.check()
-        if queue in (termios.TCIFLUSH, termios.TCIOFLUSH):
-            self.incoming.transit.clear()
-            self.incoming.ready.clear()
-        if queue in (termios.TCOFLUSH, termios.TCIOFLUSH):
-            self.outgoing.transit.clear()
-        self.terminal.changed()
-
-    def tcflow(self, action: int) -> None:
-        self.check()
-        if action in (termios.TCIOFF, termios.TCION):
-            self.write(b"\x13" if action == termios.TCIOFF else b"\x11")
-            return
-        self.outgoing.stopped = action == termios.TCOOFF
-        self.terminal.changed()
-
-    def tcdrain(self) -> None:
-        self.check()
-
-    def tcsendbreak(self, duration: int) -> None:
-        self.check()
-
-    def ioctl(self, request: int, argument: Any) -> Any:
-        self.check()
-        terminal = self.terminal
-        if request in (termios.TIOCEXCL, termios.TIOCNXCL):
-            if isinstance(self, HostSide):
-                terminal.exclusive = request == termios.TIOCEXCL
-            return argument
-        answers = {
-            termios.FIONREAD: len(self.incoming.ready),
-            termios.TIOCOUTQ: 0,
-            _TIOCGEXCL: int(terminal.exclusive and isinstance(self, HostSide)),
-        }
-        if request not in answers:
-            raise OSError(errno.ENOTTY, os.strerror(errno.ENOTTY))
-        return struct.pack("i", answers[request])
-
-    def flock(self, operation: int) -> None:
-        locks = self.terminal.locks
-        wanted = operation & (fcntl.LOCK_SH | fcntl.LOCK_EX)
-        locks.pop(self, None)
-        if not wanted:
-            return
-        if any(fcntl.LOCK_EX in (wanted, held) for held in locks.values()):
-            if not operation & fcntl.LOCK_NB:
-                raise NotImplementedError("locks that wait")
-            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
-        locks[self] = wanted
-
-
-class MasterSide(_Side):
-    """Far side of a terminal."""
-
-    def __init__(self, terminal: Terminal) -> None:
-        super().__init__(terminal, terminal.to_master, terminal.to_hosts)
-
-    def hung_up(self) -> bool:
-        return self.terminal.hung_up
-
-    def readable(self) -> bool:
-        return len(self.incoming) > 0 or self.terminal.hung_up
-
-    def read(self, limit: int) -> bytes:
-        if data := self.incoming.read(limit):
-            self.terminal.changed()
-            return data
-        number = errno.EIO if self.terminal.hung_up else errno.EAGAIN
-        raise OSError(number, os.strerror(number))
-
-    def closed(self) -> None:
-        self.terminal.vanish()
-
-
-class HostSide(_Side):
-    """Host side of a terminal, opened once."""
-
-    def __init__(self, terminal: Terminal, *, writes: bool) -> None:
-        super().__init__(terminal, terminal.to_hosts, terminal.to_master)
-        self.writes = writes
-
-    def waits(self) -> bool:
-        return self.blocking and self.terminal.attributes[6][termios.VMIN] != 0
-
-    def readable(self) -> bool:
-        return self.terminal.gone or super().readable()
-
-    def writable(self) -> bool:
-        return self.terminal.gone or super().writable()
-
-    def hung_up(self) -> bool:
-        return self.terminal.gone
-
-    def read(self, limit: int) -> bytes:
-        data = self.incoming.read(limit)
-        if data:
-            self.terminal.master.changed()
-        elif not self.terminal.gone and self.terminal.attributes[6][termios.VMIN] != 0:
-            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
-        return data
-
-    def write(self, data: bytes) -> int:
-        self.check()
-        if not self.writes:
-            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
-        taken = super().write(data)
-        self.terminal.terminals.watches.written(self.terminal.name)
-        return taken
-
-    def check(self) -> None:
-        if self.terminal.gone:
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    def closed(self) -> None:
-        """Report the closing; it takes effect a little later, which the process that closes waits for."""
-        kernel, terminal = self.kernel, self.terminal
-        terminal.terminals.watches.closed(terminal.name, self.writes)
-        duration_ns = kernel.delays.randrange(*_CLOSING_NS)
-        if kernel.faults.happens("slow_closing", terminal.device.name, 1e-2):
-            draw = kernel.faults.drawn("slow_closing", terminal.device.name)
-            duration_ns = round(10 ** draw.uniform(5, 8.5))
-        self.released_ns = kernel.now_ns + duration_ns
-        kernel.at(self.released_ns, lambda: terminal.left(self))
-
-
-class SimulatedTty(Shim):
-    """Module `tty`, whose functions use those of module `termios`."""
-
-    def __init__(self, kernel: Kernel, system: System) -> None:
-        super().__init__(tty, kernel)
-        self._termios: Any = system.modules["termios"]
+class _Tty(Shim):
+    """Module `tty`."""
 
     def setraw(self, descriptor: int, when: int = termios.TCSAFLUSH) -> None:
-        mode = self._termios.tcgetattr(descriptor)
-        mode[0] &= ~(termios.BRKINT | termios.ICRNL | termios.INPCK | termios.ISTRIP | termios.IXON)
-        mode[1] &= ~termios.OPOST
-        mode[2] = (mode[2] & ~(termios.CSIZE | termios.PARENB)) | termios.CS8
-        mode[3] &= ~(termios.ECHO | termios.ICANON | termios.IEXTEN | termios.ISIG)
-        mode[6][termios.VMIN], mode[6][termios.VTIME] = 1, 0
-        self._termios.tcsetattr(descriptor, when, mode)
+        """Make a terminal raw: of the settings, only reads of a byte or more matter here."""
+        terminal = self.kernel.called().file(descriptor)
+        assert isinstance(terminal, _Side)
+        settings = terminal.tcgetattr()
+        settings[0] = settings[1] = settings[3] = 0
+        settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
+        terminal.tcsetattr(when, settings)
 
 
-def _link_of(file: OpenFile) -> tuple[str, str] | None:
-    """Return what /proc shows of an open file, and the path of its device; None for other files."""
-    if isinstance(file, HostSide) and not file.terminal.gone:
-        return f"/dev/pts/{file.terminal.number}", file.terminal.name
-    return ("/dev/ptmx", "/dev/null") if isinstance(file, MasterSide) else None
+class _ProcessFolder:
+    """Folder /proc, which shows the processes at the time of each look."""
 
+    def __init__(self, terminals: Terminals) -> None:
+        self._terminals = terminals
 
-def _fresh() -> list[Any]:
-    """Return the attributes of a new terminal of this machine."""
-    sides = os.openpty()
-    try:
-        return termios.tcgetattr(sides[1])
-    finally:
-        for each in sides:
-            os.close(each)
-
-
-_FRESH = _fresh()
+    def glob(self, pattern: str) -> list[Path]:
+        """Return the folders of the processes; a look takes milliseconds."""
+        kernel = self._terminals.kernel
+        kernel.called()
+        kernel.elapse(2_000_000)
+        return sorted(self._terminals.list_processes().glob(pattern))

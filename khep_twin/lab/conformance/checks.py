@@ -4,13 +4,11 @@ import re
 from collections.abc import Callable
 
 from khep_twin.lab.conformance.conformance import Check, CheckedPort, Deviation
-from khep_twin.units import BITS_PER_BYTE, COUNTS_LIMIT, N_SENSORS
+from khep_twin.lab.conformance.demands import in_pace, refuses, within
+from khep_twin.units import COUNTS_LIMIT, N_SENSORS
 
 ALL: list[Check] = []
 """All checks; `check` adds to them."""
-
-FIRST_BYTE = 0.010
-"""Longest wait for a reply's first byte after the command's time on the line [s] (hosts tolerate it)."""
 
 SETTLE = 0.2
 """Silence that ends a banner [s]."""
@@ -25,13 +23,6 @@ def check(
         ALL.append(Check(name, section, moves, body, turret))
 
     return add
-
-
-def within(request: str, values: list[int], low: int, high: int) -> None:
-    """Raise a `Deviation` if a number of a reply is out of range."""
-    for value in values:
-        if not low <= value <= high:
-            raise Deviation(f"{request!r} gave {value}; expected {low} to {high}")
 
 
 # Grammar -------------------------------------------------------------------------------------------------
@@ -186,10 +177,7 @@ def _leds(line: CheckedPort) -> None:
 
 @check("an LED that does not exist is refused", "A, command L")
 def _no_led(line: CheckedPort) -> None:
-    for request in ("L,5,0", "L,0,7"):
-        answer = line.ask(request)
-        if not answer.startswith("z,"):
-            raise Deviation(f"{request!r} was answered {answer!r}; expected a line that starts with 'z,'")
+    refuses(line, "L,5,0", "L,0,7")
 
 
 @check("W writes and R reads a byte of the extension bus", "A, commands R and W")
@@ -211,27 +199,8 @@ def _turrets(line: CheckedPort) -> None:
 
 @check("every reply begins within 10 ms and takes its bytes' time on the line", "3.2")
 def _pace(line: CheckedPort) -> None:
-    byte_time = BITS_PER_BYTE / line.port.baudrate
-    # Real time has a scheduler's delays on top.
-    slack = 0.0 if hasattr(line.port, "time_ns") else 0.02
-    # On a network a reply comes in one piece, with its last byte.
-    in_one_piece = str(line.port.port).startswith(("socket:", "rfc2217:"))
     for request in ("N", "B", "E", "H", "K", "O", "D,0,0", "G,0,0", "J,20,64,20,64", "L,0,0", "hello", "D"):
-        start = line.time()
-        line.send(request + "\n")
-        first: bytes = line.port.read(1)
-        begun = line.time() - start
-        rest: bytes = line.port.read_until(b"\n")
-        done = line.time() - start
-        if not first:
-            raise Deviation(f"no reply to {request!r}")
-        arrived = len(first + rest) if in_one_piece else 1
-        if begun > (len(request) + 1 + arrived) * byte_time + FIRST_BYTE + slack:
-            raise Deviation(f"the first byte of the reply to {request!r} came after {begun * 1000:.1f} ms")
-        if done > (len(request) + 1 + len(first + rest)) * byte_time + FIRST_BYTE + 2 * slack:
-            raise Deviation(
-                f"{request!r} and its reply of {len(first + rest)} bytes took {done * 1000:.1f} ms"
-            )
+        in_pace(line, request)
 
 
 # Tools -----------------------------------------------------------------------------------------------------

@@ -2,8 +2,9 @@
 
 import re
 
-from khep_twin.lab.conformance.checks import SETTLE, check, within
+from khep_twin.lab.conformance.checks import SETTLE, check
 from khep_twin.lab.conformance.conformance import CheckedPort, Deviation
+from khep_twin.lab.conformance.demands import within
 from khep_twin.lab.conformance.radio_checks import ALL as ALL
 from khep_twin.units import COUNTS_LIMIT, GRIPPER_NUMBER, N_SENSORS
 

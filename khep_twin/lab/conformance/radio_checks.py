@@ -1,11 +1,11 @@
 """Checks of `conformance` for the radio turret."""
 
-import re
 from functools import partial
 
 from khep_twin.lab.conformance.checks import ALL as ALL
-from khep_twin.lab.conformance.checks import SETTLE, check, within
+from khep_twin.lab.conformance.checks import SETTLE, check
 from khep_twin.lab.conformance.conformance import CheckedPort, Deviation
+from khep_twin.lab.conformance.demands import refuses, turret_numbers, turret_values, within
 from khep_twin.units import RADIO_ALL, RADIO_BYTES, RADIO_NUMBER, RadioStatus
 
 MESSAGE_TIME = 10.0
@@ -23,26 +23,13 @@ _MOST_READS = 20
 """Most messages that may wait to be read."""
 
 
-def _values(line: CheckedPort, message: str, count: int) -> list[int]:
-    """Return the numbers of the answer to a message; raise a `Deviation` unless there are `count`."""
-    request = f"T,{RADIO_NUMBER},{message}"
-    return _numbers(request, line.ask(request), count)
-
-
-def _numbers(request: str, answer: str, count: int) -> list[int]:
-    head = f"t,{RADIO_NUMBER},{request.split(',')[2].lower()}"
-    if not re.fullmatch(rf"{head}(,(0|[1-9]\d*)){{{count}}}", answer):
-        raise Deviation(f"{request!r} was answered {answer!r}; expected {head!r} and {count} numbers")
-    return [int(field) for field in answer.split(",")[3:]]
-
-
 def _order(to: int, length: int, *data: int) -> str:
     """Return the order S for a message, filled up with zeros."""
     return ",".join(map(str, ("S", to, length, *data, *[0] * (RADIO_BYTES - len(data)))))
 
 
 def _status(line: CheckedPort) -> RadioStatus:
-    [status] = _values(line, "F", 1)
+    [status] = turret_values(line, RADIO_NUMBER, "F", 1)
     within(f"T,{RADIO_NUMBER},F", [status], 0, sum(RadioStatus))
     return RadioStatus(status)
 
@@ -59,11 +46,11 @@ def _sent(line: CheckedPort) -> RadioStatus:
 
 @_check("a radio reports its version, its status and received messages", "simulators")
 def _reads(line: CheckedPort) -> None:
-    _values(line, "B", 2)
+    turret_values(line, RADIO_NUMBER, "B", 2)
     _sent(line)
     for _ in range(_MOST_READS):
         waits = _status(line) & RadioStatus.RECEIVED
-        sender, length, *data = _values(line, "R", 2 + RADIO_BYTES)
+        sender, length, *data = turret_values(line, RADIO_NUMBER, "R", 2 + RADIO_BYTES)
         within("the sender of a message", [sender], 0, NOBODY)
         within("the length of a message", [length], 0, RADIO_BYTES)
         within("a byte of a message", data, 0, 255)
@@ -75,14 +62,11 @@ def _reads(line: CheckedPort) -> None:
 @_check("a radio refuses orders and messages that do not exist", "assumed")
 def _refusals(line: CheckedPort) -> None:
     _sent(line)
-    _values(line, _order(RADIO_ALL, 0), 0)
+    turret_values(line, RADIO_NUMBER, _order(RADIO_ALL, 0), 0)
     _sent(line)
     rubbish = ["S", f"S,{NOBODY},1,2", _order(NOBODY, 1) + ",0", _order(NOBODY, RADIO_BYTES + 1)]
     rubbish += [_order(NOBODY, -1), _order(NOBODY, 1, 256), _order(NOBODY + 1, 1), _order(RADIO_ALL - 1, 1)]
-    for message in (*rubbish, "F,1", "R,1", "Q"):
-        answer = line.ask(f"T,{RADIO_NUMBER},{message}")
-        if not answer.startswith("z,"):
-            raise Deviation(f"'T,{RADIO_NUMBER},{message}' was answered {answer!r}; expected 'z,…'")
+    refuses(line, *(f"T,{RADIO_NUMBER},{message}" for message in (*rubbish, "F,1", "R,1", "Q")))
     if _sent(line) & RadioStatus.FAILED:
         raise Deviation("a radio has sent a message that it has refused")
 
@@ -90,7 +74,7 @@ def _refusals(line: CheckedPort) -> None:
 @_check("a radio sends a message to all radios, which needs no acknowledgement", "radio base manual, A")
 def _to_all(line: CheckedPort) -> None:
     _sent(line)
-    _values(line, _order(RADIO_ALL, 5, *b"hello"), 0)
+    turret_values(line, RADIO_NUMBER, _order(RADIO_ALL, 5, *b"hello"), 0)
     if (status := _sent(line)) & RadioStatus.FAILED:
         raise Deviation(f"a message to all failed: status {status:d}")
 
@@ -101,8 +85,8 @@ def _busy(line: CheckedPort) -> None:
     message = f"T,{RADIO_NUMBER},{_order(NOBODY, 1, 7)}"
     status_request = f"T,{RADIO_NUMBER},F"
     line.send(f"{message}\n{status_request}\n{message}\n")
-    _numbers(message, line.reply(message), 0)
-    [status] = _numbers(status_request, line.reply(status_request), 1)
+    turret_numbers(message, line.reply(message), 0)
+    [status] = turret_numbers(status_request, line.reply(status_request), 1)
     second = line.reply(message)
     if RadioStatus(status) & RadioStatus.READY:
         raise Deviation(f"a radio that sends has the status {status}; expected one without the first bit")
@@ -114,11 +98,11 @@ def _busy(line: CheckedPort) -> None:
 @_check("a message that no radio acknowledges fails, until the next message", "radio base manual, 4.4")
 def _failure(line: CheckedPort) -> None:
     _sent(line)
-    _values(line, _order(NOBODY, RADIO_BYTES, *range(RADIO_BYTES)), 0)
+    turret_values(line, RADIO_NUMBER, _order(NOBODY, RADIO_BYTES, *range(RADIO_BYTES)), 0)
     for _ in range(2):
         if not (status := _sent(line)) & RadioStatus.FAILED:
             raise Deviation(f"a message to nobody did not fail: status {status:d}")
-    _values(line, _order(RADIO_ALL, 0), 0)
+    turret_values(line, RADIO_NUMBER, _order(RADIO_ALL, 0), 0)
     if (status := _sent(line)) & RadioStatus.FAILED:
         raise Deviation(f"a radio reports the failure of an earlier message: status {status:d}")
 
@@ -126,7 +110,7 @@ def _failure(line: CheckedPort) -> None:
 @_check("a restart drops the message that a radio sends", "assumed")
 def _restart(line: CheckedPort) -> None:
     _sent(line)
-    _values(line, _order(NOBODY, 1, 7), 0)
+    turret_values(line, RADIO_NUMBER, _order(NOBODY, 1, 7), 0)
     line.send("restart\n")
     line.read_until_quiet(SETTLE)
     if (status := _status(line)) != RadioStatus.READY:

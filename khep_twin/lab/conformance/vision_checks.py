@@ -4,13 +4,13 @@ What they ask of it is what hosts need. That M has 16 greys, and what exactly is
 parameter, is left open, as no source says it.
 """
 
-import re
 from functools import partial
 
 from khep_twin.lab.conformance.checks import ALL as ALL
-from khep_twin.lab.conformance.checks import FIRST_BYTE, check, within
+from khep_twin.lab.conformance.checks import check
 from khep_twin.lab.conformance.conformance import CheckedPort, Deviation
-from khep_twin.units import BITS_PER_BYTE, K213_NUMBER, K213_PERIODS_MS, K213_PIXELS
+from khep_twin.lab.conformance.demands import in_pace, refuses, turret_values, within
+from khep_twin.units import K213_NUMBER, K213_PERIODS_MS, K213_PIXELS
 
 TURN = "turns on the spot by 6 degrees and back"
 
@@ -28,20 +28,11 @@ _TURN_PULSES = 34
 _CONTRAST = 60
 """Difference between brightest and darkest pixel from which an image tells a turn [greys] (assumed)."""
 
-_REAL_TIME_SLACK = 0.02
-"""Delay by a scheduler that is no fault of the port's [s]."""
-
 
 def _values(line: CheckedPort, message: str, count: int, limit: int = 255) -> list[int]:
     """Return the numbers of a reply; raise a `Deviation` unless there are `count` from 0 to a limit."""
-    request, letter = f"T,{K213_NUMBER},{message}", message[0].lower()
-    answer = line.ask(request)
-    if not re.fullmatch(rf"t,{K213_NUMBER},{letter}(,(0|[1-9]\d*)){{{count}}}", answer):
-        raise Deviation(
-            f"{request!r} was answered {answer!r}; expected 't,{K213_NUMBER},{letter}' and {count} numbers"
-        )
-    values = [int(field) for field in answer.split(",")[3:]]
-    within(request, values, 0, limit)
+    values = turret_values(line, K213_NUMBER, message, count)
+    within(f"T,{K213_NUMBER},{message}", values, 0, limit)
     return values
 
 
@@ -105,30 +96,12 @@ def _refusals(line: CheckedPort) -> None:
 
 
 def _refuses(line: CheckedPort, *messages: str) -> None:
-    for message in messages:
-        answer = line.ask(f"T,{K213_NUMBER},{message}")
-        if not answer.startswith("z,"):
-            request = f"T,{K213_NUMBER},{message}"
-            raise Deviation(f"{request!r} was answered {answer!r}; expected a line that starts with 'z,'")
+    refuses(line, *(f"T,{K213_NUMBER},{message}" for message in messages))
 
 
 @_check("a long reply of a K213 begins within 10 ms and takes its bytes' time", SECTION)
 def _pace(line: CheckedPort) -> None:
-    byte_time = BITS_PER_BYTE / line.port.baudrate
-    slack = 0.0 if hasattr(line.port, "time_ns") else _REAL_TIME_SLACK
-    in_one_piece = str(line.port.port).startswith(("socket:", "rfc2217:"))
-    request = f"T,{K213_NUMBER},N\n"
-    start = line.time()
-    line.send(request)
-    first: bytes = line.port.read(1)
-    begun = line.time() - start
-    rest: bytes = line.port.read_until(b"\n")
-    took = line.time() - start
-    whole = len(request) + len(first + rest)
-    if begun > (whole if in_one_piece else len(request) + 1) * byte_time + FIRST_BYTE + slack:
-        raise Deviation(f"the first byte of the reply to {request!r} came after {begun * 1000:.1f} ms")
-    if took > whole * byte_time + FIRST_BYTE + 2 * slack:
-        raise Deviation(f"{request!r} and its reply of {len(first + rest)} bytes took {took * 1000:.1f} ms")
+    in_pace(line, f"T,{K213_NUMBER},N")
 
 
 @_check("the image of a K213 moves right as it turns left, at its period", SECTION, TURN)

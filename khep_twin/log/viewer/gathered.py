@@ -13,6 +13,9 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun.chunk import Chunk, McapReader
 
+from khep_twin.errors import LogError
+from khep_twin.log.decoding import shown
+
 Floats = NDArray[np.float64]
 
 TIMELINE = "message_log_time"
@@ -103,12 +106,21 @@ class Gatherer:
         self._poses: dict[str, list[tuple[NDArray[np.int64], Floats]]] = {}
         self._events: list[tuple[int, str]] = []
 
-    def passing(self, log: Path) -> Iterator[Chunk]:
-        """Pass on the chunks of a log, and note their content."""
-        for chunk in McapReader(log, timeline_type="duration_ns").stream():
-            if not chunk.is_static:
-                self._note(chunk)
-            yield chunk
+    def passing(self, log: Path, source: Path) -> Iterator[Chunk]:
+        """Pass on the chunks of a log, the copy of a source, and note their content.
+
+        Raises:
+            LogError: rerun does not understand its messages.
+        """
+        try:
+            for chunk in McapReader(log, timeline_type="duration_ns").stream():
+                if not chunk.is_static:
+                    self._note(chunk)
+                yield chunk
+        except RuntimeError as error:  # such as a schema that rerun cannot parse
+            raise LogError(
+                f"{source}: rerun cannot show it: {shown(error)}; expected a log of khep_twin"
+            ) from error
 
     def samples(self, robot: str) -> Samples | None:
         """Return the samples of a robot; None if there are none, or not for each time."""

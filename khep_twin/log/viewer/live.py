@@ -177,7 +177,7 @@ class _Translator:
         writer.finish()
         self._piece.write_bytes(piece.getvalue())
         gatherer = Gatherer()
-        chunks = list(gatherer.passing(self._piece))
+        chunks = list(gatherer.passing(self._piece, self._source))
         passing = [chunk for chunk in chunks if not chunk.is_static]
         # Each piece describes its channels; once is enough.
         standing = [chunk for chunk in chunks if chunk.is_static and chunk.entity_path not in self._described]

@@ -198,7 +198,7 @@ def _recording(
 def _chunks(path: Path, copy: Path, label: Label, progress: Progress) -> Generator[Chunk, None, None]:
     """Yield all shown chunks of a log."""
     gatherer, end_ns = Gatherer(), read_end_ns(path)
-    for chunk in gatherer.passing(copy):
+    for chunk in gatherer.passing(copy, path):
         yield chunk
         if progress is not None and not chunk.is_static and end_ns:
             progress(min(times_of(chunk.to_record_batch()).max(initial=0) / end_ns, 1.0))

@@ -1,0 +1,43 @@
+"""`HostTurret`: common part of the turrets of a robot at the other end of a serial port."""
+
+from typing import ClassVar
+
+from khep_twin.errors import ProtocolError
+from khep_twin.host.khepera import Khepera
+
+
+class HostTurret:
+    """Turret on a robot.
+
+    Args:
+        robot: Robot that carries it.
+
+    Attributes:
+        number: Number on the T bus.
+        name: Name in messages.
+
+    Raises:
+        ProtocolError: The robot has no such turret.
+    """
+
+    number: ClassVar[int]
+    name: ClassVar[str]
+
+    def __init__(self, robot: Khepera) -> None:
+        self._robot = robot
+        self.versions()
+
+    def versions(self) -> tuple[str, str]:
+        """Return the versions of the turret's software, as it reports them (command B)."""
+        fields = self._robot.turret(self.number, "B").split(",")
+        if len(fields) != 3 or fields[0] != "b":
+            raise ProtocolError(f"{self._robot.name}: the {self.name} reported its versions as {fields}")
+        return fields[1], fields[2]
+
+    def _values(self, message: str, count: int) -> list[int]:
+        """Return the numbers of the answer to a message."""
+        answer = self._robot.turret(self.number, message)
+        head, *fields = answer.split(",")
+        if head != message[0].lower() or len(fields) != count or not all(map(str.isdecimal, fields)):
+            raise ProtocolError(f"{self._robot.name}: the {self.name} answered {message!r} with {answer!r}")
+        return [int(field) for field in fields]

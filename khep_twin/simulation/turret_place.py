@@ -1,0 +1,110 @@
+"""Places of turrets in a world."""
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.board.turrets import TurretBody, TurretKind
+from khep_twin.playpen import Playpen
+from khep_twin.sensing.lamps import Lamps
+
+_TURRET_KEY = 0x85EBCA6B
+"""Factor that turns the number of a turret into a word of its key: any odd one."""
+
+
+class TurretWorld(Protocol):
+    """Interface of the world to its turrets."""
+
+    playpen: Playpen
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    time_ns: int
+    lamps: Lamps
+
+    @property
+    def powers(self) -> Sequence[float]:
+        """Present powers of the lamps, without their flicker (n,) [W]."""
+        ...
+
+    @property
+    def is_noisy(self) -> bool:
+        """True if sensors are noisy."""
+        ...
+
+    @property
+    def is_compiled(self) -> bool:
+        """True if compiled code steps the world."""
+        ...
+
+    def turret_bodies(self, name: str) -> list[TurretBody | None]:
+        """Return the bodies of all turrets of a kind, by the index of their robot; None for one without."""
+        ...
+
+
+class TurretPlace:
+    """Place of a turret in a world, a `TurretContext`.
+
+    Args:
+        world: World of the robot.
+        robot: Index of the robot.
+        kind: Kind of the turret.
+        registers: Registers of the turret's electronics.
+        state: Record of the robot.
+    """
+
+    def __init__(
+        self,
+        world: TurretWorld,
+        robot: int,
+        kind: TurretKind,
+        registers: NDArray[np.int64],
+        state: NDArray[np.void],
+    ) -> None:
+        self.model, self.data, self.robot, self.registers = world.model, world.data, robot, registers
+        self.prefix = f"khepera{robot}/{kind.name}/"
+        self._world, self._kind, self._state = world, kind, state
+
+    @property
+    def time_ns(self) -> int:
+        """Time of the world [ns]."""
+        return self._world.time_ns
+
+    @property
+    def lamps(self) -> list[tuple[float, float, float, float]]:
+        """Positions [m] and present power [W] of the lamps: x, y, z, power."""
+        lamps = zip(self._world.lamps.positions, self._world.powers, strict=True)
+        return [(*at, power) for at, power in lamps]
+
+    @property
+    def room_lux(self) -> float:
+        """Illuminance by the room's own light [lx]."""
+        return self._world.playpen.lighting.room_lux
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Words of the key of the turret's random draws: those of the robot's sensors, told apart."""
+        low, high = self._state["noise"].tolist()
+        return low ^ (self._kind.number + 1) * _TURRET_KEY & 0xFFFFFFFF, high
+
+    @property
+    def is_noisy(self) -> bool:
+        """True if sensors are noisy."""
+        return self._world.is_noisy
+
+    @property
+    def settings(self) -> Mapping[str, float]:
+        """Values of the playpen's table for turrets of this kind; empty without one."""
+        return self._world.playpen.turret_settings.get(self._kind.name, {})
+
+    @property
+    def is_compiled(self) -> bool:
+        """True if the world is stepped by compiled code, so that a body may use such code, too."""
+        return self._world.is_compiled
+
+    @property
+    def peers(self) -> list[TurretBody | None]:
+        """Bodies of the turrets of this kind, by the index of their robot; None for a robot without."""
+        return self._world.turret_bodies(self._kind.name)

@@ -1,0 +1,197 @@
+"""What has truly happened in a run, kept beside its recorder, and the comparison of a log with it."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from khep_twin.board.uart import HostEvent
+from khep_twin.clock import NS_PER_S
+from khep_twin.log.decoding import read_array, read_line
+from khep_twin.log.host_events import read_events
+from khep_twin.log.reader import read_raw
+from khep_twin.log.state_hashes import boards
+from khep_twin.world import World
+
+LOCK_STEP_LOSS_NS = 5 * NS_PER_S
+"""Simulated time that a log may lack after a kill (docs/logs.md) [ns]."""
+
+WALL_LOSS_NS = NS_PER_S // 2
+"""Wall time that a log of a served twin may lack after a kill, and a turn of its loop [ns]."""
+
+_SETTLED_NS = 2 * NS_PER_S
+"""Time after which all that was on a line has arrived: 1024 bytes at 9600 baud take 1.2 s [ns]."""
+
+_Line = tuple[int, str, str]
+"""Time [ns], name and text."""
+
+
+class Truth:
+    """What has happened in a run; an observer of its world, after the recorder.
+
+    Args:
+        number: Number of the run, its seed.
+        failed: Function that returns whether the log is no longer written.
+
+    Attributes:
+        closed: True if the log was completed.
+        closing: True if that was begun.
+        kept_ns: Time up to which the log has everything, as it was flushed after that [ns]; -1 for none.
+        last_ns: Time of the last sample that the recorder took [ns].
+        begun_ns: Moment at which the run was branched off another one; -1 for a run of its own [ns].
+    """
+
+    def __init__(self, number: int, failed: Callable[[], bool] = lambda: False) -> None:
+        self.number, self.failed = number, failed
+        self.closed = self.closing = False
+        self.kept_ns = self.last_ns = self.begun_ns = -1
+        self.names: list[str] = []
+        self.samples: dict[str, dict[int, bytes]] = {}
+        self.lines: dict[str, list[_Line]] = {}
+        self.host: dict[str, list[tuple[int, HostEvent]]] = {}
+        self.events: list[_Line] = []
+        self._rests: dict[tuple[str, bool], bytes] = {}
+        self._turns: list[tuple[int, int]] = []
+
+    def watch(self, names: Iterable[str], world: World | None = None) -> None:
+        """Begin, at the start of a run or where it is branched off another one."""
+        self.names = [*names]
+        if world is not None:
+            if world.time_ns:
+                self.begun_ns = world.time_ns
+                self.kept_ns = world.time_ns - LOCK_STEP_LOSS_NS
+            world.add_observer(self, at_once=not world.time_ns)
+
+    def sample(self, world: World) -> None:
+        """Keep the registers."""
+        if self.failed():
+            return
+        for robot in world.robots:
+            names = ["registers", *(kind.name for kind in robot.firmware.turrets)]
+            for name, board in zip(names, boards(robot), strict=True):
+                topic = f"/{robot.name}/{name}"
+                self.samples.setdefault(topic, {})[world.time_ns] = board.tobytes()
+        self.last_ns = world.time_ns
+        self.kept_ns = max(self.kept_ns, self.last_ns - LOCK_STEP_LOSS_NS)
+
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+        """Keep the lines that bytes complete."""
+        name = self.names[robot]
+        rest = self._rests.pop((name, to_robot), b"")
+        for byte in data:
+            if byte in b"\r\n":
+                if rest:
+                    self.lines.setdefault(name, []).append((time_ns, *_told(to_robot, rest)))
+                rest = b""
+            else:
+                rest += bytes([byte])
+        if rest:
+            self._rests[name, to_robot] = rest
+
+    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
+        """Keep a host event."""
+        self.host.setdefault(self.names[robot], []).append((time_ns, event))
+
+    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
+        """Keep an event, with which the log was flushed."""
+        self.events.append((time_ns, "world" if robot is None else self.names[robot], text))
+        if not self.failed():
+            self.kept_ns = max(self.kept_ns, time_ns - 1)
+
+    def turn(self, wall_ns: int, time_ns: int) -> None:
+        """Note the end of a turn of a serving loop, which flushes by the wall clock."""
+        if self.failed():
+            return
+        self._turns.append((wall_ns, time_ns))
+        while len(self._turns) > 2 and wall_ns - self._turns[1][0] > WALL_LOSS_NS:
+            del self._turns[0]
+        # The turn before the last one that began long enough ago was flushed by one of those since.
+        if wall_ns - self._turns[0][0] > WALL_LOSS_NS:
+            self.kept_ns = max(self.kept_ns, self._turns[0][1])
+
+    def difference(self, path: Path, whole: bool, gaps: bool, kept: bool) -> str:
+        """Return the first difference between a log and this; empty if there is none.
+
+        Args:
+            path: Path of the log.
+            whole: True if nothing of the run may be missing.
+            gaps: True if pieces amid it may be missing.
+            kept: True if nothing that was flushed may be missing.
+        """
+        _, found, _ = read_raw(path, lambda _: True)
+        must_ns = self.last_ns if whole else self.kept_ns if kept else -1
+        for topic, samples in self.samples.items():
+            messages = found.get(topic, [])
+            wrong = _first_wrong(
+                [(time_ns, (data,)) for time_ns, data in samples.items()],
+                [(time_ns, (_words(data),)) for time_ns, data in messages if time_ns > self.begun_ns],
+                gaps,
+                must_ns,
+            )
+            if wrong:
+                return f"{topic}: {wrong}"
+        for name in self.names:
+            lines = _lines(found, f"/{name}/serial")
+            expected = self.lines.get(name, [])
+            rests = sorted(_told(*key[1:], rest) for key, rest in self._rests.items() if key[0] == name)
+            if self.begun_ns >= 0:
+                del lines[len(lines) - len(rests) * self.closing :]
+            elif self.closing and rests and (whole or len(lines) > len(expected)):
+                ends = sorted(line[1:] for line in lines[len(expected) :])
+                if ends != rests:
+                    return f"/{name}/serial: ends with {ends}, not {rests}"
+                del lines[len(expected) :]
+            if wrong := self._first_wrong(expected, lines, gaps, must_ns):
+                return f"/{name}/serial: {wrong}"
+            events = [each for data in _data(found, f"/{name}/host_events") for each in read_events(data)]
+            if wrong := self._first_wrong(self.host.get(name, []), events, gaps, must_ns):
+                return f"/{name}/host_events: {wrong}"
+        wrong = self._first_wrong(self.events, _lines(found, "/events"), gaps, must_ns)
+        return f"/events: {wrong}" if wrong else ""
+
+    def _first_wrong(
+        self, expected: Sequence[tuple[Any, ...]], found: Sequence[tuple[Any, ...]], gaps: bool, must_ns: int
+    ) -> str:
+        """Compare entries, of a branch those of lines that were not on their way when it began."""
+        since_ns = self.begun_ns + _SETTLED_NS if self.begun_ns >= 0 else -1
+        kept, there = ([each for each in entries if each[0] > since_ns] for entries in (expected, found))
+        return _first_wrong(kept, there, gaps, must_ns)
+
+
+def _data(found: Mapping[str, Sequence[tuple[int, bytes]]], topic: str) -> list[bytes]:
+    return [data for _, data in found.get(topic, ())]
+
+
+def _lines(found: Mapping[str, Sequence[tuple[int, bytes]]], topic: str) -> list[_Line]:
+    return [(each.time_ns, each.name, each.text) for each in map(read_line, _data(found, topic))]
+
+
+def _told(to_robot: bool, line: bytes) -> tuple[str, str]:
+    text = line.decode("latin-1").encode("unicode_escape").decode("ascii")
+    return "host" if to_robot else "robot", text
+
+
+def _words(message: bytes) -> bytes:
+    return np.array(read_array(message, "q"), np.int64).tobytes()
+
+
+def _first_wrong(
+    expected: Sequence[tuple[Any, ...]], found: Sequence[tuple[Any, ...]], gaps: bool, must_ns: int
+) -> str:
+    """Return the first place in which entries are not the beginning of those that are expected."""
+    place = 0
+    for number, each in enumerate(found):
+        while gaps and place < len(expected) and expected[place] != each:
+            place += 1
+        if place >= len(expected) or expected[place] != each:
+            wished = _short(expected[place]) if place < len(expected) else "no more"
+            return f"entry {number} is {_short(each)}; expected {wished}"
+        place += 1
+    if not gaps and place < len(expected) and expected[place][0] <= must_ns:
+        return f"{len(found)} entries, without {_short(expected[place])}; expected all up to {must_ns} ns"
+    return ""
+
+
+def _short(entry: object) -> str:
+    return str(entry)[:120]
