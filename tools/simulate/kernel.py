@@ -95,6 +95,7 @@ class Process:
         on_call: Function called at the beginning of each of its calls; it may arrange faults.
         leader: Process whose files it has, if it is a thread of another; else itself.
         threads: Its threads.
+        began_ns: Time at which it was made [ns].
         said: Times and lines that it has told its user [ns].
         token: Number of its present wait; wake-ups for an earlier one do nothing.
     """
@@ -122,6 +123,7 @@ class Process:
         self.thrown: BaseException | None = None
         self.said: list[tuple[int, str]] = []
         self.token = 0
+        self.began_ns = kernel.now_ns
         self.rng = random.Random(mixed(kernel.seed, "process", name))
         self._function = function
         self.greenlet = greenlet(self._run)
