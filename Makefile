@@ -108,7 +108,7 @@ kills: $(VENV)/dev.stamp ## 200 served twins and 40 runs killed at random times,
 	@$(BIN)/python tools/kills.py serve 200 --jobs 3
 	@$(BIN)/python tools/kills.py run 40 --jobs 2
 
-day: $(VENV)/dev.stamp ## 24 simulated hours of serve --log with a host that never stops asking, and what memory they take; about two hours
+day: $(VENV)/dev.stamp ## 24 simulated hours of serve --log with a host that never stops asking, and what memory they take; about 20 minutes
 	@$(BIN)/python tools/day.py 24
 
 worker-kills: $(VENV)/dev.stamp ## 100 of Ray's workers killed in a sweep of 200 tasks; needs ray; about five minutes

@@ -11,37 +11,23 @@ from khep_twin import step, units
 from khep_twin.board import kernel
 from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injector
 from khep_twin.board.kernel import LEFT, RIGHT, Board, Wheel
-from khep_twin.board.protocol import LINE_END
 from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
-from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
+from khep_twin.board.uart import LineSettings
 from khep_twin.firmware import Firmware
 from khep_twin.randomness import position, resume
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.faulty_wheels import FaultyWheels
 from khep_twin.simulation.turret_place import TurretPlace, TurretWorld
+from khep_twin.simulation.wired_board import LineWorld, WiredBoard
 from khep_twin.simulation.world_state import HostState, RobotSnapshot
 
-REPLY_LIMIT = 256
-"""Bytes of replies queued before the firmware takes no more commands (assumed)."""
 
-_MOST_WARNINGS = 100
-"""Most speeds of a host that are reported; a host may try millions."""
-
-
-class WorldContext(TurretWorld, Protocol):
+class WorldContext(TurretWorld, LineWorld, Protocol):
     """Interface of the world to its robots."""
 
     def log_event(self, robot: int | None, text: str) -> None:
         """Log an event."""
-        ...
-
-    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Log bytes on a line, the last of them at `time_ns`."""
-        ...
-
-    def on_host_event(self, robot: int, event: HostEvent) -> None:
-        """Log a host's action now."""
         ...
 
 
@@ -63,7 +49,7 @@ _RECORDED = ("registers", "processor", "sensor_states", "strengths", "voltage")
 """Fields of a robot's record that change in a run."""
 
 
-class Robot:
+class Robot(WiredBoard):
     """One robot of a world: its board, its line and its body in the physics.
 
     Attributes:
@@ -89,26 +75,24 @@ class Robot:
         entry = context.playpen.robots[index]
         self.name = f"khepera{index}"
         turrets = {kind: kind.make() for kind in find(entry.turrets)}
-        self._state = state
-        self.firmware = Firmware(ROMS[entry.rom], entry.mode, turrets, state["registers"], state["processor"])
-        self._context = context
-        self.index = index
+        super().__init__(
+            context,
+            index,
+            Firmware(ROMS[entry.rom], entry.mode, turrets, state["registers"], state["processor"]),
+            Injector(settings.faults, partial(rng, "fault"), partial(context.log_event, index)),
+            settings.unpaced,
+            rng("line") if settings.strict_line else None,
+        )
+        self._state, self._context = state, context
         self.fit_turrets()
         self.registers = self.firmware.registers
         self._register_view = self.firmware.register_view
         self._has_stopped = False
-        self.uart = Uart(0 if settings.unpaced else self.firmware.baud)
-        self._unpaced = settings.unpaced
-        self._baud = self.firmware.baud
-        self._host: LineSettings | None = None
-        self._warned: set[tuple[int, int]] = set()
         self.indices = indices
         positions = [model.body_pos[light] for light in self.indices.led_lights]
         hidden: list[NDArray[np.float64]] = [position.copy() for position in positions]
         self._lights = list(zip(positions, hidden, model.site_pos[list(self.indices.leds)], strict=True))
         self._shown = [0] * len(_LEDS)
-        self._line_noise = rng("line") if settings.strict_line else None
-        self._faults = Injector(settings.faults, partial(rng, "fault"), partial(context.log_event, index))
         self._wheels = None
         if any(fault.device == WHEEL for fault in settings.faults):
             self._wheels = FaultyWheels(model, data, indices)
@@ -189,110 +173,6 @@ class Robot:
         x, y, _ = self.pose
         return x, y, float(self._state["radius"])
 
-    def compare_line(self, host: LineSettings | None) -> str:
-        """Set the host's end of the line; None for the robot's own settings.
-
-        A host's bytes cross at the host's speed. If it differs from the robot's, bytes arrive unchanged, or
-        garbled in both directions on a strict line.
-
-        Returns:
-            Warning of a different speed; empty if the speeds agree or the warning was given before. The
-            robot accepts one stop bit as well as two.
-        """
-        is_new, self._host, baud = host is not self._host and host != self._host, host, self._baud
-        differs = host is not None and host.baud != baud and (host.baud, baud) not in self._warned
-        warns = differs and len(self._warned) < _MOST_WARNINGS
-        if is_new or warns:
-            self._context.on_host_event(self.index, HostEvent(HostEventKind.SET, self._context.time_ns, host))
-        if not warns or host is None:
-            return ""
-        self._warned.add((host.baud, baud))
-        outcome = "taken all the same" if self._line_noise is None else "garbled"
-        return (
-            f"the host has its line at {host.baud} baud, the robot's has {baud}; the bytes are {outcome}; "
-            f"{self.firmware.remedy(host.baud)}"
-        )
-
-    def send(self, data: bytes, time_ns: int = 0) -> None:
-        """Send bytes of the host, now or at a later time [ns]."""
-        time_ns = max(time_ns, self._context.time_ns)
-        self._context.on_host_event(self.index, HostEvent(HostEventKind.SEND, time_ns, self._host, data))
-        if not self._unpaced:
-            self.uart.rx.baud = (self._host and self._host.baud) or self._baud
-        self.uart.rx.put(self._over_the_line(data, time_ns), time_ns)
-        if self._unpaced:
-            # Where no time passes the order of sending and answering is that of the host's actions alone.
-            self.exchange(self._context.time_ns)
-
-    def flush(self) -> None:
-        """Drop the host's bytes that have not reached the robot yet."""
-        self._context.on_host_event(
-            self.index, HostEvent(HostEventKind.FLUSH, self._context.time_ns, self._host)
-        )
-        self.uart.rx.flush(self._context.time_ns)
-
-    def disconnect(self) -> None:
-        """Disconnect the host: execute its whole commands without replies, and drop an incomplete one."""
-        time_ns = self._context.time_ns
-        self._context.on_host_event(self.index, HostEvent(HostEventKind.DISCONNECT, time_ns, self._host))
-        rx, tx = self.uart.rx, self.uart.tx
-        if sent := rx.read(rx.arrival(len(rx)) or time_ns):
-            self._context.on_bytes(time_ns, self.index, True, sent)
-            self.firmware.receive(sent)
-            self._take_speed(self.firmware.baud)
-        self.firmware.forget_line()
-        tx.read(time_ns)
-        for line in (rx, tx):
-            line.flush(time_ns)
-
-    def next_command_ns(self) -> int | None:
-        """Return the time when the firmware takes the next whole command [ns], None without one on the line.
-
-        It has arrived then, and at most REPLY_LIMIT bytes of replies are still to be sent.
-        """
-        command = self._next_command()
-        return command and command[1]
-
-    def next_exchange_ns(self) -> int | None:
-        """Return the earliest time for which `exchange` has something to do [ns], None for an empty line."""
-        if (first_ns := self.uart.rx.next_ns) is None:
-            return None
-        return first_ns if (command := self._next_command()) is None else command[1]
-
-    def next_answer_ns(self) -> int | None:
-        """Return the earliest time of the firmware's next output [ns], None if none is due.
-
-        A command causes a reply, and a brown-out fault the banner.
-        """
-        command_ns = self.next_command_ns()
-        brown_out_ns = self._faults.next_brown_out_ns()
-        if brown_out_ns is None or not self.firmware.powered:
-            return command_ns
-        # Faults happen in control ticks, the next of them for a fault added to a run that was past its time.
-        next_tick = self._context.time_ns // units.TICK_NS + 1
-        tick_ns = units.TICK_NS * max(-(-brown_out_ns // units.TICK_NS), next_tick)
-        return tick_ns if command_ns is None else min(command_ns, tick_ns)
-
-    def exchange(self, time_ns: int) -> None:
-        """Pass the bytes that arrive by `time_ns` to the firmware and send its replies."""
-        rx = self.uart.rx
-        while (command := self._next_command()) is not None and command[1] <= time_ns:
-            count, taken_ns = command
-            line = rx.read(taken_ns, count)
-            self._context.on_bytes(taken_ns, self.index, True, line)
-            answer = self.firmware.receive(line)
-            # A restart sets the speed before its banner, the tool `serial` after its reply.
-            self._take_speed(self.firmware.reply_baud)
-            if answer:
-                self._reply(answer, taken_ns)
-            self._take_speed(self.firmware.baud)
-        # The bytes of an incomplete command are read at once; a whole one that waits stays whole.
-        if command is None and (count := rx.arrived(time_ns)):
-            arrival_ns = rx.arrival(count) or time_ns
-            begun = rx.read(time_ns)
-            self._context.on_bytes(arrival_ns, self.index, True, begun)
-            self.firmware.receive(begun)
-
     def act_after(self, reason: int) -> None:
         """Do what the stepping core has returned for.
 
@@ -362,34 +242,6 @@ class Robot:
         """Set the encoders to the wheels' current angles."""
         angles = self._context.data.qpos[list(self.indices.wheel_angles)].tolist()
         self.registers[[LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]] = [*map(units.wheel_pulses, angles)]
-
-    def _next_command(self) -> tuple[int, int] | None:
-        """Return the length of the next whole command on the line and when it is taken [ns]; None without."""
-        rx, tx = self.uart.rx, self.uart.tx
-        if rx.next_ns is None or (count := rx.count_to(LINE_END)) is None:
-            return None
-        room_ns = tx.arrival(len(tx) - REPLY_LIMIT) if len(tx) > REPLY_LIMIT else None
-        return count, max(rx.arrival(count) or 0, room_ns or 0)
-
-    def _reply(self, answer: bytes, time_ns: int) -> None:
-        """Send a reply."""
-        time_ns += self._faults.delay_ns(time_ns)
-        answer = self._over_the_line(answer, time_ns)
-        self._context.on_bytes(self.uart.tx.put(answer, time_ns), self.index, False, answer)
-
-    def _take_speed(self, baud: int) -> None:
-        """Set the robot's end of the line to a speed of the firmware."""
-        self._baud = baud
-        if not self._unpaced:
-            self.uart.tx.baud = baud
-
-    def _over_the_line(self, data: bytes, time_ns: int) -> bytes:
-        """Return the bytes as they arrive at the other end of the cable."""
-        mismatched = self._host is not None and self._host.baud != self._baud
-        if mismatched and self._line_noise is not None:
-            errors = self._line_noise.integers(1, 256, len(data)).tolist()
-            data = bytes(byte ^ error for byte, error in zip(data, errors, strict=True))
-        return self._faults.over_the_line(data, time_ns)
 
     def _run_turrets(self) -> None:
         """Run one control period of the turrets."""

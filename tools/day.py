@@ -18,6 +18,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from types import SimpleNamespace
 
+from khep_twin.cli.compile import compile_all
 from khep_twin.clock import NS_PER_S
 from khep_twin.ports import serve
 from khep_twin.ports.pty import PtyPort
@@ -51,7 +52,9 @@ def day(hours: float, log: Path, seed: int) -> float:
     end_ns = round(hours * HOUR_NS)
     begun, first, next_ns = time.monotonic(), 0.0, WARM_NS
     with ExitStack() as stack:
+        compile_all(["world"])
         twin = stack.enter_context(open_twin("obstacles", TwinOptions(seed=seed, log=str(log))))
+        twin.world.change_over()  # as `serve --clock wire` does
         port = stack.enter_context(closing(PtyPort(None, twin.robot.firmware.baud)))
         host = stack.enter_context(subprocess.Popen([sys.executable, __file__, "0", "--host", port.path]))
         stack.callback(host.kill)

@@ -45,5 +45,6 @@ def design(
         complain(f"the designer runs for the playpens in {folder}; {how}; Ctrl-C ends it")
         typer.echo(server.url)
         if not no_browser:
-            webbrowser.open(server.url)
+            # Others can read the arguments of a process.
+            webbrowser.open(server.url_once)
         server.serve(stop)

@@ -25,9 +25,6 @@ from khep_twin.rollout.episode_batch import EpisodeBatch
 
 _ENCODERS = [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]
 
-Rows = NDArray[np.int64]
-"""Indices of episodes (n_rows,)."""
-
 
 class TaskBatch:
     """Episodes of a task; each one begins with `begin`.
@@ -59,8 +56,12 @@ class TaskBatch:
         self._charge_ns = to_ns(setup.task.charge_s)
         self._charges_ns = np.zeros(shape, np.int64)
 
-    def begin(self, rows: Rows, seeds: Iterable[int]) -> None:
+    def begin(self, rows: NDArray[np.int64], seeds: Iterable[int]) -> None:
         """Start some episodes.
+
+        Args:
+            rows: Indices of the episodes (n_rows,).
+            seeds: Seed of each.
 
         Raises:
             PlaypenError: There is no room for the robots.
@@ -77,11 +78,11 @@ class TaskBatch:
         self.rewards[rows], self.ended[rows] = 0.0, False
         self._observe(rows, self._state(rows))
 
-    def step(self, rows: Rows, actions: object) -> None:
+    def step(self, rows: NDArray[np.int64], actions: object) -> None:
         """Advance some episodes by a control period.
 
         Args:
-            rows: Indices of the episodes.
+            rows: Indices of the episodes (n_rows,).
             actions: Speeds of each robot's wheels (n_rows, n_robots, 2), as parts of the top speed, or, if
                 not normalized, in pulses/10 ms; clipped, and rounded to whole pulses.
 
@@ -121,7 +122,7 @@ class TaskBatch:
         """End the threads."""
         self._batch.close()
 
-    def _state(self, rows: Rows) -> State:
+    def _state(self, rows: NDArray[np.int64]) -> State:
         """Return the state of all robots of some episodes; count what their wheels and charges have done."""
         setup = self.setup
         registers = self._batch.registers[rows]
@@ -141,7 +142,7 @@ class TaskBatch:
         boards = registers.reshape(-1, registers.shape[2]).T
         return State(boards, left, right, setup.dark, setup.floor, at_goal.reshape(-1), charge.reshape(-1))
 
-    def _observe(self, rows: Rows, state: State) -> None:
+    def _observe(self, rows: NDArray[np.int64], state: State) -> None:
         """Set the observations of some episodes; arrays of earlier ones stay as they are."""
         seen = self.setup.task.observe(state, self.setup.normalize)
         if len(rows) < len(self.observations):

@@ -9,6 +9,7 @@ deletes its own drafts only.
 import json
 import os
 import re
+import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from hashlib import sha256
@@ -45,6 +46,7 @@ class Documents:
 
     def __init__(self, root: Path) -> None:
         self.root = root.resolve()
+        self._saving = threading.Lock()
 
     def path(self, name: str, *endings: str) -> Path:
         """Return the path of a file that has one of these endings.
@@ -165,14 +167,12 @@ class Documents:
             KhepTwinError: The draft is no valid playpen, or cannot be written.
         """
         path = self.path(name, ".toml")
-        there = self._text(name) if path.exists() else None
-        if there is not None and not overwrite and _version(there) != version:
-            raise ConflictError(
-                f"{name}: was changed by another page or program; expected to be loaded anew, saved "
-                "under another name, or replaced"
-            )
-        text = text_of(draft, self._base(base, there))
-        write_whole(path, text.encode("utf-8"))
+        # Two pages that save at once must not both find the version that they know.
+        with self._saving:
+            text = text_of(draft, self._base(base, self._replaced(name, version, overwrite)))
+            # Another program may have written the file meanwhile.
+            self._replaced(name, version, overwrite)
+            write_whole(path, text.encode("utf-8"))
         self.keep(name, None, page)
         return _version(text)
 
@@ -229,6 +229,20 @@ class Documents:
             return toml_files.read("playpens", base["library"], PlaypenError)[0]
         if "file" in base and self.path(base["file"], ".toml").exists():
             return self._text(base["file"])
+        return there
+
+    def _replaced(self, name: str, version: str | None, overwrite: bool) -> str | None:
+        """Return the text of the file that a save replaces, None if there is none.
+
+        Raises:
+            ConflictError: It has another version.
+        """
+        there = self._text(name) if self.path(name, ".toml").exists() else None
+        if there is not None and not overwrite and _version(there) != version:
+            raise ConflictError(
+                f"{name}: was changed by another page or program; expected to be loaded anew, saved "
+                "under another name, or replaced"
+            )
         return there
 
     def _text(self, name: str) -> str:

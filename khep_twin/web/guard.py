@@ -4,10 +4,13 @@ A server on loopback is not safe from other pages in the same browser: they can 
 host name of their own that resolves to 127.0.0.1 they can read its answers. So each request must name this
 host, must come from this page, and its path must begin with a random token that is new at each start. Other
 requests are answered 403, and those that are too long 413, before their content is read.
+
+The browser is started with a path of its own, which works once and leads to the token: the arguments of a
+process can be read by others for as long as it runs.
 """
 
 import hmac
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -34,11 +37,25 @@ _HEADERS = (
 class Guard:
     """Guard of an application: passes requests on, without the token at the start of their paths.
 
-    The hosts are those that a browser may name, each with its port.
+    Args:
+        app: Application to guard.
+        token: Token of the page.
+        hosts: Hosts that a browser may name, each with its port.
+        once: Token that works once and leads to the page; empty for none.
+        complain: Function that takes a line if that token is used again.
     """
 
-    def __init__(self, app: ASGIApp, token: str, hosts: Iterable[str]) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        token: str,
+        hosts: Iterable[str],
+        *,
+        once: str = "",
+        complain: Callable[[str], object] | None = None,
+    ) -> None:
         self._app, self._token = app, token
+        self._once, self._complain, self._n_led = once, complain or str, 0
         self._hosts = frozenset(hosts)
         self._origins = frozenset(f"http://{host}" for host in self._hosts)
 
@@ -50,6 +67,9 @@ class Guard:
         given = [(name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"]]
         headers = [(name.lower(), value) for name, value in given]
         status, reason = self._refusal(scope, headers)
+        if status == 403 and self._is_first_visit(scope, headers):
+            await _lead(send, f"/{self._token}/")
+            return
         if status:
             await _refuse(scope, receive, send, status, reason)
             return
@@ -58,6 +78,23 @@ class Guard:
         inner["raw_path"] = inner["path"].encode("ascii")
         limit = _limit(dict(headers))
         await _Bounded(self._app, limit)(inner, receive, send)
+
+    def _is_first_visit(self, scope: Scope, headers: list[tuple[str, str]]) -> bool:
+        """Return whether a request uses the path that works once, for the first time; complain of others."""
+        path = f"/{self._once}/".encode("ascii")
+        given: bytes = scope.get("raw_path") or b""
+        if not self._once or not hmac.compare_digest(given, path):
+            return False
+        with_token = {**scope, "raw_path": f"/{self._token}/".encode("ascii")}
+        if scope["type"] != "http" or scope["method"] != "GET" or self._refusal(with_token, headers)[0]:
+            return False
+        self._n_led += 1
+        if self._n_led == 2:
+            self._complain(
+                "the address that the browser was given, which works once, was used again: if no page has "
+                "opened, another program may have the page; end the designer with Ctrl-C"
+            )
+        return self._n_led == 1
 
     def _refusal(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str]:
         """Return status and reason; 0 for an accepted request."""
@@ -136,6 +173,13 @@ class _Bounded:
 
 def _limit(headers: dict[str, str]) -> int:
     return FILE_LIMIT if headers.get("content-type") == _FILE else JSON_LIMIT
+
+
+async def _lead(send: Send, path: str) -> None:
+    """Answer with another path of this server."""
+    headers = [(b"location", path.encode("ascii")), (b"content-length", b"0"), *_HEADERS]
+    await send({"type": "http.response.start", "status": 303, "headers": headers})
+    await send({"type": "http.response.body", "body": b""})
 
 
 async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, reason: str) -> None:

@@ -24,7 +24,11 @@ MESSAGE_LIMIT = 64 * 1024
 
 
 class Server:
-    """Server of the designer; `url` is the URL of its page, with its token.
+    """Server of the designer.
+
+    Attributes:
+        url: URL of its page, with its token.
+        url_once: URL that leads to the page once, for the browser's arguments.
 
     Args:
         folder: Folder whose files the page may read and write.
@@ -63,11 +67,13 @@ class Server:
             raise PortError(f"{listen}: cannot listen there: {reason}") from error
         port = self.listener.getsockname()[1]
         names = _names(host)
-        token = secrets.token_urlsafe(24)
+        token, once = (secrets.token_urlsafe(24) for _ in range(2))
         self.url = f"http://{names[0]}:{port}/{token}/"
+        self.url_once = f"http://{names[0]}:{port}/{once}/"
         self._page = Page(documents, file)
         self._complain = complain
-        guard = Guard(self._page.app(), token, {f"{name}:{port}" for name in names})
+        hosts = {f"{name}:{port}" for name in names}
+        guard = Guard(self._page.app(), token, hosts, once=once, complain=complain)
         self._server = _Quiet(
             uvicorn.Config(
                 guard,

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import khep_twin
 from driving import SECOND
 from log_mutations import Record, put_together, taken_apart
 from log_rewriting import rewritten
@@ -16,17 +17,28 @@ from mcap.opcode import Opcode
 
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
 from khep_twin.errors import KhepTwinError
+from khep_twin.lab.conformance.recording import conform_recording
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.lab.experiment.replay_to_port import replay_to_port
 from khep_twin.lab.report.report import report
 from khep_twin.log.attached import shapes_of
-from khep_twin.log.channels import CDR_HEADER, ArrayFrame, Encoder, Level, TextLine, line_message
+from khep_twin.log.channels import (
+    CDR_HEADER,
+    ArrayFrame,
+    Encoder,
+    Level,
+    LineFrame,
+    TextLine,
+    line_message,
+)
+from khep_twin.log.decoding import read_line
 from khep_twin.log.host_events import events_message
 from khep_twin.log.reader import Recording, read, read_arrays, read_end_ns, read_label, read_series
 from khep_twin.log.recorded import read_recorded
 from khep_twin.log.recover import recover as rescue
 from khep_twin.log.viewer.replay import view
 from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.shadow.recording import recorded
 
 TIME_NS = 1_000_000_000
 
@@ -38,6 +50,17 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with open_twin("obstacles", TwinOptions(seed=3, log=str(path))) as twin:
         twin.robot.send(b"D,8,5\n")
         twin.advance_to(SECOND // 5)
+    return path
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of a few exchanges."""
+    path = tmp_path_factory.mktemp("log") / "driven.mcap"
+    with open_twin("obstacles", TwinOptions(seed=3, log=str(path))) as twin:
+        for command in (b"D,8,5\n", b"N\n", b"H\n", b"E\n"):
+            twin.robot.send(command)
+            twin.advance_to(twin.world.time_ns + SECOND // 10)
     return path
 
 
@@ -356,6 +379,48 @@ def test_the_configuration_of_a_run_is_still_read(small: Path) -> None:
     label = read_label(small)
     assert json.loads(label.attachments["configuration.json"])["seed"] == 3
     assert repeat(read_recorded(small)) is None
+
+
+LINES = {
+    "no text at all": b"",
+    "what a terminal would obey": b"\x1b]0;owned\x07\x9b2J",
+    "no UTF-8": b"\xff\xfe\x80",
+    "numbers beyond all bounds": b"e,99999999999999999999999999,-99999999999999999999999999",
+    "too few numbers": b"h,1",
+    "no number": b"n,nan,inf,1e999,,,x,0x10",
+    "a line without end": b"n" + b",1023" * 20_000,
+    "a command of nobody": b"%,%,%,\0,\0",
+}
+
+
+@pytest.mark.parametrize("name", LINES)
+def test_a_line_of_anything_is_a_result_or_one_line_for_shadow_and_conform(
+    driven: Path, tmp_path: Path, name: str
+) -> None:
+    def anything(topic: str, time_ns: int, before: bytes) -> bytes:
+        if not topic.endswith("/serial"):
+            return before
+        line = read_line(before)
+        return LineFrame(line.name, line.level).message(line.time_ns, LINES[name])
+
+    log = rewritten(driven, tmp_path / "x.mcap", anything)
+    for words in (["conform", log], ["shadow", "obstacles", log, "-o", tmp_path / "shadow.mcap"]):
+        ended = khep_twin(*words)
+        errors = ended.stderr.splitlines()
+        assert ended.returncode in (0, 1, 2, 4), ended
+        assert all(line.isprintable() for line in [*ended.stdout.splitlines(), *errors]), ended
+        if ended.returncode == 2:
+            assert str(log) in errors[-1]
+        (tmp_path / "shadow.mcap").unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize("data", [b"", CDR_HEADER, b"\xff" * 40, MESSAGES["/khepera0/serial"]])
+def test_messages_of_a_line_that_cannot_be_are_one_line_for_shadow_and_conform(
+    driven: Path, tmp_path: Path, data: bytes
+) -> None:
+    log = rewritten(driven, tmp_path / "x.mcap", instead("/khepera0/serial", data))
+    for use in (conform_recording, recorded):
+        assert "; expected " in told(use, log)
 
 
 @pytest.mark.parametrize("topic", ["tf", "x", "", "/", "//tf", "proximity", "a/b/c/registers"])

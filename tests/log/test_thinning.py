@@ -43,7 +43,7 @@ def gathered(log: Path, step_ns: int, folder: Path) -> tuple[Gatherer, list[int]
             writer.add(messages)
             label = recording.label
         writer.finish(label)
-    for chunk in gatherer.passing(copy):
+    for chunk in gatherer.passing(copy, log):
         assert chunk.entity_path != "/state"
         if chunk.entity_path == "/khepera0/serial" and not chunk.is_static:
             batch: Any = chunk.to_record_batch()

@@ -13,8 +13,6 @@ from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
-import pytest
-
 from khep_twin.ports.event_sources import Event, OpenEvents, open_events
 from tools.simulate.simulation import Simulation, simulate
 from tools.simulate.terminals import CAPACITY, Terminals
@@ -202,9 +200,11 @@ def test_a_full_terminal_takes_no_more() -> None:
         make_raw(modules["termios"], host)
         os_.set_blocking(master, False)
         count = 0
-        with pytest.raises(BlockingIOError):
-            while count < 1_000_000:
+        while count < 1_000_000:
+            try:
                 count += os_.write(master, b"12345678")
+            except BlockingIOError:
+                break
         taken.append(count)
         os_.close(host)
         os_.close(master)

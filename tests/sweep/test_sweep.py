@@ -253,6 +253,7 @@ def test_a_sweep_that_was_killed_at_its_very_beginning_can_be_begun_again(tmp_pa
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / ".study.json.part").write_text("{")
     assert len(pq.read_table(swept(tmp_path, STUDY, resume=True))) == 3
+    assert sorted(each.name for each in (tmp_path / "out").iterdir()) == ["results.parquet", "study.json"]
 
 
 def test_two_sweeps_cannot_write_into_one_folder(tmp_path: Path) -> None:

@@ -67,6 +67,54 @@ def test_a_file_that_has_changed_meanwhile_is_not_written_over(tmp_path: Path) -
     documents.save("mine.toml", opened["draft"], version=None, base={}, overwrite=True)
 
 
+def test_of_two_pages_that_save_at_once_one_is_told_of_the_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine.toml").write_text(MINE)
+    files = Documents(tmp_path)
+    opened: Any = files.open("mine.toml")
+    ends: list[str] = []
+
+    def save(name: str) -> None:
+        draft = {**opened["draft"], "name": name}
+        try:
+            files.save("mine.toml", draft, version=opened["version"], base={}, page=name)
+            ends.append(name)
+        except ConflictError:
+            ends.append("conflict")
+
+    other = threading.Thread(target=save, args=["second"])
+
+    def slowly(path: Path, data: bytes) -> None:
+        if other.ident is None:
+            other.start()
+            other.join(0.2)  # it waits for this one
+        path.write_bytes(data)
+
+    monkeypatch.setattr("khep_twin.web.documents.write_whole", slowly)
+    save("first")
+    other.join()
+    assert ends == ["first", "conflict"]
+    assert playpens.load(tmp_path / "mine.toml").name == "first"
+
+
+def test_a_file_that_changes_while_its_new_text_is_made_is_not_written_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine.toml").write_text(MINE)
+    files = Documents(tmp_path)
+    opened: Any = files.open("mine.toml")
+
+    def made(*_: object) -> str:
+        (tmp_path / "mine.toml").write_text(MINE.replace("600", "700"))
+        return MINE
+
+    monkeypatch.setattr("khep_twin.web.documents.text_of", made)
+    with pytest.raises(ConflictError, match=r"mine.toml: was changed by another page or program"):
+        files.save("mine.toml", opened["draft"], version=opened["version"], base={})
+    assert "700" in (tmp_path / "mine.toml").read_text()
+
+
 def test_a_read_only_file_is_not_written_over_and_keeps_its_draft(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(MINE)
     (tmp_path / "mine.toml").chmod(0o444)

@@ -4,8 +4,10 @@ import base64
 import os
 import socket
 import threading
+from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -216,6 +218,35 @@ def test_each_server_has_a_token_of_its_own(tmp_path: Path) -> None:
     assert all(len(token) >= 32 for token in tokens)
     for server in servers:
         server.serve(lambda: True)
+
+
+def test_the_address_that_the_browser_is_given_works_once(tmp_path: Path) -> None:
+    lines: list[str] = []
+    ended = threading.Event()
+    server = Server(tmp_path, None, "127.0.0.1:0", complain=lines.append)
+    thread = threading.Thread(target=server.serve, args=(ended.is_set,))
+    thread.start()
+    asker = Asker(server, lambda: None)
+    path = urlsplit(server.url_once).path
+    own = {"Host": asker.host, "Sec-Fetch-Site": "none"}
+    try:
+        assert server.url_once != server.url
+        for odd in ({**own, "Host": "evil.example"}, {**own, "Sec-Fetch-Site": "cross-site"}):
+            assert asker.raw("GET", path, odd)[0] == 403
+        assert asker.raw("GET", f"{path}do/list", own)[0] == 403
+        connection = HTTPConnection(asker.host, timeout=10)
+        connection.request("GET", path, headers=own)
+        answer = connection.getresponse()
+        assert (answer.status, answer.headers["Location"]) == (303, urlsplit(server.url).path)
+        connection.close()
+        assert lines == []
+        assert [asker.raw("GET", path, own)[0] for _ in range(3)] == [403] * 3
+        assert len(lines) == 1
+        assert lines[0].startswith("the address that the browser was given, which works once, was used again")
+        assert asker.raw("GET", f"{asker.base}/", own)[0] == 200
+    finally:
+        ended.set()
+        thread.join(60)
 
 
 def test_what_cannot_be_sent_on_is_no_object_and_leaves_no_draft(asker: Asker, tmp_path: Path) -> None:

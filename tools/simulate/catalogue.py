@@ -5,7 +5,7 @@ from importlib import import_module
 from tools.simulate.mutants import Mutant
 from tools.simulate.simulation import Scenario
 
-MODULES = ("sweeping",)
+MODULES = ("serving", "networking", "recording", "sweeping", "paging")
 """Modules of the scenarios."""
 
 

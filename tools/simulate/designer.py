@@ -22,7 +22,7 @@ from khep_twin.web.routes import Page
 from tools.simulate import kernel
 from tools.simulate.kernel import NS_PER_S, OpenFile, Process
 from tools.simulate.page_threads import REQUEST, Group, Loop
-from tools.simulate.simulation import Simulation
+from tools.simulate.simulation import Simulation, Violation
 
 HOST = "127.0.0.1:8000"
 
@@ -163,6 +163,8 @@ class Designer:
         def work() -> None:
             try:
                 result = function(*args)
+            except Violation:
+                raise
             except Exception as error:
                 self.loop.call_soon_threadsafe(future.set_exception, error)
             else:

@@ -221,7 +221,7 @@ class Kernel:
         return thread
 
     def interrupt(self, process: Process, error: BaseException) -> None:
-        """Raise an exception in a process, at its next call or in the one that it waits in, as a signal does."""
+        """Raise an exception in a process, at its next call or amid the present one, as a signal does."""
         if process.alive and not process.dying:
             process.thrown = error
             self.wake(process)

@@ -1,11 +1,12 @@
-"""Scenarios of hosts: at TCP and RFC 2217 ports of a served twin, and in lock-step with a twin of their own."""
+"""Scenarios of hosts: at TCP and RFC 2217 ports of a served twin, and in lock-step with their own twins."""
 
 import random
 from collections.abc import Callable
+from contextlib import AbstractContextManager, closing
 from unittest.mock import patch
 
 import khep_twin.host.line
-import khep_twin.status_line
+from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.network import TcpPort
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.serve import WIRE, serve
@@ -21,6 +22,9 @@ _PLAYPENS = "default", "obstacles", "gripper", "stripes"
 
 _NUMBER = 5000
 """Number of the port."""
+
+_LONGEST_TURN_NS = 200 * NS_PER_S
+"""Longest time without another host on the line [ns]: that of a session and of hosts that hold the port."""
 
 _MOST_DROPPED, _MOST_GARBLED = 0.02, 0.01
 """Highest probabilities that a converter loses or garbles a byte of a segment."""
@@ -53,12 +57,17 @@ class Site:
         self._sessions = 0
         self._stopping = False
         self.endings: dict[str, list[Callable[[], object]]] = {}
+        self._last, self._last_ns = -1, simulation.kernel.now_ns
         self._start()
 
     @property
     def url(self) -> str:
         """URL that hosts open."""
         return f"{'rfc2217' if self._rfc2217 else 'socket'}://127.0.0.1:{_NUMBER}"
+
+    def is_private(self) -> bool:
+        """Return whether all that the robot says reaches the present host as it is."""
+        return self.is_exact
 
     def may_fail(self) -> bool:
         """Return whether a fault has happened that may disturb a host."""
@@ -73,18 +82,23 @@ class Site:
         self._stopping = False
 
         def run() -> None:
-            port = TcpPort("127.0.0.1", _NUMBER, rfc2217=self._rfc2217, baud=twin.robot.firmware.baud)
-            try:
+            with self._endpoint(twin.robot.firmware.baud) as port:
                 serve(twin, [port], self.speed, stop=lambda: self._stopping, notify=self._notice)
-            finally:
-                port.close()
             process = self.simulation.kernel.current
             if process is not None and process.files:
                 self.simulation.violate("leftovers", f"the server leaves {len(process.files)} descriptors")
+            self._check_rest()
 
         self.server = self.simulation.spawn("server", run)
         self.server.mortal = True
         self.server.on_end = self._ended
+
+    def _endpoint(self, baud: int) -> AbstractContextManager[HostPort]:
+        """Open the port that hosts come to."""
+        return closing(TcpPort("127.0.0.1", _NUMBER, rfc2217=self._rfc2217, baud=baud))
+
+    def _check_rest(self) -> None:
+        """Check that a server that has ended leaves nothing else."""
 
     def _ended(self, process: Process) -> None:
         self.simulation.check_end(process)
@@ -104,6 +118,10 @@ class Site:
             time.sleep(1.0)
             if simulation.faults.happens("server-stop", "server", 0.02):
                 self._stopping = True
+            if self.truth.said and self.truth.said[-1].session != self._last:
+                self._last, self._last_ns = self.truth.said[-1].session, simulation.kernel.now_ns
+            if simulation.kernel.now_ns - self._last_ns > _LONGEST_TURN_NS:
+                simulation.violate("answers", f"no host was let in for {_LONGEST_TURN_NS / NS_PER_S:.0f} s")
             server = self.server
             if server is not None and server.alive and len(server.files) > 3:
                 simulation.violate("leftovers", f"the server has {len(server.files)} descriptors open")
@@ -129,7 +147,12 @@ class Site:
     def hosts(self) -> None:
         """Come one after another, each in a process of its own: a process of the scenario."""
         simulation, rng = self.simulation, self.simulation.rng("hosts")
-        time = simulation.system.modules["time"]
+        time, ended = simulation.system.modules["time"], simulation.system.modules["threading"].Event()
+
+        def gone(process: Process) -> None:
+            simulation.check_end(process)
+            ended.set()
+
         while True:
             number = self.number()
             own = simulation.rng("host", number)
@@ -138,9 +161,13 @@ class Site:
             else:
                 process = simulation.spawn(f"host{number}", lambda: self._library(number, own))  # noqa: B023
                 process.mortal = True
-            while process.alive:
-                time.sleep(0.05)
-            time.sleep(rng.choice([0.1, 0.5, 2.0]))
+            ended.clear()
+            process.on_end = gone
+            ended.wait()
+            if simulation.faults.happens("quick", "hosts", 0.5):
+                time.sleep(simulation.faults.drawn("quick", "hosts").choice([0.0, 1e-5, 1e-4, 1e-3, 1e-2]))
+            else:
+                time.sleep(rng.choice([0.1, 0.5, 2.0]))
 
     def _raw(self, number: int, rng: random.Random) -> Raw:
         return Raw(self.simulation, _NUMBER, lambda: self.truth, number, rng, self.is_exact, self.may_fail)
@@ -157,7 +184,7 @@ class Site:
             number,
             rng,
             {"timeout": rng.choice([1.0, 1.0, 2.0])},
-            self.is_exact,
+            self.is_private,
             self.may_fail,
             garbles=self.garbles,
             moves=self.speed != WIRE,
@@ -209,16 +236,17 @@ class Site:
         simulation, rng = self.simulation, self.simulation.rng("rogues")
         time, faults = simulation.system.modules["time"], simulation.faults
         while True:
-            time.sleep(rng.uniform(0.5, 8.0))
-            if faults.happens("rogue", "rogues", 0.5):
+            time.sleep(rng.uniform(0.2, 4.0))
+            if faults.happens("rogue", "rogues", 1.0):
                 own = faults.drawn("rogue", "rogues")
                 number = self.number()
                 simulation.spawn(f"rogue{number}", self._raw(number, own).rogue)
                 simulation.count("rogues")
 
 
-def _network(simulation: Simulation, seconds: float, *, rfc2217: bool) -> None:
-    site = Site(simulation, rfc2217=rfc2217)
+def visit(site: Site, seconds: float) -> None:
+    """Have hosts come to a site, and watch it, for so many simulated seconds."""
+    simulation = site.simulation
 
     def clear_at_end(clear: Callable[[], object]) -> Callable[[], object]:
         process = simulation.kernel.current
@@ -234,12 +262,12 @@ def _network(simulation: Simulation, seconds: float, *, rfc2217: bool) -> None:
 
 def tcp(simulation: Simulation, seconds: float) -> None:
     """Hosts at a TCP port."""
-    _network(simulation, seconds, rfc2217=False)
+    visit(Site(simulation, rfc2217=False), seconds)
 
 
 def rfc2217(simulation: Simulation, seconds: float) -> None:
     """Hosts at an RFC 2217 port."""
-    _network(simulation, seconds, rfc2217=True)
+    visit(Site(simulation, rfc2217=True), seconds)
 
 
 def lockstep(simulation: Simulation, seconds: float) -> None:
@@ -306,7 +334,7 @@ def _lockstep_session(simulation: Simulation, rng: random.Random, number: int) -
             "baudrate": "auto" if auto else 9600,
             "retries": own.choice([0, 1, 1, 3]),
         },
-        True,
+        lambda: True,
         lambda: bool(faults),
         garbles="garble" in kinds,
     )

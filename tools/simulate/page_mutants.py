@@ -1,7 +1,7 @@
 """Broken builds of the page."""
 
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -22,6 +22,16 @@ def _overwrites() -> AbstractContextManager[object]:
     return patch.object(Documents, "save", save)
 
 
+def _unlocked() -> AbstractContextManager[object]:
+    begun = Documents.__init__
+
+    def begin(self: Documents, root: Path) -> None:
+        begun(self, root)
+        self._saving = nullcontext()  # type: ignore[assignment]
+
+    return patch.object(Documents, "__init__", begin)
+
+
 def _draft_first() -> AbstractContextManager[object]:
     def save(self: Documents, name: str, *args: Any, page: str = "", **options: Any) -> str:
         self.keep(name, None, page)
@@ -38,7 +48,12 @@ def _kept_later() -> AbstractContextManager[object]:
 
 
 def _in_place() -> AbstractContextManager[object]:
+    whole = documents.write_whole
+
     def write(path: Path, data: bytes) -> None:
+        if path.suffix != ".draft":
+            whole(path, data)
+            return
         try:
             with path.open("wb") as file:
                 file.write(data)
@@ -93,6 +108,7 @@ def _mute() -> AbstractContextManager[object]:
 
 MUTANTS: dict[str, Mutant] = {
     "page-overwrites-a-changed-file": Mutant("page", "work", _overwrites),
+    "page-two-saves-at-once": Mutant("page", "work", _unlocked),
     "page-draft-deleted-before-the-file-is-written": Mutant("page", "work", _draft_first),
     "page-edit-acknowledged-before-it-is-kept": Mutant("page", "work", _kept_later),
     "page-draft-written-in-place": Mutant("page", "work", _in_place),

@@ -55,6 +55,7 @@ class Office:
         self._rng = simulation.rng("office")
         self._descriptors = len(os.listdir("/proc/self/fd"))
         self._n_starts = 0
+        self._left_by_kills: set[str] = set()
         self._unique = 0
         self.changed = OpenFile(simulation.kernel)
         self.designer: Designer | None = None
@@ -116,6 +117,7 @@ class Office:
         while True:
             if self.designer is None or not self.designer.group.alive:
                 self._check()
+                self._left_by_kills |= self._parts()
                 self._n_starts += 1
                 self.simulation.count("starts")
                 self.designer = Designer(self.simulation, self.folder, self._n_starts)
@@ -127,9 +129,8 @@ class Office:
         designer = self._present()
         if designer.loop.trouble is not None:
             self.simulation.violate("errors", f"the designer failed: {designer.loop.trouble!r}")
-        killed = any(each.startswith("designer-killed") for each in self.simulation.faults.happened)
-        parts = sorted(each.name for each in self.folder.glob(".*.part*"))
-        if parts and not killed and not designer.group.requests:
+        parts = sorted(self._parts() - self._left_by_kills)
+        if parts and not designer.group.requests and designer.alive:
             self.simulation.violate("leftovers", f"no request is carried out, and {parts[0]} is there")
         stages = [each for each in designer.group.threads if " stage " in each.name]
         notes = sorted(self._private.iterdir())
@@ -140,6 +141,10 @@ class Office:
             self._ended_ns = self.simulation.kernel.now_ns
         elif self.simulation.kernel.now_ns - self._ended_ns > 20 * NS_PER_S and stages:
             self.simulation.violate("leftovers", "a twin still runs, long after its end was acknowledged")
+
+    def _parts(self) -> set[str]:
+        """Return the names of unfinished files."""
+        return {each.name for each in self.folder.glob(".*.part*")}
 
     def _check(self) -> None:
         self.ledger.check()

@@ -74,8 +74,8 @@ class Raw:
                 host.sendall(b"D,0,0\n")
                 if rng.random() < 0.3:
                     host.shutdown(real_socket.SHUT_WR)
-                while rng.random() < 0.5 and host.recv(4096):
-                    pass
+                    while host.recv(4096):
+                        pass
         except TimeoutError:
             if truth is self.truth() and self.is_exact and not self.simulation.faults.happened:
                 self.simulation.violate("answers", f"raw host {self.number} waited for {PATIENCE_S} s")
@@ -126,8 +126,8 @@ class Raw:
         return kind.__name__
 
     def second(self) -> None:
-        """Connect while another host has the port; nothing that is sent may reach the robot if it is refused."""
-        truth, session = self.truth(), (REFUSED) * 256 + self.number % 256
+        """Connect beside another host; nothing that is sent reaches the robot if the host is refused."""
+        truth, session = self.truth(), REFUSED * 256 + self.number % 256
         got = b""
         try:
             with self.connect() as host:

@@ -1,7 +1,7 @@
 """Simulated TCP on one machine: listening, connections, and cables that are pulled.
 
-A connection is two ways of bytes. A segment arrives some time after it was sent, in order, whole or split, and
-joins what has not been read yet. Buffers are bounded. As on Linux, a socket that is closed with unread bytes
+A connection is two ways of bytes. A segment arrives some time after it was sent, in order, whole or split,
+and joins what has not been read yet. Buffers are bounded. As on Linux, a socket that is closed with unread bytes
 resets its connection, as does one that is closed and gets more; what came before a reset can still be read.
 """
 

@@ -497,3 +497,6 @@ def _number(descriptor: Any) -> int:
 
 
 load()
+# pyserial imports these when a port is opened.
+for name in ("rfc2217", "socket"):
+    import_module(f"serial.urlhandler.protocol_{name}")

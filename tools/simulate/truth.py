@@ -20,7 +20,7 @@ REFUSED, BROWSERS = 62, 63
 """Bus addresses in the tags of hosts that may be refused, and of browsers, of whom nothing is carried out."""
 
 _TOLERANCE_PULSES = 4
-"""Largest error of a counter at rest [pulses]: two roundings, and the wheel's play within a step (assumed)."""
+"""Largest error of a counter at rest [pulses]: two roundings, and the play of a step (assumed)."""
 
 
 @dataclass(slots=True)

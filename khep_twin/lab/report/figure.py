@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from khep_twin.drawing.symbols import INK, Look
 from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Floats
 from khep_twin.lab.report.report import RobotReport
-from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT
+from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT, draw_strip
 from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.log.reader import TimeSeries
 from khep_twin.units import COUNTS_LIMIT, speed
@@ -109,12 +109,10 @@ def draw_vision(figure: Figure, robot: RobotReport, corner: tuple[float, float] 
     moments_ns = np.linspace(begin, end, POINT_LIMIT) * 1e9
     rows = np.searchsorted(robot.vision.times_ns, moments_ns, side="right") - 1
     strip = np.where(rows[:, None] >= 0, robot.vision.values[np.maximum(rows, 0)], 0)
-    extent = (begin, end, strip.shape[1] - 0.5, -0.5)
-    axes.imshow(strip.T, cmap="gray", vmin=0, vmax=255, aspect="auto", interpolation="none", extent=extent)
+    draw_strip(axes, strip.T, (begin, end))
     axes.set_title("line image [greys, left pixel at the top]", fontsize=9, loc="left", color=INK)
     axes.set_ylabel("pixel", fontsize=8)
     axes.set_xlabel("time [s]", fontsize=8)
-    axes.set_yticks([0, strip.shape[1] - 1])
     axes.tick_params(labelsize=7, length=2)
 
 

@@ -12,6 +12,7 @@ side, over the part of the path that all of them cover.
 
 import textwrap
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib.style
 import numpy as np
@@ -101,6 +102,19 @@ def positions(run: SensorRun) -> Floats:
     return abs(run.test.amount) - run.travelled * np.sign(run.test.amount)
 
 
+def draw_strip(axes: Axes, strip: NDArray[Any], ends: tuple[float, float]) -> None:
+    """Draw line images side by side, their left pixel at the top.
+
+    Args:
+        axes: Axes.
+        strip: Greys, 0 to 255 (n_pixels, n).
+        ends: Abscissas of the left and right end.
+    """
+    extent = (*ends, len(strip) - 0.5, -0.5)
+    axes.imshow(strip, cmap="gray", vmin=0, vmax=255, aspect="auto", interpolation="none", extent=extent)
+    axes.set_yticks([0, len(strip) - 1])
+
+
 def mean_and_spread(runs: Sequence[SensorRun]) -> tuple[Floats, Floats, Floats]:
     """Return mean and spread of several runs, over the range that all of them cover.
 
@@ -168,9 +182,8 @@ def _draw_images(runs: Sequence[SensorRun]) -> Figure:
         # Each column has the reading that is nearest to it.
         nearest = np.abs(x[order][None, :] - grid_x[:, None]).argmin(axis=1)
         strip = run.dv[order[nearest], 2:].T
-        extent = (*ends, len(strip) - 0.5, -0.5)
-        axes.imshow(strip, cmap="gray", vmin=0, vmax=255, aspect="auto", interpolation="none", extent=extent)
-        axes.set(ylabel="pixel", yticks=[0, len(strip) - 1])
+        draw_strip(axes, strip, ends)
+        axes.set_ylabel("pixel")
         if run.test.motion == "linear":
             axes.invert_xaxis()
     all_axes[0].set_title(", ".join(_facts(runs)), loc="left", fontsize=10)

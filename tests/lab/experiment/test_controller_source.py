@@ -8,12 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from log_rewriting import rewritten
 
+from khep_twin.lab.conformance.recording import conform_recording
 from khep_twin.lab.experiment import controller_source
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.experiment import find_controller
+from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.reader import read, read_label
+from khep_twin.log.recorded import read_recorded
 
 TEXT = "def controller(robot):\r\n    robot.set_speed(3, 4)  # für beide Räder"
 """With the line ends of Windows, letters beyond ASCII and no line end at its end."""
@@ -50,6 +54,24 @@ def test_a_users_file_is_attached_as_it_was_read_and_the_run_repeats(tmp_path: P
         check=False,
     )
     assert (done.returncode, done.stdout[:10]) == (0, "identical:"), done
+
+
+def test_a_controller_in_a_log_is_never_run(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def controller(robot):\n    robot.set_speed(3, 4)\n")
+    log = run(tmp_path, tmp_path / "mine.py")
+    mark = tmp_path / "run"
+    hostile = f"open({str(mark)!r}, 'w').close()\n\n\ndef controller(robot):\n    raise SystemExit\n"
+
+    def replaced(name: str, data: bytes) -> bytes:
+        return hostile.encode() if name.startswith("controller/") else data
+
+    other = rewritten(log, tmp_path / "other.mcap", attachment=replaced)
+    assert read_label(other).attachments["controller/mine.py"] == hostile
+    assert repeat(read_recorded(other)) is None
+    assert conform_recording(other).robots
+    assert not mark.exists()
+    exec(compile(hostile, "mine.py", "exec"), {})  # which would have been seen
+    assert mark.exists()
 
 
 def test_a_built_in_controller_is_attached_with_its_module() -> None:

@@ -1,0 +1,196 @@
+"""The board of a robot at its serial line."""
+
+from typing import Protocol
+
+import numpy as np
+
+from khep_twin import units
+from khep_twin.board.fault_injection import Injector
+from khep_twin.board.protocol import LINE_END
+from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
+from khep_twin.firmware import Firmware
+
+REPLY_LIMIT = 256
+"""Bytes of replies queued before the firmware takes no more commands (assumed)."""
+
+_MOST_WARNINGS = 100
+"""Most speeds of a host that are reported; a host may try millions."""
+
+
+class LineWorld(Protocol):
+    """Interface of the world to the serial lines."""
+
+    time_ns: int
+
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+        """Log bytes on a line, the last of them at `time_ns`."""
+        ...
+
+    def on_host_event(self, robot: int, event: HostEvent) -> None:
+        """Log a host's action now."""
+        ...
+
+
+class WiredBoard:
+    """Board of a robot at its serial line, without a body.
+
+    Args:
+        world: World of the robot.
+        index: Index of the robot.
+        firmware: Command interpreter.
+        faults: Faults of the robot.
+        unpaced: True for a line without delay.
+        noise: Stream that garbles the bytes between ends of different speed; None for bytes as they are.
+
+    Attributes:
+        index: Index among the playpen's robots.
+        firmware: Command interpreter.
+        uart: Serial line.
+    """
+
+    def __init__(
+        self,
+        world: LineWorld,
+        index: int,
+        firmware: Firmware,
+        faults: Injector,
+        unpaced: bool,
+        noise: np.random.Generator | None,
+    ) -> None:
+        self.index, self.firmware = index, firmware
+        self.uart = Uart(0 if unpaced else firmware.baud)
+        self._world, self._faults, self._unpaced = world, faults, unpaced
+        self._line_noise: np.random.Generator | None = noise
+        self._baud = firmware.baud
+        self._host: LineSettings | None = None
+        self._warned: set[tuple[int, int]] = set()
+
+    def compare_line(self, host: LineSettings | None) -> str:
+        """Set the host's end of the line; None for the robot's own settings.
+
+        A host's bytes cross at the host's speed. If it differs from the robot's, bytes arrive unchanged, or
+        garbled in both directions on a strict line.
+
+        Returns:
+            Warning of a different speed; empty if the speeds agree or the warning was given before. The
+            robot accepts one stop bit as well as two.
+        """
+        is_new, self._host, baud = host is not self._host and host != self._host, host, self._baud
+        differs = host is not None and host.baud != baud and (host.baud, baud) not in self._warned
+        warns = differs and len(self._warned) < _MOST_WARNINGS
+        if is_new or warns:
+            self._world.on_host_event(self.index, HostEvent(HostEventKind.SET, self._world.time_ns, host))
+        if not warns or host is None:
+            return ""
+        self._warned.add((host.baud, baud))
+        outcome = "taken all the same" if self._line_noise is None else "garbled"
+        return (
+            f"the host has its line at {host.baud} baud, the robot's has {baud}; the bytes are {outcome}; "
+            f"{self.firmware.remedy(host.baud)}"
+        )
+
+    def send(self, data: bytes, time_ns: int = 0) -> None:
+        """Send bytes of the host, now or at a later time [ns]."""
+        time_ns = max(time_ns, self._world.time_ns)
+        self._world.on_host_event(self.index, HostEvent(HostEventKind.SEND, time_ns, self._host, data))
+        if not self._unpaced:
+            self.uart.rx.baud = (self._host and self._host.baud) or self._baud
+        self.uart.rx.put(self._over_the_line(data, time_ns), time_ns)
+        if self._unpaced:
+            # Where no time passes the order of sending and answering is that of the host's actions alone.
+            self.exchange(self._world.time_ns)
+
+    def flush(self) -> None:
+        """Drop the host's bytes that have not reached the robot yet."""
+        self._world.on_host_event(self.index, HostEvent(HostEventKind.FLUSH, self._world.time_ns, self._host))
+        self.uart.rx.flush(self._world.time_ns)
+
+    def disconnect(self) -> None:
+        """Disconnect the host: execute its whole commands without replies, and drop an incomplete one."""
+        time_ns = self._world.time_ns
+        self._world.on_host_event(self.index, HostEvent(HostEventKind.DISCONNECT, time_ns, self._host))
+        rx, tx = self.uart.rx, self.uart.tx
+        if sent := rx.read(rx.arrival(len(rx)) or time_ns):
+            self._world.on_bytes(time_ns, self.index, True, sent)
+            self.firmware.receive(sent)
+            self._take_speed(self.firmware.baud)
+        self.firmware.forget_line()
+        tx.read(time_ns)
+        for line in (rx, tx):
+            line.flush(time_ns)
+
+    def next_command_ns(self) -> int | None:
+        """Return the time when the firmware takes the next whole command [ns], None without one on the line.
+
+        It has arrived then, and at most REPLY_LIMIT bytes of replies are still to be sent.
+        """
+        command = self._next_command()
+        return command and command[1]
+
+    def next_exchange_ns(self) -> int | None:
+        """Return the earliest time for which `exchange` has something to do [ns], None for an empty line."""
+        if (first_ns := self.uart.rx.next_ns) is None:
+            return None
+        return first_ns if (command := self._next_command()) is None else command[1]
+
+    def next_answer_ns(self) -> int | None:
+        """Return the earliest time of the firmware's next output [ns], None if none is due.
+
+        A command causes a reply, and a brown-out fault the banner.
+        """
+        command_ns = self.next_command_ns()
+        brown_out_ns = self._faults.next_brown_out_ns()
+        if brown_out_ns is None or not self.firmware.powered:
+            return command_ns
+        # Faults happen in control ticks, the next of them for a fault added to a run that was past its time.
+        next_tick = self._world.time_ns // units.TICK_NS + 1
+        tick_ns = units.TICK_NS * max(-(-brown_out_ns // units.TICK_NS), next_tick)
+        return tick_ns if command_ns is None else min(command_ns, tick_ns)
+
+    def exchange(self, time_ns: int) -> None:
+        """Pass the bytes that arrive by `time_ns` to the firmware and send its replies."""
+        rx = self.uart.rx
+        while (command := self._next_command()) is not None and command[1] <= time_ns:
+            count, taken_ns = command
+            line = rx.read(taken_ns, count)
+            self._world.on_bytes(taken_ns, self.index, True, line)
+            answer = self.firmware.receive(line)
+            # A restart sets the speed before its banner, the tool `serial` after its reply.
+            self._take_speed(self.firmware.reply_baud)
+            if answer:
+                self._reply(answer, taken_ns)
+            self._take_speed(self.firmware.baud)
+        # The bytes of an incomplete command are read at once; a whole one that waits stays whole.
+        if command is None and (count := rx.arrived(time_ns)):
+            arrival_ns = rx.arrival(count) or time_ns
+            begun = rx.read(time_ns)
+            self._world.on_bytes(arrival_ns, self.index, True, begun)
+            self.firmware.receive(begun)
+
+    def _next_command(self) -> tuple[int, int] | None:
+        """Return the length of the next whole command on the line and when it is taken [ns]; None without."""
+        rx, tx = self.uart.rx, self.uart.tx
+        if rx.next_ns is None or (count := rx.count_to(LINE_END)) is None:
+            return None
+        room_ns = tx.arrival(len(tx) - REPLY_LIMIT) if len(tx) > REPLY_LIMIT else None
+        return count, max(rx.arrival(count) or 0, room_ns or 0)
+
+    def _reply(self, answer: bytes, time_ns: int) -> None:
+        """Send a reply."""
+        time_ns += self._faults.delay_ns(time_ns)
+        answer = self._over_the_line(answer, time_ns)
+        self._world.on_bytes(self.uart.tx.put(answer, time_ns), self.index, False, answer)
+
+    def _take_speed(self, baud: int) -> None:
+        """Set the robot's end of the line to a speed of the firmware."""
+        self._baud = baud
+        if not self._unpaced:
+            self.uart.tx.baud = baud
+
+    def _over_the_line(self, data: bytes, time_ns: int) -> bytes:
+        """Return the bytes as they arrive at the other end of the cable."""
+        mismatched = self._host is not None and self._host.baud != self._baud
+        if mismatched and self._line_noise is not None:
+            errors = self._line_noise.integers(1, 256, len(data)).tolist()
+            data = bytes(byte ^ error for byte, error in zip(data, errors, strict=True))
+        return self._faults.over_the_line(data, time_ns)

@@ -1,0 +1,36 @@
+"""Simulated sweeps: nothing is found in the product, and what is broken on purpose is."""
+
+import pytest
+
+from tools.simulate.mutants import Mutant
+from tools.simulate.simulation import simulate
+from tools.simulate.sweeping import MUTANTS, SCENARIOS
+
+CAUGHT = {
+    "sweep-late-result-added": (0, 30),
+    "sweep-task-of-a-dead-worker-dropped": (0, 150),
+    "sweep-torn-part-taken-as-whole": (1, 120),
+    "sweep-resumed-from-nothing": (0, 60),
+    "sweep-without-a-lock": (0, 450),
+    "sweep-leaves-a-part-on-a-full-disk": (0, 300),
+    "sweep-table-written-in-place": (0, 450),
+}
+"""Seed that catches each broken build, and simulated time [s] until then."""
+
+
+@pytest.mark.parametrize("seed", [0, 5])
+def test_whatever_happens_to_sweeps_each_result_is_there_once(seed: int) -> None:
+    outcome = simulate("sweep", SCENARIOS["sweep"], seed, 60)
+    assert outcome.violation is None
+    assert outcome.counts["tables"] > 5
+
+
+def test_a_seed_is_the_same_sweeps_again() -> None:
+    assert simulate("sweep", SCENARIOS["sweep"], 3, 40) == simulate("sweep", SCENARIOS["sweep"], 3, 40)
+
+
+@pytest.mark.parametrize(("name", "mutant"), MUTANTS.items())
+def test_a_broken_sweep_is_caught(name: str, mutant: Mutant) -> None:
+    seed, seconds = CAUGHT[name]
+    with mutant.broken():
+        assert simulate("sweep", SCENARIOS["sweep"], seed, seconds).invariant == mutant.invariant
