@@ -1,8 +1,8 @@
 """Simulated pseudo-terminals with the semantics of Linux, in raw mode.
 
 Written bytes are in transit for a while, in which a flush of the writer's side removes them; a reader that
-finds nothing else takes them at once. A closing is reported by inotify first, and takes effect later. The last
-closing of the host side hangs the master up until the next opening. Numbers are reused at once.
+finds nothing else takes them at once. A closing is reported by inotify first, and takes effect later. The
+last closing of the host side hangs the master up until the next opening. Numbers are reused at once.
 There are no echo and no lines: khep_twin makes its terminals raw before it names them.
 """
 
