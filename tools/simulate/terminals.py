@@ -1,8 +1,8 @@
 """Simulated pseudo-terminals with the semantics of Linux, in raw mode.
 
 Written bytes are in transit for a while, in which a flush of the writer's side removes them; a reader that
-finds nothing else takes them at once. A closing is reported by inotify first, and takes effect a little later.
-The last closing of the host side hangs the master up until the next opening. Numbers are reused at once.
+finds nothing else takes them at once. A closing is reported by inotify first, and takes effect later. The
+last closing of the host side hangs the master up until the next opening. Numbers are reused at once.
 There are no echo and no lines: khep_twin makes its terminals raw before it names them.
 """
 
@@ -32,6 +32,9 @@ from tools.simulate.system import Shim
 CAPACITY = 16512
 """Bytes that one direction takes before it is full, as measured with small writes [bytes]."""
 
+READY = 4095
+"""Bytes of them that are ready for the reader at once; the rest stays in transit, as measured [bytes]."""
+
 _TRANSIT_NS = 200, 60_000
 """Shortest and longest usual time of written bytes in transit [ns] (assumed)."""
 
@@ -52,19 +55,27 @@ class Way:
     Attributes:
         ready: Bytes that can be read.
         transit: Bytes that are on their way.
+        stopped: True while its writer's side has stopped its output.
     """
 
     def __init__(self) -> None:
         self.ready, self.transit = bytearray(), bytearray()
+        self.stopped = False
 
     @property
     def room(self) -> int:
         """Number of bytes that can be written."""
-        return CAPACITY - len(self.ready) - len(self.transit)
+        return 0 if self.stopped else CAPACITY - len(self.ready) - len(self.transit)
 
     def arrive(self) -> None:
-        """End the transit of what is on its way."""
-        self.ready += self.transit
+        """End the transit of what is on its way, as far as there is room."""
+        n_moved = READY - len(self.ready)
+        self.ready += self.transit[:n_moved]
+        del self.transit[:n_moved]
+
+    def discard(self) -> None:
+        """Discard everything."""
+        self.ready.clear()
         self.transit.clear()
 
     def read(self, limit: int) -> bytes:
@@ -127,6 +138,11 @@ class Terminal:
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
         sent = data[: way.room]
         way.transit += sent
+        self.push(way, reader)
+        return len(sent)
+
+    def push(self, way: Way, reader: "Master | None") -> None:
+        """Have what is in transit arrive in a while."""
 
         def arrive() -> None:
             way.arrive()
@@ -134,12 +150,9 @@ class Terminal:
                 each.changed()
 
         self.kernel.at(self.kernel.now_ns + self.terminals.delay_ns("transit", _TRANSIT_NS), arrive)
-        return len(sent)
 
     def ioctl(self, request: int, argument: Any) -> Any:
         """Answer a request to the host side."""
-        if request == termios.FIONREAD:
-            return struct.pack("i", len(self.to_host.ready))
         if request == termios.TIOCOUTQ:
             return struct.pack("i", 0)
         if request in (termios.TIOCEXCL, termios.TIOCNXCL):
@@ -153,20 +166,18 @@ class Terminal:
         """Return a copy of the settings."""
         return [*self.settings[:6], [*self.settings[6]]]
 
-    def tcsetattr(self, when: int, settings: list[Any]) -> None:
-        """Set the settings; the driver has eight bits without parity alone."""
+    def tcsetattr(self, settings: list[Any]) -> None:
+        """Set the settings at once; the driver has eight bits without parity alone."""
         control = (settings[2] & ~(termios.CSIZE | termios.PARENB)) | termios.CS8 | termios.CREAD
         self.settings = [*settings[:2], control, *settings[3:6], [*settings[6]]]
-        if when == termios.TCSAFLUSH:
-            self.to_host.ready.clear()
 
 
 class _Side(OpenFile):
     """Either side of a terminal."""
 
-    def __init__(self, terminal: Terminal) -> None:
+    def __init__(self, terminal: Terminal, incoming: Way, outgoing: Way) -> None:
         super().__init__(terminal.kernel)
-        self.terminal = terminal
+        self.terminal, self.incoming, self.outgoing = terminal, incoming, outgoing
 
     def tcgetattr(self) -> list[Any]:
         """Return the settings."""
@@ -174,10 +185,23 @@ class _Side(OpenFile):
 
     def tcsetattr(self, when: int, settings: list[Any]) -> None:
         """Set the settings."""
-        self.terminal.tcsetattr(when, settings)
+        self.terminal.tcsetattr(settings)
+        if when == termios.TCSAFLUSH:  # that of the host side, as the settings are its, on either side
+            self.terminal.to_host.ready.clear()
+            self.terminal.push(self.terminal.to_host, None)
 
-    def tcflow(self, _: int) -> None:
-        """Do nothing: no side is ever stopped."""
+    def tcflow(self, action: int) -> None:
+        """Stop the output of this side, or start it again; that stays when the side is closed."""
+        assert action in (termios.TCOOFF, termios.TCOON), "only output is simulated"
+        self.outgoing.stopped = action == termios.TCOOFF
+        self.changed()
+
+    def tcflush(self, queue: int) -> None:
+        """Discard all that has come, or what this side has written that is still in transit, as measured."""
+        if queue in (termios.TCIFLUSH, termios.TCIOFLUSH):
+            self.incoming.discard()
+        if queue in (termios.TCOFLUSH, termios.TCIOFLUSH):
+            self.outgoing.transit.clear()
 
     def tcdrain(self) -> None:
         """Return at once, as terminals without a wire do."""
@@ -187,11 +211,16 @@ class _Side(OpenFile):
 
     def ioctl(self, request: int, argument: Any) -> Any:
         """Answer a request."""
+        if request == termios.FIONREAD:
+            return struct.pack("i", len(self.incoming.ready))
         return self.terminal.ioctl(request, argument)
 
 
 class Master(_Side):
     """Side of the terminal that belongs to the program that made it."""
+
+    def __init__(self, terminal: Terminal) -> None:
+        super().__init__(terminal, terminal.to_master, terminal.to_host)
 
     def readable(self) -> bool:
         return bool(self.terminal.to_master)
@@ -205,6 +234,8 @@ class Master(_Side):
     def read(self, limit: int) -> bytes:
         terminal = self.terminal
         if data := terminal.to_master.read(limit):
+            if terminal.to_master.transit:
+                terminal.push(terminal.to_master, self)
             for each in terminal.hosts:
                 each.changed()
             return data
@@ -214,13 +245,6 @@ class Master(_Side):
 
     def write(self, data: bytes) -> int:
         return self.terminal.send(self.terminal.to_host, data, None)
-
-    def tcflush(self, queue: int) -> None:
-        """Discard what is in transit, as measured: what has arrived stays."""
-        if queue in (termios.TCOFLUSH, termios.TCIOFLUSH):
-            self.terminal.to_host.transit.clear()
-        if queue in (termios.TCIFLUSH, termios.TCIOFLUSH):
-            self.terminal.to_master.ready.clear()
 
     def closed(self) -> None:
         self.terminal.terminals.remove(self.terminal)
@@ -236,7 +260,7 @@ class HostSide(_Side):
     """
 
     def __init__(self, terminal: Terminal, process: Process, writes: bool) -> None:
-        super().__init__(terminal)
+        super().__init__(terminal, terminal.to_host, terminal.to_master)
         self.process = process
         self._writes = writes
 
@@ -257,6 +281,8 @@ class HostSide(_Side):
         if self._is_dead:
             return b""
         if data := self.terminal.to_host.read(limit):
+            if self.terminal.to_host.transit:
+                self.terminal.push(self.terminal.to_host, None)
             self.terminal.master.changed()
             return data
         if self.terminal.settings[6][termios.VMIN] in (0, b"\0"):
@@ -282,12 +308,12 @@ class HostSide(_Side):
         super().tcsetattr(when, settings)
 
     def tcflush(self, queue: int) -> None:
-        """Discard what has come and was not read, or what is still in transit."""
         self._check()
-        if queue in (termios.TCIFLUSH, termios.TCIOFLUSH):
-            self.terminal.to_host.ready.clear()
-        if queue in (termios.TCOFLUSH, termios.TCIOFLUSH):
-            self.terminal.to_master.transit.clear()
+        super().tcflush(queue)
+
+    def tcflow(self, action: int) -> None:
+        self._check()
+        super().tcflow(action)
 
     def flock(self, operation: int) -> None:
         """Lock the device for this open file, or unlock it."""
