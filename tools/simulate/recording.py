@@ -137,7 +137,9 @@ class _Lab:
                 violate("errors", f"run {run.number} says {lines}")
             for line in lines:
                 self._simulation.count("lines about logs")
-                reasons = [*_BY_DISK, *(["another run is writing it"] if len(runs) > 1 else [])]
+                reasons = [*_BY_DISK, *["another run is writing it"] * (len(runs) > 1)]
+                # A power cut may leave zeros under the name, which the next run does not touch.
+                reasons += ["this is no unfinished log"] * (self.disk.cuts > 0)
                 if not any(reason in line for reason in reasons):
                     violate("errors", f"run {run.number} says {line!r}")
             if run.truth.closed and said:
@@ -184,7 +186,7 @@ class _Lab:
             else:
                 self._unfinished[_hash(each)] = each.name
         for each in sorted(self._simulation.folder.iterdir()):
-            if each.name.startswith("."):  # of a recovery that was killed
+            if each.is_dir():  # of a process that was killed
                 for file in each.iterdir():
                     file.unlink()
                 each.rmdir()
@@ -287,4 +289,3 @@ def _hash(path: Path) -> str:
 
 
 SCENARIOS = {"record": record}
-MUTANTS = {}

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NoReturn
+from unittest.mock import patch
 
 from khep_twin.errors import KhepTwinError
 from tools.simulate.faults import Faults, mixed
@@ -118,7 +119,8 @@ def simulate(
     Raises:
         Exception: The simulation itself is at fault.
     """
-    with _folder() as folder:
+    # What the product keeps in temporary folders goes, too.
+    with _folder() as folder, patch.object(tempfile, "tempdir", str(folder)):
         simulation = Simulation(seed, folder, kept)
         violation: Violation | None = None
         with simulation.system.installed():

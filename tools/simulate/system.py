@@ -170,6 +170,8 @@ class SimulatedOs(Shim):
     def write(self, descriptor: int, data: Any) -> int:
         if self.disk is not None and self.disk.holds(descriptor):
             return self.disk.write(descriptor, data)
+        if self.kernel.current is None:
+            return os.write(descriptor, data)
         process = self.kernel.called()
         if descriptor < FIRST_DESCRIPTOR:
             return os.write(descriptor, data)
