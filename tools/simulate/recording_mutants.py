@@ -3,19 +3,17 @@
 # The breaks replace private functions.
 # pyright: reportPrivateUsage=false
 
-import os
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 from khep_twin.lab.experiment import repeat as repetition
-from khep_twin.log import log_file, part_file
+from khep_twin.log import log_file, part_file, recorder
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.mcap_recovery import Salvage
 from khep_twin.log.part_file import PartFile
-from khep_twin.log.record_bytes import RecordBytes
 from khep_twin.log.recorder import Recorder
 from khep_twin.log.transcript import Transcript
 from khep_twin.ports.serve import Flush
@@ -50,11 +48,6 @@ def _write_without_truncation(self: Any, data: bytes) -> int:
         rest = rest[:0]
     self._size += len(data)
     return len(data)
-
-
-def _overwrite(self: Any, path: Path) -> None:
-    """Take over the file of an earlier run."""
-    self._descriptor, self._size = part_file.os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666), 0
 
 
 def _finish_early(self: Any) -> None:
@@ -92,33 +85,15 @@ def _lose_a_line(self: Any) -> None:
     _write_lines(self)
 
 
-_init = PartFile.__init__
-
-
-def _unlocked(self: Any, path: Path) -> None:
-    """Make a file without a lock."""
-    with patch.object(part_file.fcntl, "flock", _nothing):
-        _init(self, path)
-
-
 def _forget_failures(self: Any) -> Any:
     """Go on after an error of the file as if nothing had happened."""
     return suppress(OSError)
 
 
-def _set_aside_anything(part: Path) -> Path | None:
+def _remove(part: Path) -> Path | None:
     """Remove what an earlier run has left."""
     part.unlink(missing_ok=True)
     return None
-
-
-_chunk = RecordBytes.chunk
-
-
-def _unchecked(self: Any, offset: int) -> bytes | None:
-    """Keep a torn piece with zeros in the place of what is missing."""
-    found = _chunk(self, offset)
-    return found if found is not None else b""
 
 
 _broken: dict[str, tuple[str, Broken]] = {
@@ -126,18 +101,22 @@ _broken: dict[str, tuple[str, Broken]] = {
     "a failed write is not taken back": ("recovery", _replaced(PartFile, "write", _write_without_truncation)),
     "the next run overwrites the remains": (
         "leftovers",
-        _replaced(log_file, "set_aside", _set_aside_anything),
+        _replaced(log_file, "set_aside", _remove),
     ),
     "logs are renamed before the summary": ("recovery", _replaced(LogFile, "finish", _finish_early)),
     "logs are renamed before they are on the disk": (
         "recovery",
         _replaced(LogFile, "finish", _finish_without_fsync),
     ),
-    "lock-step runs are never flushed": ("recovery", _replaced(Recorder, "flush", _nothing)),
+    "lock-step runs are hardly ever flushed": ("recovery", _replaced(recorder, "_BATCH", 10**9)),
     "served runs are never flushed": ("recovery", _replaced(Flush, "__call__", _nothing)),
     "a recovery drops the last piece": ("recovery", _replaced(Salvage, "messages", _without_last)),
     "a flush loses a line": ("recovery", _replaced(Transcript, "write", _lose_a_line)),
-    "errors of the file are swallowed": ("recovery", _replaced(LogFile, "guarded", _forget_failures)),
+    "errors of the file are swallowed": ("leftovers", _replaced(LogFile, "guarded", _forget_failures)),
+    "errors of the file are not put into words": (
+        "errors",
+        _replaced(LogFile, "guarded", lambda _: nullcontext()),
+    ),
     "host events are left out": ("recovery", _replaced(Recorder, "on_host_event", _nothing)),
     "repetition repeats nothing": ("repeat", _replaced(repetition, "repeat_event", _nothing)),
 }
