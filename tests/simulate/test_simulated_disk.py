@@ -1,6 +1,5 @@
 """The simulated disk, the files that programs replace on it, and the logs that runs record on it."""
 
-import errno
 import os
 import random
 from pathlib import Path
@@ -29,10 +28,9 @@ CAUGHT = {
 """Seed and simulated time [s] of some of the broken builds: those that are caught soonest."""
 
 
-@pytest.mark.parametrize(
-    ("name", "seed", "seconds"), [("files", 1, 600), ("files", 7, 600), ("record", 1, 100)]
-)
-def test_a_seed_finds_nothing_and_gives_the_same_outcome_again(name: str, seed: int, seconds: float) -> None:
+@pytest.mark.parametrize(("name", "seed"), [("files", 1), ("files", 7), ("record", 1)])
+def test_a_seed_finds_nothing_and_gives_the_same_outcome_again(name: str, seed: int) -> None:
+    seconds = 100.0 if name == "record" else 600.0
     first = simulate(name, SCENARIOS[name], seed, seconds)
     assert first.violation is None
     assert first.faults
@@ -82,13 +80,10 @@ def test_names_survive_a_power_cut_in_their_order(tmp_path: Path) -> None:
 
 def test_the_disk_does_what_the_machine_does_with_files_and_their_errors(tmp_path: Path) -> None:
     disk = Disk(Simulation(0, tmp_path))
-    for call in (
-        lambda: disk.call("unlink", tmp_path / "none"),
-        lambda: disk.open(tmp_path / "none", os.O_WRONLY),
-    ):
-        with pytest.raises(OSError) as error:
-            call()
-        assert error.value.errno == errno.ENOENT
+    with pytest.raises(FileNotFoundError):
+        disk.call("unlink", tmp_path / "none")
+    with pytest.raises(FileNotFoundError):
+        disk.open(tmp_path / "none", os.O_WRONLY)
     descriptor = disk.open(tmp_path / "file", os.O_CREAT | os.O_WRONLY)
     assert disk.write(descriptor, b"four") == 4
     disk.call("link", tmp_path / "file", tmp_path / "other")
