@@ -57,8 +57,7 @@ class Setup(NamedTuple):
                 twin = open_twin(self._calibrated(self.playpen(changes), changes, Path(folder)), options)
         except OSError as error:
             raise LogError(
-                f"{path}: cannot be repeated: its calibrations cannot be kept in a folder for temporary files: "
-                f"{error.strerror}"
+                f"{path}: cannot be repeated: no calibration can be kept in a temporary folder: {error.strerror}"
             ) from error
         there = tuple(robot.name for robot in twin.world.robots)
         if there != self.label.robots:
