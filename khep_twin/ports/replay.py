@@ -56,9 +56,8 @@ class Setup(NamedTuple):
             with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
                 twin = open_twin(self._calibrated(self.playpen(changes), changes, Path(folder)), options)
         except OSError as error:
-            raise LogError(
-                f"{path}: cannot be repeated: no calibration can be kept in a temporary folder: {error.strerror}"
-            ) from error
+            reason = f"no calibration can be kept in a temporary folder: {error.strerror}"
+            raise LogError(f"{path}: cannot be repeated: {reason}") from error
         there = tuple(robot.name for robot in twin.world.robots)
         if there != self.label.robots:
             found = f"robots = {shown(','.join(self.label.robots))}"

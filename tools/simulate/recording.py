@@ -8,12 +8,13 @@ from traceback import clear_frames
 
 from khep_twin.errors import KhepTwinError, LogError
 from khep_twin.lab.experiment.repeat import repeat
-from khep_twin.log.reader import read, read_label, read_raw, read_series
+from khep_twin.log.reader import read_label, read_raw
 from khep_twin.log.recorded import changes_of, read_recorded
 from khep_twin.log.recover import Rescue, recover, summary
 from khep_twin.log.tail import GrowingLog
 from tools.simulate.disk import Disk
 from tools.simulate.kernel import NS_PER_S, Process
+from tools.simulate.log_readings import read_in_every_way
 from tools.simulate.recorded_runs import Run
 from tools.simulate.simulation import Simulation
 from tools.simulate.truth import Truth
@@ -261,9 +262,8 @@ class _Lab:
         self._simulation.count("logs finished")
         if wrong := truth.difference(path, True, False, True):
             self._simulation.violate("recovery", f"{path.name} of run {truth.number}: {wrong}")
-        read_series(path)
+        read_in_every_way(self._simulation, path, bool(truth.samples))
         if truth.samples:
-            read(path)
             self._repeat(path, truth, False)
         return truth
 
