@@ -102,7 +102,8 @@ def part_file(path: Path) -> Generator[BinaryIO]:
     """Do the same as `whole_file`, for callers that report errors in their own words.
 
     Raises:
-        OSError: It cannot be written; the previous file is unchanged.
+        OSError: It cannot be written; the previous file is unchanged, or the new one there in spite of a disk
+            that fails.
     """
     target = path.resolve()
     with undisturbed():

@@ -101,11 +101,12 @@ def set_aside(part: Path) -> Path | None:
         # It may be cut off early; anything else belongs to the user, such as the playpen of this very run.
         if not MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC))):
             raise LogError(f"{part}: this is no unfinished log; expected another name for the log")
-    number = 1
-    while (kept := part.with_name(f"{part.name}.{number}")).exists():
-        number += 1
-    os.rename(part, kept)
-    return kept
+        number = 1
+        while (kept := part.with_name(f"{part.name}.{number}")).exists():
+            number += 1
+        # As long as it is locked, no other run moves it, and none begins under its name.
+        os.rename(part, kept)
+        return kept
 
 
 def _names(path: Path, descriptor: int) -> bool:

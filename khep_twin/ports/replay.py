@@ -52,8 +52,12 @@ class Setup(NamedTuple):
                 raise LogError(f"{path}: cannot be repeated: its {name} is missing")
         options = self.options
         options = replace(options, faults=(*options.faults, *chain(*(change.faults for change in changes))))
-        with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
-            twin = open_twin(self._calibrated(self.playpen(changes), changes, Path(folder)), options)
+        try:
+            with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
+                twin = open_twin(self._calibrated(self.playpen(changes), changes, Path(folder)), options)
+        except OSError as error:
+            reason = f"no calibration can be kept in a temporary folder: {error.strerror}"
+            raise LogError(f"{path}: cannot be repeated: {reason}") from error
         there = tuple(robot.name for robot in twin.world.robots)
         if there != self.label.robots:
             found = f"robots = {shown(','.join(self.label.robots))}"

@@ -184,3 +184,30 @@ def test_what_is_read_is_not_replaced(
     assert capsys.readouterr() == ("", told)
     assert Path("arena.png").read_text() == playpen.dump(field)
     assert {path.name for path in tmp_path.iterdir()} == {"arena.png", "linked.png"}
+
+
+def test_a_file_is_on_the_disk_before_it_is_renamed_and_its_name_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a power failure leaves an empty file in the place of the old one, or the old one again."""
+    done: list[str] = []
+    synchronize, rename = os.fsync, os.replace
+
+    def fsync(descriptor: int) -> None:
+        done.append("folder" if os.path.isdir(f"/proc/self/fd/{descriptor}") else "file")
+        assert done[-1] == "folder" or os.fstat(descriptor).st_size == 4
+        synchronize(descriptor)
+
+    def replace(before: Path, after: Path) -> None:
+        done.append("rename")
+        rename(before, after)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "replace", replace)
+    write_whole(tmp_path / "file", b"four")
+    assert done == ["file", "rename", "folder"]
+    done.clear()
+    twin = open_twin("default", TwinOptions(log=str(tmp_path / "run.mcap")))
+    monkeypatch.setattr(os, "fsync", lambda descriptor: done.append("file"))
+    twin.close()
+    assert done == ["file", "rename"]

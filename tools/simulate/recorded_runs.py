@@ -80,7 +80,8 @@ class Run:
         else:
             at_s = rng.uniform(0.1, end_of(self.parent) / NS_PER_S)
             at = "" if rng.random() < 0.2 else f"at={at_s:.9f}&"
-            url = f"khep://{quote(str(self.parent))}?{at}seed={self.number}&log={path}"
+            fault = rng.choice(("", "&fault=drop:0.05", "&fault=stuck:2,weak:left:0.5"))
+            url = f"khep://{quote(str(self.parent))}?{at}seed={self.number}&log={path}{fault}"
         port = Serial(timeout=0.5)
         port.port = url
         port.open()
@@ -95,7 +96,8 @@ class Run:
                 if rng.random() < 0.9:
                     port.readline()
             if rng.random() < 0.05:
-                port.reset_output_buffer()
+                rng.choice((port.reset_output_buffer, port.reset_input_buffer, port.flush, port.read))()
+            self.simulation.count("bytes waiting", port.in_waiting + port.out_waiting)
             port.sleep(rng.uniform(0, 2))
         self._finish(port.close)
 

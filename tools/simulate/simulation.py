@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NoReturn
+from unittest.mock import patch
 
 from khep_twin.errors import KhepTwinError
 from tools.simulate.faults import Faults, mixed
@@ -17,7 +18,6 @@ from tools.simulate.socket_module import SimulatedSocketModule
 from tools.simulate.sockets import Network
 from tools.simulate.system import System
 from tools.simulate.threads import SimulatedQueue, SimulatedThreading
-
 
 _COLLECTION_NS = 30 * NS_PER_S
 """Simulated time between two collections of cyclic garbage, which must not come amid a process [ns]."""
@@ -137,7 +137,12 @@ def simulate(
     Raises:
         Exception: The simulation itself is at fault.
     """
-    with _folder() as folder, _collected_by_hand():
+    # What the product keeps in temporary folders goes, too.
+    with (
+        _folder() as folder,
+        patch.object(tempfile, "tempdir", str(folder)),
+        _collected_by_hand(),
+    ):
         simulation = Simulation(seed, folder, kept)
         violation: Violation | None = None
         with simulation.system.installed():

@@ -1,0 +1,79 @@
+"""Unfinished logs: two runs of one name that begin or end at the same moment."""
+
+import fcntl
+import os
+from pathlib import Path
+
+import pytest
+from mcap.writer import MCAP0_MAGIC
+
+from khep_twin.errors import LogError
+from khep_twin.log import part_file
+from khep_twin.log.log_file import LogFile
+from khep_twin.log.part_file import PartFile, set_aside
+
+
+def test_the_remains_of_a_crash_are_locked_until_they_are_renamed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a second run moves the file that the first has made under the name since."""
+    part, rename, refused = tmp_path / "run.mcap.part", os.rename, list[str]()
+    part.write_bytes(MCAP0_MAGIC)
+
+    def amid(before: Path, after: Path) -> None:
+        monkeypatch.setattr(os, "rename", rename)
+        with pytest.raises(LogError) as error:
+            set_aside(part)
+        refused.append(str(error.value))
+        rename(before, after)
+
+    monkeypatch.setattr(os, "rename", amid)
+    assert set_aside(part) == tmp_path / "run.mcap.part.1"
+    assert refused == [f"{part}: another run is writing it; expected another name for the log"]
+
+
+def test_a_file_that_another_run_took_before_it_was_locked_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part, lock = tmp_path / "run.mcap.part", fcntl.flock
+
+    def late(descriptor: int, operation: int) -> None:
+        monkeypatch.setattr(part_file.fcntl, "flock", lock)
+        assert set_aside(part) == tmp_path / "run.mcap.part.1"
+        lock(descriptor, operation)
+
+    monkeypatch.setattr(part_file.fcntl, "flock", late)
+    with pytest.raises(LogError, match="another run is writing it"):
+        PartFile(part)
+    assert not part.exists()
+
+
+def test_a_log_that_was_finished_meanwhile_is_no_remains(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, lock = tmp_path / "run.mcap", fcntl.flock
+    log = LogFile(path, lambda: 0)
+
+    def late(file: object, operation: int) -> None:
+        monkeypatch.setattr(part_file.fcntl, "flock", lock)
+        log.finish()
+        lock(file, operation)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(part_file.fcntl, "flock", late)
+    assert set_aside(log.part) is None
+    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
+
+
+def test_a_run_that_is_given_up_removes_its_own_file_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is locked until its name is gone, so that no other run's file can be under it."""
+    log, close = LogFile(tmp_path / "run.mcap", lambda: 0), PartFile.close
+
+    def amid(self: PartFile) -> None:
+        assert not log.part.exists()
+        close(self)
+
+    monkeypatch.setattr(PartFile, "close", amid)
+    log.discard()
+    assert not log.open
