@@ -8,11 +8,11 @@ from tools.simulate.sweeping import MUTANTS, SCENARIOS
 
 CAUGHT = {
     "sweep-late-result-added": (0, 30),
-    "sweep-task-of-a-dead-worker-dropped": (0, 150),
-    "sweep-torn-part-taken-as-whole": (1, 120),
+    "sweep-task-of-a-dead-worker-dropped": (1, 90),
+    "sweep-torn-part-taken-as-whole": (1, 100),
     "sweep-resumed-from-nothing": (0, 60),
-    "sweep-without-a-lock": (0, 450),
-    "sweep-leaves-a-part-on-a-full-disk": (0, 300),
+    "sweep-without-a-lock": (0, 350),
+    "sweep-leaves-a-part-on-a-full-disk": (0, 160),
     "sweep-table-written-in-place": (0, 450),
 }
 """Seed that catches each broken build, and simulated time [s] until then."""

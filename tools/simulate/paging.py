@@ -33,7 +33,12 @@ PATIENCE_S = 60.0
 def pages(simulation: Simulation, seconds: float) -> None:
     """Run the designer and its pages for so many seconds."""
     Threading(simulation).install(simulation.system.modules["threading"])
-    Office(simulation).run(seconds)
+    office = Office(simulation)
+    try:
+        office.run(seconds)
+    finally:
+        if office.designer is not None:
+            office.designer.loop.close()
 
 
 class Office:
