@@ -17,6 +17,7 @@ from tools.simulate.kernel import NS_PER_S, Process
 from tools.simulate.log_readings import read_in_every_way
 from tools.simulate.log_truth import Truth
 from tools.simulate.recorded_runs import Run
+from tools.simulate.recording_mutants import MUTANTS as MUTANTS
 from tools.simulate.simulation import Simulation
 
 NAMES = "a.mcap", "b.mcap"

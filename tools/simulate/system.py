@@ -198,9 +198,14 @@ class SimulatedOs(Shim):
         if descriptor < FIRST_DESCRIPTOR:
             return os.read(descriptor, limit)
         file = self.kernel.called().file(descriptor)
-        if file.blocking:
-            self.kernel.wait([file], file.readable, None)
-        return file.read(limit)
+        while True:
+            if file.blocking:
+                self.kernel.wait([file], file.readable, None)
+            try:
+                return file.read(limit)
+            except BlockingIOError:  # another reader took what there was
+                if not file.blocking:
+                    raise
 
     def write(self, descriptor: int, data: Any) -> int:
         if self.disk is not None and self.disk.holds(descriptor):
@@ -210,9 +215,11 @@ class SimulatedOs(Shim):
                 self.kernel.called()
             return os.write(descriptor, data)
         file = self.kernel.called().file(descriptor)
-        if file.blocking:
+        sent = file.write(bytes(data)) if not file.blocking else 0
+        while file.blocking and sent < len(data):
             self.kernel.wait([file], file.writable, None)
-        return file.write(bytes(data))
+            sent += file.write(bytes(data)[sent:])
+        return sent
 
     def openpty(self) -> tuple[int, int]:
         assert self.terminals is not None, "a simulation without terminals"
@@ -466,13 +473,16 @@ class SimulatedTermios(Shim):
         def call(descriptor: Any, *args: Any) -> Any:
             if (number := _number(descriptor)) < FIRST_DESCRIPTOR:
                 return found(descriptor, *args)
-            return _asked(self.kernel, number, name)(*args)
+            try:
+                return _asked(self.kernel, number, name)(*args)
+            except OSError as error:
+                raise termios.error(*error.args) from None
 
         return call
 
 
 def load(package: str = "khep_twin") -> None:
-    """Import a package and what is in it, as what is imported within a simulation would use the machine's own."""
+    """Import a package and all in it: a module imported within a simulation would use the machine's calls."""
     found = import_module(package)
     for each in iter_modules(getattr(found, "__path__", ())):
         if each.name not in LEFT_OUT:
