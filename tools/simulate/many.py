@@ -19,7 +19,10 @@ Item, Result = TypeVar("Item"), TypeVar("Result")
 
 
 def in_processes(function: Callable[[Item], Result], items: Iterable[Item], n_jobs: int) -> Iterator[Result]:
-    """Yield the results of a function in processes of their own, as they come."""
+    """Yield the results of a function in other processes, as they come; in this one for 0 jobs."""
+    if not n_jobs:
+        yield from map(function, items)
+        return
     rest = iter(items)
     with ProcessPoolExecutor(n_jobs, get_context("spawn")) as pool:
         waiting = {pool.submit(function, item) for item in islice(rest, 2 * n_jobs)}
