@@ -2,22 +2,17 @@
 
 import hashlib
 import re
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
-from functools import cache
+from collections.abc import Callable
 from pathlib import Path
 from traceback import clear_frames
-from unittest.mock import patch
 
-import khep_twin.status_line  # noqa: F401 - before a simulation: compilation tells by it
-from khep_twin import playpen, world
 from khep_twin.errors import KhepTwinError, LogError
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.reader import read_label, read_raw
 from khep_twin.log.recorded import changes_of, read_recorded
 from khep_twin.log.recover import Rescue, recover, summary
 from khep_twin.log.tail import GrowingLog
-from khep_twin.vision import camera
+from tools.simulate.compiled_worlds import compiled_worlds
 from tools.simulate.disk import Disk
 from tools.simulate.kernel import NS_PER_S, Process
 from tools.simulate.log_readings import read_in_every_way
@@ -38,26 +33,11 @@ def record(simulation: Simulation, seconds: float) -> None:
     """Let runs follow each other until the time is over."""
     lab = _Lab(simulation)
     end_ns = simulation.kernel.now_ns + round(seconds * NS_PER_S)
-    with _compiled():
+    with compiled_worlds():
         while simulation.kernel.now_ns < end_ns:
             lab.round()
     if not lab.disk.agrees():
         raise AssertionError("the simulated disk holds other files than the machine")
-
-
-@contextmanager
-def _compiled() -> Generator[None]:
-    """Step worlds by compiled code from their first step, as long runs do, with the same results."""
-    _load_compiled()
-    with patch.object(world, "_WORTH", 0), patch.object(camera, "_CHECKS", 1):
-        yield
-
-
-@cache
-def _load_compiled() -> None:
-    """Load the compiled code, or compile it, here: product code would start a process that does."""
-    world.World(playpen.load("default"), compiled=True)
-    camera.take_one()
 
 
 class _Lab:
