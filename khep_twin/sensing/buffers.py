@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 Value = TypeVar("Value", int, float)
 Numbers = TypeVar("Numbers", bound=NamedTuple)
 
+_RECORD_TYPES: dict[np.dtype[np.void], np.dtype[np.void]] = {}
+"""Types of records, one object for each: numba compares other objects field by field at every call."""
+
 
 class Vector(Protocol[Value]):
     """Numbers in a row (n,): an array, a memoryview of one, or a list."""
@@ -73,7 +76,8 @@ def _record_type(values: NamedTuple) -> np.dtype[np.void]:
         else:
             array: NDArray[Any] = np.asarray(cast(Any, value))
             fields.append((name, np.int64 if array.dtype.kind == "i" else array.dtype, array.shape))
-    return np.dtype(fields, align=True)
+    made = np.dtype(fields, align=True)
+    return _RECORD_TYPES.setdefault(made, made)
 
 
 def fill_record(record: Any, values: NamedTuple) -> None:
