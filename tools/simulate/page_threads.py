@@ -4,6 +4,7 @@ asyncio's own loop, tasks and futures run; only its clock and its waiting are th
 """
 
 import asyncio
+import inspect
 from asyncio import events
 from collections.abc import Callable
 from contextvars import ContextVar
@@ -163,6 +164,14 @@ class Loop(asyncio.BaseEventLoop):
                 self._run_once()  # type: ignore[attr-defined]
         finally:
             events._set_running_loop(None)
+
+    def close(self) -> None:
+        """Forget all tasks; Python would warn of coroutines that a kill has kept from their beginning."""
+        for task in asyncio.all_tasks(self):
+            coroutine = task.get_coro()
+            if inspect.iscoroutine(coroutine) and inspect.getcoroutinestate(coroutine) == "CORO_CREATED":
+                coroutine.close()
+        super().close()
 
     def time(self) -> float:
         """Return the simulated time [s]."""

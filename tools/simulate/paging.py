@@ -25,6 +25,10 @@ from tools.simulate.page_threads import Threading
 from tools.simulate.simulation import Simulation
 
 N_BROWSERS = 3
+
+MOST_FULL = 0.1
+"""Highest probability that a write finds no room; pages write little, and a designer goes on after it."""
+
 NAMES = "first.toml", "second.toml", "third.toml"
 
 PATIENCE_S = 60.0
@@ -80,7 +84,7 @@ class Office:
         with (
             compiled_worlds(),
             installed(simulation, self._present, self._private),
-            patch.object(pathlib, "io", WritesThroughKernel(simulation)),
+            patch.object(pathlib, "io", WritesThroughKernel(simulation, MOST_FULL)),
         ):
             simulation.spawn("user", self._keep_running)
             simulation.spawn("editor", self._edit)
