@@ -65,6 +65,14 @@ class ServedTerminal(Site):
         since = terminal.openings[terminal.openings.index(process) :] if process in terminal.openings else []
         return all(each in own for each in [*since, *terminal.met[process]])
 
+    def others(self) -> tuple[int, bool]:
+        """Return how often other hosts than the present one have opened it, and whether one has it open."""
+        own, terminal = (self._process(), self.server), self._terminal()
+        if terminal is None:
+            return 0, False
+        opened = sum(each not in own for each in terminal.openings)
+        return opened, any(file.process not in own for file in terminal.hosts)
+
     def may_have_crossed(self) -> bool:
         """Return whether the server has said that two hosts crossed since the present process came."""
         began_ns = self._process().began_ns - _MOMENT_NS

@@ -37,6 +37,10 @@ class TerminalSite(Protocol):
         """Return whether no other host can have got replies to the present one, nor it theirs."""
         ...
 
+    def others(self) -> tuple[int, bool]:
+        """Return how often other hosts have opened it so far, and whether one has it open."""
+        ...
+
 
 @dataclass(slots=True)
 class TerminalHost:
@@ -60,7 +64,12 @@ class TerminalHost:
 
     def good(self) -> None:
         """Ask in bursts, and check each reply."""
-        rng, truth = self.rng, self.site.truth
+        rng, truth, faults = self.rng, self.site.truth, self.simulation.faults
+        if faults.happens("companion", "terminals", 0.3):
+            own = faults.drawn("companion", "terminals")
+            delay_ns = own.randrange(200_000)
+            stay = own.choice([0.0, 0.0001, 0.01, 1.0])
+            self.simulation.spawn(f"companion{self.number}", lambda: self._accompany(stay), delay_ns)
         try:
             descriptor = self._open()
         except OSError:  # no server just now
@@ -92,6 +101,7 @@ class TerminalHost:
             left_s = (end_ns - kernel.now_ns) / NS_PER_S
             if left_s <= 0 or not select.select([descriptor], [], [], left_s)[0]:
                 self._expect_silence(truth, got, count)
+                self._expect_life(descriptor, truth)
                 break
             try:
                 data = self._os.read(descriptor, 256)
@@ -110,6 +120,27 @@ class TerminalHost:
             self.simulation.violate(
                 "answers", f"host {self.number} has got {n_got} of {count} replies in {PATIENCE_S:.0f} s"
             )
+
+    def _expect_life(self, descriptor: int, truth: Truth) -> None:
+        """Check that the line answers this host again once it is alone, whoever was beside it."""
+        site, select = self.site, self.simulation.system.modules["select"]
+        before = site.others()
+        if before[1] or not site.is_serving(truth):
+            return
+        self._write(descriptor, b"\nB\n")
+        heard = select.select([descriptor], [], [], PATIENCE_S)[0]
+        if not heard and site.is_serving(truth) and site.others() == before:
+            self.simulation.violate("answers", f"the line is deaf to host {self.number}, alone there")
+        self.simulation.count("lines asked again")
+
+    def _accompany(self, stay: float) -> None:
+        """Open the terminal at the moment of another host, as `stty` beside a shell does, and leave."""
+        try:
+            descriptor = self._os.open(self.site.url, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            self._pause(stay)
+            self._os.close(descriptor)
+        except OSError:
+            pass  # without a server
 
     def _compare(self, truth: Truth, got: bytes, asked: int) -> None:
         """Check that all that came are the replies to this host's lines, in order."""
