@@ -32,7 +32,7 @@ class Raw:
         truth: Function that returns what the line of the twin carries.
         number: Number of its session.
         rng: Generator of what it does.
-        is_exact: Whether the line has no faults.
+        is_exact: Function that returns whether all that the robot says reaches the host as it is.
         may_fail: Function that returns whether the line may fail just now.
     """
 
@@ -41,7 +41,7 @@ class Raw:
     truth: Callable[[], Truth]
     number: int
     rng: random.Random
-    is_exact: bool
+    is_exact: Callable[[], bool]
     may_fail: Callable[[], bool]
 
     def connect(self, timeout: float = 5.0) -> Any:
@@ -78,7 +78,7 @@ class Raw:
                     while host.recv(4096):
                         pass
         except TimeoutError:
-            if truth is self.truth() and self.is_exact and not self.simulation.faults.happened:
+            if truth is self.truth() and self.is_exact() and not self.simulation.faults.kinds:
                 kind = "leftovers" if has_finished else "answers"
                 self.simulation.violate(kind, f"raw host {self.number} waited for {PATIENCE_S} s")
         except OSError as error:
@@ -93,7 +93,7 @@ class Raw:
 
     def _compare(self, truth: Truth, got: bytes) -> None:
         """Check that all that came are the replies to this host's lines, in order."""
-        if not self.is_exact or truth is not self.truth():
+        if not self.is_exact() or truth is not self.truth():
             return
         said = "".join(each.reply for each in truth.replies(self.number))
         received = _TELNET.sub(b"", got).decode("latin-1")
@@ -141,7 +141,7 @@ class Raw:
         except ConnectionError:
             pass
         refused = not _TELNET.sub(b"", got)
-        if refused and self.is_exact and truth is self.truth() and session in truth.tags:
+        if refused and self.is_exact() and truth is self.truth() and session in truth.tags:
             self.simulation.violate("replies", "bytes of a host that was refused were carried out")
 
     def storm(self) -> None:
@@ -168,7 +168,7 @@ class Raw:
                     self.simulation.violate("leftovers", "a host that has finished was never let go")
 
     def _compare_beginning(self, truth: Truth, got: bytes) -> None:
-        if self.is_exact and truth is self.truth():
+        if self.is_exact() and truth is self.truth():
             said = "".join(each.reply for each in truth.replies(self.number))
             received = _TELNET.sub(b"", got).decode("latin-1")
             if not received.startswith("\xff") and not said.startswith(received):
