@@ -8,6 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from khep_twin.errors import PortError, PortInUse
+from khep_twin.host.discovery import found_ports, who_answers
 from tools.simulate.kernel import NS_PER_S
 from tools.simulate.raw_hosts import PATIENCE_S
 from tools.simulate.simulation import Simulation
@@ -142,6 +144,9 @@ class TerminalHost:
             if self.rng.random() < 0.2:
                 self._storm()
                 return
+            if self.rng.random() < 0.2:
+                self._asks_around()
+                return
             descriptor = self._open()
             self.rng.choice(kinds)(descriptor)
             self._os.close(descriptor)
@@ -199,6 +204,16 @@ class TerminalHost:
                 self._os.read(descriptor, 16)
             except BlockingIOError:
                 self._pause(0.05)
+
+    def _asks_around(self) -> None:
+        """Look for robots as `khep-twin ports` does, and ask at the terminal who answers."""
+        try:
+            listed = [each.url for each in found_ports() if each.twin]
+            who_answers(listed[0] if listed else self.site.url)
+        except (PortError, PortInUse) as error:
+            if "\n" in str(error) or self.site.url not in str(error):
+                self.simulation.violate("errors", f"a look for robots ended by {error!r}")
+        self.simulation.count("looks for robots")
 
     def _storm(self) -> None:
         for _ in range(self.rng.randint(2, 40)):
