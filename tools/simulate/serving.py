@@ -62,7 +62,7 @@ class ServedTerminal(Site):
             return False
         own = (process, self.server)
         since = terminal.openings[terminal.openings.index(process) :] if process in terminal.openings else []
-        return all(each in own for each in [*since, *(file.process for file in terminal.hosts)])
+        return all(each in own for each in [*since, *terminal.met[process]])
 
     def may_have_crossed(self) -> bool:
         """Return whether the server has said that two hosts crossed since the present process came."""

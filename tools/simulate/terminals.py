@@ -16,6 +16,7 @@ import shutil
 import struct
 import termios
 import tty
+from collections import defaultdict
 from collections.abc import Generator
 from contextlib import contextmanager
 from itertools import count
@@ -101,6 +102,7 @@ class Terminal:
         settings: Settings as of `termios.tcgetattr`.
         hosts: Open files of the host side whose closing has not taken effect.
         openings: Processes that have opened the host side, in order.
+        met: Processes that had it open at the same time as each process.
         exclusive: True if it is locked by TIOCEXCL.
         locked_by: Open file that has it locked by flock; None without.
     """
@@ -114,6 +116,7 @@ class Terminal:
         self.settings: list[Any] = [0, 0, control, 0, _SPEED, _SPEED, characters]
         self.hosts: list[HostSide] = []
         self.openings: list[Process] = []
+        self.met = defaultdict[Process, set[Process]](set)
         self.exclusive = False
         self.locked_by: HostSide | None = None
         self.master = Master(self)
@@ -123,6 +126,9 @@ class Terminal:
         if self.exclusive:
             raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
         file = HostSide(self, process.leader, writes=bool(flags & (os.O_WRONLY | os.O_RDWR)))
+        for each in self.hosts:
+            self.met[each.process].add(process.leader)
+            self.met[process.leader].add(each.process)
         self.hosts.append(file)
         self.openings.append(process.leader)
         self.report(IN_OPEN)
