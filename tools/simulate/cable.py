@@ -34,7 +34,7 @@ _MOST = {"drop": 0.002, "garble": 0.002, "double": 0.002, "late": 0.01}
 """Highest probability of each fault of some bytes."""
 
 _LATE_NS = 200_000_000
-"""Longest delay of some bytes: less in both directions than the silence that a relay takes for an end [ns]."""
+"""Longest delay of some bytes: shorter, both ways, than the silence that a relay takes for an end [ns]."""
 
 _TRANSIT_NS = 100_000, 2_000_000
 """Shortest and longest transit from the robot, of a polled adapter (assumed) [ns]."""

@@ -5,7 +5,7 @@ programs at once; robots at its cables go on meanwhile. Linux keeps the monotoni
 programs see a wall clock that jumps, and nothing else; other systems let it go on, as here.
 """
 
-from tools.simulate.faults import HARMLESS, Faults
+from tools.simulate.faults import CLOCK, Faults
 from tools.simulate.kernel import NS_PER_S, Kernel
 from tools.simulate.system import SimulatedTime
 
@@ -24,8 +24,8 @@ def disturb_clocks(kernel: Kernel, faults: Faults, time: SimulatedTime) -> None:
 
     def look() -> None:
         kernel.at(kernel.now_ns + _LOOK_NS, look)
-        if faults.happens(HARMLESS, "machine", _MOST_SET):
-            rng = faults.drawn(HARMLESS, "machine")
+        if faults.happens(CLOCK, "machine", _MOST_SET):
+            rng = faults.drawn(CLOCK, "machine")
             time.ahead_ns += round(rng.choice((-1, 1)) * rng.choice(_JUMPS_S) * NS_PER_S)
         if faults.happens("suspend", "machine", _MOST_SUSPENDED):
             duration_s = 10 ** faults.drawn("suspend", "machine").uniform(-1, 1)

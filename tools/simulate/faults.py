@@ -4,8 +4,8 @@ import random
 from collections import Counter
 from collections.abc import Collection
 
-HARMLESS = "clock"
-"""Kind of faults that must disturb nobody: the wall clock is set."""
+CLOCK, HALF = "clock", "half-line"
+"""Kinds of faults that must disturb nobody: the wall clock is set; a host leaves amid a line."""
 
 _MASK = (1 << 64) - 1
 
@@ -49,7 +49,7 @@ class Faults:
     @property
     def kinds(self) -> set[str]:
         """Kinds of those that have happened and may disturb somebody."""
-        return {name.partition("/")[0] for name in self.happened} - {HARMLESS}
+        return {name.partition("/")[0] for name in self.happened} - {CLOCK, HALF}
 
     def rate(self, kind: str, most: float) -> float:
         """Return the rate of a kind of fault in this simulation: 0 for half of all seeds."""

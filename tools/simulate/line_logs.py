@@ -99,7 +99,8 @@ class LineLog:
         lines = [read_line(data) for _, data in found.get(f"/{ROBOT}/serial", ())]
         heard = [line.text for line in lines if line.name == "robot"]
         true = _lines(bytes(account.heard))
-        if heard[: len(true)] != true[: len(heard)] or len(heard) < len(_lines(account.heard[:n_heard], False)):
+        n_certain = len(_lines(account.heard[:n_heard], False))
+        if heard[: len(true)] != true[: len(heard)] or len(heard) < n_certain:
             self._violate(path, "from", heard, true, n_heard)
         simulation.count("bytes logged", len(sent))
 

@@ -58,7 +58,7 @@ def _damaged(data: bytes, rng: random.Random) -> bytes:
 
 @contextmanager
 def _refused(simulation: Simulation, path: Path) -> Generator[None]:
-    """Context in which a damaged log may be refused, by one line that names it, or be read with differences."""
+    """Let a damaged log be refused, by one line that names it, or be read with differences."""
     try:
         yield
     except Violation:

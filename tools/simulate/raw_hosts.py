@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from tools.simulate.faults import HALF
 from tools.simulate.kernel import NS_PER_S
 from tools.simulate.simulation import Simulation
 from tools.simulate.truth import BROWSERS, REFUSED, Truth, tag
@@ -20,6 +21,11 @@ _ORDERS = ("N", "O", "H", "E", "B", "K", "I,1", "hello", "T,9,X", "R,3", "Q", "G
 
 _TELNET = re.compile(rb"\xff\xfa.*?\xff\xf0|\xff[\xfb-\xfe].", re.DOTALL)
 """Negotiation of RFC 2217 amid a robot's bytes."""
+
+
+def half_line(simulation: Simulation) -> bytes:
+    """Return half a line with which a good host leaves, now and then."""
+    return b"D,7," if simulation.faults.happens(HALF, "hosts", 0.3) else b""
 
 
 @dataclass(slots=True)
@@ -71,7 +77,7 @@ class Raw:
                         got += data
                     self._compare(truth, got)
                     self._pause(rng.choice([0.0, 0.05, 1.0]))
-                host.sendall(b"D,0,0\n")
+                host.sendall(b"D,0,0\n" + half_line(self.simulation))
                 if rng.random() < 0.3:
                     has_finished = True
                     host.shutdown(real_socket.SHUT_WR)

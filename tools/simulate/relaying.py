@@ -4,7 +4,6 @@ The relay is that of `khep-twin serve --relay` and, with questions of its own, o
 A twin in a process that nothing holds up plays the robot.
 """
 
-import os
 import re
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -52,7 +51,7 @@ _FAILED = re.compile(r"the robot's port failed: .+|cannot open this port: No suc
 
 
 class LineTruth(Truth):
-    """What the line of a robot behind a relay has carried; polls of the relay's own end in a carriage return."""
+    """What the line of a robot behind a relay has carried, also of polls, which end in a carriage return."""
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Take bytes of the line."""
@@ -135,7 +134,7 @@ class _Relayed(Site):
         away_ns = cable.away_ns
         if is_served and away_ns is not None and now_ns - away_ns > _NOTICED_NS and self._log.is_begun:
             simulation.violate("errors", "the cable is gone, and the relay goes on without a line about it")
-        if self._is_touched(0) or not is_served:
+        if self._is_touched_since(now_ns) or not is_served:
             self._last_ns = now_ns
         super().look()
 
@@ -146,16 +145,14 @@ class _Relayed(Site):
         if isinstance(error, PortError):
             path = self.cable.path
             text = str(error).removeprefix(f"{path}: ")
-            if text == str(error) or not _FAILED.match(text) or not self._was_unplugged(process):
+            unplugged = "unplug" in self.simulation.faults.kinds
+            if text == str(error) or not _FAILED.match(text) or not unplugged:
                 self.simulation.violate("errors", f"the relay ended by: {error}")
             self.simulation.count("cables lost")
         kernel = self.simulation.kernel
         ended_well = error is None and not process.dying
         kernel.at(kernel.now_ns, lambda: self._log.check(whole=ended_well or isinstance(error, PortError)))
         super()._ended(process)
-
-    def _was_unplugged(self, process: Process) -> bool:
-        return "unplug" in self.simulation.faults.kinds
 
     # Questions of hosts --------------------------------------------------------------------------------
 
@@ -174,18 +171,13 @@ class _Relayed(Site):
         running = server is not None and server.alive and not self._stopping
         return truth is self.truth and running and not self._is_touched()
 
-    def may_fail_now(self, session: object) -> bool:
-        """Return whether a host that was ended may not have reached its robot."""
-        return bool(self.simulation.faults.kinds - {"terminate", "exception", "interrupt"})
+    def _is_touched(self) -> bool:
+        """Return whether the line was disturbed a while before the present process came, or later."""
+        process = self.simulation.kernel.current
+        return process is None or self._is_touched_since(process.leader.began_ns)
 
-    def _is_touched(self, since_ns: int | None = None) -> bool:
-        """Return whether the line was disturbed a while before the present host came, or later."""
-        if since_ns is None:
-            process = self.simulation.kernel.current
-            since_ns = 0 if process is None else process.leader.began_ns
-        else:
-            since_ns = self.simulation.kernel.now_ns
-        return self._robot is None or self.cable.touched_ns > since_ns - _SETTLED_NS
+    def _is_touched_since(self, time_ns: int) -> bool:
+        return self._robot is None or self.cable.touched_ns > time_ns - _SETTLED_NS
 
     def _rogues_were_here(self) -> bool:
         kernel = self.simulation.kernel

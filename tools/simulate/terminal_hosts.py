@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from khep_twin.errors import PortError, PortInUse
 from khep_twin.host.discovery import found_ports, who_answers
 from tools.simulate.kernel import NS_PER_S
-from tools.simulate.raw_hosts import PATIENCE_S
+from tools.simulate.raw_hosts import PATIENCE_S, half_line
 from tools.simulate.simulation import Simulation
 from tools.simulate.truth import Truth, tag
 
@@ -80,6 +80,8 @@ class TerminalHost:
                 self._pause(rng.choice([0.0, 0.05, 1.0, 10.0]))
             self._write(descriptor, b"D,0,0\n")
             self._pause(1.0)
+            if half := half_line(self.simulation):
+                self._write(descriptor, half)
         except OSError as error:
             if self.site.is_serving(truth):
                 self.simulation.violate("answers", f"host {self.number} got {error!r} from a running server")

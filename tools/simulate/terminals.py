@@ -423,7 +423,7 @@ class Terminals:
         return self.processes
 
     def _write_process(self, process: Process, folder: Path) -> None:
-        """Write the folder of a process: its descriptors of terminals, its name, and no terminal of its own."""
+        """Write the folder of a process: its descriptors of terminals and its name; none controls it."""
         links, about = folder / "fd", folder / "fdinfo"
         os.makedirs(links)
         os.makedirs(about)
