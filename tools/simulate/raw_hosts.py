@@ -25,7 +25,7 @@ _TELNET = re.compile(rb"\xff\xfa.*?\xff\xf0|\xff[\xfb-\xfe].", re.DOTALL)
 
 def half_line(simulation: Simulation) -> bytes:
     """Return half a line with which a good host leaves, now and then."""
-    return b"D,7," if simulation.faults.happens(HALF, "hosts", 0.3) else b""
+    return b"D,7," if simulation.faults.happens(HALF, "hosts", 1.0) else b""
 
 
 @dataclass(slots=True)
