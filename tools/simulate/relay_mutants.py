@@ -24,10 +24,6 @@ def _next_host_at_once() -> AbstractContextManager[object]:
     return patch.object(relay._Dialogue, "settling", settling)
 
 
-def _halves_are_kept() -> AbstractContextManager[object]:
-    return patch.object(relay, "_SPOIL", b"")
-
-
 def _replies_not_logged() -> AbstractContextManager[object]:
     sound = LineRecorder.on_bytes
 
@@ -68,7 +64,6 @@ def _never_flushed() -> AbstractContextManager[object]:
 
 MUTANTS: dict[str, Mutant] = {
     "replies to a host that has left reach the next": Mutant("relay", "replies", _next_host_at_once),
-    "a line that a host leaves unfinished goes on": Mutant("relay", "replies", _halves_are_kept),
     "the log of a line misses replies": Mutant("relay", "recovery", _replies_not_logged),
     "a relay goes on without its cable": Mutant("relay", "errors", _lost_cables),
     "replies to the relay's own questions reach hosts": Mutant("relay", "replies", _polls_passed),
