@@ -89,7 +89,7 @@ class Session:
         self.persists = rng.random() < 0.5
         reply = robot.ask(tag(self.number))
         if self.number not in truth.tags and self.is_exact() and not self.may_fail():
-            self.simulation.violate("replies", f"{tag(self.number)!r}, the first line, was answered {reply!r}")
+            self.simulation.violate("replies", f"{tag(self.number)!r} at first was answered {reply!r}")
         for index in range(count):
             if index == end_at:
                 if self.ending is not None:
