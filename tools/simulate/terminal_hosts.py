@@ -8,8 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from khep_twin.errors import PortError, PortInUse
+from khep_twin.host.discovery import found_ports, who_answers
 from tools.simulate.kernel import NS_PER_S
-from tools.simulate.raw_hosts import PATIENCE_S
+from tools.simulate.raw_hosts import PATIENCE_S, half_line
 from tools.simulate.simulation import Simulation
 from tools.simulate.truth import Truth, tag
 
@@ -87,6 +89,8 @@ class TerminalHost:
                 self._pause(rng.choice([0.0, 0.05, 1.0, 10.0]))
             self._write(descriptor, b"D,0,0\n")
             self._pause(1.0)
+            if half := half_line(self.simulation):
+                self._write(descriptor, half)
         except OSError as error:
             if self.site.is_serving(truth):
                 self.simulation.violate("answers", f"host {self.number} got {error!r} from a running server")
@@ -173,6 +177,9 @@ class TerminalHost:
             if self.rng.random() < 0.2:
                 self._storm()
                 return
+            if self.rng.random() < 0.2:
+                self._asks_around()
+                return
             descriptor = self._open()
             self.rng.choice(kinds)(descriptor)
             self._os.close(descriptor)
@@ -230,6 +237,16 @@ class TerminalHost:
                 self._os.read(descriptor, 16)
             except BlockingIOError:
                 self._pause(0.05)
+
+    def _asks_around(self) -> None:
+        """Look for robots as `khep-twin ports` does, and ask at the terminal who answers."""
+        try:
+            listed = [each.url for each in found_ports() if each.twin]
+            who_answers(listed[0] if listed else self.site.url)
+        except (PortError, PortInUse) as error:
+            if "\n" in str(error) or self.site.url not in str(error):
+                self.simulation.violate("errors", f"a look for robots ended by {error!r}")
+        self.simulation.count("looks for robots")
 
     def _storm(self) -> None:
         for _ in range(self.rng.randint(2, 40)):
