@@ -67,7 +67,7 @@ class TerminalHost:
     def good(self) -> None:
         """Ask in bursts, and check each reply."""
         rng, truth, faults = self.rng, self.site.truth, self.simulation.faults
-        if faults.happens("companion", "terminals", 0.3):
+        if faults.happens("companion", "terminals", 1.0):
             own = faults.drawn("companion", "terminals")
             delay_ns = own.randrange(200_000)
             stay = own.choice([0.0, 0.0001, 0.01, 1.0])
