@@ -11,7 +11,7 @@ CAUGHT = {
     "page-two-saves-at-once": (1, 110),
     "page-draft-deleted-before-the-file-is-written": (0, 60),
     "page-edit-acknowledged-before-it-is-kept": (0, 20),
-    "page-draft-written-in-place": (9, 30),
+    "page-draft-written-in-place": (0, 60),
     "page-oldest-draft-offered-first": (0, 30),
     "page-part-left-on-a-full-disk": (0, 400),
     "page-twin-left-running": (0, 100),

@@ -26,7 +26,7 @@ from tools.simulate.simulation import Simulation, Violation
 
 HOST = "127.0.0.1:8000"
 
-MOST_KILLED = 0.02
+MOST_KILLED = 0.1
 """Highest probability that the designer is killed in one of the threads that it starts."""
 
 MOST_STALLED = 3e-3

@@ -1,7 +1,6 @@
 """What has truly happened in a run, kept beside its recorder, and the comparison of a log with it."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NS_PER_S
 from khep_twin.log.decoding import read_array, read_line
 from khep_twin.log.host_events import read_events
-from khep_twin.log.reader import read_raw
 from khep_twin.log.state_hashes import boards
 from khep_twin.world import World
 
@@ -22,6 +20,9 @@ WALL_LOSS_NS = NS_PER_S // 2
 
 _SETTLED_NS = 2 * NS_PER_S
 """Time after which all that was on a line has arrived: 1024 bytes at 9600 baud take 1.2 s [ns]."""
+
+Messages = Mapping[str, Sequence[tuple[int, bytes]]]
+"""Times [ns] and bytes of a log's messages by topic."""
 
 _Line = tuple[int, str, str]
 """Time [ns], name and text."""
@@ -110,18 +111,17 @@ class Truth:
         if wall_ns - self._turns[0][0] > WALL_LOSS_NS:
             self.kept_ns = max(self.kept_ns, self._turns[0][1])
 
-    def difference(self, path: Path, whole: bool, gaps: bool, kept: bool) -> str:
+    def difference(self, found: Messages, whole: bool, gaps: bool, kept: bool) -> str:
         """Return the first difference between a log and this; empty if there is none.
 
         Args:
-            path: Path of the log.
+            found: Messages of the log.
             whole: True if nothing of the run may be missing.
             gaps: True if pieces amid it may be missing.
             kept: True if nothing that was flushed may be missing.
         """
         if not self.names:  # it ended as it began
             return ""
-        _, found, _ = read_raw(path, lambda _: True)
         must_ns = self.last_ns if whole else self.kept_ns if kept else -1
         for topic, samples in self.samples.items():
             messages = found.get(topic, [])
@@ -161,11 +161,11 @@ class Truth:
         return _first_wrong(kept, there, gaps, must_ns)
 
 
-def _data(found: Mapping[str, Sequence[tuple[int, bytes]]], topic: str) -> list[bytes]:
+def _data(found: Messages, topic: str) -> list[bytes]:
     return [data for _, data in found.get(topic, ())]
 
 
-def _lines(found: Mapping[str, Sequence[tuple[int, bytes]]], topic: str) -> list[_Line]:
+def _lines(found: Messages, topic: str) -> list[_Line]:
     return [(each.time_ns, each.name, each.text) for each in map(read_line, _data(found, topic))]
 
 

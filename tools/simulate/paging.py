@@ -14,6 +14,7 @@ from unittest.mock import patch
 
 from khep_twin.drawing import render  # noqa: F401 - before a simulation
 from khep_twin.web import drafts
+from tools.simulate.compiled_worlds import compiled_worlds
 from tools.simulate.designer import Asked, Designer, Socket, UnreachedError, installed
 from tools.simulate.kernel import NS_PER_S, OpenFile
 from tools.simulate.kernel_files import WritesThroughKernel
@@ -77,6 +78,7 @@ class Office:
 
         system.replace = replace
         with (
+            compiled_worlds(),
             installed(simulation, self._present, self._private),
             patch.object(pathlib, "io", WritesThroughKernel(simulation)),
         ):

@@ -12,6 +12,7 @@ from khep_twin.log.reader import read_label, read_raw
 from khep_twin.log.recorded import changes_of, read_recorded
 from khep_twin.log.recover import Rescue, recover, summary
 from khep_twin.log.tail import GrowingLog
+from tools.simulate.compiled_worlds import compiled_worlds
 from tools.simulate.disk import Disk
 from tools.simulate.kernel import NS_PER_S, Process
 from tools.simulate.log_damage import damage
@@ -33,8 +34,9 @@ def record(simulation: Simulation, seconds: float) -> None:
     """Let runs follow each other until the time is over."""
     lab = _Lab(simulation)
     end_ns = simulation.kernel.now_ns + round(seconds * NS_PER_S)
-    while simulation.kernel.now_ns < end_ns:
-        lab.round()
+    with compiled_worlds():
+        while simulation.kernel.now_ns < end_ns:
+            lab.round()
     if not lab.disk.agrees():
         raise AssertionError("the simulated disk holds other files than the machine")
 
@@ -49,6 +51,7 @@ class _Lab:
         self._truths: dict[int, Truth] = {}
         self._unfinished: dict[str, str] = {}
         self._known: set[tuple[str, str]] = set()
+        self._owners: dict[str, Truth | None] = {}
         self._rounds = self._runs = 0
 
     def round(self) -> None:
@@ -102,6 +105,12 @@ class _Lab:
 
     def _truth_of(self, path: Path) -> Truth | None:
         """Return the truth of a log, by its seed, or by that with which it was branched off."""
+        content = _hash(path)
+        if content not in self._owners:
+            self._owners[content] = self._owner(path)
+        return self._owners[content]
+
+    def _owner(self, path: Path) -> Truth | None:
         try:
             label = read_label(path)
         except LogError as error:
@@ -240,7 +249,8 @@ class _Lab:
             simulation.violate(
                 "recovery", f"{path.name}: {rescue.damaged} damaged places without a power cut"
             )
-        if wrong := truth.difference(path, False, bool(rescue.damaged), not cut):
+        _, found, _ = read_raw(path, lambda _: True)
+        if wrong := truth.difference(found, False, bool(rescue.damaged), not cut):
             simulation.violate("recovery", f"{path.name} of run {truth.number}: {wrong}")
         if not rescue.damaged and truth.samples and truth.kept_ns >= 0:
             self._repeat(path, truth, rescue.torn)
@@ -254,7 +264,7 @@ class _Lab:
             if truth is None or key in self._known:
                 return truth
             self._known.add(key)
-            _, _, recovered = read_raw(path, lambda _: True)
+            _, found, recovered = read_raw(path, lambda _: True)
         except LogError as error:
             self._simulation.violate("recovery", f"{path.name} is taken for whole: {error}")
         if recovered:
@@ -262,7 +272,7 @@ class _Lab:
         if not truth.closing:
             self._simulation.violate("recovery", f"{path.name} is of run {truth.number}, which did not end")
         self._simulation.count("logs finished")
-        if wrong := truth.difference(path, True, False, True):
+        if wrong := truth.difference(found, True, False, True):
             self._simulation.violate("recovery", f"{path.name} of run {truth.number}: {wrong}")
         read_in_every_way(self._simulation, path, bool(truth.samples))
         damage(self._simulation, path, truth.number, has_world=bool(truth.samples))

@@ -21,7 +21,10 @@ MOST_TORN = 0.5
 
 
 class _TableWriter:
-    """Writer of a table that may be killed, or find no room, at each task; then the file is torn."""
+    """Writer of a table that may be killed at each column, or find no room at a task; the file is torn then.
+
+    pyarrow writes each column of a task by itself, without a buffer.
+    """
 
     def __init__(self, simulation: Simulation, path: Path, *options: Any) -> None:
         simulation.kernel.called()
@@ -32,14 +35,22 @@ class _TableWriter:
         return self
 
     def write_table(self, table: Any) -> None:
-        self._simulation.kernel.called()
+        for _ in range(table.num_columns):
+            self._simulation.kernel.called()
         room(self._simulation)
         self._writer.write_table(table)
 
     def __exit__(self, kind: Any, error: BaseException | None, _: Any) -> None:
-        self._writer.close()
-        if isinstance(error, Killed):
-            os.truncate(self._path, self._path.stat().st_size // 2)
+        try:
+            if error is None:
+                self._simulation.kernel.called()
+        except Killed as killed:
+            error = killed
+            raise
+        finally:
+            self._writer.close()
+            if isinstance(error, Killed):
+                os.truncate(self._path, self._path.stat().st_size // 2)
 
 
 class _Parquet:

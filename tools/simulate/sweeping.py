@@ -12,7 +12,8 @@ import sys
 import tempfile
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from functools import cache, lru_cache
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -70,7 +71,7 @@ _EXPECTED = {
 def sweeps(simulation: Simulation, seconds: float) -> None:
     """Run sweeps for so many seconds."""
     for name in _STUDIES:
-        undisturbed(name)
+        _prepared(name)
     with _quick(), sweep_disk.installed(simulation), patch.dict(os.environ):
         ray = SimulatedRay(simulation)
         with patch.dict(sys.modules, {"ray": ray, "ray.exceptions": ray.exceptions}):
@@ -180,7 +181,7 @@ class User:
 
     def _check_table(self, name: str, folder: Path) -> None:
         """Check a whole table, and that nothing is beside it."""
-        if (folder / "results.parquet").read_bytes() != undisturbed(name):
+        if (folder / "results.parquet").read_bytes() != _prepared(name).table:
             self._simulation.violate("results", "the table is not that of a sweep that nothing disturbs")
         found = sorted(each.name for each in folder.iterdir())
         if found != ["results.parquet", "study.json"]:
@@ -240,7 +241,7 @@ class Run:
     def work(self, executor: Executor) -> None:
         """Run the sweep, as the command does."""
         run_sweep(
-            _file(self._name),
+            _prepared(self._name).file,
             output=self._folder,
             resume=self.resume,
             executor=self._watched(executor),
@@ -273,23 +274,29 @@ class Run:
             yield self._coming, data
 
 
-@cache
-def undisturbed(name: str) -> bytes:
-    """Return the table of a study that nothing disturbs."""
-    with tempfile.TemporaryDirectory() as folder:
-        return run_sweep(_file(name), output=Path(folder) / "out").read_bytes()
+@dataclass(frozen=True, slots=True)
+class _Prepared:
+    """A study that was read once, its work, and its table where nothing disturbs the sweep."""
+
+    file: study.StudyFile
+    work: Work
+    table: bytes
 
 
 @cache
-def _file(name: str) -> study.StudyFile:
-    """Return a study, whose files are read once."""
-    folder = Path(tempfile.mkdtemp())
-    (folder / "mine.py").write_text(_PROGRAM)
-    (folder / "study.toml").write_text(
-        f'version = 1\nname = "{name}"\nplaypens = ["default"]\nseconds = 0.02\nplanar = true\n'
-        f'fitness = ["distance_m"]\noutput = "out"\n{_STUDIES[name]}'
-    )
-    return study.load(folder / "study.toml")
+def _prepared(name: str) -> _Prepared:
+    """Return a study; its files, which go with the simulation that is the first here, are read at once."""
+    with tempfile.TemporaryDirectory() as path:
+        folder = Path(path)
+        (folder / "mine.py").write_text(_PROGRAM)
+        (folder / "study.toml").write_text(
+            f'version = 1\nname = "{name}"\nplaypens = ["default"]\nseconds = 0.02\nplanar = true\n'
+            f'fitness = ["distance_m"]\noutput = "out"\n{_STUDIES[name]}'
+        )
+        file = study.load(folder / "study.toml")
+        work = shards.work_of(file)
+        _WORKS[work.digest] = work
+        return _Prepared(file, work, run_sweep(file, output=folder / "out").read_bytes())
 
 
 @contextmanager
@@ -315,15 +322,8 @@ def _remembered(work: Work, task: Shard, threads: int | None = 1) -> Any:
 _WORKS: dict[str, Work] = {}
 
 
-@lru_cache
-def _work_of(name: str) -> Work:
-    work = shards.work_of(_file(name))
-    _WORKS[work.digest] = work
-    return work
-
-
 def _work(file: study.StudyFile) -> Work:
-    return _work_of(file.study.name)
+    return _prepared(file.study.name).work
 
 
 def _parts(folder: Path) -> set[str]:
