@@ -40,6 +40,10 @@ LEAST_COVERED = 85
 """Least share of their lines that the scenarios must run [%]."""
 
 
+LEFT_OUT = "khep_twin/log/viewer"
+"""Folder whose lines are not counted: rerun's own threads and sockets stay outside the simulated kernel."""
+
+
 def main() -> int:
     """Run the command; return the exit status."""
     parser = argparse.ArgumentParser(
@@ -156,7 +160,8 @@ def coverage(options: argparse.Namespace) -> int:
             ],
             check=False,
         )
-        shown = ["--show-missing", f"--fail-under={LEAST_COVERED}"]
+        print(f"{LEFT_OUT} is not counted: rerun's own threads and sockets cannot be simulated")
+        shown = ["--show-missing", f"--omit=*/{LEFT_OUT}/*", f"--fail-under={LEAST_COVERED}"]
         return subprocess.run([*measure, "report", f"--data-file={counted}", *shown], check=False).returncode
 
 

@@ -5,7 +5,7 @@ from importlib import import_module
 from tools.simulate.mutants import Mutant
 from tools.simulate.simulation import Scenario
 
-MODULES = ("serving", "networking", "recording", "files", "sweeping", "paging")
+MODULES = ("serving", "networking", "relaying", "recording", "files", "sweeping", "paging")
 """Modules of the scenarios."""
 
 

@@ -4,6 +4,9 @@ import random
 from collections import Counter
 from collections.abc import Collection
 
+CLOCK, HALF = "clock", "half-line"
+"""Kinds of faults that must disturb nobody: the wall clock is set; a host leaves amid a line."""
+
 _MASK = (1 << 64) - 1
 
 
@@ -42,6 +45,11 @@ class Faults:
         self._rates: dict[str, float] = {}
         self._opportunities: Counter[tuple[str, str]] = Counter()
         self._keys: dict[tuple[str, str], int] = {}
+
+    @property
+    def kinds(self) -> set[str]:
+        """Kinds of those that have happened and may disturb somebody."""
+        return {name.partition("/")[0] for name in self.happened} - {CLOCK, HALF}
 
     def rate(self, kind: str, most: float) -> float:
         """Return the rate of a kind of fault in this simulation: 0 for half of all seeds."""

@@ -87,7 +87,9 @@ class Session:
     def _work(self, robot: Khepera, truth: Truth, count: int, end_at: int) -> None:
         rng = self.rng
         self.persists = rng.random() < 0.5
-        robot.ask(tag(self.number))
+        reply = robot.ask(tag(self.number))
+        if self.number not in truth.tags and self.is_exact() and not self.may_fail():
+            self.simulation.violate("replies", f"{tag(self.number)!r} at first was answered {reply!r}")
         for index in range(count):
             if index == end_at:
                 if self.ending is not None:

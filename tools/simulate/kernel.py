@@ -97,6 +97,7 @@ class Process:
         threads: Its threads.
         began_ns: Time at which it was made [ns].
         said: Times and lines that it has told its user [ns].
+        outside: True if it is no program of the machine, such as a robot: nothing holds it up.
         token: Number of its present wait; wake-ups for an earlier one do nothing.
     """
 
@@ -122,6 +123,7 @@ class Process:
         self.on_call: Callable[[], object] | None = None
         self.thrown: BaseException | None = None
         self.said: list[tuple[int, str]] = []
+        self.outside = False
         self.token = 0
         self.began_ns = kernel.now_ns
         self.rng = random.Random(mixed(kernel.seed, "process", name))
@@ -194,6 +196,7 @@ class Kernel:
         self.processes: list[Process] = []
         self.current: Process | None = None
         self.n_calls = 0
+        self._held_until_ns = 0
         self._events: list[tuple[int, int, Process | None, int, Callable[[], object] | None]] = []
         self._until_ns = 0
         self._numbers = count()
@@ -239,9 +242,16 @@ class Kernel:
                 self.now_ns = max(self.now_ns, time_ns)
                 action()
             elif process is not None and process.alive and process.token == token:
+                if time_ns < self._held_until_ns and not process.outside:
+                    self._push(self._held_until_ns, process)
+                    continue
                 self.now_ns = max(self.now_ns, time_ns)
                 self._switch_to(process)
         self.now_ns = max(self.now_ns, until_ns)
+
+    def suspend(self, duration_ns: int) -> None:
+        """Hold up all programs of the machine for a while; time goes on, and what is on its way arrives."""
+        self._held_until_ns = max(self._held_until_ns, self.now_ns + duration_ns)
 
     def kill(self, process: Process) -> None:
         """End a process at once, as by SIGKILL: its files are closed, and nothing of it runs any more."""
@@ -299,7 +309,7 @@ class Kernel:
                 self._die(process)
         if process.mortal and self.faults.happens("kill", process.name, 1e-4):
             self._die(process)
-        if self.faults.happens("stall", process.name, MOST_STALLED):
+        if not process.outside and self.faults.happens("stall", process.name, MOST_STALLED):
             delay_ns += round(10 ** self.faults.drawn("stall", process.name).uniform(6, 9.5))
         self.elapse(delay_ns)
         return process

@@ -38,6 +38,9 @@ class Site:
         server: Process of the server.
     """
 
+    most_files = 3
+    """Most descriptors that a server has open."""
+
     def __init__(self, simulation: Simulation, *, rfc2217: bool) -> None:
         self.simulation = simulation
         rng = simulation.rng("site")
@@ -71,7 +74,7 @@ class Site:
 
     def may_fail(self) -> bool:
         """Return whether a fault has happened that may disturb a host."""
-        return bool(self.simulation.faults.happened)
+        return bool(self.simulation.faults.kinds)
 
     # Server --------------------------------------------------------------------------------------------
 
@@ -79,11 +82,19 @@ class Site:
         twin = open_twin(self.playpen, self._options)
         twin.world.compile()
         self.truth = Truth(self.simulation, twin, is_exact=self.is_exact)
+        self._start_server(lambda: self._serve(twin))
+
+    def _serve(self, twin: Twin) -> None:
+        """Serve a twin until the server is to stop."""
+        with self._endpoint(twin.robot.firmware.baud) as port:
+            serve(twin, [port], self.speed, stop=lambda: self._stopping, notify=self._notice)
+
+    def _start_server(self, work: Callable[[], object]) -> None:
+        """Start the process of the server, which must leave nothing behind when its work is done."""
         self._stopping = False
 
         def run() -> None:
-            with self._endpoint(twin.robot.firmware.baud) as port:
-                serve(twin, [port], self.speed, stop=lambda: self._stopping, notify=self._notice)
+            work()
             process = self.simulation.kernel.current
             if process is not None and process.files:
                 self.simulation.violate("leftovers", f"the server leaves {len(process.files)} descriptors")
@@ -118,13 +129,17 @@ class Site:
             time.sleep(1.0)
             if simulation.faults.happens("server-stop", "server", 0.02):
                 self._stopping = True
-            if self.truth.said and self.truth.said[-1].session != self._last:
-                self._last, self._last_ns = self.truth.said[-1].session, simulation.kernel.now_ns
-            if simulation.kernel.now_ns - self._last_ns > _LONGEST_TURN_NS:
-                simulation.violate("answers", f"no host was let in for {_LONGEST_TURN_NS / NS_PER_S:.0f} s")
-            server = self.server
-            if server is not None and server.alive and len(server.files) > 3:
-                simulation.violate("leftovers", f"the server has {len(server.files)} descriptors open")
+            self.look()
+
+    def look(self) -> None:
+        """Check each second that hosts are let in, and that the server opens no more and more files."""
+        simulation, server = self.simulation, self.server
+        if self.truth.said and self.truth.said[-1].session != self._last:
+            self._last, self._last_ns = self.truth.said[-1].session, simulation.kernel.now_ns
+        if simulation.kernel.now_ns - self._last_ns > _LONGEST_TURN_NS:
+            simulation.violate("answers", f"no host was let in for {_LONGEST_TURN_NS / NS_PER_S:.0f} s")
+        if server is not None and server.alive and len(server.files) > self.most_files:
+            simulation.violate("leftovers", f"the server has {len(server.files)} descriptors open")
 
     def _spoil(self, name: str, to_server: bool, data: bytes) -> bytes:
         """Return a segment as a bad converter passes it on."""
@@ -170,7 +185,7 @@ class Site:
                 time.sleep(rng.choice([0.1, 0.5, 2.0]))
 
     def _raw(self, number: int, rng: random.Random) -> Raw:
-        return Raw(self.simulation, _NUMBER, lambda: self.truth, number, rng, self.is_exact, self.may_fail)
+        return Raw(self.simulation, _NUMBER, lambda: self.truth, number, rng, self.is_private, self.may_fail)
 
     def _library(self, number: int, rng: random.Random) -> None:
         simulation, kernel = self.simulation, self.simulation.kernel
@@ -228,8 +243,7 @@ class Site:
 
     def may_fail_now(self, session: Session) -> bool:
         """Return whether a host that was ended may not have reached its robot."""
-        kinds = {name.partition("/")[0] for name in self.simulation.faults.happened}
-        return bool(kinds - {"terminate", "exception", "interrupt"})
+        return bool(self.simulation.faults.kinds - {"terminate", "exception", "interrupt"})
 
     def rogues(self) -> None:
         """Send hosts that a port must withstand: a process of the scenario."""

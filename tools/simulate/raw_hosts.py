@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from tools.simulate.faults import HALF
 from tools.simulate.kernel import NS_PER_S
 from tools.simulate.simulation import Simulation
 from tools.simulate.truth import BROWSERS, REFUSED, Truth, tag
@@ -22,6 +23,11 @@ _TELNET = re.compile(rb"\xff\xfa.*?\xff\xf0|\xff[\xfb-\xfe].", re.DOTALL)
 """Negotiation of RFC 2217 amid a robot's bytes."""
 
 
+def half_line(simulation: Simulation) -> bytes:
+    """Return half a line with which a good host leaves, now and then."""
+    return b"D,7," if simulation.faults.happens(HALF, "hosts", 1.0) else b""
+
+
 @dataclass(slots=True)
 class Raw:
     """Host on a bare socket.
@@ -32,7 +38,7 @@ class Raw:
         truth: Function that returns what the line of the twin carries.
         number: Number of its session.
         rng: Generator of what it does.
-        is_exact: Whether the line has no faults.
+        is_exact: Function that returns whether all that the robot says reaches the host as it is.
         may_fail: Function that returns whether the line may fail just now.
     """
 
@@ -41,7 +47,7 @@ class Raw:
     truth: Callable[[], Truth]
     number: int
     rng: random.Random
-    is_exact: bool
+    is_exact: Callable[[], bool]
     may_fail: Callable[[], bool]
 
     def connect(self, timeout: float = 5.0) -> Any:
@@ -71,14 +77,14 @@ class Raw:
                         got += data
                     self._compare(truth, got)
                     self._pause(rng.choice([0.0, 0.05, 1.0]))
-                host.sendall(b"D,0,0\n")
+                host.sendall(b"D,0,0\n" + half_line(self.simulation))
                 if rng.random() < 0.3:
                     has_finished = True
                     host.shutdown(real_socket.SHUT_WR)
                     while host.recv(4096):
                         pass
         except TimeoutError:
-            if truth is self.truth() and self.is_exact and not self.simulation.faults.happened:
+            if truth is self.truth() and self.is_exact() and not self.simulation.faults.kinds:
                 kind = "leftovers" if has_finished else "answers"
                 self.simulation.violate(kind, f"raw host {self.number} waited for {PATIENCE_S} s")
         except OSError as error:
@@ -93,7 +99,7 @@ class Raw:
 
     def _compare(self, truth: Truth, got: bytes) -> None:
         """Check that all that came are the replies to this host's lines, in order."""
-        if not self.is_exact or truth is not self.truth():
+        if not self.is_exact() or truth is not self.truth():
             return
         said = "".join(each.reply for each in truth.replies(self.number))
         received = _TELNET.sub(b"", got).decode("latin-1")
@@ -141,7 +147,7 @@ class Raw:
         except ConnectionError:
             pass
         refused = not _TELNET.sub(b"", got)
-        if refused and self.is_exact and truth is self.truth() and session in truth.tags:
+        if refused and self.is_exact() and truth is self.truth() and session in truth.tags:
             self.simulation.violate("replies", "bytes of a host that was refused were carried out")
 
     def storm(self) -> None:
@@ -168,7 +174,7 @@ class Raw:
                     self.simulation.violate("leftovers", "a host that has finished was never let go")
 
     def _compare_beginning(self, truth: Truth, got: bytes) -> None:
-        if self.is_exact and truth is self.truth():
+        if self.is_exact() and truth is self.truth():
             said = "".join(each.reply for each in truth.replies(self.number))
             received = _TELNET.sub(b"", got).decode("latin-1")
             if not received.startswith("\xff") and not said.startswith(received):

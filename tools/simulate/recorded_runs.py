@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from random import Random
 from typing import Any
 from urllib.parse import quote
 
@@ -11,6 +12,8 @@ from khep_twin.errors import PlaypenError
 from khep_twin.interventions.move_robot import put, scan
 from khep_twin.interventions.switching import relight, switch
 from khep_twin.log.line_recorder import ROBOT, LineRecorder
+from khep_twin.log.recorded import BranchPoint
+from khep_twin.ports.branching import open_log
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.serve import Flush
 from khep_twin.ports.taking_up import end_of
@@ -82,9 +85,12 @@ class Run:
             at = "" if rng.random() < 0.2 else f"at={at_s:.9f}&"
             fault = rng.choice(("", "&fault=drop:0.05", "&fault=stuck:2,weak:left:0.5"))
             url = f"khep://{quote(str(self.parent))}?{at}seed={self.number}&log={path}{fault}"
-        port = Serial(timeout=0.5)
-        port.port = url
-        port.open()
+        if self.parent is not None and rng.random() < 0.3:
+            port = Serial.of(self._edited(self.parent, rng), 0.5)
+        else:
+            port = Serial(timeout=0.5)
+            port.port = url
+            port.open()
         self.watch(port.twin)
         end_ns = port.time_ns + round(self.duration * NS_PER_S)
         while port.time_ns < end_ns:
@@ -100,6 +106,12 @@ class Run:
             self.simulation.count("bytes waiting", port.in_waiting + port.out_waiting)
             port.sleep(rng.uniform(0, 2))
         self._finish(port.close)
+
+    def _edited(self, parent: Path, rng: Random) -> Twin:
+        """Take up a log with its robot turned, which is another scene; or with another light."""
+        edit = rng.choice(("robot.1.heading_deg=77", "lighting.room_lux=50", "robot.1.battery_used_min=30"))
+        at_ns = max(round(end_of(parent) * rng.uniform(0.1, 1.0)), 1)
+        return open_log(parent, BranchPoint(at_ns, seed=self.number, edits=(edit,)), None, self.path)
 
     def served(self) -> None:
         """Advance a twin with the wall clock, and flush its log, as the serving loop does."""

@@ -15,6 +15,7 @@ from khep_twin.log.tail import GrowingLog
 from tools.simulate.compiled_worlds import compiled_worlds
 from tools.simulate.disk import Disk
 from tools.simulate.kernel import NS_PER_S, Process
+from tools.simulate.log_damage import damage
 from tools.simulate.log_readings import read_in_every_way
 from tools.simulate.log_truth import Truth
 from tools.simulate.recorded_runs import Run
@@ -274,6 +275,7 @@ class _Lab:
         if wrong := truth.difference(found, True, False, True):
             self._simulation.violate("recovery", f"{path.name} of run {truth.number}: {wrong}")
         read_in_every_way(self._simulation, path, bool(truth.samples))
+        damage(self._simulation, path, truth.number, has_world=bool(truth.samples))
         if truth.samples:
             self._repeat(path, truth, False)
         return truth

@@ -3,7 +3,7 @@
 import os
 import random
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from unittest.mock import patch
 
@@ -20,7 +20,7 @@ from tools.simulate.terminal_hosts import TerminalHost
 from tools.simulate.terminals import Terminal, Terminals
 from tools.simulate.truth import Truth
 
-_DISTURBING = "stall", "kill", "server-stop", "slow transit", "slow closing"
+DISTURBING = "stall", "suspend", "kill", "server-stop", "slow transit", "slow closing"
 """Kinds of faults that may delay a reply beyond the patience of the host library."""
 
 _MOMENT_NS = NS_PER_S // 10
@@ -45,8 +45,7 @@ class ServedTerminal(Site):
 
     def may_fail(self) -> bool:
         """Return whether a host of the library may be disturbed: by a fault, or by another host."""
-        kinds = {name.partition("/")[0] for name in self.simulation.faults.happened}
-        return not kinds.isdisjoint(_DISTURBING) or not self.is_private()
+        return not self.simulation.faults.kinds.isdisjoint(DISTURBING) or not self.is_private()
 
     def is_private(self) -> bool:
         """Return whether no other host can have got replies to the present one, nor it theirs."""
@@ -63,7 +62,15 @@ class ServedTerminal(Site):
             return False
         own = (process, self.server)
         since = terminal.openings[terminal.openings.index(process) :] if process in terminal.openings else []
-        return all(each in own for each in [*since, *(file.process for file in terminal.hosts)])
+        return all(each in own for each in [*since, *terminal.met[process]])
+
+    def others(self) -> tuple[int, bool]:
+        """Return how often other hosts than the present one have opened it, and whether one has it open."""
+        own, terminal = (self._process(), self.server), self._terminal()
+        if terminal is None:
+            return 0, False
+        opened = sum(each not in own for each in terminal.openings)
+        return opened, any(file.process not in own for file in terminal.hosts)
 
     def may_have_crossed(self) -> bool:
         """Return whether the server has said that two hosts crossed since the present process came."""
@@ -115,10 +122,15 @@ class ServedTerminal(Site):
 def serve(simulation: Simulation, seconds: float) -> None:
     """Hosts at a served pseudo-terminal."""
     terminals = Terminals(simulation)
-    run_time = simulation.folder / "run"
-    run_time.mkdir(mode=0o700)
-    with terminals.installed(), patch.dict(os.environ, XDG_RUNTIME_DIR=str(run_time)):
+    with terminals.installed(), run_time_folder(simulation):
         visit(ServedTerminal(simulation, terminals), seconds)
+
+
+def run_time_folder(simulation: Simulation) -> AbstractContextManager[object]:
+    """Make the folder for the notes of servers; return the context in which they are found there."""
+    folder = simulation.folder / "run"
+    folder.mkdir(mode=0o700)
+    return patch.dict(os.environ, XDG_RUNTIME_DIR=str(folder))
 
 
 SCENARIOS: dict[str, Scenario] = {"serve": serve}

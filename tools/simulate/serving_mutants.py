@@ -1,5 +1,64 @@
 """Broken builds of a served pseudo-terminal."""
 
+# The breaks replace private functions.
+# pyright: reportPrivateUsage=false
+
+from contextlib import AbstractContextManager
+from itertools import groupby
+from unittest.mock import patch
+
+from khep_twin.ports import presence, pty
+from khep_twin.ports.link import Link
+from khep_twin.ports.presence import Change, Presence
+from khep_twin.ports.pty import PtyPort
+from khep_twin.robot import Robot
 from tools.simulate.mutants import Mutant
 
-MUTANTS: dict[str, Mutant] = {}
+
+def _deaf_line() -> AbstractContextManager[object]:
+    """Count hosts by events alone, equal ones in a row once, as khep_twin did before it asked the kernel."""
+
+    def look(hosts: Presence, wrote: bool) -> Change:
+        assert hosts._events is not None
+        events = [event for event, _ in groupby(hosts._drain(hosts._events))]
+        hosts.hosts, change = presence._followed(hosts.hosts, Change(), events)
+        return change
+
+    return patch.object(Presence, "look", look)
+
+
+def _unread_replies() -> AbstractContextManager[object]:
+    return patch.object(PtyPort, "_drop_replies", lambda port: 0)
+
+
+def _line_kept() -> AbstractContextManager[object]:
+    return patch.object(Robot, "disconnect", lambda robot: None)
+
+
+def _no_room() -> AbstractContextManager[object]:
+    def write(port: PtyPort, data: bytes) -> None:
+        port._given += pty.os.write(port.descriptor, data)
+
+    return patch.object(PtyPort, "write", write)
+
+
+def _link_left() -> AbstractContextManager[object]:
+    def close(link: Link) -> None:
+        link._forget()
+        pty.os.close(link._lock)
+
+    return patch.object(Link, "close", close)
+
+
+def _host_side_left() -> AbstractContextManager[object]:
+    return patch.object(Presence, "close", lambda hosts: None)
+
+
+MUTANTS: dict[str, Mutant] = {
+    "a line is deaf after hosts came together": Mutant("serve", "answers", _deaf_line),
+    "unread replies reach the next host": Mutant("serve", "replies", _unread_replies),
+    "what a host has begun to write stays on the line": Mutant("serve", "replies", _line_kept),
+    "a host that never reads ends the server": Mutant("serve", "errors", _no_room),
+    "a server leaves its link": Mutant("serve", "leftovers", _link_left),
+    "a server leaves its terminal open": Mutant("serve", "leftovers", _host_side_left),
+}

@@ -12,6 +12,7 @@ from typing import NoReturn
 from unittest.mock import patch
 
 from khep_twin.errors import KhepTwinError
+from tools.simulate.clock_faults import disturb_clocks
 from tools.simulate.faults import Faults, mixed
 from tools.simulate.kernel import NS_PER_S, Kernel, Process
 from tools.simulate.socket_module import SimulatedSocketModule
@@ -85,6 +86,7 @@ class Simulation:
             "threading": SimulatedThreading(self.kernel),
             "queue": SimulatedQueue(self.kernel),
         }
+        disturb_clocks(self.kernel, self.faults, self.system.modules["time"])
         self.counts: dict[str, int] = {}
 
     def rng(self, *names: str | int) -> random.Random:

@@ -31,6 +31,9 @@ from tools.simulate.kernel import FIRST_DESCRIPTOR, NS_PER_S, Kernel, OpenFile, 
 EPOCH_NS = 1_700_000_000 * NS_PER_S
 """Wall time at the start of a simulation [ns] (assumed)."""
 
+TERMINALS = 136
+"""Major number of the devices of pseudo-terminals."""
+
 BEGIN_MODULES = "pathlib", "tempfile", "shutil", "serial.", "khep_twin."
 """Beginnings of the names of the modules that get the simulated system."""
 
@@ -86,6 +89,10 @@ class Terminals(Protocol):
 
     def make(self) -> tuple[int, int]:
         """Make a terminal; return the descriptors of its two sides."""
+        ...
+
+    def number_of(self, path: str) -> int | None:
+        """Return the number of the terminal at a path; None for another file."""
         ...
 
 
@@ -227,6 +234,17 @@ class SimulatedOs(Shim):
 
     def ttyname(self, descriptor: int) -> str:
         return str(self.kernel.called().file(descriptor).terminal.path)
+
+    def stat(self, path: Any, *args: Any, **options: Any) -> Any:
+        """Look at a file; the host side of a terminal is a device."""
+        found = os.stat(path, *args, **options)
+        if self.terminals is None or isinstance(path, int) or options.get("follow_symlinks") is False:
+            return found
+        number = self.terminals.number_of(os.path.realpath(path))
+        if number is None:
+            return found
+        mode = stat.S_IFCHR | stat.S_IMODE(found.st_mode)
+        return os.stat_result((mode, *found[1:10]), {"st_rdev": os.makedev(TERMINALS, number)})
 
     def readlink(self, path: Any, *, dir_fd: int | None = None) -> str:
         found = os.readlink(path, dir_fd=dir_fd)

@@ -8,8 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from khep_twin.errors import PortError, PortInUse
+from khep_twin.host.discovery import found_ports, who_answers
 from tools.simulate.kernel import NS_PER_S
-from tools.simulate.raw_hosts import PATIENCE_S
+from tools.simulate.raw_hosts import PATIENCE_S, half_line
 from tools.simulate.simulation import Simulation
 from tools.simulate.truth import Truth, tag
 
@@ -37,6 +39,10 @@ class TerminalSite(Protocol):
         """Return whether no other host can have got replies to the present one, nor it theirs."""
         ...
 
+    def others(self) -> tuple[int, bool]:
+        """Return how often other hosts have opened it so far, and whether one has it open."""
+        ...
+
 
 @dataclass(slots=True)
 class TerminalHost:
@@ -60,7 +66,12 @@ class TerminalHost:
 
     def good(self) -> None:
         """Ask in bursts, and check each reply."""
-        rng, truth = self.rng, self.site.truth
+        rng, truth, faults = self.rng, self.site.truth, self.simulation.faults
+        if faults.happens("companion", "terminals", 1.0):
+            own = faults.drawn("companion", "terminals")
+            delay_ns = own.randrange(200_000)
+            stay = own.choice([0.0, 0.0001, 0.01, 1.0])
+            self.simulation.spawn(f"companion{self.number}", lambda: self._accompany(stay), delay_ns)
         try:
             descriptor = self._open()
         except OSError:  # no server just now
@@ -78,6 +89,8 @@ class TerminalHost:
                 self._pause(rng.choice([0.0, 0.05, 1.0, 10.0]))
             self._write(descriptor, b"D,0,0\n")
             self._pause(1.0)
+            if half := half_line(self.simulation):
+                self._write(descriptor, half)
         except OSError as error:
             if self.site.is_serving(truth):
                 self.simulation.violate("answers", f"host {self.number} got {error!r} from a running server")
@@ -92,6 +105,7 @@ class TerminalHost:
             left_s = (end_ns - kernel.now_ns) / NS_PER_S
             if left_s <= 0 or not select.select([descriptor], [], [], left_s)[0]:
                 self._expect_silence(truth, got, count)
+                self._expect_life(descriptor, truth)
                 break
             try:
                 data = self._os.read(descriptor, 256)
@@ -110,6 +124,27 @@ class TerminalHost:
             self.simulation.violate(
                 "answers", f"host {self.number} has got {n_got} of {count} replies in {PATIENCE_S:.0f} s"
             )
+
+    def _expect_life(self, descriptor: int, truth: Truth) -> None:
+        """Check that the line answers this host again once it is alone, whoever was beside it."""
+        site, select = self.site, self.simulation.system.modules["select"]
+        before = site.others()
+        if before[1] or not site.is_serving(truth):
+            return
+        self._write(descriptor, b"\nB\n")
+        heard = select.select([descriptor], [], [], PATIENCE_S)[0]
+        if not heard and site.is_serving(truth) and site.others() == before:
+            self.simulation.violate("answers", f"the line is deaf to host {self.number}, alone there")
+        self.simulation.count("lines asked again")
+
+    def _accompany(self, stay: float) -> None:
+        """Open the terminal at the moment of another host, as `stty` beside a shell does, and leave."""
+        try:
+            descriptor = self._os.open(self.site.url, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            self._pause(stay)
+            self._os.close(descriptor)
+        except OSError:
+            pass  # without a server
 
     def _compare(self, truth: Truth, got: bytes, asked: int) -> None:
         """Check that all that came are the replies to this host's lines, in order."""
@@ -141,6 +176,9 @@ class TerminalHost:
         try:
             if self.rng.random() < 0.2:
                 self._storm()
+                return
+            if self.rng.random() < 0.2:
+                self._asks_around()
                 return
             descriptor = self._open()
             self.rng.choice(kinds)(descriptor)
@@ -199,6 +237,16 @@ class TerminalHost:
                 self._os.read(descriptor, 16)
             except BlockingIOError:
                 self._pause(0.05)
+
+    def _asks_around(self) -> None:
+        """Look for robots as `khep-twin ports` does, and ask at the terminal who answers."""
+        try:
+            listed = [each.url for each in found_ports() if each.twin]
+            who_answers(listed[0] if listed else self.site.url)
+        except (PortError, PortInUse) as error:
+            if "\n" in str(error) or self.site.url not in str(error):
+                self.simulation.violate("errors", f"a look for robots ended by {error!r}")
+        self.simulation.count("looks for robots")
 
     def _storm(self) -> None:
         for _ in range(self.rng.randint(2, 40)):

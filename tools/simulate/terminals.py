@@ -16,6 +16,7 @@ import shutil
 import struct
 import termios
 import tty
+from collections import defaultdict
 from collections.abc import Generator
 from contextlib import contextmanager
 from itertools import count
@@ -101,6 +102,7 @@ class Terminal:
         settings: Settings as of `termios.tcgetattr`.
         hosts: Open files of the host side whose closing has not taken effect.
         openings: Processes that have opened the host side, in order.
+        met: Processes that had it open at the same time as each process.
         exclusive: True if it is locked by TIOCEXCL.
         locked_by: Open file that has it locked by flock; None without.
     """
@@ -114,6 +116,7 @@ class Terminal:
         self.settings: list[Any] = [0, 0, control, 0, _SPEED, _SPEED, characters]
         self.hosts: list[HostSide] = []
         self.openings: list[Process] = []
+        self.met = defaultdict[Process, set[Process]](set)
         self.exclusive = False
         self.locked_by: HostSide | None = None
         self.master = Master(self)
@@ -123,6 +126,9 @@ class Terminal:
         if self.exclusive:
             raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
         file = HostSide(self, process.leader, writes=bool(flags & (os.O_WRONLY | os.O_RDWR)))
+        for each in self.hosts:
+            self.met[each.process].add(process.leader)
+            self.met[process.leader].add(each.process)
         self.hosts.append(file)
         self.openings.append(process.leader)
         self.report(IN_OPEN)
@@ -355,6 +361,7 @@ class Terminals:
         root: Folder in place of the machine's root.
         folder: Folder of their host sides, in place of /dev/pts.
         notices: Reports of inotify.
+        processes: Folder in place of /proc, as of the last look.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -362,7 +369,7 @@ class Terminals:
         self.root = str(simulation.folder)
         self.folder = simulation.folder / "dev" / "pts"
         os.makedirs(self.folder)
-        self._processes = simulation.folder / "proc"
+        self.processes = simulation.folder / "proc"
         self._devices = simulation.system.devices
         self._rng = simulation.rng("terminals")
         self._open: dict[int, Terminal] = {}
@@ -374,6 +381,7 @@ class Terminals:
         """Have khep_twin see these terminals, and the descriptors of the processes."""
         with (
             patch.object(holders, "_PROCESSES", _ProcessFolder(self)),
+            patch.object(holders, "_LOCKS", self.folder),
             patch.object(event_sources, "ctypes", self.notices),
             patch.object(pty, "tty", _Tty(tty, self.kernel)),
         ):
@@ -387,6 +395,11 @@ class Terminals:
         os.close(os.open(terminal.path, os.O_CREAT | os.O_EXCL))
         self._devices[str(terminal.path)] = terminal
         return process.opened(terminal.master), process.opened(terminal.open(process, os.O_RDWR))
+
+    def number_of(self, path: str) -> int | None:
+        """Return the number of the terminal at a path; None for another file."""
+        found = self._devices.get(path)
+        return found.number if isinstance(found, Terminal) else None
 
     def remove(self, terminal: Terminal) -> None:
         """Remove a terminal whose master is closed; its number is free again."""
@@ -402,16 +415,27 @@ class Terminals:
 
     def list_processes(self) -> Path:
         """Write the folder /proc, with the terminals that processes have open; return it."""
-        shutil.rmtree(self._processes, ignore_errors=True)
-        os.makedirs(self._processes)
+        shutil.rmtree(self.processes, ignore_errors=True)
+        os.makedirs(self.processes)
         for process in self.kernel.processes:
             if process.alive and process.leader is process:
-                links = self._processes / str(process.pid) / "fd"
-                os.makedirs(links)
-                for number, file in process.files.items():
-                    if isinstance(file, HostSide):
-                        os.symlink(file.terminal.path, links / str(number))
-        return self._processes
+                self._write_process(process, self.processes / str(process.pid))
+        return self.processes
+
+    def _write_process(self, process: Process, folder: Path) -> None:
+        """Write the folder of a process: its descriptors of terminals and its name; none controls it."""
+        links, about = folder / "fd", folder / "fdinfo"
+        os.makedirs(links)
+        os.makedirs(about)
+        for name, text in {"comm": process.name, "stat": f"{process.pid} ({process.name}) S 1 1 1 0"}.items():
+            (folder / name).write_text(text, encoding="ascii")
+        for number, file in process.files.items():
+            if isinstance(file, HostSide):
+                os.symlink(file.terminal.path, links / str(number))
+            elif isinstance(file, Master):
+                os.symlink(f"{self.root}/dev/ptmx", links / str(number))
+                text = f"pos:\t0\ntty-index:\t{file.terminal.number}\n"
+                (about / str(number)).write_text(text, encoding="ascii")
 
 
 class _Tty(Shim):
@@ -432,6 +456,9 @@ class _ProcessFolder:
 
     def __init__(self, terminals: Terminals) -> None:
         self._terminals = terminals
+
+    def __truediv__(self, name: str) -> Path:
+        return self._terminals.processes / name
 
     def glob(self, pattern: str) -> list[Path]:
         """Return the folders of the processes; a look takes milliseconds."""
