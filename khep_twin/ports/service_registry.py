@@ -24,7 +24,7 @@ def registered(paths: Sequence[str], what: str) -> Generator[None, None, None]:
         what: Name of what is served: a playpen or a device.
 
     Raises:
-        PortError: There is no directory for the note.
+        PortError: There is no directory for the note, or it cannot be written.
     """
     folder = private_folder()
     for note in folder.glob(f"*{_ENDING}"):
@@ -37,13 +37,16 @@ def registered(paths: Sequence[str], what: str) -> Generator[None, None, None]:
         remove = partial(note.unlink, missing_ok=True)
         stack.callback(clear_at_end(remove))
         stack.callback(remove)
+        text = "\n".join([" ".join(what.split()), *lines])
         try:
-            file = stack.enter_context(note.open("w", encoding="utf-8", errors="surrogateescape"))
+            # Without a buffer: what does not fit on a full disk would be written again at its end.
+            file = stack.enter_context(note.open("wb", buffering=0))
+            fcntl.flock(file, fcntl.LOCK_EX)
+            rest = text.encode("utf-8", "surrogateescape")
+            while rest:
+                rest = rest[file.write(rest) :]
         except OSError as error:
             raise PortError(f"{note}: cannot be written: {error.strerror}") from error
-        fcntl.flock(file, fcntl.LOCK_EX)
-        file.write("\n".join([" ".join(what.split()), *lines]))
-        file.flush()
         yield
 
 

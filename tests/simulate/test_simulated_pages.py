@@ -14,7 +14,7 @@ CAUGHT = {
     "page-draft-written-in-place": (0, 60),
     "page-oldest-draft-offered-first": (0, 30),
     "page-part-left-on-a-full-disk": (0, 90),
-    "page-twin-left-running": (0, 100),
+    "page-twin-left-running": (0, 170),
     "page-refusal-that-is-a-failure": (0, 60),
     "page-refusal-without-a-line": (0, 60),
 }

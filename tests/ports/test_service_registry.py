@@ -1,0 +1,32 @@
+"""Notes of servers in the private folder."""
+
+from pathlib import Path
+
+import pytest
+
+from khep_twin.errors import PortError
+from khep_twin.ports import service_registry
+from khep_twin.ports.service_registry import registered, served
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(service_registry, "private_folder", lambda: tmp_path)
+    monkeypatch.setattr(service_registry.threading, "get_native_id", lambda: 1)
+    return tmp_path
+
+
+def test_what_is_registered_is_served_until_the_end(folder: Path) -> None:
+    with registered(["/dev/pts/1"], "default  playpen"):
+        assert served() == [("/dev/pts/1", "default playpen")]
+    assert not [*folder.iterdir()]
+
+
+def test_a_full_disk_is_said_in_one_line(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The note could be opened and not be written, which ended the twin of a page."""
+    monkeypatch.setattr(service_registry, "_is_held", lambda _: True)
+    (folder / "1.served").symlink_to("/dev/full")
+    with pytest.raises(PortError, match=r"1\.served: cannot be written: No space left on device"):
+        with registered(["/dev/pts/1"], "default"):
+            raise AssertionError
+    assert not [*folder.iterdir()]
