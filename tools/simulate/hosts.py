@@ -148,7 +148,7 @@ class Session:
 
     def _do(self, robot: Khepera, truth: Truth) -> None:
         rng = self.rng
-        match rng.randrange(16):
+        match rng.randrange(20):
             case 0 | 1 | 2:
                 self.read(robot, truth, _command(rng.choice(READS)))
             case 3:
@@ -157,7 +157,7 @@ class Session:
                 robot.set_speed(rng.randint(-20, 20), rng.randint(-20, 20))
             case 6 | 7 | 8:
                 robot.sleep(rng.choice([0.01, 0.1, 0.5, 3.0]))
-            case 9:
+            case 9 | 16 | 17 | 18 | 19:
                 self._set_position(robot, truth)
             case 10:
                 robot.status()

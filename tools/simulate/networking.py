@@ -360,7 +360,7 @@ def _lockstep_session(simulation: Simulation, rng: random.Random, number: int) -
 
 
 _LINE_FAULTS: dict[str, Callable[[random.Random], str]] = {
-    "line-drop": lambda rng: f"drop:{rng.uniform(0.001, 0.02):.4f}",
+    "line-drop": lambda rng: f"drop:{rng.uniform(0.001, 0.06):.4f}",
     "line-garble": lambda rng: f"garble:{rng.uniform(0.001, 0.02):.4f}",
     "line-late": lambda rng: f"late:{rng.uniform(0.01, 0.3):.3f}:{rng.choice([60, 600, 1200])}",
 }
