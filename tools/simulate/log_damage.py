@@ -1,6 +1,7 @@
 """Logs that a bad disk or a bad copy has damaged: they are refused with a reason, or read, and recovered."""
 
 import random
+import tempfile
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,18 +21,18 @@ def damage(simulation: Simulation, path: Path, number: int, *, has_world: bool) 
         number: Number of its run.
         has_world: True for a twin's log.
     """
-    copy, part = (path.with_name(f"damaged.mcap{ending}") for ending in ("", ".part"))
-    copy.write_bytes(_damaged(path.read_bytes(), simulation.rng("damage", number)))
-    with _refused(simulation, copy):
-        read_in_every_way(simulation, copy, has_world)
-    copy.rename(part)
-    with _refused(simulation, part):
-        rescue = recover(part)
-        summary(part, rescue)
-        # What was recovered is a log, whatever has become of its content.
-        read_in_every_way(simulation, rescue.path, False)
-    for each in path.parent.glob("damaged*"):
-        each.unlink()
+    # Not on the simulated disk, whose power cuts would bring the copy back.
+    with tempfile.TemporaryDirectory(dir=simulation.folder.parent) as folder:
+        copy, part = (Path(folder) / f"damaged.mcap{ending}" for ending in ("", ".part"))
+        copy.write_bytes(_damaged(path.read_bytes(), simulation.rng("damage", number)))
+        with _refused(simulation, copy):
+            read_in_every_way(simulation, copy, has_world)
+        copy.rename(part)
+        with _refused(simulation, part):
+            rescue = recover(part)
+            summary(part, rescue)
+            # What was recovered is a log, whatever has become of its content.
+            read_in_every_way(simulation, rescue.path, False)
     simulation.count("logs damaged")
 
 
