@@ -28,7 +28,7 @@ def test_a_seed_repeats_every_turn_of_its_processes(name: str, seed: int) -> Non
         ("leaving does not stop the motors", 0),
         ("counters are ahead of the wheels", 0),
         ("a speed sets one wheel", 0),
-        ("an error does not name its port", 6),
+        ("an error does not name its port", 7),
         ("left and right are swapped", 0),
         ("negotiation is not answered", 0),
     ],
