@@ -222,11 +222,13 @@ class SimulatedOs(Shim):
                 self.kernel.called()
             return os.write(descriptor, data)
         file = self.kernel.called().file(descriptor)
-        sent = file.write(bytes(data)) if not file.blocking else 0
-        while file.blocking and sent < len(data):
+        rest = bytes(data)
+        if not file.blocking:
+            return file.write(rest)
+        while rest:
             self.kernel.wait([file], file.writable, None)
-            sent += file.write(bytes(data)[sent:])
-        return sent
+            rest = rest[file.write(rest) :]
+        return len(data)
 
     def openpty(self) -> tuple[int, int]:
         assert self.terminals is not None, "a simulation without terminals"
