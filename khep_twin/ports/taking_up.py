@@ -114,7 +114,8 @@ def take_up(
     """
     label = read_label(path)
     check_line(path, label)
-    setup, pieces = Setup(path, label), read_since(path, TOPIC, at_ns)
+    # A log's last snapshot may lie at the very moment, after what was done at it.
+    setup, pieces = Setup(path, label), read_since(path, TOPIC, at_ns - 1)
     changes, last = changes_of(path, label), next(iter(next(pieces)), None)
     try:
         state = None if last is None else _logged(path, last, None)

@@ -193,6 +193,24 @@ def test_a_host_goes_on_from_a_log_and_its_log_is_a_branch(parent: Path, tmp_pat
             Khepera(url)
 
 
+def test_what_was_sent_last_is_not_part_of_a_run_that_is_taken_up_at_its_end(tmp_path: Path) -> None:
+    first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
+    with Serial() as port:
+        port.port = f"khep://default?log={first}"
+        port.open()
+        port.sleep(0.5)
+        port.write(b"D,5,5\n")
+    with Serial() as port:
+        port.port = f"khep://{first}?seed=2&fault=drop:0.5&log={second}"
+        port.open()
+        for _ in range(20):
+            port.write(b"N\n")
+            port.sleep(0.1)
+        assert port.twin.world.time_ns == end_of(first) + 2 * SECOND
+    assert b"D,5,5" not in b"".join(data for _, _, data in messages(second))
+    assert repeat(read_recorded(second)) is None
+
+
 def test_a_served_log_goes_on(parent: Path, tmp_path: Path) -> None:
     path = tmp_path / "new.mcap"
     with served("--from", f"{parent}@12.5", "--log", str(path), "--clock", "wire") as (process, port):
