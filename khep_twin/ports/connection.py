@@ -44,10 +44,17 @@ class Connection:
         return command_ns if byte_ns is None else min(byte_ns, command_ns)
 
     def next_stop_ns(self) -> int:
-        """Return the time of the robot's next command, or else of the arrival of its last byte [ns]."""
-        tx, command_ns = self._robot.uart.tx, self._command_ns()
+        """Return the time of the robot's next command, or else of the arrival of its last byte [ns].
+
+        Without either, a line that is full of an unfinished command must have room again.
+        """
+        if (command_ns := self._command_ns()) != NEVER_NS:
+            return command_ns
+        rx, tx = self._robot.uart.rx, self._robot.uart.tx
         last_ns = tx.arrival(len(tx))
-        return command_ns if last_ns is None or command_ns != NEVER_NS else last_ns
+        if last_ns is None and not self.has_room:
+            last_ns = rx.arrival(len(rx))
+        return NEVER_NS if last_ns is None else last_ns
 
     def exchange(self, now: Callable[[], int] | None = None) -> None:
         """Pass the host's bytes to the robot, and the robot's that have arrived to the host.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from khep_twin import playpen
-from khep_twin.board.uart import LineSettings
+from khep_twin.board.uart import QUEUE_LIMIT, LineSettings
 from khep_twin.clock import NEVER_NS
 from khep_twin.ports import serve as serving
 from khep_twin.ports.connection import Connection
@@ -129,6 +129,16 @@ def test_a_reply_comes_in_one_piece_by_the_wire_clock_and_byte_by_byte_at_full_s
     cable.news.append(Received(b"B\n"))
     serve(twin, [cable], math.inf, stop=turns(50), notify=print)
     assert cable.written == [bytes((byte,)) for byte in REPLY]
+
+
+@pytest.mark.parametrize("unpaced", [False, True])
+def test_by_the_wire_clock_a_line_longer_than_the_queue_ends(cable: Cable, unpaced: bool) -> None:
+    twin = open_twin("default", TwinOptions(unpaced=unpaced))
+    cable.news[:] = [Received(b"x" * QUEUE_LIMIT), Received(b"x" * 10), Received(b"\nB\n")]
+    serve(twin, [cable], WIRE, stop=turns(3), notify=print)
+    assert cable.written[-1].endswith(REPLY)
+    waited_ns = 0 if unpaced else line_ns(QUEUE_LIMIT + 13)
+    assert twin.world.time_ns >= waited_ns
 
 
 @pytest.mark.parametrize("speed", [0.001, WIRE, math.inf])
