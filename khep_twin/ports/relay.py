@@ -7,6 +7,7 @@ both are passed on as they come, and recorded with their times.
 # pyserial is not typed.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
 
+import math
 import os
 import re
 import select
@@ -36,6 +37,9 @@ _PAUSE_S = 0.02
 
 _SILENCE_S = 0.5
 """Silence after which a robot that owes replies is taken not to send them (assumed) [s]."""
+
+_BEGIN_S = 2.0
+"""Longest time for which what a robot says is taken for replies to an earlier relay (assumed) [s]."""
 
 _UNDERWAY_S = 1.0
 """Longest transit of sent bytes through an adapter's buffer (assumed) [s]."""
@@ -229,11 +233,12 @@ class _Dialogue:
     """Lines sent to the robot and replies due, so that no host gets a reply meant for an earlier one."""
 
     def __init__(self, device: Device) -> None:
-        self.ended = False  # a host has left, and replies to it may still come
+        self.ended = True  # a host has left, maybe one of an earlier relay, and replies to it may still come
         self._device = device
         self._due = 0
         self._asked, self._replied = _Lines(), _Lines()
-        self._quiet_since = 0.0
+        self._quiet_since = time.monotonic()
+        self._end_s = self._quiet_since + _BEGIN_S  # a robot may also speak without being asked
 
     def send(self, data: bytes) -> bytes:
         """Send to the robot; return what is still to be sent."""
@@ -254,7 +259,8 @@ class _Dialogue:
         begun = (self._asked.begun + waiting)[-1:]
         if begun and begun not in b"\r\n":
             waiting += _SPOIL
-        self.ended = self.ended or bool(waiting) or self._due > 0
+        if waiting or self._due:
+            self.ended, self._end_s = True, math.inf
         return waiting
 
     @property
@@ -272,7 +278,7 @@ class _Dialogue:
 
     def settling(self, waiting: bytes) -> bool:
         """Return whether replies to a host that has left may still come; `waiting` was not sent yet."""
-        if self.ended and not waiting and self.answered:
+        if self.ended and not waiting and (self.answered or time.monotonic() > self._end_s):
             self.ended, self._due = False, 0
         return self.ended
 

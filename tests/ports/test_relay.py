@@ -1,11 +1,14 @@
 """`serve --relay`: host and robot as if nothing were between them, and a log of what both say."""
 
 import os
+import select
 import signal
 import subprocess
 import sys
 import time
+import tty
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import serial
@@ -13,6 +16,8 @@ from pyserial_suite import plug
 
 from khep_twin.log.reader import read
 from khep_twin.log.viewer.replay import view
+from khep_twin.ports import relay as relaying
+from khep_twin.ports.pty import PtyPort
 
 from test_serve import served, stop  # isort: skip
 
@@ -80,6 +85,39 @@ def test_a_host_that_left_leaves_nothing_to_the_next() -> None:
         time.sleep(0.2)
         assert os.read(descriptor, 100) == b"b,5.02,5.01\r\n"
         os.close(descriptor)
+
+
+@pytest.mark.parametrize("until_s", [1.0, 9.0])
+def test_a_new_relay_gives_no_host_the_replies_to_an_earlier_one_but_what_a_robot_says_by_itself(
+    until_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, device = os.openpty()
+    tty.setraw(device)
+    time_s, asked, got = [0.0], b"", b""
+    monkeypatch.setattr(relaying, "time", SimpleNamespace(monotonic=lambda: time_s[0]))
+    with PtyPort() as port:
+        host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        os.write(host, b"B\n")
+
+        def turn() -> bool:
+            nonlocal asked, got
+            time_s[0] += 0.01
+            if time_s[0] < until_s:
+                os.write(robot, b".")
+            if select.select([robot], [], [], 0)[0]:
+                asked += os.read(robot, 100)
+                os.write(robot, b"b")
+            if select.select([host], [], [], 0)[0]:
+                got += os.read(host, 100)
+            return time_s[0] > 3
+
+        relaying.relay(relaying.Device(os.ttyname(device), 9600), port, stop=turn, notify=print)
+        os.close(host)
+    os.close(robot)
+    os.close(device)
+    assert asked == b"B\n"
+    assert got.strip(b".") == b"b"
+    assert (b"." in got) == (until_s > relaying._BEGIN_S)
 
 
 # pyserial names its threads as Python did before 3.10.

@@ -58,6 +58,7 @@ class Hosts:
 def test_the_next_host_waits_for_no_more_than_a_second_of_one_that_has_left(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("khep_twin.ports.relay._PAUSE_S", -1.0)
     monkeypatch.setattr("khep_twin.ports.relay._SILENCE_S", 0.01)
     monkeypatch.setattr("khep_twin.ports.relay.BITS_PER_BYTE", 0)
     robot, told = SlowRobot(), list[str]()
@@ -77,6 +78,7 @@ def test_the_next_host_waits_for_no_more_than_a_second_of_one_that_has_left(
 
 
 def test_a_relay_reports_to_its_cable_when_all_is_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("khep_twin.ports.relay._PAUSE_S", -1.0)
     monkeypatch.setattr("khep_twin.ports.relay._SILENCE_S", 0.05)
     robot, hosts = SlowRobot(), Hosts(Received(b"D,1,1\n" * 20))
     end = time.monotonic() + 20

@@ -39,6 +39,9 @@ _LATE_NS = 200_000_000
 _TRANSIT_NS = 100_000, 2_000_000
 """Shortest and longest transit from the robot, of a polled adapter (assumed) [ns]."""
 
+_SILENCE_NS = NS_PER_S // 2
+"""Silence after which a robot has answered what an earlier program has asked [ns]."""
+
 _SPEEDS = {getattr(termios, f"B{baud}"): baud for baud in (300, 9600, 19200, 38400, 57600, 115200)}
 
 
@@ -79,6 +82,7 @@ class Cable:
         self._is_sending = False
         self._arrivals_ns = {True: 0, False: 0}
         self._touched_ns, self._dirty = -NS_PER_S, False
+        self._heard_ns, self._is_behind = -NS_PER_S, False
         self._rng = simulation.rng("cable")
         is_bad = self._rng.random() < _BAD
         self._most = _MOST if is_bad else {"late": _MOST["late"]}
@@ -92,12 +96,20 @@ class Cable:
 
     @property
     def touched_ns(self) -> int:
-        """Time until which lines were not what was sent [ns]."""
+        """Time until which lines were not what was sent, or replies were to an earlier program [ns]."""
+        if self._is_behind and self.kernel.now_ns - self._heard_ns > _SILENCE_NS:
+            self._is_behind = False
+        if self._is_behind:
+            self._touched_ns = self.kernel.now_ns
         return self.kernel.now_ns if self._dirty else self._touched_ns
 
     def touch(self) -> None:
         """Note that the line that has begun may not be what was sent."""
         self._dirty, self._touched_ns = True, self.kernel.now_ns
+
+    def leave(self) -> None:
+        """Note that a program has left the device: the robot may still answer it."""
+        self._is_behind, self._heard_ns = True, self.kernel.now_ns
 
     def unplug(self) -> None:
         """Pull the cable out."""
@@ -148,6 +160,8 @@ class Cable:
 
     def receive(self, data: bytes) -> None:
         """Take bytes of the robot."""
+        if self._is_behind and self.touched_ns >= self.kernel.now_ns:
+            self._heard_ns = self.kernel.now_ns
         baud = self.baud if self.adapter is None else self.adapter.baud
         self._carry(False, data, baud, self._rng.randrange(*_TRANSIT_NS))
 
@@ -260,6 +274,7 @@ class Adapter(OpenFile):
     def closed(self) -> None:
         if self._cable.adapter is self:
             self._cable.adapter = None
+        self._cable.leave()
 
     def _check(self) -> None:
         if self.is_dead:
