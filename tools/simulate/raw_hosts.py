@@ -192,15 +192,24 @@ class Raw:
                 self._pause(0.5)
 
     def vanishes(self) -> None:
-        """Send, and lose the cable for a while or for ever."""
-        with self.connect() as host:
-            host.sendall(f"{tag(self.number)}\nD,2,2\nN\n".encode())
-            self._pause(self.rng.choice([0.0, 0.05, 1.0]))
-            duration_ns = self.rng.choice([None, NS_PER_S // 10, 2 * NS_PER_S, 40 * NS_PER_S])
-            self.simulation.network.cut(host._tcp, duration_ns)
-            self._pause(self.rng.choice([0.1, 5.0]))
-            host.send(b"N\n")
-            self._pause(self.rng.choice([1.0, 60.0]))
+        """Be let in, send, and lose the cable for a while or for ever."""
+        for _ in range(20):
+            with self.connect() as host:
+                host.settimeout(2.0)
+                host.sendall(f"{tag(self.number)}\n".encode())
+                if host.recv(4096):
+                    self._lose_cable(host)
+                    return
+            self._pause(0.5)
+
+    def _lose_cable(self, host: Any) -> None:
+        host.sendall(b"D,2,2\nN\n")
+        self._pause(self.rng.choice([0.0, 0.05, 1.0]))
+        duration_ns = self.rng.choice([None, NS_PER_S // 10, 2 * NS_PER_S, 40 * NS_PER_S])
+        self.simulation.network.cut(host._tcp, duration_ns)
+        self._pause(self.rng.choice([0.1, 5.0]))
+        host.send(b"N\n")
+        self._pause(self.rng.choice([1.0, 60.0]))
 
     def browser(self) -> None:
         """Send a request of HTTP, with commands in it."""

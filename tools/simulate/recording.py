@@ -97,8 +97,9 @@ class _Lab:
         name = f"run{run.number}"
         process = self._simulation.spawn(name, kind, round(delay * NS_PER_S))
         process.mortal = True
-        if self._simulation.faults.happens("kill-run", "machine", 0.7):
-            after = 10 ** self._simulation.faults.drawn("kill-run", "machine").uniform(-3, 1.5)
+        if self._simulation.faults.happens("kill-run", "machine", 1.0):
+            own = self._simulation.faults.drawn("kill-run", "machine")
+            after = own.choice((10 ** own.uniform(-3, 1.5), run.duration * own.random()))
             kernel = self._simulation.kernel
             kernel.at(kernel.now_ns + round((delay + after) * NS_PER_S), lambda: kernel.kill(process))
         return process
