@@ -6,9 +6,11 @@ PATIENCE, interrupts in any case. A process that still runs LAST after that is e
 first runs the clean-up registered by `clear_at_end`, such as completing a log.
 """
 
+import _thread
 import os
 import select
 import signal
+import socket
 import sys
 import threading
 import time
@@ -20,7 +22,9 @@ from typing import NoReturn
 
 from khep_twin.errors import KhepTwinError
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_KNOWN = signal.Signals.__members__
+
+SIGNALS = tuple(_KNOWN[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if name in _KNOWN)
 
 GRACE = 0.3
 """Time after which the user is informed of what is awaited [s]."""
@@ -34,8 +38,8 @@ LAST = 0.5
 FAREWELL = 0.7
 """Longest time for the clean-up then [s]."""
 
-_NUDGE = signal.SIGURG
-"""Signal that wakes the main thread; it is ignored by default and rarely used."""
+_NUDGE = _KNOWN.get("SIGURG", signal.SIGINT)
+"""Signal that wakes the main thread; SIGURG is ignored by default and rarely used."""
 
 _TURN = 0.05
 """Interval of wake-up signals [s]."""
@@ -182,6 +186,8 @@ class _Ending:
     def __init__(self) -> None:
         self.waits: list[tuple[str | None, Callable[[], None] | None]] = []
         self._leaves_forks = False
+        self._reader: socket.socket | None = None
+        self._writer: socket.socket | None = None
         self._mask: set[int] = set()
         self.number = 0
         self.reset()
@@ -190,34 +196,37 @@ class _Ending:
         """Restore the initial state, except the number of the signal."""
         self.held = 0
         self.interrupted = self.watched = self._noticed = self._due = self._urgent = self._is_held = False
-        self._reader = self._writer = -1
+        self._reader = self._writer = None
 
     def begin(self, stack: ExitStack) -> None:
         """Set the handlers and start the watching thread; `stack` undoes it."""
         self.number = 0
-        self._reader, self._writer = os.pipe()
-        stack.callback(os.close, self._reader)
-        stack.callback(os.close, self._writer)
-        os.set_blocking(self._writer, False)
+        # Windows waits for sockets alone, and wakes no other.
+        self._reader, self._writer = socket.socketpair()
+        stack.callback(self._reader.close)
+        stack.callback(self._writer.close)
+        self._writer.setblocking(False)
         watch = threading.Thread(target=self._watch, name="signals", daemon=True)
         watch.start()
         stack.callback(self.reset)
         stack.callback(watch.join)
         stack.callback(self.send, _END)
-        stack.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False))
+        stack.callback(
+            signal.set_wakeup_fd, signal.set_wakeup_fd(self._writer.fileno(), warn_on_full_buffer=False)
+        )
         self.watched = True
         for number in (*SIGNALS, _NUDGE):
-            if (handler := signal.getsignal(number)) is not signal.SIG_IGN or number != signal.SIGHUP:
+            if (handler := signal.getsignal(number)) is not signal.SIG_IGN or number != _KNOWN.get("SIGHUP"):
                 stack.callback(signal.signal, number, handler or signal.SIG_DFL)
                 signal.signal(number, self._handle)
-        if not self._leaves_forks:
+        if sys.platform != "win32" and not self._leaves_forks:
             self._leaves_forks = True
             os.register_at_fork(before=self._fork, after_in_parent=self._forked, after_in_child=self._leave)
 
     def send(self, message: int) -> None:
         """Send a message to the watching thread, which a fork lacks."""
-        if self.watched:
-            os.write(self._writer, bytes([message]))
+        if self.watched and self._writer is not None:
+            self._writer.send(bytes([message]))
 
     def interrupt(self, frame: FrameType | None) -> None:
         """Raise `Interrupted` in the main thread if it is due and not blocked."""
@@ -234,10 +243,12 @@ class _Ending:
 
     def _fork(self) -> None:
         """Block signals: those of a fork must not be taken for this process's."""
-        self._mask = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        if sys.platform != "win32":
+            self._mask = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
 
     def _forked(self) -> None:
-        signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
+        if sys.platform != "win32":
+            signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
 
     def _leave(self) -> None:
         """Restore the default handling of signals in a fork."""
@@ -274,14 +285,16 @@ class _Ending:
 
     def _next(self, wait: float | None) -> int | None:
         """Return the next signal or message; None if there is none within `wait` [s]."""
+        reader = self._reader
+        assert reader is not None
         deadline = time.monotonic() + (threading.TIMEOUT_MAX if wait is None else wait)
         while (left := deadline - time.monotonic()) > 0:
-            if select.select([self._reader], [], [], left if wait is None else min(left, _TURN))[0]:
-                byte = os.read(self._reader, 1)[0]
+            if select.select([reader], [], [], left if wait is None else min(left, _TURN))[0]:
+                byte = reader.recv(1)[0]
                 if byte in (*SIGNALS, _CALM, _END):
                     return byte
             elif self._due:
-                signal.pthread_kill(threading.main_thread().ident or 0, _NUDGE)
+                _nudge()
         return None
 
     def _tell(self) -> None:
@@ -314,6 +327,14 @@ def _beside(todo: Iterable[Callable[[], object]], wait: float = 0.0) -> None:
     deadline = time.monotonic() + wait
     for thread in threads:
         thread.join(max(deadline - time.monotonic(), 0))
+
+
+def _nudge() -> None:
+    """Wake the main thread; on Windows once its present call has ended."""
+    if sys.platform == "win32":
+        _thread.interrupt_main(_NUDGE)
+    else:
+        signal.pthread_kill(threading.main_thread().ident or 0, _NUDGE)
 
 
 def _is_importing(frame: FrameType | None) -> bool:

@@ -11,6 +11,7 @@ import typer
 
 from khep_twin.cli.followed import ALARM_CODE
 from khep_twin.cli.options import complain
+from khep_twin.errors import KhepTwinError
 from khep_twin.shadow.tap import Tap
 from khep_twin.signals import clear_at_end, undisturbed
 
@@ -80,6 +81,8 @@ def beside(words: Sequence[str], stop: Callable[[], bool]) -> Generator[Beside]:
         words: Arguments of `khep-twin shadow`.
         stop: Function that returns whether to end.
     """
+    if sys.platform == "win32":
+        raise KhepTwinError("a shadow beside a relay needs a system of Unix; expected a log of the line")
     here, there = socket.socketpair()
     arguments = [sys.executable, "-m", "khep_twin", "shadow", *words, "--line-fd", str(there.fileno())]
     with undisturbed():

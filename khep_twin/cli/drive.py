@@ -111,6 +111,8 @@ def _running(
 
 def _on_screen(show: Callable[["curses.window"], None]) -> None:
     """Run a function on the terminal's screen, and restore the screen afterwards."""
+    if sys.platform == "win32":
+        raise KhepTwinError("drive needs a terminal of Unix; expected the page of khep-twin design")
     import curses
 
     # Suspended, the dead-man's switch would not be held; so Ctrl-Z is a key without effect.
@@ -141,9 +143,8 @@ def _show(window: "curses.window", operation: "Teleoperation", name: str, ended:
     with suppress(curses.error):  # a terminal whose cursor is always there
         curses.curs_set(0)
     window.timeout(_LOOK_MS)
-    hung_up = select.poll()
-    hung_up.register(sys.stdin.fileno(), select.POLLHUP)
-    while not ended() and not hung_up.poll(0):
+    hung_up = _hung_up()
+    while not ended() and not hung_up():
         key = window.getch()
         window.nodelay(True)
         while key != -1:
@@ -189,3 +190,12 @@ def _press(operation: "Teleoperation", key: int) -> None:
         operation.choose(int(letter))
     elif letter == "l":
         operation.switch_leds()
+
+
+def _hung_up() -> Callable[[], bool]:
+    """Return a function that tells if the terminal has gone."""
+    if sys.platform == "win32":
+        return lambda: False
+    poll = select.poll()
+    poll.register(sys.stdin.fileno(), select.POLLHUP)
+    return lambda: bool(poll.poll(0))

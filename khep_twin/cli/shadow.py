@@ -29,6 +29,7 @@ from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.cli.relayed import line_baud, relay_robot
 from khep_twin.cli.shadow_options import ShadowOptions
 from khep_twin.clock import NS_PER_S
+from khep_twin.machine import lower_priority
 from khep_twin.signals import stopping
 from khep_twin.status_line import status_line
 
@@ -154,7 +155,7 @@ def _follow_line(descriptor: int, followed: Followed, viewer: AbstractContextMan
     from khep_twin.shadow.tap import TappedLine
 
     # Where cores are few, the relay and the host come first.
-    os.nice(_NICE)
+    lower_priority(by=_NICE)
     with viewer, stopping(None) as stop:
         with closing(followed), status_line() as status:
             os.write(descriptor, READY)

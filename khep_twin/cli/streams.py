@@ -8,12 +8,12 @@ Also here: the number of descriptors that there may be.
 import errno
 import io
 import os
-import resource
 import select
-import signal
 import sys
 from contextlib import suppress
 from typing import Any
+
+from khep_twin.machine import open_files_limit
 
 LEAST_OPEN = 64
 """Number of files that have to be allowed open at once. A run has 8 open, `serve` 13, the page 11 without a
@@ -50,6 +50,9 @@ class Open(io.TextIOWrapper):
         self.flush()
 
 
+_SIGPIPE = 13
+"""Number of the signal that a program without a reader gets, also where there are none."""
+
 _streams: list[Told] = []
 _guards: list[Open] = []
 
@@ -70,14 +73,10 @@ def guard() -> None:
 
 def check_descriptors() -> None:
     """End the process with one line if too few files may be open at once."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if 0 <= soft < LEAST_OPEN:
-        most = LEAST_OPEN if hard == resource.RLIM_INFINITY else min(hard, LEAST_OPEN)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
-        if most < LEAST_OPEN:
-            told = f"{hard} files may be open at once; expected {LEAST_OPEN} or more, see ulimit -n"
-            print(f"khep-twin: {told}", file=sys.stderr)
-            sys.exit(1)
+    if (most := open_files_limit(LEAST_OPEN)) < LEAST_OPEN:
+        told = f"{most} files may be open at once; expected {LEAST_OPEN} or more, see ulimit -n"
+        print(f"khep-twin: {told}", file=sys.stderr)
+        sys.exit(1)
 
 
 def unread() -> bool:
@@ -96,7 +95,7 @@ def exit_code(code: int) -> int:
     troubles = [each.trouble for each in _streams if each.trouble is not None]
     if code or not troubles:
         return code
-    return 128 + signal.SIGPIPE if all(each.errno == errno.EPIPE for each in troubles) else 1
+    return 128 + _SIGPIPE if all(each.errno == errno.EPIPE for each in troubles) else 1
 
 
 def _guarded(descriptor: int, stream: io.TextIOWrapper | Any) -> Open:

@@ -15,7 +15,6 @@ computed as arrays (`task_batch`).
 # Gymnasium's spaces are only partly typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 
-import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,6 +27,7 @@ from khep_twin.envs.task_batch import TaskBatch
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, Task
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
+from khep_twin.machine import n_cores
 
 try:
     from gymnasium.utils.seeding import np_random
@@ -83,7 +83,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         self.single_observation_space, self.single_action_space = spaces(setup)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        cores = len(os.sched_getaffinity(0))
+        cores = n_cores()
         self._batch = TaskBatch(setup, num_envs, min(threads or cores, num_envs))
         self._rows, self._over = np.arange(num_envs), np.zeros(num_envs, np.bool_)
         self._rngs: list[Any] = [None] * num_envs

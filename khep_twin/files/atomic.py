@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from khep_twin.errors import KhepTwinError
+from khep_twin.machine import flags
 from khep_twin.signals import clear_at_end, undisturbed
 
 
@@ -21,7 +22,7 @@ def open_regular(path: Path, buffering: int = -1) -> BinaryIO:
     """
     # Check before opening, which alone may act on a device, and after, as the file may be another by then.
     _check_regular(os.stat(path))
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+    descriptor = os.open(path, flags("O_RDONLY", "O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC"))
     try:
         _check_regular(os.fstat(descriptor))
     except OSError:
@@ -129,7 +130,7 @@ def synchronize_folder(folder: Path) -> None:
         OSError: The disk fails.
     """
     try:
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        descriptor = os.open(folder, flags("O_RDONLY", "O_DIRECTORY", "O_CLOEXEC"))
     except PermissionError:  # it may be written, but not listed
         return
     try:

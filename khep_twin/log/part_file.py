@@ -3,7 +3,6 @@
 A full disk, a second run of the same name and the remains of a crash do no harm to existing data.
 """
 
-import fcntl
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -12,6 +11,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
+from khep_twin.machine import flags, lock
 
 
 class PartFile:
@@ -26,12 +26,12 @@ class PartFile:
 
     def __init__(self, path: Path) -> None:
         try:
-            self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+            self._descriptor = os.open(path, flags("O_WRONLY", "O_CREAT", "O_EXCL"), 0o666)
         except FileExistsError:
             raise _written(path) from None
         self._size = 0
         try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(self._descriptor)
             is_ours = _names(path, self._descriptor)
         except BlockingIOError:
             is_ours = False
@@ -92,7 +92,7 @@ def set_aside(part: Path) -> Path | None:
         raise LogError(f"{part}: this is no unfinished log: {error.strerror}") from error
     with found as file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(file)
         except BlockingIOError:
             raise _written(part) from None
         # The run that was writing it may have ended just now, and another one have begun.

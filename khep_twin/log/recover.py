@@ -1,6 +1,5 @@
 """Recovery of an interrupted log: all whole records of it become a log that opens everywhere."""
 
-import fcntl
 import os
 import re
 import tempfile
@@ -21,6 +20,7 @@ from khep_twin.log.label import robot_names, run_facts
 from khep_twin.log.mcap_recovery import Progress, Salvage
 from khep_twin.log.record_bytes import HEAD, LARGEST_CHUNK, LARGEST_RATIO, MESSAGE
 from khep_twin.log.sieve import Sieve
+from khep_twin.machine import lock
 
 _PART = re.compile(r"\.part(\.[0-9]+)?$")
 
@@ -89,7 +89,7 @@ def _content(path: Path) -> bytes | mmap:
     try:
         with open_regular(path) as file:
             try:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                lock(file, shared=True)
             except BlockingIOError:
                 raise LogError(f"{path}: a run is writing it; expected a log whose run has ended") from None
             except OSError:

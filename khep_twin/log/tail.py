@@ -3,7 +3,6 @@
 Only the file is read, which costs the run nothing.
 """
 
-import fcntl
 import os
 import time
 from collections.abc import Generator
@@ -22,6 +21,7 @@ from khep_twin.log.entries import Entry, EntryReader
 from khep_twin.log.label import Label, label_of, run_facts
 from khep_twin.log.reader import read_label
 from khep_twin.log.record_bytes import HEAD, RecordBytes, parsed
+from khep_twin.machine import lock, unlock
 
 _BLOCK = 1 << 22
 """Bytes read at once."""
@@ -152,10 +152,10 @@ class GrowingLog:
         self._grown = time.monotonic()
         # A run has its file locked. If the file system has no locks, this never finds an end.
         try:
-            fcntl.flock(self._file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            lock(self._file, shared=True)
         except OSError:
             return
-        fcntl.flock(self._file, fcntl.LOCK_UN)
+        unlock(self._file)
         if os.fstat(self._file.fileno()).st_size > self._file.tell():
             return
         raise LogError(

@@ -1,12 +1,21 @@
 """Host endpoints of a served twin's cables, as the options ask for them."""
 
+import sys
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 
 from khep_twin.errors import PortError
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.network import TcpPort, is_loopback, parse_address
-from khep_twin.ports.pty import PtyPort
+
+_WITHOUT = (
+    "this system has no pseudo-terminals; expected --tcp 127.0.0.1:5000, which hosts open as "
+    "socket://127.0.0.1:5000, or --rfc2217 127.0.0.1:5000"
+)
+
+
+class NoTerminalsError(PortError):
+    """The system has no pseudo-terminals."""
 
 
 @contextmanager
@@ -33,10 +42,11 @@ def open_endpoints(
     address = tcp or rfc2217
     with ExitStack() as stack:
         served_ports: list[HostPort] = []
+        served: HostPort
         for count, (robot, baud) in enumerate(bauds.items()):
             if address is None:
                 name = link if link is None or len(bauds) == 1 else f"{link}{robot}"
-                served: HostPort = PtyPort(name, baud)
+                served = open_terminal(name, baud)
             else:
                 host, port = parse_address(address)
                 if not is_loopback(host) and not allow_remote:
@@ -48,3 +58,34 @@ def open_endpoints(
                 served = TcpPort(host, port, rfc2217=rfc2217 is not None, baud=baud)
             served_ports.append(stack.enter_context(closing(served)))
         yield served_ports
+
+
+def open_terminal(link: str | None, baud: int) -> HostPort:
+    """Open a pseudo-terminal.
+
+    Args:
+        link: Path of the link to it, as typed; None for none.
+        baud: Speed that it has before a host sets its own [baud].
+
+    Raises:
+        PortError: The system has no pseudo-terminals, there is no free one, or the link cannot be made.
+    """
+    if sys.platform == "win32":
+        raise NoTerminalsError(_WITHOUT)
+    try:
+        from khep_twin.ports.pty import PtyPort
+    except ImportError:
+        raise NoTerminalsError(_WITHOUT) from None
+    return PtyPort(link, baud)
+
+
+def open_any(baud: int) -> HostPort:
+    """Open a pseudo-terminal, or a TCP port of this machine's alone on a system without them.
+
+    Raises:
+        PortError: As `open_terminal` and `TcpPort`.
+    """
+    try:
+        return open_terminal(None, baud)
+    except NoTerminalsError:
+        return TcpPort("127.0.0.1", 0, rfc2217=False, baud=baud)

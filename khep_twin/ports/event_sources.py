@@ -13,7 +13,9 @@ from contextlib import suppress
 from enum import Enum, auto
 from pathlib import Path
 
-_FLAGS = os.O_NONBLOCK | os.O_CLOEXEC
+from khep_twin.machine import flags
+
+_FLAGS = flags("O_NONBLOCK", "O_CLOEXEC")
 
 _IN_MODIFY, _IN_CLOSE_WRITE, _IN_CLOSE_NOWRITE, _IN_OPEN, _IN_Q_OVERFLOW = 0x02, 0x08, 0x10, 0x20, 0x4000
 _IN_CLOSE = _IN_CLOSE_WRITE | _IN_CLOSE_NOWRITE

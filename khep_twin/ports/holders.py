@@ -57,6 +57,8 @@ def count_descriptors(path: str) -> int:
 
 def _processes(path: str, device: os.stat_result) -> Iterator[int]:
     """Find the processes that have a device open or in their lock file."""
+    if sys.platform == "win32":
+        return
     major, minor = os.major(device.st_rdev), os.minor(device.st_rdev)
     terminal = (major - _UNIX98_PTS.start) * 256 + minor if major in _UNIX98_PTS else None
     for process in _PROCESSES.glob("[0-9]*"):
@@ -82,6 +84,8 @@ def _count(process: Path, device: os.stat_result) -> int:
 
 def _is_same(descriptor: Path, device: os.stat_result) -> bool:
     """Return whether a descriptor is of a device; of pseudo-terminals, each container numbers its own."""
+    if sys.platform == "win32":
+        return False
     with suppress(OSError):
         if os.readlink(descriptor).startswith("/dev/"):
             found = descriptor.stat()

@@ -5,14 +5,17 @@ process's terminal. Beside each link lies a lock file, held while the server run
 it: a link whose lock is free and whose terminal is the one in the file is our own and may be replaced.
 """
 
-import fcntl
 import os
-import stat
-import tempfile
+import sys
 from pathlib import Path
 
 from khep_twin.errors import PortError
+from khep_twin.machine import lock
+from khep_twin.ports.private_folder import private_folder
 from khep_twin.signals import clear_at_end, undisturbed
+
+if sys.platform == "win32":
+    raise ImportError("a terminal's link needs a system with terminals")
 
 
 class Link:
@@ -62,7 +65,7 @@ class Link:
 
     def _take(self, wanted: str | Path) -> None:
         try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(self._lock)
         except BlockingIOError:
             raise PortError(
                 f"{wanted}: another khep-twin serves under this name; name another path for --link"
@@ -89,28 +92,13 @@ def leads_to_ours(path: Path) -> bool:
     """Return whether this is a link of a running server that leads to the server's terminal."""
     lock_path = path.with_name(f".{path.name}.lock")
     try:
-        lock = os.open(lock_path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+        held = os.open(lock_path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
     except OSError:
         return False
     try:
-        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        lock(held, shared=True)
     except BlockingIOError:
-        return path.is_symlink() and os.readlink(path) == os.pread(lock, 4096, 0).decode("utf-8", "replace")
+        return path.is_symlink() and os.readlink(path) == os.pread(held, 4096, 0).decode("utf-8", "replace")
     finally:
-        os.close(lock)
+        os.close(held)
     return False
-
-
-def private_folder() -> Path:
-    """Return the directory that only this user can write to; make it if necessary."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
-    name = "khep_twin" if runtime else f"khep_twin-{os.getuid()}"
-    folder = Path(runtime or tempfile.gettempdir()) / name
-    try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except OSError as error:
-        raise PortError(f"{folder}: cannot make a directory for links: {error.strerror}") from error
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
-        raise PortError(f"{folder}: not a directory of this user's alone; expected a path with --link")
-    return folder

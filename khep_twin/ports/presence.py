@@ -11,6 +11,7 @@ closed during a check.
 import fcntl
 import os
 import select
+import sys
 import termios
 import time
 from collections.abc import Sequence
@@ -18,6 +19,9 @@ from dataclasses import dataclass
 
 from khep_twin.ports.event_sources import ONE_WRITE, Event, OpenEvents
 from khep_twin.ports.holders import count_descriptors
+
+if sys.platform == "win32":
+    raise ImportError("a pseudo-terminal needs a system with terminals")
 
 _ROUNDS = 4
 """Checks of the terminal per poll before the rest is left to the next one."""

@@ -13,12 +13,16 @@ import os
 import re
 import select
 import struct
+import sys
 import termios
 import time
 import tty
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
+
+if sys.platform == "win32":
+    raise ImportError("a pseudo-terminal needs a system with terminals")
 
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError

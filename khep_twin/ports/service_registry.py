@@ -1,6 +1,5 @@
 """Registry of servers on this machine: a note of each in a private directory, locked while it runs."""
 
-import fcntl
 import os
 import threading
 from collections.abc import Generator, Sequence
@@ -9,7 +8,8 @@ from functools import partial
 from pathlib import Path
 
 from khep_twin.errors import PortError
-from khep_twin.ports.link import private_folder
+from khep_twin.machine import lock
+from khep_twin.ports.private_folder import private_folder
 from khep_twin.signals import clear_at_end
 
 _ENDING = ".served"
@@ -41,7 +41,7 @@ def registered(paths: Sequence[str], what: str) -> Generator[None, None, None]:
         try:
             # Without a buffer: what does not fit on a full disk would be written again at its end.
             file = stack.enter_context(note.open("wb", buffering=0))
-            fcntl.flock(file, fcntl.LOCK_EX)
+            lock(file, waits=True)
             rest = text.encode("utf-8", "surrogateescape")
             while rest:
                 rest = rest[file.write(rest) :]
@@ -68,7 +68,7 @@ def _is_held(note: Path) -> bool:
     """Return whether the note's server is running."""
     try:
         with note.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            lock(file, shared=True)
     except BlockingIOError:
         return True
     except FileNotFoundError:

@@ -14,7 +14,6 @@ any number of threads, and the same as those of a single `Episode` with the same
 with the number of episodes: every thread has memory for one episode and reuses it.
 """
 
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -28,6 +27,7 @@ from khep_twin import units
 from khep_twin.board.fault_injection import Fault
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.errors import DivergedError
+from khep_twin.machine import n_cores
 from khep_twin.playpen import Lamp, Playpen
 from khep_twin.rollout.controllers import Driver, Floats, Network, Policy
 from khep_twin.rollout.episode import METRICS, Episode, EpisodeSetup, Start, is_compiled
@@ -131,7 +131,7 @@ def rollout(
     weights = _checked_genes(driver, count, n_robots, genes, starts, lamps, threads)
     batch = _Batch(setup, seeds, seconds, weights, starts, lamps, noise, vary, _in_metres(home))
     results = _Results(count, n_robots, len(movable_names(setup.playpen)))
-    workers = (threads or len(os.sched_getaffinity(0))) if fast else 1
+    workers = (threads or n_cores()) if fast else 1
     room = min(BATCH_SIZE if isinstance(driver, Policy) else workers, count)
     episodes = [Episode(setup, driver, compiled=fast, faults=faults) for _ in range(room)]
     if isinstance(driver, Policy) and count:

@@ -7,6 +7,7 @@ lost. Records without bytes tell that none came until their time.
 import os
 import select
 import struct
+import sys
 import time
 from collections.abc import Callable, Iterator
 
@@ -39,7 +40,7 @@ class Tap:
         self._descriptor, self._now = descriptor, now
         self._waiting = bytearray(_START.pack(time.monotonic_ns() - now()))
         self.broken = False
-        os.set_blocking(descriptor, False)
+        _set_blocking(descriptor, False)
 
     def on_bytes(self, to_robot: bool, data: bytes) -> None:
         """Take bytes that cross the line now."""
@@ -58,7 +59,7 @@ class Tap:
 
     def close(self) -> None:
         """Pass on what waits, as fast as it is read."""
-        os.set_blocking(self._descriptor, True)
+        _set_blocking(self._descriptor, True)
         while self._waiting and not self.broken:
             self._write()
 
@@ -117,3 +118,9 @@ class TappedLine:
         taken = bytes(self._waiting[:size])
         del self._waiting[:size]
         return taken
+
+
+def _set_blocking(descriptor: int, blocks: bool) -> None:
+    """Set if a write waits for room; Windows has no taps."""
+    if sys.platform != "win32":
+        os.set_blocking(descriptor, blocks)

@@ -1,12 +1,13 @@
 """Compiled code, when it is ready: numba compiles in a process beside the run, which goes on meanwhile."""
 
-import os
 import subprocess
 import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+from khep_twin.machine import lower_priority
 
 CODE = {
     "world": "khep_twin.simulation.compiled:advance",
@@ -53,7 +54,7 @@ def when_ready(part: str) -> Callable[..., Any] | None:
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
-        os.setpriority(os.PRIO_PROCESS, process.pid, 19)
+        lower_priority(process.pid)
     elif (process := _PROCESSES[part]) is not None and process.poll():
         _PROCESSES[part] = None
         print(

@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from types import ModuleType
 
 from khep_twin.errors import KhepTwinError, MissingExtraError
+from khep_twin.machine import n_cores
 from khep_twin.sweep.results import encoded
 from khep_twin.sweep.run_shard import run_shard
 from khep_twin.sweep.shards import Shard, Work, versions
@@ -107,7 +108,7 @@ def _join(ray: ModuleType, address: str | None, workers: int | None) -> None:
                 socket.create_connection((host, port), PATIENCE).close()
             ray.init(address=address, **quiet)
             return
-        count = workers or len(os.sched_getaffinity(0))
+        count = workers or n_cores()
         # "local" ignores a cluster that the environment may name.
         found = ray.init(address="local", num_cpus=count, include_dashboard=False, **quiet)
     except (ValueError, RuntimeError, OSError) as error:

@@ -12,7 +12,6 @@ one part. The same study gives the same bytes of results.parquet, after any inte
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false, reportUnknownParameterType=false
 
-import fcntl
 import io
 import json
 import os
@@ -27,6 +26,7 @@ import pyarrow.parquet as pq
 from khep_twin import __version__
 from khep_twin.errors import StudyError
 from khep_twin.files.atomic import is_part, open_regular, read_regular, write_whole
+from khep_twin.machine import lock
 from khep_twin.sweep.run_shard import Columns
 from khep_twin.sweep.shards import Shard, Work
 from khep_twin.sweep.study import COLUMNS
@@ -115,7 +115,7 @@ class SweepFolder:
     def _lock(self, descriptor: int) -> None:
         """Lock the folder; the lock ends with the process, even if that is killed."""
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(descriptor)
         except BlockingIOError:
             raise StudyError(f"{self._path}: in use by another sweep; wait for its end") from None
         except OSError as error:

@@ -7,7 +7,6 @@ its request at once, so connections that send nothing cannot lock it out.
 """
 
 import logging
-import resource
 import time
 from asyncio import BaseTransport, CancelledError
 from collections.abc import Callable, Generator, Iterable, Mapping
@@ -15,6 +14,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from khep_twin.machine import open_files_limit
 
 if TYPE_CHECKING:
     from uvicorn.server import Protocols
@@ -42,8 +43,7 @@ _NEXT_LINE = 60.0
 
 def most() -> int:
     """Return the limit of connections: as many as need a quarter of the descriptors, at most 64."""
-    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    return _MOST if limit == resource.RLIM_INFINITY else max(min(_MOST, limit // 4), 1)
+    return max(min(_MOST, open_files_limit() // 4), 1)
 
 
 class PageConnection(H11Protocol):

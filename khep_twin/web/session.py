@@ -6,7 +6,7 @@ its pictures are passed to the page, at most 25 times a second.
 
 import math
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -18,9 +18,10 @@ from khep_twin.interventions.move_robot import as_it_stands, put
 from khep_twin.interventions.switching import switch
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import no_room
+from khep_twin.ports.endpoints import open_any
 from khep_twin.ports.event_sources import exact_timeouts
+from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.protocol_khep import Serial
-from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.service_registry import registered
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.sensing import calibration
@@ -217,7 +218,7 @@ class TwinActor(WebSession):
         with ExitStack() as stack:
             twin = stack.enter_context(open_twin(self.playpen, options))
             bauds = [robot.firmware.baud for robot in twin.robots]
-            ports = [stack.enter_context(closing(PtyPort(None, baud))) for baud in bauds]
+            ports = [stack.enter_context(closing(open_any(baud))) for baud in bauds]
             pairs = zip(twin.robots, ports, strict=True)
             hosts = [OutsideHost(twin, robot, port, self._note) for robot, port in pairs]
             if self._log is not None:
@@ -250,7 +251,7 @@ class TwinActor(WebSession):
                     paced.busy = False
                     paced.stop_program(False)
 
-    def _cast(self, twin: PacedTwin, ports: list[PtyPort]) -> dict[str, object]:
+    def _cast(self, twin: PacedTwin, ports: Sequence[HostPort]) -> dict[str, object]:
         """Return the first message: the robots and the log."""
         return {
             "kind": "twin",

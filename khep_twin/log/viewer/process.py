@@ -145,6 +145,9 @@ def free_ports(count: int) -> Sequence[int]:
 
 def end_process(process: "subprocess.Popen[bytes]") -> None:
     """End a viewer and its child processes: rerun's command is a script around its program."""
+    if sys.platform == "win32":
+        process.terminate()
+        return
     for number in (signal.SIGTERM, signal.SIGKILL):
         with suppress(ProcessLookupError):
             os.killpg(process.pid, number)

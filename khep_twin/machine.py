@@ -1,0 +1,101 @@
+"""Differences between operating systems: locks of files, flags of `os.open`, limits, cores, priorities.
+
+Modules that a system lacks are None here. Linux is tested, macOS and Windows are not (docs/install.md).
+"""
+
+import os
+import sys
+from importlib import import_module
+from typing import IO, Any
+
+
+def _module(name: str) -> Any:
+    """Return a module of the standard library; None where the system lacks it."""
+    try:
+        return import_module(name)
+    except ImportError:
+        return None
+
+
+_fcntl, _msvcrt, _resource = (_module(name) for name in ("fcntl", "msvcrt", "resource"))
+
+_LOCKED_BYTE = 1 << 40
+"""Byte that stands for a file whose system locks bytes; others may read and write what lies before it."""
+
+
+def flags(*names: str) -> int:
+    """Return flags of `os.open` together, without those that the system lacks; files are binary."""
+    return sum(getattr(os, name, 0) for name in {"O_BINARY", *names})
+
+
+def lock(file: IO[Any] | int, *, shared: bool = False, waits: bool = False) -> None:
+    """Lock an open file until it is closed; without any kind of locks on the system, do nothing.
+
+    Args:
+        file: Open file, or its descriptor.
+        shared: True if others may lock it so, too; not on Windows.
+        waits: True to wait for other processes.
+
+    Raises:
+        BlockingIOError: Another process has locked it.
+        OSError: Its file system has no locks.
+    """
+    descriptor = file if isinstance(file, int) else file.fileno()
+    if _fcntl is not None:
+        kind = _fcntl.LOCK_SH if shared else _fcntl.LOCK_EX
+        _fcntl.flock(descriptor, kind if waits else kind | _fcntl.LOCK_NB)
+    elif _msvcrt is not None:
+        try:
+            _lock_byte(descriptor, _msvcrt.LK_LOCK if waits else _msvcrt.LK_NBLCK)
+        except PermissionError as error:
+            raise BlockingIOError(*error.args) from None
+
+
+def unlock(file: IO[Any] | int) -> None:
+    """Unlock a file that is locked."""
+    descriptor = file if isinstance(file, int) else file.fileno()
+    if _fcntl is not None:
+        _fcntl.flock(descriptor, _fcntl.LOCK_UN)
+    elif _msvcrt is not None:
+        _lock_byte(descriptor, _msvcrt.LK_UNLCK)
+
+
+def n_cores() -> int:
+    """Return the number of processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+
+
+def open_files_limit(least: int = 0) -> int:
+    """Return how many files this process may have open; raise the limit to `least` if that is allowed."""
+    if _resource is None:
+        return sys.maxsize
+    soft, hard = (
+        sys.maxsize if each == _resource.RLIM_INFINITY else each
+        for each in _resource.getrlimit(_resource.RLIMIT_NOFILE)
+    )
+    if soft < least:
+        soft = min(hard, least)
+        _resource.setrlimit(_resource.RLIMIT_NOFILE, (soft, hard))
+    return soft
+
+
+def lower_priority(process: int = 0, by: int = 19) -> None:
+    """Let other programs come first; on Windows do nothing.
+
+    Args:
+        process: Number of the process; 0 for this one.
+        by: Steps by which its priority is lowered, up to 19.
+    """
+    if sys.platform != "win32":
+        least = os.getpriority(os.PRIO_PROCESS, process) + by
+        os.setpriority(os.PRIO_PROCESS, process, min(least, 19))
+
+
+def _lock_byte(descriptor: int, kind: int) -> None:
+    """Lock or unlock one byte of a file, by Windows' way, which begins at the present position."""
+    position = os.lseek(descriptor, 0, os.SEEK_CUR)
+    os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
+    try:
+        _msvcrt.locking(descriptor, kind, 1)
+    finally:
+        os.lseek(descriptor, position, os.SEEK_SET)
