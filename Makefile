@@ -48,7 +48,7 @@ wheels: $(VENV)/dev.stamp ## which locked packages have a wheel for Python 3.11 
 check: $(VENV)/dev.stamp ## style and types
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
-	@$(BIN)/pyright
+	@for system in Linux Darwin Windows; do $(BIN)/pyright --pythonplatform $$system || exit 1; done
 
 format: $(VENV)/dev.stamp ## put the code into its layout
 	@$(BIN)/ruff check --fix .
@@ -146,7 +146,7 @@ fidelity: $(VENV)/dev.stamp ## docs/fidelity.md, twin and reality compared; need
 
 lock: $(VENV)/dev.stamp ## resolve the dependencies anew
 	@$(BIN)/python -m pip install -q uv
-	@$(BIN)/uv pip compile pyproject.toml --extra rl --group build --group dm-control --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -o requirements.lock
+	@$(BIN)/uv pip compile pyproject.toml --extra pictures --extra fit --extra rl --group build --group dm-control --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -o requirements.lock
 	@$(BIN)/uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements.lock -o requirements-dev.lock
 	@$(BIN)/uv pip compile --group browser --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements-dev.lock -o requirements-browser.lock
 

@@ -204,6 +204,10 @@ class MissingExtraError(KhepTwinError):
         super().__init__(f"{package} is not installed; to install it: {pip_install_extra(extra)}")
 
 
+EXTRAS = {"matplotlib": "pictures", "scipy": "fit"}
+"""Extras whose packages are imported where they are needed, by package."""
+
+
 class MissingNumbaError(KhepTwinError):
     """Compiled code was asked for where numba, a dependency of khep_twin, is not installed."""
 

@@ -34,7 +34,7 @@ from khep_twin.cli.shadow import shadow
 from khep_twin.cli.streams import exit_code
 from khep_twin.cli.sweep import sweep
 from khep_twin.cli.view import view
-from khep_twin.errors import KhepTwinError
+from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError
 from khep_twin.signals import answered, asked_by, leave
 
 app = typer.Typer(
@@ -78,6 +78,11 @@ def _run() -> int:
         return 130
     except KhepTwinError as error:
         text, code = str(error), 1
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in EXTRAS:
+            raise
+        text, code = str(MissingExtraError(package, EXTRAS[package])), 1
     except OSError as error:
         code = 1
         if error.errno in (errno.EMFILE, errno.ENFILE):

@@ -8,7 +8,6 @@ import pytest
 from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
-from khep_twin.log import part_file
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.part_file import PartFile, set_aside
 
@@ -38,11 +37,11 @@ def test_a_file_that_another_run_took_before_it_was_locked_is_given_up(
     part, lock = tmp_path / "run.mcap.part", fcntl.flock
 
     def late(descriptor: int, operation: int) -> None:
-        monkeypatch.setattr(part_file.fcntl, "flock", lock)
+        monkeypatch.setattr(fcntl, "flock", lock)
         assert set_aside(part) == tmp_path / "run.mcap.part.1"
         lock(descriptor, operation)
 
-    monkeypatch.setattr(part_file.fcntl, "flock", late)
+    monkeypatch.setattr(fcntl, "flock", late)
     with pytest.raises(LogError, match="another run is writing it"):
         PartFile(part)
     assert not part.exists()
@@ -55,11 +54,11 @@ def test_a_log_that_was_finished_meanwhile_is_no_remains(
     log = LogFile(path, lambda: 0)
 
     def late(file: object, operation: int) -> None:
-        monkeypatch.setattr(part_file.fcntl, "flock", lock)
+        monkeypatch.setattr(fcntl, "flock", lock)
         log.finish()
         lock(file, operation)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(part_file.fcntl, "flock", late)
+    monkeypatch.setattr(fcntl, "flock", late)
     assert set_aside(log.part) is None
     assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
 
