@@ -1,0 +1,71 @@
+"""The shipped playpens as MJCF with a picture each, for viewers without khep_twin: the folder mjcf.
+
+    python tools/mjcf.py                            all of it anew; `make mjcf`
+    python tools/mjcf.py FOLDER --without-pictures
+
+The pictures need OpenGL: EGL or libOSMesa.
+"""
+
+import argparse
+import io
+from pathlib import Path
+
+from PIL import Image
+
+from khep_twin import playpen
+from khep_twin.drawing.render import render
+from khep_twin.files.atomic import write_whole
+from khep_twin.playpen.starts import at_spots
+from khep_twin.playpen_to_mjcf import to_mjcf
+
+FOLDER = Path(__file__).parents[1] / "mjcf"
+
+SIZE, COLOURS = (640, 480), 128
+"""Size of a picture [pixels], and number of its colours."""
+
+INTRODUCTION = """# Playpens as MJCF
+
+The shipped playpens for MuJoCo's own viewers, without khep_twin. `make mjcf` writes this folder.
+
+- On the desktop: `python -m mujoco.viewer --mjcf=mjcf/default.xml`, or drop a file onto `simulate`.
+- In a browser: drop a file onto [live.mujoco.org](https://live.mujoco.org). A file with a public address opens by the
+  link `https://live.mujoco.org/?model=ADDRESS`, one on GitHub by
+  `https://live.mujoco.org/?model=github:OWNER/REPOSITORY/BRANCH/mjcf/default.xml`.
+
+Load the keyframe `home` first: it holds a gripper up. The robots stand still, as no board drives their motors; the viewer's
+control sliders do. [docs/playpens.md](../docs/playpens.md) describes the playpens.
+
+| playpen | picture |
+|---|---|
+"""
+
+
+def main() -> None:
+    """Write the folder."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folder", nargs="?", type=Path, default=FOLDER)
+    parser.add_argument("--without-pictures", action="store_true", help="only the scenes and the list")
+    options = parser.parse_args()
+    options.folder.mkdir(exist_ok=True)
+    table = ""
+    for name in playpen.names():
+        found = at_spots(playpen.load(name), 0)
+        write_whole(options.folder / f"{name}.xml", to_mjcf(found).encode("utf-8"))
+        picture = options.folder / f"{name}.png"
+        if not options.without_pictures:
+            write_whole(picture, small(render(found, picture)))
+        table += f"| [{name}]({name}.xml) | ![{name}, from above]({name}.png) |\n"
+    write_whole(options.folder / "README.md", (INTRODUCTION + table).encode("utf-8"))
+    print(f"mjcf     {options.folder}")
+
+
+def small(picture: bytes) -> bytes:
+    """Return a picture in the size of the list."""
+    image = Image.open(io.BytesIO(picture)).resize(SIZE, Image.Resampling.LANCZOS).quantize(COLOURS)
+    content = io.BytesIO()
+    image.save(content, format="PNG", optimize=True)
+    return content.getvalue()
+
+
+if __name__ == "__main__":
+    main()
