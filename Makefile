@@ -26,7 +26,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-page fuzz-rfc2217 night edges branches simulate mutants twin-trials record recordings soak determinism kills day worker-kills signals pyserial browser schemas mjcf commands reference tutorial bench fidelity lock build clean
+.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-page fuzz-rfc2217 night edges branches simulate mutants twin-trials record recordings soak determinism kills day worker-kills signals pyserial browser schemas mjcf commands docs reference tutorial bench fidelity lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -133,6 +133,12 @@ mjcf: $(VENV)/dev.stamp ## the shipped playpens as MJCF with a picture each, in 
 commands: $(VENV)/dev.stamp ## docs/commands.md, every command with its options, out of the help texts
 	@$(BIN)/python -m typer khep_twin.cli.app utils docs --name khep-twin --title Commands --output docs/commands.md
 
+docs: $(VENV)/dev.stamp ## the site: all pages, gallery, reference and a search, out/site/index.html; links are checked
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --require-hashes -r requirements-site.lock
+	@PYTHONPATH=. $(BIN)/python tools/site.py out/site-source
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build -q
+	@echo "site       out/site/index.html"
+
 reference: $(VENV)/dev.stamp ## pages of every public function and class, docs/reference/index.html
 	@$(BIN)/python tools/reference.py docs/reference
 	@echo "reference  docs/reference/index.html"
@@ -152,6 +158,7 @@ lock: $(VENV)/dev.stamp ## resolve the dependencies anew
 	@$(BIN)/uv pip compile pyproject.toml --extra pictures --extra fit --extra rl --group build --group dm-control --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -o requirements.lock
 	@$(BIN)/uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements.lock -o requirements-dev.lock
 	@$(BIN)/uv pip compile --group browser --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements-dev.lock -o requirements-browser.lock
+	@$(BIN)/uv pip compile --group site --universal --python-version 3.11 --generate-hashes --no-header -q --upgrade -c requirements-dev.lock -o requirements-site.lock
 
 build: $(VENV)/dev.stamp ## wheel and source archive, in dist/
 	@$(BIN)/python -m hatchling build
