@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 import typer
-from typer.exceptions import TyperException
 
 from khep_twin.cli.app import app
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -70,16 +69,15 @@ def test_there_are_commands() -> None:
 
 @pytest.mark.parametrize(("page", "words"), named("khep-twin"), ids=str)
 def test_a_command_has_only_options_that_there_are(page: str, words: list[str]) -> None:
-    check(words)
+    assert unknown(words) == []
 
 
 def test_an_unknown_option_is_found() -> None:
-    with pytest.raises(TyperException):
-        check(["khep-twin", "serve", "default", "--nothing"])
+    assert "--nothing" in unknown(["khep-twin", "serve", "default", "--nothing"])
 
 
-def check(words: list[str]) -> None:
-    """Parse the words of a command without running it."""
+def unknown(words: list[str]) -> list[str]:
+    """Parse the words of a command without running it; return those that it does not know."""
     command = typer.main.get_command(app)
     rest = words[1:]
     context = command.make_context("khep-twin", [], resilient_parsing=True)
@@ -87,7 +85,7 @@ def check(words: list[str]) -> None:
         command = command.commands[rest[0]]
         context = command.make_context(rest.pop(0), [], parent=context, resilient_parsing=True)
     _, more, _ = command.make_parser(context).parse_args(rest)
-    assert more == []
+    return more
 
 
 @pytest.mark.parametrize(("page", "words"), named("make"), ids=str)
