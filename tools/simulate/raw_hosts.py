@@ -204,7 +204,7 @@ class Raw:
 
     def _lose_cable(self, host: Any) -> None:
         host.sendall(b"D,2,2\nN\n")
-        self._pause(self.rng.choice([0.0, 0.05, 1.0]))
+        self._pause(self.rng.choice([0.0, 0.02, 0.02, 1.0]))  # in 0.02 s the reply is on its way
         duration_ns = self.rng.choice([None, NS_PER_S // 10, 2 * NS_PER_S, 40 * NS_PER_S])
         self.simulation.network.cut(host._tcp, duration_ns)
         self._pause(self.rng.choice([0.1, 5.0]))

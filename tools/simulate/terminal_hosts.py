@@ -69,7 +69,7 @@ class TerminalHost:
         rng, truth, faults = self.rng, self.site.truth, self.simulation.faults
         if faults.happens("companion", "terminals", 1.0):
             own = faults.drawn("companion", "terminals")
-            delay_ns = own.randrange(200_000)
+            delay_ns = round(10 ** own.uniform(2, 5.3))
             stay = own.choice([0.0, 0.0001, 0.01, 1.0])
             self.simulation.spawn(f"companion{self.number}", lambda: self._accompany(stay), delay_ns)
         try:
