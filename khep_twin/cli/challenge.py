@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli import completion
-from khep_twin.cli.options import Commands, Force, check_new, check_writable
+from khep_twin.cli.options import Commands, Force, check_new, check_writable, usage
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.invocation import command
 
@@ -53,10 +53,15 @@ def list_challenges() -> None:
 
 
 @challenge_app.command()
-def show(name: ChallengeName) -> None:
+def show(
+    name: ChallengeName,
+    picture: Annotated[Path | None, typer.Option(help="Draw the challenge in this PNG file.")] = None,
+) -> None:
     """Print a challenge: its task, its playpen, how it is scored, and where its files are."""
     from khep_twin.lab.challenge.challenge import load
 
+    if picture is not None and picture.suffix.lower() != ".png":
+        raise usage(f"--picture {picture}: expected a name that ends in .png")
     file = load(name)
     challenge = file.challenge
     typer.echo(f"{challenge.name}: {challenge.title}\n\n{challenge.description.strip()}\n")
@@ -73,8 +78,13 @@ def show(name: ChallengeName) -> None:
         if score is not None:
             typer.echo(f"{title:9}  {challenge.value(score)}")
     for title, path in (("solution", file.solution), ("picture", file.picture)):
-        if path.is_file():
+        if path.is_file() and (picture is None or title == "solution"):
             typer.echo(f"{title:9}  {path}")
+    if picture is not None:
+        from khep_twin.lab.challenge.picture import save
+
+        save(file, picture)
+        typer.echo(f"picture    {picture}")
 
 
 @challenge_app.command()

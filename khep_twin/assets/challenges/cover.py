@@ -1,50 +1,12 @@
-"""A controller of a Khepera: fill in what it is to do.
+"""A Braitenberg vehicle with the weights of the robot's own demonstration, but faster."""
 
-    khep-twin run FILE.py --playpen obstacles --seconds 60
-    khep-twin run FILE.py --port /dev/ttyUSB0 --cycles 500 --runs 3 --save out/series
-    khep-twin series out/series
-
-The same file drives a robot and a twin. As it stands, it wanders and turns away from what is near.
-"""
-
-from khep_twin.host import Khepera
-from khep_twin.lab.experiment.controllers import Controller
-
-SPEED_PULSES = 5  # [pulses/10 ms = 8 mm/s]
-NEAR_COUNTS = 200  # proximity from 0, nothing there, to 1023, touching
+WEIGHTS = [(4, -5), (4, -15), (6, -18), (-18, 6), (-15, 4), (-5, 4), (5, 3), (3, 5)]  # left, right wheel
+SPEED_PULSES, TOP_PULSES = 18, 20
+DIVISOR = 400
 
 
-class Wander(Controller):
-    """Drives straight on, and turns where something is near."""
-
-    def start(self, robot: Khepera) -> None:
-        """Before the first cycle of each run: set variables here. What is in them at its end is kept."""
-        self.turns = 0  # saved with the run
-        self._last = 0  # not saved: its name begins with _
-
-    def cycle(self, robot: Khepera) -> None:
-        """Again and again: look, think, act. A command takes its time on the line: N 45 ms at 9600 baud."""
-        # Left 90, 45, 10 degrees, right 10, 45, 90, back right, back left: eight counts in this order.
-        _, left_45, left_10, right_10, right_45, *_ = robot.proximity()
-        # robot.ambient()    eight counts of light, about 500 in the dark, 50 in bright light
-        # robot.position()   the wheels' counters [pulses of 0.08 mm]
-        left, right = max(left_45, left_10), max(right_10, right_45)
-        if max(left, right) < NEAR_COUNTS:
-            turn = 0
-        else:
-            # To the right, if it is nearer at the left; a turn goes on as it began, or corners would hold it.
-            turn = self._last or (1 if left > right else -1)
-        if turn and not self._last:
-            self.turns += 1
-        self._last = turn
-        if turn:
-            robot.set_speed(turn * SPEED_PULSES, -turn * SPEED_PULSES)
-        else:
-            robot.set_speed(SPEED_PULSES, SPEED_PULSES)
-
-    def end(self, robot: Khepera) -> None:
-        """After the last cycle of each run; the motors stand already."""
-
-    def stop(self, robot: Khepera) -> None:
-        """When the robot is done with, also after Ctrl-C or trouble: leave it in order."""
-        robot.set_led(0, 0)
+def controller(robot):
+    seen = robot.proximity()
+    speeds = [sum(map(lambda weight, count: weight[wheel] * count, WEIGHTS, seen)) for wheel in (0, 1)]
+    left, right = (round(speed / DIVISOR) + SPEED_PULSES for speed in speeds)
+    robot.set_speed(max(-TOP_PULSES, min(left, TOP_PULSES)), max(-TOP_PULSES, min(right, TOP_PULSES)))

@@ -211,6 +211,7 @@ def _main(settings: dict[str, Any]) -> None:
         with answered():
             with redirect_stderr(StringIO()):  # that numba compiles is nothing that the file prints
                 when_ready("world")
+                when_ready("vision")
             challenge = load(settings["challenge"])
             found = score(challenge, settings["controller"], settings["runs"], settings["seed"], log)
             told: dict[str, Any] = {"score": asdict(found)}
