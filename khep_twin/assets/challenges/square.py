@@ -1,11 +1,11 @@
-"""Sends the wheels to positions, with a faster profile than after a reset: 150 mm, a quarter turn, and so on."""
+"""Sends the wheels to positions, with a faster profile than after a reset."""
 
 SIDE_PULSES = 1875  # 150 mm in pulses of 0.08 mm
 TURN_PULSES = 511  # a quarter of a circle of the wheels, 52 mm apart
 
 
 def controller(robot):
-    robot.configure_profile(40, 64, 40, 64)
+    robot.configure_profile(60, 255, 60, 255)
     robot.set_position(0, 0)
     left = right = 0
     for _ in range(4):

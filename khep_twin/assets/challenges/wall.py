@@ -1,4 +1,4 @@
-"""Follows the wall on its right by the side sensor's difference to a setpoint and its change; turns before walls."""
+"""Follows the wall on its right by the side sensor's difference to a setpoint, and by its change."""
 
 SETPOINT_COUNTS = 512
 NEAR_COUNTS = 100  # proximity, from 0, nothing there, to 1023, touching
