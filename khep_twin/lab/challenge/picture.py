@@ -1,5 +1,8 @@
 """Pictures of challenges: the playpen with the robot's start and the goals."""
 
+# matplotlib is typed only in part.
+# pyright: reportUnknownMemberType=false
+
 from io import BytesIO
 from pathlib import Path
 

@@ -127,7 +127,9 @@ def test_a_table_has_a_line_for_every_file_whatever_it_does(short: Path, tmp_pat
         (folder / f"{name}.py").write_text(text)
     done = khep_twin("challenge", "table", short, folder, "-o", tmp_path / "class.csv")
     assert done.returncode == 0, done.stderr
-    rows = {row["participant"]: row for row in csv.DictReader((tmp_path / "class.csv").open())}
+    rows = {
+        row["participant"]: row for row in csv.DictReader((tmp_path / "class.csv").read_text().splitlines())
+    }
     assert list(rows)[:2] == ["returns", "never_returns"]
     assert {*rows} == {*BROKEN, *SCORED}
     for name, (_, reason) in BROKEN.items():
