@@ -205,7 +205,7 @@ def test_penalties_and_goals_make_the_score(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (('"distance_m"', '"speed"'), 'short.toml:9: metric = "speed": unknown; (choices: fitness'),
+        (('"distance_m"', '"speed"'), 'short.toml:9: metric = "speed": unknown; did you mean '),
         (
             ('"distance_m"', '"goal_s"'),
             'short.toml:9: metric = "goal_s": there is no goal; expected a [[goal]]',
