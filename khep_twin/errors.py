@@ -11,6 +11,7 @@
     │   └── PortInUse     a port that another program has open
     ├── MoveError         a move that was not completed
     ├── ControllerError   a control program that cannot be found or started
+    ├── ChallengeError    a challenge that cannot be used
     ├── LogError          a log that cannot be written or read
     ├── FaultError        a fault to inject that is unknown
     ├── SensorTestError   a sensor test that cannot be run, or unusable data of one
@@ -167,6 +168,10 @@ class MoveError(KhepTwinError):
 
 class ControllerError(KhepTwinError):
     """A control program that cannot be found or started."""
+
+
+class ChallengeError(KhepTwinError):
+    """A challenge that cannot be used."""
 
 
 class LogError(KhepTwinError):

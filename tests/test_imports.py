@@ -29,7 +29,7 @@ ORDER = [
     ["rollout"],
     ["shadow"],
     ["envs", "lab.conformance", "lab.experiment", "lab.sensor_test"],
-    ["lab.fit", "lab.report", "sweep"],
+    ["lab.challenge", "lab.fit", "lab.report", "sweep"],
     ["lab.dataset"],
     ["toolbox"],
     ["web"],

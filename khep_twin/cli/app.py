@@ -14,6 +14,7 @@ from typer.exceptions import TyperException
 from khep_twin import __version__
 from khep_twin.cli.branch import branch
 from khep_twin.cli.calibrate import calibrate
+from khep_twin.cli.challenge import challenge_app
 from khep_twin.cli.compile import compile_all
 from khep_twin.cli.completion import complete_in_bash, missing
 from khep_twin.cli.conform import conform
@@ -46,6 +47,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.add_typer(playpen_app, name="playpen")
+app.add_typer(challenge_app, name="challenge")
 _RUNS = (run, rollout, series, sweep, new, design)
 _PORTS = (
     serve,

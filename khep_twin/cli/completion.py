@@ -23,6 +23,13 @@ def playpens() -> list[Offer]:
     return [(name, summary(name)) for name in names("playpens")] + _files(".toml")
 
 
+def challenges() -> list[Offer]:
+    """Return the shipped challenges and the TOML files of the current folder."""
+    from khep_twin.files.toml_files import names
+
+    return [(name, "") for name in names("challenges")] + _files(".toml")
+
+
 def calibrations() -> list[Offer]:
     """Return the shipped calibrations and the TOML files of the current folder."""
     from khep_twin.files.toml_files import names

@@ -1,0 +1,182 @@
+"""`khep-twin challenge COMMAND`: tasks with a score for controller files, and the results of a class."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from khep_twin.cli import completion
+from khep_twin.cli.options import Commands, Force, check_new, check_writable, usage
+from khep_twin.cli.progress import progress as progress_bar
+from khep_twin.invocation import command
+
+if TYPE_CHECKING:
+    from khep_twin.lab.challenge.challenge import Challenge
+
+challenge_app = typer.Typer(
+    help="Score controller files in challenges, and list the results of a class.",
+    cls=Commands,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+ChallengeName = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME",
+        help="Name of a shipped challenge, or path of a challenge file.",
+        autocompletion=completion.challenges,
+    ),
+]
+Runs = Annotated[
+    int | None, typer.Option(min=1, max=1000, help="Number of runs; without, the challenge's own.")
+]
+Seed = Annotated[
+    int | None,
+    typer.Option(min=0, help="Seed of the first run, run n has this + n - 1; without, the challenge's."),
+]
+RealSeconds = Annotated[
+    float, typer.Option(min=1, max=86_400, help="End a file after this real time [s], as one that hangs.")
+]
+
+
+@challenge_app.command("list")
+def list_challenges() -> None:
+    """List the shipped challenges, a line each."""
+    from khep_twin.lab.challenge.challenge import load, names
+
+    found = names()
+    for name in found:
+        challenge = load(name).challenge
+        typer.echo(f"{name:{max(map(len, found))}}  {challenge.title} ({_reading(challenge)})")
+
+
+@challenge_app.command()
+def show(
+    name: ChallengeName,
+    picture: Annotated[Path | None, typer.Option(help="Draw the challenge in this PNG file.")] = None,
+) -> None:
+    """Print a challenge: its task, its playpen, how it is scored, and where its files are."""
+    from khep_twin.lab.challenge.challenge import load
+
+    if picture is not None and picture.suffix.lower() != ".png":
+        raise usage(f"--picture {picture}: expected a name that ends in .png")
+    file = load(name)
+    challenge = file.challenge
+    typer.echo(f"{challenge.name}: {challenge.title}\n\n{challenge.description.strip()}\n")
+    runs = f"{challenge.runs} runs" if challenge.runs > 1 else "1 run"
+    typer.echo(
+        f"playpen    {challenge.playpen}, {runs} of {challenge.seconds:g} s from seed {challenge.seed}"
+    )
+    typer.echo(f"score      {_reading(challenge)}")
+    for penalty in challenge.penalties:
+        typer.echo(f"penalty    {penalty.each:g} for each of {penalty.metric}")
+    for goal in challenge.goals:
+        typer.echo(f"goal       within {goal.radius_mm:g} mm of ({goal.x_mm:g}, {goal.y_mm:g})")
+    for title, score in (("reference", challenge.reference), ("passed", challenge.threshold)):
+        if score is not None:
+            typer.echo(f"{title:9}  {challenge.value(score)}")
+    for title, path in (("solution", file.solution), ("picture", file.picture)):
+        if path.is_file() and (picture is None or title == "solution"):
+            typer.echo(f"{title:9}  {path}")
+    if picture is not None:
+        from khep_twin.lab.challenge.picture import save
+
+        save(file, picture)
+        typer.echo(f"picture    {picture}")
+
+
+@challenge_app.command()
+def run(
+    name: ChallengeName,
+    controller: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[FILE.py]",
+            help="Controller, FILE.py or FILE.py:NAME; without, the reference solution.",
+            autocompletion=completion.controllers,
+        ),
+    ] = None,
+    runs: Runs = None,
+    seed: Seed = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(help="Record the run in this MCAP file; several runs in NAME-001.mcap and so on."),
+    ] = None,
+    real_seconds: RealSeconds = 60.0,
+    force: Force = False,
+) -> None:
+    """Score a controller in a challenge; exit with 4 if it does not pass."""
+    from khep_twin.errors import ControllerError
+    from khep_twin.lab.challenge.attempt import attempt
+    from khep_twin.lab.challenge.challenge import load
+    from khep_twin.lab.experiment.series import numbered
+
+    file = load(name)
+    challenge = file.challenge
+    count = challenge.runs if runs is None else runs
+    logs = [] if log is None else [log] if count == 1 else [numbered(log, n + 1) for n in range(count)]
+    check_new(force, *logs)
+    check_writable(*logs)
+    typed = str(file.solution) if controller is None else controller
+    found = attempt(file, typed, runs=count, seed=seed, log=log, real_seconds=real_seconds, show=_print_bytes)
+    if found.score is None:
+        raise ControllerError(found.reason)
+    for number, value in enumerate(found.score.runs if count > 1 else (), 1):
+        typer.echo(f"run {number:3}    {challenge.value(value)}")
+    typer.echo(f"score      {challenge.value(found.score.value)}")
+    if challenge.reference is not None:
+        typer.echo(f"reference  {challenge.value(challenge.reference)}")
+    passes = challenge.passes(found.score.value)
+    if passes is not None:
+        wanted = "at least" if challenge.better == "higher" else "at most"
+        result = "passed" if passes else "failed"
+        typer.echo(f"{result}     {wanted} {challenge.value(challenge.threshold or 0.0)}")
+    if logs:
+        more = f" to {logs[-1].name}" if len(logs) > 1 else ""
+        typer.echo(f"log        {logs[0]}{more}      look at it: {command('view', logs[0])}")
+    if passes is False:
+        raise typer.Exit(4)
+
+
+@challenge_app.command()
+def table(
+    name: ChallengeName,
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder with a FILE.py per participant.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Write the table to this CSV file, too.")
+    ] = None,
+    runs: Runs = None,
+    seed: Seed = None,
+    real_seconds: RealSeconds = 60.0,
+    force: Force = False,
+) -> None:
+    """Score every controller file of a folder, and print them by rank."""
+    from khep_twin.files.atomic import write_whole
+    from khep_twin.lab.challenge.challenge import load
+    from khep_twin.lab.challenge.results import attempts, participants, to_csv
+    from khep_twin.lab.challenge.results import table as as_text
+
+    file = load(name)
+    files = participants(folder)
+    check_new(force, output)
+    check_writable(output)
+    with progress_bar() as bar:
+        found = attempts(file, files, runs=runs, seed=seed, real_seconds=real_seconds, progress=bar)
+    typer.echo(as_text(file.challenge, found))
+    if output is not None:
+        write_whole(output, to_csv(file.challenge, found))
+        typer.echo(f"table  {output}")
+
+
+def _reading(challenge: "Challenge") -> str:
+    """Return how the score is read."""
+    unit = f" [{challenge.unit}]" if challenge.unit else ""
+    return f"{challenge.metric}{unit}, {challenge.better} is better"
+
+
+def _print_bytes(data: bytes) -> None:
+    """Print what a controller prints."""
+    sys.stdout.write(data.decode("utf-8", "replace"))
+    sys.stdout.flush()

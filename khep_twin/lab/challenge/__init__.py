@@ -1,0 +1,1 @@
+"""Challenges: tasks for controller files, with a score that repeats, and tables of a class's results."""

@@ -1,0 +1,176 @@
+"""Challenges as TOML files: a playpen, a time limit, a metric and how it is read as a score.
+
+    version = 1
+    name = "cover"
+    title = "Cover the floor"
+    description = "Drive over as much of the floor as you can, without touching anything."
+    playpen = "obstacles"
+    seconds = 60
+    metric = "coverage"
+    better = "higher"
+
+The models define the format: their attributes are the file's keys, except the tuples of `[[goal]]` and
+`[[penalty]]`. Beside NAME.toml are NAME.py, a reference solution, and NAME.png, a picture. A playpen that
+does not ship with the package is a path relative to the file.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from khep_twin import playpen as playpens
+from khep_twin.errors import ChallengeError, Problem
+from khep_twin.files import toml_files
+from khep_twin.files.toml_files import Name, Problems, TomlTable
+from khep_twin.files.toml_lines import LineNumbers
+from khep_twin.lab.challenge.task_metrics import UNITS
+from khep_twin.lab.experiment.start_poses import StartPose, starts
+from khep_twin.playpen import Playpen
+from khep_twin.randomness import SEED_LIMIT
+
+KIND = "challenges"
+"""Folder of the shipped challenges in the assets."""
+
+RUNS_LIMIT = 1000
+"""Most runs of a score."""
+
+Text = Annotated[str, Field(min_length=1, max_length=2000)]
+Metric = Annotated[str, Field(description=f"one of {', '.join(UNITS)}")]
+
+
+class Goal(TomlTable):
+    """A `[[goal]]`: a round area to be reached by the robot's centre, after those before it."""
+
+    x_mm: float
+    y_mm: float
+    radius_mm: Annotated[float, Field(gt=0)]
+
+
+class Penalty(TomlTable):
+    """A `[[penalty]]`: what each unit of another metric costs in units of the score."""
+
+    metric: Metric
+    each: Annotated[float, Field(gt=0)]
+
+
+class Challenge(TomlTable):
+    """A whole challenge."""
+
+    version: Annotated[int, Field(ge=1, le=1, description="1")]
+    name: Name
+    title: Annotated[str, Field(min_length=1, max_length=60)]
+    description: Text
+    playpen: Annotated[str, Field(min_length=1)]
+    starts: Annotated[tuple[str, ...], Field(min_length=1)] = ("playpen",)
+    seconds: Annotated[float, Field(gt=0, le=3600)]
+    runs: Annotated[int, Field(ge=1, le=RUNS_LIMIT)] = 1
+    seed: Annotated[int, Field(ge=0, lt=SEED_LIMIT - RUNS_LIMIT)] = 1
+    metric: Metric
+    better: Literal["higher", "lower"]
+    reference: Annotated[float | None, Field(description="the score of the reference solution")] = None
+    threshold: Annotated[float | None, Field(description="the score that passes")] = None
+    object: Annotated[str | None, Field(description="the name of a movable object")] = None
+    goals: Annotated[tuple[Goal, ...], Field(alias="goal")] = ()
+    penalties: Annotated[tuple[Penalty, ...], Field(alias="penalty")] = ()
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if problems := list(self._problems()):
+            raise Problems(problems)
+        return self
+
+    def _problems(self) -> Iterator[Problem]:
+        named = [(("metric",), self.metric)]
+        named += [(("penalty", index, "metric"), each.metric) for index, each in enumerate(self.penalties)]
+        for location, metric in named:
+            if metric not in UNITS:
+                yield Problem.of(location, f'metric = "{metric}": unknown', tuple(UNITS), metric)
+            if metric in ("goals", "goal_s", "goal_share", "object_mm") and not self.goals:
+                yield Problem.of(location, f'metric = "{metric}": there is no goal', "a [[goal]]")
+            if metric == "object_mm" and self.object is None:
+                yield Problem.of(location, 'metric = "object_mm": there is no object', "object = NAME")
+
+    @property
+    def unit(self) -> str:
+        """Unit of the score."""
+        return UNITS[self.metric]
+
+    def passes(self, score: float) -> bool | None:
+        """Return whether a score passes; None without a threshold."""
+        if self.threshold is None:
+            return None
+        return score >= self.threshold if self.better == "higher" else score <= self.threshold
+
+    def value(self, score: float) -> str:
+        """Return a score with its unit."""
+        return f"{score:.4g} {self.unit}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class ChallengeFile:
+    """A challenge as it was read.
+
+    Attributes:
+        challenge: Content of the challenge.
+        playpen: Its playpen.
+        name: Name by which it was given: a shipped one, or a path.
+        path: Path of the file.
+    """
+
+    challenge: Challenge
+    playpen: Playpen
+    name: str
+    path: Path
+
+    @property
+    def solution(self) -> Path:
+        """Reference solution."""
+        return self.path.with_suffix(".py")
+
+    @property
+    def picture(self) -> Path:
+        """Picture of the playpen."""
+        return self.path.with_suffix(".png")
+
+    def start_poses(self, runs: int, seed: int) -> list[StartPose]:
+        """Return the start poses, which runs take in turn."""
+        return starts(self.challenge.starts, self.playpen, 0, runs, seed)
+
+
+def names() -> list[str]:
+    """Return the names of the challenges that ship with the package."""
+    return toml_files.names(KIND)
+
+
+def load(name: str) -> ChallengeFile:
+    """Load a challenge by the bare name of a shipped one, or by path.
+
+    Raises:
+        ChallengeError: It does not exist or cannot be used; one line per problem.
+        PlaypenError: Its playpen cannot be used.
+    """
+    text, source = toml_files.read(KIND, name, ChallengeError)
+    challenge = toml_files.validate(Challenge, text, source, ChallengeError)
+    path = toml_files.folder(KIND) / f"{name}.toml" if name in names() else Path(name)
+    shipped = challenge.playpen in playpens.names()
+    playpen = playpens.load(challenge.playpen if shipped else path.parent / challenge.playpen)
+
+    def problem(key: str, found: str, expected: str | tuple[object, ...], value: object) -> ChallengeError:
+        line = LineNumbers(text).of((key,))
+        made = Problem.of((key,), found, expected, value, source)
+        return ChallengeError(problems=[Problem(made.location, made.text, value, expected, source, line)])
+
+    if not playpen.robots:
+        raise problem("playpen", f"{challenge.playpen} has no robot", "one", challenge.playpen)
+    movable = tuple(each.name for each in movable_objects(playpen) if each.name)
+    if challenge.object is not None and challenge.object not in movable:
+        raise problem("object", f'object = "{challenge.object}": unknown', movable, challenge.object)
+    return ChallengeFile(challenge, playpen, name, path)
+
+
+def movable_objects(playpen: Playpen) -> list[playpens.Block | playpens.Cylinder]:
+    """Return the movable objects, in the order of `World.objects`."""
+    return [item for items in playpen.objects.values() for item in items if item.movable]

@@ -1,0 +1,44 @@
+"""Pictures of challenges: the playpen with the robot's start and the goals."""
+
+# matplotlib is typed only in part.
+# pyright: reportUnknownMemberType=false
+
+from io import BytesIO
+from pathlib import Path
+
+from matplotlib.patches import Circle
+from PIL import Image
+
+from khep_twin.drawing import map as drawing
+from khep_twin.files.atomic import write_whole
+from khep_twin.lab.challenge.challenge import ChallengeFile
+
+_LONGER_SIDE = 3.0
+"""Longer side of the playpen on paper [inch]."""
+
+_DPI = 110
+_COLOURS = 128
+"""Colours of a picture, which keep its file small."""
+
+_GOAL = "#b3261e"
+
+
+def save(file: ChallengeFile, path: Path) -> None:
+    """Draw a challenge as PNG, its goals as dashed circles, with numbers if there are several.
+
+    Raises:
+        KhepTwinError: The file cannot be written.
+    """
+    goals = file.challenge.goals
+    figure = drawing.draw(file.playpen, title=file.challenge.title, longer_side=_LONGER_SIDE)
+    axes = figure.axes[0]
+    for number, goal in enumerate(goals, 1):
+        place = goal.x_mm, goal.y_mm
+        axes.add_patch(Circle(place, goal.radius_mm, fill=False, ec=_GOAL, ls="--", lw=1.2, zorder=9))
+        if len(goals) > 1:
+            beside = goal.x_mm + goal.radius_mm, goal.y_mm + goal.radius_mm
+            axes.text(*beside, str(number), color=_GOAL, fontsize=8, zorder=9)
+    full = Image.open(BytesIO(drawing.picture(figure, "png", _DPI))).convert("RGB")
+    small = BytesIO()
+    full.quantize(_COLOURS).save(small, "PNG", optimize=True)
+    write_whole(path, small.getvalue())

@@ -1,0 +1,98 @@
+"""Table of a class's results in a challenge: every controller file of a folder, the best first."""
+
+import csv
+from collections.abc import Callable, Iterable, Sequence
+from io import StringIO
+from pathlib import Path
+
+from khep_twin.errors import ChallengeError
+from khep_twin.lab.challenge.attempt import REAL_SECONDS, Attempt, attempt
+from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile
+
+
+def participants(folder: Path) -> list[Path]:
+    """Return the Python files of a folder by their names, without those that begin with "_" or ".".
+
+    Raises:
+        ChallengeError: There is no such folder, or none in it.
+    """
+    if not folder.is_dir():
+        raise ChallengeError("no such folder", file=folder, expected="a folder of controller files")
+    found = sorted(path for path in folder.glob("*.py") if path.name[0] not in "_.")
+    if not found:
+        raise ChallengeError("has no controller file", file=folder, expected="files that end in .py")
+    return found
+
+
+def attempts(
+    file: ChallengeFile,
+    files: Sequence[Path],
+    *,
+    runs: int | None = None,
+    seed: int | None = None,
+    real_seconds: float = REAL_SECONDS,
+    progress: Callable[[float], None] | None = None,
+) -> list[Attempt]:
+    """Score files one after the other, each in a process of its own, with the options of `attempt`."""
+    found: list[Attempt] = []
+    for path in files:
+        found.append(attempt(file, str(path), runs=runs, seed=seed, real_seconds=real_seconds))
+        if progress is not None:
+            progress(len(found) / len(files))
+    return found
+
+
+def ranked(challenge: Challenge, found: Iterable[Attempt]) -> list[tuple[int | None, Attempt]]:
+    """Return attempts with their ranks, the best first; equal scores share a rank."""
+    sign = -1 if challenge.better == "higher" else 1
+    scored = [(sign * each.score.value, each.file, each) for each in found if each.score is not None]
+    rest = sorted((each for each in found if each.score is None), key=lambda each: each.file)
+    rows = [
+        (1 + sum(other < value for other, _, _ in scored), each)
+        for value, _, each in sorted(scored, key=lambda row: row[:2])
+    ]
+    return [*rows, *((None, each) for each in rest)]
+
+
+def table(challenge: Challenge, found: Sequence[Attempt]) -> str:
+    """Return attempts as lines of text."""
+    width = max(11, *(len(_name(each)) for each in found))
+    head = f"{'rank':>4}  {'participant':{width}}  {'score':>8}  {'passed':6}  note".rstrip()
+    lines = [head]
+    for rank, each in ranked(challenge, found):
+        value = "" if each.score is None else f"{each.score.value:.4g}"
+        passed = _passed(challenge, each)
+        row = f"{rank or '-':>4}  {_name(each):{width}}  {value:>8}  {passed:6}  {each.note}"
+        lines.append(row.rstrip())
+    return "\n".join(lines)
+
+
+def to_csv(challenge: Challenge, found: Sequence[Attempt]) -> bytes:
+    """Return attempts as a CSV file, with all digits of the scores and those of each run."""
+    runs = max((len(each.score.runs) for each in found if each.score is not None), default=0)
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["rank", "participant", "score", "passed", "note", *(f"run_{n + 1}" for n in range(runs))]
+    )
+    for rank, each in ranked(challenge, found):
+        score = each.score
+        values = ["", *[""] * runs] if score is None else [score.value, *score.runs]
+        writer.writerow(
+            [rank or "", _name(each), values[0], _passed(challenge, each), _plain(each.note), *values[1:]]
+        )
+    return text.getvalue().encode("utf-8")
+
+
+def _name(attempt: Attempt) -> str:
+    return Path(attempt.file).stem
+
+
+def _passed(challenge: Challenge, attempt: Attempt) -> str:
+    passes = None if attempt.score is None else challenge.passes(attempt.score.value)
+    return "" if passes is None else "yes" if passes else "no"
+
+
+def _plain(note: str) -> str:
+    """Return a text that a spreadsheet does not take for a formula."""
+    return f"'{note}" if note[:1] in ("=", "+", "-", "@") else note

@@ -1,0 +1,156 @@
+"""Scores of a controller file, run in this process: a new twin and a new controller for each run.
+
+A run is exactly as long as the challenge says, in simulated time: what a controller does then is refused, so
+that a program that never returns is scored, too. The score is the mean over the runs, less the penalties.
+Python's and numpy's global random numbers begin at the run's seed.
+"""
+
+import math
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from khep_twin.clock import to_ns
+from khep_twin.errors import KhepTwinError, StoppedError
+from khep_twin.host import Khepera
+from khep_twin.lab.challenge.challenge import ChallengeFile, movable_objects
+from khep_twin.lab.challenge.task_metrics import TaskMetrics
+from khep_twin.lab.experiment.controller_source import source_of
+from khep_twin.lab.experiment.experiment import find_controller
+from khep_twin.lab.experiment.series import OneRobot, Plan, SeriesRun, numbered, run_series
+from khep_twin.lab.experiment.start_poses import StartPose
+from khep_twin.playpen.starts import at_start
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.world import World
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Score of a controller in a challenge.
+
+    Attributes:
+        value: Mean over the runs.
+        runs: Score of each run.
+        metrics: Mean of each metric over the runs.
+    """
+
+    value: float
+    runs: tuple[float, ...]
+    metrics: Mapping[str, float] = field(default_factory=dict[str, float])
+
+
+def score(file: ChallengeFile, controller: str, runs: int, seed: int, log: Path | None = None) -> Score:
+    """Return the score of a controller file, the same in any process.
+
+    Args:
+        file: Challenge.
+        controller: Controller, FILE.py or FILE.py:NAME, or a built-in one.
+        runs: Number of runs; run n has the seed `seed` + n - 1.
+        seed: Seed of the first run.
+        log: Log to record; with several runs each has its own, NAME-001.mcap and so on.
+
+    Raises:
+        ControllerError: The controller failed.
+        KhepTwinError: A log cannot be written.
+    """
+    measured = [
+        _run(file, controller, start, seed + index, _log_of(log, index, runs))
+        for index, start in zip(range(runs), _cycled(file.start_poses(runs, seed), runs), strict=True)
+    ]
+    values = tuple(_value(file, metrics) for metrics in measured)
+    means = {name: math.fsum(each[name] for each in measured) / runs for name in measured[0]}
+    return Score(math.fsum(values) / runs, values, means)
+
+
+class LimitedTime:
+    """Simulated time that ends at a limit, a `TimeSource`: who lets more time pass is told so.
+
+    Attributes:
+        limit_ns: Time of the world at which it ends [ns]; None for no limit.
+    """
+
+    def __init__(self, world: World, limit_ns: int) -> None:
+        self._world = world
+        self.limit_ns: int | None = limit_ns
+
+    def is_over(self) -> bool:
+        """Return whether the limit is reached."""
+        return self.limit_ns is not None and self._world.time_ns >= self.limit_ns
+
+    def advance_to(self, time_ns: int) -> None:
+        """Advance the world to `time_ns`, or to the limit.
+
+        Raises:
+            StoppedError: The limit was before `time_ns`.
+        """
+        if self.limit_ns is not None and time_ns > self.limit_ns:
+            self._world.advance_to(self.limit_ns)
+            raise StoppedError("the time of the challenge is over")
+        self._world.advance_to(time_ns)
+
+    def attend(self) -> None:
+        """Refuse commands after the limit.
+
+        Raises:
+            StoppedError: The limit is reached.
+        """
+        if self.is_over():
+            raise StoppedError("the time of the challenge is over")
+
+
+def _run(
+    file: ChallengeFile, controller: str, start: StartPose, seed: int, log: Path | None
+) -> dict[str, float]:
+    """Return the metrics of one run."""
+    challenge = file.challenge
+    random.seed(seed)
+    np.random.seed(seed % 2**32)  # noqa: NPY002 (what a learner's program may use)
+    found = find_controller(controller)
+    twin = open_twin(at_start(file.playpen, 0, start), TwinOptions(seed))
+    time = LimitedTime(twin.world, to_ns(challenge.seconds))
+    twin.time_source = time
+    if twin.world.change_over_at is not None:
+        twin.world.change_over_at = 0  # several runs are worth loading compiled code
+    names = [item.name for item in movable_objects(file.playpen)]
+    goals = [(goal.x_mm / 1e3, goal.y_mm / 1e3, goal.radius_mm / 1e3) for goal in challenge.goals]
+    movable = None if challenge.object is None else names.index(challenge.object)
+    task = TaskMetrics(twin.world, twin.robot.index, goals, movable)
+
+    def record(opened: Twin) -> None:
+        if log is not None:
+            source = source_of(found)
+            facts = {**source.facts, "challenge": challenge.name}
+            opened.record(log, facts=facts, attachments=source.attachments)
+
+    kept: list[SeriesRun] = []
+    with Khepera(Serial.of(twin, timeout=1.0)) as robot:
+        plan = Plan(seconds=challenge.seconds)
+        source = OneRobot(robot, record)
+        try:
+            kept += run_series(found, source, plan, stop=time.is_over, broken_off=kept.append)
+        except KhepTwinError:
+            # After the limit, an error is the refusal itself, or what a controller made of it.
+            if not kept or not time.is_over():
+                raise
+        finally:
+            time.limit_ns = None
+    return {**kept[0].metrics, **task.metrics(challenge.seconds)}
+
+
+def _value(file: ChallengeFile, metrics: Mapping[str, float]) -> float:
+    """Return the score of a run."""
+    sign = -1 if file.challenge.better == "higher" else 1
+    lost = math.fsum(penalty.each * metrics.get(penalty.metric, 0.0) for penalty in file.challenge.penalties)
+    return metrics.get(file.challenge.metric, 0.0) + sign * lost
+
+
+def _cycled(starts: list[StartPose], runs: int) -> list[StartPose]:
+    return [starts[index % len(starts)] for index in range(runs)]
+
+
+def _log_of(log: Path | None, index: int, runs: int) -> Path | None:
+    return log if log is None or runs == 1 else numbered(log, index + 1)

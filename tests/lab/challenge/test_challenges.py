@@ -1,0 +1,233 @@
+"""Challenges that ship, their scores, and files that fail in every way."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import tutorial
+from command_line import khep_twin
+from PIL import Image
+
+from khep_twin.errors import ChallengeError
+from khep_twin.lab.challenge.attempt import attempt
+from khep_twin.lab.challenge.challenge import load, names
+from khep_twin.lab.challenge.scoring import score
+
+SHORT = """
+version = 1
+name = "short"
+title = "Drive"
+description = "Drive."
+playpen = "default"
+seconds = 2
+runs = 2
+metric = "distance_m"
+better = "higher"
+threshold = 0.05
+"""
+
+CHANCE = """
+import random
+
+
+def controller(robot):
+    robot.set_speed(random.randint(3, 9), 3 + hash("robot") % 5)
+    robot.proximity()
+"""
+
+# A file, and the beginning of what is said of it.
+BROKEN = {
+    "syntax": ("def controller(robot)\n    pass\n", "syntax.py:1: SyntaxError: expected ':'"),
+    "exits": ("import sys\nsys.exit(3)\n", "exits.py:2: SystemExit: 3"),
+    "ends": ("import os\nos._exit(7)\n", "ends.py: ended its process, with exit code 7"),
+    "crashes": (
+        "import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n",
+        "crashes.py: its process was ended by SIGSEGV",
+    ),
+    "divides": (
+        "def controller(robot):\n    robot.proximity()\n    1 / 0\n",
+        "divides.py:3: ZeroDivisionError: division by zero",
+    ),
+    "idles": ("def controller(robot):\n    pass\n", "idles.py: controller: a cycle lets no time pass"),
+    "nothing": ("x = 1\n", "nothing.py: no function 'controller' that takes a robot"),
+}
+
+SCORED = {
+    "never_returns": "def controller(robot):\n    robot.set_speed(5, 5)\n    robot.sleep(9)\n",
+    "returns": "def controller(robot):\n    robot.set_speed(10, 10)\n    robot.proximity()\n",
+    "prints": "def controller(robot):\n    robot.proximity()\n    print('\\x1b[31mhello')\n",
+    "swallows": (
+        "def controller(robot):\n    try:\n        robot.proximity()\n    except Exception:\n        pass\n"
+    ),
+}
+
+
+@pytest.fixture
+def short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
+    path = tmp_path / "short.toml"
+    path.write_text(SHORT)
+    return path
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_shipped_challenge_has_a_solution_that_passes_with_its_score(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = load(name)
+    challenge = file.challenge
+    assert challenge.name == name
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "path", [*sys.path])
+        found = score(file, str(file.solution), challenge.runs, challenge.seed)
+    assert challenge.passes(found.value)
+    assert challenge.reference is not None
+    if tutorial.same_numbers():
+        assert f"{found.value:.4g}" == f"{challenge.reference:.4g}"
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_shipped_challenge_has_a_small_picture(name: str) -> None:
+    picture = load(name).picture
+    assert picture.stat().st_size < 20_000
+    with Image.open(picture) as drawn:
+        assert min(drawn.size) > 200
+
+
+def test_a_robot_that_stands_does_not_pass_any_challenge(tmp_path: Path) -> None:
+    (tmp_path / "stands.py").write_text("def controller(robot):\n    robot.sleep(1)\n")
+    for name in names():
+        file = load(name)
+        found = score(file, str(tmp_path / "stands.py"), 1, file.challenge.seed)
+        assert file.challenge.passes(found.value) is False, name
+
+
+def test_a_score_repeats_bit_for_bit_in_other_processes(short: Path, tmp_path: Path) -> None:
+    (tmp_path / "chance.py").write_text(CHANCE)
+    scores: list[str] = []
+    for seed in ("1", "2"):
+        words = [sys.executable, "-m", "khep_twin", "challenge", "table", short, tmp_path, "-o"]
+        output = tmp_path / f"{seed}.csv"
+        subprocess.run([*words, output], check=True, env={**os.environ, "PYTHONHASHSEED": seed})
+        scores.append(output.read_text())
+    assert scores[0] == scores[1]
+    (row,) = csv.DictReader(scores[0].splitlines())
+    assert float(row["run_1"]) != float(row["run_2"])
+    assert float(row["score"]) == (float(row["run_1"]) + float(row["run_2"])) / 2
+
+
+def test_a_table_has_a_line_for_every_file_whatever_it_does(short: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "class"
+    folder.mkdir()
+    for name, text in {**{name: text for name, (text, _) in BROKEN.items()}, **SCORED}.items():
+        (folder / f"{name}.py").write_text(text)
+    done = khep_twin("challenge", "table", short, folder, "-o", tmp_path / "class.csv")
+    assert done.returncode == 0, done.stderr
+    rows = {
+        row["participant"]: row for row in csv.DictReader((tmp_path / "class.csv").read_text().splitlines())
+    }
+    assert list(rows)[:2] == ["returns", "never_returns"]
+    assert {*rows} == {*BROKEN, *SCORED}
+    for name, (_, reason) in BROKEN.items():
+        assert rows[name]["note"].startswith(f"{folder}/{reason}")
+        assert (rows[name]["rank"], rows[name]["score"]) == ("", "")
+    assert rows["prints"]["note"].endswith("lines, the last: [31mhello")
+    assert len(done.stdout.splitlines()) == len(rows) + 2
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "def controller(robot):\n    while True:\n        pass\n",
+        "import signal, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\ntime.sleep(600)\n",
+        "def controller(robot):\n    while True:\n        print('x' * 10_000)\n",
+    ],
+    ids=["loops", "waits", "floods"],
+)
+def test_a_file_that_hangs_is_ended_and_has_a_line(short: Path, tmp_path: Path, text: str) -> None:
+    (tmp_path / "hangs.py").write_text(text)
+    found = attempt(load(str(short)), str(tmp_path / "hangs.py"), real_seconds=4)
+    assert found.score is None
+    assert "hangs.py: not finished after 4 s of real time; expected cycles that end" in found.reason
+
+
+def test_what_a_file_starts_is_ended_with_it(short: Path, tmp_path: Path) -> None:
+    (tmp_path / "starts.py").write_text(
+        "import subprocess\nfrom pathlib import Path\n"
+        "child = subprocess.Popen(['sleep', '600'])\n"
+        "Path(__file__).with_suffix('.pid').write_text(str(child.pid))\n"
+        "def controller(robot):\n    robot.proximity()\n"
+    )
+    assert attempt(load(str(short)), str(tmp_path / "starts.py"), runs=1).score is not None
+    status = Path(f"/proc/{int((tmp_path / 'starts.pid').read_text())}/stat")
+    deadline = time.monotonic() + 60
+    while status.exists() and status.read_text().rpartition(")")[2].split()[0] != "Z":
+        assert time.monotonic() < deadline, "it still runs"
+        time.sleep(0.05)
+
+
+def test_run_prints_score_and_result_and_keeps_a_log(short: Path, tmp_path: Path) -> None:
+    (tmp_path / "returns.py").write_text(SCORED["returns"])
+    log = tmp_path / "run.mcap"
+    done = khep_twin("challenge", "run", short, tmp_path / "returns.py", "--runs", 1, "--log", log)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[1].startswith("passed     at least 0.05 m")
+    repeated = khep_twin("repeat", log)
+    assert repeated.stdout.startswith("identical: 2.")
+    (tmp_path / "prints.py").write_text(SCORED["prints"])
+    done = khep_twin("challenge", "run", short, tmp_path / "prints.py")
+    assert done.returncode == 4
+    assert "failed     at least 0.05 m" in done.stdout
+
+
+def test_penalties_and_goals_make_the_score(tmp_path: Path) -> None:
+    goal = "\n[[goal]]\nx_mm = 300\ny_mm = 300\nradius_mm = 5\n"
+    penalty = '\n[[penalty]]\nmetric = "collisions"\neach = 2.0\n'
+    path = tmp_path / "goal.toml"
+    text = (
+        SHORT.replace('"distance_m"', '"goal_s"')
+        .replace("higher", "lower")
+        .replace("seconds = 2", "seconds = 9")
+    )
+    path.write_text(text + goal + penalty)
+    (tmp_path / "ahead.py").write_text(SCORED["returns"])
+    found = score(load(str(path)), str(tmp_path / "ahead.py"), 1, 1)
+    assert found.metrics["collisions"] == 1
+    assert 0.5 < found.metrics["goal_s"] < 0.8  # 45 mm at 80 mm/s
+    assert found.value == found.metrics["goal_s"] + 2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (('"distance_m"', '"speed"'), 'short.toml:9: metric = "speed": unknown; did you mean '),
+        (
+            ('"distance_m"', '"goal_s"'),
+            'short.toml:9: metric = "goal_s": there is no goal; expected a [[goal]]',
+        ),
+        (("seconds = 2", "seconds = 0"), "short.toml:7: seconds = 0"),
+        (('playpen = "default"', 'playpen = "gripper"\nobject = "tin"'), 'object = "tin": unknown; '),
+    ],
+)
+def test_an_invalid_challenge_is_refused_with_its_line(
+    short: Path, change: tuple[str, str], message: str
+) -> None:
+    short.write_text(SHORT.replace(*change))
+    with pytest.raises(ChallengeError) as error:
+        load(str(short))
+    assert message in str(error.value)
+
+
+def test_list_and_show_describe_the_shipped_challenges(tmp_path: Path) -> None:
+    listed = khep_twin("challenge", "list").stdout.splitlines()
+    assert [line.split()[0] for line in listed] == names()
+    assert len(names()) >= 5
+    shown = khep_twin("challenge", "show", "square", "--picture", tmp_path / "square.png").stdout
+    assert "goal       within 15 mm of (300, 400)" in shown
+    assert (tmp_path / "square.png").read_bytes() == load("square").picture.read_bytes()
+    assert json.dumps(load("square").challenge.model_dump())
