@@ -26,7 +26,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-page fuzz-rfc2217 night edges branches simulate mutants twin-trials record recordings soak determinism kills day worker-kills signals pyserial browser schemas commands reference tutorial bench fidelity lock build clean
+.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-page fuzz-rfc2217 night edges branches simulate mutants twin-trials record recordings soak determinism kills day worker-kills signals pyserial browser schemas three commands reference tutorial bench fidelity lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -126,6 +126,9 @@ browser: $(VENV)/dev.stamp ## the designer's page in Chromium, which has to be i
 
 schemas: $(VENV)/dev.stamp ## Foxglove's published definition of a scene, as logs carry it
 	@$(BIN)/python tools/foxglove_schema.py khep_twin/assets/foxglove_scene_update.bin
+
+three: $(VENV)/dev.stamp ## three.js for the designer's page, from the npm registry; needs npm
+	@$(BIN)/python tools/three_js.py khep_twin/assets/web
 
 commands: $(VENV)/dev.stamp ## docs/commands.md, every command with its options, out of the help texts
 	@$(BIN)/python -m typer khep_twin.cli.app utils docs --name khep-twin --title Commands --output docs/commands.md

@@ -34,6 +34,7 @@ ACTIONS: dict[str, dict[str, Any]] = {
     "save": {"file": "new.toml", "draft": DRAFT, "version": None, "base": {"file": "a.toml"}, "rename": True},
     "keep": {"file": "a.toml", "draft": DRAFT, "version": "x", "base": {"library": "default"}, "page": "T1"},
     "preview": {"draft": DRAFT},
+    "scene": {"draft": DRAFT},
     "start": {"draft": DRAFT, "file": "a.toml", "seed": 1, "noise": True, "speed": 0, "paused": True},
     "connect": {"port": "socket://127.0.0.1:9"},
     "pace": {"speed": 2.5, "paused": False},

@@ -100,6 +100,12 @@ class Base(TomlTable):
     library: FileName | None = None
 
 
+class SceneRequest(Request):
+    """A scene to show: of a draft, or of the running twin."""
+
+    draft: Draft | None = None
+
+
 class Kept(Request):
     """A draft to keep or, if it is None, to delete; of the requesting page or of another."""
 

@@ -29,9 +29,10 @@ from khep_twin.lab.sensor_test import sensor_files
 from khep_twin.lab.sensor_test.sensor_test import SensorRun
 from khep_twin.playpen import bitmap, bitmap_files
 from khep_twin.playpen.starts import at_spots
+from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.sensing.bars import BARS
-from khep_twin.web import drafts, jobs, requests
+from khep_twin.web import drafts, jobs, requests, scene
 from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.printed import taken_by
@@ -83,6 +84,7 @@ class Page:
             "save": _on(requests.Saved, self._save),
             "keep": _on(requests.Kept, self._keep),
             "preview": _on(requests.Drafted, self._preview),
+            "scene": _on(requests.SceneRequest, self._scene),
             "start": _on(requests.StartRequest, self._start),
             "connect": _on(requests.Connect, self._connect),
             "end": _on(requests.Request, self._end),
@@ -184,6 +186,11 @@ class Page:
         """Return a perspective picture of the start of a run with seed 0."""
         playpen = at_spots(drafts.playpen_of(asked.draft), 0)
         return Response(render(playpen, Path("picture.png")), media_type="image/png")
+
+    def _scene(self, asked: requests.SceneRequest) -> dict[str, object]:
+        if asked.draft is None:
+            return self._twin().scene().described()
+        return scene.compiled(to_spec(at_spots(drafts.playpen_of(asked.draft), 0))).described()
 
     async def _import(self, request: Request) -> Response:
         """Return a MAT file or a PNG as a new playpen."""

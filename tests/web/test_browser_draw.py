@@ -295,7 +295,7 @@ def test_a_designer_that_ends_during_a_run_says_so_once_and_what_needs_it_is_off
     page.wait_for_timeout(2000)  # checks, drafts and the attempts to reach it again fail meanwhile
     assert visit.count(".banner") == 1
     assert visit.count(".drawn") == 3
-    for name in "new open save save-as import preview run stop start end put connect gather".split():
+    for name in "new open save save-as import three-d run stop start end put connect gather".split():
         assert page.evaluate(f"document.querySelector('#{name}').closest('[inert]') !== null"), name
     assert page.evaluate("document.querySelector('#undo').closest('[inert]') === null")
     visit.picture("8-ended")

@@ -6,11 +6,13 @@ import { Editor } from "./editor.js";
 import { Fields } from "./fields.js";
 import { KINDS, Model, OBJECTS } from "./model.js";
 import { Running } from "./run.js";
+import { Stage } from "./stage.js";
 
 const $ = (selector) => document.querySelector(selector);
 const model = new Model();
 const drawing = new Drawing($("#view"), model);
 const running = new Running(drawing, model, banner, attempt);
+const stage = new Stage(model, running, attempt, preview);
 const snap = () => ({ grid: +$("#grid").value, angle: +$("#angle").value });
 let hello;
 let gone = false;
@@ -338,6 +340,7 @@ const KEYS = [
   ["Alt while dragging", "ignore the grid"],
   ["two fingers", "zoom, move the view, turn a lifted robot"],
   ["wheel, + − 0", "zoom; middle button or Ctrl+drag moves the view"],
+  ["3, F", "plan or 3-D; in 3-D, follow the robot: drag, or the arrows, to orbit, with Shift or the right button to move"],
   ["Space . Esc", "during a run: pause, step, stop; the wheel turns a lifted robot"],
 ];
 
@@ -369,10 +372,9 @@ press("undo", drawn(() => model.undo()));
 press("redo", drawn(() => model.redo()));
 press("copy", drawn(() => model.copy()));
 press("delete", drawn(() => model.remove()));
-press("zoom-in", () => drawing.zoom(0.8));
-press("zoom-out", () => drawing.zoom(1.25));
-press("zoom-fit", () => drawing.fit());
-press("preview", preview);
+press("zoom-in", () => stage.zoom("+") || drawing.zoom(0.8));
+press("zoom-out", () => stage.zoom("-") || drawing.zoom(1.25));
+press("zoom-fit", () => stage.zoom("0") || drawing.fit());
 press("help", help);
 $("#figure").addEventListener("click", () => {
   const picture = Object.assign(document.createElement("img"), { src: $("#figure").src, alt: $("#figure").alt });
@@ -413,7 +415,7 @@ document.addEventListener("keydown", (event) => {
   if (event.key === "Escape" && running.active) return void running.key(event);
   if (event.target.matches("input, select, textarea") || (event.target.matches("button") && [" ", "Enter"].includes(event.key))) return;
   if (event.key === "?") return void help();
-  if (running.key(event) || editor.key(event)) event.preventDefault();
+  if (running.key(event) || stage.key(event) || editor.key(event)) event.preventDefault();
 });
 addEventListener("pagehide", () => keepNow({ keepalive: true }));
 addEventListener("beforeunload", (event) => {

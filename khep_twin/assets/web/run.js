@@ -70,6 +70,11 @@ export class Running {
     this.#buttons();
   }
 
+  // True while a twin runs, and no robot at a port.
+  get twin() {
+    return this.active && !this.real;
+  }
+
   get which() {
     return Math.max(+$("#which").value || 0, 0);
   }
@@ -169,6 +174,7 @@ export class Running {
     this.#shape();
     if (!real) this.#live();
     this.#buttons();
+    this.stage?.changed();
   }
 
   #live() {
@@ -220,6 +226,7 @@ export class Running {
     if (message.part !== $("#part").value) $("#part").value = message.part;
     write($("#clock"), `${message.time.toFixed(2)} s${message.paused ? ", paused" : ""}${message.busy ? ", driven from here" : ""}`);
     if (this.real || !this.nodes) return;
+    this.stage?.told(message);
     const between = shown?.host_commands ? `; ${shown.host_commands} commands between those of the program here` : "";
     write($("#host"), shown?.host ? `A host has it open${between}.` : "No host has it open.");
     message.robots.forEach((robot, index) => {
@@ -269,6 +276,7 @@ export class Running {
     $("#port").textContent = "–";
     $("#host").textContent = "";
     this.#buttons();
+    this.stage?.changed();
   }
 
   #buttons() {
@@ -282,7 +290,8 @@ export class Running {
     $("#connect").disabled = active && !real;
     document.body.classList.toggle("running", active);
     // The twin was made from the drawing, which does not change.
-    for (const id of ["#tools", "#tab-object", "#tab-playpen"]) $(id).inert = active && !real;
+    for (const id of ["#tools", "#tab-object", "#tab-playpen"]) $(id).inert = this.twin;
+    if (this.stage?.shown) $("#tools").inert = true;
   }
 
   // Lifts a robot or puts it down; a click on a lamp switches it. Returns whether the pointer hit one of them.
