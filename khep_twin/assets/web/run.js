@@ -11,6 +11,7 @@ const number = (selector) => ($(selector).value === "" ? null : $(selector).valu
 // Path of a robot so far: of many short paths only the last is drawn anew.
 class Trail {
   node = make("g");
+  places = []; // the newest
   #last = null;
   #path = null;
   #points = [];
@@ -27,6 +28,7 @@ class Trail {
     }
     this.#last = [x, y];
     this.#points.push(this.#last);
+    if (this.places.push(this.#last) > 1500) this.places.shift();
     this.#path.setAttribute("d", `M${this.#points.map((point) => point.join(" ")).join("L")}`);
   }
 }
@@ -73,6 +75,11 @@ export class Running {
   // True while a twin runs, and no robot at a port.
   get twin() {
     return this.active && !this.real;
+  }
+
+  // The robots of the twin, each with the places where it has been.
+  get travellers() {
+    return this.twin ? this.robots.map((robot, index) => ({ ...robot, places: this.#trails[index].places })) : [];
   }
 
   get which() {

@@ -17,6 +17,7 @@ export class Stage {
     $("#three-d").addEventListener("click", () => this.toggle());
     $("#follow").addEventListener("click", () => this.follow());
     $("#which").addEventListener("change", () => this.#view?.followed != null && this.#view.follow(running.which));
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.changed());
     model.addEventListener("change", ({ detail }) => detail === "whole" && !running.twin && this.soon());
   }
 
@@ -58,14 +59,14 @@ export class Stage {
 
   async load() {
     const asked = ++this.#asked;
-    const { twin, robots } = this.running;
+    const { twin } = this.running;
     if (!twin && this.model.problems.length) return; // which are told; the last scene stays
     const scene = await post("scene", twin ? {} : { draft: this.model.draft });
-    if (asked === this.#asked) this.#view.load(scene, twin ? robots : []);
+    if (asked === this.#asked) this.#view.load(scene, this.running.travellers);
     this.#buttons();
   }
 
-  // A twin has started or ended.
+  // A twin has started or ended, or the page's colours are others.
   changed() {
     if (this.shown) this.attempt(() => this.load(), "three-d");
     this.#buttons();

@@ -95,8 +95,6 @@ export class ThreeD {
       fans: new THREE.MeshBasicMaterial({ vertexColors: true, transparent: true, depthWrite: false, side: THREE.DoubleSide }),
     };
     new ResizeObserver(() => this.#size()).observe(canvas.parentElement);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.#paint());
-    this.#paint();
     this.#size();
   }
 
@@ -104,6 +102,7 @@ export class ThreeD {
   load(scene, robots) {
     const before = this.#extent.clone();
     this.#clear();
+    this.#paint();
     const floors = scene.shapes.filter(({ kind }) => kind === "plane");
     const lamps = scene.shapes.filter(({ name }) => /^lamp\d+$/.test(name));
     const rest = scene.shapes.filter((shape) => !floors.includes(shape) && !lamps.includes(shape));
@@ -127,6 +126,7 @@ export class ThreeD {
       const body = this.#bodies[scene.bodies.indexOf(`${robot.name}/base`)];
       const fan = fans(robot, this.material.fans);
       const trail = new Trail(this.material.trail);
+      for (const [x, y] of robot.places) trail.add(x / 1e3, y / 1e3);
       body.add(fan);
       this.#scene.add(trail.node);
       return { body, fan, trail };
@@ -260,7 +260,6 @@ export class ThreeD {
     this.#scene.background = colour("--around");
     this.material.floor.uniforms.tint.value.copy(colour("--floor"));
     for (const name of ["lines", "trail"]) this.material[name].color.copy(colour(`--${name}`));
-    this.draw();
   }
 
   #size() {
