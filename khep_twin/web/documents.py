@@ -86,6 +86,18 @@ class Documents:
             raise PlaypenError(f"{name}: is there already; expected the name of a new file")
         return found
 
+    def log(self, name: str) -> Path:
+        """Return the path of a log.
+
+        Raises:
+            OutsideError: The file is not below the folder.
+            PlaypenError: The name is no log's, or there is none.
+        """
+        found = self.path(name, ".mcap")
+        if not found.is_file():
+            raise PlaypenError(f"{name}: not found; expected a log below the folder of the designer")
+        return found
+
     def names(self, ending: str = ".toml") -> list[str]:
         """Return the files with an ending, sorted by name, without those in hidden folders."""
         found: list[str] = []

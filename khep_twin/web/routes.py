@@ -6,10 +6,12 @@ folder 403.
 
 import asyncio
 import math
+import os
 import threading
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 
 from starlette.applications import Starlette
@@ -22,8 +24,10 @@ from khep_twin import __version__
 from khep_twin import playpen as playpens
 from khep_twin.board.turrets import installed
 from khep_twin.drawing.render import render
-from khep_twin.errors import KhepTwinError, PortError, choices
+from khep_twin.errors import KhepTwinError, PlaypenError, PortError, choices
+from khep_twin.files.toml_files import summary
 from khep_twin.host.discovery import found_ports
+from khep_twin.invocation import command
 from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.lab.sensor_test import sensor_files
 from khep_twin.lab.sensor_test.sensor_test import SensorRun
@@ -38,6 +42,9 @@ from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.printed import taken_by
 from khep_twin.web.session import RobotActor, TwinActor, WebSession, shape
 from khep_twin.web.turret_outlines import at_start
+
+_FILE = "application/octet-stream"
+"""What a browser keeps, and does not show."""
 
 ASSETS = Path(__file__).parent.parent / "assets" / "web"
 
@@ -78,6 +85,7 @@ class Page:
             "list": _on(requests.Request, self._list),
             "open": _on(requests.Named, self._open),
             "library": _on(requests.Library, lambda asked: documents.library(asked.name)),
+            "thumbnail": _on(requests.Library, self._thumbnail),
             "left": _on(requests.MaybeNamed, lambda asked: {"left": documents.left(asked.file)}),
             "version": _on(requests.Named, lambda asked: {"version": documents.version(asked.file)}),
             "check": _on(requests.Drafted, lambda asked: {"problems": drafts.problems_of(asked.draft)}),
@@ -86,6 +94,8 @@ class Page:
             "preview": _on(requests.Drafted, self._preview),
             "scene": _on(requests.SceneRequest, self._scene),
             "start": _on(requests.StartRequest, self._start),
+            "log": _on(requests.Named, self._log),
+            "report": _on(requests.Named, self._report),
             "connect": _on(requests.Connect, self._connect),
             "end": _on(requests.Request, self._end),
             "pace": _on(requests.Pace, self._pace),
@@ -129,7 +139,7 @@ class Page:
             "folder": self._documents.root.name,
             "version_of_twin": __version__,
             "surfaces": drafts.surfaces(),
-            "library": playpens.names(),
+            "library": {name: summary("playpens", name) for name in playpens.names()},
             "controllers": list(BUILT_IN),
             "bars": {name: asdict(bar) for name, bar in BARS.items()},
             "turrets": {
@@ -151,6 +161,12 @@ class Page:
         ports = [{"url": port.url, "what": port.what} for port in found_ports()]
         files, programs = self._documents.names(), self._documents.names(".py")
         return {"files": files, "programs": programs, "library": playpens.names(), "ports": ports}
+
+    def _thumbnail(self, asked: requests.Library) -> Response:
+        if asked.name not in playpens.names():
+            raise PlaypenError(f"{asked.name}: {choices(asked.name, playpens.names())}")
+        with _DRAWING:
+            return Response(_drawn(asked.name), media_type="image/png")
 
     def _open(self, asked: requests.Named) -> dict[str, object]:
         found = self._documents.open(asked.file)
@@ -204,7 +220,8 @@ class Page:
 
     # Session -------------------------------------------------------------------------------------------
 
-    def _start(self, asked: requests.StartRequest) -> None:
+    def _start(self, asked: requests.StartRequest) -> dict[str, object]:
+        """Start a twin; return its log, and the command that views it."""
         playpen = drafts.playpen_of(asked.draft)
         if not playpen.robots:
             raise PortError("there is no robot; expected one in the playpen")
@@ -214,6 +231,22 @@ class Page:
         actor.set_pace(_speed(asked), asked.paused)
         self._replace(actor)
         self._runs_in = asked.file
+        if path is None:
+            return {"log": None}
+        return {"log": asked.log, "view": command("view", os.path.relpath(path))}
+
+    def _log(self, asked: requests.Named) -> Response:
+        return FileResponse(self._documents.log(asked.file), media_type=_FILE)
+
+    def _report(self, asked: requests.Named) -> Response:
+        """Return the report on a log, as a file."""
+        from khep_twin.lab.report.pages import html
+        from khep_twin.lab.report.report import report
+        from khep_twin.log.reader import read_series
+
+        recording = read_series(self._documents.log(asked.file))
+        with _DRAWING:
+            return Response(html(report(recording, asked.file)), media_type=_FILE)
 
     def _connect(self, asked: requests.Connect) -> None:
         url = asked.port
@@ -283,6 +316,17 @@ class Page:
         if not isinstance(actor, TwinActor):
             raise PortError("a robot at a port cannot be paused, hurried or lifted from here")
         return actor
+
+
+_DRAWING = threading.Lock()
+"""Held while a map is drawn: matplotlib's styles are those of the process."""
+
+
+@cache
+def _drawn(name: str) -> bytes:
+    from khep_twin.drawing.map import thumbnail  # matplotlib takes long to load
+
+    return thumbnail(playpens.load(name))
 
 
 _Action = tuple[type[requests.Request], Callable[[bytes, str], object]]

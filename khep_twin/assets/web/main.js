@@ -108,6 +108,34 @@ async function choose(title, names, empty) {
   return (await ask(title, list)) ? list.value : null;
 }
 
+const thumbnails = new Map();
+
+// Asks for a playpen of the library, by its picture and a line of description.
+async function chooseFromLibrary() {
+  const cards = document.createElement("div");
+  cards.className = "cards";
+  for (const [name, line] of Object.entries(hello.library)) {
+    const card = document.createElement("label");
+    const choice = Object.assign(document.createElement("input"), { type: "radio", name: "library", value: name, checked: !cards.childElementCount });
+    const [title, told] = [document.createElement("strong"), document.createElement("span")];
+    title.textContent = name;
+    told.textContent = line;
+    card.append(choice, Object.assign(document.createElement("img"), { alt: "", src: thumbnails.get(name) ?? "" }), title, told);
+    card.addEventListener("dblclick", () => $("#dialog").close("ok"));
+    cards.append(card);
+  }
+  const chosen = ask("New from the library", cards);
+  // One at a time: the server draws each when it is first asked for.
+  attempt(async () => {
+    for (const [index, name] of Object.keys(hello.library).entries()) {
+      if (!thumbnails.has(name)) thumbnails.set(name, URL.createObjectURL(await post("thumbnail", { name })));
+      cards.children[index].querySelector("img").src = thumbnails.get(name);
+      if (!cards.isConnected || !$("#dialog").open) return;
+    }
+  }, "thumbnails");
+  return (await chosen) ? cards.querySelector(":checked").value : null;
+}
+
 // Changes that are not saved are discarded with their draft: ask before.
 async function mayLeave() {
   const text = Object.assign(document.createElement("p"), { textContent: "There are changes that are not saved." });
@@ -362,7 +390,7 @@ function press(id, act) {
 
 const drawn = (act) => () => (running.active && !running.real ? banner("A twin runs in this drawing: end it first.") : act());
 press("new", async () => {
-  const name = await choose("New from the library", hello.library);
+  const name = await chooseFromLibrary();
   if (name && (await mayLeave())) await leaveFor(await post("library", { name }), { library: name });
 });
 press("open", async () => openFile(await choose("Open", (await post("list")).files, "There are no playpens below this folder yet.")));

@@ -1,6 +1,6 @@
 // The running twin in the drawing, or the robot at a port, and moves of robots and lamps by the user.
 
-import { post } from "./api.js";
+import { keep, post } from "./api.js";
 import { closed, make, place } from "./drawing.js";
 import { angle, OBJECTS, tidy } from "./model.js";
 import { Panel, SENSORS, Strip, write } from "./panel.js";
@@ -62,6 +62,10 @@ export class Running {
       this.banner(`Saved as ${$("#sensed-file").value}.`);
     });
     press("#connect", () => post("connect", { port: $("#device").value }), "run");
+    const stem = () => this.logged.log.replace(/^.*\//, "").replace(/\.mcap$/, "");
+    press("#keep-log", async () => keep(await post("log", { file: this.logged.log }), `${stem()}.mcap`));
+    press("#keep-report", async () => keep(await post("report", { file: this.logged.log }), `${stem()}.html`));
+    press("#copy-view", () => navigator.clipboard.writeText($("#view-command").textContent));
     press("#copy-port", () => navigator.clipboard.writeText($("#port").textContent));
     press("#put", () => post("put", { robot: this.which, x_mm: number("#put-x"), y_mm: number("#put-y"), heading_deg: number("#put-h") }), "hand");
     $("#speed").addEventListener("change", () => attempt(() => this.#pace(), "pace"));
@@ -89,7 +93,8 @@ export class Running {
   async start() {
     this.#starts++;
     this.paused = this.failed = false;
-    await post("start", { file: this.model.file, draft: this.model.draft, seed: number("#seed") ?? 0, noise: $("#noise").checked, log: $("#log").value || null, speed: +$("#speed").value });
+    $("#logged").hidden = true;
+    this.logged = await post("start", { file: this.model.file, draft: this.model.draft, seed: number("#seed") ?? 0, noise: $("#noise").checked, log: $("#log").value || null, speed: +$("#speed").value });
   }
 
   async pause() {
@@ -279,6 +284,8 @@ export class Running {
     this.drawing.live.replaceChildren();
     this.drawing.all();
     $("#clock").textContent = "not running";
+    $("#logged").hidden = !this.logged?.log;
+    $("#view-command").textContent = this.logged?.view ?? "";
     $("#part").value = 0;
     $("#port").textContent = "–";
     $("#host").textContent = "";
