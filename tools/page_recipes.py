@@ -40,6 +40,8 @@ ACTIONS: dict[str, dict[str, Any]] = {
     "log": {"file": "run.mcap"},
     "report": {"file": "run.mcap"},
     "connect": {"port": "socket://127.0.0.1:9"},
+    "program": {"file": "prog.py"},
+    "save-program": {"file": "new.py", "text": "def controller(robot): ...", "overwrite": True},
     "pace": {"speed": 2.5, "paused": False},
     "step": {},
     "put": {"robot": 0, "x_mm": 200, "y_mm": 200, "heading_deg": 45},

@@ -134,7 +134,7 @@ class Documents:
         """
         text = self._text(name)
         draft = draft_of(playpens.parse(text, name))
-        return {"file": name, "version": _version(text), "draft": draft, "left": self.left(name)}
+        return {"file": name, "version": version_of(text), "draft": draft, "left": self.left(name)}
 
     def new(self, name: str | None) -> dict[str, object]:
         """Return an empty playpen for a file that does not exist yet, and the file's drafts."""
@@ -186,12 +186,12 @@ class Documents:
             self._replaced(name, version, overwrite)
             write_whole(path, text.encode("utf-8"))
         self.keep(name, None, page)
-        return _version(text)
+        return version_of(text)
 
     def version(self, name: str) -> str | None:
         """Return a file's version; None if it is gone."""
         path = self.path(name, ".toml")
-        return _version(self._text(name)) if path.exists() else None
+        return version_of(self._text(name)) if path.exists() else None
 
     def keep(self, name: str | None, kept: Mapping[str, object] | None, page: str = "") -> None:
         """Write a page's draft beside the file, or delete it.
@@ -250,7 +250,7 @@ class Documents:
             ConflictError: It has another version.
         """
         there = self._text(name) if self.path(name, ".toml").exists() else None
-        if there is not None and not overwrite and _version(there) != version:
+        if there is not None and not overwrite and version_of(there) != version:
             raise ConflictError(
                 f"{name}: was changed by another page or program; expected to be loaded anew, saved "
                 "under another name, or replaced"
@@ -275,5 +275,6 @@ def _kept(place: Path) -> tuple[dict[str, object], float] | None:
     return (kept if "draft" in kept else {"draft": kept}), time
 
 
-def _version(text: str) -> str:
+def version_of(text: str) -> str:
+    """Return the version of a file with this text."""
     return sha256(text.encode("utf-8")).hexdigest()[:16]

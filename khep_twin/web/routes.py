@@ -40,6 +40,7 @@ from khep_twin.web import drafts, jobs, requests, scene
 from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.printed import taken_by
+from khep_twin.web.programs import Programs
 from khep_twin.web.session import RobotActor, TwinActor, WebSession, shape
 from khep_twin.web.turret_outlines import at_start
 
@@ -52,9 +53,16 @@ _KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".
 
 
 class Page:
-    """Application behind the page, which opens a file at first, or with None a new playpen."""
+    """Application behind the page, which opens a file at first, or with None a new playpen.
 
-    def __init__(self, documents: Documents, file: str | None) -> None:
+    Args:
+        documents: Playpens of the folder.
+        file: File to open.
+        writes_programs: True if controllers can be edited in the page.
+    """
+
+    def __init__(self, documents: Documents, file: str | None, *, writes_programs: bool = True) -> None:
+        self._programs = Programs(documents, writes_programs)
         self._documents, self._file = documents, file  # later the one that was worked on last
         self._broadcaster = Broadcaster()
         self._actor: WebSession | None = None
@@ -98,6 +106,8 @@ class Page:
             "report": _on(requests.Named, self._report),
             "connect": _on(requests.Connect, self._connect),
             "end": _on(requests.Request, self._end),
+            "program": _on(requests.Named, lambda asked: self._programs.open(asked.file)),
+            "save-program": _on(requests.SavedProgram, self._save_program),
             "pace": _on(requests.Pace, self._pace),
             "step": _on(requests.Request, lambda asked: self._twin().step()),
             "put": _on(requests.Put, self._put),
@@ -197,6 +207,9 @@ class Page:
         self._documents.keep(asked.file, kept, asked.tab if asked.page is None else asked.page)
         if kept is not None:
             self._file = asked.file
+
+    def _save_program(self, asked: requests.SavedProgram) -> dict[str, object]:
+        return {"version": self._programs.save(asked.file, asked.text, asked.version, asked.overwrite)}
 
     def _preview(self, asked: requests.Drafted) -> Response:
         """Return a perspective picture of the start of a run with seed 0."""

@@ -5,6 +5,7 @@ import { Drawing, pattern } from "./drawing.js";
 import { Editor } from "./editor.js";
 import { Fields } from "./fields.js";
 import { KINDS, Model, OBJECTS } from "./model.js";
+import { Program } from "./program.js";
 import { Running } from "./run.js";
 import { Stage } from "./stage.js";
 
@@ -12,6 +13,7 @@ const $ = (selector) => document.querySelector(selector);
 const model = new Model();
 const drawing = new Drawing($("#view"), model);
 const running = new Running(drawing, model, banner, attempt);
+const program = new Program(running, banner, attempt);
 const stage = new Stage(model, running, attempt, preview);
 const snap = () => ({ grid: +$("#grid").value, angle: +$("#angle").value });
 let hello;
@@ -79,6 +81,7 @@ async function attempt(act, about) {
   } catch (error) {
     // The loss of the designer is reported once, elsewhere.
     if (!error.unreached) banner(error.message, "error", {}, about);
+    if (about === "run") program.mark(error.message); // a file may fail when it is read
     return undefined;
   }
 }
@@ -447,8 +450,8 @@ document.addEventListener("keydown", (event) => {
 });
 addEventListener("pagehide", () => keepNow({ keepalive: true }));
 addEventListener("beforeunload", (event) => {
-  // No draft is kept any more.
-  if (gone && model.changed) event.preventDefault();
+  // No draft is kept any more, and none of programs.
+  if ((gone && model.changed) || program.changed) event.preventDefault();
 });
 document.addEventListener("visibilitychange", () => document.hidden && keepNow({ keepalive: true }));
 

@@ -92,7 +92,7 @@ export class Running {
 
   async start() {
     this.#starts++;
-    this.paused = this.failed = false;
+    this.paused = this.lost = false;
     $("#logged").hidden = true;
     this.logged = await post("start", { file: this.model.file, draft: this.model.draft, seed: number("#seed") ?? 0, noise: $("#noise").checked, log: $("#log").value || null, speed: +$("#speed").value });
   }
@@ -145,7 +145,7 @@ export class Running {
   // Waits until the twin has started, which takes long in a large playpen, or has failed with a shown reason.
   async #there() {
     const starts = this.#starts; // a later start is waited for by its own button
-    for (let tries = 0; tries < 300 && starts === this.#starts && !this.active && !this.failed; tries++) await new Promise((done) => setTimeout(done, 100));
+    for (let tries = 0; tries < 300 && starts === this.#starts && !this.active && !this.lost; tries++) await new Promise((done) => setTimeout(done, 100));
     return this.active && starts === this.#starts;
   }
 
@@ -166,7 +166,10 @@ export class Running {
         this.busy = false;
         this.#buttons();
       },
-      error: () => this.banner(message.text, "error", {}, "run"),
+      error: () => {
+        this.banner(message.text, "error", {}, "run");
+        this.failed?.(message.text);
+      },
       refused: () => this.banner(message.text, "error", {}, "hand"),
       note: () => this.banner(message.text),
       room: () => this.#room(message),
@@ -241,13 +244,15 @@ export class Running {
     this.stage?.told(message);
     const between = shown?.host_commands ? `; ${shown.host_commands} commands between those of the program here` : "";
     write($("#host"), shown?.host ? `A host has it open${between}.` : "No host has it open.");
+    const hidden = this.stage?.shown; // the plan needs no work then
     message.robots.forEach((robot, index) => {
       const { node, rays, turrets } = this.nodes[index] ?? {};
       if (!node) return;
+      this.#trails[index].add(robot.x_mm, robot.y_mm);
+      if (hidden) return;
       if (this.#held?.index !== index) place(node, robot);
       robot.turrets.forEach((points, part) => turrets[part]?.setAttribute("d", closed(points)));
       robot.proximity.forEach((count, sensor) => rays[sensor]?.setAttribute("opacity", 0.05 + (0.6 * count) / 1023));
-      this.#trails[index].add(robot.x_mm, robot.y_mm);
     });
     message.lamps.forEach(({ power_w }, index) => {
       this.drawing.nodes.get(`lamp:${index}`)?.classList.toggle("off", power_w === 0);
@@ -279,7 +284,7 @@ export class Running {
   }
 
   #ended() {
-    Object.assign(this, { active: false, busy: false, real: false, paused: false, nodes: null, failed: true });
+    Object.assign(this, { active: false, busy: false, real: false, paused: false, nodes: null, lost: true });
     for (const part of [this.drawing.svg, $("#arena")]) part.classList.remove("running");
     this.drawing.live.replaceChildren();
     this.drawing.all();

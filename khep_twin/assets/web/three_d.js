@@ -131,12 +131,12 @@ export class ThreeD {
       this.#scene.add(trail.node);
       return { body, fan, trail };
     });
+    if (this.followed !== null && !this.#robots[this.followed]) this.followed = null;
     this.#to = scene.poses;
     this.#put(1);
     this.#extent.setFromObject(this.#still);
     this.#solid.light(scene, this.#extent.getCenter(new THREE.Vector3()));
     if (!this.#extent.equals(before)) this.fit();
-    if (this.followed !== null && !this.#robots[this.followed]) this.followed = null;
     this.canvas.dataset.shapes = scene.shapes.length;
     this.draw();
   }
