@@ -26,7 +26,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-page fuzz-rfc2217 night edges branches simulate mutants twin-trials record recordings soak determinism kills day worker-kills signals pyserial browser schemas mjcf commands docs reference tutorial bench fidelity lock build clean
+.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-page fuzz-rfc2217 night edges branches simulate mutants twin-trials record recordings soak determinism kills day worker-kills signals pyserial browser schemas mjcf three commands docs reference tutorial bench fidelity lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -129,6 +129,9 @@ schemas: $(VENV)/dev.stamp ## Foxglove's published definition of a scene, as log
 
 mjcf: $(VENV)/dev.stamp ## the shipped playpens as MJCF with a picture each, in mjcf; needs OpenGL
 	@PYTHONPATH=. $(BIN)/python tools/mjcf.py
+
+three: $(VENV)/dev.stamp ## three.js for the designer's page, from the npm registry; needs npm
+	@$(BIN)/python tools/three_js.py khep_twin/assets/web
 
 commands: $(VENV)/dev.stamp ## docs/commands.md, every command with its options, out of the help texts
 	@$(BIN)/python -m typer khep_twin.cli.app utils docs --name khep-twin --title Commands --output docs/commands.md

@@ -144,8 +144,8 @@ def main() -> None:
 
 
 @contextmanager
-def chromium() -> Iterator[Any]:
-    """Open a page of headless Chromium; None if it is not installed."""
+def chromium(*options: str, width: int = 1280, height: int = 720) -> Iterator[Any]:
+    """Open a page of headless Chromium with further options; None if it is not installed."""
     program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     try:
         from playwright.sync_api import sync_playwright
@@ -155,8 +155,8 @@ def chromium() -> Iterator[Any]:
         yield None
         return
     with sync_playwright() as playwright:  # pyright: ignore[reportPossiblyUnboundVariable]
-        browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        yield browser.new_page(viewport={"width": 1280, "height": 720})
+        browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox", *options])
+        yield browser.new_page(viewport={"width": width, "height": height})
         browser.close()
 
 

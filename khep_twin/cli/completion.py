@@ -67,11 +67,10 @@ def studies() -> list[Offer]:
 
 
 def summary(playpen: str) -> str:
-    """Return the first sentence of a shipped playpen's file, in its first line."""
-    from khep_twin.files.toml_files import folder
+    """Return what a shipped playpen is, in a line."""
+    from khep_twin.files import toml_files
 
-    with (folder("playpens") / f"{playpen}.toml").open(encoding="utf-8") as file:
-        return file.readline().removeprefix("# ").strip().partition(". ")[0].removesuffix(".")
+    return toml_files.summary("playpens", playpen)
 
 
 def missing(error: Any) -> str:

@@ -177,6 +177,23 @@ def picture(figure: Figure, kind: str, dpi: float = 160) -> bytes:
     return data.getvalue()
 
 
+def thumbnail(playpen: Playpen, longer_side: int = 200) -> bytes:
+    """Return a small map without letters, as PNG; the longer side in pixels."""
+    figure = draw(playpen)
+    axes, data = figure.axes[0], BytesIO()
+    with matplotlib.style.context(STYLE):
+        axes.set_axis_off()
+        axes.set_title("", loc="left")
+        figure.legends.clear()
+        for text in list(axes.texts):
+            text.remove()
+        box = axes.get_window_extent().transformed(figure.dpi_scale_trans.inverted())
+        figure.savefig(
+            data, format="png", dpi=longer_side / LONGER_SIDE, bbox_inches=box, metadata=METADATA["png"]
+        )
+    return data.getvalue()
+
+
 def _sheet(playpen: Playpen, longer_side: float, *, scale: bool, entries: int) -> tuple[Figure, Axes, int]:
     """Return a figure, its axes in mm with room around them, and the number of columns of its legend."""
     arena = playpen.arena

@@ -70,6 +70,12 @@ def names(kind: str) -> list[str]:
     return sorted(path.stem for path in folder(kind).glob("*.toml"))
 
 
+def summary(kind: str, name: str) -> str:
+    """Return the first sentence of a shipped file, in its first line."""
+    with (folder(kind) / f"{name}.toml").open(encoding="utf-8") as file:
+        return file.readline().removeprefix("# ").strip().partition(". ")[0].removesuffix(".")
+
+
 def read(kind: str, name: str | Path, error: type[KhepTwinError]) -> tuple[str, str]:
     """Return the text of a file given by bare name or path, and its name in messages.
 

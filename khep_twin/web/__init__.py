@@ -7,6 +7,8 @@ small enough to be read. The page loads nothing from outside, so it works withou
 
     guard       checks of each request: host, origin, token, sizes
     documents   playpen files below one folder, and drafts of unsaved changes
+    programs    controllers that are edited in the page
+    scene       compiled scenes for the 3-D view
     drafts      playpens as the page sends them, with their problems
     paced_twin  a twin that can be watched, paused, and shared with an outside host
     session     the running twin, or the robot, of the page, in a thread of its own

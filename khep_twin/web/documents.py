@@ -86,6 +86,18 @@ class Documents:
             raise PlaypenError(f"{name}: is there already; expected the name of a new file")
         return found
 
+    def log(self, name: str) -> Path:
+        """Return the path of a log.
+
+        Raises:
+            OutsideError: The file is not below the folder.
+            PlaypenError: The name is no log's, or there is none.
+        """
+        found = self.path(name, ".mcap")
+        if not found.is_file():
+            raise PlaypenError(f"{name}: not found; expected a log below the folder of the designer")
+        return found
+
     def names(self, ending: str = ".toml") -> list[str]:
         """Return the files with an ending, sorted by name, without those in hidden folders."""
         found: list[str] = []
@@ -122,7 +134,7 @@ class Documents:
         """
         text = self._text(name)
         draft = draft_of(playpens.parse(text, name))
-        return {"file": name, "version": _version(text), "draft": draft, "left": self.left(name)}
+        return {"file": name, "version": version_of(text), "draft": draft, "left": self.left(name)}
 
     def new(self, name: str | None) -> dict[str, object]:
         """Return an empty playpen for a file that does not exist yet, and the file's drafts."""
@@ -174,12 +186,12 @@ class Documents:
             self._replaced(name, version, overwrite)
             write_whole(path, text.encode("utf-8"))
         self.keep(name, None, page)
-        return _version(text)
+        return version_of(text)
 
     def version(self, name: str) -> str | None:
         """Return a file's version; None if it is gone."""
         path = self.path(name, ".toml")
-        return _version(self._text(name)) if path.exists() else None
+        return version_of(self._text(name)) if path.exists() else None
 
     def keep(self, name: str | None, kept: Mapping[str, object] | None, page: str = "") -> None:
         """Write a page's draft beside the file, or delete it.
@@ -238,7 +250,7 @@ class Documents:
             ConflictError: It has another version.
         """
         there = self._text(name) if self.path(name, ".toml").exists() else None
-        if there is not None and not overwrite and _version(there) != version:
+        if there is not None and not overwrite and version_of(there) != version:
             raise ConflictError(
                 f"{name}: was changed by another page or program; expected to be loaded anew, saved "
                 "under another name, or replaced"
@@ -263,5 +275,6 @@ def _kept(place: Path) -> tuple[dict[str, object], float] | None:
     return (kept if "draft" in kept else {"draft": kept}), time
 
 
-def _version(text: str) -> str:
+def version_of(text: str) -> str:
+    """Return the version of a file with this text."""
     return sha256(text.encode("utf-8")).hexdigest()[:16]

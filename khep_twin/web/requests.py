@@ -34,6 +34,20 @@ def sendable(value: dict[str, object]) -> dict[str, object]:
     return value
 
 
+PROGRAM_LIMIT = 60_000
+"""Longest program that the page edits [characters]."""
+
+
+def unicode(text: str) -> str:
+    """Return a text if UTF-8 can represent it.
+
+    Raises:
+        ValueError: It cannot.
+    """
+    text.encode("utf-8")
+    return text
+
+
 FileName = Annotated[str, Field(min_length=1, max_length=1024, description="the name of a file")]
 Text = Annotated[str, Field(max_length=10_000, description="text of up to 10000 characters")]
 Word = Annotated[str, Field(max_length=1024, description="text of up to 1024 characters")]
@@ -100,6 +114,12 @@ class Base(TomlTable):
     library: FileName | None = None
 
 
+class SceneRequest(Request):
+    """A scene to show: of a draft, or of the running twin."""
+
+    draft: Draft | None = None
+
+
 class Kept(Request):
     """A draft to keep or, if it is None, to delete; of the requesting page or of another."""
 
@@ -118,6 +138,19 @@ class Saved(Drafted):
     base: Base = Base()
     overwrite: bool = False
     rename: bool = False
+
+
+class SavedProgram(Request):
+    """A program to write."""
+
+    file: FileName
+    text: Annotated[
+        str,
+        Field(max_length=PROGRAM_LIMIT, description="Unicode text of up to 60000 characters"),
+        AfterValidator(unicode),
+    ]
+    version: Word | None = None
+    overwrite: bool = False
 
 
 class Pace(Request):

@@ -6,10 +6,12 @@ folder 403.
 
 import asyncio
 import math
+import os
 import threading
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 
 from starlette.applications import Starlette
@@ -22,21 +24,28 @@ from khep_twin import __version__
 from khep_twin import playpen as playpens
 from khep_twin.board.turrets import installed
 from khep_twin.drawing.render import render
-from khep_twin.errors import KhepTwinError, PortError, choices
+from khep_twin.errors import KhepTwinError, PlaypenError, PortError, choices
+from khep_twin.files.toml_files import summary
 from khep_twin.host.discovery import found_ports
+from khep_twin.invocation import command
 from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.lab.sensor_test import sensor_files
 from khep_twin.lab.sensor_test.sensor_test import SensorRun
 from khep_twin.playpen import bitmap, bitmap_files
 from khep_twin.playpen.starts import at_spots
+from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.sensing.bars import BARS
-from khep_twin.web import drafts, jobs, requests
+from khep_twin.web import drafts, jobs, requests, scene
 from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.printed import taken_by
+from khep_twin.web.programs import Programs
 from khep_twin.web.session import RobotActor, TwinActor, WebSession, shape
 from khep_twin.web.turret_outlines import at_start
+
+_FILE = "application/octet-stream"
+"""What a browser keeps, and does not show."""
 
 ASSETS = Path(__file__).parent.parent / "assets" / "web"
 
@@ -44,9 +53,16 @@ _KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".
 
 
 class Page:
-    """Application behind the page, which opens a file at first, or with None a new playpen."""
+    """Application behind the page, which opens a file at first, or with None a new playpen.
 
-    def __init__(self, documents: Documents, file: str | None) -> None:
+    Args:
+        documents: Playpens of the folder.
+        file: File to open.
+        writes_programs: True if controllers can be edited in the page.
+    """
+
+    def __init__(self, documents: Documents, file: str | None, *, writes_programs: bool = True) -> None:
+        self._programs = Programs(documents, writes_programs)
         self._documents, self._file = documents, file  # later the one that was worked on last
         self._broadcaster = Broadcaster()
         self._actor: WebSession | None = None
@@ -77,15 +93,21 @@ class Page:
             "list": _on(requests.Request, self._list),
             "open": _on(requests.Named, self._open),
             "library": _on(requests.Library, lambda asked: documents.library(asked.name)),
+            "thumbnail": _on(requests.Library, self._thumbnail),
             "left": _on(requests.MaybeNamed, lambda asked: {"left": documents.left(asked.file)}),
             "version": _on(requests.Named, lambda asked: {"version": documents.version(asked.file)}),
             "check": _on(requests.Drafted, lambda asked: {"problems": drafts.problems_of(asked.draft)}),
             "save": _on(requests.Saved, self._save),
             "keep": _on(requests.Kept, self._keep),
             "preview": _on(requests.Drafted, self._preview),
+            "scene": _on(requests.SceneRequest, self._scene),
             "start": _on(requests.StartRequest, self._start),
+            "log": _on(requests.Named, self._log),
+            "report": _on(requests.Named, self._report),
             "connect": _on(requests.Connect, self._connect),
             "end": _on(requests.Request, self._end),
+            "program": _on(requests.Named, lambda asked: self._programs.open(asked.file)),
+            "save-program": _on(requests.SavedProgram, self._save_program),
             "pace": _on(requests.Pace, self._pace),
             "step": _on(requests.Request, lambda asked: self._twin().step()),
             "put": _on(requests.Put, self._put),
@@ -127,7 +149,7 @@ class Page:
             "folder": self._documents.root.name,
             "version_of_twin": __version__,
             "surfaces": drafts.surfaces(),
-            "library": playpens.names(),
+            "library": {name: summary("playpens", name) for name in playpens.names()},
             "controllers": list(BUILT_IN),
             "bars": {name: asdict(bar) for name, bar in BARS.items()},
             "turrets": {
@@ -149,6 +171,12 @@ class Page:
         ports = [{"url": port.url, "what": port.what} for port in found_ports()]
         files, programs = self._documents.names(), self._documents.names(".py")
         return {"files": files, "programs": programs, "library": playpens.names(), "ports": ports}
+
+    def _thumbnail(self, asked: requests.Library) -> Response:
+        if asked.name not in playpens.names():
+            raise PlaypenError(f"{asked.name}: {choices(asked.name, playpens.names())}")
+        with _DRAWING:
+            return Response(_drawn(asked.name), media_type="image/png")
 
     def _open(self, asked: requests.Named) -> dict[str, object]:
         found = self._documents.open(asked.file)
@@ -180,10 +208,18 @@ class Page:
         if kept is not None:
             self._file = asked.file
 
+    def _save_program(self, asked: requests.SavedProgram) -> dict[str, object]:
+        return {"version": self._programs.save(asked.file, asked.text, asked.version, asked.overwrite)}
+
     def _preview(self, asked: requests.Drafted) -> Response:
         """Return a perspective picture of the start of a run with seed 0."""
         playpen = at_spots(drafts.playpen_of(asked.draft), 0)
         return Response(render(playpen, Path("picture.png")), media_type="image/png")
+
+    def _scene(self, asked: requests.SceneRequest) -> dict[str, object]:
+        if asked.draft is None:
+            return self._twin().scene().described()
+        return scene.compiled(to_spec(at_spots(drafts.playpen_of(asked.draft), 0))).described()
 
     async def _import(self, request: Request) -> Response:
         """Return a MAT file or a PNG as a new playpen."""
@@ -197,7 +233,8 @@ class Page:
 
     # Session -------------------------------------------------------------------------------------------
 
-    def _start(self, asked: requests.StartRequest) -> None:
+    def _start(self, asked: requests.StartRequest) -> dict[str, object]:
+        """Start a twin; return its log, and the command that views it."""
         playpen = drafts.playpen_of(asked.draft)
         if not playpen.robots:
             raise PortError("there is no robot; expected one in the playpen")
@@ -207,6 +244,22 @@ class Page:
         actor.set_pace(_speed(asked), asked.paused)
         self._replace(actor)
         self._runs_in = asked.file
+        if path is None:
+            return {"log": None}
+        return {"log": asked.log, "view": command("view", os.path.relpath(path))}
+
+    def _log(self, asked: requests.Named) -> Response:
+        return FileResponse(self._documents.log(asked.file), media_type=_FILE)
+
+    def _report(self, asked: requests.Named) -> Response:
+        """Return the report on a log, as a file."""
+        from khep_twin.lab.report.pages import html
+        from khep_twin.lab.report.report import report
+        from khep_twin.log.reader import read_series
+
+        recording = read_series(self._documents.log(asked.file))
+        with _DRAWING:
+            return Response(html(report(recording, asked.file)), media_type=_FILE)
 
     def _connect(self, asked: requests.Connect) -> None:
         url = asked.port
@@ -276,6 +329,17 @@ class Page:
         if not isinstance(actor, TwinActor):
             raise PortError("a robot at a port cannot be paused, hurried or lifted from here")
         return actor
+
+
+_DRAWING = threading.Lock()
+"""Held while a map is drawn: matplotlib's styles are those of the process."""
+
+
+@cache
+def _drawn(name: str) -> bytes:
+    from khep_twin.drawing.map import thumbnail  # matplotlib takes long to load
+
+    return thumbnail(playpens.load(name))
 
 
 _Action = tuple[type[requests.Request], Callable[[bytes, str], object]]

@@ -70,7 +70,7 @@ class Server:
         token, once = (secrets.token_urlsafe(24) for _ in range(2))
         self.url = f"http://{names[0]}:{port}/{token}/"
         self.url_once = f"http://{names[0]}:{port}/{once}/"
-        self._page = Page(documents, file)
+        self._page = Page(documents, file, writes_programs=is_loopback(host))
         self._complain = complain
         hosts = {f"{name}:{port}" for name in names}
         guard = Guard(self._page.app(), token, hosts, once=once, complain=complain)

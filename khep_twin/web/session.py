@@ -30,6 +30,7 @@ from khep_twin.web.jobs import Job, Publish
 from khep_twin.web.outside_host import OutsideHost
 from khep_twin.web.paced_twin import PacedTwin
 from khep_twin.web.printed import taken_by
+from khep_twin.web.scene import Scene
 from khep_twin.web.turret_outlines import TurretParts
 
 _PATIENCE = 5.0
@@ -37,6 +38,8 @@ _PATIENCE = 5.0
 
 _PRINT_LIMIT = 20_000
 """Longest output of a controller that is sent at once [characters]."""
+
+_NOT_YET = "the twin is not there yet; expected a started twin"
 
 _LOOK = 0.08
 """Interval at which the readings of a robot at a port are requested [s]."""
@@ -156,6 +159,7 @@ class TwinActor(WebSession):
         self.playpen, self._options, self._log = playpen, options, log
         self._paced: PacedTwin | None = None
         self._turrets: list[TurretParts] = []
+        self._scene: Scene | None = None
         self.speed, self.paused = 1.0, False
 
     def set_pace(self, speed: float, paused: bool) -> None:
@@ -186,6 +190,16 @@ class TwinActor(WebSession):
         """Switch a lamp."""
         self._request(lambda twin: switch(twin.world, lamp, on))
 
+    def scene(self) -> Scene:
+        """Return the scene of the world, with the poses of its moving bodies in each picture's "bodies".
+
+        Raises:
+            PortError: The twin has not started yet.
+        """
+        if self._paced is None:
+            raise PortError(_NOT_YET)
+        return Scene(self._paced.world.model, self._paced.world.data)
+
     def stop(self) -> None:
         """End the job; without one, stop the motors."""
         if self.job is not None and self._paced is not None:
@@ -202,7 +216,7 @@ class TwinActor(WebSession):
     def _request(self, action: Callable[[PacedTwin], None]) -> None:
         twin = self._paced
         if twin is None:
-            raise PortError("the twin is not there yet")
+            raise PortError(_NOT_YET)
 
         def safely() -> None:
             try:
@@ -236,6 +250,7 @@ class TwinActor(WebSession):
             stack.callback(paced.end)
             paced.speed, paced.paused = self.speed, self.paused
             self._turrets = [TurretParts(twin.world, index) for index in range(len(twin.robots))]
+            self._scene = Scene(twin.world.model, twin.world.data)
             self._paced = paced
             self.publish(self._cast(paced, ports))
             while not (paced.ended or self._ended.is_set()):
@@ -262,6 +277,7 @@ class TwinActor(WebSession):
                     "port": port.path,
                     "baud": robot.firmware.baud,
                     **shape(entry.model, entry.calibration),
+                    "sensor_height_mm": BODIES[entry.model].sensor_height * 1e3,
                     "turrets": entry.turrets,
                 }
                 for robot, port, entry in zip(twin.robots, ports, twin.world.playpen.robots, strict=True)
@@ -304,6 +320,7 @@ class TwinActor(WebSession):
             "part": self._part,
             "robots": robots,
             "lamps": lamps,
+            "bodies": [] if self._scene is None else self._scene.poses(),
             **{
                 kind: {i: [it.x_mm, it.y_mm, it.angle_deg] for i, it in enumerate(items) if it.movable}
                 for kind, items in now.objects.items()

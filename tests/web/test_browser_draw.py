@@ -170,7 +170,7 @@ def test_a_draft_is_offered_for_its_own_playpen_only_and_outlives_another(
     visit.save_as("mine.toml")
     content = (tmp_path / "mine.toml").read_bytes()
     page.click("#new")
-    page.select_option("#dialog select", "default")
+    page.check("#dialog input[value=default]")
     page.click("#dialog .main")
     visit.wait("document.querySelector('#file').textContent === 'new playpen'")
     visit.add("block", (200, 200))
@@ -295,7 +295,7 @@ def test_a_designer_that_ends_during_a_run_says_so_once_and_what_needs_it_is_off
     page.wait_for_timeout(2000)  # checks, drafts and the attempts to reach it again fail meanwhile
     assert visit.count(".banner") == 1
     assert visit.count(".drawn") == 3
-    for name in "new open save save-as import preview run stop start end put connect gather".split():
+    for name in "new open save save-as import three-d run stop start end put connect gather".split():
         assert page.evaluate(f"document.querySelector('#{name}').closest('[inert]') !== null"), name
     assert page.evaluate("document.querySelector('#undo').closest('[inert]') === null")
     visit.picture("8-ended")
@@ -563,3 +563,17 @@ def test_a_file_that_cannot_be_opened_leaves_the_draft_of_the_last(visit: Visit,
     page.wait_for_selector("text=not TOML")
     assert drafts(tmp_path) == ["mine.toml"]
     visit.trouble.clear()  # the answer 400
+
+
+def test_a_playpen_of_the_library_is_chosen_by_its_picture(visit: Visit) -> None:
+    page = visit.page
+    page.click("#new")
+    visit.wait(
+        "[...document.querySelectorAll('.cards img')].slice(0, 4).every((each) => each.naturalWidth > 100)"
+    )
+    visit.picture("12-library")
+    assert "Five cylinders to be carried away" in page.inner_text(".cards label:nth-child(3)")
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("Enter")
+    visit.wait("document.querySelectorAll('.kind-cylinder').length === 5")

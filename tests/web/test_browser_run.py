@@ -415,3 +415,22 @@ def test_line_images_are_a_strip_below_the_readings(visit: Visit) -> None:
     assert min(white) > 100  # the walls
     visit.picture("18-line-image")
     page.click("#end")
+
+
+def test_after_a_run_its_log_and_report_are_kept_and_the_command_that_views_it_is_shown(visit: Visit) -> None:
+    page = visit.page
+    visit.add("robot", (300, 200))
+    page.click('[data-tab="run"]')
+    page.fill("#log", "run.mcap")
+    page.click("#start")
+    page.wait_for_selector(".live")
+    assert page.is_hidden("#logged")
+    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 0.5")
+    page.click("#end")
+    page.wait_for_selector("#logged:not([hidden])")
+    assert page.inner_text("#view-command").endswith("run.mcap")
+    for button, name in (("#keep-log", "run.mcap"), ("#keep-report", "run.html")):
+        with page.expect_download() as kept:
+            page.click(button)
+        assert kept.value.suggested_filename == name
+        assert Path(kept.value.path()).stat().st_size > 1000

@@ -29,6 +29,7 @@ VALID: dict[str, Any] = {
     "on": True,
     "port": "socket://127.0.0.1:1",
     "robot": 0,
+    "text": "",
     "x_mm": 300,
     "y_mm": 250,
 }

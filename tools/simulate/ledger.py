@@ -7,7 +7,7 @@ from typing import Any
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError
-from khep_twin.web.documents import Documents, _version
+from khep_twin.web.documents import Documents, version_of
 from khep_twin.web.drafts import draft_of, playpen_of
 from tools.simulate.designer import Asked
 from tools.simulate.simulation import Simulation
@@ -57,7 +57,7 @@ class Ledger:
     def wrote(self, path: Path, asked: Asked | None) -> None:
         """Note a write of a file; check that it replaces no other one unasked."""
         name, text = str(path.relative_to(self._folder)), path.read_text("utf-8")
-        found = Write(_version(text), _of_text(text), asked, self._simulation.kernel.now_ns)
+        found = Write(version_of(text), _of_text(text), asked, self._simulation.kernel.now_ns)
         before = self.writes.setdefault(name, [])
         if asked is not None and asked.action == "save":
             self._check_base(name, before[-1] if before else None, asked)

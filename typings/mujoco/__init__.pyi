@@ -58,6 +58,13 @@ class _Named:
 class MjStatistic:
     meaninertia: float
 
+class MjVisualHeadlight:
+    ambient: NDArray[np.float32]
+    diffuse: NDArray[np.float32]
+
+class MjVisual:
+    headlight: MjVisualHeadlight
+
 class MjModel:
     nbody: int
     ngeom: int
@@ -65,7 +72,23 @@ class MjModel:
     nsensor: int
     nsite: int
     nuser_site: int
+    nlight: int
+    nmesh: int
     names: bytes
+    vis: MjVisual
+    light_active: NDArray[np.uint8]
+    light_type: NDArray[np.int32]
+    light_ambient: NDArray[np.float32]
+    light_diffuse: NDArray[np.float32]
+    mat_rgba: NDArray[np.float32]
+    mesh_vertadr: NDArray[np.int32]
+    mesh_vertnum: NDArray[np.int32]
+    mesh_vert: NDArray[np.float32]
+    mesh_faceadr: NDArray[np.int32]
+    mesh_facenum: NDArray[np.int32]
+    mesh_face: NDArray[np.int32]
+    geom_dataid: NDArray[np.int32]
+    body_mocapid: NDArray[np.int32]
     body_parentid: NDArray[np.int32]
     body_pos: NDArray[np.float64]
     body_quat: NDArray[np.float64]
@@ -146,6 +169,8 @@ class MjData:
     site_xmat: NDArray[np.float64]
     geom_xpos: NDArray[np.float64]
     history: NDArray[np.float64]
+    light_xpos: NDArray[np.float64]
+    light_xdir: NDArray[np.float64]
     model: MjModel
     qpos: NDArray[np.float64]
     qvel: NDArray[np.float64]

@@ -33,7 +33,7 @@ function reach(url, wanted) {
 }
 
 async function read(answer) {
-  if (answer.headers.get("content-type") === "image/png") return answer.blob();
+  if (["image/png", "application/octet-stream"].includes(answer.headers.get("content-type"))) return answer.blob();
   const text = await answer.text();
   let found;
   try {
@@ -43,6 +43,13 @@ async function read(answer) {
   }
   if (!answer.ok) throw Object.assign(new Error(found.error), { conflict: found.conflict === true });
   return found;
+}
+
+// Has the browser keep a file.
+export function keep(blob, name) {
+  const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
 
 // Receives messages; calls lost(true, ended) when the connection is lost, with `ended` if the designer reported its

@@ -178,7 +178,7 @@ export class Drawing {
       return make(
         "g",
         {},
-        make("path", { d: path, fill: "none", stroke: "#444", "stroke-width": thick + 1.5, "stroke-linejoin": "bevel" }),
+        make("path", { d: path, fill: "none", stroke: "var(--edge)", "stroke-width": thick + 1.5, "stroke-linejoin": "bevel" }),
         make("path", { d: path, fill: "none", stroke: this.colour(thing.surface), "stroke-width": thick, "stroke-linejoin": "bevel" }),
         ...this.#stripes(thing, sides),
         make("path", { d: path, fill: "none", class: "shape" }),
@@ -196,8 +196,8 @@ export class Drawing {
 
   robot(kind = "khepera1", turrets = [], told = null) {
     const { radius_mm: radius, sensors } = told ?? this.shapes[kind] ?? { radius_mm: 27.5, sensors: [] };
-    const wheels = [-26, 26].map((y) => make("rect", { x: -7.5, y: y - 1.5, width: 15, height: 3, fill: "#333" }));
-    const eyes = sensors.map(([x, y]) => make("circle", { cx: x, cy: y, r: 1.8, fill: "#0072b2" }));
+    const wheels = [-26, 26].map((y) => make("rect", { x: -7.5, y: y - 1.5, width: 15, height: 3, fill: "var(--wheel)" }));
+    const eyes = sensors.map(([x, y]) => make("circle", { cx: x, cy: y, r: 1.8, fill: "var(--blue)" }));
     const nose = make("path", { class: "nose", d: `M${radius - 12} -7L${radius - 3} 0L${radius - 12} 7` });
     return make("g", {}, make("circle", { r: radius, class: "shape body" }), ...wheels, ...this.#turrets(turrets), nose, ...eyes);
   }

@@ -5,12 +5,16 @@ import { Drawing, pattern } from "./drawing.js";
 import { Editor } from "./editor.js";
 import { Fields } from "./fields.js";
 import { KINDS, Model, OBJECTS } from "./model.js";
+import { Program } from "./program.js";
 import { Running } from "./run.js";
+import { Stage } from "./stage.js";
 
 const $ = (selector) => document.querySelector(selector);
 const model = new Model();
 const drawing = new Drawing($("#view"), model);
 const running = new Running(drawing, model, banner, attempt);
+const program = new Program(running, banner, attempt);
+const stage = new Stage(model, running, attempt, preview);
 const snap = () => ({ grid: +$("#grid").value, angle: +$("#angle").value });
 let hello;
 let gone = false;
@@ -77,6 +81,7 @@ async function attempt(act, about) {
   } catch (error) {
     // The loss of the designer is reported once, elsewhere.
     if (!error.unreached) banner(error.message, "error", {}, about);
+    if (about === "run") program.mark(error.message); // a file may fail when it is read
     return undefined;
   }
 }
@@ -104,6 +109,34 @@ async function choose(title, names, empty) {
   list.addEventListener("dblclick", () => $("#dialog").close("ok"));
   if (!names.length) return banner(empty), null;
   return (await ask(title, list)) ? list.value : null;
+}
+
+const thumbnails = new Map();
+
+// Asks for a playpen of the library, by its picture and a line of description.
+async function chooseFromLibrary() {
+  const cards = document.createElement("div");
+  cards.className = "cards";
+  for (const [name, line] of Object.entries(hello.library)) {
+    const card = document.createElement("label");
+    const choice = Object.assign(document.createElement("input"), { type: "radio", name: "library", value: name, checked: !cards.childElementCount });
+    const [title, told] = [document.createElement("strong"), document.createElement("span")];
+    title.textContent = name;
+    told.textContent = line;
+    card.append(choice, Object.assign(document.createElement("img"), { alt: "", src: thumbnails.get(name) ?? "" }), title, told);
+    card.addEventListener("dblclick", () => $("#dialog").close("ok"));
+    cards.append(card);
+  }
+  const chosen = ask("New from the library", cards);
+  // One at a time: the server draws each when it is first asked for.
+  attempt(async () => {
+    for (const [index, name] of Object.keys(hello.library).entries()) {
+      if (!thumbnails.has(name)) thumbnails.set(name, URL.createObjectURL(await post("thumbnail", { name })));
+      cards.children[index].querySelector("img").src = thumbnails.get(name);
+      if (!cards.isConnected || !$("#dialog").open) return;
+    }
+  }, "thumbnails");
+  return (await chosen) ? cards.querySelector(":checked").value : null;
 }
 
 // Changes that are not saved are discarded with their draft: ask before.
@@ -338,6 +371,7 @@ const KEYS = [
   ["Alt while dragging", "ignore the grid"],
   ["two fingers", "zoom, move the view, turn a lifted robot"],
   ["wheel, + − 0", "zoom; middle button or Ctrl+drag moves the view"],
+  ["3, F", "plan or 3-D; in 3-D, follow the robot: drag, or the arrows, to orbit, with Shift or the right button to move"],
   ["Space . Esc", "during a run: pause, step, stop; the wheel turns a lifted robot"],
 ];
 
@@ -359,7 +393,7 @@ function press(id, act) {
 
 const drawn = (act) => () => (running.active && !running.real ? banner("A twin runs in this drawing: end it first.") : act());
 press("new", async () => {
-  const name = await choose("New from the library", hello.library);
+  const name = await chooseFromLibrary();
   if (name && (await mayLeave())) await leaveFor(await post("library", { name }), { library: name });
 });
 press("open", async () => openFile(await choose("Open", (await post("list")).files, "There are no playpens below this folder yet.")));
@@ -369,10 +403,9 @@ press("undo", drawn(() => model.undo()));
 press("redo", drawn(() => model.redo()));
 press("copy", drawn(() => model.copy()));
 press("delete", drawn(() => model.remove()));
-press("zoom-in", () => drawing.zoom(0.8));
-press("zoom-out", () => drawing.zoom(1.25));
-press("zoom-fit", () => drawing.fit());
-press("preview", preview);
+press("zoom-in", () => stage.zoom("+") || drawing.zoom(0.8));
+press("zoom-out", () => stage.zoom("-") || drawing.zoom(1.25));
+press("zoom-fit", () => stage.zoom("0") || drawing.fit());
 press("help", help);
 $("#figure").addEventListener("click", () => {
   const picture = Object.assign(document.createElement("img"), { src: $("#figure").src, alt: $("#figure").alt });
@@ -413,12 +446,12 @@ document.addEventListener("keydown", (event) => {
   if (event.key === "Escape" && running.active) return void running.key(event);
   if (event.target.matches("input, select, textarea") || (event.target.matches("button") && [" ", "Enter"].includes(event.key))) return;
   if (event.key === "?") return void help();
-  if (running.key(event) || editor.key(event)) event.preventDefault();
+  if (running.key(event) || stage.key(event) || editor.key(event)) event.preventDefault();
 });
 addEventListener("pagehide", () => keepNow({ keepalive: true }));
 addEventListener("beforeunload", (event) => {
-  // No draft is kept any more.
-  if (gone && model.changed) event.preventDefault();
+  // No draft is kept any more, and none of programs.
+  if ((gone && model.changed) || program.changed) event.preventDefault();
 });
 document.addEventListener("visibilitychange", () => document.hidden && keepNow({ keepalive: true }));
 

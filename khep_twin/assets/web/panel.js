@@ -4,7 +4,7 @@ import { make } from "./drawing.js";
 
 export const SENSORS = ["left 90", "left 45", "left 10", "right 10", "right 45", "right 90", "back right", "back left"];
 const BAR = 15;
-const [RED, ORANGE, BLUE] = ["#d55e00", "#e69f00", "#0072b2"];
+const [RED, ORANGE, BLUE] = ["var(--red)", "var(--orange)", "var(--blue)"];
 
 export class Panel {
   #bars = {};
@@ -38,10 +38,10 @@ export class Panel {
   // Ahead is up, left is left.
   shape({ radius_mm: radius, sensors }) {
     const bar = (x, y, fill, name) => make("rect", { x: x - 2, y, width: 4, height: 0, fill, class: name });
-    const ground = (x, y, height) => make("rect", { x: x - 2, y: y - height, width: 4, height, fill: "#e4e4e0" });
+    const ground = (x, y, height) => make("rect", { x: x - 2, y: y - height, width: 4, height, fill: "var(--groove)" });
     this.near = [];
     this.light = [];
-    const parts = [make("circle", { r: radius, fill: "#dfe9f1", stroke: "#444" }), make("path", { d: `M-5 ${-radius + 9}L0 ${-radius + 3}L5 ${-radius + 9}`, fill: "none", stroke: "#444", "stroke-width": 1.4 })];
+    const parts = [make("circle", { r: radius, fill: "var(--robot)", stroke: "var(--edge)" }), make("path", { d: `M-5 ${-radius + 9}L0 ${-radius + 3}L5 ${-radius + 9}`, fill: "none", stroke: "var(--edge)", "stroke-width": 1.4 })];
     for (const [ahead, left] of sensors) {
       const [x, y] = [-left * 1.5, -ahead * 1.5 + (ahead > 0 ? 3 : 12)];
       const [near, light] = [bar(x - 2.4, y, RED, "proximity"), bar(x + 2.4, y, ORANGE, "light")];
@@ -51,7 +51,7 @@ export class Panel {
     }
     this.motors = [-1, 1].map((side) => {
       const motor = bar(side * 15, 0, BLUE, "speed");
-      parts.push(make("rect", { x: side * 22 - 1.2, y: -7.5, width: 2.4, height: 15, fill: "#333" }), make("rect", { x: side * 15 - 2, y: -BAR, width: 4, height: 2 * BAR, fill: "#e9e9e5" }), make("path", { d: `M${side * 15 - 3} 0h6`, stroke: "#444" }), motor);
+      parts.push(make("rect", { x: side * 22 - 1.2, y: -7.5, width: 2.4, height: 15, fill: "var(--wheel)" }), make("rect", { x: side * 15 - 2, y: -BAR, width: 4, height: 2 * BAR, fill: "var(--groove)" }), make("path", { d: `M${side * 15 - 3} 0h6`, stroke: "var(--edge)" }), motor);
       return motor;
     });
     this.svg.replaceChildren(...parts);

@@ -1,6 +1,6 @@
 // The running twin in the drawing, or the robot at a port, and moves of robots and lamps by the user.
 
-import { post } from "./api.js";
+import { keep, post } from "./api.js";
 import { closed, make, place } from "./drawing.js";
 import { angle, OBJECTS, tidy } from "./model.js";
 import { Panel, SENSORS, Strip, write } from "./panel.js";
@@ -11,6 +11,7 @@ const number = (selector) => ($(selector).value === "" ? null : $(selector).valu
 // Path of a robot so far: of many short paths only the last is drawn anew.
 class Trail {
   node = make("g");
+  places = []; // the newest
   #last = null;
   #path = null;
   #points = [];
@@ -27,6 +28,7 @@ class Trail {
     }
     this.#last = [x, y];
     this.#points.push(this.#last);
+    if (this.places.push(this.#last) > 1500) this.places.shift();
     this.#path.setAttribute("d", `M${this.#points.map((point) => point.join(" ")).join("L")}`);
   }
 }
@@ -60,6 +62,10 @@ export class Running {
       this.banner(`Saved as ${$("#sensed-file").value}.`);
     });
     press("#connect", () => post("connect", { port: $("#device").value }), "run");
+    const stem = () => this.logged.log.replace(/^.*\//, "").replace(/\.mcap$/, "");
+    press("#keep-log", async () => keep(await post("log", { file: this.logged.log }), `${stem()}.mcap`));
+    press("#keep-report", async () => keep(await post("report", { file: this.logged.log }), `${stem()}.html`));
+    press("#copy-view", () => navigator.clipboard.writeText($("#view-command").textContent));
     press("#copy-port", () => navigator.clipboard.writeText($("#port").textContent));
     press("#put", () => post("put", { robot: this.which, x_mm: number("#put-x"), y_mm: number("#put-y"), heading_deg: number("#put-h") }), "hand");
     $("#speed").addEventListener("change", () => attempt(() => this.#pace(), "pace"));
@@ -70,14 +76,25 @@ export class Running {
     this.#buttons();
   }
 
+  // True while a twin runs, and no robot at a port.
+  get twin() {
+    return this.active && !this.real;
+  }
+
+  // The robots of the twin, each with the places where it has been.
+  get travellers() {
+    return this.twin ? this.robots.map((robot, index) => ({ ...robot, places: this.#trails[index].places })) : [];
+  }
+
   get which() {
     return Math.max(+$("#which").value || 0, 0);
   }
 
   async start() {
     this.#starts++;
-    this.paused = this.failed = false;
-    await post("start", { file: this.model.file, draft: this.model.draft, seed: number("#seed") ?? 0, noise: $("#noise").checked, log: $("#log").value || null, speed: +$("#speed").value });
+    this.paused = this.lost = false;
+    $("#logged").hidden = true;
+    this.logged = await post("start", { file: this.model.file, draft: this.model.draft, seed: number("#seed") ?? 0, noise: $("#noise").checked, log: $("#log").value || null, speed: +$("#speed").value });
   }
 
   async pause() {
@@ -128,7 +145,7 @@ export class Running {
   // Waits until the twin has started, which takes long in a large playpen, or has failed with a shown reason.
   async #there() {
     const starts = this.#starts; // a later start is waited for by its own button
-    for (let tries = 0; tries < 300 && starts === this.#starts && !this.active && !this.failed; tries++) await new Promise((done) => setTimeout(done, 100));
+    for (let tries = 0; tries < 300 && starts === this.#starts && !this.active && !this.lost; tries++) await new Promise((done) => setTimeout(done, 100));
     return this.active && starts === this.#starts;
   }
 
@@ -149,7 +166,10 @@ export class Running {
         this.busy = false;
         this.#buttons();
       },
-      error: () => this.banner(message.text, "error", {}, "run"),
+      error: () => {
+        this.banner(message.text, "error", {}, "run");
+        this.failed?.(message.text);
+      },
       refused: () => this.banner(message.text, "error", {}, "hand"),
       note: () => this.banner(message.text),
       room: () => this.#room(message),
@@ -169,6 +189,7 @@ export class Running {
     this.#shape();
     if (!real) this.#live();
     this.#buttons();
+    this.stage?.changed();
   }
 
   #live() {
@@ -220,15 +241,18 @@ export class Running {
     if (message.part !== $("#part").value) $("#part").value = message.part;
     write($("#clock"), `${message.time.toFixed(2)} s${message.paused ? ", paused" : ""}${message.busy ? ", driven from here" : ""}`);
     if (this.real || !this.nodes) return;
+    this.stage?.told(message);
     const between = shown?.host_commands ? `; ${shown.host_commands} commands between those of the program here` : "";
     write($("#host"), shown?.host ? `A host has it open${between}.` : "No host has it open.");
+    const hidden = this.stage?.shown; // the plan needs no work then
     message.robots.forEach((robot, index) => {
       const { node, rays, turrets } = this.nodes[index] ?? {};
       if (!node) return;
+      this.#trails[index].add(robot.x_mm, robot.y_mm);
+      if (hidden) return;
       if (this.#held?.index !== index) place(node, robot);
       robot.turrets.forEach((points, part) => turrets[part]?.setAttribute("d", closed(points)));
       robot.proximity.forEach((count, sensor) => rays[sensor]?.setAttribute("opacity", 0.05 + (0.6 * count) / 1023));
-      this.#trails[index].add(robot.x_mm, robot.y_mm);
     });
     message.lamps.forEach(({ power_w }, index) => {
       this.drawing.nodes.get(`lamp:${index}`)?.classList.toggle("off", power_w === 0);
@@ -260,15 +284,18 @@ export class Running {
   }
 
   #ended() {
-    Object.assign(this, { active: false, busy: false, real: false, paused: false, nodes: null, failed: true });
+    Object.assign(this, { active: false, busy: false, real: false, paused: false, nodes: null, lost: true });
     for (const part of [this.drawing.svg, $("#arena")]) part.classList.remove("running");
     this.drawing.live.replaceChildren();
     this.drawing.all();
     $("#clock").textContent = "not running";
+    $("#logged").hidden = !this.logged?.log;
+    $("#view-command").textContent = this.logged?.view ?? "";
     $("#part").value = 0;
     $("#port").textContent = "–";
     $("#host").textContent = "";
     this.#buttons();
+    this.stage?.changed();
   }
 
   #buttons() {
@@ -282,7 +309,8 @@ export class Running {
     $("#connect").disabled = active && !real;
     document.body.classList.toggle("running", active);
     // The twin was made from the drawing, which does not change.
-    for (const id of ["#tools", "#tab-object", "#tab-playpen"]) $(id).inert = active && !real;
+    for (const id of ["#tools", "#tab-object", "#tab-playpen"]) $(id).inert = this.twin;
+    if (this.stage?.shown) $("#tools").inert = true;
   }
 
   // Lifts a robot or puts it down; a click on a lamp switches it. Returns whether the pointer hit one of them.

@@ -1,0 +1,61 @@
+"""Controllers are written in the page, run by a key, and their failing line is marked, in a real browser."""
+
+from pathlib import Path
+
+from tests.web.visit import BROWSED, Visit, need_a_browser
+
+need_a_browser()
+pytestmark = BROWSED
+
+
+def test_a_program_is_written_run_by_a_key_and_its_failing_line_is_marked(
+    visit: Visit, tmp_path: Path
+) -> None:
+    page = visit.page
+    visit.add("robot", (300, 250))
+    page.wait_for_selector("#problems.none")
+    page.click('[data-tab="run"]')
+    page.click("#edit")
+    visit.wait("document.querySelector('#code').value.includes('class Wander')")
+    page.fill("#code", "def controller(robot):")
+    page.press("#code", "Control+End")
+    page.keyboard.press("Enter")
+    page.keyboard.type("robot.set_speed(3, 3)")
+    page.keyboard.press("Enter")
+    page.keyboard.type("nonsense()")
+    page.keyboard.press("Control+Enter")
+    page.wait_for_selector("#lines .failed")
+    assert page.inner_text("#lines .failed") == "3"
+    assert "NameError: name 'nonsense'" in page.inner_text("#program-told")
+    visit.picture("13-program")
+    text = "def controller(robot):\n    robot.set_speed(3, 3)\n    nonsense()"
+    assert (tmp_path / "mine.py").read_text() == text
+    page.focus("#code")
+    page.keyboard.press("Control+End")
+    for _ in "nonsense()":
+        page.keyboard.press("Backspace")
+    page.keyboard.type("print('driven')")
+    page.keyboard.press("Control+Enter")
+    page.wait_for_selector("#printed >> text=driven", state="attached")
+    assert visit.count("#lines .failed") == 0
+    page.click("#stop")
+    visit.wait("!document.querySelector('#run').disabled")
+    page.click("#end")
+    visit.wait("document.querySelector('#clock').textContent === 'not running'")
+
+
+def test_a_program_that_another_has_changed_is_not_overwritten(visit: Visit, tmp_path: Path) -> None:
+    page = visit.page
+    (tmp_path / "mine.py").write_text("def controller(robot):\n    robot.set_speed(1, 1)\n")
+    page.click('[data-tab="run"]')
+    page.click("#edit")
+    visit.wait("document.querySelector('#code').value.includes('1, 1')")
+    (tmp_path / "mine.py").write_text("# another's\n")
+    page.fill("#code", "# mine\n")
+    page.press("#code", "Control+s")
+    page.wait_for_selector(".banner >> text=was changed by another page or program")
+    assert (tmp_path / "mine.py").read_text() == "# another's\n"
+    page.click(".banner >> text=Replace it")
+    visit.wait("document.querySelector('#save-program').disabled")
+    assert (tmp_path / "mine.py").read_text() == "# mine\n"
+    visit.trouble = [text for text in visit.trouble if "409" not in text]

@@ -1,0 +1,124 @@
+"""The arena in 3-D, in a real browser: orbited, live, followed, and without WebGL."""
+
+import io
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from tests.web.visit import BROWSED, Visit, need_a_browser
+
+need_a_browser()
+pytestmark = BROWSED
+
+
+def seen(visit: Visit) -> NDArray[np.uint8]:
+    picture = visit.page.locator("#solid").screenshot()
+    return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"))
+
+
+def shapes(visit: Visit) -> int:
+    return int(visit.page.get_attribute("#solid", "data-shapes") or 0)
+
+
+def test_the_scene_is_shown_by_a_key_and_orbited(visit: Visit) -> None:
+    page = visit.page
+    visit.add("robot", (300, 250))
+    page.wait_for_selector("#problems.none")
+    page.focus("#view")
+    page.keyboard.press("3")
+    page.wait_for_selector("#solid[data-shapes]")
+    assert page.get_attribute("#three-d", "aria-pressed") == "true"
+    page.wait_for_timeout(300)
+    first = seen(visit)
+    assert len(np.unique(first.reshape(-1, 3), axis=0)) > 20
+    page.keyboard.press("ArrowLeft")
+    page.wait_for_timeout(300)
+    turned = seen(visit)
+    assert (turned != first).any()
+    page.keyboard.press("0")
+    page.wait_for_timeout(300)
+    assert (seen(visit) == first).mean() > 0.99
+    visit.picture("3d-drawing")
+    # What is drawn meanwhile appears.
+    before = shapes(visit)
+    page.evaluate("document.querySelector('.kind-robot').focus()")
+    page.keyboard.press("3")
+    visit.add("block", (150, 120))
+    page.focus("#view")
+    page.keyboard.press("3")
+    visit.wait(f"+document.querySelector('#solid').dataset.shapes === {before + 1}")
+
+
+def test_a_running_twin_is_followed(visit: Visit) -> None:
+    page = visit.page
+    visit.add("robot", (300, 250))
+    page.wait_for_selector("#problems.none")
+    page.click("#three-d")
+    page.click('[data-tab="run"]')
+    page.click("#run")
+    page.wait_for_selector("#follow:not([hidden])")
+    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 1")
+    first = seen(visit)
+    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 2.5")
+    assert (seen(visit) != first).any()
+    page.focus("#solid")
+    page.keyboard.press("f")
+    assert page.get_attribute("#follow", "aria-pressed") == "true"
+    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 3.5")
+    visit.picture("3d-followed")
+    page.click("#stop")
+    visit.wait("!document.querySelector('#run').disabled")
+    page.click("#end")
+    page.wait_for_selector("#follow[hidden]", state="attached")
+
+
+def test_a_dark_system_gets_a_dark_page(visit: Visit) -> None:
+    page = visit.page
+    visit.add("robot", (300, 250))
+    page.wait_for_selector("#problems.none")
+    page.click("#three-d")
+    page.wait_for_selector("#solid[data-shapes]")
+    page.wait_for_timeout(500)
+    fill = "getComputedStyle(document.querySelector('.floor')).fill"
+    light, plan = seen(visit), page.evaluate(fill)
+    assert brightness(page.evaluate("getComputedStyle(document.body).backgroundColor")) == 255
+    page.emulate_media(color_scheme="dark")
+    page.wait_for_timeout(1000)
+    assert brightness(page.evaluate("getComputedStyle(document.body).backgroundColor")) < 50
+    assert brightness(page.evaluate(fill)) < 80 < brightness(plan)
+    assert seen(visit).mean() < light.mean() / 2
+    visit.picture("3d-dark")
+    assert contrast_of_texts(visit) > 4.5
+
+
+def brightness(colour: str) -> float:
+    return float(np.mean([float(part) for part in re.findall(r"[\d.]+", colour)[:3]]))
+
+
+def contrast_of_texts(visit: Visit) -> float:
+    """The contrast of the page's text with its background, as WCAG counts it."""
+    pair = visit.page.evaluate(
+        "(({ color, backgroundColor }) => [color, backgroundColor])(getComputedStyle(document.body))"
+    )
+
+    def luminance(colour: str) -> float:
+        parts = [float(part) / 255 for part in re.findall(r"[\d.]+", colour)[:3]]
+        linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+        return float(np.dot(linear, [0.2126, 0.7152, 0.0722]))
+
+    low, high = sorted(luminance(colour) for colour in pair)
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_without_webgl_the_server_draws_the_scene(visit: Visit) -> None:
+    page = visit.page
+    page.add_init_script("OffscreenCanvas.prototype.getContext = () => null")
+    visit.open()
+    visit.add("robot", (300, 250))
+    page.wait_for_selector("#problems.none")
+    page.click("#three-d")
+    page.wait_for_selector("#dialog img")
+    page.click("#dialog .main")
+    assert page.get_attribute("#three-d", "aria-pressed") == "false"

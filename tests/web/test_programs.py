@@ -1,0 +1,69 @@
+"""Controllers are edited in the page by the rules of playpens."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from khep_twin.errors import KhepTwinError
+from khep_twin.web.documents import Documents, OutsideError, version_of
+from khep_twin.web.programs import TEMPLATE, Programs
+from khep_twin.web.server import Server
+from tests.web.conftest import Asker
+
+TEXT = "def controller(robot):\n    robot.set_speed(3, 3)  # ü\n"
+
+
+def test_a_new_program_begins_with_the_template_and_is_saved(asker: Asker, tmp_path: Path) -> None:
+    status, new = asker.do("program", file="mine.py")
+    assert (status, new) == (200, {"text": TEMPLATE.read_text(), "version": None})
+    status, saved = asker.do("save-program", file="mine.py", text=TEXT)
+    assert (status, saved["version"]) == (200, version_of(TEXT))
+    assert (tmp_path / "mine.py").read_text() == TEXT
+    assert asker.do("program", file="mine.py")[1] == {"text": TEXT, "version": version_of(TEXT)}
+    assert "mine.py" in asker.do("list")[1]["programs"]
+
+
+def test_a_program_that_was_changed_meanwhile_is_not_overwritten(asker: Asker, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("x = 1\n")
+    version = asker.do("program", file="mine.py")[1]["version"]
+    (tmp_path / "mine.py").write_text("x = 2\n")
+    for known in (version, None):
+        status, told = asker.do("save-program", file="mine.py", text=TEXT, version=known)
+        assert (status, told["conflict"]) == (409, True)
+    assert (tmp_path / "mine.py").read_text() == "x = 2\n"
+    assert asker.do("save-program", file="mine.py", text=TEXT, version=version, overwrite=True)[0] == 200
+
+
+@pytest.mark.parametrize("name", ["../x.py", "/tmp/x.py", "link.py", "mine.toml", ".x.py", "x", "pipe.py"])
+def test_no_other_file_is_read_or_written(tmp_path: Path, name: str) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "out.py").write_text("secret = 1\n")
+    (tmp_path / "in" / "link.py").symlink_to(tmp_path / "out.py")
+    os.mkfifo(tmp_path / "in" / "pipe.py")
+    programs = Programs(Documents(tmp_path / "in"), True)
+    with pytest.raises(KhepTwinError):
+        programs.open(name)
+    with pytest.raises(KhepTwinError):
+        programs.save(name, TEXT, None, True)
+    assert (tmp_path / "out.py").read_text() == "secret = 1\n"
+    assert sorted(path.name for path in (tmp_path / "in").iterdir()) == ["link.py", "pipe.py"]
+
+
+def test_what_is_no_text_is_refused_in_a_line(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_bytes(b"\xff\xfe")
+    programs = Programs(Documents(tmp_path), True)
+    with pytest.raises(KhepTwinError, match=r"mine.py: no UTF-8: .*expected a Python file"):
+        programs.open("mine.py")
+    (tmp_path / "mine.py").write_bytes(b"#" * 900_000)
+    with pytest.raises(KhepTwinError, match=r"900000 bytes; expected at most"):
+        programs.open("mine.py")
+
+
+def test_a_page_for_other_machines_writes_no_programs(tmp_path: Path) -> None:
+    server = Server(tmp_path, None, "0.0.0.0:0", allow_remote=True)
+    server.listener.close()
+    programs = server._page._programs  # pyright: ignore[reportPrivateUsage]
+    with pytest.raises(OutsideError, match="writes no programs"):
+        programs.save("mine.py", TEXT, None, False)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,90 @@
+"""Scenes as the page shows them in 3-D: what is visible in the compiled model, and where it is."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from khep_twin import playpen
+from khep_twin.playpen_to_mjcf import to_spec
+from khep_twin.web.scene import Scene, compiled
+from khep_twin.world import World
+from tests.web.conftest import Asker
+from tests.web.test_guard import DRAFT
+
+
+def described(name: str) -> Any:
+    return compiled(to_spec(playpen.load(name))).described()
+
+
+def test_shapes_that_stand_still_are_where_the_model_has_them() -> None:
+    shapes = {shape["name"]: shape for shape in described("obstacles")["shapes"]}
+    block = shapes["block4"]
+    drawn = playpen.load("obstacles").blocks[4]
+    assert (block["kind"], block["body"]) == ("box", None)
+    assert block["size"][:2] == [drawn.length_mm / 2000, drawn.width_mm / 2000]
+    assert block["pose"][:2] == [drawn.x_mm / 1000, drawn.y_mm / 1000]
+    turned = 2 * np.degrees(np.arctan2(block["pose"][6], block["pose"][3]))
+    assert turned == pytest.approx(drawn.angle_deg, abs=0.01)
+    assert shapes["floor"]["kind"] == "plane"
+    assert shapes["lamp0"]["rgba"][3] == 1
+
+
+def test_what_only_collides_is_not_shown() -> None:
+    named = [shape["name"] for shape in described("gripper")["shapes"]]
+    assert "khepera0/base" in named
+    assert not {"khepera0/shell", "khepera0/left_tyre", "khepera0/front_support"} & set(named)
+
+
+def test_bodies_that_move_have_their_shapes_in_their_own_frames() -> None:
+    scene = described("gripper")
+    assert {"cylinder0", "khepera0/base", "khepera0/gripper/arm"} <= set(scene["bodies"])
+    assert len(scene["poses"]) == len(scene["bodies"])
+    loose = next(shape for shape in scene["shapes"] if shape["body"] == scene["bodies"].index("cylinder0"))
+    assert loose["pose"] == [0, 0, 0, 1, 0, 0, 0]
+    drawn = playpen.load("gripper").cylinders[0]
+    at = scene["poses"][scene["bodies"].index("cylinder0")]
+    assert at[:2] == [drawn.x_mm / 1000, drawn.y_mm / 1000]
+
+
+def test_the_poses_follow_the_physics() -> None:
+    world = World(playpen.load("default"))
+    scene = Scene(world.model, world.data)
+    before = scene.poses()
+    world.data.qpos[world.robots[0].indices.pose] += 0.1
+    mujoco.mj_forward(world.model, world.data)
+    base = world.robots[0].indices.base
+    assert scene.poses() != before
+    assert scene.poses()[0][:3] == world.data.xpos[base].round(5).tolist()
+
+
+def test_meshes_and_materials_are_shown() -> None:
+    corners = "0 0 0  1 0 0  0 1 0  0 0 1"
+    model = mujoco.MjSpec.from_string(
+        f"""<mujoco><asset><mesh name="m" vertex="{corners}"/><material name="red" rgba="1 0 0 1"/></asset>
+        <worldbody><geom type="mesh" mesh="m" material="red"/><light type="spot" pos="0 0 2"/>
+        </worldbody></mujoco>"""
+    )
+    scene: Any = compiled(model).described()
+    assert (scene["shapes"][0]["kind"], scene["shapes"][0]["mesh"]) == ("mesh", 0)
+    assert scene["shapes"][0]["rgba"] == [1, 0, 0, 1]
+    assert (len(scene["meshes"][0]["points"]), len(scene["meshes"][0]["faces"])) == (4, 4)
+    assert (scene["lights"][0]["directional"], scene["lights"][0]["at"]) == (False, [0, 0, 2])
+
+
+def test_the_page_gets_the_scene_of_a_draft_and_that_of_a_running_twin(asker: Asker) -> None:
+    status, drawn = asker.do("scene", draft=DRAFT)
+    assert status == 200
+    status, told = asker.do("scene")
+    assert (status, told["error"]) == (
+        400,
+        "nothing runs; expected a started twin, or a connection to a robot",
+    )
+    assert asker.do("start", draft=DRAFT, paused=True)[0] == 200
+    while (found := asker.do("scene"))[0] != 200:
+        assert "not there yet" in found[1]["error"]
+    assert found[1]["shapes"] == drawn["shapes"]
+    assert found[1]["bodies"] == drawn["bodies"]
+    wrong = {**DRAFT, "robot": [{"x_mm": 0, "y_mm": 0, "heading_deg": 0}]}
+    assert asker.do("scene", draft=wrong)[0] == 400
