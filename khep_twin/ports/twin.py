@@ -14,7 +14,7 @@ from khep_twin.board.fault_injection import parse
 from khep_twin.board.rom import ROMS
 from khep_twin.clock import TimeSource
 from khep_twin.errors import PortError
-from khep_twin.log.recorder import Beginning, Recorder
+from khep_twin.log.recorder import Beginning, Recorder, WorldRecorder
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.checks import playpen_problems
 from khep_twin.playpen.parts import MODELS
@@ -92,6 +92,7 @@ class Twin:
         robot: First of them.
         options: Options that it was opened with.
         recorder: Recorder of its log; None without.
+        live: Recorder of its live view; None without.
     """
 
     def __init__(
@@ -107,6 +108,7 @@ class Twin:
         self.robot = robots[0]
         self.options = options
         self.recorder: Recorder | None = None
+        self.live: WorldRecorder | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -153,8 +155,21 @@ class Twin:
         )
         self.world.add_observer(self.recorder, at_once=beginning is None or beginning.state is None)
 
+    def show(self, live: WorldRecorder) -> None:
+        """Show the run from here on in a live view."""
+        self.live = live
+        self.world.add_observer(live)
+
+    def flush(self) -> None:
+        """Pass on everything so far to the log and the live view."""
+        for recorder in (self.recorder, self.live):
+            if recorder is not None:
+                recorder.flush()
+
     def close(self) -> None:
-        """Complete the log."""
+        """Complete the log, and send the rest to the live view."""
+        if self.live is not None:
+            self.live.close()
         if self.recorder is not None:
             self.recorder.close()
 
