@@ -1,4 +1,4 @@
-"""Logs read by mcap and mcap-ros2-support, which know nothing of khep_twin: the same values as by `reader`."""
+"""Logs read by mcap and mcap-ros2-support, which know nothing of khep_twin: the same values as by ours."""
 
 import json
 import math
