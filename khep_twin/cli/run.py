@@ -252,9 +252,9 @@ def _beginning(
         if window is not None:
             window.watch(twin.world)
         if server is not None:
-            from khep_twin.log.foxglove_live import LiveRecorder
+            from khep_twin.log.foxglove_live import FoxgloveRecorder
 
-            twin.show(LiveRecorder(server, twin.world, real_time=True))
+            twin.watch(FoxgloveRecorder(server, twin.world, real_time=True))
 
     return begin
 

@@ -212,9 +212,9 @@ def _serve_twin(
             window.watch(twin.world)
         server = live_view.open(stack, name, allow_remote=endpoint.allow_remote)
         if server is not None:
-            from khep_twin.log.foxglove_live import LiveRecorder
+            from khep_twin.log.foxglove_live import FoxgloveRecorder
 
-            twin.show(LiveRecorder(server, twin.world, real_time=False))
+            twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
         if factor > 1 or factor == WIRE or len(twin.world.robots) >= MANY:
             # Before the first host, as loading compiled code takes half a second.
             twin.world.change_over()

@@ -6,19 +6,17 @@ Clients only listen: what they send has no effect.
 """
 
 import logging
-import time
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.clock import NS_PER_S, Pacer
+from khep_twin.clock import NS_PER_S
 from khep_twin.errors import MissingExtraError, PortError
 from khep_twin.log.channels import LINES, SCHEMAS
 from khep_twin.log.foxglove_scene import SCHEMA
-from khep_twin.log.output import Output
-from khep_twin.log.recorder import WorldRecorder
+from khep_twin.log.live_recorder import LiveRecorder
 from khep_twin.world import World
 
 try:
@@ -152,8 +150,8 @@ class FoxgloveServer:
         self._server.stop()
 
 
-class LiveRecorder(WorldRecorder):
-    """Recorder of a run for Foxglove; its messages are those of a log, sent up to 25 times a second.
+class FoxgloveRecorder(LiveRecorder):
+    """Recorder of a run for Foxglove.
 
     Args:
         server: Server of the messages.
@@ -164,28 +162,15 @@ class LiveRecorder(WorldRecorder):
     def __init__(self, server: FoxgloveServer, world: World, *, real_time: bool) -> None:
         server.begin(world.time_ns)
         self._server = server
-        self._pacer = Pacer(1.0, world.time_ns) if real_time else None
-        self._sent_ns = 0
-        super().__init__(Output(server), world, {})
+        super().__init__(server, world, {}, interval_ns=FLUSH_NS, real_time=real_time)
         for topic in ("/events", *(f"/{robot.name}/serial" for robot in world.robots)):
             # Before their first lines, so that no subscriber misses these.
             server.channel(topic, LINES, SCHEMAS[LINES])
 
-    def sample(self, world: World) -> None:
-        """Take a sample; send all so far if it is time to, and wait for the wall clock in real time."""
-        super().sample(world)
-        if time.monotonic_ns() - self._sent_ns >= FLUSH_NS:
-            self.flush()
-        if self._pacer is not None and (early := self._pacer.wait(world.time_ns)) > 0:
-            time.sleep(early)
-        elif self._pacer is not None:
-            self._pacer.slip(world.time_ns)
-
     def flush(self) -> None:
-        """Send everything so far."""
+        """Send everything so far, and the time."""
         super().flush()
         self._server.at(self._world.time_ns)
-        self._sent_ns = time.monotonic_ns()
 
 
 class _Latecomers(ServerListener):

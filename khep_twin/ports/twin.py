@@ -92,7 +92,7 @@ class Twin:
         robot: First of them.
         options: Options that it was opened with.
         recorder: Recorder of its log; None without.
-        live: Recorder of its live view; None without.
+        views: Recorders of its live views.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class Twin:
         self.robot = robots[0]
         self.options = options
         self.recorder: Recorder | None = None
-        self.live: WorldRecorder | None = None
+        self.views: list[WorldRecorder] = []
 
     def __enter__(self) -> Self:
         return self
@@ -155,21 +155,39 @@ class Twin:
         )
         self.world.add_observer(self.recorder, at_once=beginning is None or beginning.state is None)
 
-    def show(self, live: WorldRecorder) -> None:
+    def watch(self, view: WorldRecorder) -> None:
         """Show the run from here on in a live view."""
-        self.live = live
-        self.world.add_observer(live)
+        self.views.append(view)
+        self.world.add_observer(view)
+
+    def show(self) -> None:
+        """Show the run from here on in rerun, below the cell of a notebook.
+
+        The view has what is new a few times a second and after each cell. A second call shows it again.
+
+        Raises:
+            KhepTwinError: The program is no notebook of Jupyter.
+            MissingExtraError: rerun's part for notebooks is not installed.
+        """
+        # Only notebooks need rerun here, which takes a second to load.
+        from khep_twin.log.viewer.notebook import NotebookView
+
+        view = next((each for each in self.views if isinstance(each, NotebookView)), None)
+        if view is None:
+            view = NotebookView(self.world, asdict(self.options))
+            self.watch(view)
+        view.display()
 
     def flush(self) -> None:
-        """Pass on everything so far to the log and the live view."""
-        for recorder in (self.recorder, self.live):
+        """Pass on everything so far to the log and the live views."""
+        for recorder in (self.recorder, *self.views):
             if recorder is not None:
                 recorder.flush()
 
     def close(self) -> None:
-        """Complete the log, and send the rest to the live view."""
-        if self.live is not None:
-            self.live.close()
+        """Complete the log, and pass on the rest to the live views."""
+        for view in self.views:
+            view.close()
         if self.recorder is not None:
             self.recorder.close()
 

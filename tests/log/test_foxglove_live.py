@@ -20,7 +20,7 @@ from khep_twin.log.channels import LINES
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
-from khep_twin.log.foxglove_live import LAYOUT, FoxgloveServer, LiveRecorder
+from khep_twin.log.foxglove_live import LAYOUT, FoxgloveRecorder, FoxgloveServer
 
 SAMPLED = [f"/khepera0/{name}" for name in ("proximity", "ambient", "speed", "duty", "leds", "registers")]
 STANDING = ["/robot_description", "/channel_names", "/scene"]
@@ -55,7 +55,7 @@ def test_a_client_has_the_messages_of_the_log_byte_by_byte(server: FoxgloveServe
     topics = [*SAMPLED, "/tf", "/khepera0/serial", "/events", *STANDING]
     with open_twin("obstacles", TwinOptions(seed=3)) as twin, client(server.address) as watcher:
         twin.record(tmp_path / "run.mcap")
-        twin.show(LiveRecorder(server, twin.world, real_time=False))
+        twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
         watcher.subscribe(*topics)
         watcher.until("/scene")  # it has subscribed
         twin.world.log_event(0, "put down")
@@ -76,7 +76,7 @@ def test_a_client_has_the_messages_of_the_log_byte_by_byte(server: FoxgloveServe
 
 def test_an_independent_reader_decodes_them(server: FoxgloveServer) -> None:
     with open_twin("obstacles", TwinOptions(seed=3)) as twin, client(server.address) as watcher:
-        twin.show(LiveRecorder(server, twin.world, real_time=False))
+        twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
         watcher.subscribe("/khepera0/speed", "/tf", "/khepera0/serial", "/events", "/scene")
         scene = watcher.until("/scene")[-1]
         drive(twin)
@@ -98,7 +98,7 @@ def test_an_independent_reader_decodes_them(server: FoxgloveServer) -> None:
 def test_who_subscribes_late_has_the_scene_and_the_time(server: FoxgloveServer, tmp_path: Path) -> None:
     with open_twin("default", TwinOptions()) as twin:
         twin.record(tmp_path / "run.mcap")
-        twin.show(LiveRecorder(server, twin.world, real_time=False))
+        twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
         drive(twin, 1)
         with client(server.address) as watcher:
             watcher.subscribe(*STANDING)
@@ -115,7 +115,7 @@ def test_who_subscribes_late_has_the_scene_and_the_time(server: FoxgloveServer, 
 def test_a_client_that_never_reads_holds_no_run_up(server: FoxgloveServer) -> None:
     ended = threading.Event()
     with open_twin("default", TwinOptions()) as twin, client(server.address) as watcher:
-        twin.show(LiveRecorder(server, twin.world, real_time=False))
+        twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
         watcher.subscribe(*SAMPLED, "/tf", "/scene")
         watcher.until("/scene")
 
@@ -131,7 +131,7 @@ def test_another_run_begins_a_new_session(server: FoxgloveServer) -> None:
     with client(server.address) as watcher:
         for _ in range(2):
             with open_twin("default", TwinOptions()) as twin:
-                twin.show(LiveRecorder(server, twin.world, real_time=False))
+                twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
                 drive(twin, 1)
         said: dict[str, object] = {}
         while said.get("op") != "serverInfo":
@@ -163,7 +163,7 @@ def test_the_layout_shows_channels_that_a_log_has(log: Path) -> None:
 
 def test_what_a_client_sends_changes_nothing(server: FoxgloveServer) -> None:
     with open_twin("default", TwinOptions()) as twin, client(server.address) as watcher:
-        twin.show(LiveRecorder(server, twin.world, real_time=False))
+        twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
         channel = {
             "id": 1,
             "topic": "/khepera0/serial",
