@@ -50,9 +50,7 @@ def test_a_notebook_is_kept_without_outputs(path: Path) -> None:
 @pytest.mark.parametrize("ended", NOTEBOOKS[:1], ids=["01_first_drive"], indirect=True)
 def test_the_first_drive_shows_the_twin_and_both_controllers(ended: nbformat.NotebookNode) -> None:
     pytest.importorskip("rerun_notebook", reason="rerun-notebook, the extra [notebook], is not installed")
-    widgets = [
-        each for each in outputs(ended) if "application/vnd.jupyter.widget-view+json" in each.get("data", {})
-    ]
+    widgets = [each for each in outputs(ended) if WIDGET in each.get("data", {})]
     assert any("rerun_notebook" in each.data["text/plain"] for each in widgets)
     shares = [float(each.data["text/plain"]) for each in outputs(ended) if _is_share(each)]
     assert len(shares) == 2
