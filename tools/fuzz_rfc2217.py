@@ -27,7 +27,7 @@ RECIPE = 0x80
 VALUE_SIZES = {1: 4, 2: 1, 3: 1, 4: 1, 10: 1, 11: 1}
 """Commands that are only answered with a whole value; pyserial ignores a short value of the others."""
 
-ANSWER_SIZES = {101: 4, 102: 1, 103: 1, 104: 1, 105: 1, 106: 1, 107: 1, 112: 1}
+ANSWER_SIZES = {101: 4, 102: 1, 103: 1, 104: 1, 105: 1, 106: 1, 107: 1, 110: 1, 111: 1, 112: 1}
 """Answers of the robot's end, and the lengths of their values."""
 
 

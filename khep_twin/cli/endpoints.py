@@ -33,7 +33,8 @@ class EndpointOptions:
         str | None, typer.Option(help="Serve RFC 2217 at HOST:PORT, for rfc2217://HOST:PORT.")
     ] = None
     allow_remote: Annotated[
-        bool, typer.Option("--allow-remote", help="Let other machines reach --tcp or --rfc2217, too.")
+        bool,
+        typer.Option("--allow-remote", help="Let other machines reach ports on the network, too."),
     ] = False
     ready_fd: Annotated[
         int | None, typer.Option(help="Write what hosts open to this descriptor, too, and close it.")

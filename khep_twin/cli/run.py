@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from khep_twin.cli.completion import controllers, ports
+from khep_twin.cli.live_view import LiveViewOptions
 from khep_twin.cli.option_groups import (
     LengthOptions,
     LogOptions,
@@ -33,10 +34,11 @@ if TYPE_CHECKING:
     from khep_twin.lab.experiment.controllers import AnyController
     from khep_twin.lab.experiment.series import Plan, RobotSource
     from khep_twin.lab.experiment.series_files import SeriesFolder
+    from khep_twin.log.foxglove_live import FoxgloveServer
     from khep_twin.playpen import Playpen
     from khep_twin.ports.twin import Twin, TwinOptions
 
-_OF_A_TWIN = option_names(RobotOptions, SceneOptions) | {
+_OF_A_TWIN = option_names(RobotOptions, SceneOptions, LiveViewOptions) | {
     *("robot", "fault", "log", "ignore_log_errors", "picture", "start", "viewer")
 }
 """Options of a twin in this process, by the names of their parameters."""
@@ -99,6 +101,7 @@ def run(
         Path | None,
         typer.Option(help="Draw playpen and driven path in this PNG, SVG or PDF file; needs --log."),
     ] = None,
+    live_view: LiveViewOptions,
     viewer: Viewer = False,
 ) -> None:
     """Run a controller on a twin or a robot, once or in a series."""
@@ -140,7 +143,8 @@ def run(
             settings: dict[str, Any] = {"port": port}
         else:
             wanted_starts = series.start or []
-            place, begin = scene.load(own), _beginning(stack, logs, viewer)
+            place = scene.load(own)
+            begin = _beginning(stack, logs, viewer, live_view.open(stack, place.name))
             robot_source, settings = _twins(stack, place, options, wanted_starts, plan.runs, begin)
         settings |= {"cycles": cycles, "seconds": plan.seconds, "pause": plan.pause, **source.identity}
         folder = None if series.save is None else SeriesFolder(series.save, settings, resume=series.resume)
@@ -233,17 +237,24 @@ def _twins(
     return OneRobot(stack.enter_context(khepera), lambda twin: begin(twin, None)), settings
 
 
-def _beginning(stack: ExitStack, logs: RunLogs, viewer: bool) -> "Callable[[Twin, int | None], None]":
-    """Return the function called with each twin before it runs: start its log and the viewer."""
-    if not viewer:
-        return logs.record
-    from khep_twin.drawing.mujoco_viewer import MujocoViewer
+def _beginning(
+    stack: ExitStack, logs: RunLogs, viewer: bool, server: "FoxgloveServer | None"
+) -> "Callable[[Twin, int | None], None]":
+    """Return the function called with each twin before it runs: start its log, the viewer and live view."""
+    window = None
+    if viewer:
+        from khep_twin.drawing.mujoco_viewer import MujocoViewer
 
-    window = stack.enter_context(closing(MujocoViewer(real_time=True)))
+        window = stack.enter_context(closing(MujocoViewer(real_time=True)))
 
     def begin(twin: "Twin", number: int | None) -> None:
         logs.record(twin, number)
-        window.watch(twin.world)
+        if window is not None:
+            window.watch(twin.world)
+        if server is not None:
+            from khep_twin.log.foxglove_live import FoxgloveRecorder
+
+            twin.watch(FoxgloveRecorder(server, twin.world, real_time=True))
 
     return begin
 

@@ -13,6 +13,7 @@ import typer
 
 from khep_twin.cli.completion import ports
 from khep_twin.cli.endpoints import EndpointOptions
+from khep_twin.cli.live_view import LiveViewOptions
 from khep_twin.cli.option_groups import LogOptions, RobotOptions, grouped, option_names
 from khep_twin.cli.options import (
     Faults,
@@ -70,7 +71,7 @@ class TimingOptions:
         return speed
 
 
-_OF_A_TWIN = option_names(RobotOptions, TimingOptions) - {"mode"} | {
+_OF_A_TWIN = option_names(RobotOptions, TimingOptions, LiveViewOptions) - {"mode"} | {
     *("playpen", "robot", "fault", "viewer", "from_log")
 }
 """Options of a twin that mean nothing to a robot, by the names of their parameters."""
@@ -106,6 +107,7 @@ def serve(
     twin: RobotOptions,
     fault: Faults = None,
     logging: LogOptions,
+    live_view: LiveViewOptions,
     viewer: Viewer = False,
 ) -> None:
     """Serve a twin, or with --relay a robot, behind pseudo-terminals or on the network until stopped.
@@ -132,12 +134,14 @@ def serve(
         path, at_ns = _moment(from_log)
         seed = twin.seed if "seed" in given(context) else None
         opening = partial(_open_log, path, at_ns, seed, faults, robot, logging)
-        _serve_twin(opening, from_log, factor, endpoint, logging, viewer)
+        _serve_twin(opening, from_log, factor, endpoint, logging, live_view, viewer)
         return
     options = replace(
         twin.options(robot), unpaced=timing.unpaced, strict_line=timing.strict_line, faults=faults
     )
-    _serve_twin(lambda: _open(playpen, options, logging), playpen, factor, endpoint, logging, viewer)
+    _serve_twin(
+        lambda: _open(playpen, options, logging), playpen, factor, endpoint, logging, live_view, viewer
+    )
 
 
 def _open(playpen: str, options: "TwinOptions", logging: LogOptions) -> "Twin":
@@ -187,6 +191,7 @@ def _serve_twin(
     factor: float,
     endpoint: EndpointOptions,
     logging: LogOptions,
+    live_view: LiveViewOptions,
     viewer: bool,
 ) -> None:
     """Serve a twin at so many simulated seconds per real second."""
@@ -205,6 +210,11 @@ def _serve_twin(
 
             window = stack.enter_context(closing(MujocoViewer(real_time=False)))
             window.watch(twin.world)
+        server = live_view.open(stack, name, allow_remote=endpoint.allow_remote)
+        if server is not None:
+            from khep_twin.log.foxglove_live import FoxgloveRecorder
+
+            twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
         if factor > 1 or factor == WIRE or len(twin.world.robots) >= MANY:
             # Before the first host, as loading compiled code takes half a second.
             twin.world.change_over()

@@ -82,6 +82,7 @@ INTEGERS = "std_msgs/msg/Int64MultiArray"
 BYTES = "std_msgs/msg/UInt8MultiArray"
 POSE = "geometry_msgs/msg/PoseStamped"
 IMAGE = "sensor_msgs/msg/Image"
+LINES = "rcl_interfaces/msg/Log"
 UNSURE_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 SCHEMAS = {
@@ -123,7 +124,7 @@ float64 x
 float64 y
 float64 z
 {_QUATERNION}""",
-    "rcl_interfaces/msg/Log": f"""byte DEBUG=10
+    LINES: f"""byte DEBUG=10
 byte INFO=20
 byte WARN=30
 byte ERROR=40

@@ -4,28 +4,23 @@ It is written as NAME.mcap.part and renamed when it is whole.
 """
 
 import os
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
-from itertools import groupby
 from pathlib import Path
 
-import numpy as np
 from mcap.writer import MCAP0_MAGIC
-from numpy.typing import NDArray
 
 from khep_twin import __version__
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular, unusable
-from khep_twin.log import channels
 from khep_twin.log.batch_writer import BatchWriter
-from khep_twin.log.channels import Level, TextLine
-from khep_twin.log.entries import Entry
+from khep_twin.log.output import Output
 from khep_twin.log.part_file import PartFile, set_aside
 from khep_twin.signals import clear_at_end, undisturbed
 
 
-class LogFile:
+class LogFile(Output):
     """An MCAP file with channels of khep_twin.
 
     Args:
@@ -54,8 +49,6 @@ class LogFile:
         self._target = path.resolve() if path.is_symlink() else path.absolute()
         self.part = self._target.with_name(self._target.name + ".part")
         self._now = now
-        self.open = True
-        self.failure: LogError | None = None
         self.on_failure: Callable[[str], None] | None = None
         self.complete = self.discard
         try:
@@ -66,53 +59,7 @@ class LogFile:
         except OSError as error:
             raise LogError(f"{path}: cannot write a log here: {error.strerror}") from error
         with self.guarded():
-            self._writer = BatchWriter(self._file, "ros2", f"khep_twin {__version__}")
-
-    def describe(self, attachments: Mapping[str, str], facts: Mapping[str, object]) -> None:
-        """Write the run's description: texts by name, and a table of facts."""
-        with self.guarded():
-            for name, text in attachments.items():
-                self._writer.attach(name, text)
-            self._writer.describe("run", {key: str(value) for key, value in facts.items()})
-
-    def add(
-        self, topic: str, schema: str, time_ns: int, message: bytes, descriptors: bytes | None = None
-    ) -> None:
-        """Write one message; `descriptors` define its type if it is in protobuf."""
-        with self.guarded():
-            self._writer.add(self._channel(topic, schema, descriptors), time_ns, message)
-
-    def add_rows(
-        self, topic: str, schema: str, times_ns: NDArray[np.int64], messages: NDArray[np.void]
-    ) -> None:
-        """Write messages of one size, a row each."""
-        with self.guarded():
-            self._writer.add_rows(self._channel(topic, schema), times_ns, messages)
-
-    def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
-        """Write lines of a transcript."""
-        with self.guarded():
-            channel = self._channel(topic, "rcl_interfaces/msg/Log")
-            self._writer.add_lines(channel, times_ns, messages)
-
-    def add_entries(self, entries: Iterable[Entry]) -> None:
-        """Write messages of another log, as they are there."""
-        with self.guarded():
-            for (topic, schema, definition), group in groupby(entries, key=lambda each: each[:3]):
-                found = list(group)
-                channel = self._writer.channel(topic, schema, definition or "")
-                times_ns = [each.time_ns for each in found]
-                self._writer.add_lines(channel, times_ns, [each.data for each in found])
-
-    def add_event(self, time_ns: int, name: str, text: str) -> None:
-        """Write an event."""
-        message = channels.line_message(TextLine(time_ns, Level.INFO, name, text))
-        self.add("/events", "rcl_interfaces/msg/Log", time_ns, message)
-
-    def flush(self) -> None:
-        """Hand everything so far to the file system."""
-        with self.guarded():
-            self._writer.flush()
+            super().__init__(BatchWriter(self._file, "ros2", f"khep_twin {__version__}"))
 
     def finish(self) -> None:
         """Complete the file and rename it to its path."""
@@ -156,9 +103,6 @@ class LogFile:
         self.open = False
         self._forget()
         self._file.close()
-
-    def _channel(self, topic: str, schema: str, descriptors: bytes | None = None) -> int:
-        return self._writer.channel(topic, schema, descriptors or channels.SCHEMAS[schema])
 
 
 def _no_log(path: Path) -> str:

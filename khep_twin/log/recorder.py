@@ -1,4 +1,4 @@
-"""Recording of a run: an observer that writes an MCAP file.
+"""Recording of a run: an observer that writes an MCAP file, or feeds a live view.
 
 Attachments and metadata come first, so that even a torn file describes its run. All times are simulated, and
 the file holds no wall clock time, machine name or file name: the same run gives the same bytes.
@@ -28,6 +28,7 @@ from khep_twin.log.description import body_name, urdf
 from khep_twin.log.entries import Entry
 from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import LogFile
+from khep_twin.log.output import Output
 from khep_twin.log.snapshots import SNAPSHOT_NS, TOPIC, RecorderState, snapshot_message
 from khep_twin.log.state_hashes import Answered, boards, hashes, states_message
 from khep_twin.log.transcript import Transcript
@@ -76,42 +77,29 @@ class Beginning(NamedTuple):
     state: RecorderState | None = None
 
 
-class Recorder:
-    """Recorder of one run in one file; an `Observer` of its world.
+class WorldRecorder:
+    """Recorder of one run in an output; an `Observer` of its world.
 
     Args:
-        path: Path of the finished log, by convention NAME.mcap.
+        output: Destination of the messages.
         world: World to record.
-        settings: Configuration of the run, kept in the log as configuration.json.
+        settings: Configuration of the run, kept in a log as configuration.json.
         facts: More metadata of the run.
         attachments: More texts to keep, by name.
         beginning: Beginning of the run, after which the world is; its own label is in facts and attachments.
-        on_failure: Function that takes the message if the log can no longer be written, after which the run
-            continues without it; None ends the run by a `LogError`.
-
-    Attributes:
-        path: Path of the finished log.
-        part: Path of the file while it is written.
-        kept: New path of an unfinished log of an earlier run, None if there was none.
-
-    Raises:
-        LogError: The file cannot be made.
     """
 
     def __init__(
         self,
-        path: Path,
+        output: Output,
         world: World,
         settings: Mapping[str, object],
         *,
         facts: Mapping[str, str] = _NONE,
         attachments: Mapping[str, str] = _NONE,
         beginning: Beginning | None = None,
-        on_failure: Callable[[str], None] | None = None,
     ) -> None:
-        self._world = world
-        self._log = LogFile(path, lambda: self._world.time_ns)
-        self.path, self.part, self.kept = path, self._log.part, self._log.kept
+        self._log = output
         self._transcript = Transcript(self._log, [robot.name for robot in world.robots])
         self._answers = Answered(len(world.robots))
         self._host_events: list[list[tuple[int, HostEvent]]] = [[] for _ in world.robots]
@@ -134,8 +122,6 @@ class Recorder:
                 self._log.add_entries(entries)
                 self._log.flush()
             self._resume(beginning.state)
-        # An error at the very start of a log is always raised.
-        self._log.on_failure = on_failure
         self._log.complete = self._complete
 
     def _observe(self, world: World) -> None:
@@ -169,11 +155,6 @@ class Recorder:
         if world.scene != before.scene:
             self._describe_scene(world.time_ns)
         self.flush()
-
-    @property
-    def failure(self) -> LogError | None:
-        """Error after which the log is no longer written, None if there was none."""
-        return self._log.failure
 
     def sample(self, world: World) -> None:
         """Record the state of all bodies and boards; it is written in batches."""
@@ -218,10 +199,6 @@ class Recorder:
     def flush(self) -> None:
         """Hand everything so far to the file system."""
         self._flush(snapshot=False)
-
-    def discard(self) -> None:
-        """Remove the file, of a run that has not begun."""
-        self._log.discard()
 
     def close(self) -> None:
         """Complete the file, with a last snapshot, and rename it to its path.
@@ -326,6 +303,58 @@ class Recorder:
         self._log.add("/robot_description", "std_msgs/msg/String", time_ns, message)
         scene = foxglove_scene.scene_update(model)
         self._log.add("/scene", foxglove_scene.SCHEMA, time_ns, scene, foxglove_scene.descriptors())
+
+
+class Recorder(WorldRecorder):
+    """Recorder of one run in one file.
+
+    Args:
+        path: Path of the finished log, by convention NAME.mcap.
+        world: World to record.
+        settings: Configuration of the run, kept in the log as configuration.json.
+        facts: More metadata of the run.
+        attachments: More texts to keep, by name.
+        beginning: Beginning of the run, after which the world is; its own label is in facts and attachments.
+        on_failure: Function that takes the message if the log can no longer be written, after which the run
+            continues without it; None ends the run by a `LogError`.
+
+    Attributes:
+        path: Path of the finished log.
+        part: Path of the file while it is written.
+        kept: New path of an unfinished log of an earlier run, None if there was none.
+
+    Raises:
+        LogError: The file cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        world: World,
+        settings: Mapping[str, object],
+        *,
+        facts: Mapping[str, str] = _NONE,
+        attachments: Mapping[str, str] = _NONE,
+        beginning: Beginning | None = None,
+        on_failure: Callable[[str], None] | None = None,
+    ) -> None:
+        self._world = world
+        self._file = LogFile(path, lambda: self._world.time_ns)
+        self.path, self.part, self.kept = path, self._file.part, self._file.kept
+        super().__init__(
+            self._file, world, settings, facts=facts, attachments=attachments, beginning=beginning
+        )
+        # An error at the very start of a log is always raised.
+        self._file.on_failure = on_failure
+
+    @property
+    def failure(self) -> LogError | None:
+        """Error after which the log is no longer written, None if there was none."""
+        return self._file.failure
+
+    def discard(self) -> None:
+        """Remove the file, of a run that has not begun."""
+        self._file.discard()
 
 
 def _lamps_frame(world: World) -> ArrayFrame:

@@ -12,7 +12,13 @@ import struct
 from collections.abc import Callable
 
 import serial
-from serial.rfc2217 import PortManager
+from serial.rfc2217 import (
+    COM_PORT_OPTION,
+    RFC2217_ANSWER_MAP,
+    SET_LINESTATE_MASK,
+    SET_MODEMSTATE_MASK,
+    PortManager,
+)
 
 from khep_twin.board.uart import LineSettings
 
@@ -83,7 +89,7 @@ class Negotiator:
 
 
 class _Manager(PortManager):
-    """pyserial's server half; by itself it does not answer invalid parities and stop bits."""
+    """pyserial's server half; by itself it does not answer invalid parities and stop bits, and masks."""
 
     def _telnet_process_subnegotiation(self, suboption: bytes) -> None:
         try:
@@ -91,6 +97,10 @@ class _Manager(PortManager):
         except KeyError:
             # 0 asks for the present ones.
             super()._telnet_process_subnegotiation(suboption[:2] + b"\0")
+        command = suboption[1:2]
+        if suboption[:1] == COM_PORT_OPTION and command in (SET_LINESTATE_MASK, SET_MODEMSTATE_MASK):
+            # Clients wait for it, such as serialx.
+            self.rfc2217_send_subnegotiation(RFC2217_ANSWER_MAP[command], suboption[2:3])
 
 
 class _Line:

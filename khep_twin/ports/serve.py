@@ -70,7 +70,7 @@ def _serve_by_clock(
 ) -> None:
     """Advance with the wall clock."""
     world, advance_to, now = twin.world, twin.time_source.advance_to, pacer.due_ns
-    flush, wait = Flush(twin.recorder), _Waiting(connections)
+    flush, wait = Flush(twin), _Waiting(connections)
     while not stop():
         # On to the next command, the robots' next byte or the next control tick, whatever is first.
         tick_ns, event_ns = world.time_ns + TICK_NS, _next_ns(connections)
@@ -95,7 +95,7 @@ def _serve_by_clock(
 def _serve_at_once(twin: Twin, connections: Sequence[Connection], stop: Callable[[], bool]) -> None:
     """Advance as fast as possible."""
     world, advance_to = twin.world, twin.time_source.advance_to
-    flush, wait = Flush(twin.recorder), _Waiting(connections)
+    flush, wait = Flush(twin), _Waiting(connections)
     while not stop():
         for connection in wait(0.0):
             connection.take()
@@ -108,7 +108,7 @@ def _serve_at_once(twin: Twin, connections: Sequence[Connection], stop: Callable
 def _serve_by_wire(twin: Twin, connections: Sequence[Connection], stop: Callable[[], bool]) -> None:
     """Advance only for bytes: those of a command, and those of its reply, which comes at once."""
     world, advance_to = twin.world, twin.time_source.advance_to
-    flush, wait = Flush(twin.recorder), _Waiting(connections)
+    flush, wait = Flush(twin), _Waiting(connections)
     while not stop():
         if callers := wait(LONGEST_WAIT):
             for connection in callers:

@@ -16,7 +16,7 @@ from khep_twin.log.entries import Entry
 from khep_twin.log.label import Label
 from khep_twin.log.reader import read_label, read_since, read_until
 from khep_twin.log.recorded import BranchPoint, changes_of, check_line, events_in
-from khep_twin.log.recorder import Beginning
+from khep_twin.log.recorder import Beginning, WorldRecorder
 from khep_twin.log.snapshots import TOPIC, LoggedState, read_snapshot
 from khep_twin.log.state_hashes import read_states
 from khep_twin.ports.changed_scene import go_on_in
@@ -88,8 +88,9 @@ class TakenUp:
                 go_on_in(self.twin.world, before.world, self.setup.playpen(self.changes[:-1]), change)
             self.twin.world.observers = before.world.observers
             self.twin.recorder = before.recorder
-            if self.twin.recorder is not None:
-                self.twin.recorder.move_to(self.twin.world)
+            for observer in self.twin.world.observers:
+                if isinstance(observer, WorldRecorder):
+                    observer.move_to(self.twin.world)
             self.hosts.twin = self.twin
         if change.seed is not None:
             self.twin.world.reseed(change.seed)

@@ -14,7 +14,7 @@ from khep_twin.board.fault_injection import parse
 from khep_twin.board.rom import ROMS
 from khep_twin.clock import TimeSource
 from khep_twin.errors import PortError
-from khep_twin.log.recorder import Beginning, Recorder
+from khep_twin.log.recorder import Beginning, Recorder, WorldRecorder
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.checks import playpen_problems
 from khep_twin.playpen.parts import MODELS
@@ -92,6 +92,7 @@ class Twin:
         robot: First of them.
         options: Options that it was opened with.
         recorder: Recorder of its log; None without.
+        views: Recorders of its live views.
     """
 
     def __init__(
@@ -107,6 +108,7 @@ class Twin:
         self.robot = robots[0]
         self.options = options
         self.recorder: Recorder | None = None
+        self.views: list[WorldRecorder] = []
 
     def __enter__(self) -> Self:
         return self
@@ -153,8 +155,39 @@ class Twin:
         )
         self.world.add_observer(self.recorder, at_once=beginning is None or beginning.state is None)
 
+    def watch(self, view: WorldRecorder) -> None:
+        """Show the run from here on in a live view."""
+        self.views.append(view)
+        self.world.add_observer(view)
+
+    def show(self) -> None:
+        """Show the run from here on in rerun, below the cell of a notebook.
+
+        The view has what is new a few times a second and after each cell. A second call shows it again.
+
+        Raises:
+            KhepTwinError: The program is no notebook of Jupyter.
+            MissingExtraError: rerun's part for notebooks is not installed.
+        """
+        # Only notebooks need rerun here, which takes a second to load.
+        from khep_twin.log.viewer.notebook import NotebookView
+
+        view = next((each for each in self.views if isinstance(each, NotebookView)), None)
+        if view is None:
+            view = NotebookView(self.world, asdict(self.options))
+            self.watch(view)
+        view.display()
+
+    def flush(self) -> None:
+        """Pass on everything so far to the log and the live views."""
+        for recorder in (self.recorder, *self.views):
+            if recorder is not None:
+                recorder.flush()
+
     def close(self) -> None:
-        """Complete the log."""
+        """Complete the log, and pass on the rest to the live views."""
+        for view in self.views:
+            view.close()
         if self.recorder is not None:
             self.recorder.close()
 

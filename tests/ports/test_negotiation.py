@@ -71,6 +71,14 @@ def test_a_value_out_of_range_is_answered_with_the_one_in_force(wrong: str, answ
     assert negotiator.settings() == LineSettings(9600, 2)
 
 
+@pytest.mark.parametrize(
+    ("mask", "answer"), [("0a 00", "6e 00"), ("0b ff ff", "6f ff ff"), ("0b 10", "6f 10")]
+)
+def test_a_mask_of_notices_is_confirmed(mask: str, answer: str) -> None:
+    taken, answers, negotiator = negotiated(BEGIN + bytes.fromhex(mask) + END + b"B\n")
+    assert (taken, answers, negotiator.fault) == (b"B\n", BEGIN + bytes.fromhex(answer) + END, "")
+
+
 @pytest.mark.parametrize("baud", [LOWEST_BAUD, 19200, HIGHEST_BAUD])
 def test_a_value_in_range_is_taken(baud: int) -> None:
     value = b"\x01" + baud.to_bytes(4, "big")

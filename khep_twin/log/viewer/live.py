@@ -114,7 +114,7 @@ def follow(
     label: Label | None = None
     dealer = _Dealer()
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
-        translator = _Translator(Path(folder), log.path)
+        translator = Translator(Path(folder), log.path)
         while not stop() and not (log.finished and dealer.empty()):
             began, busy = time.monotonic(), time.process_time()
             messages, first = first or log.new(), ()
@@ -149,7 +149,7 @@ def _opened(path: Path, stop: Callable[[], bool]) -> GrowingLog | None:
     return None
 
 
-class _Translator:
+class Translator:
     """Translator of a log's messages to rerun's chunks by rerun's own reader, the same as for a replay.
 
     Args:

@@ -1,0 +1,129 @@
+"""Output of a recorder: messages by topic, for a log file or for a live view."""
+
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import groupby
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.errors import LogError
+from khep_twin.log import channels
+from khep_twin.log.channels import LINES, Level, TextLine
+from khep_twin.log.entries import Entry
+
+
+class Writer(Protocol):
+    """Destination of encoded messages: a `BatchWriter`, or a live view."""
+
+    def attach(self, name: str, text: str) -> None:
+        """Add a text by name."""
+        ...
+
+    def describe(self, name: str, facts: Mapping[str, str]) -> None:
+        """Add a table of facts by name."""
+        ...
+
+    def channel(self, topic: str, schema: str, definition: str | bytes) -> int:
+        """Return the number of a topic's channel, made at its first use."""
+        ...
+
+    def add(self, channel: int, time_ns: int, message: bytes) -> None:
+        """Add one message."""
+        ...
+
+    def add_lines(self, channel: int, times_ns: Sequence[int], messages: Sequence[bytes]) -> None:
+        """Add messages of different sizes, at these times in their order."""
+        ...
+
+    def add_rows(self, channel: int, times_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+        """Add messages of one size, a row each, at these times (n,), rising."""
+        ...
+
+    def flush(self) -> None:
+        """Pass on the added messages."""
+        ...
+
+    def finish(self) -> None:
+        """Pass on the rest, at the end of the run."""
+        ...
+
+
+class Output:
+    """Messages of khep_twin, passed to a writer.
+
+    Args:
+        writer: Destination of the messages.
+
+    Attributes:
+        open: True while messages are taken.
+        failure: First error, None if there was none.
+        complete: Function called if the process is ended from outside.
+    """
+
+    open: bool = True
+    failure: LogError | None = None
+    complete: Callable[[], None]
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+
+    def describe(self, attachments: Mapping[str, str], facts: Mapping[str, object]) -> None:
+        """Add the run's description: texts by name, and a table of facts."""
+        with self.guarded():
+            for name, text in attachments.items():
+                self._writer.attach(name, text)
+            self._writer.describe("run", {key: str(value) for key, value in facts.items()})
+
+    def add(
+        self, topic: str, schema: str, time_ns: int, message: bytes, descriptors: bytes | None = None
+    ) -> None:
+        """Add one message; `descriptors` define its type if it is in protobuf."""
+        with self.guarded():
+            self._writer.add(self._channel(topic, schema, descriptors), time_ns, message)
+
+    def add_rows(
+        self, topic: str, schema: str, times_ns: NDArray[np.int64], messages: NDArray[np.void]
+    ) -> None:
+        """Add messages of one size, a row each."""
+        with self.guarded():
+            self._writer.add_rows(self._channel(topic, schema), times_ns, messages)
+
+    def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
+        """Add lines of a transcript."""
+        with self.guarded():
+            channel = self._channel(topic, LINES)
+            self._writer.add_lines(channel, times_ns, messages)
+
+    def add_entries(self, entries: Iterable[Entry]) -> None:
+        """Add messages of another log, as they are there."""
+        with self.guarded():
+            for (topic, schema, definition), group in groupby(entries, key=lambda each: each[:3]):
+                found = list(group)
+                channel = self._writer.channel(topic, schema, definition or "")
+                times_ns = [each.time_ns for each in found]
+                self._writer.add_lines(channel, times_ns, [each.data for each in found])
+
+    def add_event(self, time_ns: int, name: str, text: str) -> None:
+        """Add an event."""
+        message = channels.line_message(TextLine(time_ns, Level.INFO, name, text))
+        self.add("/events", LINES, time_ns, message)
+
+    def flush(self) -> None:
+        """Pass on everything so far."""
+        with self.guarded():
+            self._writer.flush()
+
+    def finish(self) -> None:
+        """Pass on the rest; nothing is taken after it."""
+        self._writer.finish()
+        self.open = False
+
+    @contextmanager
+    def guarded(self) -> Generator[None, None, None]:
+        """Handle the errors of the destination; the plain output has none."""
+        yield
+
+    def _channel(self, topic: str, schema: str, descriptors: bytes | None = None) -> int:
+        return self._writer.channel(topic, schema, descriptors or channels.SCHEMAS[schema])

@@ -1,0 +1,76 @@
+"""`khep-twin serve --foxglove` and `run --foxglove`, beside what they do without."""
+
+import json
+import re
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from command_line import khep_twin
+from foxglove_client import client
+from served_twin import served
+
+from khep_twin.host import Khepera
+
+pytest.importorskip("foxglove", reason="foxglove-sdk, the extra [foxglove], is not installed")
+
+
+def test_a_served_twin_is_seen_while_a_host_drives_it() -> None:
+    with served("default", "--foxglove-at", "127.0.0.1:0", notices=True) as (process, path):
+        assert process.stderr is not None
+        told = process.stderr.readline()
+        found = re.match(
+            r"khep-twin: Foxglove connects to (ws://127\.0\.0\.1:\d+); a layout .*: (.*)\n", told
+        )
+        assert found is not None, told
+        assert json.loads(Path(found[2]).read_text())["configById"]
+        with client(found[1]) as watcher, Khepera(path) as robot:
+            watcher.subscribe("/khepera0/serial", "/khepera0/speed", "/scene")
+            watcher.until("/scene")
+            robot.set_speed(7, 3)
+            line = watcher.until("/khepera0/serial")[-1]
+            assert b"D,7,3" in line.data
+            watcher.until("/khepera0/speed", line.time_ns)
+            assert watcher.info["name"] == "khep_twin default"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+
+
+def test_a_run_is_held_to_the_wall_clock_and_its_log_is_the_same(tmp_path: Path) -> None:
+    words = ("run", "--seconds", "1", "--seed", "3")
+    assert khep_twin(*words, "--log", "plain.mcap", folder=tmp_path).returncode == 0
+    began = time.monotonic()
+    shown = khep_twin(*words, "--log", "shown.mcap", "--foxglove-at", ":0", folder=tmp_path)
+    assert time.monotonic() - began >= 0.9
+    assert shown.returncode == 0
+    assert shown.stderr.startswith("khep-twin: Foxglove connects to ws://127.0.0.1:")
+    assert (tmp_path / "shown.mcap").read_bytes() == (tmp_path / "plain.mcap").read_bytes()
+
+
+@pytest.mark.parametrize("command", ["serve", "run"])
+def test_an_address_for_other_machines_is_refused_in_one_line(command: str, tmp_path: Path) -> None:
+    refused = khep_twin(command, "--foxglove-at", "0.0.0.0:8765", folder=tmp_path)
+    assert refused.returncode == 1
+    assert "expected 127.0.0.1:8765, or --allow-remote" in refused.stderr
+    assert refused.stderr.count("\n") == 1
+
+
+def test_a_robot_that_is_not_here_is_not_shown(tmp_path: Path) -> None:
+    for words in (("run", "--port", "/dev/robot"), ("serve", "--relay", "/dev/robot")):
+        refused = khep_twin(*words, "--foxglove", folder=tmp_path)
+        assert refused.returncode == 2
+        assert re.match("khep-twin: --foxglove is for a twin", refused.stderr)
+
+
+def test_without_the_package_one_line_names_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    monkeypatch.delitem(sys.modules, "khep_twin.log.foxglove_live", raising=False)
+    refused = khep_twin("run", "--foxglove", folder=tmp_path)
+    assert refused.returncode == 1
+    assert re.match(
+        "khep-twin: foxglove-sdk is not installed; to install it: .*pip install.*\n$", refused.stderr
+    )

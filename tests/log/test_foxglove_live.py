@@ -1,0 +1,184 @@
+"""The live view in Foxglove, seen by a client of its protocol: the messages of a log, while a run goes on."""
+
+import json
+import threading
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from driving import SECOND, drive
+from foxglove_client import FoxgloveClient, Sent, client
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from mcap.reader import make_reader
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+
+from khep_twin.errors import PortError
+from khep_twin.log.channels import LINES
+from khep_twin.ports.twin import TwinOptions, open_twin
+
+pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
+from khep_twin.log.foxglove_live import LAYOUT, FoxgloveRecorder, FoxgloveServer
+
+SAMPLED = [f"/khepera0/{name}" for name in ("proximity", "ambient", "speed", "duty", "leds", "registers")]
+STANDING = ["/robot_description", "/channel_names", "/scene"]
+
+
+@pytest.fixture
+def server() -> Iterator[FoxgloveServer]:
+    with closing(FoxgloveServer("127.0.0.1", 0, "test")) as server:
+        yield server
+
+
+def messages_of(path: Path) -> dict[str, list[tuple[int, bytes]]]:
+    """The messages of a log by topic, read by mcap's own reader."""
+    found: defaultdict[str, list[tuple[int, bytes]]] = defaultdict(list)
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
+            found[channel.topic].append((message.log_time, message.data))
+    return found
+
+
+def decoded(watcher: FoxgloveClient, message: Sent) -> object:
+    """A ROS 2 message, read by the definition that its channel was advertised with."""
+    channel = watcher.channels[message.topic]
+    assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+    schema = Schema(id=1, name=channel["schemaName"], encoding="ros2msg", data=channel["schema"].encode())
+    decode = DecoderFactory().decoder_for("cdr", schema)
+    assert decode is not None
+    return decode(message.data)
+
+
+def test_a_client_has_the_messages_of_the_log_byte_by_byte(server: FoxgloveServer, tmp_path: Path) -> None:
+    topics = [*SAMPLED, "/tf", "/khepera0/serial", "/events", *STANDING]
+    with open_twin("obstacles", TwinOptions(seed=3)) as twin, client(server.address) as watcher:
+        twin.record(tmp_path / "run.mcap")
+        twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
+        watcher.subscribe(*topics)
+        watcher.until("/scene")  # it has subscribed
+        twin.world.log_event(0, "put down")
+        drive(twin)
+        twin.flush()
+        twin.world.log_event(0, "taken away")
+        found = watcher.until("/events", 2 * SECOND)
+    sent: defaultdict[str, list[tuple[int, bytes]]] = defaultdict(list)
+    for message in found:
+        sent[message.topic].append((message.time_ns, message.data))
+    logged = messages_of(tmp_path / "run.mcap")
+    assert logged["/events"][-2:] == sent["/events"]
+    for topic in [*SAMPLED, "/tf"]:
+        assert sent[topic] == logged[topic][1:], topic  # the first one was before it came
+    assert sent["/khepera0/serial"]
+    assert sent["/khepera0/serial"] == logged["/khepera0/serial"]
+
+
+def test_an_independent_reader_decodes_them(server: FoxgloveServer) -> None:
+    with open_twin("obstacles", TwinOptions(seed=3)) as twin, client(server.address) as watcher:
+        twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
+        watcher.subscribe("/khepera0/speed", "/tf", "/khepera0/serial", "/events", "/scene")
+        scene = watcher.until("/scene")[-1]
+        drive(twin)
+        twin.flush()
+        twin.world.log_event(0, "taken away")
+        found = watcher.until("/events", 2 * SECOND)
+        assert watcher.info["capabilities"] == ["time"]  # nothing that a client could change
+    last = {each.topic: decoded(watcher, each) for each in found}
+    assert last["/khepera0/speed"].data[2:] == [8.0, 5.0]
+    poses = {each.child_frame_id: each.transform.translation for each in last["/tf"].transforms}
+    x, y, _ = twin.robot.pose
+    assert (poses["khepera0/base"].x, poses["khepera0/base"].y) == pytest.approx((x, y), abs=1e-8)
+    assert last["/khepera0/serial"].name in ("host", "robot")
+    channel = watcher.channels["/scene"]
+    assert (channel["encoding"], channel["schemaName"]) == ("protobuf", "foxglove.SceneUpdate")
+    assert "khepera0/base" in {entity.id for entity in SceneUpdate.FromString(scene.data).entities}
+
+
+def test_who_subscribes_late_has_the_scene_and_the_time(server: FoxgloveServer, tmp_path: Path) -> None:
+    with open_twin("default", TwinOptions()) as twin:
+        twin.record(tmp_path / "run.mcap")
+        twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
+        drive(twin, 1)
+        with client(server.address) as watcher:
+            watcher.subscribe(*STANDING)
+            found = watcher.until(STANDING[-1])
+            twin.flush()
+            watcher.subscribe("/events")
+            twin.world.log_event(0, "taken away")
+            watcher.until("/events")
+    logged = messages_of(tmp_path / "run.mcap")
+    assert {each.topic: each.data for each in found} == {topic: logged[topic][0][1] for topic in STANDING}
+    assert watcher.time_ns == SECOND
+
+
+def test_a_client_that_never_reads_holds_no_run_up(server: FoxgloveServer) -> None:
+    ended = threading.Event()
+    with open_twin("default", TwinOptions()) as twin, client(server.address) as watcher:
+        twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
+        watcher.subscribe(*SAMPLED, "/tf", "/scene")
+        watcher.until("/scene")
+
+        def go() -> None:
+            twin.advance_to(60 * SECOND)
+            ended.set()
+
+        threading.Thread(target=go, daemon=True).start()
+        assert ended.wait(300)
+
+
+def test_another_run_begins_a_new_session(server: FoxgloveServer) -> None:
+    with client(server.address) as watcher:
+        for _ in range(2):
+            with open_twin("default", TwinOptions()) as twin:
+                twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
+                drive(twin, 1)
+        said: dict[str, object] = {}
+        while said.get("op") != "serverInfo":
+            text = watcher.connection.recv(10)
+            said = json.loads(text) if isinstance(text, str) else {}
+    assert said["sessionId"] != watcher.info["sessionId"]
+
+
+def test_a_port_in_use_is_one_line(server: FoxgloveServer) -> None:
+    port = int(server.address.rpartition(":")[2])
+    message = f"^127.0.0.1:{port}: Foxglove cannot be served here: Address already in use$"
+    with pytest.raises(PortError, match=message):
+        FoxgloveServer("127.0.0.1", port, "second")
+
+
+def test_the_layout_shows_channels_that_a_log_has(log: Path) -> None:
+    layout = json.loads(LAYOUT.read_text())
+    with log.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    topics = {channel.topic for channel in summary.channels.values()}
+    panels = layout["configById"].values()
+    shown = {path["value"].partition(".")[0] for panel in panels for path in panel.get("paths", [])}
+    shown |= {panel["topicToRender"] for panel in panels if "topicToRender" in panel}
+    shown |= {topic for panel in panels for topic in panel.get("topics", {})}
+    assert shown
+    assert shown <= topics
+
+
+def test_what_a_client_sends_changes_nothing(server: FoxgloveServer) -> None:
+    with open_twin("default", TwinOptions()) as twin, client(server.address) as watcher:
+        twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
+        channel = {
+            "id": 1,
+            "topic": "/khepera0/serial",
+            "encoding": "cdr",
+            "schemaName": LINES,
+        }
+        watcher.connection.send(json.dumps({"op": "advertise", "channels": [channel]}))
+        watcher.connection.send(b"\x01\x01\x00\x00\x00D,9,9\n")
+        watcher.connection.send("no JSON")
+        watcher.subscribe("/khepera0/speed", "/scene")
+        watcher.until("/scene")
+        drive(twin, 1)
+        twin.flush()
+        seen = decoded(watcher, watcher.until("/khepera0/speed", SECOND)[-1])
+    with open_twin("default", TwinOptions()) as alone:
+        drive(alone, 1)
+    assert seen.data[2:] == [8.0, 5.0]
+    assert twin.robot.pose == alone.robot.pose

@@ -1,0 +1,42 @@
+"""The live view in a notebook: what rerun is handed while a twin runs."""
+
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+import rerun as rr
+from driving import SECOND, drive
+from rerun.chunk import RrdReader
+
+from khep_twin.errors import KhepTwinError
+from khep_twin.log.live_recorder import LiveRecorder
+from khep_twin.log.viewer.notebook import RerunWriter
+from khep_twin.log.viewer.replay import view
+from khep_twin.ports.twin import TwinOptions, open_twin
+
+
+def entities(path: Path) -> set[str]:
+    """What a recording shows."""
+    reader = RrdReader(path)
+    (recording,) = reader.recordings()
+    return {chunk.entity_path for chunk in reader.stream(store=recording)}
+
+
+def test_it_is_handed_what_a_replay_shows(tmp_path: Path) -> None:
+    with rr.RecordingStream("khep_twin") as recording, open_twin("obstacles", TwinOptions(seed=3)) as twin:
+        recording.save(tmp_path / "live.rrd")
+        twin.record(tmp_path / "run.mcap")
+        twin.watch(LiveRecorder(RerunWriter(recording), twin.world, {}, interval_ns=SECOND // 5))
+        drive(twin)
+        twin.world.log_event(0, "taken away")
+    view([tmp_path / "run.mcap"], tmp_path / "replay.rrd")
+    shown = entities(tmp_path / "live.rrd")
+    assert {"/tf", "/khepera0/serial", "/khepera0/proximity"} <= shown
+    assert shown >= {each for each in entities(tmp_path / "replay.rrd") if not each.startswith("/__")}
+
+
+def test_without_a_notebook_it_is_one_line() -> None:
+    with closing(open_twin("default", TwinOptions())) as twin:
+        with pytest.raises(KhepTwinError, match=r"^show\(\) draws below a cell of a notebook; expected .*$"):
+            twin.show()
+        assert not twin.views
