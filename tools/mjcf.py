@@ -28,12 +28,12 @@ INTRODUCTION = """# Playpens as MJCF
 The shipped playpens for MuJoCo's own viewers, without khep_twin. `make mjcf` writes this folder.
 
 - On the desktop: `python -m mujoco.viewer --mjcf=mjcf/default.xml`, or drop a file onto `simulate`.
-- In a browser: drop a file onto [live.mujoco.org](https://live.mujoco.org). A file with a public address opens by the
-  link `https://live.mujoco.org/?model=ADDRESS`, one on GitHub by
+- In a browser: drop a file onto [live.mujoco.org](https://live.mujoco.org). A file with a public address
+  opens by the link `https://live.mujoco.org/?model=ADDRESS`, one on GitHub by
   `https://live.mujoco.org/?model=github:OWNER/REPOSITORY/BRANCH/mjcf/default.xml`.
 
-Load the keyframe `home` first: it holds a gripper up. The robots stand still, as no board drives their motors; the viewer's
-control sliders do. [docs/playpens.md](../docs/playpens.md) describes the playpens.
+Load the keyframe `home` first: it holds a gripper up. The robots stand still, as no board drives their
+motors; the viewer's control sliders do. [docs/playpens.md](../docs/playpens.md) describes the playpens.
 
 | playpen | picture |
 |---|---|

@@ -16,7 +16,7 @@ from reference import write as write_reference
 ROOT = Path(__file__).parents[1]
 
 PAGES = {"README.md": "about.md", "CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md"}
-"""Pages at the top of the repository, and their names in the site, where README.md would be the front page."""
+"""Pages at the top of the repository, and their names in the site."""
 
 FOLDERS = {"docs": ("md", "png", "json", "svg"), "mjcf": ("md", "png", "xml"), "examples": ("py", "toml")}
 """Folders, and the kinds of files that pages link to."""
@@ -39,8 +39,8 @@ def main(target: Path) -> None:
     (target / "gallery.md").write_text(_gallery(target), encoding="utf-8")
     write_reference(target / "reference")
     (target / "reference.md").write_text(
-        "# Reference\n\nThe [reference of every public function and class](reference/index.html) is generated from the"
-        " docstrings.\n",
+        "# Reference\n\nThe [reference of every public function and class](reference/index.html) is "
+        "generated from the docstrings.\n",
         encoding="utf-8",
     )
 
@@ -63,7 +63,8 @@ def _front(readme: str) -> str:
     title, sentence, picture = readme.split("\n\n")[:3]
     (commands, *_) = re.findall(r"```sh\n.*?```", readme, re.DOTALL)
     return (
-        f"---\nhide: [navigation, toc]\n---\n{title}\n\n{sentence}\n\n{picture}{{ width=560 }}\n\n{commands}\n\n"
+        f"---\nhide: [navigation, toc]\n---\n{title}\n\n{sentence}\n\n"
+        f"{picture}{{ width=560 }}\n\n{commands}\n\n"
         "[Tutorial](docs/tutorial.md){ .md-button .md-button--primary } "
         "[All that it does](about.md){ .md-button } [Gallery](gallery.md){ .md-button }\n"
     )

@@ -92,6 +92,8 @@ def attempt(
         "log": None if log is None else str(log),
         "real_seconds": real_seconds,
     }
+    if sys.platform == "win32":
+        raise KhepTwinError("challenges need a system of Unix, which ends a process with all that it started")
     printed = _Printed(show)
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
         result = Path(folder) / "result.json"
@@ -154,7 +156,7 @@ def _follow(process: "subprocess.Popen[bytes]", printed: _Printed, deadline: flo
     output = process.stdout.fileno()
     is_open = True
     while (left := deadline - time.monotonic()) > 0:
-        ended = os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None
+        ended = _has_ended(process)
         if is_open and select.select([output], [], [], 0 if ended else min(left, 0.1))[0]:
             data = os.read(output, 65536)
             is_open = bool(data)
@@ -166,21 +168,29 @@ def _follow(process: "subprocess.Popen[bytes]", printed: _Printed, deadline: flo
     return False
 
 
+def _has_ended(process: "subprocess.Popen[bytes]") -> bool:
+    """Return whether a process has ended; on Linux it keeps its number until it is waited for."""
+    if sys.platform == "linux":
+        return os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None
+    return process.poll() is not None
+
+
 def _end(process: "subprocess.Popen[bytes]") -> None:
     """End a process and all that it started in its group: by SIGTERM, which completes a log, then by SIGKILL.
 
     Until it is waited for, no other group can have its number.
     """
-    if os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None:
+    if not _has_ended(process):
         with suppress(ProcessLookupError):
             os.kill(process.pid, signal.SIGTERM)
         deadline = time.monotonic() + PATIENCE + 2 * LAST
         while time.monotonic() < deadline:
-            if os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None:
+            if _has_ended(process):
                 break
             time.sleep(0.02)
     with suppress(ProcessLookupError, PermissionError):
-        os.killpg(process.pid, signal.SIGKILL)
+        if sys.platform != "win32":
+            os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     if process.stdout is not None:
         process.stdout.close()
@@ -206,7 +216,8 @@ def _main(settings: dict[str, Any]) -> None:
     log = None if settings["log"] is None else Path(settings["log"])
     result = Path(settings["result"])
     # Should the process be orphaned, this ends it.
-    signal.alarm(math.ceil(settings["real_seconds"] + PATIENCE + 2 * LAST))
+    if sys.platform != "win32":
+        signal.alarm(math.ceil(settings["real_seconds"] + PATIENCE + 2 * LAST))
     try:
         with answered():
             with redirect_stderr(StringIO()):  # that numba compiles is nothing that the file prints
