@@ -18,7 +18,12 @@ ROOT = Path(__file__).parents[1]
 PAGES = {"README.md": "about.md", "CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md"}
 """Pages at the top of the repository, and their names in the site."""
 
-FOLDERS = {"docs": ("md", "png", "json", "svg"), "mjcf": ("md", "png", "xml"), "examples": ("py", "toml")}
+FOLDERS = {
+    "docs": ("md", "png", "json", "svg"),
+    "mjcf": ("md", "png", "xml"),
+    "examples": ("py", "toml"),
+    "notebooks": ("ipynb",),
+}
 """Folders, and the kinds of files that pages link to."""
 
 PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)]+\.(?:png|svg))\)")
