@@ -5,19 +5,24 @@ Modules that a system lacks are None here. Linux is tested, macOS and Windows ar
 
 import os
 import sys
-from importlib import import_module
+from contextlib import suppress
 from typing import IO, Any
 
+_fcntl: Any = None
+_msvcrt: Any = None
+_resource: Any = None
+with suppress(ImportError):
+    import fcntl
 
-def _module(name: str) -> Any:
-    """Return a module of the standard library; None where the system lacks it."""
-    try:
-        return import_module(name)
-    except ImportError:
-        return None
+    _fcntl = fcntl
+with suppress(ImportError):
+    import msvcrt
 
+    _msvcrt = msvcrt
+with suppress(ImportError):
+    import resource
 
-_fcntl, _msvcrt, _resource = (_module(name) for name in ("fcntl", "msvcrt", "resource"))
+    _resource = resource
 
 _LOCKED_BYTE = 1 << 40
 """Byte that stands for a file whose system locks bytes; others may read and write what lies before it."""

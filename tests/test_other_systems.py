@@ -10,10 +10,10 @@ import pytest
 import serial
 
 HIDING = """
-import builtins, importlib, runpy, sys
+import builtins, runpy, sys
 
 HIDDEN = {"fcntl", "termios", "tty", "pty", "resource", "curses", "grp", "pwd"}
-importing, import_module = builtins.__import__, importlib.import_module
+importing = builtins.__import__
 
 
 def hidden(name, globals=None, *rest, **named):
@@ -23,13 +23,7 @@ def hidden(name, globals=None, *rest, **named):
     return importing(name, globals, *rest, **named)
 
 
-def hidden_module(name, package=None):
-    if name in HIDDEN:
-        raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-    return import_module(name, package)
-
-
-builtins.__import__, importlib.import_module = hidden, hidden_module
+builtins.__import__ = hidden
 """
 
 COMMAND = "sys.argv[0] = 'khep-twin'\nrunpy.run_module('khep_twin', run_name='__main__')"

@@ -6,6 +6,7 @@ Imported only where numba is installed.
 # numba is not typed, and its functions have no types of their own.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
+import re
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -80,7 +81,9 @@ def address_of(function: Callable[..., tuple[float, float]]) -> int:
     # numba leaves it to Python to report what is no function, or missing from a module.
     except (NumbaError, UnsupportedBytecodeError, TypeError, AttributeError) as error:
         name = getattr(function, "__name__", "controller")
-        lines = [line for line in str(error).strip().splitlines() if not line.startswith(_GENERAL)]
+        lines = [
+            line for line in _STYLE.sub("", str(error)).strip().splitlines() if not line.startswith(_GENERAL)
+        ]
         reason = lines[0].rstrip(":.") if lines else type(error).__name__
         raise ControllerError(
             f"{name}: numba cannot compile it: {reason}; expected a function of proximity, ambient, memory "
@@ -91,6 +94,9 @@ def address_of(function: Callable[..., tuple[float, float]]) -> int:
 
 
 _KEPT: list[object] = []
+
+_STYLE = re.compile(r"\x1b\[[0-9;]*m")
+"""Bold and colours, which numba adds where colorama is installed."""
 
 _GENERAL = "Failed in nopython mode"
 """First words of a line of numba's that gives no reason yet."""

@@ -73,7 +73,7 @@ class QuietPort:
 
     path, dropped, occupied = "/dev/pts/none", 0, False
 
-    def __init__(self, link: object, baud: int) -> None:
+    def __init__(self, baud: int) -> None:
         pass
 
     def descriptors(self, room: bool) -> list[int]:
@@ -268,7 +268,7 @@ def installed(simulation: Simulation, present: Callable[[], Designer], private: 
         for place, name, value in (
             (routes, "run_in_threadpool", run_in_threadpool),
             (routes, "found_ports", list),
-            (session, "PtyPort", QuietPort),
+            (session, "open_any", QuietPort),
             (session, "exact_timeouts", lambda: None),
             (service_registry, "private_folder", lambda: private),
             (kernel, "MOST_STALLED", MOST_STALLED),
