@@ -6,6 +6,7 @@ import random
 import termios
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 from khep_twin.errors import PortError, PortInUse
@@ -17,6 +18,9 @@ from tools.simulate.truth import Truth, tag
 
 _ORDERS = ("N", "O", "H", "E", "B", "K", "I,1", "hello", "T,9,X", "R,3", "Q", "G,5,6", "D,3,4", "D,0,0")
 """Lines that a host sends."""
+
+_COMPANIONS = 8
+"""Most hosts that open a terminal at the moment of another one."""
 
 _SETTINGS = termios.B300, termios.B38400, termios.B115200
 
@@ -67,11 +71,12 @@ class TerminalHost:
     def good(self) -> None:
         """Ask in bursts, and check each reply."""
         rng, truth, faults = self.rng, self.site.truth, self.simulation.faults
-        if faults.happens("companion", "terminals", 1.0):
-            own = faults.drawn("companion", "terminals")
-            delay_ns = round(10 ** own.uniform(2, 5.3))
-            stay = own.choice([0.0, 0.0001, 0.01, 1.0])
-            self.simulation.spawn(f"companion{self.number}", lambda: self._accompany(stay), delay_ns)
+        for place in (f"terminals{number}" for number in range(_COMPANIONS)):
+            if faults.happens("companion", place, 1.0):
+                own = faults.drawn("companion", place)
+                delay_ns = round(10 ** own.uniform(2, 5.3))
+                stay = own.choice([0.0, 0.0001, 0.01, 1.0])
+                self.simulation.spawn(f"companion{self.number}", partial(self._accompany, stay), delay_ns)
         try:
             descriptor = self._open()
         except OSError:  # no server just now
