@@ -18,8 +18,8 @@ _DIGITS = 5
 Floats = NDArray[np.float32]
 
 
-class Scene:
-    """Scene of a model.
+class DrawnScene:
+    """Scene of a model as a page draws it.
 
     Args:
         model: Compiled model.
@@ -83,12 +83,12 @@ class Scene:
             }
 
 
-def compiled(spec: mujoco.MjSpec) -> Scene:
+def compiled(spec: mujoco.MjSpec) -> DrawnScene:
     """Return the scene of a specification at its start."""
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    return Scene(model, data)
+    return DrawnScene(model, data)
 
 
 def _visible(model: mujoco.MjModel, kind: str) -> list[int]:

@@ -30,7 +30,7 @@ from khep_twin.web.jobs import Job, Publish
 from khep_twin.web.outside_host import OutsideHost
 from khep_twin.web.paced_twin import PacedTwin
 from khep_twin.web.printed import taken_by
-from khep_twin.web.scene import Scene
+from khep_twin.web.scene import DrawnScene
 from khep_twin.web.turret_outlines import TurretParts
 
 _PATIENCE = 5.0
@@ -159,7 +159,7 @@ class TwinActor(WebSession):
         self.playpen, self._options, self._log = playpen, options, log
         self._paced: PacedTwin | None = None
         self._turrets: list[TurretParts] = []
-        self._scene: Scene | None = None
+        self._scene: DrawnScene | None = None
         self.speed, self.paused = 1.0, False
 
     def set_pace(self, speed: float, paused: bool) -> None:
@@ -190,7 +190,7 @@ class TwinActor(WebSession):
         """Switch a lamp."""
         self._request(lambda twin: switch(twin.world, lamp, on))
 
-    def scene(self) -> Scene:
+    def scene(self) -> DrawnScene:
         """Return the scene of the world, with the poses of its moving bodies in each picture's "bodies".
 
         Raises:
@@ -198,7 +198,7 @@ class TwinActor(WebSession):
         """
         if self._paced is None:
             raise PortError(_NOT_YET)
-        return Scene(self._paced.world.model, self._paced.world.data)
+        return DrawnScene(self._paced.world.model, self._paced.world.data)
 
     def stop(self) -> None:
         """End the job; without one, stop the motors."""
@@ -250,7 +250,7 @@ class TwinActor(WebSession):
             stack.callback(paced.end)
             paced.speed, paced.paused = self.speed, self.paused
             self._turrets = [TurretParts(twin.world, index) for index in range(len(twin.robots))]
-            self._scene = Scene(twin.world.model, twin.world.data)
+            self._scene = DrawnScene(twin.world.model, twin.world.data)
             self._paced = paced
             self.publish(self._cast(paced, ports))
             while not (paced.ended or self._ended.is_set()):

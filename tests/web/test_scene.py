@@ -8,7 +8,7 @@ import pytest
 
 from khep_twin import playpen
 from khep_twin.playpen_to_mjcf import to_spec
-from khep_twin.web.scene import Scene, compiled
+from khep_twin.web.scene import DrawnScene, compiled
 from khep_twin.world import World
 from tests.web.conftest import Asker
 from tests.web.test_guard import DRAFT
@@ -50,7 +50,7 @@ def test_bodies_that_move_have_their_shapes_in_their_own_frames() -> None:
 
 def test_the_poses_follow_the_physics() -> None:
     world = World(playpen.load("default"))
-    scene = Scene(world.model, world.data)
+    scene = DrawnScene(world.model, world.data)
     before = scene.poses()
     world.data.qpos[world.robots[0].indices.pose] += 0.1
     mujoco.mj_forward(world.model, world.data)

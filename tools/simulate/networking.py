@@ -3,6 +3,7 @@
 import random
 from collections.abc import Callable
 from contextlib import AbstractContextManager, closing
+from functools import partial
 from unittest.mock import patch
 
 import khep_twin.host.line
@@ -251,11 +252,12 @@ class Site:
         time, faults = simulation.system.modules["time"], simulation.faults
         while True:
             time.sleep(rng.uniform(0.2, 4.0))
-            if faults.happens("rogue", "rogues", 1.0):
-                own = faults.drawn("rogue", "rogues")
-                number = self.number()
-                simulation.spawn(f"rogue{number}", self._raw(number, own).rogue)
-                simulation.count("rogues")
+            for fault in ("rogue", "vanish"):
+                if faults.happens(fault, "rogues", 1.0):
+                    raw = self._raw(self.number(), faults.drawn(fault, "rogues"))
+                    kind = raw.vanishes if fault == "vanish" else None
+                    simulation.spawn(f"rogue{raw.number}", partial(raw.rogue, kind))
+                    simulation.count("rogues")
 
 
 def visit(site: Site, seconds: float) -> None:

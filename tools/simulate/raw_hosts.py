@@ -113,8 +113,8 @@ class Raw:
 
     # Hosts that a port must withstand ------------------------------------------------------------------
 
-    def rogue(self) -> str:
-        """Do one thing that a port must withstand; return its name."""
+    def rogue(self, kind: Callable[[], None] | None = None) -> str:
+        """Do one thing that a port must withstand, by default any; return its name."""
         kinds: Sequence[Callable[[], None]] = (
             self.second,
             self.storm,
@@ -126,7 +126,7 @@ class Raw:
             self.leaves_amid,
             self.floods,
         )
-        kind = self.rng.choice(kinds)
+        kind = kind or self.rng.choice(kinds)
         try:
             kind()
         except OSError:
