@@ -65,6 +65,18 @@ def unlock(file: IO[Any] | int) -> None:
         _lock_byte(descriptor, _msvcrt.LK_UNLCK)
 
 
+def is_writable(descriptor: int) -> bool:
+    """Return whether a descriptor is open for writing; without fcntl, whether it is open.
+
+    Raises:
+        OSError: It is not open.
+    """
+    if _fcntl is None:
+        return bool(os.fstat(descriptor))
+    mode = os.O_RDONLY | os.O_WRONLY | os.O_RDWR
+    return _fcntl.fcntl(descriptor, _fcntl.F_GETFL) & mode != os.O_RDONLY
+
+
 def n_cores() -> int:
     """Return the number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1

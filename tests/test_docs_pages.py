@@ -51,6 +51,7 @@ def commands() -> Iterator[tuple[str, list[str]]]:
 
 
 COMMANDS = list(commands())
+COMMAND_LINE = typer.main.get_command(app)
 
 
 @pytest.mark.parametrize(("page", "text"), [*blocks("python")], ids=lambda each: getattr(each, "stem", ""))
@@ -78,7 +79,7 @@ def test_an_unknown_option_is_found() -> None:
 
 def unknown(words: list[str]) -> list[str]:
     """Parse the words of a command without running it; return what is left, nothing if all are known."""
-    command = typer.main.get_command(app)
+    command = COMMAND_LINE
     rest = words[1:]
     context = command.make_context("khep-twin", [], resilient_parsing=True)
     while hasattr(command, "commands") and rest and not rest[0].startswith("-"):

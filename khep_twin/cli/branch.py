@@ -80,7 +80,7 @@ def branch(
     from khep_twin.lab.experiment.branch import BranchPlan, calibrations
     from khep_twin.lab.experiment.branch import branch as run_branch
     from khep_twin.lab.experiment.experiment import find_controller
-    from khep_twin.lab.experiment.series import numbered
+    from khep_twin.lab.experiment.series import own_files
     from khep_twin.log.recorded import BranchPoint
     from khep_twin.toolbox.form import as_toolbox_form
 
@@ -89,7 +89,7 @@ def branch(
         raise usage("--cycles and --robot are for a controller; expected --controller, too")
     if not 0 < at < 1e9 or (seconds is not None and not 0 < seconds < 1e9):
         raise usage("--at and --seconds are above 0 and finite")
-    paths = [output] if runs == 1 else [numbered(output, number) for number in range(1, runs + 1)]
+    paths = own_files(output, runs)
     picture = picture or (output.with_suffix(".png") if runs > 1 else None)
     check_new(force, *paths)
     check_picture(picture, output)

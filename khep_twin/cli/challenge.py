@@ -111,12 +111,12 @@ def run(
     from khep_twin.errors import ControllerError
     from khep_twin.lab.challenge.attempt import attempt
     from khep_twin.lab.challenge.challenge import load
-    from khep_twin.lab.experiment.series import numbered
+    from khep_twin.lab.experiment.series import own_files
 
     file = load(name)
     challenge = file.challenge
     count = challenge.runs if runs is None else runs
-    logs = [] if log is None else [log] if count == 1 else [numbered(log, n + 1) for n in range(count)]
+    logs = [] if log is None else own_files(log, count)
     check_new(force, *logs)
     check_writable(*logs)
     typed = str(file.solution) if controller is None else controller

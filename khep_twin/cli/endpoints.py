@@ -1,7 +1,6 @@
 """Endpoints of `khep-twin serve`: what hosts open, and how it is printed and listed."""
 
 import os
-import sys
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ import typer
 
 from khep_twin.cli.options import complain, usage
 from khep_twin.errors import PortError
+from khep_twin.machine import is_writable
 
 if TYPE_CHECKING:
     from khep_twin.ports.host_port import HostPort
@@ -80,17 +80,8 @@ class EndpointOptions:
         try:
             # What this process has opened itself is not passed on to others.
             given = os.get_inheritable(descriptor)
-            writable = _is_writable(descriptor)
+            writable = is_writable(descriptor)
         except OSError:
             given = writable = False
         if not (given and writable):
             raise usage(f"--ready-fd {descriptor}: is not open{' for writing' if given else ''}; {wanted}")
-
-
-def _is_writable(descriptor: int) -> bool:
-    """Return whether a descriptor is open for writing; on Windows, whether it is open."""
-    if sys.platform == "win32":
-        return bool(os.fstat(descriptor))
-    import fcntl
-
-    return fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE != os.O_RDONLY

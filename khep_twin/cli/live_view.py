@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.options import complain
-from khep_twin.errors import PortError
 
 if TYPE_CHECKING:
     from khep_twin.log.foxglove_live import FoxgloveServer
@@ -42,15 +41,10 @@ class LiveViewOptions:
         """
         if not self.foxglove and self.foxglove_at is None:
             return None
-        from khep_twin.ports.network import is_loopback, parse_address
+        from khep_twin.ports.network import listening_address
 
-        address = self.foxglove_at or ADDRESS
-        host, port = parse_address(address)
-        if not is_loopback(host) and not allow_remote:
-            raise PortError(
-                f"{address}: other machines could watch the run from there; expected 127.0.0.1:{port}, or "
-                "--allow-remote of khep-twin serve if that is wanted"
-            )
+        address, option = self.foxglove_at or ADDRESS, "--allow-remote of khep-twin serve"
+        host, port = listening_address(address, "watch the run", allow_remote=allow_remote, option=option)
         from khep_twin.log.foxglove_live import LAYOUT, FoxgloveServer
 
         server = stack.enter_context(closing(FoxgloveServer(host, port, f"khep_twin {name}")))

@@ -17,6 +17,7 @@ from khep_twin.errors import MissingExtraError, PortError
 from khep_twin.log.channels import LINES, SCHEMAS
 from khep_twin.log.foxglove_scene import SCHEMA
 from khep_twin.log.live_recorder import LiveRecorder
+from khep_twin.log.output import messages_of
 from khep_twin.world import World
 
 try:
@@ -124,9 +125,7 @@ class FoxgloveServer:
     def add_rows(self, channel: int, times_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
         """Send messages of one size, a row each."""
         if len(messages) and self._channels[channel].base.has_sinks():
-            data, size = messages.tobytes(), messages.itemsize
-            cuts = range(0, len(data), size)
-            self.add_lines(channel, times_ns.tolist(), [data[start : start + size] for start in cuts])
+            self.add_lines(channel, times_ns.tolist(), messages_of(messages))
 
     def at(self, time_ns: int) -> None:
         """Tell all clients the time of the run [ns]."""

@@ -50,6 +50,12 @@ class Writer(Protocol):
         ...
 
 
+def messages_of(rows: NDArray[np.void]) -> list[bytes]:
+    """Return messages of one size, a row each, one by one."""
+    data, size = rows.tobytes(), rows.itemsize
+    return [data[start : start + size] for start in range(0, len(data), size)]
+
+
 class Output:
     """Messages of khep_twin, passed to a writer.
 

@@ -6,7 +6,7 @@ from contextlib import ExitStack, closing, contextmanager
 
 from khep_twin.errors import PortError
 from khep_twin.ports.host_port import HostPort
-from khep_twin.ports.network import TcpPort, is_loopback, parse_address
+from khep_twin.ports.network import TcpPort, listening_address
 
 _WITHOUT = (
     "this system has no pseudo-terminals; expected --tcp 127.0.0.1:5000, which hosts open as "
@@ -48,12 +48,7 @@ def open_endpoints(
                 name = link if link is None or len(bauds) == 1 else f"{link}{robot}"
                 served = open_terminal(name, baud)
             else:
-                host, port = parse_address(address)
-                if not is_loopback(host) and not allow_remote:
-                    raise PortError(
-                        f"{address}: other machines could drive the robot from there; expected "
-                        f"127.0.0.1:{port}, or --allow-remote if that is wanted"
-                    )
+                host, port = listening_address(address, "drive the robot", allow_remote=allow_remote)
                 port += count if port else 0
                 served = TcpPort(host, port, rfc2217=rfc2217 is not None, baud=baud)
             served_ports.append(stack.enter_context(closing(served)))

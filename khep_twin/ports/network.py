@@ -151,6 +151,29 @@ def parse_address(text: str) -> tuple[str, int]:
     return host.strip("[]") or "127.0.0.1", int(port)
 
 
+def listening_address(
+    text: str, act: str, *, allow_remote: bool, option: str = "--allow-remote"
+) -> tuple[str, int]:
+    """Split HOST:PORT of a server, which by default only this machine may reach.
+
+    Args:
+        text: Address as typed.
+        act: What other machines could do there, for the error.
+        allow_remote: Allow connections from other machines.
+        option: Option that allows them, for the error.
+
+    Raises:
+        PortError: The text has another form, or other machines could reach the address.
+    """
+    host, port = parse_address(text)
+    if not is_loopback(host) and not allow_remote:
+        raise PortError(
+            f"{text}: other machines could {act} from there; expected 127.0.0.1:{port}, or {option} if that "
+            "is wanted"
+        )
+    return host, port
+
+
 def is_loopback(host: str) -> bool:
     """Return whether only this machine can reach an address."""
     try:

@@ -10,7 +10,7 @@ from pathlib import Path
 import uvicorn
 
 from khep_twin.errors import PortError
-from khep_twin.ports.network import is_loopback, parse_address
+from khep_twin.ports.network import is_loopback, listening_address
 from khep_twin.web.connections import ACCEPTED_AT_ONCE, PING, QUEUE, PageConnection, Watch, reported
 from khep_twin.web.documents import Documents
 from khep_twin.web.guard import Guard
@@ -50,12 +50,7 @@ class Server:
         allow_remote: bool = False,
         complain: Callable[[str], object] | None = None,
     ) -> None:
-        host, port = parse_address(listen)
-        if not is_loopback(host) and not allow_remote:
-            raise PortError(
-                f"{listen}: other machines could reach your files from there; expected 127.0.0.1:{port}, or "
-                "--allow-remote if that is wanted"
-            )
+        host, port = listening_address(listen, "reach your files", allow_remote=allow_remote)
         documents = Documents(folder)
         if file is not None:
             documents.check(file)

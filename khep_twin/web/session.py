@@ -196,9 +196,9 @@ class TwinActor(WebSession):
         Raises:
             PortError: The twin has not started yet.
         """
-        if self._paced is None:
+        if self._scene is None:
             raise PortError(_NOT_YET)
-        return DrawnScene(self._paced.world.model, self._paced.world.data)
+        return self._scene
 
     def stop(self) -> None:
         """End the job; without one, stop the motors."""

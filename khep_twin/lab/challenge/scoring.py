@@ -20,7 +20,7 @@ from khep_twin.lab.challenge.challenge import ChallengeFile, movable_objects
 from khep_twin.lab.challenge.task_metrics import TaskMetrics
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.experiment import find_controller
-from khep_twin.lab.experiment.series import OneRobot, Plan, SeriesRun, numbered, run_series
+from khep_twin.lab.experiment.series import OneRobot, Plan, SeriesRun, own_files, run_series
 from khep_twin.lab.experiment.start_poses import StartPose
 from khep_twin.playpen.starts import at_start
 from khep_twin.ports.protocol_khep import Serial
@@ -57,9 +57,12 @@ def score(file: ChallengeFile, controller: str, runs: int, seed: int, log: Path 
         ControllerError: The controller failed.
         KhepTwinError: A log cannot be written.
     """
+    logs = [None] * runs if log is None else own_files(log, runs)
     measured = [
-        _run(file, controller, start, seed + index, _log_of(log, index, runs))
-        for index, start in zip(range(runs), _cycled(file.start_poses(runs, seed), runs), strict=True)
+        _run(file, controller, start, seed + index, own)
+        for index, (start, own) in enumerate(
+            zip(_cycled(file.start_poses(runs, seed), runs), logs, strict=True)
+        )
     ]
     values = tuple(_value(file, metrics) for metrics in measured)
     means = {name: math.fsum(each[name] for each in measured) / runs for name in measured[0]}
@@ -150,7 +153,3 @@ def _value(file: ChallengeFile, metrics: Mapping[str, float]) -> float:
 
 def _cycled(starts: list[StartPose], runs: int) -> list[StartPose]:
     return [starts[index % len(starts)] for index in range(runs)]
-
-
-def _log_of(log: Path | None, index: int, runs: int) -> Path | None:
-    return log if log is None or runs == 1 else numbered(log, index + 1)

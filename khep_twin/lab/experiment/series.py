@@ -95,6 +95,11 @@ def numbered(path: Path, number: int) -> Path:
     return path.with_name(f"{path.stem}-{number:03d}{path.suffix}")
 
 
+def own_files(path: Path, runs: int) -> list[Path]:
+    """Return the file of each run: the path itself for one run, NAME-001.SUFFIX and so on for several."""
+    return [path] if runs == 1 else [numbered(path, number) for number in range(1, runs + 1)]
+
+
 class RobotSource(Protocol):
     """Source of the robots of a series."""
 

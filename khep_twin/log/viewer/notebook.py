@@ -19,6 +19,7 @@ from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.log.entries import Entry
 from khep_twin.log.label import Label, label_of
 from khep_twin.log.live_recorder import LiveRecorder
+from khep_twin.log.output import messages_of
 from khep_twin.log.viewer.layout import Shown, layout
 from khep_twin.log.viewer.live import LAST_S, Translator
 from khep_twin.log.viewer.replay import standing_chunks
@@ -75,9 +76,7 @@ class RerunWriter:
 
     def add_rows(self, channel: int, times_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
         """Add messages of one size, a row each."""
-        data, size = messages.tobytes(), messages.itemsize
-        cuts = range(0, len(data), size)
-        self.add_lines(channel, times_ns.tolist(), [data[start : start + size] for start in cuts])
+        self.add_lines(channel, times_ns.tolist(), messages_of(messages))
 
     def flush(self) -> None:
         """Send the added messages, of samples 25 for each simulated second."""
