@@ -48,6 +48,11 @@ class FoxgloveClient:
             found += self._take(self.connection.recv(30))
         return found
 
+    def until_time(self, time_ns: int) -> None:
+        """Wait for a time of the run; it is sent beside the messages, in no fixed order with them."""
+        while self.time_ns < time_ns:
+            self._take(self.connection.recv(30))
+
     def _take(self, data: str | bytes) -> list[Sent]:
         if isinstance(data, str):
             said = json.loads(data)

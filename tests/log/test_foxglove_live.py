@@ -106,6 +106,7 @@ def test_who_subscribes_late_has_the_scene_and_the_time(server: FoxgloveServer, 
             twin.flush()
             twin.world.log_event(0, "taken away")
             watcher.until("/events")
+            watcher.until_time(SECOND)
     logged = messages_of(tmp_path / "run.mcap")
     assert {each.topic: each.data for each in found} == {topic: logged[topic][0][1] for topic in STANDING}
     assert watcher.time_ns == SECOND
