@@ -70,7 +70,8 @@ def main() -> int:
                 "--jobs", type=int, default=os.cpu_count(), help="number of processes; 0: this one"
             )
             sub.add_argument("--json", type=Path, help="file for the figures")
-        sub.add_argument("--seconds", type=float, default=SECONDS, help="simulated time of a seed [s]")
+        own = None if name == "mutants" else SECONDS
+        sub.add_argument("--seconds", type=float, default=own, help="simulated time of a seed [s]")
     options = parser.parse_args()
     return options.function(options)
 

@@ -39,12 +39,12 @@ def timed(case: Case) -> tuple[Case, Outcome, float]:
     return case, case.run(), time.process_time() - begun
 
 
-def caught(search: tuple[str, int, float]) -> tuple[str, Case | None, float]:
+def caught(search: tuple[str, int, float | None]) -> tuple[str, Case | None, float]:
     """Return the shrunk case that catches a mutant, None if none does, and the simulated time [s]."""
     name, first, seconds = search
     mutant, simulated_s = mutants()[name], 0.0
     for seed in count(first):
-        case = Case(mutant.scenario, seed, min(seconds, MUTANT_S - simulated_s), name)
+        case = Case(mutant.scenario, seed, min(seconds or mutant.seconds, MUTANT_S - simulated_s), name)
         outcome = case.run()
         simulated_s += outcome.simulated_ns / 1e9
         if outcome.invariant == mutant.invariant:

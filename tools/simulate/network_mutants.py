@@ -121,7 +121,7 @@ MUTANTS: dict[str, Mutant] = {
     "a host that has finished is never let go": Mutant("tcp", "leftovers", _never_let_go),
     "a browser is let in": Mutant("tcp", "replies", _browsers),
     "connections are never closed": Mutant("tcp", "leftovers", _connections_kept),
-    "a host that has vanished keeps the port": Mutant("tcp", "answers", _vanished_hosts_stay),
+    "a host that has vanished keeps the port": Mutant("tcp", "answers", _vanished_hosts_stay, 600),
     "negotiation is not answered": Mutant("rfc2217", "answers", _no_negotiation),
     "counters are ahead of the wheels": Mutant("tcp", "counters", _counters_ahead),
     "a speed sets one wheel": Mutant("lockstep", "speeds", _one_wheel),

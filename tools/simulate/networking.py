@@ -12,6 +12,7 @@ from khep_twin.ports.network import TcpPort
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.serve import WIRE, serve
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from tools.simulate.faults import CLOCK, HALF
 from tools.simulate.hosts import Session, ending
 from tools.simulate.kernel import NS_PER_S, Process
 from tools.simulate.network_mutants import MUTANTS as MUTANTS
@@ -29,6 +30,10 @@ _LONGEST_TURN_NS = 200 * NS_PER_S
 
 _MOST_DROPPED, _MOST_GARBLED = 0.02, 0.01
 """Highest probabilities that a converter loses or garbles a byte of a segment."""
+
+
+HARMLESS = frozenset({CLOCK, HALF, "exception", "interrupt", "terminate", "quick", "rogue", "vanish"})
+"""Kinds of faults that must not keep a host which has the line from its robot."""
 
 
 class Site:
@@ -213,8 +218,9 @@ class Site:
             at_ns = kernel.now_ns + round(after_s * NS_PER_S)
             kernel.at(at_ns, lambda: kernel.interrupt(process, error) if session.is_driving else None)
         if simulation.faults.happens("terminate", name, 0.2):
+            since = len(simulation.faults.happened)
             session.on_hang = lambda: kernel.at(
-                kernel.now_ns + NS_PER_S, lambda: self._terminate(process, session)
+                kernel.now_ns + NS_PER_S, lambda: self._terminate(process, session, since)
             )
         session.run(rng.randint(1, 30))
         if process.files:
@@ -222,8 +228,11 @@ class Site:
         if any(thread.alive for thread in process.threads):
             simulation.violate("leftovers", f"{process.name} leaves a thread")
 
-    def _terminate(self, process: Process, session: Session) -> None:
-        """End a process that hangs as `khep_twin.signals` does: clean-up in another thread, then the end."""
+    def _terminate(self, process: Process, session: Session, since: int) -> None:
+        """End a process that hangs as `khep_twin.signals` does: clean-up in another thread, then the end.
+
+        Its motors must stand if the faults since its beginning, from the number `since`, are harmless to it.
+        """
         clear = self.endings.get(process.name, [])
         if not process.alive or not clear:
             return
@@ -233,7 +242,8 @@ class Site:
         def leave() -> None:
             was_done = thread.alive is False and thread.error is None
             self.simulation.kernel.kill(process)
-            if was_done and not self.may_fail_now(session) and truth is self.truth:
+            harmful = {name.partition("/")[0] for name in self.simulation.faults.happened[since:]} - HARMLESS
+            if was_done and not harmful and truth is self.truth:
                 self.simulation.count("stops from outside")
                 if not truth.stands(session.number):
                     self.simulation.violate(
@@ -241,10 +251,6 @@ class Site:
                     )
 
         self.simulation.kernel.at(self.simulation.kernel.now_ns + 7 * NS_PER_S // 10, leave)
-
-    def may_fail_now(self, session: Session) -> bool:
-        """Return whether a host that was ended may not have reached its robot."""
-        return bool(self.simulation.faults.kinds - {"terminate", "exception", "interrupt"})
 
     def rogues(self) -> None:
         """Send hosts that a port must withstand: a process of the scenario."""

@@ -121,4 +121,4 @@ _broken: dict[str, tuple[str, Broken]] = {
     "repetition repeats nothing": ("repeat", _replaced(repetition, "repeat_event", _nothing)),
 }
 
-MUTANTS = {name: Mutant("record", *broken) for name, broken in _broken.items()}
+MUTANTS = {name: Mutant("record", *broken, seconds=600) for name, broken in _broken.items()}
