@@ -535,6 +535,7 @@ async function begin() {
   drawing.shapes = hello.shapes;
 drawing.turrets = hello.turrets;
   running.panel.limits(hello.bars, $("#bars"));
+  running.curves.limits(hello.bars, hello.colours);
   new Fields(model, hello.surfaces, hello.turrets);
   show(hello, hello.version ? { file: hello.file } : {});
   if (hello.trouble) banner(hello.trouble, "error", {}, "file");

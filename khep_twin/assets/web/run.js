@@ -1,6 +1,7 @@
 // The running twin in the drawing, or the robot at a port, and moves of robots and lamps by the user.
 
 import { keep, post } from "./api.js";
+import { Curves } from "./curves.js";
 import { closed, make, place } from "./drawing.js";
 import { angle, OBJECTS, tidy } from "./model.js";
 import { Panel, SENSORS, Strip, write } from "./panel.js";
@@ -46,6 +47,7 @@ export class Running {
     Object.assign(this, { drawing, model, banner, attempt });
     this.panel = new Panel($("#panel"), $("#readings"));
     this.strip = new Strip($("#vision"));
+    this.curves = new Curves($("#curves"));
     $("#sensor").append(...SENSORS.map((name) => new Option(name, name)));
     const press = (selector, act, about = selector) => $(selector).addEventListener("click", () => attempt(act, about));
     press("#start", () => this.start(), "run");
@@ -181,6 +183,7 @@ export class Running {
   #cast(message, real) {
     Object.assign(this, { active: true, real, busy: false, robots: message.robots, last: null });
     this.#trails = message.robots.map(() => new Trail());
+    this.curves.clear(message.robots.length);
     const chosen = $("#which");
     chosen.replaceChildren(...message.robots.map((robot, index) => new Option(robot.name, index)));
     this.model.select([]);
@@ -222,6 +225,7 @@ export class Running {
     if (!robot) return;
     this.panel.shape(robot);
     this.strip.clear();
+    this.curves.show(this.which);
     $("#port").textContent = robot.port;
   }
 
@@ -238,6 +242,7 @@ export class Running {
     }
     if (shown && this.panel.near) this.panel.read(shown);
     if (shown) this.strip.read(shown, message.time);
+    this.curves.read(message);
     if (message.part !== $("#part").value) $("#part").value = message.part;
     write($("#clock"), `${message.time.toFixed(2)} s${message.paused ? ", paused" : ""}${message.busy ? ", driven from here" : ""}`);
     if (this.real || !this.nodes) return;
