@@ -533,3 +533,49 @@ def test_curves_keep_the_last_twenty_seconds_and_are_drawn_in_view_only(visit: V
     visit.wait("idle()")
     page.click('[data-tab="run"]')
     visit.wait("red() > 150")
+
+
+def test_undo_during_a_run_puts_a_lifted_robot_back_and_switches_a_lamp_again(
+    visit: Visit, tmp_path: Path
+) -> None:
+    page = visit.page
+    visit.add("robot", (300, 200))
+    visit.add("lamp", (60, 440))
+    page.click('[data-tab="run"]')
+    page.fill("#log", "run.mcap")
+    page.click("#start")
+    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 0")
+    assert page.is_disabled("#undo")
+    visit.lift(450, 350)
+    stands_at(visit, 450, 350)
+    visit.click(60, 440)
+    page.wait_for_selector(".kind-lamp.off")
+    page.focus("#view")
+    page.keyboard.press("Control+z")
+    page.wait_for_selector(".kind-lamp:not(.off)")
+    page.click("#undo")
+    stands_at(visit, 300, 200)
+    assert page.is_disabled("#undo")
+    page.click("#redo")
+    stands_at(visit, 450, 350)
+    # A move that is refused is no step of the history.
+    visit.lift(-20, 300)
+    page.wait_for_selector(".banner.error")
+    visit.wait("!document.querySelector('.held')")
+    page.keyboard.press("Control+z")
+    stands_at(visit, 300, 200)
+    page.click("#end")
+    visit.wait("document.querySelector('#clock').textContent === 'not running'")
+    # Again about the drawing, which the run has not changed.
+    assert page.is_enabled("#undo")
+    page.click("#undo")
+    assert visit.count(".drawn") == 1
+    recorded = read_recorded(tmp_path / "run.mcap")
+    kinds = [event.kind for _, _, event in recorded.events]
+    assert (kinds.count(HostEventKind.PUT), kinds.count(HostEventKind.SWITCH)) == (4, 2)
+    assert repeat(recorded) is None
+
+
+def stands_at(visit: Visit, x_mm: float, y_mm: float) -> None:
+    place = "document.querySelector('.live').getAttribute('transform').match(/[-.\\d]+/g)"
+    visit.wait(f"Math.hypot({place}[0] - {x_mm}, {place}[1] - {y_mm}) < 3")
