@@ -676,3 +676,30 @@ def test_a_file_that_was_changed_since_it_was_left_is_not_replaced_unasked_after
     page.wait_for_selector(".banner.error >> text=first.toml")
     assert (tmp_path / "first.toml").read_text().endswith("# of an editor\n")
     visit.trouble = [text for text in visit.trouble if "409" not in text]
+
+
+def test_tools_and_buttons_of_the_top_bar_have_icons_in_the_colour_of_the_text_and_names(
+    visit: Visit,
+) -> None:
+    page = visit.page
+    drawn_icons = """[
+        ...document.querySelectorAll('header button:not([hidden]), header label, nav button'),
+    ].every((each) => {
+        const { width, height } = each.querySelector('use').getBBox();
+        return each.textContent.trim() && Math.min(width, height) > 4;
+    })"""
+    for width in (1280, 420):
+        page.set_viewport_size({"width": width, "height": 860})
+        visit.wait(drawn_icons)
+        for name in ("Run", "New…", "Undo", "Delete", "Zoom in", "3-D", "Keys", "Block", "Spot"):
+            assert page.get_by_role("button", name=name, exact=True).count() == 1, name
+        # The key of each tool stands beside it, also where its name has no room.
+        keys = page.locator("nav kbd")
+        assert keys.all_inner_texts() == list("VBCWLRPS")
+        assert all(key.is_visible() for key in keys.all())
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        for selector in ("#open", "#undo", "[data-tool=wall]"):
+            colours = "((e) => [getComputedStyle(e).color, getComputedStyle(e.querySelector('use')).stroke])"
+            text, stroke = page.evaluate(f"{colours}(document.querySelector('{selector}'))")
+            assert text == stroke
