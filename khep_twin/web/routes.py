@@ -35,6 +35,7 @@ from khep_twin.playpen import bitmap, bitmap_files
 from khep_twin.playpen.starts import at_spots
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.ports.twin import TwinOptions
+from khep_twin.sensing import colours
 from khep_twin.sensing.bars import BARS
 from khep_twin.web import drafts, jobs, requests, scene
 from khep_twin.web.broadcaster import Broadcaster
@@ -152,6 +153,7 @@ class Page:
             "library": {name: summary("playpens", name) for name in playpens.names()},
             "controllers": list(BUILT_IN),
             "bars": {name: asdict(bar) for name, bar in BARS.items()},
+            "colours": {"sensors": colours.SENSORS, "wheels": colours.WHEELS},
             "turrets": {
                 name: {"description": kind.description, "parts": at_start(name)}
                 for name, kind in installed().items()

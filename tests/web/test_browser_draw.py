@@ -577,3 +577,129 @@ def test_a_playpen_of_the_library_is_chosen_by_its_picture(visit: Visit) -> None
     page.keyboard.press("ArrowDown")
     page.keyboard.press("Enter")
     visit.wait("document.querySelectorAll('.kind-cylinder').length === 5")
+
+
+def test_undo_in_a_field_takes_back_what_is_typed_and_then_the_drawings_last_change(visit: Visit) -> None:
+    page = visit.page
+    visit.add("block", (300, 250))
+    x = "#field-block-x_mm"
+    page.fill(x, "320")
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.id") == "field-block-y_mm"
+    page.keyboard.type("9")
+    page.keyboard.press("Control+z")
+    assert (page.input_value("#field-block-y_mm"), page.input_value(x)) == ("250", "320")
+    page.keyboard.press("Control+z")
+    assert (page.input_value(x), page.evaluate("document.activeElement.id")) == ("300", "field-block-y_mm")
+    page.keyboard.press("Control+y")
+    assert page.input_value(x) == "320"
+    page.select_option("#field-block-surface", "black")
+    page.focus("#field-block-surface")
+    page.keyboard.press("Control+z")
+    assert page.input_value("#field-block-surface") == "white"
+    # Playpen, lighting and surfaces are covered, too.
+    page.click('[data-tab="playpen"]')
+    page.select_option("#field-lighting-mode", "random")
+    page.fill("#field-arena-width_mm", "700")
+    page.keyboard.press("Tab")
+    page.click("text=New surface")
+    page.locator('[aria-label="reflectance of surface1"]').fill("0.3")
+    page.keyboard.press("Tab")
+    for _ in range(4):
+        page.click("#undo")
+    assert page.input_value("#field-lighting-mode") == "all"
+    assert page.input_value("#field-arena-width_mm") == "600"
+    assert visit.count('[aria-label="reflectance of surface1"]') == 0
+
+
+def test_undo_in_another_field_does_not_go_on_to_the_drawings(visit: Visit) -> None:
+    page = visit.page
+    visit.add("block", (300, 250))
+    page.focus("#field-block-x_mm")
+    page.keyboard.press("Control+a")
+    page.keyboard.type("320")
+    page.focus("#grid")
+    page.keyboard.press("Control+z")
+    assert page.evaluate("document.activeElement.id") == "grid"
+    assert page.input_value("#field-block-x_mm") == "320"
+    assert "320" in page.evaluate("document.querySelector('[data-id=\"block:0\"]').getAttribute('transform')")
+
+
+def test_undo_brings_back_the_former_playpen_with_its_file_and_what_was_not_saved(
+    visit: Visit, tmp_path: Path
+) -> None:
+    page = visit.page
+    visit.add("block", (100, 100))
+    visit.save_as("first.toml")
+    visit.add("block", (300, 300))
+    page.click("#new")
+    page.click("#dialog .main")
+    page.wait_for_selector("text=Undo brings them back")
+    page.click("#dialog .main")
+    visit.wait("document.querySelector('#file').textContent === 'new playpen'")
+    picture = tmp_path / "drawn.png"
+    Image.fromarray(~drawn()).save(picture)
+    visit.drop(picture)
+    page.wait_for_selector("#dialog input")
+    page.click("#dialog .main")
+    visit.wait("document.querySelector('#file').textContent === 'new playpen *'")
+    # Import and New are taken back, one after the other, and the file is the former one.
+    page.click("#undo")
+    assert page.text_content("#file") == "new playpen"
+    page.click("#undo")
+    assert (page.text_content("#file"), visit.count(".drawn")) == ("first.toml *", 2)
+    assert page.evaluate("location.hash") == "#first.toml"
+    page.wait_for_selector(".banner >> text=first.toml is open again")
+    page.click("#redo")
+    assert (page.text_content("#file"), page.evaluate("location.hash")) == ("new playpen", "#new")
+    page.click("#undo")
+    page.click("#save")
+    visit.wait("document.querySelector('#file').textContent === 'first.toml'")
+    assert len(playpens.load(tmp_path / "first.toml").blocks) == 2
+    # The history goes on before it: the second block, then the first one.
+    page.click("#undo")
+    assert (page.text_content("#file"), visit.count(".drawn")) == ("first.toml *", 1)
+
+
+def test_a_file_that_was_changed_since_it_was_left_is_not_replaced_unasked_after_undo(
+    visit: Visit, tmp_path: Path
+) -> None:
+    page = visit.page
+    visit.add("block", (100, 100))
+    visit.save_as("first.toml")
+    page.click("#new")
+    page.click("#dialog .main")
+    visit.wait("document.querySelector('#file').textContent === 'new playpen'")
+    (tmp_path / "first.toml").write_text((tmp_path / "first.toml").read_text() + "# of an editor\n")
+    page.click("#undo")
+    page.click("#save")
+    page.wait_for_selector(".banner.error >> text=first.toml")
+    assert (tmp_path / "first.toml").read_text().endswith("# of an editor\n")
+    visit.trouble = [text for text in visit.trouble if "409" not in text]
+
+
+def test_tools_and_buttons_of_the_top_bar_have_icons_in_the_colour_of_the_text_and_names(
+    visit: Visit,
+) -> None:
+    page = visit.page
+    drawn_icons = """[
+        ...document.querySelectorAll('header button:not([hidden]), header label, nav button'),
+    ].every((each) => {
+        const { width, height } = each.querySelector('use').getBBox();
+        return each.textContent.trim() && Math.min(width, height) > 4;
+    })"""
+    for width in (1280, 420):
+        page.set_viewport_size({"width": width, "height": 860})
+        visit.wait(drawn_icons)
+        for name in ("Run", "New…", "Undo", "Delete", "Zoom in", "3-D", "Keys", "Block", "Spot"):
+            assert page.get_by_role("button", name=name, exact=True).count() == 1, name
+        # The key of each tool stands beside it, also where its name has no room.
+        keys = page.locator("nav kbd")
+        assert keys.all_inner_texts() == list("VBCWLRPS")
+        assert all(key.is_visible() for key in keys.all())
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        for selector in ("#open", "#undo", "[data-tool=wall]"):
+            colours = "((e) => [getComputedStyle(e).color, getComputedStyle(e.querySelector('use')).stroke])"
+            text, stroke = page.evaluate(f"{colours}(document.querySelector('{selector}'))")
+            assert text == stroke

@@ -59,3 +59,68 @@ def test_a_program_that_another_has_changed_is_not_overwritten(visit: Visit, tmp
     visit.wait("document.querySelector('#save-program').disabled")
     assert (tmp_path / "mine.py").read_text() == "# mine\n"
     visit.trouble = [text for text in visit.trouble if "409" not in text]
+
+
+def test_each_program_keeps_a_history_of_its_own(visit: Visit, tmp_path: Path) -> None:
+    page = visit.page
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.py").write_text(f"# {name}\n")
+    edit(visit, "a.py")
+    page.press("#code", "Control+End")
+    page.keyboard.type("one two")
+    edit(visit, "b.py")
+    assert page.input_value("#code") == "# b\n"
+    page.press("#code", "Control+End")
+    page.keyboard.type("three")
+    # Back at the first one, with what was not saved, by the button of the open programs.
+    page.click("#programs >> text=a.py *")
+    assert page.input_value("#code") == "# a\none two"
+    for text in ("# a\none ", "# a\n", "# a\n"):
+        page.press("#code", "Control+z")
+        assert page.input_value("#code") == text
+    assert page.is_disabled("#save-program")
+    for text in ("# a\none ", "# a\none two"):
+        page.press("#code", "Control+y")
+        assert page.input_value("#code") == text
+    page.click("#programs >> text=b.py *")
+    assert page.input_value("#code") == "# b\nthree"
+    page.press("#code", "Control+z")
+    assert page.input_value("#code") == "# b\n"
+    # What is typed after an undo is a step of its own, as are a deletion and an indentation.
+    page.press("#code", "Control+End")
+    page.keyboard.type("four")
+    page.keyboard.press("Backspace")
+    page.keyboard.press("Tab")
+    for text in ("# b\nfou", "# b\nfour", "# b\n"):
+        page.press("#code", "Control+z")
+        assert page.input_value("#code") == text
+    # A save keeps the history, also under another name.
+    page.press("#code", "Control+y")
+    page.fill("#program-file", "c.py")
+    page.click("#save-program")
+    visit.wait("document.querySelector('#save-program').disabled")
+    assert ((tmp_path / "c.py").read_text(), (tmp_path / "b.py").read_text()) == ("# b\nfour", "# b\n")
+    page.press("#code", "Control+z")
+    assert page.input_value("#code") == "# b\n"
+
+
+def test_what_another_has_written_to_an_open_program_can_be_undone(visit: Visit, tmp_path: Path) -> None:
+    page = visit.page
+    (tmp_path / "a.py").write_text("# mine\n")
+    edit(visit, "a.py")
+    (tmp_path / "a.py").write_text("# another's\n")
+    edit(visit, "a.py")
+    visit.wait("document.querySelector('#code').value === \"# another's\\n\"")
+    page.press("#code", "Control+z")
+    assert page.input_value("#code") == "# mine\n"
+
+
+def edit(visit: Visit, name: str) -> None:
+    visit.page.click('[data-tab="run"]')
+    visit.wait(
+        f"[...document.querySelector('#controller').options].some(({{ value }}) => value === '{name}')"
+    )
+    visit.page.select_option("#controller", name)
+    visit.page.click("#edit")
+    visit.wait(f"document.querySelector('#program-file').value === '{name}'")
+    visit.page.wait_for_selector("#tab-program:not([hidden])")

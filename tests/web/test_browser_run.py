@@ -434,3 +434,148 @@ def test_after_a_run_its_log_and_report_are_kept_and_the_command_that_views_it_i
             page.click(button)
         assert kept.value.suggested_filename == name
         assert Path(kept.value.path()).stat().st_size > 1000
+
+
+def test_curves_show_the_readings_of_the_selected_robot_and_their_values_at_the_pointer(visit: Visit) -> None:
+    page = visit.page
+    visit.add("robot", (300, 200), (100, 250))
+    page.click('[data-tab="run"]')
+    assert page.is_hidden("#curves")
+    page.click("#run")
+    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 2")
+    page.click("#pause")
+    visit.wait("document.querySelector('#clock').textContent.includes('paused')")
+    page.check("#curves input[value=light]")
+    for robot in ("1", "0"):  # the second one stands still
+        page.select_option("#which", robot)
+        page.click("#step")
+        visit.wait("/[0-9]$/.test(document.querySelector('#readings tr:last-child').textContent)")
+        for plot, column in ((0, 2), (1, 3)):
+            point(visit, plot, 1.0)
+            table = f"[...document.querySelectorAll('#readings tr td:nth-child({column})')].slice(0, 8)"
+            shown = "[...document.querySelectorAll('#curves li b')].slice(0, 8)"
+            texts = ".map((each) => each.textContent).join(' ')"
+            visit.wait(f"{table}{texts} === {shown}{texts}")
+    point(visit, 2, 1.0)
+    visit.wait("document.querySelector('#curves li:nth-child(10) b').textContent !== ''")
+    driven = page.locator("#curves li b").all_inner_texts()
+    assert driven[:8] == [""] * 8
+    assert page.inner_text("#readings tr:last-child").split("\t")[1:] == driven[8:]
+    assert page.inner_text("#curves output").endswith("speeds of the wheels [pulses/10 ms]")
+    visit.picture("19-curves")
+    for name in ("proximity", "light", "speed"):
+        page.uncheck(f"#curves input[value={name}]")
+    page.wait_for_selector("#curves canvas", state="hidden")
+    page.click("#end")
+
+
+def point(visit: Visit, plot: int, part: float) -> None:
+    """Has the pointer over a plot of the curves, at a part of its width."""
+    canvas = visit.page.locator("#curves canvas")
+    canvas.scroll_into_view_if_needed()
+    box = canvas.bounding_box()
+    visit.page.mouse.move(box["x"] + 38 + part * (box["width"] - 47), box["y"] + 101 * plot + 40)
+
+
+# Other curves on the same page, fed by the test: the count of a sensor is the whole second.
+FED = """async () => {
+    const { Curves } = await import("./static/curves.js");
+    const root = document.querySelector("#curves").cloneNode(true);
+    document.querySelector("#tab-run").prepend(root);
+    root.id = "fed";
+    const canvas = root.querySelector("canvas");
+    const curves = new Curves(root);
+    const sensors = Object.fromEntries([...Array(8).keys()].map((sensor) => [sensor, [255, 0, 255]]));
+    const wheels = { left: [255, 0, 0], right: [0, 0, 255] };
+    const full = (count) => ({ full: count });
+    curves.limits({ proximity: full(1023), light: full(500), speed: full(20) }, { sensors, wheels });
+    curves.clear(1);
+    let time = 0;
+    window.feed = (seconds) => {
+        for (const end = time + seconds; time < end; time += 1 / 128) {
+            const proximity = Array(8).fill(Math.floor(time));
+            curves.read({ time, robots: [{ proximity, ambient: proximity, speed: [5, 15] }] });
+        }
+    };
+    const copy = new OffscreenCanvas(400, 400).getContext("2d", { willReadFrequently: true });
+    window.red = () => {
+        copy.clearRect(0, 0, 400, 400);
+        copy.drawImage(canvas, 0, 0);
+        const { data } = copy.getImageData(0, 0, 400, 400);
+        return data.filter((red, at) => at % 4 === 0 && red > 150 && data[at + 1] + data[at + 2] < 99).length;
+    };
+    const frame = () => new Promise((done) => requestAnimationFrame(done));
+    window.idle = async () => {
+        canvas.width = 300; // clears it
+        feed(1);
+        await frame();
+        await frame();
+        return red() === 0;
+    };
+    feed(100);
+}"""
+
+
+def test_curves_keep_the_last_twenty_seconds_and_are_drawn_in_view_only(visit: Visit) -> None:
+    page = visit.page
+    page.click('[data-tab="run"]')
+    page.evaluate(FED)
+    visit.wait("red() > 150")  # the left wheel's line, along the whole axis
+    box = page.locator("#fed canvas").bounding_box()
+    for part, second in ((1.0, "99"), (0.5, "89"), (0.0, "79")):
+        page.mouse.move(box["x"] + 38 + part * (box["width"] - 47), box["y"] + 40)
+        visit.wait(f"document.querySelector('#fed li b').textContent === '{second}'")
+    page.locator("#connect").scroll_into_view_if_needed()
+    visit.wait("idle()")
+    page.locator("#fed canvas").scroll_into_view_if_needed()
+    visit.wait("red() > 150")
+    page.click('[data-tab="sense"]')
+    visit.wait("idle()")
+    page.click('[data-tab="run"]')
+    visit.wait("red() > 150")
+
+
+def test_undo_during_a_run_puts_a_lifted_robot_back_and_switches_a_lamp_again(
+    visit: Visit, tmp_path: Path
+) -> None:
+    page = visit.page
+    visit.add("robot", (300, 200))
+    visit.add("lamp", (60, 440))
+    page.click('[data-tab="run"]')
+    page.fill("#log", "run.mcap")
+    page.click("#start")
+    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 0")
+    assert page.is_disabled("#undo")
+    visit.lift(450, 350)
+    stands_at(visit, 450, 350)
+    visit.click(60, 440)
+    page.wait_for_selector(".kind-lamp.off")
+    page.focus("#view")
+    page.keyboard.press("Control+z")
+    page.wait_for_selector(".kind-lamp:not(.off)")
+    page.click("#undo")
+    stands_at(visit, 300, 200)
+    assert page.is_disabled("#undo")
+    page.click("#redo")
+    stands_at(visit, 450, 350)
+    # A move that is refused is no step of the history.
+    visit.lift(-20, 300)
+    page.wait_for_selector(".banner.error")
+    visit.wait("!document.querySelector('.held')")
+    page.keyboard.press("Control+z")
+    stands_at(visit, 300, 200)
+    page.click("#end")
+    visit.wait("document.querySelector('#clock').textContent === 'not running'")
+    # Again about the drawing, which the run has not changed.
+    assert page.is_enabled("#undo")
+    page.click("#undo")
+    assert visit.count(".drawn") == 1
+    recorded = read_recorded(tmp_path / "run.mcap")
+    kinds = [event.kind for _, _, event in recorded.events]
+    assert (kinds.count(HostEventKind.PUT), kinds.count(HostEventKind.SWITCH)) == (4, 2)
+    assert repeat(recorded) is None
+
+
+def stands_at(visit: Visit, x_mm: float, y_mm: float) -> None:
+    place = "document.querySelector('.live').getAttribute('transform').match(/[-.\\d]+/g)"
+    visit.wait(f"Math.hypot({place}[0] - {x_mm}, {place}[1] - {y_mm}) < 3")

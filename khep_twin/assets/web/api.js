@@ -68,7 +68,7 @@ export function listen(hear, lost) {
   };
   // A request that fails reports this before the socket does.
   drop = () => {
-    if (!socket.onclose || socket.readyState > WebSocket.OPEN) return;
+    if (!socket.onclose || socket.readyState !== WebSocket.OPEN) return; // an attempt to connect reports by itself
     socket.onclose = null;
     socket.close();
     lost(true, false);

@@ -322,7 +322,7 @@ export class Editor {
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     if (command) {
       const acts = { z: () => (event.shiftKey ? model.redo() : model.undo()), y: () => model.redo(), d: () => model.copy(), a: () => model.select(model.ids()) };
-      if (this.running.active || !acts[key]) return false;
+      if ((this.running.active && !"zy".includes(key)) || !acts[key]) return false;
       acts[key]();
       return true;
     }

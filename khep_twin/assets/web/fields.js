@@ -32,6 +32,7 @@ export class Fields {
     this.object = document.querySelector("#tab-object");
     this.playpen = document.querySelector("#tab-playpen");
     this.empty = this.object.innerHTML;
+    for (const panel of [this.object, this.playpen]) panel.addEventListener("keydown", (event) => this.#key(event));
     model.addEventListener("change", () => this.show());
     model.addEventListener("moved", () => this.fresh());
   }
@@ -56,7 +57,6 @@ export class Fields {
       const set = document.createElement("fieldset");
       const legend = document.createElement("legend");
       legend.textContent = part;
-      model.draft[part] ??= {};
       set.append(legend, this.#grid(keys, [model.draft[part]], part));
       return set;
     });
@@ -74,6 +74,21 @@ export class Fields {
       if (input.type === "number" ? all || input !== document.activeElement : all && TEXTS.has(key)) input.value = value ?? "";
       else if (all && LISTS.has(key)) input.value = listed(value);
     }
+  }
+
+  // Undo takes back what is typed in a field and not taken yet, or else the last change of the drawing.
+  #key(event) {
+    const key = event.key.toLowerCase();
+    if (!(event.ctrlKey || event.metaKey) || (key !== "z" && key !== "y")) return;
+    event.preventDefault();
+    event.stopPropagation();
+    const { id, value: typed } = event.target;
+    const back = key === "z" && !event.shiftKey;
+    if (back) this.fresh(true);
+    if (event.target.value !== typed) return event.target.setCustomValidity("");
+    if (back) this.model.undo();
+    else this.model.redo();
+    if (id) document.getElementById(id)?.focus({ preventScroll: true });
   }
 
   #commit() {
@@ -211,6 +226,7 @@ export class Fields {
         delete draft.surfaces[name];
         this.model.commit();
       });
+      this.bound.push({ input: reflects, key: "reflectance", things: [surface] });
       row.append(title, reflects, colour, away);
       set.append(row);
     }

@@ -141,26 +141,30 @@ async function chooseFromLibrary() {
 
 // Changes that are not saved are discarded with their draft: ask before.
 async function mayLeave() {
-  const text = Object.assign(document.createElement("p"), { textContent: "There are changes that are not saved." });
+  const text = Object.assign(document.createElement("p"), { textContent: "There are changes that are not saved. Undo brings them back, while this page is open." });
   if (model.changed && !(await ask("Leave this playpen?", text, "Discard them"))) return false;
   if (running.active && !running.real) await post("end");
   return true;
 }
 
-function show(found, base) {
+// Another document is open, a new one or one that undo or redo has gone back to.
+model.addEventListener("document", ({ detail: { left, back } }) => {
   // These banners are about the document that was open.
   for (const each of [...$("#banners").children]) if (["file", "draft", "conflict", "others"].includes(each.dataset.about)) each.remove();
-  model.load(found, base);
+  const had = hasDraft;
   hasDraft = false;
   remember();
   drawing.fit();
   say({ file: model.file, tab, ask: true });
-}
+  if (!back) return;
+  if (had) attempt(() => forget(left.file), "keep"); // it is in the history, as its draft was
+  banner(`${model.file ?? "A new playpen"} is open again.`, "", {}, "file");
+});
 
 // Opens a document instead of the one whose changes the user has discarded, and offers its drafts.
 function leaveFor(found, base) {
   const before = model.file;
-  show(found, base);
+  model.load(found, base);
   offer(found.left ?? []);
   return forget(before);
 }
@@ -199,7 +203,7 @@ function offer(left) {
       const now = (await post("left", { file })).left.find(({ page }) => page === kept.page) ?? kept;
       if (model.opened !== opened) return;
       // With the version that it was made from, so that Save asks if the file has changed since.
-      Object.assign(model, { version: now.version === undefined ? model.version : now.version, base: now.base ?? model.base });
+      Object.assign(model.document, { version: now.version === undefined ? model.document.version : now.version, base: now.base ?? model.document.base });
       model.replace(now.draft);
       if (await keepNow()) await post("keep", { file, draft: null, page: kept.page });
     },
@@ -216,14 +220,14 @@ async function save(name = model.file, overwrite = false, rename = false) {
   const draft = structuredClone(model.draft);
   const { file: before, opened } = model;
   try {
-    const version = name === before ? model.version : null;
-    const found = await post("save", { file: name, draft, version, base: model.base, overwrite, rename });
+    const version = name === before ? model.document.version : null;
+    const found = await post("save", { file: name, draft, version, base: model.document.base, overwrite, rename });
     if (before !== name) await forget(before);
     if (model.opened !== opened) return;
     hasDraft = false;
     if (rename) draft.name = model.draft.name = found.name;
     model.commit();
-    Object.assign(model, { file: name, version: found.version, base: { file: name }, saved: JSON.stringify(draft) });
+    Object.assign(model.document, { file: name, version: found.version, base: { file: name }, saved: JSON.stringify(draft) });
     title();
     remember();
     if (model.changed) keepSoon();
@@ -255,7 +259,7 @@ async function take(file) {
   label.append("Size of a pixel in mm: ", input);
   if (!(await ask(`Import ${file.name}`, label, "Import"))) return;
   const leaving = leaveFor(await upload(file, input.value), {});
-  model.saved = "";
+  model.document.saved = "";
   title();
   await leaving;
 }
@@ -321,7 +325,7 @@ function keepSoon() {
 function keepNow(more = {}) {
   clearTimeout(keeping);
   keeping = undefined;
-  const { file, version, base, draft, changed } = model;
+  const { draft, changed, document: { file, version, base } } = model;
   // Changes that were undone leave no draft.
   if (!changed && !hasDraft) return undefined;
   hasDraft = changed;
@@ -344,9 +348,17 @@ function legend() {
   $("#legend").replaceChildren(...entries.flat(), ` · ${counts.map(([kind, count]) => `${count} ${count === 1 ? kind : PLURALS[kind] ?? `${kind}s`}, `).join("")}dotted: movable, dashed with !: wrong`, live);
 }
 
+// While a twin runs, undo is about what was done to it by hand.
+const undoable = () => (running.twin ? running.hands : model);
+
+function undoButtons() {
+  $("#undo").disabled = !undoable().canUndo;
+  $("#redo").disabled = !undoable().canRedo;
+}
+
+running.hands.addEventListener("change", undoButtons);
 model.addEventListener("change", ({ detail }) => {
-  $("#undo").disabled = !model.canUndo;
-  $("#redo").disabled = !model.canRedo;
+  undoButtons();
   $("#copy").disabled = $("#delete").disabled = !model.selected.size;
   title();
   if (detail !== "whole") return;
@@ -366,7 +378,7 @@ const KEYS = [
   ["arrows", "move by the grid, with Shift ten times, with Alt 1 mm; with nothing selected, move the view"],
   ["[ ]", "turn by the angle, with Alt 1°"],
   ["Delete, right button", "remove"],
-  ["Ctrl+D, Ctrl+A, Ctrl+Z, Ctrl+Y, Ctrl+S", "copy, select all, undo, redo, save"],
+  ["Ctrl+D, Ctrl+A, Ctrl+Z, Ctrl+Y, Ctrl+S", "copy, select all, undo, redo, save; during a run, undo and redo are about lifted robots and switched lamps"],
   ["Shift+click, drag on the floor", "select several"],
   ["Alt while dragging", "ignore the grid"],
   ["two fingers", "zoom, move the view, turn a lifted robot"],
@@ -399,8 +411,8 @@ press("new", async () => {
 press("open", async () => openFile(await choose("Open", (await post("list")).files, "There are no playpens below this folder yet.")));
 press("save", () => save());
 press("save-as", saveAs);
-press("undo", drawn(() => model.undo()));
-press("redo", drawn(() => model.redo()));
+press("undo", () => undoable().undo());
+press("redo", () => undoable().redo());
 press("copy", drawn(() => model.copy()));
 press("delete", drawn(() => model.remove()));
 press("zoom-in", () => stage.zoom("+") || drawing.zoom(0.8));
@@ -448,6 +460,10 @@ document.addEventListener("keydown", (event) => {
   if (event.key === "?") return void help();
   if (running.key(event) || stage.key(event) || editor.key(event)) event.preventDefault();
 });
+// The browser's own undo would go on to other fields, of which the drawing knows nothing.
+document.addEventListener("beforeinput", (event) => {
+  if (event.inputType.startsWith("history") && (event.target !== document.activeElement || event.target.closest("#tab-object, #tab-playpen"))) event.preventDefault();
+});
 addEventListener("pagehide", () => keepNow({ keepalive: true }));
 addEventListener("beforeunload", (event) => {
   // No draft is kept any more, and none of programs.
@@ -486,7 +502,7 @@ function decodedHash() {
 // Other pages --------------------------------------------------------------------------------------------
 
 function hear(message) {
-  if (message.kind === "saved" && message.tab !== tab && message.file === model.file && message.version !== model.version)
+  if (message.kind === "saved" && message.tab !== tab && message.file === model.file && message.version !== model.document.version)
     banner(`${message.file} was saved by another page.`, "error", {
       "Load it anew": () => loadAnew(message.file),
       "Keep mine": () => {},
@@ -535,8 +551,9 @@ async function begin() {
   drawing.shapes = hello.shapes;
 drawing.turrets = hello.turrets;
   running.panel.limits(hello.bars, $("#bars"));
+  running.curves.limits(hello.bars, hello.colours);
   new Fields(model, hello.surfaces, hello.turrets);
-  show(hello, hello.version ? { file: hello.file } : {});
+  model.load(hello, hello.version ? { file: hello.file } : {});
   if (hello.trouble) banner(hello.trouble, "error", {}, "file");
   if (hello.runs && hello.runs.file === hello.file) {
     // A twin's playpen is shown as it is, saved or not.

@@ -17,34 +17,36 @@ export const NEW = {
   spot: { heading_deg: 90 },
 };
 
+const PARTS = ["arena", "lighting"];
+
 export class Model extends EventTarget {
   draft = { arena: { width_mm: 600, height_mm: 500 } };
-  file = null;
-  version = null;
-  base = {};
-  opened = 0; // counts the documents that this page has opened
+  document = { file: null, version: null, base: {}, saved: "" };
+  opened = 0; // counts the documents that this page has opened or gone back to
   selected = new Set();
   problems = [];
-  #before = [];
+  #before = []; // states, each with the document that it is of
   #after = [];
   #now = "";
-  saved = "";
 
+  // Opens a document; undo goes back to the former one, unless that was an untouched new playpen.
   load(found, base = {}) {
-    this.draft = found.draft;
-    this.file = found.file ?? null;
-    this.version = found.version ?? null;
-    this.base = base;
-    this.opened++;
+    const left = this.document;
+    if (this.opened > 1 || this.file || this.changed) this.#keep();
+    this.document = { file: found.file ?? null, version: found.version ?? null, base };
     this.selected.clear();
-    this.#before = [];
-    this.#after = [];
-    this.#now = this.saved = JSON.stringify(this.draft);
+    this.#take(found.draft);
+    this.#now = this.document.saved = JSON.stringify(this.draft);
     this.#tell("whole");
+    this.#arrive(left, false);
+  }
+
+  get file() {
+    return this.document.file;
   }
 
   get changed() {
-    return this.#now !== this.saved;
+    return this.opened > 0 && this.#now !== this.document.saved;
   }
 
   list(kind) {
@@ -69,12 +71,16 @@ export class Model extends EventTarget {
   commit() {
     const now = JSON.stringify(this.draft);
     if (now !== this.#now) {
-      this.#before.push(this.#now);
-      if (this.#before.length > 300) this.#before.shift();
-      this.#after = [];
+      this.#keep();
       this.#now = now;
     }
     this.#tell("whole");
+  }
+
+  #keep() {
+    this.#before.push({ text: this.#now, document: this.document });
+    if (this.#before.length > 300) this.#before.shift();
+    this.#after = [];
   }
 
   // Takes another drawing in place of this one; undo brings it back.
@@ -143,14 +149,27 @@ export class Model extends EventTarget {
 
   #swap(from, to) {
     if (!from.length) return;
-    to.push(this.#now);
-    this.#now = from.pop();
-    this.#take(JSON.parse(this.#now));
+    to.push({ text: this.#now, document: this.document });
+    const left = this.document;
+    const { text, document } = from.pop();
+    Object.assign(this, { document });
+    if (document !== left) this.selected.clear();
+    this.#now = text;
+    this.#take(JSON.parse(text));
     this.#tell("whole");
+    if (document !== left) this.#arrive(left, true);
   }
 
+  // Tells that another document is open now, a new one or one of the history.
+  #arrive(left, back) {
+    this.opened++;
+    this.dispatchEvent(new CustomEvent("document", { detail: { left, back } }));
+  }
+
+  // The panels have fields for parts that a draft need not have.
   #take(draft) {
     this.draft = draft;
+    for (const part of PARTS) draft[part] ??= {};
     this.selected = new Set([...this.selected].filter((id) => this.at(id)));
   }
 

@@ -1,7 +1,9 @@
 // The running twin in the drawing, or the robot at a port, and moves of robots and lamps by the user.
 
 import { keep, post } from "./api.js";
+import { Curves } from "./curves.js";
 import { closed, make, place } from "./drawing.js";
+import { Hands } from "./hands.js";
 import { angle, OBJECTS, tidy } from "./model.js";
 import { Panel, SENSORS, Strip, write } from "./panel.js";
 
@@ -38,6 +40,7 @@ export class Running {
   busy = false;
   paused = false;
   robots = [];
+  hands = new Hands();
   #held = null;
   #trails = [];
   #starts = 0;
@@ -46,6 +49,7 @@ export class Running {
     Object.assign(this, { drawing, model, banner, attempt });
     this.panel = new Panel($("#panel"), $("#readings"));
     this.strip = new Strip($("#vision"));
+    this.curves = new Curves($("#curves"));
     $("#sensor").append(...SENSORS.map((name) => new Option(name, name)));
     const press = (selector, act, about = selector) => $(selector).addEventListener("click", () => attempt(act, about));
     press("#start", () => this.start(), "run");
@@ -67,7 +71,7 @@ export class Running {
     press("#keep-report", async () => keep(await post("report", { file: this.logged.log }), `${stem()}.html`));
     press("#copy-view", () => navigator.clipboard.writeText($("#view-command").textContent));
     press("#copy-port", () => navigator.clipboard.writeText($("#port").textContent));
-    press("#put", () => post("put", { robot: this.which, x_mm: number("#put-x"), y_mm: number("#put-y"), heading_deg: number("#put-h") }), "hand");
+    press("#put", () => this.#put(this.which, number("#put-x"), number("#put-y"), number("#put-h")), "hand");
     $("#speed").addEventListener("change", () => attempt(() => this.#pace(), "pace"));
     $("#which").addEventListener("change", () => this.#shape());
     model.addEventListener("change", ({ detail }) => {
@@ -170,7 +174,10 @@ export class Running {
         this.banner(message.text, "error", {}, "run");
         this.failed?.(message.text);
       },
-      refused: () => this.banner(message.text, "error", {}, "hand"),
+      refused: () => {
+        this.hands.refused();
+        this.banner(message.text, "error", {}, "hand");
+      },
       note: () => this.banner(message.text),
       room: () => this.#room(message),
       ended: () => this.#ended(),
@@ -181,6 +188,8 @@ export class Running {
   #cast(message, real) {
     Object.assign(this, { active: true, real, busy: false, robots: message.robots, last: null });
     this.#trails = message.robots.map(() => new Trail());
+    this.curves.clear(message.robots.length);
+    this.hands.clear();
     const chosen = $("#which");
     chosen.replaceChildren(...message.robots.map((robot, index) => new Option(robot.name, index)));
     this.model.select([]);
@@ -209,7 +218,7 @@ export class Running {
     $("#switches").replaceChildren(
       ...this.model.list("lamp").map((_, index) => {
         const box = Object.assign(document.createElement("input"), { type: "checkbox", checked: true });
-        box.addEventListener("change", () => this.attempt(() => post("switch", { lamp: index, on: box.checked }), "hand"));
+        box.addEventListener("change", () => this.#switch(index, box.checked));
         const label = document.createElement("label");
         label.append(box, ` lamp ${index + 1}`);
         return label;
@@ -222,6 +231,7 @@ export class Running {
     if (!robot) return;
     this.panel.shape(robot);
     this.strip.clear();
+    this.curves.show(this.which);
     $("#port").textContent = robot.port;
   }
 
@@ -238,6 +248,7 @@ export class Running {
     }
     if (shown && this.panel.near) this.panel.read(shown);
     if (shown) this.strip.read(shown, message.time);
+    this.curves.read(message);
     if (message.part !== $("#part").value) $("#part").value = message.part;
     write($("#clock"), `${message.time.toFixed(2)} s${message.paused ? ", paused" : ""}${message.busy ? ", driven from here" : ""}`);
     if (this.real || !this.nodes) return;
@@ -311,6 +322,17 @@ export class Running {
     // The twin was made from the drawing, which does not change.
     for (const id of ["#tools", "#tab-object", "#tab-playpen"]) $(id).inert = this.twin;
     if (this.stage?.shown) $("#tools").inert = true;
+    this.hands.dispatchEvent(new Event("change")); // undo is about them, or again about the drawing
+  }
+
+  // Puts a robot to a place; undo puts it back to where it was lifted from, or else to where it is now.
+  #put(robot, x_mm, y_mm, heading_deg, from = this.last?.robots[robot]) {
+    const to = ({ x_mm, y_mm, heading_deg }) => ["put", { robot, x_mm, y_mm, heading_deg }];
+    return this.hands.do(to({ x_mm, y_mm, heading_deg }), from && to(from));
+  }
+
+  #switch(lamp, on) {
+    return this.attempt(() => this.hands.do(["switch", { lamp, on }], ["switch", { lamp, on: !on }]), "hand");
   }
 
   // Lifts a robot or puts it down; a click on a lamp switches it. Returns whether the pointer hit one of them.
@@ -320,13 +342,13 @@ export class Running {
     const lamp = target?.dataset.id?.match(/^lamp:(\d+)$/);
     if (lamp) {
       const off = this.last?.lamps[+lamp[1]]?.off;
-      this.attempt(() => post("switch", { lamp: +lamp[1], on: off === true }), "hand");
+      this.#switch(+lamp[1], off === true);
       return true;
     }
     if (!live) return false;
     const index = +live.dataset.live;
     const { x_mm, y_mm, heading_deg } = this.last.robots[index];
-    this.#held = { index, at, from: [x_mm, y_mm], x_mm, y_mm, heading_deg, node: live };
+    this.#held = { index, at, from: [x_mm, y_mm], lifted: this.last.robots[index], x_mm, y_mm, heading_deg, node: live };
     live.classList.add("held");
     $("#which").value = index;
     this.#shape();
@@ -376,7 +398,7 @@ export class Running {
     this.attempt(async () => {
       try {
         if (Math.hypot(x_mm - held.from[0], y_mm - held.from[1]) > 1 || heading_deg !== this.last.robots[index].heading_deg)
-          await post("put", { robot: index, x_mm, y_mm, heading_deg });
+          await this.#put(index, x_mm, y_mm, heading_deg, held.lifted);
       } finally {
         held.node.classList.remove("bad");
         this.drawing.reasons([]);
@@ -388,6 +410,10 @@ export class Running {
   key(event) {
     if (!this.active) return false;
     if (this.#held && (event.key === "[" || event.key === "]")) return this.turn(event.key === "[" ? 15 : -15);
+    if ((event.ctrlKey || event.metaKey) && !this.real && "zy".includes(event.key.toLowerCase())) {
+      const back = event.key.toLowerCase() === "z" && !event.shiftKey;
+      return this.attempt(() => (back ? this.hands.undo() : this.hands.redo()), "hand"), true;
+    }
     if (event.key === " " && !this.real) return this.attempt(() => this.pause(), "pace"), true;
     if (event.key === "." && !this.real) return this.attempt(() => this.step(), "pace"), true;
     if (event.key === "Escape") return this.attempt(() => post("stop"), "#stop"), true;

@@ -17,29 +17,15 @@ from khep_twin.log.viewer.gathered import TIMELINE
 from khep_twin.log.viewer.ghost import RECKONED, TRUTH
 from khep_twin.log.viewer.robot_panel import panel
 from khep_twin.log.viewer.vision import seeing, strip
-from khep_twin.units import Sensor
-
-Colour = tuple[int, int, int]
-
-_WARM: list[Colour] = [(228, 87, 46), (242, 159, 5), (244, 211, 94)]
-_COLD: list[Colour] = [(64, 224, 208), (77, 171, 247), (92, 124, 250)]
-_VIOLET: list[Colour] = [(177, 151, 252), (230, 153, 247)]
-
-_SENSORS = {
-    sensor.name.lower().replace("_", " "): colour
-    for sensor, colour in zip(Sensor, [*_WARM, *_COLD, *_VIOLET], strict=True)
-}
-"""Colours of the sensors' curves: left ones warm, right ones cold, those at the back violet."""
+from khep_twin.sensing.colours import COLD, SENSORS, WHEELS, Colour
 
 _SETPOINT: Colour = (235, 235, 235)
 _WHEELS: dict[str, Colour] = {
-    "left": _WARM[0],
-    "right": _COLD[1],
+    **WHEELS,
     "setpoint left": _SETPOINT,
     "setpoint right": _SETPOINT,
 }
 _EVENT: Colour = (255, 80, 160)
-_DRIVEN = {"left": _WARM[0], "right": _COLD[1]}
 
 _SOLID = [shape.from_fields(fill_mode="solid") for shape in (rr.Boxes3D, rr.Cylinders3D, rr.Ellipsoids3D)]
 
@@ -184,8 +170,8 @@ def _curves(log: Shown) -> list[rrb.Vertical]:
         return _residuals(log, log.label.robots[0])
     return [
         rrb.Vertical(
-            _plot(log, robot, "proximity", "proximity [counts]", _SENSORS),
-            _plot(log, robot, "ambient", "ambient light [counts, low is bright]", _SENSORS),
+            _plot(log, robot, "proximity", "proximity [counts]", SENSORS),
+            _plot(log, robot, "ambient", "ambient light [counts, low is bright]", SENSORS),
             *(
                 _plot(log, robot, "speed", f"{side} wheel [pulses/10 ms]", _WHEELS, side)
                 for side in ("left", "right")
@@ -206,11 +192,10 @@ def _residuals(log: Shown, robot: str) -> list[rrb.Vertical]:
         "wheels: pulses beyond the expected ones",
         "timing: delay of replies [ms]",
     )
-    curves = _SENSORS, _SENSORS, _DRIVEN, {"delay": _COLD[1]}
+    curves = SENSORS, SENSORS, WHEELS, {"delay": COLD[1]}
     plots = [_plot(log, robot, *each) for each in zip(shares, names, curves, strict=True)]
     proximity = [
-        _plot(log, "shadow", name, f"{name} proximity [counts]", _SENSORS)
-        for name in ("measured", "expected")
+        _plot(log, "shadow", name, f"{name} proximity [counts]", SENSORS) for name in ("measured", "expected")
     ]
     return [
         rrb.Vertical(*plots, name="residuals", row_shares=[3, 2, 2, 2]),
