@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli import completion
-from khep_twin.cli.options import Commands, Force, check_new, check_writable, usage
+from khep_twin.cli.options import Commands, Force, check_new, check_writable, tell_written, usage
 from khep_twin.cli.progress import progress as progress_bar
-from khep_twin.invocation import command
 
 if TYPE_CHECKING:
     from khep_twin.lab.challenge.challenge import Challenge
@@ -134,8 +133,7 @@ def run(
         result = "passed" if passes else "failed"
         typer.echo(f"{result}     {wanted} {challenge.value(challenge.threshold or 0.0)}")
     if logs:
-        more = f" to {logs[-1].name}" if len(logs) > 1 else ""
-        typer.echo(f"log        {logs[0]}{more}      look at it: {command('view', logs[0])}")
+        tell_written("log", logs, width=9)
     if passes is False:
         raise typer.Exit(4)
 
