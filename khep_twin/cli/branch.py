@@ -69,7 +69,7 @@ def branch(
     runs: Annotated[int, typer.Option(min=1, max=10_000, help="Number of branches, of a seed each.")] = 1,
     picture: Annotated[
         Path | None,
-        typer.Option(help="Draw the ways in this PNG, SVG or PDF file; with --runs NAME.png by default."),
+        typer.Option(help="Draw the paths in this PNG, SVG or PDF file; with --runs NAME.png by default."),
     ] = None,
     force: Force = False,
 ) -> None:
