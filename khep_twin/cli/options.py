@@ -2,13 +2,14 @@
 
 from collections.abc import Iterable, Sequence
 from enum import StrEnum
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from khep_twin.errors import KhepTwinError, choices
+from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError, choices
 from khep_twin.files.atomic import is_same, unusable
 from khep_twin.invocation import command
 
@@ -87,6 +88,8 @@ def check_picture(picture: Path | None, log: Path | None = None) -> None:
     """Refuse a picture that could not be drawn at the end of the run."""
     if picture is None:
         return
+    if find_spec("matplotlib") is None:
+        raise MissingExtraError("matplotlib", EXTRAS["matplotlib"])
     if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise usage(f"--picture {picture}: expected a name that ends in .png, .svg or .pdf")
     if log is not None and picture.resolve() == log.resolve():
