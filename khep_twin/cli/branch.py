@@ -15,10 +15,10 @@ from khep_twin.cli.options import (
     check_apart,
     check_new,
     check_picture,
+    tell_written,
     usage,
 )
 from khep_twin.cli.progress import progress as progress_bar
-from khep_twin.invocation import command
 from khep_twin.signals import stopping
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def branch(
     runs: Annotated[int, typer.Option(min=1, max=10_000, help="Number of branches, of a seed each.")] = 1,
     picture: Annotated[
         Path | None,
-        typer.Option(help="Draw the ways in this PNG, SVG or PDF file; with --runs NAME.png by default."),
+        typer.Option(help="Draw the paths in this PNG, SVG or PDF file; with --runs NAME.png by default."),
     ] = None,
     force: Force = False,
 ) -> None:
@@ -119,8 +119,7 @@ def branch(
 
         save(draw_fan(plan, ways), picture)
         typer.echo(f"picture  {picture}")
-    more = f" to {paths[len(ways) - 1].name}" if len(ways) > 1 else ""
-    typer.echo(f"log      {paths[0]}{more}      look at it: {command('view', paths[0])}")
+    tell_written("log", paths[: len(ways)])
     if len(ways) < runs:
         raise typer.Exit(130)
 

@@ -1,15 +1,23 @@
 """`khep-twin challenge COMMAND`: tasks with a score for controller files, and the results of a class."""
 
 import sys
+from codecs import getincrementaldecoder
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from khep_twin.cli import completion
-from khep_twin.cli.options import Commands, Force, check_new, check_writable, usage
+from khep_twin.cli.options import (
+    Commands,
+    Force,
+    check_new,
+    check_picture,
+    check_writable,
+    tell_written,
+    usage,
+)
 from khep_twin.cli.progress import progress as progress_bar
-from khep_twin.invocation import command
 
 if TYPE_CHECKING:
     from khep_twin.lab.challenge.challenge import Challenge
@@ -62,6 +70,7 @@ def show(
 
     if picture is not None and picture.suffix.lower() != ".png":
         raise usage(f"--picture {picture}: expected a name that ends in .png")
+    check_picture(picture)
     file = load(name)
     challenge = file.challenge
     typer.echo(f"{challenge.name}: {challenge.title}\n\n{challenge.description.strip()}\n")
@@ -119,8 +128,12 @@ def run(
     logs = [] if log is None else own_files(log, count)
     check_new(force, *logs)
     check_writable(*logs)
+    if controller is None and not file.solution.is_file():
+        raise usage(f"{name}: has no reference solution {file.solution}; expected a FILE.py to score")
     typed = str(file.solution) if controller is None else controller
-    found = attempt(file, typed, runs=count, seed=seed, log=log, real_seconds=real_seconds, show=_print_bytes)
+    printer = _Printer()
+    found = attempt(file, typed, runs=count, seed=seed, log=log, real_seconds=real_seconds, show=printer.show)
+    printer.end()
     if found.score is None:
         raise ControllerError(found.reason)
     for number, value in enumerate(found.score.runs if count > 1 else (), 1):
@@ -134,8 +147,7 @@ def run(
         result = "passed" if passes else "failed"
         typer.echo(f"{result}     {wanted} {challenge.value(challenge.threshold or 0.0)}")
     if logs:
-        more = f" to {logs[-1].name}" if len(logs) > 1 else ""
-        typer.echo(f"log        {logs[0]}{more}      look at it: {command('view', logs[0])}")
+        tell_written("log", logs, width=9)
     if passes is False:
         raise typer.Exit(4)
 
@@ -176,7 +188,22 @@ def _reading(challenge: "Challenge") -> str:
     return f"{challenge.metric}{unit}, {challenge.better} is better"
 
 
-def _print_bytes(data: bytes) -> None:
-    """Print what a controller prints."""
-    sys.stdout.write(data.decode("utf-8", "replace"))
-    sys.stdout.flush()
+class _Printer:
+    """Printer of what a controller prints, in pieces that may end within a character."""
+
+    def __init__(self) -> None:
+        self._decoder = getincrementaldecoder("utf-8")("replace")
+        self._in_line = False
+
+    def show(self, data: bytes, final: bool = False) -> None:
+        """Print a piece."""
+        if text := self._decoder.decode(data, final):
+            self._in_line = not text.endswith("\n")
+            sys.stdout.write(text)
+            sys.stdout.flush()
+
+    def end(self) -> None:
+        """End the last line."""
+        self.show(b"", final=True)
+        if self._in_line:
+            typer.echo()

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from khep_twin.cli.options import tell_kept
+from khep_twin.cli.options import tell_kept, tell_written
 from khep_twin.clock import NS_PER_S
-from khep_twin.invocation import command
 
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
@@ -133,8 +132,7 @@ class Followed:
             seconds, replies = last.time_ns / NS_PER_S, self._follower.replies
             typer.echo(f"{seconds:.1f} s followed{took}, {replies} replies", err=True)
         if self._output is not None:
-            look = command("view", self._output)
-            typer.echo(f"log        {self._output}      look at it: {look}", err=True)
+            tell_written("log", [self._output], width=9, err=True)
 
     def _write(self, log: "ShadowLog", update: "Update") -> None:
         log.write(update)

@@ -43,7 +43,8 @@ class LiveViewOptions:
             return None
         from khep_twin.ports.network import listening_address
 
-        address, option = self.foxglove_at or ADDRESS, "--allow-remote of khep-twin serve"
+        address = ADDRESS if self.foxglove_at is None else self.foxglove_at
+        option = "--allow-remote of khep-twin serve"
         host, port = listening_address(address, "watch the run", allow_remote=allow_remote, option=option)
         from khep_twin.log.foxglove_live import LAYOUT, FoxgloveServer
 

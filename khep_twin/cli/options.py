@@ -1,14 +1,15 @@
 """Options and messages that several commands share."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from enum import StrEnum
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from khep_twin.errors import KhepTwinError, choices
+from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError, choices
 from khep_twin.files.atomic import is_same, unusable
 from khep_twin.invocation import command
 
@@ -87,6 +88,8 @@ def check_picture(picture: Path | None, log: Path | None = None) -> None:
     """Refuse a picture that could not be drawn at the end of the run."""
     if picture is None:
         return
+    if find_spec("matplotlib") is None:
+        raise MissingExtraError("matplotlib", EXTRAS["matplotlib"])
     if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise usage(f"--picture {picture}: expected a name that ends in .png, .svg or .pdf")
     if log is not None and picture.resolve() == log.resolve():
@@ -116,6 +119,23 @@ def tell_kept(recorder: "Recorder | LineRecorder | ShadowLog | None") -> None:
     if recorder is not None and recorder.kept is not None:
         remedy = command("recover", recorder.kept)
         complain(f"an unfinished log of an earlier run is kept as {recorder.kept}; rescue it: {remedy}")
+
+
+def tell_written(
+    name: str, paths: Sequence[Path], look: str | None = None, width: int = 7, err: bool = False
+) -> None:
+    """Print which files were written, and the command that shows them.
+
+    Args:
+        name: Kind of file, the first column.
+        paths: Files, of which the first and the last are named.
+        look: Command; by default `khep-twin view` of the first file.
+        width: Width of the first column, as in the lines above it.
+        err: Print on standard error.
+    """
+    more = f" to {paths[-1].name}" if len(paths) > 1 else ""
+    look = command("view", paths[0]) if look is None else look
+    typer.echo(f"{name:{width}}  {paths[0]}{more}      look at it: {look}", err=err)
 
 
 def complain(text: str) -> None:

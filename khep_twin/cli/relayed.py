@@ -8,8 +8,7 @@ import typer
 
 from khep_twin.cli.endpoints import EndpointOptions
 from khep_twin.cli.option_groups import LogOptions
-from khep_twin.cli.options import complain, tell_kept, usage
-from khep_twin.invocation import command
+from khep_twin.cli.options import complain, tell_kept, tell_written, usage
 
 if TYPE_CHECKING:
     from khep_twin.log.line_recorder import LineRecorder
@@ -86,4 +85,4 @@ def tell_end(
         typer.echo(f"{dropped} bytes dropped that no host took", err=True)
     logging.check(recorder)
     if logging.log is not None:
-        typer.echo(f"log      {logging.log}      look at it: {command('view', logging.log)}", err=True)
+        tell_written("log", [logging.log], err=True)

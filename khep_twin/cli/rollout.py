@@ -20,10 +20,10 @@ from khep_twin.cli.options import (
     check_picture,
     complain,
     tell_kept,
+    tell_written,
     usage,
 )
 from khep_twin.cli.progress import progress as progress_bar
-from khep_twin.invocation import command
 
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
@@ -117,7 +117,7 @@ def rollout(
         typer.echo(f"picture  {picture}")
     logging.check(recorder)
     if logging.log is not None:
-        typer.echo(f"log      {logging.log}      look at it: {command('view', logging.log)}")
+        tell_written("log", [logging.log])
 
 
 def _run(

@@ -22,7 +22,16 @@ from khep_twin.cli.option_groups import (
     grouped,
     option_names,
 )
-from khep_twin.cli.options import Faults, Viewer, check_apart, check_body, check_picture, given, usage
+from khep_twin.cli.options import (
+    Faults,
+    Viewer,
+    check_apart,
+    check_body,
+    check_picture,
+    given,
+    tell_written,
+    usage,
+)
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.cli.run_logs import RunLogs
 from khep_twin.cli.streams import unread
@@ -151,7 +160,7 @@ def run(
         stopped = _run_series(found, robot_source, plan, folder, logs, series.confirm, gone_to, user_function)
     logs.finish()
     if folder is not None:
-        typer.echo(f"series   {folder.path}      look at it: {command('series', folder.path)}")
+        tell_written("series", [folder.path], command("series", folder.path))
     if stopped:
         rest = f"; {len(folder.rows)} of {plan.runs} runs are kept, go on with --resume" if folder else ""
         typer.echo(f"khep-twin: stopped before its end{rest}", err=True)

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from khep_twin.cli.option_groups import LogOptions
-from khep_twin.cli.options import check_new, tell_kept
-from khep_twin.invocation import command
+from khep_twin.cli.options import check_new, tell_kept, tell_written
 
 if TYPE_CHECKING:
     from khep_twin.lab.experiment.controller_source import Source
@@ -64,8 +63,7 @@ class RunLogs:
         if self._picture is not None:
             draw_logs(paths, self._picture)
             typer.echo(f"picture  {self._picture}")
-        more = f" to {paths[-1].name}" if len(paths) > 1 else ""
-        typer.echo(f"log      {paths[0]}{more}      look at it: {command('view', paths[0])}")
+        tell_written("log", paths)
 
 
 def draw_logs(logs: Sequence[Path], picture: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.completion import logs as known_logs
-from khep_twin.cli.options import complain, usage
+from khep_twin.cli.options import complain, tell_written, usage
 from khep_twin.cli.progress import clock, progress
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
@@ -59,7 +59,7 @@ def view(
 
     if save is not None:
         view_logs(logs, save, bar=progress)
-        typer.echo(f"recording  {save}      look at it: {command(save, program='rerun')}")
+        tell_written("recording", [save], command(save, program="rerun"))
         return
     from khep_twin.log.viewer.process import Web
 

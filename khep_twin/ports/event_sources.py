@@ -1,4 +1,4 @@
-"""What wakes the serving loop besides bytes: exact time-outs, and hosts that open, write or close a terminal.
+"""Sources that wake the serving loop besides bytes: exact time-outs, and hosts that open or close a terminal.
 
 Both are of the Linux kernel. Where the system lacks the one, time-outs end 0.05 ms later; where it lacks
 inotify, which Python has no functions for, there is no `OpenEvents`.

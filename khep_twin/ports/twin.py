@@ -5,6 +5,7 @@ words give the same run.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Self
@@ -186,10 +187,11 @@ class Twin:
 
     def close(self) -> None:
         """Complete the log, and pass on the rest to the live views."""
-        for view in self.views:
-            view.close()
-        if self.recorder is not None:
-            self.recorder.close()
+        with ExitStack() as ends:  # the log is whole even if a view fails
+            if self.recorder is not None:
+                ends.callback(self.recorder.close)
+            for view in self.views:
+                ends.callback(view.close)
 
 
 def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:

@@ -50,7 +50,7 @@ _BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 
 
 class MovingFaces(NamedTuple):
-    """What can move in a scene, as the arrays of MuJoCo that `set_out` reads.
+    """Movable geoms of a scene, as the arrays of MuJoCo that `set_out` reads.
 
     Attributes:
         geoms: Indices of geoms (n,).

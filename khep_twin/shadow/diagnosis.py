@@ -59,7 +59,7 @@ SURE, NAMED = 0.95, 0.5
 """Probabilities from which on there is a fault, of any name, and from which on it has that name."""
 
 TOLD_NS = NS_PER_S
-"""Time for which replies tell of a fault before it has a name [ns]."""
+"""Time for which replies show a fault before it has a name [ns]."""
 
 SETTLED_NS = 5 * NS_PER_S
 """Time for which a fault is probable before it is taken for granted, beside which others may begin [ns]."""

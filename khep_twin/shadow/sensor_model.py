@@ -1,4 +1,4 @@
-"""The likelihood of proximity readings, and what they tell of each sensor's gain, heading and threshold.
+"""The likelihood of proximity readings, and estimates of each sensor's gain, heading and threshold.
 
 Each particle has an estimate of these traits of each sensor, with their covariance P, which a Kalman filter
 updates by the readings. The likelihood of a reading z, where the twin predicts c = gain light - threshold, is

@@ -57,6 +57,12 @@ def test_an_address_for_other_machines_is_refused_in_one_line(command: str, tmp_
     assert refused.stderr.count("\n") == 1
 
 
+def test_an_empty_address_is_not_the_default_one(tmp_path: Path) -> None:
+    refused = khep_twin("run", "--cycles", 1, "--foxglove-at", "", folder=tmp_path)
+    assert refused.returncode == 1
+    assert "expected HOST:PORT" in refused.stderr
+
+
 def test_a_robot_that_is_not_here_is_not_shown(tmp_path: Path) -> None:
     for words in (("run", "--port", "/dev/robot"), ("serve", "--relay", "/dev/robot")):
         refused = khep_twin(*words, "--foxglove", folder=tmp_path)

@@ -572,3 +572,15 @@ def test_files_lie_where_they_were_typed_wherever_a_controller_goes(when: str, t
     assert len(rows(folder / "series")) == 2
     assert (folder / "away" / "away" / "own").exists()
     assert read(folder / "run-002.mcap").robots["khepera0"].serial
+
+
+def test_a_picture_without_its_package_is_refused_before_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    files = ("--log", "run.mcap", "--picture", "run.png")
+    assert complaint("run", "--cycles", 5, *files, folder=tmp_path).startswith("matplotlib is not installed;")
+    assert "matplotlib is not" in complaint(
+        "challenge", "show", "stop", "--picture", "s.png", folder=tmp_path
+    )
+    assert not [*tmp_path.iterdir()]

@@ -40,3 +40,21 @@ def test_without_a_notebook_it_is_one_line() -> None:
         with pytest.raises(KhepTwinError, match=r"^show\(\) draws below a cell of a notebook; expected .*$"):
             twin.show()
         assert not twin.views
+
+
+class Broken(RerunWriter):
+    """A view that cannot take the rest."""
+
+    def finish(self) -> None:
+        super().finish()
+        raise OSError("no space left")
+
+
+def test_a_log_is_completed_even_if_a_view_fails_at_the_end(tmp_path: Path) -> None:
+    with rr.RecordingStream("khep_twin") as recording:
+        twin = open_twin("default", TwinOptions(log=str(tmp_path / "run.mcap")))
+        twin.watch(LiveRecorder(Broken(recording), twin.world, {}, interval_ns=SECOND))
+        drive(twin)
+        with pytest.raises(OSError, match="no space left"):
+            twin.close()
+    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]

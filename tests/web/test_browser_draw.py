@@ -285,7 +285,7 @@ def test_a_designer_that_ends_during_a_run_says_so_once_and_what_needs_it_is_off
     page.click('[data-tab="run"]')
     page.fill("#cycles", "100000")
     page.click("#run")
-    visit.wait("document.querySelector('#clock').textContent.includes('driven')")
+    visit.wait_driven()
     asker.end()
     page.wait_for_selector("text=The designer has ended, and the twin with it")
     assert page.inner_text("#clock") == "not running"

@@ -38,10 +38,8 @@ def test_a_program_is_written_run_by_a_key_and_its_failing_line_is_marked(
     page.keyboard.press("Control+Enter")
     page.wait_for_selector("#printed >> text=driven", state="attached")
     assert visit.count("#lines .failed") == 0
-    page.click("#stop")
-    visit.wait("!document.querySelector('#run').disabled")
-    page.click("#end")
-    visit.wait("document.querySelector('#clock').textContent === 'not running'")
+    visit.stop()
+    visit.end()
 
 
 def test_a_program_that_another_has_changed_is_not_overwritten(visit: Visit, tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ def test_ten_objects_are_drawn_saved_run_lifted_and_stopped(visit: Visit, tmp_pa
     page.fill("#cycles", "")
     page.fill("#seconds", "60")
     page.click("#run")
-    visit.wait("document.querySelector('#clock').textContent.includes('driven')")
+    visit.wait_driven()
     bars = "[...document.querySelectorAll('#panel rect.proximity')].map((bar) => +bar.getAttribute('height'))"
     visit.wait(f"Math.max(...{bars}) > 1")
     lights = bars.replace("proximity", "light")
@@ -81,15 +81,13 @@ def test_ten_objects_are_drawn_saved_run_lifted_and_stopped(visit: Visit, tmp_pa
     page.select_option("#speed", "1")
     page.fill("#seconds", "600")
     page.click("#run")
-    visit.wait("document.querySelector('#clock').textContent.includes('driven')")
+    visit.wait_driven()
     visit.lift(300, 130)
     visit.click(60, 440)
     visit.wait("document.querySelector('.kind-lamp.off')")
     visit.picture("3-lifted")
-    page.click("#stop")
-    visit.wait("!document.querySelector('#run').disabled")
-    page.click("#end")
-    visit.wait("document.querySelector('#clock').textContent === 'not running'")
+    visit.stop()
+    visit.end()
     recorded = read_recorded(tmp_path / "run.mcap")
     assert [
         event.kind
@@ -107,8 +105,7 @@ def test_a_controller_of_ones_own_is_run_from_its_file(visit: Visit, tmp_path: P
     page = visit.page
     visit.add("robot", (300, 120))
     page.click('[data-tab="run"]')
-    visit.wait("[...document.querySelector('#controller').options].some((each) => each.value === 'mine.py')")
-    page.select_option("#controller", "mine.py")
+    visit.choose_program("mine.py")
     page.fill("#cycles", "20")
     page.fill("#runs", "2")
     page.fill("#keep", "series")
@@ -123,22 +120,18 @@ def test_a_new_program_appears_and_what_it_prints_and_its_stopped_run_are_shown(
 ) -> None:
     page = visit.page
     visit.add("robot", (300, 120))
-    page.click('[data-tab="run"]')
-    page.click("#start")
-    page.wait_for_selector(".live")
+    visit.start()
     (tmp_path / "talks.py").write_text(
         "print('read')\ncycles = []\n\ndef controller(robot):\n    cycles.append(1)\n"
         "    print(f'cycle {len(cycles)}')\n    robot.set_speed(3, 3)\n"
     )
     # Nothing is clicked meanwhile.
-    visit.wait("[...document.querySelector('#controller').options].some(({ value }) => value === 'talks.py')")
-    page.select_option("#controller", "talks.py")
+    visit.choose_program("talks.py")
     page.fill("#cycles", "100000")
     page.click("#run")
     page.wait_for_selector("#printed >> text=cycle 5")
     assert page.inner_text("#printed").startswith("read\ncycle 1\ncycle 2\n")
-    page.click("#stop")
-    visit.wait("!document.querySelector('#run').disabled")
+    visit.stop()
     row = page.inner_text("#runs-done tbody tr").split("\t")
     assert row[0] == "1, stopped"
     assert int(row[1]) >= 5
@@ -183,7 +176,7 @@ def test_an_outside_host_shares_the_line_of_the_robot_that_runs(visit: Visit) ->
     page.click('[data-tab="run"]')
     page.fill("#cycles", "100000")
     page.click("#run")
-    visit.wait("document.querySelector('#clock').textContent.includes('driven')")
+    visit.wait_driven()
     host = Khepera(page.text_content("#port"))
     try:
         for _ in range(5):
@@ -215,8 +208,7 @@ def test_a_robot_at_a_port_shows_its_readings_and_stops_at_a_click(visit: Visit)
         assert page.is_disabled("#pause")
         page.click("#stop")
         visit.wait(f"{speed} === 'speed left, right00'")
-        page.click("#end")
-        visit.wait("document.querySelector('#clock').textContent === 'not running'")
+        visit.end()
 
 
 def test_a_page_loaded_anew_shows_what_runs_and_what_was_drawn(visit: Visit) -> None:
@@ -228,7 +220,7 @@ def test_a_page_loaded_anew_shows_what_runs_and_what_was_drawn(visit: Visit) -> 
     page.select_option("#speed", "2")
     page.fill("#cycles", "100000")
     page.click("#run")
-    visit.wait("document.querySelector('#clock').textContent.includes('driven')")
+    visit.wait_driven()
     page.click("#pause")
     visit.wait("document.querySelector('#clock').textContent.includes('paused')")
     visit.open()
@@ -237,8 +229,7 @@ def test_a_page_loaded_anew_shows_what_runs_and_what_was_drawn(visit: Visit) -> 
     visit.wait("document.querySelector('#pause').textContent === 'Resume'")
     assert page.is_disabled("#run")
     assert page.input_value("#speed") == "2"
-    page.click("#end")
-    visit.wait("document.querySelector('#clock').textContent === 'not running'")
+    visit.end()
 
 
 def test_fingers_lift_the_robot_that_runs_and_turn_it(tablet: Visit, tmp_path: Path) -> None:
@@ -255,8 +246,7 @@ def test_fingers_lift_the_robot_that_runs_and_turn_it(tablet: Visit, tmp_path: P
     tablet.touch(there, above)
     tablet.touch()
     tablet.wait("!document.querySelector('.held')")
-    page.click("#end")
-    tablet.wait("document.querySelector('#clock').textContent === 'not running'")
+    tablet.end()
     recorded = read_recorded(tmp_path / "run.mcap")
     (put,) = [
         struct.unpack("<3d", event.data) for _, _, event in recorded.events if event.kind is HostEventKind.PUT
@@ -274,7 +264,7 @@ def test_a_twin_is_run_by_keys_alone(visit: Visit) -> None:
     page.keyboard.press("Enter")
     tab_to(visit, "#run")
     page.keyboard.press("Enter")
-    visit.wait("document.querySelector('#clock').textContent.includes('driven')")
+    visit.wait_driven()
     visit.picture("11-keys")
     page.focus("#cycles")  # stops from anywhere
     page.keyboard.press("Escape")
@@ -293,12 +283,11 @@ def test_run_and_stop_are_in_the_top_bar_whatever_the_panel_shows(tablet: Visit)
         for button in ("#run", "#stop"):
             assert page.locator(button).bounding_box()["y"] < 60
     page.click("#run")
-    tablet.wait("document.querySelector('#clock').textContent.includes('driven')")
+    tablet.wait_driven()
     assert page.is_visible("#tab-run")
     page.locator("#tab-run #put").scroll_into_view_if_needed()
     tablet.picture("12-narrow")
-    page.click("#stop")
-    tablet.wait("!document.querySelector('#run').disabled")
+    tablet.stop()
     page.click("#end")
 
 
@@ -306,11 +295,9 @@ def test_a_held_robot_gets_a_red_outline_where_it_has_no_room(visit: Visit) -> N
     page = visit.page
     visit.add("robot", (300, 200))
     visit.add("block", (300, 400))
-    page.click('[data-tab="run"]')
-    page.click("#start")
-    page.wait_for_selector(".live")
+    visit.start()
     # Before the first picture there is no place from which to lift it.
-    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 0")
+    visit.wait_seconds(0)
     page.mouse.move(*visit.at(300, 200))
     page.mouse.down()
     for place, bad in (((310, 390), True), ((400, 300), False), ((-20, 300), True), ((310, 380), True)):
@@ -331,9 +318,7 @@ def test_a_held_robot_gets_a_red_outline_where_it_has_no_room(visit: Visit) -> N
 def test_the_legend_does_not_cover_the_arena(visit: Visit) -> None:
     page = visit.page
     visit.add("robot", (300, 200))
-    page.click('[data-tab="run"]')
-    page.click("#start")
-    page.wait_for_selector(".live")
+    visit.start()
     legend = page.locator("#legend").bounding_box()
     assert legend["y"] + legend["height"] <= visit.at(300, 510)[1]
     page.click("#end")
@@ -347,8 +332,7 @@ def test_the_gripper_is_drawn_as_it_stands(visit: Visit, tmp_path: Path) -> None
     visit.add("robot", (300, 200))
     page.check("#field-robot-turrets input[value=gripper]")
     page.click('[data-tab="run"]')
-    visit.wait("[...document.querySelector('#controller').options].some((each) => each.value === 'lower.py')")
-    page.select_option("#controller", "lower.py")
+    visit.choose_program("lower.py")
     page.fill("#cycles", "100000")
     page.click("#start")
     page.wait_for_selector(".live .turret")
@@ -374,9 +358,7 @@ def tab_to(visit: Visit, selector: str) -> None:
 def test_another_playpen_is_asked_for_before_the_twin_ends(visit: Visit) -> None:
     page = visit.page
     visit.add("robot", (300, 200))
-    page.click('[data-tab="run"]')
-    page.click("#start")
-    page.wait_for_selector(".live")
+    visit.start()
     page.click("#new")
     page.click("#dialog [value=cancel]")
     page.click("#open")
@@ -398,7 +380,7 @@ def test_a_twin_that_does_not_come_up_is_not_waited_for(visit: Visit) -> None:
     page.wait_for_selector(".banner.error >> text=missing")
     page.fill("#log", "")
     page.click("#run")
-    visit.wait("document.querySelector('#clock').textContent.includes('driven')")
+    visit.wait_driven()
     page.click("#end")
 
 
@@ -425,7 +407,7 @@ def test_after_a_run_its_log_and_report_are_kept_and_the_command_that_views_it_i
     page.click("#start")
     page.wait_for_selector(".live")
     assert page.is_hidden("#logged")
-    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 0.5")
+    visit.wait_seconds(0.5)
     page.click("#end")
     page.wait_for_selector("#logged:not([hidden])")
     assert page.inner_text("#view-command").endswith("run.mcap")

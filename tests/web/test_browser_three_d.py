@@ -59,17 +59,16 @@ def test_a_running_twin_is_followed(visit: Visit) -> None:
     page.click('[data-tab="run"]')
     page.click("#run")
     page.wait_for_selector("#follow:not([hidden])")
-    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 1")
+    visit.wait_seconds(1)
     first = seen(visit)
-    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 2.5")
+    visit.wait_seconds(2.5)
     assert (seen(visit) != first).any()
     page.focus("#solid")
     page.keyboard.press("f")
     assert page.get_attribute("#follow", "aria-pressed") == "true"
-    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 3.5")
+    visit.wait_seconds(3.5)
     visit.picture("3d-followed")
-    page.click("#stop")
-    visit.wait("!document.querySelector('#run').disabled")
+    visit.stop()
     page.click("#end")
     page.wait_for_selector("#follow[hidden]", state="attached")
 
@@ -78,8 +77,7 @@ def test_a_dark_system_gets_a_dark_page(visit: Visit) -> None:
     page = visit.page
     visit.add("robot", (300, 250))
     page.wait_for_selector("#problems.none")
-    page.click("#three-d")
-    page.wait_for_selector("#solid[data-shapes]")
+    visit.show_3d()
     page.wait_for_timeout(500)
     fill = "getComputedStyle(document.querySelector('.floor')).fill"
     light, plan = seen(visit), page.evaluate(fill)

@@ -90,6 +90,40 @@ class Visit:
         self.page.click("#dialog .main")
         self.wait(f"document.querySelector('#file').textContent === '{name}'")
 
+    def show_3d(self) -> None:
+        self.page.click("#three-d")
+        self.page.wait_for_selector("#solid[data-shapes]")
+
+    def start(self) -> None:
+        """Starts a twin of what is drawn, and waits until it is shown."""
+        self.page.click('[data-tab="run"]')
+        self.page.click("#start")
+        self.page.wait_for_selector(".live")
+
+    def choose_program(self, name: str) -> None:
+        """Chooses a controller's file, as soon as it is offered."""
+        offered = "[...document.querySelector('#controller').options]"
+        self.wait(f"{offered}.some(({{ value }}) => value === '{name}')")
+        self.page.select_option("#controller", name)
+
+    def wait_driven(self) -> None:
+        """Waits until a program drives."""
+        self.wait("document.querySelector('#clock').textContent.includes('driven')")
+
+    def wait_seconds(self, seconds: float) -> None:
+        """Waits until the clock shows more."""
+        self.wait(f"parseFloat(document.querySelector('#clock').textContent) > {seconds}")
+
+    def stop(self) -> None:
+        """Stops the program that drives, and waits for it."""
+        self.page.click("#stop")
+        self.wait("!document.querySelector('#run').disabled")
+
+    def end(self) -> None:
+        """Ends the twin, and waits for it."""
+        self.page.click("#end")
+        self.wait("document.querySelector('#clock').textContent === 'not running'")
+
     def count(self, selector: str) -> int:
         return self.page.locator(selector).count()
 

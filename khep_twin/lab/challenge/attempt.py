@@ -207,7 +207,8 @@ def _read(result: Path) -> dict[str, Any]:
 def _ending(code: int) -> str:
     """Return how a process without a result has ended."""
     if code < 0:
-        return f"its process was ended by {signal.Signals(-code).name}"
+        named = {each.value: each.name for each in signal.Signals}
+        return f"its process was ended by {named.get(-code, f'signal {-code}')}"
     return f"ended its process, with exit code {code}"
 
 

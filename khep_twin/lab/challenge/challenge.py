@@ -22,13 +22,14 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from khep_twin import playpen as playpens
-from khep_twin.errors import ChallengeError, Problem
+from khep_twin.errors import ChallengeError, PlaypenError, Problem, choices
 from khep_twin.files import toml_files
 from khep_twin.files.toml_files import Name, Problems, TomlTable
 from khep_twin.files.toml_lines import LineNumbers
 from khep_twin.lab.challenge.task_metrics import UNITS
 from khep_twin.lab.experiment.start_poses import StartPose, starts
 from khep_twin.playpen import Playpen
+from khep_twin.playpen.starts import extent
 from khep_twin.randomness import SEED_LIMIT
 
 KIND = "challenges"
@@ -86,12 +87,15 @@ class Challenge(TomlTable):
         named = [(("metric",), self.metric)]
         named += [(("penalty", index, "metric"), each.metric) for index, each in enumerate(self.penalties)]
         for location, metric in named:
+            where = f"penalty {int(location[1]) + 1}: " if len(location) > 1 else ""
             if metric not in UNITS:
-                yield Problem.of(location, f'metric = "{metric}": unknown', tuple(UNITS), metric)
+                yield Problem.of(location, f'{where}metric = "{metric}": unknown', tuple(UNITS), metric)
             if metric in ("goals", "goal_s", "goal_share", "object_mm") and not self.goals:
-                yield Problem.of(location, f'metric = "{metric}": there is no goal', "a [[goal]]")
+                yield Problem.of(location, f'{where}metric = "{metric}": there is no goal', "a [[goal]]")
             if metric == "object_mm" and self.object is None:
-                yield Problem.of(location, 'metric = "object_mm": there is no object', "object = NAME")
+                yield Problem.of(
+                    location, f'{where}metric = "object_mm": there is no object', "object = NAME"
+                )
 
     @property
     def unit(self) -> str:
@@ -156,19 +160,38 @@ def load(name: str) -> ChallengeFile:
     challenge = toml_files.validate(Challenge, text, source, ChallengeError)
     path = toml_files.folder(KIND) / f"{name}.toml" if name in names() else Path(name)
     shipped = challenge.playpen in playpens.names()
-    playpen = playpens.load(challenge.playpen if shipped else path.parent / challenge.playpen)
 
-    def problem(key: str, found: str, expected: str | tuple[object, ...], value: object) -> ChallengeError:
-        line = LineNumbers(text).of((key,))
-        made = Problem.of((key,), found, expected, value, source)
+    def problem(
+        location: tuple[str | int, ...], found: str, expected: str | tuple[object, ...], value: object
+    ) -> ChallengeError:
+        line = LineNumbers(text).of(location)
+        made = Problem.of(location, found, expected, value, source)
         return ChallengeError(problems=[Problem(made.location, made.text, value, expected, source, line)])
 
+    given = challenge.playpen if shipped else path.parent / challenge.playpen
+    if not shipped and not Path(given).exists():
+        missing = f'playpen = "{challenge.playpen}": no such file'
+        wanted = f"the path of a file or a shipped name; {choices(challenge.playpen, playpens.names())}"
+        raise problem(("playpen",), missing, wanted, challenge.playpen)
+    playpen = playpens.load(given)
     if not playpen.robots:
-        raise problem("playpen", f"{challenge.playpen} has no robot", "one", challenge.playpen)
+        raise problem(("playpen",), f"{challenge.playpen} has no robot", "one", challenge.playpen)
     movable = tuple(each.name for each in movable_objects(playpen) if each.name)
     if challenge.object is not None and challenge.object not in movable:
-        raise problem("object", f'object = "{challenge.object}": unknown', movable, challenge.object)
-    return ChallengeFile(challenge, playpen, name, path)
+        raise problem(("object",), f'object = "{challenge.object}": unknown', movable, challenge.object)
+    for index, goal in enumerate(challenge.goals):
+        for key, value, (low, high) in zip(
+            ("x_mm", "y_mm"), (goal.x_mm, goal.y_mm), extent(playpen), strict=True
+        ):
+            if not low <= value <= high:
+                wanted = f"a place in the arena, {low:g} to {high:g}"
+                raise problem(("goal", index, key), f"goal {index + 1}: {key} = {value:g}", wanted, value)
+    found = ChallengeFile(challenge, playpen, name, path)
+    try:
+        found.start_poses(1, challenge.seed)
+    except PlaypenError as error:
+        raise problem(("starts",), error.plain, "", challenge.starts) from error
+    return found
 
 
 def movable_objects(playpen: Playpen) -> list[playpens.Block | playpens.Cylinder]:

@@ -70,7 +70,7 @@ def score(file: ChallengeFile, controller: str, runs: int, seed: int, log: Path 
 
 
 class LimitedTime:
-    """Simulated time that ends at a limit, a `TimeSource`: who lets more time pass is told so.
+    """Simulated time that ends at a limit, a `TimeSource`; letting more pass raises an error.
 
     Attributes:
         limit_ns: Time of the world at which it ends [ns]; None for no limit.

@@ -326,7 +326,7 @@ def _module_of(path: Path) -> ModuleType:
 def _line_in(error: BaseException, path: Path) -> str:
     """Return the line of a file in which an error arose, as ":LINE"."""
     if isinstance(error, SyntaxError):
-        return f":{error.lineno}"
+        return "" if error.lineno is None else f":{error.lineno}"  # none in a binary file
     frames = traceback.walk_tb(error.__traceback__)
     there = path.resolve()
     lines = [line for frame, line in frames if Path(frame.f_code.co_filename).resolve() == there]

@@ -54,6 +54,11 @@ BROKEN = {
         "divides.py:3: ZeroDivisionError: division by zero",
     ),
     "idles": ("def controller(robot):\n    pass\n", "idles.py: controller: a cycle lets no time pass"),
+    "signal": (
+        "import os, signal\nos.kill(os.getpid(), signal.SIGRTMIN + 1)\n",
+        "signal.py: its process was ended by signal 35",
+    ),
+    "zero": ("x = 1\n\0", "zero.py: SyntaxError: source code string cannot contain null bytes"),
     "nothing": ("x = 1\n", "nothing.py: no function 'controller' that takes a robot"),
 }
 
@@ -185,6 +190,25 @@ def test_run_prints_score_and_result_and_keeps_a_log(short: Path, tmp_path: Path
     assert "failed     at least 0.05 m" in done.stdout
 
 
+def test_what_a_file_prints_is_shown_as_it_is_and_ends_its_line(short: Path, tmp_path: Path) -> None:
+    (tmp_path / "prints.py").write_text(
+        "printed = []\n\n\ndef controller(robot):\n    robot.set_speed(5, 5)\n    if not printed:\n"
+        "        printed.append(print('x' + 99_999 * 'é', end=''))\n"
+    )
+    done = khep_twin("challenge", "run", short, tmp_path / "prints.py", "--runs", 1)
+    printed, score, *_ = done.stdout.splitlines()
+    assert printed == "x" + 99_999 * "é"
+    assert score.startswith("score ")
+
+
+def test_a_challenge_without_a_reference_solution_says_so(short: Path) -> None:
+    done = khep_twin("challenge", "run", short)
+    assert done.returncode == 2
+    solution = short.with_suffix(".py")
+    wanted = f"{short}: has no reference solution {solution}; expected a FILE.py to score"
+    assert done.stderr == f"khep-twin: {wanted}\n"
+
+
 def test_penalties_and_goals_make_the_score(tmp_path: Path) -> None:
     goal = "\n[[goal]]\nx_mm = 300\ny_mm = 300\nradius_mm = 5\n"
     penalty = '\n[[penalty]]\nmetric = "collisions"\neach = 2.0\n'
@@ -212,6 +236,20 @@ def test_penalties_and_goals_make_the_score(tmp_path: Path) -> None:
         ),
         (("seconds = 2", "seconds = 0"), "short.toml:7: seconds = 0"),
         (('playpen = "default"', 'playpen = "gripper"\nobject = "tin"'), 'object = "tin": unknown; '),
+        (
+            ('playpen = "default"', 'playpen = "defautl"'),
+            'short.toml:6: playpen = "defautl": no such file; expected the path of a file or a shipped name; '
+            "did you mean 'default'?",
+        ),
+        (("runs = 2", 'starts = ["grid:0x3"]'), "short.toml:8: start 'grid:0x3'; expected grid:"),
+        (
+            ("threshold = 0.05", "[[goal]]\nx_mm = 1e308\ny_mm = 9\nradius_mm = 9"),
+            "short.toml:12: goal 1: x_mm = 1e+308; expected a place in the arena, 0 to 600",
+        ),
+        (
+            ("threshold = 0.05", '[[penalty]]\nmetric = "collision"\neach = 1'),
+            'short.toml:12: penalty 1: metric = "collision": unknown; did you mean ',
+        ),
     ],
 )
 def test_an_invalid_challenge_is_refused_with_its_line(
