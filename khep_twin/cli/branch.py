@@ -73,7 +73,9 @@ def branch(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Take a logged run up at a moment, and go on with another controller, seed, fault, robot or playpen.
+    """Take a logged run up at a moment, and go on with a change.
+
+    Controller, seed, fault, robot or playpen may be another.
 
     Up to the moment the new log is the old one's. Without --seconds or --cycles it ends when that does.
     """

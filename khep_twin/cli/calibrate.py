@@ -66,7 +66,10 @@ def calibrate(
     ] = False,
     force: Force = False,
 ) -> None:
-    """Calibrate a robot in a guided session: what to put where, drives, measurements, fit, picture."""
+    """Calibrate a robot in a guided session.
+
+    It tells what to put where, drives, measures, fits, and draws a picture.
+    """
     from khep_twin.lab.fit.fit_inputs import Measured, fit_inputs
     from khep_twin.lab.fit.placement import Ruler
     from khep_twin.lab.fit.session import CalibrationSession

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from khep_twin.lab.challenge.challenge import Challenge
 
 challenge_app = typer.Typer(
-    help="Score controller files in challenges, and list the results of a class.",
+    help="Score controller files in challenges, one or a whole class.",
     cls=Commands,
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -65,7 +65,7 @@ def show(
     name: ChallengeName,
     picture: Annotated[Path | None, typer.Option(help="Draw the challenge in this PNG file.")] = None,
 ) -> None:
-    """Print a challenge: its task, its playpen, how it is scored, and where its files are."""
+    """Print a challenge: task, playpen, scoring, and its files."""
     from khep_twin.lab.challenge.challenge import load
 
     if picture is not None and picture.suffix.lower() != ".png":
@@ -116,7 +116,10 @@ def run(
     real_seconds: RealSeconds = 60.0,
     force: Force = False,
 ) -> None:
-    """Score a controller in a challenge; exit with 4 if it does not pass."""
+    """Score a controller in a challenge.
+
+    The exit code is 4 if it does not pass.
+    """
     from khep_twin.errors import ControllerError
     from khep_twin.lab.challenge.attempt import attempt
     from khep_twin.lab.challenge.challenge import load

@@ -13,7 +13,10 @@ def compile_all(
         typer.Argument(help="world, episodes, plane, vision or shadow; all of them if not given."),
     ] = None,
 ) -> None:
-    """Compile the stepping core with numba, so that later commands find it in numba's cache."""
+    """Compile the stepping core with numba, for later commands.
+
+    They find it in numba's cache.
+    """
     import numpy as np
 
     from khep_twin.errors import choices

@@ -27,7 +27,10 @@ def conform(
     report: Annotated[Path | None, typer.Option(help="Write the report as JSON, too.")] = None,
     force: Force = False,
 ) -> None:
-    """Check that a robot at a port or in a log speaks the robot's protocol; exit with 1 if it does not."""
+    """Check that a robot speaks the protocol, at a port or in a log.
+
+    The exit code is 1 if it does not.
+    """
     if report is not None and (reason := unusable(report)):
         raise usage(f"--report {report}: cannot be written: {reason}")
     check_new(force, report)

@@ -24,7 +24,9 @@ def design(
     ] = False,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the page's address.")] = False,
 ) -> None:
-    """Open a page in the browser to build playpens and watch robots, until stopped.
+    """Open a page to build playpens and watch robots.
+
+    The browser shows it until the command is stopped.
 
     It reads and writes files below the current folder only. Standard output has one line, the page's address
     with the token that opens it.

@@ -69,7 +69,10 @@ def fit(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Fit one robot's wheels, motors and sensors to recorded tests and ruler measurements."""
+    """Fit one robot's wheels, motors and sensors.
+
+    The data are recorded tests and ruler measurements.
+    """
     from khep_twin.lab.fit.fit_inputs import fit_inputs
     from khep_twin.lab.fit.placement import Ruler
     from khep_twin.sensing import calibration

@@ -14,7 +14,10 @@ from khep_twin.clock import NS_PER_S
 def recover(
     log: Annotated[Path, typer.Argument(help="An interrupted log, NAME.mcap.part, or a damaged one.")],
 ) -> None:
-    """Recover an interrupted log; exit with 0 if all of it was saved, 3 if a part, 1 if nothing."""
+    """Recover an interrupted log.
+
+    The exit code is 0 if all of it was saved, 3 if a part, 1 if nothing.
+    """
     from khep_twin.log.recover import recover as rescue
     from khep_twin.log.recover import summary
 
@@ -36,7 +39,10 @@ def repeat(
         ),
     ] = None,
 ) -> None:
-    """Repeat a log's run and compare; exit with 0 if it is the same, 3 if not, 1 if it cannot be."""
+    """Repeat a log's run and compare.
+
+    The exit code is 0 if it is the same, 3 if not, 1 if it cannot be repeated.
+    """
     from khep_twin.lab.experiment.repeat import check, elsewhere
     from khep_twin.lab.experiment.repeat import repeat as run_again
     from khep_twin.log.recorded import read_recorded

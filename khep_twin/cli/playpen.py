@@ -66,7 +66,10 @@ def check(playpen: PlaypenName) -> None:
 def compile_playpen(
     playpen: PlaypenName, output: Output = None, seed: SpotSeed = 0, force: Force = False
 ) -> None:
-    """Write a playpen as MJCF, which opens in MuJoCo without khep_twin; to standard output by default."""
+    """Write a playpen as MJCF, to standard output by default.
+
+    It opens in MuJoCo without khep_twin.
+    """
     from khep_twin import playpen as playpens
     from khep_twin.playpen_to_mjcf import to_mjcf
 
@@ -85,7 +88,10 @@ def draw(
     ] = False,
     seed: SpotSeed = 0,
 ) -> None:
-    """Draw a playpen to scale, as PNG, SVG or PDF; to NAME.png by default."""
+    """Draw a playpen to scale, to NAME.png by default.
+
+    The formats are PNG, SVG and PDF.
+    """
     from khep_twin import playpen as playpens
     from khep_twin.drawing import map as drawing
 
@@ -105,7 +111,10 @@ def draw(
 
 @playpen_app.command()
 def schema(output: Output = None, force: Force = False) -> None:
-    """Write the format as JSON schema, for editors; to standard output by default."""
+    """Write the format as JSON schema, for editors.
+
+    It goes to standard output by default.
+    """
     import json
 
     from khep_twin import playpen as playpens
@@ -123,7 +132,10 @@ def random_playpen(
     output: Output = None,
     force: Force = False,
 ) -> None:
-    """Write a random field of obstacles as a playpen file; to standard output by default."""
+    """Write a random field of obstacles as a playpen file.
+
+    It goes to standard output by default.
+    """
     from khep_twin import playpen as playpens
     from khep_twin.playpen.random_obstacles import obstacle_field
     from khep_twin.randomness import stream
@@ -196,7 +208,10 @@ def import_bitmap(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Make a playpen from a scanned or painted bitmap; write NAME.toml by default."""
+    """Make a playpen from a scanned or painted bitmap.
+
+    It is NAME.toml by default.
+    """
     from khep_twin import playpen as playpens
     from khep_twin.errors import BitmapError
     from khep_twin.files import toml_files

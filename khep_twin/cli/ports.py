@@ -16,7 +16,10 @@ def ports(
         ),
     ] = False,
 ) -> None:
-    """List the ports at which a robot or a twin may be: what is served on this machine, and serial ports."""
+    """List the ports at which a robot or a twin may be.
+
+    These are what is served on this machine, and serial ports.
+    """
     from khep_twin.host.discovery import found_ports
 
     found = found_ports()

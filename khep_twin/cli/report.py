@@ -58,7 +58,7 @@ def export(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Write the data of a log as tables, or of logs as a dataset, for other programs."""
+    """Write the data of logs as tables or as a dataset."""
     for name, given in (("--task", task), ("--period", period)):
         if minari is None and given is not None:
             raise LogError(f"{name} {given}: expected it with --minari alone")
@@ -148,7 +148,10 @@ def report(
     log: LogFile,
     output: Annotated[Path, typer.Option("--output", "-o", help="Page to write: .html or .pdf.")],
 ) -> None:
-    """Write a page about a run: its path, sensors, wheels, and its metrics."""
+    """Write a page about a run.
+
+    It has path, sensors, wheels and metrics.
+    """
     kind = output.suffix.lower()
     if kind not in (".html", ".pdf"):
         raise LogError(f"{output}: expected a name that ends in .html or .pdf")

@@ -65,7 +65,10 @@ def rollout(
     picture: Annotated[Path | None, typer.Option(help="Draw playpen and path as PNG, SVG or PDF.")] = None,
     logging: LogOptions,
 ) -> None:
-    """Run one episode without a serial line and print its metrics, with several robots those of each."""
+    """Run one episode without a serial line and print its metrics.
+
+    With several robots, print those of each.
+    """
     from khep_twin.board.fault_injection import parse
     from khep_twin.lab.experiment.experiment import find_function
     from khep_twin.playpen.starts import at_spots

@@ -136,7 +136,10 @@ def sense(
     drawn: PictureOptions,
     force: Force = False,
 ) -> None:
-    """Read a robot's sensors while it drives straight or turns, into files and a picture."""
+    """Read a robot's sensors while it drives straight or turns.
+
+    The readings become files and a picture.
+    """
     from khep_twin.lab.sensor_test import sensor_files
     from khep_twin.lab.sensor_test.sensor_test import BrokenOffError
 

@@ -28,7 +28,10 @@ def series(
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw them in this PNG, SVG or PDF file.")] = None,
 ) -> None:
-    """Print the metrics of the runs of a series: mean, confidence and spread, and how series differ."""
+    """Print the metrics of series of runs, and how they differ.
+
+    Each metric has its mean, confidence and spread.
+    """
     from khep_twin.lab.experiment.series_files import read_series
     from khep_twin.lab.experiment.series_statistics import measured, table
 

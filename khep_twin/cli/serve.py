@@ -110,7 +110,9 @@ def serve(
     live_view: LiveViewOptions,
     viewer: Viewer = False,
 ) -> None:
-    """Serve a twin, or with --relay a robot, behind pseudo-terminals or on the network until stopped.
+    """Serve a twin, or with --relay a robot, until stopped.
+
+    Its lines are pseudo-terminals, or ports of the network.
 
     Standard output has one line for each robot: the path or URL that its host opens.
     """

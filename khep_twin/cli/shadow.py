@@ -91,7 +91,9 @@ def shadow(
     logging: LogOptions,
     line_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Follow a robot by its line, live or from a log: where it is, and what is wrong with it.
+    """Follow a robot by its line, live or from a log.
+
+    The twin tells where the robot is, and what is wrong with it.
 
     Standard output has a line for each alarm that begins or ends, with --relay after what a host opens.
     """

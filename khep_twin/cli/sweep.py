@@ -47,7 +47,10 @@ def sweep(
     ] = False,
     check: Annotated[bool, typer.Option("--check", help="Only check it, and count its episodes.")] = False,
 ) -> None:
-    """Run all the episodes of a study and keep each one's results once, in a Parquet table."""
+    """Run all the episodes of a study.
+
+    The results of each are kept once, in a Parquet table.
+    """
     from khep_twin.rollout.episode import SlowerWarning
     from khep_twin.sweep import study as studies
     from khep_twin.sweep.results import summary

@@ -42,7 +42,10 @@ def view(
         bool, typer.Option("--no-browser", help="With --web: only print the page's address.")
     ] = False,
 ) -> None:
-    """Show a log in rerun, or several side by side: arena, robots from above, curves and transcript."""
+    """Show a log in rerun, or several side by side.
+
+    The views are arena, robots from above, curves and transcript.
+    """
     _check(logs, save, png, live, web, no_browser)
     if live:
         # Closing the window is no error to report, though it cuts rerun's connection; rerun reads this once.

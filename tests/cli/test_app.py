@@ -85,6 +85,13 @@ def test_nothing_typed_gets_the_help() -> None:
     assert "Run a controller on a twin or a robot, once or in a series." in result.stderr
 
 
+@pytest.mark.parametrize("group", [[], ["playpen"], ["challenge"]])
+def test_the_list_of_commands_has_whole_sentences(group: list[str]) -> None:
+    listed = CliRunner().invoke(app, [*group, "--help"]).stdout.partition("Commands:\n")[2].splitlines()
+    assert len(listed) > 3
+    assert [line for line in listed if not line.endswith(".") or line.endswith("...")] == []
+
+
 def test_two_runs_with_one_seed_give_the_same_file_under_any_name(tmp_path: Path) -> None:
     logs = [tmp_path / "one.mcap", tmp_path / "sub" / "other-name.mcap", tmp_path / "third.mcap"]
     logs[1].parent.mkdir()
