@@ -128,7 +128,7 @@ class Reader:
             AssertionError: A command or a program has failed.
         """
         text = blocks(page)
-        if ".venv/" in page or re.search(r"^(\S+ )?examples/", page, re.MULTILINE):
+        if any(block.language == "sh" and re.search(r"\.venv/| examples/", block.text) for block in text):
             self._checkout()
         for block in reversed(text):
             for name in block.marked("file"):
@@ -138,11 +138,11 @@ class Reader:
                 for block in text:
                     if block.language in languages and not block.marked("file"):
                         self._block(block)
-            for server in self._servers:
-                server.end()
+            while self._servers:
+                self._servers.pop().end()
         finally:
-            for server in self._servers:
-                server.process.kill()
+            for server in self._servers:  # after an error; what they have started ends with them
+                server.process.terminate()
                 server.process.wait()
 
     def _checkout(self) -> None:
@@ -168,22 +168,22 @@ class Reader:
             self._command(command, codes)
 
     def _command(self, command: str, codes: set[int]) -> None:
+        words = shlex.split(command, comments=True)
         for pattern, reason in NOT_RUN.items():
-            if re.search(pattern, command):
+            if re.search(pattern, " ".join(words)):
                 self.left.append(f"{command}: {reason}")
                 return
+        self._make_room(words)
         if command.startswith("export "):
             told = self._run(["sh", "-ec", f"{command}; env -0"], command)
             os.environ.update(each.split("=", 1) for each in told.split("\0") if each)
             return
-        words = shlex.split(command, comments=True)
-        self._make_room(words)
         if ROBOT in command:
             link = self.folder / "robot-link"
             if not link.is_symlink():
                 self._serve(f"khep-twin serve default --clock wire --link {link}")
             command = command.replace(ROBOT, str(link))
-        if SERVES.search(command):
+        if SERVES.search(" ".join(words)):
             self._serve(command.removesuffix("&"))
         elif Path(words[0]).name == "khep-twin" and not {"|", "||", ">", "&"} & {*words} and ROBOT not in words:
             done = khep_twin(*words[1:], folder=self.folder)
