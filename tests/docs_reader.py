@@ -3,7 +3,7 @@
 Comments above a block, which a page does not show, tell how to read it:
 
     <!-- first: COMMAND -->      a command that gives what the page presumes, such as a scan
-    <!-- file: NAME -->          a file that the text asks to save; its block is written before the page begins
+    <!-- file: NAME -->          a file that the text asks to save; written before the first block runs
     <!-- exits: CODES -->        the exit codes that are no error here, besides 0
     <!-- long: REASON -->        run with KHEP_DOCS=all alone
     <!-- not run: REASON -->     cannot run in a test
@@ -22,6 +22,7 @@ import sys
 import time
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from unittest.mock import patch
 
@@ -176,7 +177,8 @@ class Reader:
         self._make_room(words)
         if command.startswith("export "):
             told = self._run(["sh", "-ec", f"{command}; env -0"], command)
-            os.environ.update(each.split("=", 1) for each in told.split("\0") if each)
+            for name, _, value in (each.partition("=") for each in told.split("\0") if each):
+                os.environ[name] = value
             return
         if ROBOT in command:
             link = self.folder / "robot-link"
@@ -185,7 +187,9 @@ class Reader:
             command = command.replace(ROBOT, str(link))
         if SERVES.search(" ".join(words)):
             self._serve(command.removesuffix("&"))
-        elif Path(words[0]).name == "khep-twin" and not {"|", "||", ">", "&"} & {*words} and ROBOT not in words:
+        elif (
+            Path(words[0]).name == "khep-twin" and not {"|", "||", ">", "&"} & {*words} and ROBOT not in words
+        ):
             done = khep_twin(*words[1:], folder=self.folder)
             drawn = "rerun's viewer cannot draw here" not in done.stderr
             assert done.returncode in codes or not drawn, f"{command}\n{done.stdout}{done.stderr}"
@@ -229,8 +233,7 @@ class Reader:
             words,
             cwd=self.folder,
             input="\n" * 100,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            capture_output=True,
             text=True,
         )
         assert done.returncode in codes, f"{name}\n{done.stdout}{done.stderr}"
@@ -238,4 +241,4 @@ class Reader:
 
 
 def _values(words: list[str], option: str) -> list[str]:
-    return [value for key, value in zip(words, words[1:], strict=False) if key == option]
+    return [value for key, value in pairwise(words) if key == option]
