@@ -26,7 +26,7 @@ $(error $(VENV) has $(shell $(BIN)/python --version), expected that of PYTHON=$(
 endif
 endif
 
-.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-page fuzz-rfc2217 night edges branches simulate mutants twin-trials record recordings soak determinism kills day worker-kills signals pyserial browser schemas mjcf three commands docs reference tutorial bench fidelity lock build clean
+.PHONY: help run setup test wheels check format fuzz fuzz-files fuzz-logs fuzz-page fuzz-rfc2217 night edges branches simulate mutants twin-trials record recordings soak determinism kills day worker-kills signals pyserial browser schemas mjcf three commands docs docs-blocks reference tutorial bench fidelity lock build clean
 
 help: ## show this list
 	@grep -E '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -141,6 +141,9 @@ docs: $(VENV)/dev.stamp ## the site: all pages, gallery, reference and a search,
 	@PYTHONPATH=. $(BIN)/python tools/site.py out/site-source
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build -q
 	@echo "site       out/site/index.html"
+
+docs-blocks: $(VENV)/dev.stamp ## every block of the pages, run as a reader who copies it, the long ones, too; lists what cannot run; an hour
+	@KHEP_DOCS=all $(BIN)/python -m pytest -n 0 -rP tests/test_docs_blocks.py
 
 reference: $(VENV)/dev.stamp ## pages of every public function and class, docs/reference/index.html
 	@$(BIN)/python tools/reference.py docs/reference

@@ -26,6 +26,8 @@ FOLDERS = {
 }
 """Folders, and the kinds of files that pages link to."""
 
+STYLE = ".md-typeset td code { word-break: normal; }  /* words of a table stay whole; a wide one scrolls */\n"
+
 PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)]+\.(?:png|svg))\)")
 
 
@@ -41,6 +43,7 @@ def main(target: Path) -> None:
     shutil.copy(ROOT / "khep_twin/assets/web/icon.svg", target / "docs/icon.svg")
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     (target / "index.md").write_text(_front(readme), encoding="utf-8")
+    (target / "site.css").write_text(STYLE, encoding="utf-8")
     (target / "gallery.md").write_text(_gallery(target), encoding="utf-8")
     write_reference(target / "reference")
     (target / "reference.md").write_text(
@@ -78,15 +81,16 @@ def _front(readme: str) -> str:
 def _gallery(target: Path) -> str:
     """Return a page of every picture, with its description and the page that it is on."""
     seen: set[Path] = set()
-    parts = ["---\nhide: [toc]\n---\n# Gallery\n"]
+    parts = ["---\nhide: [toc]\n---\n# Gallery\n\nAll pictures of the pages, each with a link to its page.\n"]
     for page in sorted(target.rglob("*.md")):
         text, there = page.read_text(encoding="utf-8"), page.relative_to(target)
+        title = text.partition("\n")[0].removeprefix("# ")
         for words, link in PICTURE.findall(text):
             picture = (page.parent / link).resolve()
             if page.name not in ("index.md", "gallery.md") and picture not in seen and picture.exists():
                 seen.add(picture)
                 path = picture.relative_to(target.resolve())
-                parts.append(f"![{words}]({path}){{ width=480 }}\n\n{words} ([{there.stem}]({there})).\n")
+                parts.append(f"![{words}]({path}){{ width=480 }}\n\n{words} ([{title}]({there})).\n")
     return "\n".join(parts)
 
 

@@ -1,0 +1,244 @@
+"""Reader: runs the blocks of a page in order, in a folder of its own, as one who copies them would.
+
+Comments above a block, which a page does not show, tell how to read it:
+
+    <!-- first: COMMAND -->      a command that gives what the page presumes, such as a scan
+    <!-- file: NAME -->          a file that the text asks to save; written before the first block runs
+    <!-- exits: CODES -->        the exit codes that are no error here, besides 0
+    <!-- long: REASON -->        run with KHEP_DOCS=all alone
+    <!-- not run: REASON -->     cannot run in a test
+
+Commands that serve go on while the next ones run, until their link or log is used again, and end by SIGINT.
+`/dev/ttyUSB0` is a served twin.
+"""
+
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from unittest.mock import patch
+
+from command_line import khep_twin
+
+ROOT = Path(__file__).parents[1]
+ALL = os.environ.get("KHEP_DOCS") == "all"
+ROBOT = "/dev/ttyUSB0"
+PATIENCE_S = 120.0
+
+BLOCK = re.compile(r"((?:^<!--[^\n]*-->\n\n?)*)^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+MARK = re.compile(r"<!-- (first|file|exits|long|not run): (.*?) -->")
+
+NOT_RUN = {
+    r"^make\b": "a target of the Makefile",
+    r"\bpip install\b|\bpipx\b|\bpython3 -m venv\b": "installs packages",
+    r"^(sudo|unshare|scp)\b": "needs other rights or machines",
+    r"\bjupyter lab\b": "opens a page, and needs JupyterLab",
+    r"\bkhep-twin view (?!.*--(save|png|web)\b)|--viewer\b|\bmujoco\.viewer\b": "opens a window",
+}
+"""Commands that cannot run in a test, and why."""
+
+SERVES = re.compile(r"khep-twin (serve|design|view .*--web|shadow .*--relay|run .*--foxglove)\b")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of a page, with the marks above it."""
+
+    line: int
+    language: str
+    text: str
+    marks: tuple[tuple[str, str], ...]
+
+    def marked(self, kind: str) -> list[str]:
+        """Return the texts of its marks of one kind."""
+        return [text for each, text in self.marks if each == kind]
+
+
+def blocks(page: str) -> list[Block]:
+    """Return all blocks of a page; the lines are those of the fences."""
+    return [
+        Block(page[: found.start(2)].count("\n") + 1, found[2], found[3], tuple(MARK.findall(found[1])))
+        for found in BLOCK.finditer(page)
+    ]
+
+
+def commands(text: str) -> Iterator[str]:
+    """Yield the commands of a block: lines, with those that they go on in."""
+    command = ""
+    for line in text.splitlines(keepends=True):
+        command += line
+        try:
+            words = shlex.split(command, comments=True)
+        except ValueError:  # a quotation over several lines
+            continue
+        if not command.endswith("\\\n"):
+            if words:
+                yield command.strip()
+            command = ""
+    assert not command.strip(), command
+
+
+@dataclass
+class Server:
+    """A command that serves, and the links and files that are its own."""
+
+    command: str
+    process: "subprocess.Popen[bytes]"
+    output: Path
+    links: set[str]
+    logs: set[str]
+
+    def end(self) -> None:
+        """End it by SIGINT, as a person does.
+
+        Raises:
+            AssertionError: It did not end well.
+        """
+        self.process.send_signal(signal.SIGINT)
+        code = self.process.wait(PATIENCE_S)
+        told = self.output.read_text()
+        assert code in (0, 130), f"{self.command}: {code}\n{told}"
+        assert "Traceback" not in told, f"{self.command}\n{told}"
+
+
+@dataclass
+class Reader:
+    """A reader of one page.
+
+    Attributes:
+        folder: Working directory.
+        left: What was not run, a line each with its reason.
+    """
+
+    folder: Path
+    left: list[str] = field(default_factory=list[str])
+    _servers: list[Server] = field(default_factory=list[Server])
+
+    def read(self, page: str, languages: set[str]) -> None:
+        """Run the blocks in these languages.
+
+        Raises:
+            AssertionError: A command or a program has failed.
+        """
+        text = blocks(page)
+        if any(block.language == "sh" and re.search(r"\.venv/| examples/", block.text) for block in text):
+            self._checkout()
+        for block in reversed(text):
+            for name in block.marked("file"):
+                (self.folder / name).write_text(block.text)
+        try:
+            with patch.dict(os.environ):
+                for block in text:
+                    if block.language in languages and not block.marked("file"):
+                        self._block(block)
+            while self._servers:
+                self._servers.pop().end()
+        finally:
+            for server in self._servers:  # after an error; what they have started ends with them
+                server.process.terminate()
+                server.process.wait()
+
+    def _checkout(self) -> None:
+        """Let the folder look like the repository, with the environment that runs the tests."""
+        for entry in ROOT.iterdir():
+            if entry.name not in ("out", ".venv", ".git", "benchmarks"):
+                (self.folder / entry.name).symlink_to(entry)
+        shutil.copytree(ROOT / "benchmarks", self.folder / "benchmarks")  # which keeps its results there
+        (self.folder / ".venv").symlink_to(sys.prefix)
+
+    def _block(self, block: Block) -> None:
+        reasons = block.marked("not run") + ([] if ALL else block.marked("long"))
+        if reasons:
+            self.left.append(f"line {block.line}, a block of {block.language}: {reasons[0]}")
+            return
+        for command in block.marked("first"):
+            self._command(command, {0})
+        if block.language == "python":
+            self._run([sys.executable, "-c", block.text], f"line {block.line}")
+            return
+        codes = {0, *(int(code) for text in block.marked("exits") for code in re.findall(r"\d+", text))}
+        for command in commands(block.text):
+            self._command(command, codes)
+
+    def _command(self, command: str, codes: set[int]) -> None:
+        words = shlex.split(command, comments=True)
+        for pattern, reason in NOT_RUN.items():
+            if re.search(pattern, " ".join(words)):
+                self.left.append(f"{command}: {reason}")
+                return
+        self._make_room(words)
+        if command.startswith("export "):
+            told = self._run(["sh", "-ec", f"{command}; env -0"], command)
+            for name, _, value in (each.partition("=") for each in told.split("\0") if each):
+                os.environ[name] = value
+            return
+        if ROBOT in command:
+            link = self.folder / "robot-link"
+            if not link.is_symlink():
+                self._serve(f"khep-twin serve default --clock wire --link {link}")
+            command = command.replace(ROBOT, str(link))
+        if SERVES.search(" ".join(words)):
+            self._serve(command.removesuffix("&"))
+        elif (
+            Path(words[0]).name == "khep-twin" and not {"|", "||", ">", "&"} & {*words} and ROBOT not in words
+        ):
+            done = khep_twin(*words[1:], folder=self.folder)
+            drawn = "rerun's viewer cannot draw here" not in done.stderr
+            assert done.returncode in codes or not drawn, f"{command}\n{done.stdout}{done.stderr}"
+            if not drawn:
+                self.left.append(f"{command}: there is no Vulkan here")
+        else:
+            self._run(["sh", "-ec", command], command, codes)
+
+    def _make_room(self, words: list[str]) -> None:
+        """End the servers whose link another one takes, or whose log is used."""
+        links = set(_values(words, "--link"))
+        for server in [*self._servers]:
+            if links & server.links or ("--live" not in words and server.logs & {*words}):
+                self._servers.remove(server)
+                server.end()
+
+    def _serve(self, command: str) -> None:
+        """Start a command that serves; return when it has told its first line and made its link."""
+        words = shlex.split(command, comments=True)
+        output = self.folder / f".served-{time.monotonic_ns()}"
+        with output.open("wb") as file:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "khep_twin", *words[1:]],
+                cwd=self.folder,
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+            )
+        links, logs = _values(words, "--link"), _values(words, "--log") + _values(words, "-o")
+        self._servers.append(Server(command, process, output, {*links}, {*logs}))
+        deadline = time.monotonic() + PATIENCE_S
+        made = [self.folder / link for link in links if "/" in link]
+        while "\n" not in output.read_text() or not all(link.is_symlink() for link in made):
+            assert process.poll() is None, f"{command}: ended\n{output.read_text()}"
+            assert time.monotonic() < deadline, f"{command}: told nothing\n{output.read_text()}"
+            time.sleep(0.05)
+
+    def _run(self, words: list[str], name: str, codes: Collection[int] = (0,)) -> str:
+        """Run a program whose reader presses Enter whenever it asks; return what it prints."""
+        done = subprocess.run(
+            words,
+            cwd=self.folder,
+            input="\n" * 100,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode in codes, f"{name}\n{done.stdout}{done.stderr}"
+        return done.stdout
+
+
+def _values(words: list[str], option: str) -> list[str]:
+    return [value for key, value in pairwise(words) if key == option]

@@ -1,0 +1,70 @@
+"""docs/*.md: who copies the blocks of a page into a folder, in order, has no error.
+
+`make docs-blocks` also runs the long ones, and lists what cannot run in a test.
+"""
+
+import sys
+from pathlib import Path
+
+import pytest
+from docs_reader import ROOT, Reader, blocks, commands
+
+FOLLOWED = {
+    "tutorial.md": "test_tutorial.py",
+    "challenges.md": "test_lessons.py",
+    "turrets.md": "test_turrets_page.py",
+}
+"""Pages that another test follows whole."""
+
+PROGRAMS = {
+    "branch.md": "test_docs_pages.py",
+    "environments.md": "envs/test_environment.py",
+    "README.md": "test_readme.py",
+    "host.md": "host/test_guide.py",
+    "scale.md": "rollout/test_page.py",
+    "toolbox.md": "toolbox/test_toolbox_page.py",
+}
+"""Pages whose Python blocks another test runs, and compares."""
+
+PAGES = [
+    (page, languages)
+    for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    for languages in [{"sh"} if page.name in PROGRAMS else {"sh", "python"}]
+    if page.name not in FOLLOWED and languages & {block.language for block in blocks(page.read_text())}
+]
+
+
+@pytest.mark.parametrize(("page", "languages"), PAGES, ids=[page.stem for page, _ in PAGES])
+def test_the_blocks_of_a_page_run_in_order(
+    page: Path, languages: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:/usr/local/bin:/usr/bin:/bin")
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.setenv("BROWSER", "true")  # the program: no page opens
+    monkeypatch.delenv("DISPLAY", raising=False)
+    reader = Reader(tmp_path)
+    reader.read(page.read_text(), languages)
+    print("\n".join(f"{page.name}, not run: {each}" for each in reader.left))
+
+
+def test_the_tests_of_the_other_pages_are_there() -> None:
+    for page, test in {**FOLLOWED, **PROGRAMS}.items():
+        assert page in (ROOT / "tests" / test).read_text(), page
+
+
+def test_a_command_goes_on_in_the_next_line_and_in_a_quotation() -> None:
+    assert [*commands("a \\\n  b\n\nc 'd\ne'\n# nothing\nf # g\n")] == ["a \\\n  b", "c 'd\ne'", "f # g"]
+
+
+def test_a_block_that_fails_is_reported(tmp_path: Path) -> None:
+    with pytest.raises(AssertionError, match="line 3"):
+        Reader(tmp_path).read("# Page\n\n```python\n1 / 0\n```\n", {"python"})
+    with pytest.raises(AssertionError, match="no-such-page"):
+        Reader(tmp_path).read("# Page\n\n```sh\nkhep-twin playpen draw no-such-page\n```\n", {"sh"})
+
+
+def test_a_block_that_is_not_run_is_listed_with_its_reason(tmp_path: Path) -> None:
+    reader = Reader(tmp_path)
+    reader.read("<!-- not run: no robot -->\n\n```sh\nfalse\n```\n\n```sh\nmake fuzz\n```\n", {"sh"})
+    assert reader.left == ["line 3, a block of sh: no robot", "make fuzz: a target of the Makefile"]
