@@ -73,7 +73,10 @@ def show(
     for penalty in challenge.penalties:
         typer.echo(f"penalty    {penalty.each:g} for each of {penalty.metric}")
     for goal in challenge.goals:
-        typer.echo(f"goal       within {goal.radius_mm:g} mm of ({goal.x_mm:g}, {goal.y_mm:g})")
+        where = f"within {goal.radius_mm:g} mm of ({goal.x_mm:g}, {goal.y_mm:g})"
+        typer.echo(
+            f"goal       {where}{'' if goal.lamp is None else f', if the lamp {goal.lamp} is on first'}"
+        )
     for title, score in (("reference", challenge.reference), ("passed", challenge.threshold)):
         if score is not None:
             typer.echo(f"{title:9}  {challenge.value(score)}")

@@ -42,11 +42,16 @@ Metric = Annotated[str, Field(description=f"one of {', '.join(UNITS)}")]
 
 
 class Goal(TomlTable):
-    """A `[[goal]]`: a round area to be reached by the robot's centre, after those before it."""
+    """A `[[goal]]`: a round area to be reached by the robot's centre, after those before it.
+
+    Attributes:
+        lamp: Lamp of the playpen; the goal counts only in runs that begin with it on. None for all runs.
+    """
 
     x_mm: float
     y_mm: float
     radius_mm: Annotated[float, Field(gt=0)]
+    lamp: Annotated[str | None, Field(description="the name of a lamp")] = None
 
 
 class Penalty(TomlTable):
@@ -158,16 +163,22 @@ def load(name: str) -> ChallengeFile:
     shipped = challenge.playpen in playpens.names()
     playpen = playpens.load(challenge.playpen if shipped else path.parent / challenge.playpen)
 
-    def problem(key: str, found: str, expected: str | tuple[object, ...], value: object) -> ChallengeError:
-        line = LineNumbers(text).of((key,))
-        made = Problem.of((key,), found, expected, value, source)
+    def problem(
+        location: tuple[str | int, ...], found: str, expected: str | tuple[object, ...], value: object
+    ) -> ChallengeError:
+        line = LineNumbers(text).of(location)
+        made = Problem.of(location, found, expected, value, source)
         return ChallengeError(problems=[Problem(made.location, made.text, value, expected, source, line)])
 
     if not playpen.robots:
-        raise problem("playpen", f"{challenge.playpen} has no robot", "one", challenge.playpen)
+        raise problem(("playpen",), f"{challenge.playpen} has no robot", "one", challenge.playpen)
     movable = tuple(each.name for each in movable_objects(playpen) if each.name)
     if challenge.object is not None and challenge.object not in movable:
-        raise problem("object", f'object = "{challenge.object}": unknown', movable, challenge.object)
+        raise problem(("object",), f'object = "{challenge.object}": unknown', movable, challenge.object)
+    lamps = tuple(each.name for each in playpen.lamps if each.name)
+    for index, goal in enumerate(challenge.goals):
+        if goal.lamp is not None and goal.lamp not in lamps:
+            raise problem(("goal", index, "lamp"), f'lamp = "{goal.lamp}": unknown', lamps, goal.lamp)
     return ChallengeFile(challenge, playpen, name, path)
 
 

@@ -67,6 +67,27 @@ SCORED = {
 }
 
 
+# A quarter turn to one side at the end of a stem.
+TURNS = """
+state = "stem"
+
+
+def controller(robot):
+    global state
+    near = robot.proximity()
+    if state == "turn":
+        robot.turn({angle})
+        state = "arm"
+    elif max(near.left_10, near.right_10) > 120:
+        robot.set_speed(0, 0)
+        state = "turn" if state == "stem" else state
+    else:
+        side = max(near.left_90, near.left_45) - max(near.right_90, near.right_45)
+        turn = max(-3, min(3, side // 100))
+        robot.set_speed(8 + turn, 8 - turn)
+"""
+
+
 @pytest.fixture
 def short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
@@ -105,6 +126,17 @@ def test_a_robot_that_stands_does_not_pass_any_challenge(tmp_path: Path) -> None
         file = load(name)
         found = score(file, str(tmp_path / "stands.py"), 1, file.challenge.seed)
         assert file.challenge.passes(found.value) is False, name
+
+
+@pytest.mark.parametrize(("angle", "found_in"), [(1.571, (2, 3)), (-1.571, (0, 1))], ids=["left", "right"])
+def test_in_the_maze_a_program_that_turns_to_one_side_finds_the_goal_in_half_of_the_runs_and_fails(
+    tmp_path: Path, angle: float, found_in: tuple[int, int]
+) -> None:
+    (tmp_path / "turns.py").write_text(TURNS.format(angle=angle))
+    file = load("maze")
+    found = score(file, str(tmp_path / "turns.py"), file.challenge.runs, file.challenge.seed)
+    assert tuple(run for run, value in enumerate(found.runs) if value < file.challenge.seconds) == found_in
+    assert file.challenge.passes(found.value) is False
 
 
 def test_a_score_repeats_bit_for_bit_in_other_processes(short: Path, tmp_path: Path) -> None:
@@ -202,6 +234,17 @@ def test_penalties_and_goals_make_the_score(tmp_path: Path) -> None:
     assert found.value == found.metrics["goal_s"] + 2
 
 
+def test_a_run_that_begins_with_a_lamp_without_a_goal_has_no_score(tmp_path: Path) -> None:
+    maze = load("maze")
+    path = tmp_path / "maze.toml"
+    path.write_text(maze.path.read_text().replace('lamp = "right"', 'lamp = "left"'))
+    (tmp_path / "ahead.py").write_text(SCORED["returns"])
+    with pytest.raises(
+        ChallengeError, match=r"maze: a run begins with the lamps right on, and has no goal; "
+    ):
+        score(load(str(path)), str(tmp_path / "ahead.py"), 1, 1)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -212,6 +255,10 @@ def test_penalties_and_goals_make_the_score(tmp_path: Path) -> None:
         ),
         (("seconds = 2", "seconds = 0"), "short.toml:7: seconds = 0"),
         (('playpen = "default"', 'playpen = "gripper"\nobject = "tin"'), 'object = "tin": unknown; '),
+        (
+            ("threshold = 0.05\n", '[[goal]]\nx_mm = 9\ny_mm = 9\nradius_mm = 5\nlamp = "moon"\n'),
+            'short.toml:15: lamp = "moon": unknown; (choices: none)',
+        ),
     ],
 )
 def test_an_invalid_challenge_is_refused_with_its_line(
