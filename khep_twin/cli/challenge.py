@@ -153,6 +153,9 @@ def table(
     runs: Runs = None,
     seed: Seed = None,
     real_seconds: RealSeconds = 60.0,
+    jobs: Annotated[
+        int, typer.Option(min=1, max=256, help="Score so many files side by side; the table is the same.")
+    ] = 1,
     force: Force = False,
 ) -> None:
     """Score every controller file of a folder, and print them by rank."""
@@ -166,7 +169,15 @@ def table(
     check_new(force, output)
     check_writable(output)
     with progress_bar() as bar:
-        found = attempts(file, files, runs=runs, seed=seed, real_seconds=real_seconds, progress=bar)
+        found = attempts(
+            file,
+            files,
+            runs=runs,
+            seed=seed,
+            real_seconds=real_seconds,
+            jobs=jobs,
+            done=None if bar is None else lambda _, part: bar(part),
+        )
     typer.echo(as_text(file.challenge, found))
     if output is not None:
         write_whole(output, to_csv(file.challenge, found))

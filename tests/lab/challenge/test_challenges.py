@@ -13,9 +13,10 @@ import tutorial
 from command_line import khep_twin
 from PIL import Image
 
-from khep_twin.errors import ChallengeError
+from khep_twin.errors import ChallengeError, StoppedError
 from khep_twin.lab.challenge.attempt import attempt
 from khep_twin.lab.challenge.challenge import load, names
+from khep_twin.lab.challenge.results import attempts
 from khep_twin.lab.challenge.scoring import score
 
 SHORT = """
@@ -151,6 +152,37 @@ def test_a_score_repeats_bit_for_bit_in_other_processes(short: Path, tmp_path: P
     (row,) = csv.DictReader(scores[0].splitlines())
     assert float(row["run_1"]) != float(row["run_2"])
     assert float(row["score"]) == (float(row["run_1"]) + float(row["run_2"])) / 2
+
+
+def test_tables_made_by_one_and_by_three_processes_are_the_same_bytes(short: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "class"
+    folder.mkdir()
+    for number in range(4):
+        (folder / f"p{number}.py").write_text(f"import time\ntime.sleep({0.4 * (3 - number)})\n{CHANCE}")
+    (folder / "syntax.py").write_text(BROKEN["syntax"][0])
+    made: list[tuple[str, bytes]] = []
+    for jobs in (1, 3):
+        output = tmp_path / f"{jobs}.csv"
+        done = khep_twin("challenge", "table", short, folder, "--jobs", jobs, "-o", output)
+        assert done.returncode == 0, done.stderr
+        made.append((done.stdout.partition("\ntable ")[0], output.read_bytes()))
+    assert made[0] == made[1]
+
+
+def test_attempts_that_are_stopped_leave_no_process(short: Path, tmp_path: Path) -> None:
+    for name in ("one", "two", "three"):
+        (tmp_path / f"{name}.py").write_text(
+            "import os, time\nfrom pathlib import Path\n"
+            "Path(__file__).with_suffix('.pid').write_text(str(os.getpid()))\ntime.sleep(600)\n"
+        )
+    files = sorted(tmp_path.glob("*.py"))
+    with pytest.raises(StoppedError):
+        attempts(load(str(short)), files, jobs=2, stop=lambda: len([*tmp_path.glob("*.pid")]) == 2)
+    pids = [int(path.read_text()) for path in tmp_path.glob("*.pid")]
+    assert len(pids) == 2
+    for pid in pids:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
 
 
 def test_a_table_has_a_line_for_every_file_whatever_it_does(short: Path, tmp_path: Path) -> None:
