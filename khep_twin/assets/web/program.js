@@ -25,6 +25,10 @@ export class Program {
     return this.#file !== null && this.text.value !== this.#saved;
   }
 
+  get file() {
+    return this.#file;
+  }
+
   // Opens the chosen program, or a new one if a built-in controller is chosen.
   async edit() {
     if (this.changed) throw new Error(`${this.#file} has changes that are not saved: save it first.`);
