@@ -27,7 +27,7 @@ from khep_twin.web.jobs import Publish
 _PATIENCE = 5.0
 """Longest time for a process to end with the designer [s]; a file that hangs takes 3.5."""
 
-_UNWATCHED = 5.0
+_UNWATCHED = 10.0
 """Time without an open page after which scoring ends [s]; a page that is loaded again takes less."""
 
 _TELL = 0.08

@@ -3,7 +3,7 @@
 import { keep, post } from "./api.js";
 
 const $ = (selector) => document.querySelector(selector);
-const PASSED = new Map([[true, "passed"], [false, "failed"], [null, "–"]]);
+const PASSED = new Map([[true, "passed"], [false, "failed"], [null, ""]]);
 
 function row(...cells) {
   const made = document.createElement("tr");
@@ -131,7 +131,7 @@ export class Challenges {
     if (reference !== null) rows.push(["reference", reference]);
     if (threshold) rows.push([PASSED.get(passes), threshold]);
     $("#score-runs").replaceChildren(...rows.map((cells) => row(...cells)));
-    this.#tell(`${program.replace(/^.*\//, "")}: ${passes === null ? "scored" : PASSED.get(passes)}`, passes === false ? "failed" : "passed");
+    this.#tell(`${program.replace(/^.*\//, "")}: ${PASSED.get(passes) || "scored"}`, passes === false ? "failed" : "passed");
   }
 
   #rows({ part, rows }) {
