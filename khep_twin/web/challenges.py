@@ -91,7 +91,8 @@ class Challenges:
 
             found = attempt(file, str(path), show=printed.add, stop=stop)
             printed.tell(at_once=True)
-            self._publish({"kind": "scored", **_told(file.challenge, self._named(found))})
+            told = _told(file.challenge, self._named(found))
+            self._publish({"kind": "scored", "program": name, **told})
 
         self._begin({"kind": "scoring", "challenge": asked.challenge, "program": name}, work)
 
@@ -228,9 +229,8 @@ def _threshold(challenge: Challenge) -> str:
 def _told(challenge: Challenge, found: Attempt) -> dict[str, object]:
     """Return the result of a program as the page shows it."""
     if found.score is None:
-        return {"program": found.file, "score": None, "reason": found.reason}
+        return {"score": None, "reason": found.reason}
     return {
-        "program": found.file,
         "score": challenge.value(found.score.value),
         "runs": [challenge.value(each) for each in found.score.runs],
         "passes": challenge.passes(found.score.value),

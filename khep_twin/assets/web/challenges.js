@@ -131,7 +131,7 @@ export class Challenges {
     if (reference !== null) rows.push(["reference", reference]);
     if (threshold) rows.push([PASSED.get(passes), threshold]);
     $("#score-runs").replaceChildren(...rows.map((cells) => row(...cells)));
-    this.#tell(`${program.replace(/^.*\//, "")}: ${PASSED.get(passes) || "scored"}`, passes === false ? "failed" : "passed");
+    this.#tell(`${program}: ${PASSED.get(passes) || "scored"}`, passes === false ? "failed" : "passed");
   }
 
   #rows({ part, rows }) {
