@@ -21,7 +21,7 @@ SHARE = 1_000
 @pytest.fixture(name="page_alone")
 def _page_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the designer in memory replaces is put back after the test."""
-    for name in ("run_in_threadpool", "TwinActor", "RobotActor", "render"):
+    for name in ("run_in_threadpool", "TwinActor", "RobotActor", "Challenges", "render"):
         monkeypatch.setattr(routes, name, getattr(routes, name))
     designer()[2].take_over()
 

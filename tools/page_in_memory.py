@@ -8,7 +8,7 @@ opened, and no picture rendered, which would take a second each.
 import asyncio
 import logging
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from uvicorn.server import ServerState
 
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest
 from khep_twin.ports.twin import open_twin
-from khep_twin.web import connections, routes, server, session
+from khep_twin.web import challenges, connections, routes, server, session
 from khep_twin.web.documents import Documents
 from khep_twin.web.guard import Guard
 
@@ -134,6 +134,14 @@ class Unopened(session.RobotActor):
         return True
 
 
+class Waiting(challenges.Challenges):
+    """Challenges whose programs are never started."""
+
+    def _begin(self, message: Mapping[str, object], work: Callable[..., None]) -> None:
+        """Report what would be scored."""
+        self._publish(message)
+
+
 class Errors(logging.Handler):
     """Handler that keeps what the server reports."""
 
@@ -165,6 +173,7 @@ class Designer:
 
         routes.run_in_threadpool = at_once
         routes.TwinActor, routes.RobotActor = Session, Unopened  # pyright: ignore
+        routes.Challenges = Waiting  # pyright: ignore
         routes.render = lambda playpen, path: b"\x89PNG" + repr(playpen.name).encode()  # pyright: ignore
 
     def opened(self) -> "Browser":

@@ -51,6 +51,12 @@ ACTIONS: dict[str, dict[str, Any]] = {
     "sense": {"what": "light", "motion": "rotational", "amount": 90, "speed": 5, "return": True, "text": "t"},
     "figure": {"sensor": "left 90", "y_min": 0, "grid": True},
     "save-sensed": {"file": "sensed.csv"},
+    "challenges": {},
+    "challenge-picture": {"name": "stop"},
+    "score": {"challenge": "stop", "program": "prog.py"},
+    "score-table": {"challenge": "stop", "folder": "sub"},
+    "score-csv": {},
+    "score-stop": {},
     "stop": {},
     "end": {},
 }

@@ -82,7 +82,10 @@ def show(
     for penalty in challenge.penalties:
         typer.echo(f"penalty    {penalty.each:g} for each of {penalty.metric}")
     for goal in challenge.goals:
-        typer.echo(f"goal       within {goal.radius_mm:g} mm of ({goal.x_mm:g}, {goal.y_mm:g})")
+        where = f"within {goal.radius_mm:g} mm of ({goal.x_mm:g}, {goal.y_mm:g})"
+        typer.echo(
+            f"goal       {where}{'' if goal.lamp is None else f', if the lamp {goal.lamp} is on first'}"
+        )
     for title, score in (("reference", challenge.reference), ("passed", challenge.threshold)):
         if score is not None:
             typer.echo(f"{title:9}  {challenge.value(score)}")
@@ -165,6 +168,9 @@ def table(
     runs: Runs = None,
     seed: Seed = None,
     real_seconds: RealSeconds = 60.0,
+    jobs: Annotated[
+        int, typer.Option(min=1, max=256, help="Score so many files side by side; the table is the same.")
+    ] = 1,
     force: Force = False,
 ) -> None:
     """Score every controller file of a folder, and print them by rank."""
@@ -178,7 +184,15 @@ def table(
     check_new(force, output)
     check_writable(output)
     with progress_bar() as bar:
-        found = attempts(file, files, runs=runs, seed=seed, real_seconds=real_seconds, progress=bar)
+        found = attempts(
+            file,
+            files,
+            runs=runs,
+            seed=seed,
+            real_seconds=real_seconds,
+            jobs=jobs,
+            done=None if bar is None else lambda _, part: bar(part),
+        )
     typer.echo(as_text(file.challenge, found))
     if output is not None:
         write_whole(output, to_csv(file.challenge, found))

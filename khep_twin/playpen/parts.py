@@ -260,7 +260,8 @@ class Lighting(TomlTable):
     Attributes:
         mode: "all", or one at a time, the next when a robot comes near it or a wall of the arena: drawn at
             "random", or "sequenced" in the file's order.
-        switch_distance_mm: Distance from robot's edge to bulb or wall to switch at (assumed: half a robot).
+        switch_distance_mm: Distance from robot's edge to bulb or wall to switch at (assumed: half a robot); 0
+            for never.
         law: "optics" as measured, or "toolbox" as in the Khepera Toolbox for Matlab, without shadows.
         min_angle_deg: Toolbox angle, up to which a lamp off the sensor's axis loses nothing.
         max_angle_deg: Toolbox angle, from which on nothing is left.

@@ -3,8 +3,8 @@
 A lamp shines with its power times its dim. It can blink, `on_s` gives the times when it is on, and with
 `fade_s` it fades in and out, as a filament does. The playpen's lighting selects which of them are on:
 all, or one at a time. Then the next one, at random or in the file's order, is lit when a robot comes near
-the lit one or near a wall of the arena. Robots have to leave before they can come near again. The user can
-switch a lamp off and on again, whatever else switches it.
+the lit one or near a wall of the arena; with a distance of 0 the first one stays. Robots have to leave before
+they can come near again. The user can switch a lamp off and on again, whatever else switches it.
 
 A lamp with `flicker` swings about that power twice in each period of the mains, all lamps alike and at any
 time the same function of time; only the phase at time 0 is drawn by the seed, as no robot knows it.
@@ -168,6 +168,8 @@ class Lamps:
     def _switch(self, lit: int, robots: Sequence[tuple[float, float, float]]) -> bool:
         """Advance to the next lamp if a robot has just come near this one or a wall; return True then."""
         reach = metres(self._lighting.switch_distance_mm)
+        if not reach:
+            return False
         near_wall = any(distance(self._corners, x, y) < reach + radius for x, y, radius in robots)
         near_lamp = self._near(lit, reach, robots)
         came = (near_wall and not self._near_wall) or (near_lamp and not self._near_lamp)

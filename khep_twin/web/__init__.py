@@ -13,6 +13,7 @@ small enough to be read. The page loads nothing from outside, so it works withou
     paced_twin  a twin that can be watched, paused, and shared with an outside host
     session     the running twin, or the robot, of the page, in a thread of its own
     jobs        jobs of the robot: controllers and sensor tests
+    challenges  programs scored in challenges
     broadcaster messages to the open pages
     routes      actions and files that the page requests
     server      socket, token, guard and page

@@ -24,6 +24,11 @@ class Broadcaster:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._last: dict[str, str] = {}
 
+    @property
+    def is_watched(self) -> bool:
+        """True if a page is open."""
+        return bool(self._watchers)
+
     def publish(self, message: Mapping[str, object]) -> None:
         """Send a message to all pages; from any thread."""
         kind = str(message.get("kind"))

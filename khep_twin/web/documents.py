@@ -55,15 +55,8 @@ class Documents:
             OutsideError: The file is not below the folder.
             PlaypenError: The name is no such file's.
         """
-        if not name or len(name) > 512 or not name.isprintable() or "\\" in name:
-            raise OutsideError("no file name; expected a file below the folder of the designer")
-        wanted = Path(name)
-        if wanted.is_absolute() or ".." in wanted.parts:
-            raise OutsideError(f"{name}: outside the folder that the designer was started in")
-        found = (self.root / wanted).resolve()
-        if not found.is_relative_to(self.root):
-            raise OutsideError(f"{name}: leads out of the folder that the designer was started in")
-        if found.suffix not in endings or wanted.name.startswith("."):
+        found = self.folder(name)
+        if found.suffix not in endings or Path(name).name.startswith("."):
             raise PlaypenError(f"{name}: expected a name that ends in {' or '.join(endings)}")
         try:
             # Opening a pipe would wait for ever.
@@ -72,6 +65,22 @@ class Documents:
             raise PlaypenError(f"{name}: {error.strerror}") from error
         if odd:
             raise PlaypenError(f"{name}: this is no regular file; expected the name of a file")
+        return found
+
+    def folder(self, name: str) -> Path:
+        """Return the path of a folder.
+
+        Raises:
+            OutsideError: It is not below this one.
+        """
+        if not name or len(name) > 512 or not name.isprintable() or "\\" in name:
+            raise OutsideError("no file name; expected a file below the folder of the designer")
+        wanted = Path(name)
+        if wanted.is_absolute() or ".." in wanted.parts:
+            raise OutsideError(f"{name}: outside the folder that the designer was started in")
+        found = (self.root / wanted).resolve()
+        if not found.is_relative_to(self.root):
+            raise OutsideError(f"{name}: leads out of the folder that the designer was started in")
         return found
 
     def new_path(self, name: str, *endings: str) -> Path:

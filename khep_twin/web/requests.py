@@ -209,6 +209,20 @@ class RunRequest(Request):
     folder: Word | None = None
 
 
+class ScoreRequest(Request):
+    """A program to score in a challenge; without one, the reference solution."""
+
+    challenge: FileName
+    program: FileName | None = None
+
+
+class ScoreTableRequest(Request):
+    """A folder whose programs are scored in a challenge; "." is the designer's own."""
+
+    challenge: FileName
+    folder: FileName = "."
+
+
 class SenseRequest(Request):
     """A sensor test."""
 

@@ -39,6 +39,7 @@ from khep_twin.sensing import colours
 from khep_twin.sensing.bars import BARS
 from khep_twin.web import drafts, jobs, requests, scene
 from khep_twin.web.broadcaster import Broadcaster
+from khep_twin.web.challenges import Challenges
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.printed import taken_by
 from khep_twin.web.programs import Programs
@@ -66,6 +67,8 @@ class Page:
         self._programs = Programs(documents, writes_programs)
         self._documents, self._file = documents, file  # later the one that was worked on last
         self._broadcaster = Broadcaster()
+        publish, watched = self._broadcaster.publish, lambda: self._broadcaster.is_watched
+        self._challenges = Challenges(documents, publish, watched)
         self._actor: WebSession | None = None
         self._changing = threading.Lock()
         self._sensed: deque[SensorRun] = deque(maxlen=1)  # the latest test
@@ -119,12 +122,13 @@ class Page:
             "figure": _on(requests.Figure, self._figure),
             "save-sensed": _on(requests.Named, self._save_sensed),
             "stop": _on(requests.Request, lambda asked: self._running().stop()),
+            **{name: _on(*action) for name, action in self._challenges.actions.items()},
         }
 
     def close(self) -> None:
-        """End the session."""
-        if self._actor is not None:
-            self._actor.end()
+        """End the session and the scoring."""
+        self._end_session()
+        self._challenges.close()
 
     # Files ---------------------------------------------------------------------------------------------
 
@@ -274,14 +278,18 @@ class Page:
     def _replace(self, actor: WebSession) -> None:
         # Two simultaneous requests would both end the last one only.
         with self._changing:
-            self.close()
+            self._end_session()
             self._actor = actor
             actor.begin()
 
     def _end(self, asked: requests.Request) -> None:
         with self._changing:
-            self.close()
+            self._end_session()
             self._actor = None
+
+    def _end_session(self) -> None:
+        if self._actor is not None:
+            self._actor.end()
 
     def _pace(self, asked: requests.Pace) -> None:
         self._twin().set_pace(_speed(asked), asked.paused)

@@ -118,6 +118,13 @@ def test_how_near_is_near_is_the_playpens_choice() -> None:
     assert walk(lamps(text), MIDDLE, beside) == [0, 1]
 
 
+def test_with_a_distance_of_0_the_first_lamp_stays_wherever_robots_are() -> None:
+    text = '[lighting]\nmode = "random"\nswitch_distance_mm = 0\n' + THREE
+    drawn = [walk(lamps(text, seed), MIDDLE, *CORNERS, (0.01, 0.5), MIDDLE) for seed in range(1, 20)]
+    assert all(len({*lit}) == 1 for lit in drawn)
+    assert {lit[0] for lit in drawn} == {0, 1, 2}
+
+
 def test_by_chance_another_lamp_is_on_each_time_and_each_gets_its_turn() -> None:
     found = lamps('[lighting]\nmode = "random"\n' + THREE, seed=5)
     lit = walk(found, *([MIDDLE, (0.05, 0.5)] * 300))[1::2]

@@ -98,6 +98,16 @@ def test_the_pictures_of_the_guide_are_the_pages_own(visit: Visit, tmp_path: Pat
     page.mouse.up()
     page.click("#end")
 
+    visit.wait("document.querySelector('#clock').textContent === 'not running'")
+    page.click('[data-tab="challenge"]')
+    page.wait_for_selector("#challenge-picture:not([hidden])")
+    page.select_option("#challenge", "stop")
+    page.click("#challenge-playpen")
+    page.click("#score")
+    page.wait_for_selector("#score-told.passed >> text=reference solution: passed")
+    page.locator("#challenge-text").evaluate("text => text.scrollIntoView()")
+    visit.picture("designer_challenge")
+
     shown = re.findall(r"\(pictures/(designer\w*\.png)\)", PAGE.read_text())
     assert len(shown) >= 4
     for name in shown:

@@ -21,6 +21,7 @@ ACTIONS = Page(Documents(Path()), None).actions
 
 VALID: dict[str, Any] = {
     "amount": 15,
+    "challenge": "nowhere",
     "draft": {**DRAFT, "lamp": [{"x_mm": 100, "y_mm": 100, "power_w": 7}]},
     "file": "mine.toml",
     "heading_deg": 90,

@@ -1,5 +1,6 @@
 // The page: files, banners, dialogs, keys, and the connections between the parts.
 
+import { Challenges } from "./challenges.js";
 import { listen, post, tab, upload } from "./api.js";
 import { Drawing, pattern } from "./drawing.js";
 import { Editor } from "./editor.js";
@@ -14,6 +15,7 @@ const model = new Model();
 const drawing = new Drawing($("#view"), model);
 const running = new Running(drawing, model, banner, attempt);
 const program = new Program(running, banner, attempt);
+const challenges = new Challenges({ attempt, program, open: openFromLibrary });
 const stage = new Stage(model, running, attempt, preview);
 const snap = () => ({ grid: +$("#grid").value, angle: +$("#angle").value });
 let hello;
@@ -137,6 +139,10 @@ async function chooseFromLibrary() {
     }
   }, "thumbnails");
   return (await chosen) ? cards.querySelector(":checked").value : null;
+}
+
+async function openFromLibrary(name) {
+  if (await mayLeave()) await leaveFor(await post("library", { name }), { library: name });
 }
 
 // Changes that are not saved are discarded with their draft: ask before.
@@ -406,7 +412,7 @@ function press(id, act) {
 const drawn = (act) => () => (running.active && !running.real ? banner("A twin runs in this drawing: end it first.") : act());
 press("new", async () => {
   const name = await chooseFromLibrary();
-  if (name && (await mayLeave())) await leaveFor(await post("library", { name }), { library: name });
+  if (name) await openFromLibrary(name);
 });
 press("open", async () => openFile(await choose("Open", (await post("list")).files, "There are no playpens below this folder yet.")));
 press("save", () => save());
@@ -436,7 +442,8 @@ for (const button of document.querySelectorAll("[role=tab]"))
       each.setAttribute("aria-selected", each === button);
       $(`#tab-${each.dataset.tab}`).hidden = each !== button;
     }
-    if (button.dataset.tab === "run") attempt(programs, "programs");
+    if (["run", "challenge"].includes(button.dataset.tab)) attempt(programs, "programs");
+    if (button.dataset.tab === "challenge") attempt(() => challenges.show(), "challenge");
   });
 $("#import").addEventListener("change", (event) => {
   attempt(() => take(event.target.files[0]), "file");
@@ -474,6 +481,7 @@ document.addEventListener("visibilitychange", () => document.hidden && keepNow({
 async function programs() {
   const found = await post("list");
   renew($("#controller"), [...hello.controllers, ...found.programs].map((name) => new Option(name, name)));
+  challenges.programs(found.programs, renew);
   renew($("#ports"), found.ports.map(({ url, what }) => new Option(what, url)));
 }
 
@@ -488,7 +496,7 @@ function renew(list, options) {
 
 // A file that is written while the page is open appears by itself.
 setInterval(() => {
-  if (hello && !gone && !document.hidden && !running.busy && !$("#tab-run").hidden) attempt(programs, "programs");
+  if (hello && !gone && !document.hidden && !running.busy && (!$("#tab-run").hidden || challenges.shown)) attempt(programs, "programs");
 }, 3000);
 
 function decodedHash() {
@@ -514,7 +522,8 @@ function hear(message) {
     if (other.tab === offered?.page) offered.close();
     banner(`Another page has ${model.file ?? "a new playpen"} open, too: the second page to save must confirm.`, "", {}, "others");
     if (other.ask) say({ file: model.file, tab });
-  } else running.hear(message);
+  } else if (message.kind.startsWith("scor")) challenges.hear(message);
+  else running.hear(message);
 }
 
 // Without the designer, everything that needs it is disabled.
@@ -532,6 +541,7 @@ function lost(away, ended) {
   const twin = running.active && !running.real ? ", and the twin with it" : "";
   why = ended ? `The designer has ended${twin}. To continue, start it again and use the page that it opens.` : "The designer cannot be reached.";
   running.hear({ kind: "ended" });
+  challenges.hear({ kind: "score-ended", text: "" });
   tellGone();
 }
 

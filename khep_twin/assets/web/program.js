@@ -34,6 +34,10 @@ export class Program {
     return [...this.#open.values()].some(changed);
   }
 
+  get file() {
+    return this.#file;
+  }
+
   // Opens the chosen program, or a new one if a built-in controller is chosen.
   async edit() {
     const chosen = $("#controller").value;

@@ -22,7 +22,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from khep_twin.errors import KhepTwinError
+from khep_twin.errors import KhepTwinError, StoppedError
 from khep_twin.files.atomic import write_whole
 from khep_twin.lab.challenge.challenge import ChallengeFile, load
 from khep_twin.lab.challenge.scoring import Score, score
@@ -72,6 +72,7 @@ def attempt(
     log: Path | None = None,
     real_seconds: float = REAL_SECONDS,
     show: Callable[[bytes], None] | None = None,
+    stop: Callable[[], bool] | None = None,
 ) -> Attempt:
     """Score a controller file in a process of its own.
 
@@ -83,6 +84,10 @@ def attempt(
         log: Log to record.
         real_seconds: Real time after which the process is ended [s].
         show: Called with what the file prints, as it comes.
+        stop: Asked ten times a second; when it returns True, the process is ended.
+
+    Raises:
+        StoppedError: `stop` has returned True.
     """
     settings = {
         "challenge": file.name,
@@ -107,7 +112,7 @@ def attempt(
             env={**os.environ, "PYTHONHASHSEED": "0", "PYTHONUNBUFFERED": "1"},
         )
         try:
-            in_time = _follow(process, printed, time.monotonic() + real_seconds)
+            in_time = _follow(process, printed, time.monotonic() + real_seconds, stop or _never)
         finally:
             _end(process)
         told = _read(result)
@@ -150,12 +155,24 @@ class _Printed:
         return shown if len(shown) <= 80 else f"{shown[:77]}..."
 
 
-def _follow(process: "subprocess.Popen[bytes]", printed: _Printed, deadline: float) -> bool:
-    """Read what a process prints until it has ended; return False if that takes longer."""
+def _never() -> bool:
+    return False
+
+
+def _follow(
+    process: "subprocess.Popen[bytes]", printed: _Printed, deadline: float, stop: Callable[[], bool]
+) -> bool:
+    """Read what a process prints until it has ended; return False if that takes longer.
+
+    Raises:
+        StoppedError: `stop` has returned True.
+    """
     assert process.stdout is not None
     output = process.stdout.fileno()
     is_open = True
     while (left := deadline - time.monotonic()) > 0:
+        if stop():
+            raise StoppedError("the attempt was stopped")
         ended = _has_ended(process)
         if is_open and select.select([output], [], [], 0 if ended else min(left, 0.1))[0]:
             data = os.read(output, 65536)

@@ -43,11 +43,16 @@ Metric = Annotated[str, Field(description=f"one of {', '.join(UNITS)}")]
 
 
 class Goal(TomlTable):
-    """A `[[goal]]`: a round area to be reached by the robot's centre, after those before it."""
+    """A `[[goal]]`: a round area to be reached by the robot's centre, after those before it.
+
+    Attributes:
+        lamp: Lamp of the playpen; the goal counts only in runs that begin with it on. None for all runs.
+    """
 
     x_mm: float
     y_mm: float
     radius_mm: Annotated[float, Field(gt=0)]
+    lamp: Annotated[str | None, Field(description="the name of a lamp")] = None
 
 
 class Penalty(TomlTable):
@@ -179,6 +184,7 @@ def load(name: str) -> ChallengeFile:
     movable = tuple(each.name for each in movable_objects(playpen) if each.name)
     if challenge.object is not None and challenge.object not in movable:
         raise problem(("object",), f'object = "{challenge.object}": unknown', movable, challenge.object)
+    lamps = tuple(each.name for each in playpen.lamps if each.name)
     for index, goal in enumerate(challenge.goals):
         for key, value, (low, high) in zip(
             ("x_mm", "y_mm"), (goal.x_mm, goal.y_mm), extent(playpen), strict=True
@@ -186,6 +192,10 @@ def load(name: str) -> ChallengeFile:
             if not low <= value <= high:
                 wanted = f"a place in the arena, {low:g} to {high:g}"
                 raise problem(("goal", index, key), f"goal {index + 1}: {key} = {value:g}", wanted, value)
+        if goal.lamp is not None and goal.lamp not in lamps:
+            raise problem(
+                ("goal", index, "lamp"), f'goal {index + 1}: lamp = "{goal.lamp}": unknown', lamps, goal.lamp
+            )
     found = ChallengeFile(challenge, playpen, name, path)
     try:
         found.start_poses(1, challenge.seed)

@@ -1,7 +1,9 @@
 """Table of a class's results in a challenge: every controller file of a folder, the best first."""
 
 import csv
+import threading
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from io import StringIO
 from pathlib import Path
 
@@ -31,15 +33,43 @@ def attempts(
     runs: int | None = None,
     seed: int | None = None,
     real_seconds: float = REAL_SECONDS,
-    progress: Callable[[float], None] | None = None,
+    jobs: int = 1,
+    done: Callable[[Attempt, float], None] | None = None,
+    stop: Callable[[], bool] | None = None,
 ) -> list[Attempt]:
-    """Score files one after the other, each in a process of its own, with the options of `attempt`."""
-    found: list[Attempt] = []
-    for path in files:
-        found.append(attempt(file, str(path), runs=runs, seed=seed, real_seconds=real_seconds))
-        if progress is not None:
-            progress(len(found) / len(files))
-    return found
+    """Score files, each in a process of its own, with the options of `attempt`.
+
+    Args:
+        file: Challenge.
+        files: Controller files.
+        runs: Number of runs; the challenge's by default.
+        seed: Seed of the first run; the challenge's by default.
+        real_seconds: Real time after which a process is ended [s].
+        jobs: Number of processes side by side; the results are the same.
+        done: Called with each result as it comes, and the part that is done.
+        stop: Asked ten times a second; when it returns True, all processes are ended.
+
+    Raises:
+        StoppedError: `stop` has returned True.
+    """
+    ended = threading.Event()
+
+    def is_over() -> bool:
+        return ended.is_set() or (stop is not None and stop())
+
+    def one(path: Path) -> Attempt:
+        return attempt(file, str(path), runs=runs, seed=seed, real_seconds=real_seconds, stop=is_over)
+
+    with ThreadPoolExecutor(jobs) as pool:
+        waiting = [pool.submit(one, path) for path in files]
+        try:
+            for number, each in enumerate(as_completed(waiting), 1):
+                if done is not None:
+                    done(each.result(), number / len(files))
+            return [each.result() for each in waiting]
+        finally:
+            ended.set()
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def ranked(challenge: Challenge, found: Iterable[Attempt]) -> list[tuple[int | None, Attempt]]:

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from khep_twin.clock import to_ns
-from khep_twin.errors import KhepTwinError, StoppedError
+from khep_twin.errors import ChallengeError, KhepTwinError, StoppedError
 from khep_twin.host import Khepera
-from khep_twin.lab.challenge.challenge import ChallengeFile, movable_objects
+from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile, movable_objects
 from khep_twin.lab.challenge.task_metrics import TaskMetrics
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.experiment import find_controller
@@ -25,6 +25,7 @@ from khep_twin.lab.experiment.start_poses import StartPose
 from khep_twin.playpen.starts import at_start
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.sensing.lamps import Lamps
 from khep_twin.world import World
 
 
@@ -119,7 +120,7 @@ def _run(
     if twin.world.change_over_at is not None:
         twin.world.change_over_at = 0  # several runs are worth loading compiled code
     names = [item.name for item in movable_objects(file.playpen)]
-    goals = [(goal.x_mm / 1e3, goal.y_mm / 1e3, goal.radius_mm / 1e3) for goal in challenge.goals]
+    goals = _goals(challenge, twin.world.lamps)
     movable = None if challenge.object is None else names.index(challenge.object)
     task = TaskMetrics(twin.world, twin.robot.index, goals, movable)
 
@@ -142,6 +143,16 @@ def _run(
         finally:
             time.limit_ns = None
     return {**kept[0].metrics, **task.metrics(challenge.seconds)}
+
+
+def _goals(challenge: Challenge, lamps: Lamps) -> list[tuple[float, float, float]]:
+    """Return the goals of a run: x, y, radius [m]."""
+    on = {name for name, power in zip(lamps.names, lamps.powers, strict=True) if power}
+    goals = [goal for goal in challenge.goals if goal.lamp is None or goal.lamp in on]
+    if challenge.goals and not goals:
+        text = f"a run begins with the lamps {', '.join(sorted(on)) or '-'} on, and has no goal"
+        raise ChallengeError(text, file=challenge.name, expected="a [[goal]] for each lamp")
+    return [(goal.x_mm / 1e3, goal.y_mm / 1e3, goal.radius_mm / 1e3) for goal in goals]
 
 
 def _value(file: ChallengeFile, metrics: Mapping[str, float]) -> float:

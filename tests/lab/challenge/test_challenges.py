@@ -13,9 +13,10 @@ import tutorial
 from command_line import khep_twin
 from PIL import Image
 
-from khep_twin.errors import ChallengeError
+from khep_twin.errors import ChallengeError, StoppedError
 from khep_twin.lab.challenge.attempt import attempt
 from khep_twin.lab.challenge.challenge import load, names
+from khep_twin.lab.challenge.results import attempts
 from khep_twin.lab.challenge.scoring import score
 
 SHORT = """
@@ -72,6 +73,27 @@ SCORED = {
 }
 
 
+# A quarter turn to one side at the end of a stem.
+TURNS = """
+state = "stem"
+
+
+def controller(robot):
+    global state
+    near = robot.proximity()
+    if state == "turn":
+        robot.turn({angle})
+        state = "arm"
+    elif max(near.left_10, near.right_10) > 120:
+        robot.set_speed(0, 0)
+        state = "turn" if state == "stem" else state
+    else:
+        side = max(near.left_90, near.left_45) - max(near.right_90, near.right_45)
+        turn = max(-3, min(3, side // 100))
+        robot.set_speed(8 + turn, 8 - turn)
+"""
+
+
 @pytest.fixture
 def short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
@@ -112,6 +134,17 @@ def test_a_robot_that_stands_does_not_pass_any_challenge(tmp_path: Path) -> None
         assert file.challenge.passes(found.value) is False, name
 
 
+@pytest.mark.parametrize(("angle", "found_in"), [(1.571, (2, 3)), (-1.571, (0, 1))], ids=["left", "right"])
+def test_in_the_maze_a_program_that_turns_to_one_side_finds_the_goal_in_half_of_the_runs_and_fails(
+    tmp_path: Path, angle: float, found_in: tuple[int, int]
+) -> None:
+    (tmp_path / "turns.py").write_text(TURNS.format(angle=angle))
+    file = load("maze")
+    found = score(file, str(tmp_path / "turns.py"), file.challenge.runs, file.challenge.seed)
+    assert tuple(run for run, value in enumerate(found.runs) if value < file.challenge.seconds) == found_in
+    assert file.challenge.passes(found.value) is False
+
+
 def test_a_score_repeats_bit_for_bit_in_other_processes(short: Path, tmp_path: Path) -> None:
     (tmp_path / "chance.py").write_text(CHANCE)
     scores: list[str] = []
@@ -124,6 +157,37 @@ def test_a_score_repeats_bit_for_bit_in_other_processes(short: Path, tmp_path: P
     (row,) = csv.DictReader(scores[0].splitlines())
     assert float(row["run_1"]) != float(row["run_2"])
     assert float(row["score"]) == (float(row["run_1"]) + float(row["run_2"])) / 2
+
+
+def test_tables_made_by_one_and_by_three_processes_are_the_same_bytes(short: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "class"
+    folder.mkdir()
+    for number in range(4):
+        (folder / f"p{number}.py").write_text(f"import time\ntime.sleep({0.4 * (3 - number)})\n{CHANCE}")
+    (folder / "syntax.py").write_text(BROKEN["syntax"][0])
+    made: list[tuple[str, bytes]] = []
+    for jobs in (1, 3):
+        output = tmp_path / f"{jobs}.csv"
+        done = khep_twin("challenge", "table", short, folder, "--jobs", jobs, "-o", output)
+        assert done.returncode == 0, done.stderr
+        made.append((done.stdout.partition("\ntable ")[0], output.read_bytes()))
+    assert made[0] == made[1]
+
+
+def test_attempts_that_are_stopped_leave_no_process(short: Path, tmp_path: Path) -> None:
+    for name in ("one", "two", "three"):
+        (tmp_path / f"{name}.py").write_text(
+            "import os, time\nfrom pathlib import Path\n"
+            "Path(__file__).with_suffix('.pid').write_text(str(os.getpid()))\ntime.sleep(600)\n"
+        )
+    files = sorted(tmp_path.glob("*.py"))
+    with pytest.raises(StoppedError):
+        attempts(load(str(short)), files, jobs=2, stop=lambda: len([*tmp_path.glob("*.pid")]) == 2)
+    pids = [int(path.read_text()) for path in tmp_path.glob("*.pid")]
+    assert len(pids) == 2
+    for pid in pids:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
 
 
 def test_a_table_has_a_line_for_every_file_whatever_it_does(short: Path, tmp_path: Path) -> None:
@@ -226,6 +290,17 @@ def test_penalties_and_goals_make_the_score(tmp_path: Path) -> None:
     assert found.value == found.metrics["goal_s"] + 2
 
 
+def test_a_run_that_begins_with_a_lamp_without_a_goal_has_no_score(tmp_path: Path) -> None:
+    maze = load("maze")
+    path = tmp_path / "maze.toml"
+    path.write_text(maze.path.read_text().replace('lamp = "right"', 'lamp = "left"'))
+    (tmp_path / "ahead.py").write_text(SCORED["returns"])
+    with pytest.raises(
+        ChallengeError, match=r"maze: a run begins with the lamps right on, and has no goal; "
+    ):
+        score(load(str(path)), str(tmp_path / "ahead.py"), 1, 1)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -249,6 +324,10 @@ def test_penalties_and_goals_make_the_score(tmp_path: Path) -> None:
         (
             ("threshold = 0.05", '[[penalty]]\nmetric = "collision"\neach = 1'),
             'short.toml:12: penalty 1: metric = "collision": unknown; did you mean ',
+        ),
+        (
+            ("threshold = 0.05\n", '[[goal]]\nx_mm = 9\ny_mm = 9\nradius_mm = 5\nlamp = "moon"\n'),
+            'short.toml:15: goal 1: lamp = "moon": unknown; (choices: none)',
         ),
     ],
 )
