@@ -7,6 +7,9 @@ from collections.abc import Collection
 CLOCK, HALF = "clock", "half-line"
 """Kinds of faults that must disturb nobody: the wall clock is set; a host leaves amid a line."""
 
+HARMLESS = frozenset({CLOCK, HALF, "exception", "interrupt", "terminate", "quick", "rogue", "vanish"})
+"""Kinds of faults that must not disturb a host which has the line."""
+
 _MASK = (1 << 64) - 1
 
 
@@ -50,6 +53,10 @@ class Faults:
     def kinds(self) -> set[str]:
         """Kinds of those that have happened and may disturb somebody."""
         return {name.partition("/")[0] for name in self.happened} - {CLOCK, HALF}
+
+    def disturbing(self, since: int) -> set[str]:
+        """Return the kinds of those from the number `since` on that may disturb a host which has the line."""
+        return {name.partition("/")[0] for name in self.happened[since:]} - HARMLESS
 
     def rate(self, kind: str, most: float) -> float:
         """Return the rate of a kind of fault in this simulation: 0 for half of all seeds."""

@@ -12,7 +12,6 @@ from khep_twin.ports.network import TcpPort
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.serve import WIRE, serve
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
-from tools.simulate.faults import CLOCK, HALF
 from tools.simulate.hosts import Session, ending
 from tools.simulate.kernel import NS_PER_S, Process
 from tools.simulate.network_mutants import MUTANTS as MUTANTS
@@ -30,10 +29,6 @@ _LONGEST_TURN_NS = 200 * NS_PER_S
 
 _MOST_DROPPED, _MOST_GARBLED = 0.02, 0.01
 """Highest probabilities that a converter loses or garbles a byte of a segment."""
-
-
-HARMLESS = frozenset({CLOCK, HALF, "exception", "interrupt", "terminate", "quick", "rogue", "vanish"})
-"""Kinds of faults that must not keep a host which has the line from its robot."""
 
 
 class Site:
@@ -242,8 +237,7 @@ class Site:
         def leave() -> None:
             was_done = thread.alive is False and thread.error is None
             self.simulation.kernel.kill(process)
-            harmful = {name.partition("/")[0] for name in self.simulation.faults.happened[since:]} - HARMLESS
-            if was_done and not harmful and truth is self.truth:
+            if was_done and not self.simulation.faults.disturbing(since) and truth is self.truth:
                 self.simulation.count("stops from outside")
                 if not truth.stands(session.number):
                     self.simulation.violate(

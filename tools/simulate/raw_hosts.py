@@ -59,8 +59,8 @@ class Raw:
 
     def good(self) -> None:
         """Ask in bursts, and check each reply; leave by closing, or by finishing to send."""
-        rng, truth = self.rng, self.truth()
-        asked, got, has_finished = 0, b"", False
+        rng, truth, faults = self.rng, self.truth(), self.simulation.faults
+        asked, got, has_finished, since = 0, b"", False, len(faults.happened)
         try:
             with self.connect() as host:
                 host.settimeout(PATIENCE_S)
@@ -84,7 +84,8 @@ class Raw:
                     while host.recv(4096):
                         pass
         except TimeoutError:
-            if truth is self.truth() and self.is_exact() and not self.simulation.faults.kinds:
+            disturbing = faults.disturbing(since) if has_finished else faults.kinds
+            if truth is self.truth() and self.is_exact() and not disturbing:
                 kind = "leftovers" if has_finished else "answers"
                 self.simulation.violate(kind, f"raw host {self.number} waited for {PATIENCE_S} s")
         except OSError as error:
