@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from tests.web.test_challenges import DRIVES, FAILS, WAITS
+from tests.web.test_page_challenges import DRIVES, FAILS, WAITS
 from tests.web.visit import BROWSED, Visit, need_a_browser
 
 need_a_browser()
