@@ -73,7 +73,7 @@ export class Challenges {
 
   async #score() {
     const program = $("#scored").value || null;
-    if (program && this.program.changed && this.program.file === program) throw new Error(`${program} has changes that are not saved: save it first.`);
+    if (program && this.program.unsaved(program)) throw new Error(`${program} has changes that are not saved: save it first.`);
     await post("score", { challenge: $("#challenge").value, program });
   }
 

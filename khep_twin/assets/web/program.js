@@ -34,8 +34,9 @@ export class Program {
     return [...this.#open.values()].some(changed);
   }
 
-  get file() {
-    return this.#file;
+  // Returns whether a file is open here with changes that are not saved.
+  unsaved(file) {
+    return this.#open.has(file) && changed(this.#open.get(file));
   }
 
   // Opens the chosen program, or a new one if a built-in controller is chosen.
