@@ -3,7 +3,7 @@
 import sys
 from codecs import getincrementaldecoder
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -18,9 +18,6 @@ from khep_twin.cli.options import (
     usage,
 )
 from khep_twin.cli.progress import progress as progress_bar
-
-if TYPE_CHECKING:
-    from khep_twin.lab.challenge.challenge import Challenge
 
 challenge_app = typer.Typer(
     help="Score controller files in challenges, one or a whole class.",
@@ -57,7 +54,7 @@ def list_challenges() -> None:
     found = names()
     for name in found:
         challenge = load(name).challenge
-        typer.echo(f"{name:{max(map(len, found))}}  {challenge.title} ({_reading(challenge)})")
+        typer.echo(f"{name:{max(map(len, found))}}  {challenge.title} ({challenge.reading})")
 
 
 @challenge_app.command()
@@ -74,11 +71,8 @@ def show(
     file = load(name)
     challenge = file.challenge
     typer.echo(f"{challenge.name}: {challenge.title}\n\n{challenge.description.strip()}\n")
-    runs = f"{challenge.runs} runs" if challenge.runs > 1 else "1 run"
-    typer.echo(
-        f"playpen    {challenge.playpen}, {runs} of {challenge.seconds:g} s from seed {challenge.seed}"
-    )
-    typer.echo(f"score      {_reading(challenge)}")
+    typer.echo(f"playpen    {challenge.playpen}, {challenge.length} from seed {challenge.seed}")
+    typer.echo(f"score      {challenge.reading}")
     for penalty in challenge.penalties:
         typer.echo(f"penalty    {penalty.each:g} for each of {penalty.metric}")
     for goal in challenge.goals:
@@ -149,9 +143,7 @@ def run(
         typer.echo(f"reference  {challenge.value(challenge.reference)}")
     passes = challenge.passes(found.score.value)
     if passes is not None:
-        wanted = "at least" if challenge.better == "higher" else "at most"
-        result = "passed" if passes else "failed"
-        typer.echo(f"{result}     {wanted} {challenge.value(challenge.threshold or 0.0)}")
+        typer.echo(f"{'passed' if passes else 'failed'}     {challenge.wanted}")
     if logs:
         tell_written("log", logs, width=9)
     if passes is False:
@@ -197,12 +189,6 @@ def table(
     if output is not None:
         write_whole(output, to_csv(file.challenge, found))
         typer.echo(f"table  {output}")
-
-
-def _reading(challenge: "Challenge") -> str:
-    """Return how the score is read."""
-    unit = f" [{challenge.unit}]" if challenge.unit else ""
-    return f"{challenge.metric}{unit}, {challenge.better} is better"
 
 
 class _Printer:

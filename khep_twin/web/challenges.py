@@ -99,7 +99,7 @@ class Challenges:
     def _score_table(self, asked: requests.ScoreTableRequest) -> None:
         file = _shipped(asked.challenge)
         root = self._documents.root
-        found = participants(self._documents.folder(asked.folder))
+        found = participants(self._documents.below(asked.folder))
         files = [self._program(str(path.relative_to(root))) for path in found]
         rows: list[Attempt] = []
 
@@ -202,14 +202,12 @@ def _shipped(name: str) -> ChallengeFile:
 def _described(file: ChallengeFile) -> dict[str, object]:
     """Return what the page shows of a challenge."""
     challenge = file.challenge
-    runs = f"{challenge.runs} runs" if challenge.runs > 1 else "1 run"
-    unit = f" [{challenge.unit}]" if challenge.unit else ""
     penalties = [f"{each.each:g} for each of {each.metric}" for each in challenge.penalties]
     facts = {
-        "metric": f"{challenge.metric}{unit}, {challenge.better} is better",
+        "metric": challenge.reading,
         "penalty": ", ".join(penalties),
-        "time": f"{runs} of {challenge.seconds:g} s",
-        "passed": _threshold(challenge),
+        "time": challenge.length,
+        "passed": challenge.wanted,
         "reference": "" if challenge.reference is None else challenge.value(challenge.reference),
     }
     return {
@@ -220,12 +218,6 @@ def _described(file: ChallengeFile) -> dict[str, object]:
     }
 
 
-def _threshold(challenge: Challenge) -> str:
-    if challenge.threshold is None:
-        return ""
-    return f"at {'least' if challenge.better == 'higher' else 'most'} {challenge.value(challenge.threshold)}"
-
-
 def _told(challenge: Challenge, found: Attempt) -> dict[str, object]:
     """Return the result of a program as the page shows it."""
     if found.score is None:
@@ -234,7 +226,7 @@ def _told(challenge: Challenge, found: Attempt) -> dict[str, object]:
         "score": challenge.value(found.score.value),
         "runs": [challenge.value(each) for each in found.score.runs],
         "passes": challenge.passes(found.score.value),
-        "threshold": _threshold(challenge),
+        "threshold": challenge.wanted,
         "reference": None if challenge.reference is None else challenge.value(challenge.reference),
     }
 

@@ -55,7 +55,7 @@ class Documents:
             OutsideError: The file is not below the folder.
             PlaypenError: The name is no such file's.
         """
-        found = self.folder(name)
+        found = self.below(name)
         if found.suffix not in endings or Path(name).name.startswith("."):
             raise PlaypenError(f"{name}: expected a name that ends in {' or '.join(endings)}")
         try:
@@ -67,8 +67,8 @@ class Documents:
             raise PlaypenError(f"{name}: this is no regular file; expected the name of a file")
         return found
 
-    def folder(self, name: str) -> Path:
-        """Return the path of a folder.
+    def below(self, name: str) -> Path:
+        """Return the path of a file or folder of any kind.
 
         Raises:
             OutsideError: It is not below this one.

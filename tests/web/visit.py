@@ -90,6 +90,11 @@ class Visit:
         self.page.click("#dialog .main")
         self.wait(f"document.querySelector('#file').textContent === '{name}'")
 
+    def new(self) -> None:
+        """Opens the chosen playpen of the library, and waits for it."""
+        self.page.click("#dialog .main")
+        self.wait("document.querySelector('#file').textContent === 'new playpen'")
+
     def show_3d(self) -> None:
         self.page.click("#three-d")
         self.page.wait_for_selector("#solid[data-shapes]")

@@ -52,11 +52,14 @@ class Faults:
     @property
     def kinds(self) -> set[str]:
         """Kinds of those that have happened and may disturb somebody."""
-        return {name.partition("/")[0] for name in self.happened} - {CLOCK, HALF}
+        return self._kinds(0) - {CLOCK, HALF}
 
     def disturbing(self, since: int) -> set[str]:
         """Return the kinds of those from the number `since` on that may disturb a host which has the line."""
-        return {name.partition("/")[0] for name in self.happened[since:]} - HARMLESS
+        return self._kinds(since) - HARMLESS
+
+    def _kinds(self, since: int) -> set[str]:
+        return {name.partition("/")[0] for name in self.happened[since:]}
 
     def rate(self, kind: str, most: float) -> float:
         """Return the rate of a kind of fault in this simulation: 0 for half of all seeds."""

@@ -1,7 +1,7 @@
 // Input to the drawing: mouse, finger, pen and keys.
 
 import { make } from "./drawing.js";
-import { angle, drawable, shift, tidy, turn } from "./model.js";
+import { angle, drawable, shift, tidy, turn, undoKey } from "./model.js";
 
 // Distinguished by their shapes: an arrow around for turning, a square for the size, a disc for a corner.
 const HANDLES = {
@@ -321,9 +321,11 @@ export class Editor {
     const command = event.ctrlKey || event.metaKey;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     if (command) {
-      const acts = { z: () => (event.shiftKey ? model.redo() : model.undo()), y: () => model.redo(), d: () => model.copy(), a: () => model.select(model.ids()) };
-      if ((this.running.active && !"zy".includes(key)) || !acts[key]) return false;
-      acts[key]();
+      const back = undoKey(event);
+      const acts = { d: () => model.copy(), a: () => model.select(model.ids()) };
+      if (back !== null) back ? model.undo() : model.redo();
+      else if (this.running.active || !acts[key]) return false;
+      else acts[key]();
       return true;
     }
     if (["+", "=", "-", "0"].includes(key)) {

@@ -1,6 +1,6 @@
 // Exact numbers: a field for each key of what is selected, and of the playpen as a whole.
 
-import { OBJECTS } from "./model.js";
+import { OBJECTS, undoKey } from "./model.js";
 
 const CHOICES = {
   model: ["khepera1", "khepera2"],
@@ -78,12 +78,11 @@ export class Fields {
 
   // Undo takes back what is typed in a field and not taken yet, or else the last change of the drawing.
   #key(event) {
-    const key = event.key.toLowerCase();
-    if (!(event.ctrlKey || event.metaKey) || (key !== "z" && key !== "y")) return;
+    const back = undoKey(event);
+    if (back === null) return;
     event.preventDefault();
     event.stopPropagation();
     const { id, value: typed } = event.target;
-    const back = key === "z" && !event.shiftKey;
     if (back) this.fresh(true);
     if (event.target.value !== typed) return event.target.setCustomValidity("");
     if (back) this.model.undo();

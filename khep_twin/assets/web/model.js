@@ -198,3 +198,10 @@ export const angle = (degrees) => {
 // A typed value may be no number yet, or a huge one: returns the value to draw meanwhile.
 export const drawable = (value, otherwise = 0) => (Number.isFinite(value) ? Math.min(Math.max(value, -1e5), 1e5) : otherwise);
 export const tidy = (value) => Math.round(value * 100) / 100;
+
+// Returns true for the keys of undo, false for those of redo, and null for others.
+export function undoKey({ key, ctrlKey, metaKey, shiftKey }) {
+  const letter = key.toLowerCase();
+  if (!(ctrlKey || metaKey) || (letter !== "z" && letter !== "y")) return null;
+  return letter === "z" && !shiftKey;
+}

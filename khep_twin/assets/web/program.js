@@ -1,6 +1,7 @@
 // Controllers edited in the page: a plain text with the numbers of its lines, saved and run by one key.
 
 import { post } from "./api.js";
+import { undoKey } from "./model.js";
 import { TextHistory } from "./text_history.js";
 
 const $ = (selector) => document.querySelector(selector);
@@ -154,9 +155,9 @@ export class Program {
       event.preventDefault();
       event.stopPropagation();
       this.attempt(() => this.save(), "program");
-    } else if (command && ["z", "y"].includes(event.key.toLowerCase())) {
+    } else if (undoKey(event) !== null) {
       event.preventDefault();
-      this.#undo(event.key.toLowerCase() === "z" && !event.shiftKey);
+      this.#undo(undoKey(event));
     } else if (event.key === "Tab" && !event.shiftKey) put("    ");
     else if (event.key === "Enter" && !command) {
       const line = this.text.value.slice(0, this.text.selectionStart).split("\n").at(-1);

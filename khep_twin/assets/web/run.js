@@ -4,7 +4,7 @@ import { keep, post } from "./api.js";
 import { Curves } from "./curves.js";
 import { closed, make, place } from "./drawing.js";
 import { Hands } from "./hands.js";
-import { angle, OBJECTS, tidy } from "./model.js";
+import { angle, OBJECTS, tidy, undoKey } from "./model.js";
 import { Panel, SENSORS, Strip, write } from "./panel.js";
 
 const $ = (selector) => document.querySelector(selector);
@@ -410,10 +410,8 @@ export class Running {
   key(event) {
     if (!this.active) return false;
     if (this.#held && (event.key === "[" || event.key === "]")) return this.turn(event.key === "[" ? 15 : -15);
-    if ((event.ctrlKey || event.metaKey) && !this.real && "zy".includes(event.key.toLowerCase())) {
-      const back = event.key.toLowerCase() === "z" && !event.shiftKey;
-      return this.attempt(() => (back ? this.hands.undo() : this.hands.redo()), "hand"), true;
-    }
+    const back = undoKey(event);
+    if (back !== null && !this.real) return this.attempt(() => (back ? this.hands.undo() : this.hands.redo()), "hand"), true;
     if (event.key === " " && !this.real) return this.attempt(() => this.pause(), "pace"), true;
     if (event.key === "." && !this.real) return this.attempt(() => this.step(), "pace"), true;
     if (event.key === "Escape") return this.attempt(() => post("stop"), "#stop"), true;

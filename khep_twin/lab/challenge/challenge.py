@@ -107,6 +107,23 @@ class Challenge(TomlTable):
         """Unit of the score."""
         return UNITS[self.metric]
 
+    @property
+    def reading(self) -> str:
+        """Metric of the score, its unit, and which scores are better."""
+        return f"{self.metric}{f' [{self.unit}]' if self.unit else ''}, {self.better} is better"
+
+    @property
+    def length(self) -> str:
+        """Number of runs and their simulated time."""
+        return f"{self.runs} run{'s' if self.runs > 1 else ''} of {self.seconds:g} s"
+
+    @property
+    def wanted(self) -> str:
+        """Scores that pass; empty without a threshold."""
+        if self.threshold is None:
+            return ""
+        return f"at {'least' if self.better == 'higher' else 'most'} {self.value(self.threshold)}"
+
     def passes(self, score: float) -> bool | None:
         """Return whether a score passes; None without a threshold."""
         if self.threshold is None:
@@ -184,24 +201,27 @@ def load(name: str) -> ChallengeFile:
     movable = tuple(each.name for each in movable_objects(playpen) if each.name)
     if challenge.object is not None and challenge.object not in movable:
         raise problem(("object",), f'object = "{challenge.object}": unknown', movable, challenge.object)
-    lamps = tuple(each.name for each in playpen.lamps if each.name)
     for index, goal in enumerate(challenge.goals):
-        for key, value, (low, high) in zip(
-            ("x_mm", "y_mm"), (goal.x_mm, goal.y_mm), extent(playpen), strict=True
-        ):
-            if not low <= value <= high:
-                wanted = f"a place in the arena, {low:g} to {high:g}"
-                raise problem(("goal", index, key), f"goal {index + 1}: {key} = {value:g}", wanted, value)
-        if goal.lamp is not None and goal.lamp not in lamps:
-            raise problem(
-                ("goal", index, "lamp"), f'goal {index + 1}: lamp = "{goal.lamp}": unknown', lamps, goal.lamp
-            )
+        for key, told, expected, value in _wrong_in(goal, playpen):
+            raise problem(("goal", index, key), f"goal {index + 1}: {told}", expected, value)
     found = ChallengeFile(challenge, playpen, name, path)
     try:
         found.start_poses(1, challenge.seed)
     except PlaypenError as error:
         raise problem(("starts",), error.plain, "", challenge.starts) from error
     return found
+
+
+def _wrong_in(goal: Goal, playpen: Playpen) -> Iterator[tuple[str, str, str | tuple[str, ...], object]]:
+    """Yield what of a goal does not fit its playpen: key, text, what is expected, and value."""
+    for key, value, (low, high) in zip(
+        ("x_mm", "y_mm"), (goal.x_mm, goal.y_mm), extent(playpen), strict=True
+    ):
+        if not low <= value <= high:
+            yield key, f"{key} = {value:g}", f"a place in the arena, {low:g} to {high:g}", value
+    lamps = tuple(each.name for each in playpen.lamps if each.name)
+    if goal.lamp is not None and goal.lamp not in lamps:
+        yield "lamp", f'lamp = "{goal.lamp}": unknown', lamps, goal.lamp
 
 
 def movable_objects(playpen: Playpen) -> list[playpens.Block | playpens.Cylinder]:
