@@ -73,15 +73,15 @@ def test_of_two_pages_that_save_at_once_one_is_told_of_the_other(
     (tmp_path / "mine.toml").write_text(MINE)
     files = Documents(tmp_path)
     opened: Any = files.open("mine.toml")
-    ends: list[str] = []
+    ends: dict[str, str] = {}
 
     def save(name: str) -> None:
         draft = {**opened["draft"], "name": name}
         try:
             files.save("mine.toml", draft, version=opened["version"], base={}, page=name)
-            ends.append(name)
+            ends[name] = "saved"
         except ConflictError:
-            ends.append("conflict")
+            ends[name] = "conflict"
 
     other = threading.Thread(target=save, args=["second"])
 
@@ -94,7 +94,7 @@ def test_of_two_pages_that_save_at_once_one_is_told_of_the_other(
     monkeypatch.setattr("khep_twin.web.documents.write_whole", slowly)
     save("first")
     other.join()
-    assert ends == ["first", "conflict"]
+    assert ends == {"first": "saved", "second": "conflict"}
     assert playpens.load(tmp_path / "mine.toml").name == "first"
 
 
