@@ -49,7 +49,7 @@ def main() -> None:
     options.add_argument("--minutes", type=float, default=10.0, help="length of the measurement of memory")
     minutes = options.parse_args().minutes
     # The window whose arena is 800 x 600.
-    with tempfile.TemporaryDirectory() as folder, chromium(*SOFTWARE, width=1278, height=643) as page:
+    with tempfile.TemporaryDirectory() as folder, chromium(*SOFTWARE, width=1304, height=677) as page:
         if page is None:
             sys.exit("no Chromium, or no Playwright")
         twin = Twin(folder)
