@@ -91,12 +91,17 @@ def status_line() -> Generator[StatusLine | None, None, None]:
         yield line
 
 
+_printed: set[str] = set()
+"""Announcements that this process has printed."""
+
+
 @contextmanager
 def announced(text: str) -> Generator[None, None, None]:
-    """Announce long work on standard error: with the seconds so far on a terminal, else in one line."""
+    """Announce long work on standard error: with the seconds so far on a terminal, else in one line, once."""
     terminal = _terminal()
     if terminal is None:
-        if sys.stderr is not None:  # pyright: ignore[reportUnnecessaryComparison]
+        if sys.stderr is not None and text not in _printed:  # pyright: ignore[reportUnnecessaryComparison]
+            _printed.add(text)
             print(text, file=sys.stderr, flush=True)
         yield
         return

@@ -104,19 +104,22 @@ def test_long_work_shows_its_seconds_in_place_of_the_bar_which_comes_back() -> N
     assert terminal.screen == [""]
 
 
-def test_where_nobody_looks_long_work_is_one_line_and_a_bar_is_none(
+def test_where_nobody_looks_long_work_is_one_line_once_and_a_bar_is_none(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("khep_twin.status_line._printed", set[str]())
     with status_line() as line, announced("compiling"):
         assert line is None
     assert capsys.readouterr() == ("", "compiling\n")
+    with announced("compiling"), announced("fitting"):
+        assert capsys.readouterr() == ("", "fitting\n")
     monkeypatch.setattr(sys, "stderr", None)
     with announced("compiling"):
         pass
 
 
 def test_the_compilation_of_an_episode_is_announced_and_no_other_one(
-    capsys: pytest.CaptureFixture[str],
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("numba", reason="numba is not installed")
     from numba import njit
@@ -126,11 +129,15 @@ def test_the_compilation_of_an_episode_is_announced_and_no_other_one(
     from khep_twin.rollout.planar.compiled import run as planar_run
     from khep_twin.simulation import compiled
 
+    printed = set[str]()
+    monkeypatch.setattr("khep_twin.status_line._printed", printed)
     for function in (compiled.advance, run, planar_run):
+        printed.clear()
         with event.trigger_event("numba:compile", data={"dispatcher": function}):
             pass
         assert capsys.readouterr() == ("", f"{compiled.COMPILING}\n")
     # A function without a file is not cached.
+    printed.clear()
     twice = compiled.compiled(eval("lambda x: 2 * x"), ())
     assert (twice(1), twice(2)) == (2, 4)
     assert capsys.readouterr() == ("", f"{compiled.COMPILING}\n")
