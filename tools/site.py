@@ -71,7 +71,7 @@ def _front(readme: str) -> str:
     title, sentence, picture = readme.split("\n\n")[:3]
     (commands, *_) = re.findall(r"```sh\n.*?```", readme, re.DOTALL)
     return (
-        f"---\nhide: [navigation, toc]\n---\n{title}\n\n{sentence}\n\n"
+        f"---\ntitle: Khepera on MuJoCo\nhide: [navigation, toc]\n---\n{title}\n\n{sentence}\n\n"
         f"{picture}{{ width=560 }}\n\n{commands}\n\n"
         "[Tutorial](docs/tutorial.md){ .md-button .md-button--primary } "
         "[All that it does](about.md){ .md-button } [Gallery](gallery.md){ .md-button }\n"
