@@ -89,8 +89,11 @@ class IdlePolls:
         kept = bytearray()
         for place in range(len(reply)):
             byte = reply[place : place + 1]
-            if self._dropping == b"\r" and byte != b"\n":
+            if self._dropping == b"\r":
+                # The reply has ended, and the next poll may be out before the rest of its end has come.
                 self._dropping = b""
+                if byte == b"\n":
+                    continue
             if self._dropping or (self._at_start and self._letter and byte in (self._letter, _ERROR)):
                 self._at_start, self._dropping = byte in b"\r\n", b"" if byte == b"\n" else byte
                 if self._at_start:

@@ -67,6 +67,15 @@ def test_replies_to_polls_are_kept_from_the_host_in_any_pieces(clock: Clock, siz
     assert passed == b"d\r\nn,8,7,6,5,4,3,2,1\r\n"
 
 
+def test_a_line_end_in_two_halves_keeps_the_next_reply_from_the_host_too(clock: Clock) -> None:
+    polls, _ = asking(clock)
+    assert polls.passed(b"n,1,2,3,4,5,6,7,8\r") == b""
+    clock.now += IDLE_S
+    assert polls.due(BAUD) == b"H\n"
+    assert polls.passed(b"\nh,1,2\r\n") == b""
+    assert polls.passed(b"d\r\n") == b"d\r\n"
+
+
 def test_a_hosts_bytes_wait_for_the_reply_and_no_longer_than_they_may(clock: Clock) -> None:
     polls, _ = asking(clock)
     clock.now += 0.01

@@ -196,7 +196,7 @@ class _Lab:
         for each in parts:
             if self._rng.random() < 0.6:
                 each.unlink(missing_ok=True)
-            else:
+            elif each.exists():
                 self._unfinished[_hash(each)] = each.name
         for each in sorted(self._simulation.folder.iterdir()):
             if each.is_dir():  # of a process that was killed
@@ -209,6 +209,8 @@ class _Lab:
     def _recover(self, part: Path, cuts: int) -> Truth | None:
         """Recover an unfinished log, on a disk with faults at first; return whose it is."""
         simulation = self._simulation
+        if not part.exists():
+            return None  # lost as the power was cut during the recovery of another
         if _hash(part) in self._unfinished:
             return None
         before, rescues = part.read_bytes(), list[Rescue]()
