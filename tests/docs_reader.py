@@ -8,8 +8,8 @@ Comments above a block, which a page does not show, tell how to read it:
     <!-- long: REASON -->        run with KHEP_DOCS=all alone
     <!-- not run: REASON -->     cannot run in a test
 
-Commands that serve go on while the next ones run, until their link or log is used again, and end by SIGINT.
-`/dev/ttyUSB0` is a served twin.
+Commands that serve go on while the next ones run, until what they take or log to is used again, and end by
+SIGINT. `/dev/ttyUSB0` is a served twin.
 """
 
 import os
@@ -88,12 +88,12 @@ def commands(text: str) -> Iterator[str]:
 
 @dataclass
 class Server:
-    """A command that serves, and the links and files that are its own."""
+    """A command that serves, with the links, ports and files that are its own."""
 
     command: str
     process: "subprocess.Popen[bytes]"
     output: Path
-    links: set[str]
+    taken: set[str]
     logs: set[str]
 
     def end(self) -> None:
@@ -174,7 +174,8 @@ class Reader:
             if re.search(pattern, " ".join(words)):
                 self.left.append(f"{command}: {reason}")
                 return
-        self._make_room(words)
+        taken = {*_values(words, "--link"), *({ROBOT, "--foxglove"} & {*words})}
+        self._make_room(words, taken)
         if command.startswith("export "):
             told = self._run(["sh", "-ec", f"{command}; env -0"], command)
             for name, _, value in (each.partition("=") for each in told.split("\0") if each):
@@ -183,10 +184,10 @@ class Reader:
         if ROBOT in command:
             link = self.folder / "robot-link"
             if not link.is_symlink():
-                self._serve(f"khep-twin serve default --clock wire --link {link}")
+                self._serve(f"khep-twin serve default --clock wire --link {link}", {str(link)})
             command = command.replace(ROBOT, str(link))
         if SERVES.search(" ".join(words)):
-            self._serve(command.removesuffix("&"))
+            self._serve(command.removesuffix("&"), taken)
         elif (
             Path(words[0]).name == "khep-twin" and not {"|", "||", ">", "&"} & {*words} and ROBOT not in words
         ):
@@ -198,15 +199,14 @@ class Reader:
         else:
             self._run(["sh", "-ec", command], command, codes)
 
-    def _make_room(self, words: list[str]) -> None:
-        """End the servers whose link another one takes, or whose log is used."""
-        links = set(_values(words, "--link"))
+    def _make_room(self, words: list[str], taken: set[str]) -> None:
+        """End the servers whose link or port is taken, or whose log is used."""
         for server in [*self._servers]:
-            if links & server.links or ("--live" not in words and server.logs & {*words}):
+            if taken & server.taken or ("--live" not in words and server.logs & {*words}):
                 self._servers.remove(server)
                 server.end()
 
-    def _serve(self, command: str) -> None:
+    def _serve(self, command: str, taken: set[str]) -> None:
         """Start a command that serves; return when it has told its first line and made its link."""
         words = shlex.split(command, comments=True)
         output = self.folder / f".served-{time.monotonic_ns()}"
@@ -219,7 +219,7 @@ class Reader:
                 stderr=subprocess.STDOUT,
             )
         links, logs = _values(words, "--link"), _values(words, "--log") + _values(words, "-o")
-        self._servers.append(Server(command, process, output, {*links}, {*logs}))
+        self._servers.append(Server(command, process, output, taken, {*logs}))
         deadline = time.monotonic() + PATIENCE_S
         made = [self.folder / link for link in links if "/" in link]
         while "\n" not in output.read_text() or not all(link.is_symlink() for link in made):

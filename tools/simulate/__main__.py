@@ -33,6 +33,9 @@ FOUND = Path("out/simulate")
 MOST_FAULTS = 5
 """Most faults of a shrunk mutant."""
 
+SECONDS_COVERED = 120.0
+"""Simulated time of a seed where lines are counted [s]: an hour has three seeds of each scenario."""
+
 PACKAGES = ("ports", "log", "host")
 """Packages whose lines are counted."""
 
@@ -70,7 +73,7 @@ def main() -> int:
                 "--jobs", type=int, default=os.cpu_count(), help="number of processes; 0: this one"
             )
             sub.add_argument("--json", type=Path, help="file for the figures")
-        own = None if name == "mutants" else SECONDS
+        own = {"mutants": None, "coverage": SECONDS_COVERED}.get(name, SECONDS)
         sub.add_argument("--seconds", type=float, default=own, help="simulated time of a seed [s]")
     options = parser.parse_args()
     return options.function(options)
