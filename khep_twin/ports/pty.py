@@ -53,6 +53,9 @@ _UNFINISHED = re.compile(rb"[^\r\n]*?[^,\r\n](?=[A-Z])")
 _CROWDED_S = 0.1
 """Time that several hosts must be there before it is reported, as tools such as stty come and go [s]."""
 
+_TRANSIT_S = 0.02
+"""Time after which a reply has surely reached the host's side, where it is unread until it is gone (assumed) [s]."""
+
 _RESTORE_S = 0.01
 """Time after which the settings of a host that has left are restored; the next one may set its own [s]."""
 
@@ -96,7 +99,7 @@ class PtyPort:
         self._descriptors = [self.descriptor, *self._presence.descriptors]
         self._crowded_since: float | None = None
         self._left_s: float | None = None  # when the last host left, until its settings are restored
-        self._given = 0  # bytes written since the last poll
+        self._given_s: float | None = None  # when bytes were written that may be unread
         self._early = False  # bytes were read before the event that reports them
         self._seen: tuple[object, object] | None = None
         self._settings: LineSettings | None = None
@@ -138,8 +141,9 @@ class PtyPort:
         # Bytes before events: the opening by their sender is then known.
         if self._left_s is not None:
             self._restore(self._left_s)
-        data, given = self._read(limit), self._given
-        self._given = 0
+        data, given_s = self._read(limit), self._given_s
+        if given_s is not None and time.monotonic() - given_s >= _TRANSIT_S and not self._unread():
+            self._given_s = None
         change = self._presence.look(bool(data))
         early, self._early = self._early, (self._early or bool(data)) and not change.writes_before
         if not change.left:
@@ -166,7 +170,7 @@ class PtyPort:
         unread = self._drop_replies()
         last, data = _divided(data, n_before, n_writes)
         last = read + last
-        notices = [_IN_A_MOMENT] if unread or given or (last and data) else []
+        notices = [_IN_A_MOMENT] if unread or given_s is not None or (last and data) else []
         return Received(data, left=True, last=last, notices=notices)
 
     def write(self, data: bytes) -> None:
@@ -176,7 +180,8 @@ class PtyPort:
         except BlockingIOError:
             sent = 0
         self.dropped += len(data) - sent
-        self._given += sent
+        if sent:
+            self._given_s = time.monotonic()
 
     def close(self) -> None:
         """Close the terminal, and remove the link if it is still ours."""
@@ -222,12 +227,16 @@ class PtyPort:
 
     def _drop_replies(self) -> int:
         """Flush replies that no host has read; return the number of bytes."""
-        host_side = self._presence.host_side
-        unread = struct.unpack("i", fcntl.ioctl(host_side, termios.FIONREAD, bytes(4)))[0]
+        unread = self._unread()
         # They may be in transit to the host side's buffer, or in it.
         termios.tcflush(self.descriptor, termios.TCOFLUSH)
-        termios.tcflush(host_side, termios.TCIFLUSH)
+        termios.tcflush(self._presence.host_side, termios.TCIFLUSH)
+        self._given_s = None
         return unread
+
+    def _unread(self) -> int:
+        """Return the number of bytes that have reached the host's side, and that no host has read."""
+        return struct.unpack("i", fcntl.ioctl(self._presence.host_side, termios.FIONREAD, bytes(4)))[0]
 
     def _crowd(self) -> Sequence[str]:
         """Return a notice, once, if several hosts are here for a while."""

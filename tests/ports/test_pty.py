@@ -2,6 +2,7 @@
 
 import errno
 import os
+import select
 import termios
 from pathlib import Path
 
@@ -86,6 +87,29 @@ def test_leftovers_of_a_host_are_removed(monkeypatch: pytest.MonkeyPatch) -> Non
         with open(port.path, "rb", buffering=0) as next_host:
             os.set_blocking(next_host.fileno(), False)
             assert next_host.read(100) is None
+
+
+@pytest.mark.parametrize("is_read", [True, False])
+def test_a_host_that_may_have_got_an_old_reply_is_reported(
+    monkeypatch: pytest.MonkeyPatch, is_read: bool
+) -> None:
+    monkeypatch.setattr(pty_module, "_TRANSIT_S", 0.0)
+    with PtyPort() as port:
+        with serial.Serial(port.path, 9600, timeout=1) as host:
+            host.write(b"B\n")
+            assert port.receive(100).data == b"B\n"
+            port.write(b"b\r\n")
+            # Once there, it is either read, or unread however long the host stays.
+            assert select.select([host.fileno()], [], [], 10)[0]
+            if is_read:
+                assert host.read(3) == b"b\r\n"
+            for _ in range(3):
+                port.receive(100)
+        with serial.Serial(port.path, 9600, timeout=0) as next_host:
+            next_host.read(100)
+            received = port.receive(100)
+    assert received.left
+    assert [*received.notices] == ([] if is_read else [pty_module._IN_A_MOMENT])
 
 
 def test_a_link_leads_to_the_terminal_and_goes_with_it(tmp_path: Path) -> None:

@@ -176,7 +176,7 @@ class _Lab:
                 found.setdefault(truth.number, each)
         if self.disk.cuts == cuts:
             self._check_left(runs, parts, found)
-        self._clear(parts)
+        self._clear(parts, cuts)
 
     def _check_left(self, runs: list[Run], parts: list[Path], found: dict[int, Path]) -> None:
         """Check that what runs should leave is there, and nothing else."""
@@ -190,13 +190,13 @@ class _Lab:
             if truth.last_ns >= 0 and truth.number not in found and not (truth.closing and replaced):
                 simulation.violate("recovery", f"nothing of run {run.number} is left")
 
-    def _clear(self, parts: list[Path]) -> None:
+    def _clear(self, parts: list[Path], cuts: int) -> None:
         """Remove some of the files, as a user does who needs them no more."""
         self._unfinished.clear()
         for each in parts:
             if self._rng.random() < 0.6:
                 each.unlink(missing_ok=True)
-            elif each.exists():
+            elif not self._lost(each, cuts):
                 self._unfinished[_hash(each)] = each.name
         for each in sorted(self._simulation.folder.iterdir()):
             if each.is_dir():  # of a process that was killed
@@ -206,12 +206,14 @@ class _Lab:
             elif ".recovered" in each.name:
                 each.unlink()
 
+    def _lost(self, part: Path, cuts: int) -> bool:
+        """Return whether the power was cut since there were so many cuts, and a part was lost."""
+        return self.disk.cuts != cuts and not part.exists()
+
     def _recover(self, part: Path, cuts: int) -> Truth | None:
         """Recover an unfinished log, on a disk with faults at first; return whose it is."""
         simulation = self._simulation
-        if not part.exists():
-            return None  # lost as the power was cut during the recovery of another
-        if _hash(part) in self._unfinished:
+        if self._lost(part, cuts) or _hash(part) in self._unfinished:
             return None
         before, rescues = part.read_bytes(), list[Rescue]()
         process = simulation.spawn(f"recover{self._rounds}", lambda: rescues.append(recover(part)))
@@ -223,7 +225,7 @@ class _Lab:
         while error is not None:
             clear_frames(error.__traceback__)
             error = error.__cause__
-        if self.disk.cuts != cuts and not part.exists():
+        if self._lost(part, cuts):
             return None
         if not rescues:
             try:

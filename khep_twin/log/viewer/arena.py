@@ -8,7 +8,7 @@ The log has poses and readings. Lengths of rays are computed in the log's own sc
 # pyright: reportAttributeAccessIssue=false
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -186,20 +186,30 @@ EVENTS = "/event_marks"
 """Entity path of the arena's marks of events in a recording."""
 
 
-def event_chunks(label: Label, gathered: Gatherer) -> list[Chunk]:
-    """Return marks of events: in the arena at the robot's position, in the curves at 0."""
+def event_chunks(label: Label, gathered: Gatherer, before: Mapping[str, Floats]) -> list[Chunk]:
+    """Return marks of events: in the arena at the robot's position, in the curves at 0.
+
+    Args:
+        label: Label of the log.
+        gathered: Data of the log, or of a piece of it.
+        before: Last pose of each robot in the pieces before, of a log that comes in pieces.
+    """
     times_ns, texts = gathered.events()
     if not len(texts):
         return []
     times = time_column(times_ns)
     zeros = rr.Scalars.columns(scalars=np.zeros(len(texts)))
     chunks = [Chunk.from_columns(f"/{robot}/events", [times], zeros) for robot in label.robots]
-    poses = gathered.poses()
-    whose = [_subject(text, label.robots) for text in texts]
-    if poses is None or not all(f"{robot}/base" in poses.bodies for robot in whose):
-        return chunks
-    rows = np.clip(np.searchsorted(poses.times_ns, times_ns), 0, len(poses.times_ns) - 1)
-    places = [poses.bodies[f"{robot}/base"][row, :3] for robot, row in zip(whose, rows, strict=True)]
+    poses, places = gathered.poses(), list[Floats]()
+    for time_ns, text in zip(times_ns, texts, strict=True):
+        robot = _subject(text, label.robots)
+        if poses is not None and (name := f"{robot}/base") in poses.bodies:
+            row = min(np.searchsorted(poses.times_ns, time_ns), len(poses.times_ns) - 1)
+            places.append(poses.bodies[name][row, :3])
+        elif robot in before:
+            places.append(before[robot][:3])
+        else:
+            return chunks
     points = rr.Points3D.columns(
         positions=np.array(places) + np.array((0, 0, 0.003)),
         radii=[0.004] * len(texts),

@@ -231,7 +231,7 @@ class Additions:
 
     def chunks(self, gathered: Gatherer, thinned: Callable[[Samples], Samples]) -> Iterator[Chunk]:
         """Yield those of a piece; `thinned` returns the samples that have a picture."""
-        yield from event_chunks(self._label, gathered)
+        yield from event_chunks(self._label, gathered, self._last)
         poses = gathered.poses()
         if poses is not None and self._rays is None:
             self._rays, self._light = Rays(self._label, self._source), FloorLight(self._label, self._source)
