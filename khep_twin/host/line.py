@@ -2,7 +2,8 @@
 
 The robot answers each line with one line, in order. When a reply is missing or malformed, `B` is sent: all
 lines before its answer are old, and the last of them is the reply that was waited for. Only then is a
-command sent again, and only one that does no harm twice.
+command sent again, and only one that does no harm twice. Where all reads of that kind are unanswered, an
+answer may be any one's: the line must have been silent after it, too.
 """
 
 import sys
@@ -189,26 +190,30 @@ class Line:
 
     def _settle(self) -> list[str] | None:
         """Resynchronize with the robot; return the lines before the answer to a probe, None without one."""
-        probe = next((letter for letter in _PROBES if letter not in self._unanswered), None)
-        if probe is None:
-            # Answers to each of them may be late: they have had their time.
-            self._unanswered.clear()
-            probe = _PROBES[0]
+        probe = next((letter for letter in _PROBES if letter not in self._unanswered), _PROBES[0])
+        # Answers to each of them may be to come: the line is in step only once it is silent.
+        is_last = probe in self._unanswered and self.port.timeout is not None
         self._unanswered.add(probe)
         # The line feed before it ends a command that was broken off.
         self._write(f"\n{probe}\n".encode("ascii"), probe)
         lines: list[str] = []
+        before: list[str] | None = None
         end = self.time + (self.port.timeout or _PATIENCE)
         while self.time <= end:
             line = self._read_line(probe)
             if not line.endswith(b"\n"):
-                return None
+                break
             text = _text(line)
             if text.startswith(f"{probe.lower()},"):
-                self._unanswered.clear()
-                return lines
+                before = lines.copy()
+                if not is_last:
+                    break
             lines.append(text)
-        return None
+        else:
+            before = None
+        if before is not None:
+            self._unanswered.clear()
+        return before
 
     def _write(self, data: bytes, request: str) -> None:
         try:

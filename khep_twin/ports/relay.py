@@ -192,10 +192,15 @@ def relay(
     held_s = 0.0
     while not stop():
         _wait(device, port, room := not waiting and not next_host, bool(waiting), held_s)
+        # Replies before hosts: silence counts only where there was nothing to read, however late this turn is.
+        reply = dialogue.read()
+        on_bytes(False, reply)
+        passed = polls.passed(reply) if polls is not None and reply else reply
         received = port.receive(_CHUNK if room else 0, room and dialogue.answered)
         for notice in received.notices:
             note(notice)
         if received.left:
+            passed = b""
             # What was held back is of a host that has left, too.
             on_bytes(True, received.last)
             unsent = waiting + next_host + received.last
@@ -219,12 +224,8 @@ def relay(
                 on_bytes(True, waiting := polls.due(device.baud))
         if waiting and not held_s:
             waiting = dialogue.send(waiting)
-        if reply := device.read():
-            on_bytes(False, reply)
-            dialogue.heard(reply)
-            passed = reply if polls is None else polls.passed(reply)
-            if passed and port.occupied and not dialogue.ended:
-                port.write(passed)
+        if passed and port.occupied and not dialogue.ended:
+            port.write(passed)
         for flush in flushes:
             flush()
 
@@ -237,7 +238,7 @@ class _Dialogue:
         self._device = device
         self._due = 0
         self._asked, self._replied = _Lines(), _Lines()
-        self._quiet_since = time.monotonic()
+        self._read_s = self._quiet_since = time.monotonic()
         self._end_s = self._quiet_since + _BEGIN_S  # a robot may also speak without being asked
 
     def send(self, data: bytes) -> bytes:
@@ -249,10 +250,13 @@ class _Dialogue:
         self._quiet_since = min(max(self._quiet_since, now) + busy_s, now + _UNDERWAY_S)
         return data[count:]
 
-    def heard(self, reply: bytes) -> None:
-        """Count the replies received."""
-        self._due = max(self._due - self._replied.count(reply), 0)
-        self._quiet_since = max(self._quiet_since, time.monotonic())
+    def read(self) -> bytes:
+        """Return the bytes that have come from the robot, with their replies counted."""
+        self._read_s = time.monotonic()
+        if reply := self._device.read():
+            self._due = max(self._due - self._replied.count(reply), 0)
+            self._quiet_since = max(self._quiet_since, time.monotonic())
+        return reply
 
     def end(self, waiting: bytes) -> bytes:
         """Note that the host has left; return what must be sent of it, after the bytes that wait already."""
@@ -265,11 +269,10 @@ class _Dialogue:
 
     @property
     def answered(self) -> bool:
-        """Return whether all is answered, or will not be: the robot has been silent for long enough."""
-        now = time.monotonic()
+        """Return whether all is answered, or will not be: the robot had been silent for long at the last read."""
         if self._device.unsent:
-            self._quiet_since = max(self._quiet_since, now)
-        return now - self._quiet_since > (_SILENCE_S if self._due else _PAUSE_S)
+            self._quiet_since = max(self._quiet_since, time.monotonic())
+        return self._read_s - self._quiet_since > (_SILENCE_S if self._due else _PAUSE_S)
 
     @property
     def idle(self) -> bool:
@@ -278,7 +281,7 @@ class _Dialogue:
 
     def settling(self, waiting: bytes) -> bool:
         """Return whether replies to a host that has left may still come; `waiting` was not sent yet."""
-        if self.ended and not waiting and (self.answered or time.monotonic() > self._end_s):
+        if self.ended and not waiting and (self.answered or self._read_s > self._end_s):
             self.ended, self._due = False, 0
         return self.ended
 

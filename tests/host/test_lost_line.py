@@ -180,6 +180,44 @@ def test_an_order_whose_answer_comes_behind_noise_is_done(fake: FakeRobot) -> No
         assert robot.position() == (12, -5)
 
 
+class StalledPort(serial.SerialBase):
+    """A robot in its own time that answers nothing for a while, and then everything at once."""
+
+    name, baudrate, timeout, time_ns, is_open = "stalled", 9600, 0.5, 0, True
+
+    def __init__(self, until_ns: int) -> None:
+        self._until_ns, self._lines, self._count = until_ns, list[bytes](), 0
+
+    def write(self, data: bytes) -> int:
+        for request in data.split():
+            self._count += 1
+            reply = {b"B": b"b,5.02,5.01", b"H": b"h,%d,0" % self._count}.get(request[:1], request[:1].lower())
+            self._lines.append(reply + b"\r\n")
+        return len(data)
+
+    def read_until(self, expected: bytes = b"\n", size: int | None = None) -> bytes:
+        if self.time_ns < self._until_ns or not self._lines:
+            self.time_ns += 500_000_000
+        return self._lines.pop(0) if self.time_ns >= self._until_ns and self._lines else b""
+
+    def close(self) -> None:
+        self._lines.clear()
+
+
+@pytest.mark.parametrize("until_s", [0.5, 1.0, 2.0, 2.5, 3.0, 10.0])
+def test_answers_that_come_late_are_never_taken_for_new_ones(until_s: float) -> None:
+    port = StalledPort(round(until_s * 1e9))
+    with Khepera(port) as robot:
+        while True:
+            try:
+                robot.position()
+                break
+            except PortTimeout:
+                assert port.time_ns < (until_s + 2) * 1e9
+        for _ in range(3):
+            assert robot.position() == (port._count, 0)
+
+
 def test_a_mode_that_no_rom_has_is_refused(fake: FakeRobot) -> None:
     fake.answers["K"] = "k,1,7,0,1,1,0"
     with Khepera(fake.url) as robot, pytest.raises(ProtocolError, match="expected a mode of 0, 1, 2"):

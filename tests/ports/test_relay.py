@@ -120,6 +120,48 @@ def test_a_new_relay_gives_no_host_the_replies_to_an_earlier_one_but_what_a_robo
     assert (b"." in got) == (until_s > relaying._BEGIN_S)
 
 
+def test_a_relay_that_is_held_up_takes_no_late_reply_for_the_next_hosts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robot, device = os.openpty()
+    tty.setraw(device)
+    time_s, asked, got = [0.0], b"", b""
+    monkeypatch.setattr(relaying, "time", SimpleNamespace(monotonic=lambda: time_s[0]))
+    with PtyPort() as port:
+        host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        os.write(host, b"N\n")
+
+        left_s: list[float] = []
+
+        def turn() -> bool:
+            nonlocal asked, got, host
+            time_s[0] += 0.1
+            if select.select([robot], [], [], 0)[0]:
+                asked += (new := os.read(robot, 100))
+                if b"N" in new:
+                    os.close(host)
+                    host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+                    os.write(host, b"B\n")
+                    left_s.append(time_s[0])
+                else:
+                    os.write(robot, b"b\r\n")
+            if left_s and time_s[0] - left_s[-1] > 0.15:
+                # Held up while the reply to the host that has left comes.
+                left_s.clear()
+                os.write(robot, b"n\r\n")
+                assert select.select([device], [], [], 10)[0]
+                time_s[0] += 1.0
+            if select.select([host], [], [], 0)[0]:
+                got += os.read(host, 100)
+            return time_s[0] > 5
+
+        relaying.relay(relaying.Device(os.ttyname(device), 9600), port, stop=turn, notify=print)
+        os.close(host)
+    os.close(robot)
+    os.close(device)
+    assert (asked, got) == (b"N\nB\n", b"b\r\n")
+
+
 # pyserial names its threads as Python did before 3.10.
 def test_bytes_at_a_slow_speed_that_a_host_has_left_hold_the_next_one_back_for_a_moment() -> None:
     with plug() as device, served("--relay", device) as (_, path):

@@ -1,6 +1,7 @@
 """Host programs by the real host library: what a user's script does, and the ways in which it ends."""
 
 import random
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,9 @@ from tools.simulate.truth import Truth, tag
 
 READS = "position", "proximity", "ambient", "speed", "versions"
 """Commands that a good host reads by."""
+
+_ZEROS = re.compile(r"(?<![\d.])0+(?=\d)")
+"""Zeros before a number, as of a line that has lost a digit."""
 
 
 class Program(Exception):
@@ -187,7 +191,8 @@ class Session:
             self.simulation.count("values")
             shown = ",".join(map(str, value)) if isinstance(value, tuple) and not self.garbles else ""
             if not any(
-                _reads(command, each.reply) == value and each.reply.rstrip().endswith(shown)
+                _reads(command, each.reply) == value
+                and _ZEROS.sub("", each.reply.rstrip()).endswith(shown)
                 for each in truth.said[since:]
             ):
                 said = [each.reply for each in truth.said[since:]]

@@ -166,7 +166,8 @@ class Loop(asyncio.BaseEventLoop):
             events._set_running_loop(None)
 
     def close(self) -> None:
-        """Forget all tasks; Python would warn of coroutines that a kill has kept from their beginning."""
+        """Forget all tasks; Python would warn of those that a kill has ended, or kept from their beginning."""
+        self.set_exception_handler(lambda *_: None)
         for task in asyncio.all_tasks(self):
             coroutine = task.get_coro()
             if inspect.iscoroutine(coroutine) and inspect.getcoroutinestate(coroutine) == "CORO_CREATED":
