@@ -54,7 +54,7 @@ _CROWDED_S = 0.1
 """Time that several hosts must be there before it is reported, as tools such as stty come and go [s]."""
 
 _TRANSIT_S = 0.02
-"""Time after which a reply has surely reached the host's side, where it is unread until it is gone (assumed) [s]."""
+"""Time after which a reply is at the host's side, where it can be seen until it is read (assumed) [s]."""
 
 _RESTORE_S = 0.01
 """Time after which the settings of a host that has left are restored; the next one may set its own [s]."""

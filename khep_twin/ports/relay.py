@@ -192,7 +192,7 @@ def relay(
     held_s = 0.0
     while not stop():
         _wait(device, port, room := not waiting and not next_host, bool(waiting), held_s)
-        # Replies before hosts: silence counts only where there was nothing to read, however late this turn is.
+        # Replies before hosts: silence counts up to a read that found nothing, however late this turn is.
         reply = dialogue.read()
         on_bytes(False, reply)
         passed = polls.passed(reply) if polls is not None and reply else reply
@@ -269,7 +269,7 @@ class _Dialogue:
 
     @property
     def answered(self) -> bool:
-        """Return whether all is answered, or will not be: the robot had been silent for long at the last read."""
+        """Return whether all is answered, or will not be: the robot had long been silent at the last read."""
         if self._device.unsent:
             self._quiet_since = max(self._quiet_since, time.monotonic())
         return self._read_s - self._quiet_since > (_SILENCE_S if self._due else _PAUSE_S)

@@ -191,7 +191,9 @@ class StalledPort(serial.SerialBase):
     def write(self, data: bytes) -> int:
         for request in data.split():
             self._count += 1
-            reply = {b"B": b"b,5.02,5.01", b"H": b"h,%d,0" % self._count}.get(request[:1], request[:1].lower())
+            reply = {b"B": b"b,5.02,5.01", b"H": b"h,%d,0" % self._count}.get(
+                request[:1], request[:1].lower()
+            )
             self._lines.append(reply + b"\r\n")
         return len(data)
 

@@ -191,8 +191,7 @@ class Session:
             self.simulation.count("values")
             shown = ",".join(map(str, value)) if isinstance(value, tuple) and not self.garbles else ""
             if not any(
-                _reads(command, each.reply) == value
-                and _ZEROS.sub("", each.reply.rstrip()).endswith(shown)
+                _reads(command, each.reply) == value and _ZEROS.sub("", each.reply.rstrip()).endswith(shown)
                 for each in truth.said[since:]
             ):
                 said = [each.reply for each in truth.said[since:]]

@@ -166,7 +166,7 @@ class Loop(asyncio.BaseEventLoop):
             events._set_running_loop(None)
 
     def close(self) -> None:
-        """Forget all tasks; Python would warn of those that a kill has ended, or kept from their beginning."""
+        """Forget all tasks; Python would warn of those that a kill has ended, or has kept from beginning."""
         self.set_exception_handler(lambda *_: None)
         for task in asyncio.all_tasks(self):
             coroutine = task.get_coro()
