@@ -182,7 +182,8 @@ class Khepera:
         """Drive straight on by a distance [m], back if it is below 0, and return when it is done.
 
         Raises:
-            MoveError: It was not done after `timeout` [s]; the motors are stopped.
+            MoveError: It was not done after `timeout` [s], and the motors are stopped; or the counters cannot
+                reach the target.
         """
         pulses = moves.way_pulses(distance)
         return moves.drive_by(self, pulses, pulses, timeout)
@@ -191,7 +192,8 @@ class Khepera:
         """Turn on the spot by an angle [rad], left if it is above 0, and return when it is done.
 
         Raises:
-            MoveError: It was not done after `timeout` [s]; the motors are stopped.
+            MoveError: It was not done after `timeout` [s], and the motors are stopped; or the counters cannot
+                reach the target.
         """
         pulses = moves.turn_pulses(angle, self._wheel_base)
         return moves.drive_by(self, -pulses, pulses, timeout)

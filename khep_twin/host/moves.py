@@ -38,7 +38,10 @@ def drive_by(robot: "Khepera", left: int, right: int, timeout: float) -> Positio
     start = robot.position()
     target = start.left + left, start.right + right
     if max(map(abs, target)) > LONGEST_WAY_PULSES:
-        raise ValueError(f"targets {target} pulses; expected within {LONGEST_WAY_PULSES} of 0")
+        raise MoveError(
+            f"{robot.name}: from counters {tuple(start)} to {target} pulses; "
+            f"expected a target within {LONGEST_WAY_PULSES} of 0"
+        )
     robot.set_target(*target)
     try:
         wait_for_target(robot, timeout)
