@@ -10,6 +10,7 @@ from khep_twin.errors import KhepTwinError, MoveError, PortError, PortTimeout, P
 from khep_twin.host import Gripper, Khepera, Radio, Vision, commands
 from khep_twin.host.commands import HostCommand
 from khep_twin.host.vision import read_image, read_light, read_region
+from khep_twin.units import RadioStatus
 from tools.simulate.kernel import Killed
 from tools.simulate.simulation import Simulation
 from tools.simulate.truth import Truth, tag
@@ -227,11 +228,17 @@ class Session:
             if not self.may_fail() and not all(0 <= value <= 255 for value in values):
                 self.simulation.violate("replies", f"the gripper has {values}")
         elif isinstance(turret, Radio):
-            turret.send(rng.randint(1, 3), rng.randbytes(rng.randint(0, 16)))
+            if turret.status() & RadioStatus.READY:
+                turret.send(rng.randint(1, 3), rng.randbytes(rng.randint(0, 16)))
             turret.receive()
             if self.moves:
                 turret.wait_until_sent()
                 turret.broadcast(b"all")
+                try:
+                    turret.wait_for_message(0.1)
+                except PortTimeout as error:
+                    if "no message came" not in str(error):
+                        raise
         else:
             self.read(robot, truth, read_image(), read_light(), read_region(rng.randint(0, 48), 16))
             turret.set_period(rng.randrange(8))

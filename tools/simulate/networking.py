@@ -4,6 +4,7 @@ import random
 from collections.abc import Callable
 from contextlib import AbstractContextManager, closing
 from functools import partial
+from pathlib import Path
 from unittest.mock import patch
 
 import khep_twin.host.line
@@ -21,6 +22,12 @@ from tools.simulate.truth import SESSIONS, Truth
 
 _PLAYPENS = "default", "obstacles", "gripper", "stripes"
 
+_RADIO = str(Path(__file__).with_name("radio.toml"))
+"""Playpen of a robot with a radio."""
+
+_SHARE_RADIO = 0.2
+"""Share of twins with a radio."""
+
 _NUMBER = 5000
 """Number of the port."""
 
@@ -29,6 +36,12 @@ _LONGEST_TURN_NS = 200 * NS_PER_S
 
 _MOST_DROPPED, _MOST_GARBLED = 0.02, 0.01
 """Highest probabilities that a converter loses or garbles a byte of a segment."""
+
+
+def _playpen(rng: random.Random, radio: random.Random) -> str:
+    """Draw the playpen of a twin: now and then one with a radio, by a generator of its own."""
+    usual = rng.choice(_PLAYPENS)
+    return _RADIO if radio.random() < _SHARE_RADIO else usual
 
 
 class Site:
@@ -46,7 +59,7 @@ class Site:
         self.simulation = simulation
         rng = simulation.rng("site")
         self._rng, self._rfc2217 = rng, rfc2217
-        self.playpen = rng.choice(_PLAYPENS)
+        self.playpen = _playpen(rng, simulation.rng("radio"))
         self.speed = rng.choice([1.0, 1.0, 1.0, WIRE])
         self._options = TwinOptions(seed=rng.randrange(1000), unpaced=rng.random() < 0.2)
         faults = simulation.faults
@@ -328,7 +341,9 @@ def _lockstep_session(simulation: Simulation, rng: random.Random, number: int) -
     ]
     if faults:
         query["fault"] = ",".join(faults)
-    url = f"khep://{own.choice(_PLAYPENS)}?" + "&".join(f"{key}={value}" for key, value in query.items())
+    url = f"khep://{_playpen(own, simulation.rng('radio', number))}?" + "&".join(
+        f"{key}={value}" for key, value in query.items()
+    )
     truths: list[Truth] = []
     kinds = {each.partition(":")[0] for each in faults}
     is_exact = not kinds & {"drop", "garble"}
