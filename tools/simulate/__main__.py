@@ -4,7 +4,7 @@
     python -m tools.simulate run serve --hours 1 --first 500
     python -m tools.simulate one serve 17               one seed, as a violation names it
     python -m tools.simulate mutants                    every mutant until it is caught, and shrunk
-    python -m tools.simulate coverage --hours 0.5       lines of ports, log and host that are run
+    python -m tools.simulate coverage                   lines of ports, log and host that are run
 
 A violation is shrunk to the fewest faults, printed as a command, and kept in out/simulate for
 tests/regressions. The exit status is 1 if there was one, or if a mutant was not caught.
@@ -34,7 +34,10 @@ MOST_FAULTS = 5
 """Most faults of a shrunk mutant."""
 
 SECONDS_COVERED = 120.0
-"""Simulated time of a seed where lines are counted [s]: an hour has three seeds of each scenario."""
+"""Simulated time of a seed where lines are counted [s]."""
+
+HOURS_COVERED = 2.0
+"""Simulated time in which lines are counted [h]: six or seven seeds of each scenario."""
 
 PACKAGES = ("ports", "log", "host")
 """Packages whose lines are counted."""
@@ -67,7 +70,8 @@ def main() -> int:
             sub.add_argument("names", nargs="*", choices=[*known, []], metavar="NAME", help=", ".join(known))
             sub.add_argument("--first", type=int, default=0, help="first seed")
         if name in ("run", "coverage"):
-            sub.add_argument("--hours", type=float, default=1.0, help="simulated time [h]")
+            usual = HOURS_COVERED if name == "coverage" else 1.0
+            sub.add_argument("--hours", type=float, default=usual, help="simulated time [h]")
         if name in ("run", "mutants"):
             sub.add_argument(
                 "--jobs", type=int, default=os.cpu_count(), help="number of processes; 0: this one"
