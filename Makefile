@@ -134,7 +134,7 @@ three: $(VENV)/dev.stamp ## three.js for the designer's page, from the npm regis
 	@$(BIN)/python tools/three_js.py khep_twin/assets/web
 
 commands: $(VENV)/dev.stamp ## docs/commands.md, every command with its options, out of the help texts
-	@$(BIN)/python -m typer khep_twin.cli.app utils docs --name khep-twin --title Commands --output docs/commands.md
+	@$(BIN)/python tools/command_docs.py docs/commands.md
 
 docs: $(VENV)/dev.stamp ## the site: all pages, gallery, reference and a search, out/site/index.html; links are checked
 	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --require-hashes -r requirements-site.lock

@@ -54,7 +54,7 @@ def main() -> None:
         picture = options.folder / f"{name}.png"
         if not options.without_pictures:
             write_whole(picture, small(render(found, picture)))
-        table += f"| [{name}]({name}.xml) | ![{name}, from above]({name}.png) |\n"
+        table += f"| [{name}]({name}.xml) | ![Scene of {name}]({name}.png) |\n"
     write_whole(options.folder / "README.md", (INTRODUCTION + table).encode("utf-8"))
     print(f"mjcf     {options.folder}")
 

@@ -20,7 +20,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import tutorial
-from PIL import Image, ImageDraw
+from PIL import Image
+from scipy.io import loadmat
 from typer.testing import CliRunner
 
 from benchmarks import library_picture
@@ -31,16 +32,6 @@ from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.shadow_log import ShadowLog
 from khep_twin.world import World
-
-SOLID = [
-    [(80, 80), (160, 80), (160, 100), (80, 100)],
-    [(417, 137), (472, 82), (486, 96), (431, 151)],
-    [(473, 300), (489, 300), (489, 390), (473, 390)],
-    [(170, 370), (192, 348), (234, 390), (212, 412)],
-]
-"""Corners of the blocks in the scan of docs/import.md [pixels of 1 mm]."""
-
-_EDGE = 10
 
 _LEFT_COLUMN = (0, 30, 800, 876)
 """Arena, robot and serial line in a still of `khep-twin view` [pixels]."""
@@ -103,19 +94,17 @@ def draw_shadow() -> None:
 
 
 def draw_import() -> None:
-    """Draw a scan and the playpen that is made of it, for docs/import.md."""
-    scan = Image.new("L", (600, 500), 255)
-    pencil = ImageDraw.Draw(scan)
-    pencil.rectangle((0, 0, 599, 499), outline=0, width=_EDGE)
-    for corners in SOLID:
-        pencil.polygon(corners, fill=0)
-    Image.fromarray(np.asarray(scan)).save("scan.png")
-    _type("playpen", "import", "scan.png", "-o", "scan.toml")
+    """Draw the scan of docs/import.md, the right way up, and the playpen that is made of it."""
+    page = (tutorial.PAGE.parent / "import.md").read_text()
+    exec(next(block.text for block in tutorial.blocks(page) if block.language == "python"), {})
+    scan = loadmat("scan.mat")["btmap1"][::-1]
+    _type("playpen", "import", "scan.mat", "-o", "scan.toml")
     _type("playpen", "draw", "scan.toml", "-o", "map.png")
     drawn = tutorial.shrunk(Path("map.png"), 620)
-    both = Image.new("RGB", (600 + 20 + drawn.width, drawn.height), "white")
-    both.paste(scan.convert("RGB"), (0, max((drawn.height - 500) // 2 - 20, 0)))
-    both.paste(drawn, (620, 0))
+    both = Image.new("RGB", (scan.shape[1] + 20 + drawn.width, drawn.height), "white")
+    picture = Image.fromarray(np.where(scan == 1, 255, 0).astype(np.uint8))
+    both.paste(picture.convert("RGB"), (0, max((drawn.height - picture.height) // 2 - 20, 0)))
+    both.paste(drawn, (picture.width + 20, 0))
     _keep(both, "import")
 
 

@@ -15,8 +15,13 @@ from reference import write as write_reference
 
 ROOT = Path(__file__).parents[1]
 
-PAGES = {"README.md": "about.md", "CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md"}
-"""Pages at the top of the repository, and their names in the site."""
+PAGES = {
+    "README.md": "about.md",
+    "CHANGELOG.md": "changelog.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "mjcf/README.md": "mjcf/playpens.md",
+}
+"""Pages with other names in the site, where a README is the index of its section."""
 
 FOLDERS = {
     "docs": ("md", "png", "json", "svg"),
@@ -26,7 +31,18 @@ FOLDERS = {
 }
 """Folders, and the kinds of files that pages link to."""
 
-STYLE = ".md-typeset td code { word-break: normal; }  /* words of a table stay whole; a wide one scrolls */\n"
+STYLE = """
+/* Words of a table stay whole, and its columns wide enough to be read; a wide one scrolls. */
+.md-typeset :is(td, th) code { word-break: normal; overflow-wrap: normal; }
+.md-typeset table:not([class]) :is(td, th) { min-width: 5rem; padding: .5em .8em; }
+.md-typeset table:not([class]) :is(td, th):last-child { min-width: 9rem; }
+.md-typeset .whole { white-space: nowrap; }
+/* A line of code has a hundred characters. */
+.md-typeset pre > code { font-size: .74em; }
+@media screen and (min-width: 76.25em) { .md-grid { max-width: 66rem; } .md-sidebar { width: 10.6rem; } }
+.md-typeset .md-button { margin: .2rem 0; }
+.md-typeset h1 .headerlink, .md-typeset h2 .headerlink { margin-left: .2rem; }
+"""
 
 PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)]+\.(?:png|svg))\)")
 
@@ -36,8 +52,9 @@ def main(target: Path) -> None:
     shutil.rmtree(target, ignore_errors=True)
     for folder, kinds in FOLDERS.items():
         for path in sorted(ROOT.glob(f"{folder}/**/*")):
-            if path.suffix[1:] in kinds and "reference" not in path.parts:
-                _copy(path, target / path.relative_to(ROOT))
+            name = str(path.relative_to(ROOT))
+            if path.suffix[1:] in kinds and "reference" not in path.parts and name not in PAGES:
+                _copy(path, target / name)
     for name, page in PAGES.items():
         _copy(ROOT / name, target / page)
     shutil.copy(ROOT / "khep_twin/assets/web/icon.svg", target / "docs/icon.svg")
@@ -46,11 +63,6 @@ def main(target: Path) -> None:
     (target / "site.css").write_text(STYLE, encoding="utf-8")
     (target / "gallery.md").write_text(_gallery(target), encoding="utf-8")
     write_reference(target / "reference")
-    (target / "reference.md").write_text(
-        "# Reference\n\nThe [reference of every public function and class](reference/index.html) is "
-        "generated from the docstrings.\n",
-        encoding="utf-8",
-    )
 
 
 def _copy(path: Path, to: Path) -> None:
@@ -79,18 +91,19 @@ def _front(readme: str) -> str:
 
 
 def _gallery(target: Path) -> str:
-    """Return a page of every picture, with its description and the page that it is on."""
+    """Return a page of every picture with its description, by the pages that they are on."""
     seen: set[Path] = set()
-    parts = ["---\nhide: [toc]\n---\n# Gallery\n\nAll pictures of the pages, each with a link to its page.\n"]
+    parts = ["# Gallery\n\nAll pictures of the pages, each below a link to its page.\n"]
     for page in sorted(target.rglob("*.md")):
         text, there = page.read_text(encoding="utf-8"), page.relative_to(target)
-        title = text.partition("\n")[0].removeprefix("# ")
+        title = "Overview" if page.name == "about.md" else text.partition("\n")[0].removeprefix("# ")
+        heading = f"## [{title}]({there})\n"
         for words, link in PICTURE.findall(text):
             picture = (page.parent / link).resolve()
             if page.name not in ("index.md", "gallery.md") and picture not in seen and picture.exists():
                 seen.add(picture)
-                path = picture.relative_to(target.resolve())
-                parts.append(f"![{words}]({path}){{ width=480 }}\n\n{words} ([{title}]({there})).\n")
+                parts += [heading] * (heading not in parts)
+                parts.append(f"![{words}]({picture.relative_to(target.resolve())})<br>{words}\n")
     return "\n".join(parts)
 
 

@@ -99,7 +99,7 @@ def run(
     controller: Annotated[
         str | None,
         typer.Argument(
-            metavar="[FILE.py]",
+            metavar="FILE.py",
             help="Controller, FILE.py or FILE.py:NAME; without, the reference solution.",
             autocompletion=completion.controllers,
         ),

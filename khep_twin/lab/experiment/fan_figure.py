@@ -54,7 +54,7 @@ def draw_fan(plan: BranchPlan, ways: Sequence[Way]) -> Figure:
         panel.set(xlabel="time [s]", ylabel="distance from the runs' mean [mm]")
         panel.set_ylim(bottom=0)
         panel.grid(color=INK, alpha=0.1, lw=0.5)
-        panel.legend(frameon=False, fontsize=8, loc="upper left")
+        panel.legend(framealpha=1.0, edgecolor="none", fontsize=8, loc="upper left")
     return figure
 
 

@@ -38,7 +38,7 @@ LABELS = 6
 
 _RAYS = 5
 _UNLIT_RAY, _NOTHING, _NEAR = (190, 190, 185, 255), np.array((150, 150, 150)), np.array((228, 30, 20))
-_TRAIL, _EVENT = (94, 53, 177), (20, 30, 90)
+_TRAIL, _EVENT = (94, 53, 177), (255, 183, 77)
 _FLOOR, _GLOW = np.array((237.0, 235.0, 224.0)), np.array((255.0, 184.0, 31.0))
 _HALF_GLOW = 3e-4
 """Light at which the floor has half its glow [W/mm^2], as on maps."""
