@@ -29,7 +29,7 @@ _Line = tuple[int, str, str]
 
 
 class Truth:
-    """What has happened in a run; an observer of its world, after the recorder.
+    """What has happened in a run; an observer of its world, before the recorder, which may end amid one.
 
     Args:
         number: Number of the run, its seed.
@@ -63,18 +63,16 @@ class Truth:
                 self.begun_ns = world.time_ns
                 self.kept_ns = world.time_ns - LOCK_STEP_LOSS_NS
             world.add_observer(self, at_once=not world.time_ns)
+            world.observers.insert(0, world.observers.pop())
+            world.add_observer(_Promises(self), at_once=not world.time_ns)
 
     def sample(self, world: World) -> None:
         """Keep the registers."""
-        if self.failed():
-            return
         for robot in world.robots:
             names = ["registers", *(kind.name for kind in robot.firmware.turrets)]
             for name, board in zip(names, boards(robot), strict=True):
                 topic = f"/{robot.name}/{name}"
                 self.samples.setdefault(topic, {})[world.time_ns] = board.tobytes()
-        self.last_ns = world.time_ns
-        self.kept_ns = max(self.kept_ns, self.last_ns - LOCK_STEP_LOSS_NS)
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Keep the lines that bytes complete."""
@@ -95,8 +93,17 @@ class Truth:
         self.host.setdefault(self.names[robot], []).append((time_ns, event))
 
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Keep an event, with which the log was flushed."""
+        """Keep an event."""
         self.events.append((time_ns, "world" if robot is None else self.names[robot], text))
+
+    def recorded(self, time_ns: int) -> None:
+        """Note that the recorder has taken the sample of a time."""
+        if not self.failed():
+            self.last_ns = time_ns
+            self.kept_ns = max(self.kept_ns, time_ns - LOCK_STEP_LOSS_NS)
+
+    def told(self, time_ns: int) -> None:
+        """Note that the recorder has taken an event of a time, with which the log was flushed."""
         if not self.failed():
             self.kept_ns = max(self.kept_ns, time_ns - 1)
 
@@ -159,6 +166,27 @@ class Truth:
         since_ns = self.begun_ns + _SETTLED_NS if self.begun_ns >= 0 else -1
         kept, there = ([each for each in entries if each[0] > since_ns] for entries in (expected, found))
         return _first_wrong(kept, there, gaps, must_ns)
+
+
+class _Promises:
+    """What the recorder must have kept; an observer of the world, after it."""
+
+    def __init__(self, truth: Truth) -> None:
+        self._truth = truth
+
+    def sample(self, world: World) -> None:
+        """Note a sample."""
+        self._truth.recorded(world.time_ns)
+
+    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
+        """Ignore bytes, which are kept with the next sample."""
+
+    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
+        """Ignore host events, which are kept with the next sample."""
+
+    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
+        """Note an event."""
+        self._truth.told(time_ns)
 
 
 def _data(found: Messages, topic: str) -> list[bytes]:

@@ -155,14 +155,15 @@ class Run:
             command = rng.choice(COMMANDS)
             for to_robot, data in ((True, command), (False, _reply(command, rng.randrange(1000)))):
                 if data:
-                    recorder.on_bytes(to_robot, data)
                     self.truth.on_bytes(time_ns, 0, to_robot, data)
+                    recorder.on_bytes(to_robot, data)
                 if to_robot:
                     event = HostEvent(HostEventKind.SEND, time_ns, None, data)
                     self.truth.on_host_event(time_ns, 0, event)
             if rng.random() < 0.01:
-                recorder.on_event("the robot is connected")
                 self.truth.on_event(time_ns, 0, "the robot is connected")
+                recorder.on_event("the robot is connected")
+                self.truth.told(time_ns)
             flush()
             self.truth.turn(self.clock.monotonic_ns(), time_ns)
             self.clock.sleep(rng.uniform(0.0, 0.2))
