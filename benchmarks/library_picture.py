@@ -27,7 +27,7 @@ def draw(target: Path) -> None:
     for index, row in enumerate(rows):
         for column, picture in enumerate(row):
             sheet.paste(picture, (column * width, sum(heights[:index])))
-    sheet.quantize(256).save(target, optimize=True)
+    sheet.save(target, optimize=True)
 
 
 if __name__ == "__main__":
