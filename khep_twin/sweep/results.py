@@ -151,6 +151,8 @@ class SweepFolder:
             raise StudyError(
                 f"{self._path}: holds results of this study already; expected --resume, or a new folder"
             )
+        if self.table.exists():
+            return  # no part is written any more, and a kill would leave the folder
         try:
             self._parts.mkdir(exist_ok=True)
         except OSError as error:
