@@ -7,6 +7,8 @@ import subprocess
 import sys
 import time
 import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -87,15 +89,24 @@ def test_a_host_that_left_leaves_nothing_to_the_next() -> None:
         os.close(descriptor)
 
 
+@contextmanager
+def clocked_line(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, int, list[float]]]:
+    """A robot's end of a line, its other end, and the time of the relay's clock."""
+    robot, device = os.openpty()
+    tty.setraw(device)
+    time_s = [0.0]
+    monkeypatch.setattr(relaying, "time", SimpleNamespace(monotonic=lambda: time_s[0]))
+    yield robot, device, time_s
+    os.close(robot)
+    os.close(device)
+
+
 @pytest.mark.parametrize("until_s", [1.0, 9.0])
 def test_a_new_relay_gives_no_host_the_replies_to_an_earlier_one_but_what_a_robot_says_by_itself(
     until_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    robot, device = os.openpty()
-    tty.setraw(device)
-    time_s, asked, got = [0.0], b"", b""
-    monkeypatch.setattr(relaying, "time", SimpleNamespace(monotonic=lambda: time_s[0]))
-    with PtyPort() as port:
+    asked, got = b"", b""
+    with clocked_line(monkeypatch) as (robot, device, time_s), PtyPort() as port:
         host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         os.write(host, b"B\n")
 
@@ -113,8 +124,6 @@ def test_a_new_relay_gives_no_host_the_replies_to_an_earlier_one_but_what_a_robo
 
         relaying.relay(relaying.Device(os.ttyname(device), 9600), port, stop=turn, notify=print)
         os.close(host)
-    os.close(robot)
-    os.close(device)
     assert asked == b"B\n"
     assert got.strip(b".") == b"b"
     assert (b"." in got) == (until_s > relaying._BEGIN_S)
@@ -123,11 +132,8 @@ def test_a_new_relay_gives_no_host_the_replies_to_an_earlier_one_but_what_a_robo
 def test_a_relay_that_is_held_up_takes_no_late_reply_for_the_next_hosts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    robot, device = os.openpty()
-    tty.setraw(device)
-    time_s, asked, got = [0.0], b"", b""
-    monkeypatch.setattr(relaying, "time", SimpleNamespace(monotonic=lambda: time_s[0]))
-    with PtyPort() as port:
+    asked, got = b"", b""
+    with clocked_line(monkeypatch) as (robot, device, time_s), PtyPort() as port:
         host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         os.write(host, b"N\n")
 
@@ -157,8 +163,6 @@ def test_a_relay_that_is_held_up_takes_no_late_reply_for_the_next_hosts(
 
         relaying.relay(relaying.Device(os.ttyname(device), 9600), port, stop=turn, notify=print)
         os.close(host)
-    os.close(robot)
-    os.close(device)
     assert (asked, got) == (b"N\nB\n", b"b\r\n")
 
 
