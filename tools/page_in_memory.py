@@ -252,6 +252,9 @@ def answers(sent: bytes) -> list[Answer]:
         head = ANSWER.match(sent)
         assert head, sent[:200]
         status, rest = int(head[1]), sent[head.end() :]
+        if status == 100:  # no answer: the rest of the request may come
+            sent = rest
+            continue
         length = re.search(rb"(?i)^content-length: (\d+)\r$", head[2], re.MULTILINE)
         size = len(rest) if length is None else int(length[1])
         if rest.startswith(b"HTTP/1.") or status == 304:  # of a HEAD
