@@ -8,11 +8,10 @@ Typer's own writer, without its limit of 45 characters to the sentence about a c
 import sys
 from unittest.mock import patch
 
-from typer.cli import main
-from typer.core import TyperCommand, TyperGroup
+from typer.cli import Command, main
 
 
-def _sentence(command: TyperCommand | TyperGroup, limit: int = 0) -> str:
+def _sentence(command: Command, limit: int = 0) -> str:
     """Return the first paragraph of a command's help."""
     return " ".join((command.help or "").partition("\n\n")[0].split())
 
@@ -20,8 +19,5 @@ def _sentence(command: TyperCommand | TyperGroup, limit: int = 0) -> str:
 if __name__ == "__main__":
     words = ["--name", "khep-twin", "--title", "Commands", "--output", sys.argv[1]]
     sys.argv = ["typer", "khep_twin.cli.app", "utils", "docs", *words]
-    with (
-        patch.object(TyperCommand, "get_short_help_str", _sentence),
-        patch.object(TyperGroup, "get_short_help_str", _sentence),
-    ):
+    with patch.object(Command, "get_short_help_str", _sentence):
         main()

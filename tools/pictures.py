@@ -39,8 +39,7 @@ _LEFT_COLUMN = (0, 30, 800, 876)
 
 def draw_sensor_tests() -> None:
     """Draw the two tests of docs/sense.md, by its commands."""
-    page = (tutorial.PAGE.parent / "sense.md").read_text()
-    source = next(block.text for block in tutorial.blocks(page) if block.language == "toml")
+    source = _first_block("sense.md", "toml")
     Path("bench.toml").write_text(source)
     far = ["--linear", "12", "--runs", "5", "--text", "white wall", "-o", "wall.csv"]
     _type("sense", "khep://bench.toml?seed=1", "--speed", "4", *far, "--picture", "sense_linear.png")
@@ -95,8 +94,7 @@ def draw_shadow() -> None:
 
 def draw_import() -> None:
     """Draw the scan of docs/import.md, the right way up, and the playpen that is made of it."""
-    page = (tutorial.PAGE.parent / "import.md").read_text()
-    exec(next(block.text for block in tutorial.blocks(page) if block.language == "python"), {})
+    exec(_first_block("import.md", "python"), {})
     scan = loadmat("scan.mat")["btmap1"][::-1]
     _type("playpen", "import", "scan.mat", "-o", "scan.toml")
     _type("playpen", "draw", "scan.toml", "-o", "map.png")
@@ -140,6 +138,12 @@ def draw_baton() -> None:
     subprocess.run([sys.executable, str(example), "baton.mcap"], check=True)
     _type("view", "baton.mcap", "--png", "baton.png")
     _keep(Image.open("baton.png").convert("RGB").crop(_LEFT_COLUMN), "baton")
+
+
+def _first_block(page: str, language: str) -> str:
+    """Return the first block of a language in a page of the docs."""
+    text = (tutorial.PAGE.parent / page).read_text()
+    return next(block.text for block in tutorial.blocks(text) if block.language == language)
 
 
 def _seen(world: World) -> Image.Image:

@@ -192,7 +192,7 @@ class Line:
         """Resynchronize with the robot; return the lines before the answer to a probe, None without one."""
         probe = next((letter for letter in _PROBES if letter not in self._unanswered), _PROBES[0])
         # Answers to each of them may be to come: the line is in step only once it is silent.
-        is_last = probe in self._unanswered and self.port.timeout is not None
+        is_repeated = probe in self._unanswered and self.port.timeout is not None
         self._unanswered.add(probe)
         # The line feed before it ends a command that was broken off.
         self._write(f"\n{probe}\n".encode("ascii"), probe)
@@ -206,7 +206,7 @@ class Line:
             text = _text(line)
             if text.startswith(f"{probe.lower()},"):
                 before = lines.copy()
-                if not is_last:
+                if not is_repeated:
                     break
             lines.append(text)
         else:

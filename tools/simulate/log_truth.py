@@ -10,7 +10,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.log.decoding import read_array, read_line
 from khep_twin.log.host_events import read_events
 from khep_twin.log.state_hashes import boards
-from khep_twin.world import World
+from khep_twin.world import Observer, World
 
 LOCK_STEP_LOSS_NS = 5 * NS_PER_S
 """Simulated time that a log may lack after a kill (docs/logs.md) [ns]."""
@@ -168,7 +168,7 @@ class Truth:
         return _first_wrong(kept, there, gaps, must_ns)
 
 
-class _Promises:
+class _Promises(Observer):
     """What the recorder must have kept; an observer of the world, after it."""
 
     def __init__(self, truth: Truth) -> None:
@@ -177,12 +177,6 @@ class _Promises:
     def sample(self, world: World) -> None:
         """Note a sample."""
         self._truth.recorded(world.time_ns)
-
-    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Ignore bytes, which are kept with the next sample."""
-
-    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
-        """Ignore host events, which are kept with the next sample."""
 
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Note an event."""

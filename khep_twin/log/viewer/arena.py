@@ -186,12 +186,15 @@ EVENTS = "/event_marks"
 """Entity path of the arena's marks of events in a recording."""
 
 
-def event_chunks(label: Label, gathered: Gatherer, before: Mapping[str, Floats]) -> list[Chunk]:
+def event_chunks(
+    label: Label, gathered: Gatherer, poses: Poses | None, before: Mapping[str, Floats]
+) -> list[Chunk]:
     """Return marks of events: in the arena at the robot's position, in the curves at 0.
 
     Args:
         label: Label of the log.
         gathered: Data of the log, or of a piece of it.
+        poses: Poses in it; None without.
         before: Last pose of each robot in the pieces before, of a log that comes in pieces.
     """
     times_ns, texts = gathered.events()
@@ -200,7 +203,7 @@ def event_chunks(label: Label, gathered: Gatherer, before: Mapping[str, Floats])
     times = time_column(times_ns)
     zeros = rr.Scalars.columns(scalars=np.zeros(len(texts)))
     chunks = [Chunk.from_columns(f"/{robot}/events", [times], zeros) for robot in label.robots]
-    poses, places = gathered.poses(), list[Floats]()
+    places: list[Floats] = []
     for time_ns, text in zip(times_ns, texts, strict=True):
         robot = _subject(text, label.robots)
         if poses is not None and (name := f"{robot}/base") in poses.bodies:

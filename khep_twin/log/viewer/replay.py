@@ -231,8 +231,8 @@ class Additions:
 
     def chunks(self, gathered: Gatherer, thinned: Callable[[Samples], Samples]) -> Iterator[Chunk]:
         """Yield those of a piece; `thinned` returns the samples that have a picture."""
-        yield from event_chunks(self._label, gathered, self._last)
         poses = gathered.poses()
+        yield from event_chunks(self._label, gathered, poses, self._last)
         if poses is not None and self._rays is None:
             self._rays, self._light = Rays(self._label, self._source), FloorLight(self._label, self._source)
         for robot in self._label.robots:
