@@ -58,6 +58,7 @@ def draw(target: Path) -> None:
             ha="right",
             va="top",
             fontsize=7.5,
+            bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1},
         )
         panel.spines[["top", "right"]].set_visible(False)
         print("  ".join(lines))

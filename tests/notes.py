@@ -1,26 +1,17 @@
 """Observers that keep what they are told of a world."""
 
 from khep_twin.board.uart import HostEvent
-from khep_twin.world import World
+from khep_twin.world import Observer, World
 
 
-class Notes:
+class Notes(Observer):
     """An observer that keeps the texts of events."""
 
     def __init__(self) -> None:
         self.told: list[str] = []
 
-    def sample(self, world: World) -> None:
-        """Nothing."""
-
-    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Nothing."""
-
-    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
-        """Nothing."""
-
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Keeps it."""
+        """Keep the text."""
         self.told.append(text)
 
 

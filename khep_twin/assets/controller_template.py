@@ -15,15 +15,15 @@ NEAR_COUNTS = 200  # proximity from 0, nothing there, to 1023, touching
 
 
 class Wander(Controller):
-    """Drives straight on, and turns where something is near."""
+    """Drive straight on; turn where something is near."""
 
     def start(self, robot: Khepera) -> None:
-        """Before the first cycle of each run: set variables here. What is in them at its end is kept."""
+        """Set variables before the first cycle of each run. Their values at its end are saved."""
         self.turns = 0  # saved with the run
         self._last = 0  # not saved: its name begins with _
 
     def cycle(self, robot: Khepera) -> None:
-        """Again and again: look, think, act. A command takes its time on the line: N 45 ms at 9600 baud."""
+        """Read sensors, decide, drive; called again and again. A command takes time: N 45 ms at 9600 baud."""
         # Left 90, 45, 10 degrees, right 10, 45, 90, back right, back left: eight counts in this order.
         _, left_45, left_10, right_10, right_45, *_ = robot.proximity()
         # robot.ambient()    eight counts of light, about 500 in the dark, 50 in bright light
@@ -43,8 +43,8 @@ class Wander(Controller):
             robot.set_speed(SPEED_PULSES, SPEED_PULSES)
 
     def end(self, robot: Khepera) -> None:
-        """After the last cycle of each run; the motors stand already."""
+        """Finish each run, after its last cycle; the motors stand already."""
 
     def stop(self, robot: Khepera) -> None:
-        """When the robot is done with, also after Ctrl-C or trouble: leave it in order."""
+        """Leave the robot in order when it is no longer used, also after Ctrl-C or an error."""
         robot.set_led(0, 0)

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from notes import Notes
 
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
@@ -155,21 +156,10 @@ def test_a_robot_that_drives_to_a_lamp_sees_the_next_one_come_on() -> None:
     world = World(playpen.parse(text, "turns"), noise=False)
     front, back = world.robots[0].registers[AMBIENT][[2, 6]]
     assert front < 400 < back
-    told: list[str] = []
-
-    class Listener:
-        def sample(self, world: World) -> None: ...
-
-        def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None: ...
-
-        def on_host_event(self, time_ns: int, robot: int, event: object) -> None: ...
-
-        def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
-            told.append(text)
-
-    world.add_observer(Listener())
+    notes = Notes()
+    world.add_observer(notes)
     world.robots[0].send(b"D,10,10\n")
     world.advance_to(2_500_000_000)
     front, back = world.robots[0].registers[AMBIENT][[2, 6]]
     assert front == 485 > back
-    assert told == ["second is on"]
+    assert notes.told == ["second is on"]

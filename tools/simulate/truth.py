@@ -7,7 +7,7 @@ from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.ports.twin import Twin
 from khep_twin.robot import Robot
 from khep_twin.units import PULSES_PER_TURN, wheel_pulses
-from khep_twin.world import World
+from khep_twin.world import Observer
 from tools.simulate.simulation import Simulation
 
 STOP = "D,0,0"
@@ -43,7 +43,7 @@ def tag(session: int) -> str:
     return f"W,{session % 256},{session // 256}"
 
 
-class Truth:
+class Truth(Observer):
     """Observer of a twin's world.
 
     Args:
@@ -69,12 +69,6 @@ class Truth:
         twin.world.add_observer(self)
 
     # Observer of the world -----------------------------------------------------------------------------
-
-    def sample(self, world: World) -> None:
-        """Ignore what the world looks like."""
-
-    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Ignore events."""
 
     def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
         """Note that a host leaves, whose last commands are carried out without replies."""

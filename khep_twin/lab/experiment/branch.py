@@ -24,7 +24,7 @@ from khep_twin.ports.replay import Setup
 from khep_twin.ports.taking_up import TakenUp, end_of
 from khep_twin.ports.twin import Twin
 from khep_twin.sensing import calibration
-from khep_twin.world import World
+from khep_twin.world import Observer, World
 
 Floats = NDArray[np.float64]
 
@@ -149,7 +149,7 @@ _ENDLESS_S = 60.0
 """Time that a controller goes on for at the end of its parent [s], as `khep-twin run` does."""
 
 
-class _Observed:
+class _Observed(Observer):
     """Observer of the robots' poses; it is none of the run's and ends with it."""
 
     def __init__(self, world: World) -> None:
@@ -161,15 +161,6 @@ class _Observed:
         """Note the poses."""
         self._times_ns.append(world.time_ns)
         self._poses.append(world.poses)
-
-    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Ignore bytes."""
-
-    def on_host_event(self, time_ns: int, robot: int, event: object) -> None:
-        """Ignore host events."""
-
-    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Ignore events."""
 
     def way(self) -> Way:
         """Return the way so far."""

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
-from khep_twin.board.uart import HostEvent
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.polygon import contains
 from khep_twin.rollout.fitness import obstacle_avoidance
 from khep_twin.sensing import calibration
-from khep_twin.world import World
+from khep_twin.world import Observer, World
 
 CELL = 0.05
 """Side of a coverage cell [m]: about the robot's diameter."""
@@ -86,7 +85,7 @@ class HostMetrics:
         return {name: found[name] for name in UNITS if name in found}
 
 
-class GroundTruthMetrics:
+class GroundTruthMetrics(Observer):
     """Observer that records the ground truth of one run of one robot.
 
     Args:
@@ -111,15 +110,6 @@ class GroundTruthMetrics:
         self._times_ns.append(world.time_ns)
         self._poses.append(robot.pose)
         self._counts.append(robot.registers[self._columns])  # a copy
-
-    def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Ignore bytes: `HostMetrics` counts them."""
-
-    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
-        """Ignore host events: their effect is recorded."""
-
-    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Ignore events."""
 
     def end(self) -> None:
         """Record the last sample and remove the observer."""

@@ -24,7 +24,7 @@ from khep_twin.log.transcript import Transcript
 from khep_twin.ports.replay import RecordedHosts, Setup, repeat_event
 from khep_twin.ports.taking_up import TakenUp
 from khep_twin.ports.twin import Twin
-from khep_twin.world import SAMPLE_NS, World
+from khep_twin.world import SAMPLE_NS, Observer, World
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -102,7 +102,7 @@ def _run(
     return min(filter(None, [watch.difference, *watch.lines(recorded)]), default=None)
 
 
-class _Watch:
+class _Watch(Observer):
     """Observer that keeps the transcript and the first difference between a sample and the recorded one."""
 
     def __init__(self, world: World, recorded: Recorded) -> None:
@@ -128,12 +128,6 @@ class _Watch:
         self._transcript.on_bytes(time_ns, robot, to_robot, data)
         if not to_robot:
             self._answers.on_bytes(time_ns, robot, data)
-
-    def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
-        """Ignore host events: they are the recorded ones."""
-
-    def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
-        """Ignore events: they follow from the state."""
 
     def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
         """Add whole lines of the transcript."""
