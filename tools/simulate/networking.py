@@ -212,7 +212,8 @@ class Site:
             lambda: self.truth,
             number,
             rng,
-            {"timeout": rng.choice([1.0, 1.0, 2.0])},
+            # In a slow twin replies take longer, too: an image of 250 bytes 1.1 s at a quarter of the speed.
+            {"timeout": rng.choice([1.0, 1.0, 2.0]) / min(self.speed or 1.0, 1.0)},
             self.is_private,
             self.may_fail,
             garbles=self.garbles,
