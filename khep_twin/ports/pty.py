@@ -165,7 +165,9 @@ class PtyPort:
             n_writes = change.writes + later.writes_before
         if not self.occupied:
             self._clear()
-            return Received(left=True, last=read + data)
+            # One that came since that look may have read them before they were flushed.
+            crossed = given_s is not None and not self._presence.is_quiet()
+            return Received(left=True, last=read + data, notices=[_IN_A_MOMENT] if crossed else ())
         # The next host is already connected, and may have received unread replies.
         unread = self._drop_replies()
         last, data = _divided(data, n_before, n_writes)

@@ -112,6 +112,28 @@ def test_a_host_that_may_have_got_an_old_reply_is_reported(
     assert [*received.notices] == ([] if is_read else [pty_module._IN_A_MOMENT])
 
 
+def test_a_host_that_reads_an_old_reply_before_it_is_flushed_is_reported(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with PtyPort() as port:
+        with serial.Serial(port.path, 9600, timeout=1) as host:
+            host.write(b"B\n")
+            assert port.receive(100).data == b"B\n"
+            port.write(b"b\r\n")
+        flush, came = port._drop_replies, list[int]()
+
+        def come_and_flush() -> int:
+            came.append(os.open(port.path, os.O_RDWR | os.O_NOCTTY))
+            assert os.read(came[0], 3) == b"b\r\n"
+            return flush()
+
+        monkeypatch.setattr(port, "_drop_replies", come_and_flush)
+        received = port.receive(100)
+        os.close(came[0])
+    assert received.left
+    assert [*received.notices] == [pty_module._IN_A_MOMENT]
+
+
 def test_a_link_leads_to_the_terminal_and_goes_with_it(tmp_path: Path) -> None:
     link = tmp_path / "khepera"
     with PtyPort(link) as port:
