@@ -303,7 +303,7 @@ class Page:
     def _put(self, asked: requests.Put) -> None:
         twin = self._twin()
         robot = _among("robot", asked.robot, twin.playpen.robots)
-        twin.put(robot, asked.x_mm, asked.y_mm, asked.heading_deg)
+        twin.put(robot, asked.x_mm, asked.y_mm, asked.heading_deg, asked.tab)
 
     def _room(self, asked: requests.Room) -> None:
         twin = self._twin()
@@ -311,7 +311,7 @@ class Page:
 
     def _switch(self, asked: requests.SwitchRequest) -> None:
         twin = self._twin()
-        twin.switch(_among("lamp", asked.lamp, twin.playpen.lamps), asked.on)
+        twin.switch(_among("lamp", asked.lamp, twin.playpen.lamps), asked.on, asked.tab)
 
     def _sense(self, asked: requests.SenseRequest) -> None:
         self._running().start(jobs.sensing(asked, self._sensed.append))

@@ -173,9 +173,9 @@ class TwinActor(WebSession):
         if self._paced is not None:
             self._paced.step()
 
-    def put(self, robot: int, x_mm: float, y_mm: float, heading_deg: float) -> None:
-        """Move a robot; report if there is no room."""
-        self._request(lambda twin: put(twin.world, robot, x_mm, y_mm, heading_deg))
+    def put(self, robot: int, x_mm: float, y_mm: float, heading_deg: float, page: str = "") -> None:
+        """Move a robot for a page; report to it if there is no room."""
+        self._request(lambda twin: put(twin.world, robot, x_mm, y_mm, heading_deg), page)
 
     def room(self, robot: int, x_mm: float, y_mm: float) -> None:
         """Report why a held robot has no room at a position; with room, the reason is empty."""
@@ -186,9 +186,9 @@ class TwinActor(WebSession):
 
         self._request(report)
 
-    def switch(self, lamp: int, on: bool) -> None:
-        """Switch a lamp."""
-        self._request(lambda twin: switch(twin.world, lamp, on))
+    def switch(self, lamp: int, on: bool, page: str = "") -> None:
+        """Switch a lamp for a page."""
+        self._request(lambda twin: switch(twin.world, lamp, on), page)
 
     def scene(self) -> DrawnScene:
         """Return the scene of the world, with the poses of its moving bodies in each picture's "bodies".
@@ -213,7 +213,8 @@ class TwinActor(WebSession):
             self._paced.ended = True
         super().end()
 
-    def _request(self, action: Callable[[PacedTwin], None]) -> None:
+    def _request(self, action: Callable[[PacedTwin], None], page: str = "") -> None:
+        """Have something done to the twin, for a page or for all."""
         twin = self._paced
         if twin is None:
             raise PortError(_NOT_YET)
@@ -223,7 +224,7 @@ class TwinActor(WebSession):
                 action(twin)
             except (KhepTwinError, IndexError) as error:
                 text = error.plain if isinstance(error, KhepTwinError) else str(error)
-                self.publish({"kind": "refused", "text": text})
+                self.publish({"kind": "refused", "text": text, "tab": page})
 
         twin.request(safely)
 

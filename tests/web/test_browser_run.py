@@ -11,6 +11,7 @@ from khep_twin.host import Khepera
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.recorded import read_recorded
 from tests.served_twin import served
+from tests.web.conftest import Asker
 from tests.web.visit import BROWSED, Visit, need_a_browser
 
 need_a_browser()
@@ -556,6 +557,21 @@ def test_undo_during_a_run_puts_a_lifted_robot_back_and_switches_a_lamp_again(
     kinds = [event.kind for _, _, event in recorded.events]
     assert (kinds.count(HostEventKind.PUT), kinds.count(HostEventKind.SWITCH)) == (4, 2)
     assert repeat(recorded) is None
+
+
+def test_a_move_that_another_page_is_refused_takes_no_step_of_undo(visit: Visit, asker: Asker) -> None:
+    visit.add("robot", (300, 200))
+    visit.start()
+    visit.wait_seconds(0)
+    visit.lift(450, 350)
+    stands_at(visit, 450, 350)
+    refused = {"robot": 0, "x_mm": -20, "y_mm": 300, "heading_deg": 0, "tab": "another-page"}
+    asker.do("put", **refused)
+    asker.do("put", **{**refused, "x_mm": 100})
+    stands_at(visit, 100, 300)
+    assert not visit.page.is_visible(".banner.error")
+    visit.page.click("#undo")
+    stands_at(visit, 300, 200)
 
 
 def stands_at(visit: Visit, x_mm: float, y_mm: float) -> None:

@@ -88,8 +88,10 @@ def test_there_is_no_room_for_a_robot_in_a_wall(actor: TwinActor, ear: Ear) -> N
     ear.wait("twin")
     actor.put(0, 5, 5, 0)
     assert "overlaps the left wall" in ear.wait("refused")["text"]
-    actor.switch(7, False)
-    assert "lamp = 7" in ear.wait("refused")["text"]
+    actor.switch(7, False, "a-page")
+    refusal = ear.wait("refused")
+    assert "lamp = 7" in refusal["text"]
+    assert refusal["tab"] == "a-page"
 
 
 def test_a_held_robot_is_reported_to_have_room_or_not(actor: TwinActor, ear: Ear) -> None:

@@ -1,6 +1,6 @@
 // The running twin in the drawing, or the robot at a port, and moves of robots and lamps by the user.
 
-import { keep, post } from "./api.js";
+import { keep, post, tab } from "./api.js";
 import { Curves } from "./curves.js";
 import { closed, make, place } from "./drawing.js";
 import { Hands } from "./hands.js";
@@ -175,6 +175,7 @@ export class Running {
         this.failed?.(message.text);
       },
       refused: () => {
+        if (message.tab && message.tab !== tab) return; // asked by another page
         this.hands.refused();
         this.banner(message.text, "error", {}, "hand");
       },
