@@ -72,7 +72,8 @@ class Connection:
             now: Simulated time by the wall clock, which the world may lag behind a little [ns].
         """
         robot, port, uart = self._robot, self._cable, self._robot.uart
-        answered = uart.rx.next_ns is None and uart.tx.next_ns is None
+        # Of an unfinished line no reply comes, even if its bytes are underway: the wire clock stands still.
+        answered = uart.tx.next_ns is None and self._command_ns() == NEVER_NS
         received = port.receive(uart.room, answered)
         if received is NOTHING:
             return 0
