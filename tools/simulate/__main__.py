@@ -77,6 +77,8 @@ def main() -> int:
                 "--jobs", type=int, default=os.cpu_count(), help="number of processes; 0: this one"
             )
             sub.add_argument("--json", type=Path, help="file for the figures")
+        if name == "run":
+            sub.add_argument("--no-shrink", dest="shrink", action="store_false", help="name violations only")
         own = {"mutants": None, "coverage": SECONDS_COVERED}.get(name, SECONDS)
         sub.add_argument("--seconds", type=float, default=own, help="simulated time of a seed [s]")
     options = parser.parse_args()
@@ -96,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
         counts.update({f"{case.scenario} {name}": number for name, number in outcome.counts.items()})
         if outcome.violation is not None:
             print(f"{case.scenario} seed {case.seed}: {outcome.violation}", flush=True)
-            found.append(_kept(shrunk(case, outcome)))
+            found.append(_kept(shrunk(case, outcome)) if options.shrink else case)
         _tell(f"{hours.total():.1f} of {options.hours:g} h, {seeds.total()} seeds, {len(found)} violations")
     figures = {
         "hours": round(hours.total(), 3),
