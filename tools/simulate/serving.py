@@ -60,9 +60,11 @@ class ServedTerminal(Site):
         process, terminal = self._process(), self._terminal()
         if terminal is None or self.server is None:
             return False
-        own = (process, self.server)
-        since = terminal.openings[terminal.openings.index(process) :] if process in terminal.openings else []
-        return all(each in own for each in [*since, *terminal.met[process]])
+        if process not in terminal.openings:
+            # It may be kept out by a lock of one that has it open.
+            return not self.others()[1]
+        since = terminal.openings[terminal.openings.index(process) :]
+        return all(each in (process, self.server) for each in [*since, *terminal.met[process]])
 
     def others(self) -> tuple[int, bool]:
         """Return how often other hosts than the present one have opened it, and whether one has it open."""
