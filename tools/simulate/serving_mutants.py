@@ -37,7 +37,8 @@ def _line_kept() -> AbstractContextManager[object]:
 
 def _no_room() -> AbstractContextManager[object]:
     def write(port: PtyPort, data: bytes) -> None:
-        port._given += pty.os.write(port.descriptor, data)
+        pty.os.write(port.descriptor, data)
+        port._given_s = pty.time.monotonic()
 
     return patch.object(PtyPort, "write", write)
 
