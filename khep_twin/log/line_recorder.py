@@ -6,6 +6,7 @@ their last byte. The robot's true pose, known only of a twin, is missing.
 """
 
 import json
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -32,6 +33,8 @@ _REPLIES = {
     f"t,{K213_NUMBER},n,".encode(): ("vision", K213_PIXELS),
 }
 """Replies with values that a twin's log samples, by how they begin: topic, and number of integers."""
+
+_INTEGER = re.compile(rb"-?[0-9]{1,10}")
 
 _REPLY_LIMIT = 1024
 """Longest reply that is looked at [bytes]; a whole line image has up to 264."""
@@ -142,12 +145,9 @@ class LineRecorder:
             return
         topic, count = _REPLIES[head]
         fields = line.removeprefix(head).split(b",")
-        if len(fields) != count:
-            return
-        try:
-            values = [int(field) for field in fields]
-        except ValueError:
+        if len(fields) != count or not all(map(_INTEGER.fullmatch, fields)):
             return  # noise on the line, kept in the transcript
+        values = [int(field) for field in fields]
         if topic == "vision":
             if all(0 <= value <= 255 for value in values):
                 image = self._image.messages(np.array([time_ns]), np.array([values]))[0].tobytes()

@@ -3,6 +3,7 @@
 A full disk, a second run of the same name and the remains of a crash do no harm to existing data.
 """
 
+import errno
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -17,7 +18,8 @@ from khep_twin.machine import flags, lock
 class PartFile:
     """An unbuffered file in which each write is there as a whole or not at all.
 
-    It is locked while it is open, so that a second run does not take it for the remains of a crash.
+    It is locked while it is open, so that a second run does not take it for the remains of a crash. A fork of
+    the process, such as a controller may make, cannot write it: both would write at the same place.
 
     Raises:
         LogError: Another run that begins now did so, before it was locked.
@@ -29,7 +31,7 @@ class PartFile:
             self._descriptor = os.open(path, flags("O_WRONLY", "O_CREAT", "O_EXCL"), 0o666)
         except FileExistsError:
             raise _written(path) from None
-        self._size = 0
+        self._size, self._owner = 0, os.getpid()
         try:
             lock(self._descriptor)
             is_ours = _names(path, self._descriptor)
@@ -43,6 +45,8 @@ class PartFile:
 
     def write(self, data: bytes) -> int:
         """Append `data`; on an error, remove what was written of it and raise."""
+        if os.getpid() != self._owner:
+            raise OSError(errno.EBADF, "a fork of the process that writes it cannot do so")
         rest = memoryview(data)
         try:
             while rest:

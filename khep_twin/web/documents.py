@@ -108,16 +108,21 @@ class Documents:
         return found
 
     def names(self, ending: str = ".toml") -> list[str]:
-        """Return the files with an ending, sorted by name, without those in hidden folders."""
+        """Return the files with an ending, sorted by name, without those in hidden folders.
+
+        Names that `below` refuses are left out: some have bytes that no JSON can represent.
+        """
         found: list[str] = []
         looked = 0
         for folder, folders, files in os.walk(self.root):
             folders[:] = sorted(each for each in folders if not each.startswith((".", "__")))
             looked += len(files)
             found += [
-                str((Path(folder) / file).relative_to(self.root))
+                name
                 for file in files
-                if file.endswith(ending) and not file.startswith(".")
+                if file.endswith(ending)
+                and not file.startswith(".")
+                and (name := str((Path(folder) / file).relative_to(self.root))).isprintable()
             ]
             if len(found) >= _LISTED or looked > _LOOKED_AT:
                 break
@@ -190,7 +195,7 @@ class Documents:
         path = self.path(name, ".toml")
         # Two pages that save at once must not both find the version that they know.
         with self._saving:
-            text = text_of(draft, self._base(base, self._replaced(name, version, overwrite)))
+            text = text_of(draft, _usable(self._base(base, self._replaced(name, version, overwrite))))
             # Another program may have written the file meanwhile.
             self._replaced(name, version, overwrite)
             write_whole(path, text.encode("utf-8"))
@@ -282,6 +287,16 @@ def _kept(place: Path) -> tuple[dict[str, object], float] | None:
         return None
     # A draft of an earlier version is the playpen alone.
     return (kept if "draft" in kept else {"draft": kept}), time
+
+
+def _usable(base: str | None) -> str | None:
+    """Return a text to start from; None if it is no playpen any more, as another program has broken it."""
+    try:
+        if base is not None:
+            playpens.parse(base, "the file to be edited")
+    except PlaypenError:
+        return None
+    return base
 
 
 def version_of(text: str) -> str:

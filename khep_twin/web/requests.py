@@ -161,9 +161,10 @@ class Pace(Request):
 
 
 class StartRequest(Drafted, Pace):
-    """A twin to start."""
+    """A twin to start; `version` is that of the file which the draft was made from."""
 
     file: FileName | None = None
+    version: Word | None = None
     seed: Annotated[int, Field(ge=0, lt=SEED_LIMIT, description="an integer from 0 to 2**63-1")] = 0
     noise: bool = True
     log: Word | None = None

@@ -73,6 +73,8 @@ class Page:
         self._changing = threading.Lock()
         self._sensed: deque[SensorRun] = deque(maxlen=1)  # the latest test
         self._runs_in: str | None = None
+        self._runs_version: str | None = None
+        self._reading = threading.Lock()
 
     def app(self) -> Starlette:
         """Return the application, to be wrapped in a guard."""
@@ -171,7 +173,8 @@ class Page:
         actor = self._actor
         if not isinstance(actor, TwinActor) or not actor.alive:
             return None
-        return {"file": self._runs_in, "draft": drafts.draft_of(actor.playpen)}
+        draft = drafts.draft_of(actor.playpen)
+        return {"file": self._runs_in, "version": self._runs_version, "draft": draft}
 
     def _list(self, asked: requests.Request) -> dict[str, object]:
         ports = [{"url": port.url, "what": port.what} for port in found_ports()]
@@ -246,10 +249,13 @@ class Page:
             raise PortError("there is no robot; expected one in the playpen")
         options = TwinOptions(seed=asked.seed, noise=asked.noise)
         path = self._documents.new_path(asked.log, ".mcap") if asked.log else None
+        before = self._actor
+        if path is not None and isinstance(before, TwinActor) and before.alive and before.log == path:
+            raise PortError(f"{asked.log}: the running twin writes it; expected the name of a new file")
         actor = TwinActor(playpen, options, path, self._broadcaster.publish)
         actor.set_pace(_speed(asked), asked.paused)
         self._replace(actor)
-        self._runs_in = asked.file
+        self._runs_in, self._runs_version = asked.file, asked.version
         if path is None:
             return {"log": None}
         return {"log": asked.log, "view": command("view", os.path.relpath(path))}
@@ -296,8 +302,15 @@ class Page:
 
     def _run(self, asked: requests.RunRequest) -> None:
         actor = self._running()
-        with taken_by(actor.take_printed):  # a file may print when it is imported
-            job = jobs.series(asked, self._documents)
+        # A file that never ends when it is imported must not take one thread of the server after another.
+        if not self._reading.acquire(blocking=False):
+            wanted = "expected to wait for it, or programs that end when they are imported"
+            raise PortError(f"a program is still being read; {wanted}")
+        try:
+            with taken_by(actor.take_printed):  # a file may print when it is imported
+                job = jobs.series(asked, self._documents)
+        finally:
+            self._reading.release()
         actor.start(job)
 
     def _put(self, asked: requests.Put) -> None:
@@ -307,7 +320,8 @@ class Page:
 
     def _room(self, asked: requests.Room) -> None:
         twin = self._twin()
-        twin.room(_among("robot", asked.robot, twin.playpen.robots), asked.x_mm, asked.y_mm)
+        robot = _among("robot", asked.robot, twin.playpen.robots)
+        twin.room(robot, asked.x_mm, asked.y_mm, asked.tab)
 
     def _switch(self, asked: requests.SwitchRequest) -> None:
         twin = self._twin()

@@ -5,6 +5,7 @@ its pictures are passed to the page, at most 25 times a second.
 """
 
 import math
+import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
@@ -58,6 +59,7 @@ class WebSession:
         # The completed part of the job goes with the pictures, as jobs report it at each cycle.
         self._part = 0.0
         self._printed = ""
+        self._owner = os.getpid()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="stage", daemon=True)
 
@@ -126,7 +128,13 @@ class WebSession:
         raise NotImplementedError
 
     def _progress(self, part: float) -> None:
+        self._leave_a_fork()
         self._part = round(part, 4)
+
+    def _leave_a_fork(self) -> None:
+        """End a process that a controller has forked: the session is the designer's alone."""
+        if os.getpid() != self._owner:
+            os._exit(0)
 
     def _do(self, robot: Khepera, stop: Callable[[], bool]) -> None:
         """Do the job; report its errors and continue."""
@@ -139,6 +147,7 @@ class WebSession:
             if not stop():
                 self.publish({"kind": "error", "text": error.plain})
         finally:
+            self._leave_a_fork()
             self.job = None
             self._tell_printed()
             self.publish({"kind": "done"})
@@ -162,6 +171,11 @@ class TwinActor(WebSession):
         self._scene: DrawnScene | None = None
         self.speed, self.paused = 1.0, False
 
+    @property
+    def log(self) -> Path | None:
+        """File of the log; None for none."""
+        return self._log
+
     def set_pace(self, speed: float, paused: bool) -> None:
         """Set the speed of time, and whether it is paused."""
         self.speed, self.paused = speed, paused
@@ -177,14 +191,14 @@ class TwinActor(WebSession):
         """Move a robot for a page; report to it if there is no room."""
         self._request(lambda twin: put(twin.world, robot, x_mm, y_mm, heading_deg), page)
 
-    def room(self, robot: int, x_mm: float, y_mm: float) -> None:
-        """Report why a held robot has no room at a position; with room, the reason is empty."""
+    def room(self, robot: int, x_mm: float, y_mm: float, page: str = "") -> None:
+        """Report to a page why a held robot has no room at a position; with room, the reason is empty."""
 
         def report(twin: PacedTwin) -> None:
             reason = no_room(as_it_stands(twin.world), robot, x_mm, y_mm)
-            self.publish({"kind": "room", "robot": robot, "reason": reason})
+            self.publish({"kind": "room", "robot": robot, "reason": reason, "tab": page})
 
-        self._request(report)
+        self._request(report, page)
 
     def switch(self, lamp: int, on: bool, page: str = "") -> None:
         """Switch a lamp for a page."""

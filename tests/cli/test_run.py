@@ -584,3 +584,15 @@ def test_a_picture_without_its_package_is_refused_before_the_run(
         "challenge", "show", "stop", "--picture", "s.png", folder=tmp_path
     )
     assert not [*tmp_path.iterdir()]
+
+
+def test_a_fork_of_a_controller_leaves_the_log_whole(tmp_path: Path) -> None:
+    (tmp_path / "forks.py").write_text(
+        "import os\nforked = []\ndef controller(robot):\n    if not forked:\n"
+        "        forked.append(os.fork())\n    robot.set_speed(3, 3)\n"
+    )
+    # Longer than the time between two pieces of the log; the fork goes on with the same run.
+    words = "run", "forks.py", "--playpen", "default", "--seconds", "8", "--log", "run.mcap"
+    done = subprocess.run([*PROGRAM, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert good("repeat", "run.mcap", folder=tmp_path).startswith("identical: 8.")

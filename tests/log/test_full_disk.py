@@ -21,6 +21,7 @@ from khep_twin.errors import LogError
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.part_file import PartFile
+from khep_twin.log.reader import read_series
 from khep_twin.log.recover import recover
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
@@ -304,3 +305,12 @@ def write(file: Failing, written: list[int]) -> None:
         writer.add(writer.channel("/a", "std_msgs/msg/String", "string data"), time_ns, b"\0\1\0\0")
         writer.flush()
         written.append(time_ns)
+
+
+def test_noise_with_the_digits_of_a_huge_number_does_not_end_the_recording_of_a_line(tmp_path: Path) -> None:
+    log = tmp_path / "relay.mcap"
+    recorder = LineRecorder(log, {}, lambda: 1000)
+    for count in (b"9" * 400, b"9" * 30, b"17"):
+        recorder.on_bytes(False, b"n,%b,2,3,4,5,6,7,8\r\n" % count)
+    recorder.close()
+    assert read_series(log).series["/khepera0/proximity"].values.tolist() == [[17, 2, 3, 4, 5, 6, 7, 8]]

@@ -700,3 +700,28 @@ def test_tools_and_buttons_of_the_top_bar_have_icons_in_the_colour_of_the_text_a
             colours = "((e) => [getComputedStyle(e).color, getComputedStyle(e.querySelector('use')).stroke])"
             text, stroke = page.evaluate(f"{colours}(document.querySelector('{selector}'))")
             assert text == stroke
+
+
+def test_a_large_draft_is_kept_when_the_page_is_hidden(visit: Visit, tmp_path: Path) -> None:
+    page = visit.page
+    table = "[[cylinder]]\nx_mm = {}\ny_mm = {}\nradius_mm = 5\nheight_mm = 50\n"
+    rows = "".join(table.format(20 + 25 * (n % 40), 20 + 25 * (n // 40)) for n in range(600))
+    arena = 'version = 1\nname = "many"\n[arena]\nwidth_mm = 1100\nheight_mm = 600\n'
+    (tmp_path / "many.toml").write_text(arena + rows)
+    page.click("#open")
+    page.click("#dialog .main")
+    visit.wait("document.querySelectorAll('.kind-cylinder').length === 600")
+    visit.add("lamp", (1060, 560))
+    visit.wait("document.querySelector('#file').textContent === 'many.toml *'")
+    # As when another tab is shown.
+    page.evaluate(
+        "Object.defineProperty(document, 'hidden', { value: true, configurable: true });"
+        "document.dispatchEvent(new Event('visibilitychange'))"
+    )
+    page.wait_for_timeout(400)
+    assert not page.locator("text=The designer cannot be reached").count()
+    end = 100
+    while not (kept := list(tmp_path.glob(".many.toml.*.draft"))) and end:
+        page.wait_for_timeout(100)
+        end -= 1
+    assert kept[0].stat().st_size > 64 * 1024

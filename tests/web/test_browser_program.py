@@ -122,3 +122,40 @@ def edit(visit: Visit, name: str) -> None:
     visit.page.click("#edit")
     visit.wait(f"document.querySelector('#program-file').value === '{name}'")
     visit.page.wait_for_selector("#tab-program:not([hidden])")
+
+
+def test_a_program_that_is_open_and_not_saved_is_not_replaced_by_another_saved_under_its_name(
+    visit: Visit, tmp_path: Path
+) -> None:
+    page = visit.page
+    (tmp_path / "b.py").write_text("# b\n")
+    page.click('[data-tab="run"]')
+    page.click("#edit")  # a new one, mine.py
+    visit.wait("document.querySelector('#code').value.includes('class Wander')")
+    page.fill("#code", "# an hour's work\n")
+    edit(visit, "b.py")
+    page.press("#code", "Control+End")
+    page.keyboard.type("more")
+    page.fill("#program-file", "mine.py")
+    page.click("#save-program")
+    page.wait_for_selector(".banner.error >> text=mine.py is open here with changes that are not saved")
+    page.click("#programs >> text=mine.py *")
+    assert page.input_value("#code") == "# an hour's work\n"
+    assert not (tmp_path / "mine.py").exists()
+
+
+def test_the_line_of_the_program_that_failed_is_marked_and_not_that_of_one_whose_name_ends_so(
+    visit: Visit, tmp_path: Path
+) -> None:
+    page = visit.page
+    (tmp_path / "mine.py").write_text("def controller(robot):\n    robot.set_speed(1, 1)\n    nonsense()\n")
+    (tmp_path / "notmine.py").write_text("# notes\n" * 9)
+    visit.add("robot", (300, 250))
+    edit(visit, "mine.py")
+    edit(visit, "notmine.py")
+    page.click('[data-tab="run"]')
+    page.select_option("#controller", "mine.py")
+    page.click("#run")
+    page.wait_for_selector("#lines .failed")
+    assert page.input_value("#program-file") == "mine.py"
+    visit.end()

@@ -577,3 +577,22 @@ def test_a_move_that_another_page_is_refused_takes_no_step_of_undo(visit: Visit,
 def stands_at(visit: Visit, x_mm: float, y_mm: float) -> None:
     place = "document.querySelector('.live').getAttribute('transform').match(/[-.\\d]+/g)"
     visit.wait(f"Math.hypot({place}[0] - {x_mm}, {place}[1] - {y_mm}) < 3")
+
+
+def test_a_file_that_has_changed_during_a_run_is_not_replaced_unasked_by_a_page_loaded_anew(
+    visit: Visit, tmp_path: Path
+) -> None:
+    page = visit.page
+    visit.add("robot", (300, 200))
+    visit.save_as("mine.toml")
+    visit.start()
+    file = tmp_path / "mine.toml"
+    file.write_text(file.read_text().replace("width_mm = 600", "width_mm = 700"))
+    visit.open()
+    page.wait_for_selector(".live")
+    visit.end()
+    visit.add("block", (200, 400))
+    page.click("#save")
+    page.wait_for_selector("#banners >> text=/was changed by another page or program|Saved as/")
+    assert "width_mm = 700" in file.read_text()
+    visit.trouble = [text for text in visit.trouble if "409" not in text]

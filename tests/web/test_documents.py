@@ -1,6 +1,7 @@
 """Files below one folder, and what the page works on."""
 
 import json
+import os
 import threading
 from io import BytesIO
 from pathlib import Path
@@ -310,3 +311,24 @@ def test_a_file_that_has_something_in_it_is_no_place_for_a_new_one(tmp_path: Pat
     (tmp_path / "empty.mcap").touch()
     for name in ("empty.mcap", "other.mcap"):
         assert documents.new_path(name, ".mcap") == tmp_path / name
+
+
+def test_a_name_that_is_no_utf_8_hides_no_other_file(asker: Asker, tmp_path: Path) -> None:
+    for name in (b"caf\xe9.toml", b"caf\xe9.py", b"mine.toml", b"mine.py"):
+        (tmp_path / os.fsdecode(name)).touch()
+    status, told = asker.do("list")
+    assert (status, told.get("files"), told.get("programs")) == (200, ["mine.toml"], ["mine.py"])
+
+
+def test_a_file_that_was_broken_meanwhile_can_be_replaced_or_left_for_another(
+    asker: Asker, tmp_path: Path
+) -> None:
+    draft = draft_of(playpens.load("two-lamps"))
+    _, saved = asker.do("save", file="mine.toml", draft=draft)
+    (tmp_path / "mine.toml").write_text("version = [1\n")  # by an editor
+    wanted = {"draft": draft, "version": saved["version"], "base": {"file": "mine.toml"}}
+    assert asker.do("save", file="mine.toml", **wanted)[0] == 409
+    assert asker.do("save", file="other.toml", **{**wanted, "version": None})[0] == 200
+    assert asker.do("save", file="mine.toml", overwrite=True, **wanted)[0] == 200
+    for name in ("mine.toml", "other.toml"):
+        assert draft_of(playpens.load(tmp_path / name)) == draft

@@ -44,3 +44,17 @@ def test_a_log_and_its_report_are_there_after_the_run(asker: Asker, tmp_path: Pa
         assert asker.do(action, file="none.mcap")[0] == 400
         assert asker.do(action, file="../run.mcap")[0] == 403
         assert asker.do(action, file="mine.toml")[0] == 400
+
+
+def test_a_twin_that_is_started_anew_does_not_replace_the_log_of_the_one_before(
+    asker: Asker, tmp_path: Path
+) -> None:
+    assert asker.do("start", draft=DRAFT, log="run.mcap", seed=1, speed=0)[0] == 200
+    while asker.do("scene")[0] != 200:
+        time.sleep(0.05)
+    again, told = asker.do("start", draft=DRAFT, log="run.mcap", seed=2, speed=0)
+    while again == 200 and asker.do("scene")[0] != 200:
+        time.sleep(0.05)
+    asker.do("end")
+    assert read_recorded(tmp_path / "run.mcap").label.metadata["seed"] == "1"
+    assert (again, told["error"][:10]) == (400, "run.mcap: ")

@@ -1,12 +1,16 @@
 """Controllers are edited in the page by the rules of playpens."""
 
 import os
+import threading
+import time
 from pathlib import Path
 
 import pytest
 
+from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError
 from khep_twin.web.documents import Documents, OutsideError, version_of
+from khep_twin.web.drafts import draft_of
 from khep_twin.web.programs import TEMPLATE, Programs
 from khep_twin.web.server import Server
 from tests.web.conftest import Asker
@@ -67,3 +71,25 @@ def test_a_page_for_other_machines_writes_no_programs(tmp_path: Path) -> None:
     with pytest.raises(OutsideError, match="writes no programs"):
         programs.save("mine.py", TEXT, None, False)
     assert not list(tmp_path.iterdir())
+
+
+def test_one_program_at_a_time_is_read_that_one_without_an_end_takes_no_more_threads(
+    asker: Asker, tmp_path: Path
+) -> None:
+    (tmp_path / "endless.py").write_text(
+        "import pathlib, time\n"
+        f"folder = pathlib.Path({str(tmp_path)!r})\n"
+        "(folder / 'begun').touch()\n"
+        "while not (folder / 'go').exists():\n    time.sleep(0.02)\n"
+    )
+    assert asker.do("start", draft=draft_of(playpens.load("two-lamps")))[0] == 200
+    first = threading.Thread(target=asker.do, args=["run"], kwargs={"controller": "endless.py"})
+    first.start()
+    try:
+        while not (tmp_path / "begun").exists():
+            time.sleep(0.02)
+        status, told = asker.do("run", controller="endless.py")
+        assert (status, told["error"][:30]) == (400, "a program is still being read;")
+    finally:
+        (tmp_path / "go").touch()
+        first.join()

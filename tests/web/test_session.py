@@ -1,8 +1,11 @@
 """What runs for the page: twins that are watched, lifted, switched, shared and repeated; robots at ports."""
 
 import math
+import os
+import signal
 import threading
 import time
+import warnings
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -100,8 +103,8 @@ def test_a_held_robot_is_reported_to_have_room_or_not(actor: TwinActor, ear: Ear
     assert "overlaps the left wall" in ear.wait("room")["reason"]
     actor.room(0, 100, 120)
     ear.wait("room", lambda told: told["reason"] == "")
-    actor.room(7, 100, 120)
-    ear.wait("refused")
+    actor.room(7, 100, 120, "a-page")
+    assert ear.wait("refused")["tab"] == "a-page"
 
 
 def test_a_paused_twin_steps_by_a_tenth_of_a_second(actor: TwinActor, ear: Ear) -> None:
@@ -350,3 +353,29 @@ def test_a_program_that_does_not_end_is_left_and_the_next_twin_comes_up_beside_i
     assert "ended" not in [message["kind"] for message in ear.heard]
     second.end()
     ear.wait("ended")
+
+
+def test_a_fork_of_a_controller_ends_and_its_log_repeats(actor: TwinActor, ear: Ear, tmp_path: Path) -> None:
+    forked: list[int] = []
+
+    def forks(robot: Khepera) -> None:
+        robot.set_speed(2, 2)
+        if not forked:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # beside other threads, from 3.12 on
+                forked.append(os.fork())
+
+    ear.wait("twin")
+    actor.start(SeriesJob("forks", forks, Plan(cycles=1000), None))
+    ear.wait("done")
+    actor.end()
+    end, ended = time.monotonic() + 20, 0
+    try:
+        while not (ended := os.waitpid(forked[0], os.WNOHANG)[0]) and time.monotonic() < end:
+            time.sleep(0.02)
+    finally:
+        if not ended:
+            os.kill(forked[0], signal.SIGKILL)
+            os.waitpid(forked[0], 0)
+    assert repeat(read_recorded(tmp_path / "run.mcap")) is None
+    assert ended

@@ -3,12 +3,17 @@
 const base = location.pathname.replace(/[^/]*$/, "");
 export const tab = crypto.getRandomValues(new Uint32Array(2)).join("-");
 
+const KEPT_ALIVE = 60_000; // browsers refuse more than 64 KiB of a request that outlives its page [bytes]
+
 export async function post(action, wanted = {}, more = {}) {
+  const body = JSON.stringify({ ...wanted, tab });
+  const keepalive = more.keepalive === true && new Blob([body]).size < KEPT_ALIVE;
   const answer = await reach(`${base}do/${action}`, {
     method: "POST",
     headers: { "Content-Type": "application/json" },
-    body: JSON.stringify({ ...wanted, tab }),
+    body,
     ...more,
+    keepalive,
   });
   return read(answer);
 }

@@ -536,6 +536,7 @@ function lost(away, ended) {
     settle("server");
     check();
     keepSoon();
+    if (challenges.shown) attempt(() => challenges.show(), "challenge"); // what is being scored goes on
     return;
   }
   const twin = running.active && !running.real ? ", and the twin with it" : "";
@@ -567,6 +568,7 @@ drawing.turrets = hello.turrets;
   if (hello.trouble) banner(hello.trouble, "error", {}, "file");
   if (hello.runs && hello.runs.file === hello.file) {
     // A twin's playpen is shown as it is, saved or not.
+    if (JSON.stringify(hello.runs.draft) !== JSON.stringify(model.draft)) model.document.version = hello.runs.version; // so that Save asks if the file has changed since
     model.replace(hello.runs.draft);
     drawing.fit();
     $('[data-tab="run"]').click();

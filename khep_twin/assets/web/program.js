@@ -73,6 +73,7 @@ export class Program {
 
   async save(overwrite = false, program = this.#shown, file = $("#program-file").value.trim().replace(/(\.py)?$/, ".py")) {
     const { text } = program.history;
+    if (file !== program.file && this.unsaved(file)) throw new Error(`${file} is open here with changes that are not saved: save it first.`);
     try {
       const { version } = await post("save-program", { file, text, version: file === program.file ? program.version : null, overwrite });
       this.#open.delete(program.file);
@@ -102,7 +103,7 @@ export class Program {
   // Marks the line that an error names, such as in mine.py:3: NameError.
   mark(text) {
     const found = text.match(/([^/\s]+\.py):(\d+):/);
-    const failed = found && [this.#shown, ...this.#open.values()].find((program) => program?.file.endsWith(found[1]));
+    const failed = found && [this.#shown, ...this.#open.values()].find((program) => `/${program?.file}`.endsWith(`/${found[1]}`));
     if (!failed) return;
     if (failed !== this.#shown) this.#turn(failed);
     this.#shown.failed = +found[2];

@@ -98,7 +98,7 @@ export class Running {
     this.#starts++;
     this.paused = this.lost = false;
     $("#logged").hidden = true;
-    this.logged = await post("start", { file: this.model.file, draft: this.model.draft, seed: number("#seed") ?? 0, noise: $("#noise").checked, log: $("#log").value || null, speed: +$("#speed").value });
+    this.logged = await post("start", { file: this.model.file, version: this.model.document.version, draft: this.model.draft, seed: number("#seed") ?? 0, noise: $("#noise").checked, log: $("#log").value || null, speed: +$("#speed").value });
   }
 
   async pause() {
@@ -373,7 +373,8 @@ export class Running {
     this.attempt(() => post("room", { robot: held.index, x_mm: held.x_mm, y_mm: held.y_mm }), "room");
   }
 
-  #room({ robot, reason }) {
+  #room({ robot, reason, tab: page }) {
+    if (page && page !== tab) return; // asked by another page
     const held = this.#held;
     if (held?.index !== robot || !held.asked) return;
     held.asked = false;
