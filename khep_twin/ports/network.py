@@ -5,6 +5,7 @@ finished sending, is replaced by the next one at once.
 """
 
 import ipaddress
+import re
 import socket
 from collections.abc import Sequence
 
@@ -44,7 +45,7 @@ class TcpPort:
         try:
             family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
             self._server = socket.create_server((host, port), family=family, backlog=_BACKLOG)
-        except (OSError, OverflowError) as error:
+        except (OSError, OverflowError, UnicodeError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise PortError(f"{host}:{port}: cannot listen here: {reason}") from error
         self._server.setblocking(False)
@@ -146,7 +147,7 @@ def parse_address(text: str) -> tuple[str, int]:
         PortError: The text has another form.
     """
     host, colon, port = text.rpartition(":")
-    if not colon or not port.isdigit() or int(port) > 65535:
+    if not colon or not re.fullmatch("[0-9]{1,5}", port) or int(port) > 65535:
         raise PortError(f"{text}: expected HOST:PORT, such as 127.0.0.1:5000, or port 0 for any free one")
     return host.strip("[]") or "127.0.0.1", int(port)
 

@@ -137,12 +137,15 @@ class NetworkHost:
 
     def _release(self, count: int) -> None:
         """Send so many of the bytes that are held back, in one piece."""
-        room = max(QUEUE_LIMIT - len(self._waiting), 0)
-        self.dropped += max(count - room, 0)
-        taken = bytes(self._line[: min(count, room)])
+        # What the system takes at once waits for no one, however much it is.
+        while count and (room := QUEUE_LIMIT - len(self._waiting)) > 0:
+            taken = bytes(self._line[: min(count, room)])
+            del self._line[: len(taken)]
+            count -= len(taken)
+            self._waiting += taken if self._negotiator is None else self._negotiator.escaped(taken)
+            self._flush()
+        self.dropped += count
         del self._line[:count]
-        self._waiting += taken if self._negotiator is None else self._negotiator.escaped(taken)
-        self._flush()
 
     def _read(self, limit: int) -> None:
         """Read until so many bytes are here, or all that have come."""

@@ -18,6 +18,7 @@ import termios
 import time
 import tty
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
@@ -35,6 +36,9 @@ _SPEEDS: dict[int, int] = {
     getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()
 }
 """Bits per second of each of the system's own constants for them."""
+
+_BOTHER, _TCGETS2 = 0o10000, 0x802C542A
+"""Constant of any other speed, and request for the speed itself: Linux's, which Python does not name."""
 
 _INPUT, _OUTPUT, _CONTROL, _LOCAL, _IN_SPEED, _OUT_SPEED = range(6)
 
@@ -101,6 +105,7 @@ class PtyPort:
         self._left_s: float | None = None  # when the last host left, until its settings are restored
         self._given_s: float | None = None  # when bytes were written that may be unread
         self._early = False  # bytes were read before the event that reports them
+        self._rest = False  # bytes that were reported found no room here, or were underway
         self._seen: tuple[object, object] | None = None
         self._settings: LineSettings | None = None
         self._link = None
@@ -130,10 +135,15 @@ class PtyPort:
     def settings(self) -> LineSettings | None:
         """Return the line settings of the host; a pseudo-terminal does not show parity and data bits."""
         flags = termios.tcgetattr(self.descriptor)
-        seen = (flags[_OUT_SPEED], flags[_CONTROL])
+        speed = int(flags[_OUT_SPEED])
+        baud = _SPEEDS.get(speed, speed)
+        if speed == _BOTHER:
+            with suppress(OSError):
+                baud = struct.unpack_from("I", fcntl.ioctl(self.descriptor, _TCGETS2, bytes(44)), 40)[0]
+        seen = (baud, flags[_CONTROL])
         if seen != self._seen:
-            speed, stop_bits = int(flags[_OUT_SPEED]), 2 if flags[_CONTROL] & termios.CSTOPB else 1
-            self._seen, self._settings = seen, LineSettings(_SPEEDS.get(speed, speed), stop_bits)
+            stop_bits = 2 if flags[_CONTROL] & termios.CSTOPB else 1
+            self._seen, self._settings = seen, LineSettings(baud, stop_bits)
         return self._settings
 
     def receive(self, limit: int, answered: bool = False) -> Received:
@@ -144,16 +154,20 @@ class PtyPort:
         data, given_s = self._read(limit), self._given_s
         if given_s is not None and time.monotonic() - given_s >= _TRANSIT_S and not self._unread():
             self._given_s = None
+        rest = self._is_full(data, limit)
         change = self._presence.look(bool(data))
-        early, self._early = self._early, (self._early or bool(data)) and not change.writes_before
+        early, is_new = self._early, bool(data) and not self._rest
+        self._early = (early or is_new) and not change.writes_before
         if not change.left:
             # The writes that were just reported are counted with this call, so their bytes come with it, too.
-            if change.writes_before and self._readable.poll(0):
+            if change.writes_before and not rest and self._readable.poll(0):
                 data += self._read(limit - len(data))
+                rest = self._is_full(data, limit)
+            self._rest = rest or (change.writes_before > 0 and not data)
             notices = self._crowd()
             return Received(data, notices=notices) if data or notices else NOTHING
         self._crowded_since, self._early = None, False
-        n_before = change.writes_before - early
+        n_before, self._rest = change.writes_before - early + self._rest, False
         read, data = data, self._read_all()
         later = self._presence.look(False)
         if later.left:
@@ -172,7 +186,9 @@ class PtyPort:
         unread = self._drop_replies()
         last, data = _divided(data, n_before, n_writes)
         last = read + last
-        notices = [_IN_A_MOMENT] if unread or given_s is not None or (last and data) else []
+        # Writes that were read early may have been reported with later ones, in one run.
+        crossed = unread or given_s is not None or ((last or early) and data)
+        notices = [_IN_A_MOMENT] if crossed else []
         return Received(data, left=True, last=last, notices=notices)
 
     def write(self, data: bytes) -> None:
@@ -202,6 +218,10 @@ class PtyPort:
             if error.errno != errno.EIO:  # hung up, with nothing left to read
                 raise
             return b""
+
+    def _is_full(self, data: bytes, limit: int) -> bool:
+        """Return whether more is there to read than there was room for."""
+        return len(data) == limit and bool(self._readable.poll(0))
 
     def _read_all(self) -> bytes:
         """Read what hosts that have left can have written; one that keeps writing does not block this."""

@@ -7,7 +7,6 @@ both are passed on as they come, and recorded with their times.
 # pyserial is not typed.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
 
-import math
 import os
 import re
 import select
@@ -40,6 +39,9 @@ _SILENCE_S = 0.5
 
 _BEGIN_S = 2.0
 """Longest time for which what a robot says is taken for replies to an earlier relay (assumed) [s]."""
+
+_LONGEST = 2048
+"""Bytes of the longest reply, that of `list` [bytes]."""
 
 _UNDERWAY_S = 1.0
 """Longest transit of sent bytes through an adapter's buffer (assumed) [s]."""
@@ -133,6 +135,9 @@ class Device:
             PortError: The port is lost.
         """
         with self._checked():
+            # pyserial tries again without end while there is no room.
+            if self.descriptor is not None and not select.select([], [self.descriptor], [], 0)[1]:
+                return 0
             return self._port.write(data) or 0
 
     @property
@@ -248,14 +253,20 @@ class _Dialogue:
         busy_s = count * BITS_PER_BYTE / self._device.baud
         now = time.monotonic()
         self._quiet_since = min(max(self._quiet_since, now) + busy_s, now + _UNDERWAY_S)
+        self._expect(self._quiet_since)
         return data[count:]
 
     def read(self) -> bytes:
         """Return the bytes that have come from the robot, with their replies counted."""
         self._read_s = time.monotonic()
         if reply := self._device.read():
-            self._due = max(self._due - self._replied.count(reply), 0)
+            count = self._replied.count(reply)
+            if self._due and count:
+                self._due = max(self._due - count, 0)
+                self._expect(self._read_s)
             self._quiet_since = max(self._quiet_since, time.monotonic())
+        elif self._due and self.answered:
+            self._due = 0  # they were lost
         return reply
 
     def end(self, waiting: bytes) -> bytes:
@@ -263,16 +274,24 @@ class _Dialogue:
         begun = (self._asked.begun + waiting)[-1:]
         if begun and begun not in b"\r\n":
             waiting += _SPOIL
-        if waiting or self._due:
-            self.ended, self._end_s = True, math.inf
+        # Of a reply of several lines, only the first one was due.
+        if waiting or self._due or not self.answered:
+            self.ended = True
+            self._expect(self._read_s)
         return waiting
+
+    def _expect(self, since_s: float) -> None:
+        """Take what the robot says for replies for as long as the longest one takes."""
+        since_s += _LONGEST * BITS_PER_BYTE / self._device.baud
+        self._end_s = max(self._end_s, since_s + _BEGIN_S)
 
     @property
     def answered(self) -> bool:
         """Return whether all is answered, or will not be: the robot had long been silent at the last read."""
         if self._device.unsent:
             self._quiet_since = max(self._quiet_since, time.monotonic())
-        return self._read_s - self._quiet_since > (_SILENCE_S if self._due else _PAUSE_S)
+        more = self._due or self._replied.begun
+        return self._read_s - self._quiet_since > (_SILENCE_S if more else _PAUSE_S)
 
     @property
     def idle(self) -> bool:

@@ -69,8 +69,15 @@ def _serve_by_clock(
     twin: Twin, connections: Sequence[Connection], pacer: Pacer, stop: Callable[[], bool]
 ) -> None:
     """Advance with the wall clock."""
-    world, advance_to, now = twin.world, twin.time_source.advance_to, pacer.due_ns
+    world, advance_to = twin.world, twin.time_source.advance_to
     flush, wait = Flush(twin), _Waiting(connections)
+
+    def now() -> int:
+        """Return the time that is due; what has to be given up is, before a host's bytes are given a time."""
+        if late_ns := pacer.slip(world.time_ns):
+            world.note(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
+        return pacer.due_ns()
+
     while not stop():
         # On to the next command, the robots' next byte or the next control tick, whatever is first.
         tick_ns, event_ns = world.time_ns + TICK_NS, _next_ns(connections)
@@ -87,8 +94,6 @@ def _serve_by_clock(
         advance_to(max(min(due_ns, tick_ns), world.time_ns))
         for connection in connections:
             connection.give()
-        if due_ns > tick_ns and (late_ns := pacer.slip(world.time_ns)):
-            world.note(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
         flush()
 
 

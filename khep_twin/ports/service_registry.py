@@ -3,7 +3,7 @@
 import os
 import threading
 from collections.abc import Generator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 
@@ -58,9 +58,10 @@ def served() -> list[tuple[str, str]]:
     """
     found: list[tuple[str, str]] = []
     for note in sorted(private_folder().glob(f"*{_ENDING}")):
-        if _is_held(note):
-            what, *paths = note.read_text(encoding="utf-8", errors="surrogateescape").split("\n")
-            found += [(path, what) for path in paths]
+        with suppress(FileNotFoundError):  # it may end meanwhile
+            if _is_held(note):
+                what, *paths = note.read_text(encoding="utf-8", errors="surrogateescape").split("\n")
+                found += [(path, what) for path in paths]
     return found
 
 

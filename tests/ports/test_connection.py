@@ -2,8 +2,10 @@
 
 import math
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import pytest
 
@@ -155,3 +157,20 @@ def test_time_goes_on_while_hosts_wake_the_loop_and_send_nothing(cable: Cable) -
     end, count = 50_000_000, turns(100_000)
     serve(twin, [cable], 1000.0, stop=lambda: twin.world.time_ns >= end or count(), notify=print)
     assert twin.world.time_ns >= end
+
+
+def test_a_command_is_not_answered_later_by_as_much_as_the_loop_was_held_up(
+    cable: Cable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    twin, receive, end = open_twin("default", TwinOptions()), cable.receive, time.monotonic() + 20
+
+    def receive_late(*arguments: Any) -> Received:
+        if cable.news:
+            time.sleep(0.5)
+        return receive(*arguments)
+
+    monkeypatch.setattr(cable, "receive", receive_late)
+    done = lambda: b"".join(cable.written) == REPLY or time.monotonic() > end  # noqa: E731
+    pacer = serve(twin, [cable], 1.0, stop=done, notify=print)
+    assert pacer.slipped_ns >= 400_000_000
+    assert twin.world.time_ns < 300_000_000

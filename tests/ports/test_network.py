@@ -5,6 +5,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -260,3 +261,33 @@ def test_no_descriptor_is_left_open() -> None:
     for _ in range(5):
         TcpPort("127.0.0.1", 0, rfc2217=True).close()
     assert len(os.listdir("/proc/self/fd")) == before
+
+
+@pytest.mark.parametrize("clock", [[], ["--clock", "wire"], ["--speed", "max"]], ids=" ".join)
+def test_a_host_that_reads_gets_all_replies_to_a_burst_on_a_line_without_time(
+    clock: Sequence[str],
+) -> None:
+    with served("default", "--tcp", ":0", "--unpaced", *clock) as (process, url):
+        host, _, number = url.partition("://")[2].rpartition(":")
+        with socket.create_connection((host, int(number)), timeout=5) as port:
+            port.sendall(b"N\n" * 500)
+            replies = b""
+            try:
+                while replies.count(b"\n") < 500 and (more := port.recv(100000)):
+                    replies += more
+            except TimeoutError:
+                pass
+        stop(process)
+    assert replies.count(b"\n") == 500
+
+
+@pytest.mark.parametrize("port", ["²", "9" * 5000])
+def test_a_port_that_is_no_number_is_said(port: str) -> None:
+    with pytest.raises(PortError, match="expected HOST:PORT"):
+        parse_address(f":{port}")
+
+
+@pytest.mark.parametrize("host", [".robots", "a" * 64 + ".org"])
+def test_a_host_that_is_no_name_is_said(host: str) -> None:
+    with pytest.raises(PortError, match="cannot listen here: "):
+        TcpPort(host, 0)

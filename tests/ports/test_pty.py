@@ -12,8 +12,11 @@ import serial
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
 from khep_twin.ports import pty as pty_module
+from khep_twin.ports.event_sources import OpenEvents
 from khep_twin.ports.link import private_folder
 from khep_twin.ports.pty import PtyPort
+
+from test_presence import opened  # isort: skip
 
 
 def test_it_is_raw_and_silent_before_anybody_opens_it() -> None:
@@ -194,3 +197,60 @@ def test_a_directory_that_others_can_write_to_is_no_private_one(
     folder.symlink_to(tmp_path / "other")
     with pytest.raises(PortError, match=r"not a directory of this user's alone|cannot make"):
         private_folder()
+
+
+def test_bytes_that_found_no_room_before_their_host_left_are_not_the_next_one_s() -> None:
+    with PtyPort() as port:
+        host = opened(port)
+        port.receive(100)
+        os.write(host, b"N\n" * 500)
+        assert port.receive(100).data == b"N\n" * 50
+        assert port.receive(0).data == b""
+        os.close(host)
+        host = opened(port)
+        os.write(host, b"B\n")
+        received = port.receive(0)
+        print(received.left, len(received.last), received.data[-20:], received.notices)
+        assert received.left
+        assert (received.last, received.data) == (b"N\n" * 450, b"B\n")
+        assert len(received.notices) == 1
+        os.close(host)
+
+
+def test_a_write_that_was_read_early_and_reported_with_a_later_one_is_no_silent_crossing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with PtyPort() as port:
+        host = opened(port)
+        port.receive(100)
+        os.write(host, b"N\n")
+        with monkeypatch.context() as patch:
+            # The bytes are there before the event that reports them.
+            patch.setattr(OpenEvents, "drain", lambda _: ())
+            assert port.receive(100).data == b"N\n"
+        os.write(host, b"H\n")
+        os.close(host)
+        host = opened(port)
+        os.write(host, b"B\n")
+        received = port.receive(100)
+        print(received)
+        assert received.left
+        assert received.data == b"B\n" or received.notices
+        os.close(host)
+
+
+def test_bytes_that_were_read_in_several_calls_do_not_hide_a_later_write_of_their_host() -> None:
+    with PtyPort() as port:
+        host = opened(port)
+        port.receive(100)
+        os.write(host, b"N\n" * 100)
+        assert port.receive(100).data == b"N\n" * 50
+        assert port.receive(100).data == b"N\n" * 50
+        port.receive(100)
+        os.write(host, b"H\n")
+        os.close(host)
+        host = opened(port)
+        os.write(host, b"B\n")
+        received = port.receive(100)
+        assert (received.left, received.last, received.data) == (True, b"H\n", b"B\n")
+        os.close(host)

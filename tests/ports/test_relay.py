@@ -3,8 +3,10 @@
 import os
 import select
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 import tty
 from collections.abc import Iterator
@@ -18,7 +20,9 @@ from pyserial_suite import plug
 
 from khep_twin.log.reader import read
 from khep_twin.log.viewer.replay import view
+from khep_twin.ports import idle_polls
 from khep_twin.ports import relay as relaying
+from khep_twin.ports.idle_polls import IdlePolls
 from khep_twin.ports.pty import PtyPort
 
 from test_serve import served, stop  # isort: skip
@@ -250,3 +254,93 @@ def test_what_cannot_be_relayed_is_one_line(arguments: list[str], message: str) 
     assert done.returncode in (1, 2)
     assert done.stderr.startswith(f"khep-twin: {message}") or message in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_host_that_leaves_amid_a_reply_of_several_lines_leaves_none_to_the_next() -> None:
+    with served("default") as (_, robot), served("--relay", robot, "--tcp", ":0") as (process, url):
+        address = ("127.0.0.1", int(url.rpartition(":")[2]))
+        with socket.create_connection(address, timeout=20) as host:
+            host.sendall(b"help\n")
+            assert host.recv(1000).startswith(b"help")
+        with socket.create_connection(address, timeout=20) as host:
+            host.sendall(b"B\n")
+            assert host.recv(1000) == b"b,5.02,5.01\r\n"
+        assert "a host" not in stop(process)[1]
+
+
+def test_a_robot_that_speaks_all_the_time_keeps_no_next_host_waiting_for_ever(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked = b""
+    with clocked_line(monkeypatch) as (robot, device, time_s), PtyPort() as port:
+        host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        os.write(host, b"N\n")
+
+        def turn() -> bool:
+            nonlocal asked, host
+            time_s[0] += 0.01
+            os.write(robot, b".")
+            if select.select([robot], [], [], 0)[0]:
+                asked += os.read(robot, 100)
+                if asked == b"N\n":
+                    os.close(host)
+                    host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+                    os.write(host, b"B\n")
+            return asked.endswith(b"B\n") or time_s[0] > 60
+
+        relaying.relay(relaying.Device(os.ttyname(device), 9600), port, stop=turn, notify=print)
+        os.close(host)
+    assert asked == b"N\nB\n"
+
+
+def test_a_reply_that_was_lost_does_not_end_the_polls(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = b""
+    with clocked_line(monkeypatch) as (robot, device, time_s), PtyPort() as port:
+        monkeypatch.setattr(idle_polls, "time", relaying.time)
+
+        def turn() -> bool:
+            nonlocal asked
+            time_s[0] += 0.01
+            if select.select([robot], [], [], 0)[0]:
+                asked += os.read(robot, 100)
+                if asked != b"N\n":  # the first one is lost
+                    os.write(robot, b"h,0,0\r\n" if asked.endswith(b"H\n") else b"n,0,0,0,0,0,0,0,0\r\n")
+            return asked.count(b"\n") == 3 or time_s[0] > 20
+
+        device_port = relaying.Device(os.ttyname(device), 9600)
+        relaying.relay(device_port, port, polls=IdlePolls(), stop=turn, notify=print)
+    assert asked == b"N\nH\nN\n"
+
+
+def test_a_robot_that_takes_no_more_is_still_heard_and_the_relay_ends() -> None:
+    robot, device = os.openpty()
+    tty.setraw(device)
+    ended, got = threading.Event(), b""
+    with PtyPort() as port:
+        arguments = (relaying.Device(os.ttyname(device), 9600), port)
+        thread = threading.Thread(
+            target=relaying.relay, args=arguments, kwargs={"stop": ended.is_set, "notify": print}, daemon=True
+        )
+        host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        thread.start()
+        # More than the line takes: its other end is not read.
+        full_since = time.monotonic()
+        while time.monotonic() - full_since < 1.0:
+            try:
+                os.write(host, b"N\n" * 500)
+                full_since = time.monotonic()
+            except BlockingIOError:
+                time.sleep(0.01)
+        os.write(robot, b"n\r\n")
+        if select.select([host], [], [], 5)[0]:
+            got = os.read(host, 100)
+        ended.set()
+        thread.join(5)
+        was_alive = thread.is_alive()
+        while thread.is_alive():  # a relay that hangs is let go
+            os.read(robot, 100_000)
+        os.close(host)
+    os.close(robot)
+    os.close(device)
+    assert got == b"n\r\n"
+    assert not was_alive

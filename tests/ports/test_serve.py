@@ -417,3 +417,14 @@ def test_the_notice_of_another_speed_names_the_mode_and_one_stop_bit_is_no_reaso
     assert "the host has its line at 38400 baud, the robot's has 9600" in told[0]
     assert "serve --mode 3" in told[0]
     assert "serve --model khepera2 --mode 8" in told[1]
+
+
+def test_a_speed_without_a_constant_is_reported_as_it_is() -> None:
+    with (
+        served("default") as (process, path),
+        serial.Serial(path, 31250, stopbits=2, timeout=PATIENCE) as port,
+    ):
+        port.write(b"B\n")
+        assert port.readline() == b"b,5.02,5.01\r\n"
+        _, errors = stop(process)
+    assert "the host has its line at 31250 baud, the robot's has 9600" in errors

@@ -30,3 +30,18 @@ def test_a_full_disk_is_said_in_one_line(folder: Path, monkeypatch: pytest.Monke
         with registered(["/dev/pts/1"], "default"):
             raise AssertionError
     assert not [*folder.iterdir()]
+
+
+def test_a_server_that_ends_while_it_is_listed_is_not_listed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service_registry, "private_folder", lambda: tmp_path)
+    note = tmp_path / "1.served"
+    note.touch()
+
+    def ended_at_once(note: Path) -> bool:
+        note.unlink()
+        return True
+
+    monkeypatch.setattr(service_registry, "_is_held", ended_at_once)
+    assert served() == []
