@@ -230,7 +230,7 @@ def test_it_ends_at_once_and_removes_its_link(tmp_path: Path, how: signal.Signal
     with served("--relay", "loop://", "--link", str(link), "--log", str(log)) as (process, _):
         start = time.monotonic()
         assert stop(process, how)[0] == 0
-        assert time.monotonic() - start < 2
+        assert time.monotonic() - start < 10  # it waits for no host
     assert not link.is_symlink()
     assert read(log).robots["khepera0"].serial == []
 

@@ -158,4 +158,5 @@ def test_the_line_of_the_program_that_failed_is_marked_and_not_that_of_one_whose
     page.click("#run")
     page.wait_for_selector("#lines .failed")
     assert page.input_value("#program-file") == "mine.py"
+    page.click('[data-tab="run"]')
     visit.end()
