@@ -73,7 +73,7 @@ class NetworkHost:
         self._beginning = b""  # of all that it has sent
         self._line = bytearray()
         self._heard = 0.0
-        self._waiting = bytearray()
+        self._waiting: bytearray = bytearray()
         self._negotiator = None if baud is None else Negotiator(baud, self._waiting.extend)
 
     @property
