@@ -4,10 +4,10 @@ import random
 from collections import Counter
 from collections.abc import Collection
 
-CLOCK, HALF = "clock", "half-line"
-"""Kinds of faults that must disturb nobody: the wall clock is set; a host leaves amid a line."""
+CLOCK, HALF, BURST = "clock", "half-line", "burst"
+"""Kinds of faults that must disturb nobody: the wall clock is set; hosts leave amid a line, or ask much."""
 
-HARMLESS = frozenset({CLOCK, HALF, "exception", "interrupt", "terminate", "quick", "rogue", "vanish"})
+HARMLESS = frozenset({CLOCK, HALF, BURST, "exception", "interrupt", "terminate", "quick", "rogue", "vanish"})
 """Kinds of faults that must not disturb a host which has the line."""
 
 _MASK = (1 << 64) - 1
@@ -52,7 +52,7 @@ class Faults:
     @property
     def kinds(self) -> set[str]:
         """Kinds of those that have happened and may disturb somebody."""
-        return self._kinds(0) - {CLOCK, HALF}
+        return self._kinds(0) - {CLOCK, HALF, BURST}
 
     def disturbing(self, since: int) -> set[str]:
         """Return the kinds of those from the number `since` on that may disturb a host which has the line."""

@@ -84,6 +84,17 @@ def _connections_kept() -> AbstractContextManager[object]:
     return patch.object(NetworkHost, "close", lambda host: kept.append(host._client))
 
 
+def _bursts_cut() -> AbstractContextManager[object]:
+    """Drop what is beyond the queue before the system was asked to take it."""
+
+    def release(host: NetworkHost, count: int) -> None:
+        host._waiting += host._line[: min(count, network_host.QUEUE_LIMIT - len(host._waiting))]
+        del host._line[:count]
+        host._flush()
+
+    return patch.object(NetworkHost, "_release", release)
+
+
 def _vanished_hosts_stay() -> AbstractContextManager[object]:
     return patch.multiple(network_host, _retransmissions=lambda client: 0)
 
@@ -122,6 +133,7 @@ MUTANTS: dict[str, Mutant] = {
     "a browser is let in": Mutant("tcp", "replies", _browsers),
     "connections are never closed": Mutant("tcp", "leftovers", _connections_kept),
     "a host that has vanished keeps the port": Mutant("tcp", "answers", _vanished_hosts_stay, 600),
+    "answers to a burst are cut": Mutant("tcp", "answers", _bursts_cut),
     "negotiation is not answered": Mutant("rfc2217", "answers", _no_negotiation),
     "counters are ahead of the wheels": Mutant("tcp", "counters", _counters_ahead),
     "a speed sets one wheel": Mutant("lockstep", "speeds", _one_wheel),

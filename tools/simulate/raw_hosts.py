@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from tools.simulate.faults import HALF
+from tools.simulate.faults import BURST, HALF
 from tools.simulate.kernel import NS_PER_S
 from tools.simulate.simulation import Simulation
 from tools.simulate.truth import BROWSERS, REFUSED, Truth, tag
@@ -18,6 +18,12 @@ PATIENCE_S = 60.0
 
 _ORDERS = ("N", "O", "H", "E", "B", "K", "I,1", "hello", "T,9,X", "R,3", "Q", "G,5,6", "D,3,4", "D,0,0")
 """Lines that a host on a bare socket sends."""
+
+_PASSING = frozenset({"stall", "accept"})
+"""Kinds of faults that delay a host by less than its patience."""
+
+_BURST_LINES = 300
+"""Lines of a burst: their answers are more than waits for a host that does not read."""
 
 _TELNET = re.compile(rb"\xff\xfa.*?\xff\xf0|\xff[\xfb-\xfe].", re.DOTALL)
 """Negotiation of RFC 2217 amid a robot's bytes."""
@@ -65,6 +71,8 @@ class Raw:
             with self.connect() as host:
                 host.settimeout(PATIENCE_S)
                 lines = [tag(self.number)]
+                if faults.happens(BURST, "hosts", 1.0):
+                    lines += ["N"] * _BURST_LINES
                 for _ in range(rng.randint(1, 20)):
                     lines += rng.choices(_ORDERS, k=rng.randint(1, 8))
                     host.sendall("".join(f"{line}\n" for line in lines).encode())
@@ -84,8 +92,7 @@ class Raw:
                     while host.recv(4096):
                         pass
         except TimeoutError:
-            disturbing = faults.disturbing(since) if has_finished else faults.kinds
-            if truth is self.truth() and self.is_exact() and not disturbing:
+            if truth is self.truth() and self.is_exact() and faults.disturbing(since) <= _PASSING:
                 kind = "leftovers" if has_finished else "answers"
                 self.simulation.violate(kind, f"raw host {self.number} waited for {PATIENCE_S} s")
         except OSError as error:
