@@ -28,6 +28,17 @@ _LOCKED_BYTE = 1 << 40
 """Byte that stands for a file whose system locks bytes; others may read and write what lies before it."""
 
 
+_forks: list[int] = []
+"""Numbers of the processes that were forked on the way to this one, since this module was imported."""
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=lambda: _forks.append(os.getpid()))
+
+
+def n_forks() -> int:
+    """Return the number of forks that lead to this process; a fork of it has one more."""
+    return len(_forks)
+
+
 def flags(*names: str) -> int:
     """Return flags of `os.open` together, without those that the system lacks; files are binary."""
     return sum(getattr(os, name, 0) for name in {"O_BINARY", *names})

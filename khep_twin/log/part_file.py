@@ -12,7 +12,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
-from khep_twin.machine import flags, lock
+from khep_twin.machine import flags, lock, n_forks
 
 
 class PartFile:
@@ -31,7 +31,7 @@ class PartFile:
             self._descriptor = os.open(path, flags("O_WRONLY", "O_CREAT", "O_EXCL"), 0o666)
         except FileExistsError:
             raise _written(path) from None
-        self._size, self._owner = 0, os.getpid()
+        self._size, self._n_forks = 0, n_forks()
         try:
             lock(self._descriptor)
             is_ours = _names(path, self._descriptor)
@@ -45,7 +45,7 @@ class PartFile:
 
     def write(self, data: bytes) -> int:
         """Append `data`; on an error, remove what was written of it and raise."""
-        if os.getpid() != self._owner:
+        if n_forks() != self._n_forks:
             raise OSError(errno.EBADF, "a fork of the process that writes it cannot do so")
         rest = memoryview(data)
         try:

@@ -17,6 +17,7 @@ from khep_twin.errors import KhepTwinError, PortError, ProtocolError
 from khep_twin.host import Khepera, Vision, commands
 from khep_twin.interventions.move_robot import as_it_stands, put
 from khep_twin.interventions.switching import switch
+from khep_twin.machine import n_forks
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import no_room
 from khep_twin.ports.endpoints import open_any
@@ -59,7 +60,7 @@ class WebSession:
         # The completed part of the job goes with the pictures, as jobs report it at each cycle.
         self._part = 0.0
         self._printed = ""
-        self._owner = os.getpid()
+        self._n_forks = n_forks()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="stage", daemon=True)
 
@@ -133,7 +134,7 @@ class WebSession:
 
     def _leave_a_fork(self) -> None:
         """End a process that a controller has forked: the session is the designer's alone."""
-        if os.getpid() != self._owner:
+        if n_forks() != self._n_forks:
             os._exit(0)
 
     def _do(self, robot: Khepera, stop: Callable[[], bool]) -> None:

@@ -94,11 +94,13 @@ class Threading:
             def __init__(self) -> None:
                 self._file = OpenFile(kernel)
 
-            def acquire(self) -> bool:
+            def acquire(self, blocking: bool = True) -> bool:
                 if (process := kernel.current) is None:
                     return True
                 if self.owner is not process:
                     kernel.called()
+                    if self.owner is not None and not blocking:
+                        return False
                     kernel.wait([self._file], lambda: self.owner is None, None)
                     self.owner = process
                 self.count += 1
