@@ -30,7 +30,7 @@ _LOCKED_BYTE = 1 << 40
 
 _forks: list[int] = []
 """Numbers of the processes that were forked on the way to this one, since this module was imported."""
-if hasattr(os, "register_at_fork"):
+if sys.platform != "win32":
     os.register_at_fork(after_in_child=lambda: _forks.append(os.getpid()))
 
 
