@@ -86,7 +86,7 @@ def test_one_program_at_a_time_is_read_that_one_without_an_end_takes_no_more_thr
     first = threading.Thread(target=asker.do, args=["run"], kwargs={"controller": "endless.py"})
     first.start()
     try:
-        while not (tmp_path / "begun").exists():
+        while first.is_alive() and not (tmp_path / "begun").exists():
             time.sleep(0.02)
         status, told = asker.do("run", controller="endless.py")
         assert (status, told["error"][:30]) == (400, "a program is still being read;")

@@ -5,9 +5,12 @@ from collections import Counter
 from collections.abc import Collection
 
 CLOCK, HALF, BURST = "clock", "half-line", "burst"
-"""Kinds of faults that must disturb nobody: the wall clock is set; hosts leave amid a line, or ask much."""
+"""Names of kinds of faults: the wall clock is set; a host leaves amid a line; a host asks much at once."""
 
-HARMLESS = frozenset({CLOCK, HALF, BURST, "exception", "interrupt", "terminate", "quick", "rogue", "vanish"})
+UNNOTICED = frozenset({CLOCK, HALF, BURST})
+"""Kinds of faults that must disturb nobody."""
+
+HARMLESS = UNNOTICED | {"exception", "interrupt", "terminate", "quick", "rogue", "vanish"}
 """Kinds of faults that must not disturb a host which has the line."""
 
 _MASK = (1 << 64) - 1
@@ -52,7 +55,7 @@ class Faults:
     @property
     def kinds(self) -> set[str]:
         """Kinds of those that have happened and may disturb somebody."""
-        return self._kinds(0) - {CLOCK, HALF, BURST}
+        return self._kinds(0) - UNNOTICED
 
     def disturbing(self, since: int) -> set[str]:
         """Return the kinds of those from the number `since` on that may disturb a host which has the line."""

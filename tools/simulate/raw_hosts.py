@@ -16,8 +16,8 @@ from tools.simulate.truth import BROWSERS, REFUSED, Truth, tag
 PATIENCE_S = 60.0
 """Time within which a reply comes, whatever stalls and delays there are [s]."""
 
-_ORDERS = ("N", "O", "H", "E", "B", "K", "I,1", "hello", "T,9,X", "R,3", "Q", "G,5,6", "D,3,4", "D,0,0")
-"""Lines that a host on a bare socket sends."""
+ORDERS = ("N", "O", "H", "E", "B", "K", "I,1", "hello", "T,9,X", "R,3", "Q", "G,5,6", "D,3,4", "D,0,0")
+"""Lines that a host without the library sends."""
 
 _PASSING = frozenset({"stall", "accept"})
 """Kinds of faults that delay a host by less than its patience."""
@@ -74,7 +74,7 @@ class Raw:
                 if faults.happens(BURST, "hosts", 1.0):
                     lines += ["N"] * _BURST_LINES
                 for _ in range(rng.randint(1, 20)):
-                    lines += rng.choices(_ORDERS, k=rng.randint(1, 8))
+                    lines += rng.choices(ORDERS, k=rng.randint(1, 8))
                     host.sendall("".join(f"{line}\n" for line in lines).encode())
                     asked += len(lines)
                     lines = []

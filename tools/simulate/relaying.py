@@ -18,7 +18,6 @@ from khep_twin.errors import PortError
 from khep_twin.ports import idle_polls
 from khep_twin.ports.serve import serve
 from khep_twin.ports.twin import open_twin
-from khep_twin.world import World
 from tools.simulate.cable import Cable, RobotEnd
 from tools.simulate.kernel import NS_PER_S, Process
 from tools.simulate.line_logs import LineLog
@@ -63,9 +62,6 @@ class LineTruth(Truth):
 
     def on_host_event(self, time_ns: int, robot: int, event: HostEvent) -> None:
         """Ignore events: the robot cannot see hosts come and go."""
-
-    def sample(self, world: World) -> None:
-        """Ignore what the world looks like."""
 
 
 class _Relayed(Site):

@@ -12,12 +12,9 @@ from typing import Any, Protocol
 from khep_twin.errors import PortError, PortInUse
 from khep_twin.host.discovery import found_ports, who_answers
 from tools.simulate.kernel import NS_PER_S
-from tools.simulate.raw_hosts import PATIENCE_S, half_line
+from tools.simulate.raw_hosts import ORDERS, PATIENCE_S, half_line
 from tools.simulate.simulation import Simulation
 from tools.simulate.truth import Truth, tag
-
-_ORDERS = ("N", "O", "H", "E", "B", "K", "I,1", "hello", "T,9,X", "R,3", "Q", "G,5,6", "D,3,4", "D,0,0")
-"""Lines that a host sends."""
 
 _COMPANIONS = 8
 """Most hosts that open a terminal at the moment of another one."""
@@ -87,7 +84,7 @@ class TerminalHost:
         got, lines = b"", [tag(self.number)]
         try:
             for _ in range(rng.randint(1, 12)):
-                lines += rng.choices(_ORDERS, k=rng.randint(1, 5))
+                lines += rng.choices(ORDERS, k=rng.randint(1, 5))
                 self._write(descriptor, "".join(f"{line}\n" for line in lines).encode())
                 # Of this burst: a robot that was switched off never answers what it was asked before.
                 got += self._replies(descriptor, len(lines), truth)

@@ -154,6 +154,7 @@ export class Running {
   }
 
   hear(message) {
+    if (message.tab && message.tab !== tab) return; // an answer to another page
     const hears = {
       twin: () => this.#cast(message, false),
       robot: () => this.#cast(message, true),
@@ -175,7 +176,6 @@ export class Running {
         this.failed?.(message.text);
       },
       refused: () => {
-        if (message.tab && message.tab !== tab) return; // asked by another page
         this.hands.refused();
         this.banner(message.text, "error", {}, "hand");
       },
@@ -373,8 +373,7 @@ export class Running {
     this.attempt(() => post("room", { robot: held.index, x_mm: held.x_mm, y_mm: held.y_mm }), "room");
   }
 
-  #room({ robot, reason, tab: page }) {
-    if (page && page !== tab) return; // asked by another page
+  #room({ robot, reason }) {
     const held = this.#held;
     if (held?.index !== robot || !held.asked) return;
     held.asked = false;
