@@ -42,6 +42,9 @@ Location = tuple[str | int, ...]
 Expected = str | tuple[object, ...]
 """Expectation in words, or the valid choices."""
 
+PORT_FAILURES = (OSError, ValueError)
+"""Exceptions of a pyserial port that fails; one on the network refuses a setting by a ValueError."""
+
 
 @dataclass(frozen=True, slots=True)
 class Problem:

@@ -3,7 +3,6 @@
 import time
 from dataclasses import dataclass
 
-import serial
 from serial.tools import list_ports
 
 from khep_twin.errors import PortError, PortInUse, PortTimeout
@@ -67,7 +66,7 @@ def who_answers(url: str) -> tuple[int, commands.Versions] | None:
         return speed, commands.versions().read(port.read_until(b"\n", None).decode("latin-1").strip())
     except (PortTimeout, ValueError):
         return None
-    except (serial.SerialException, OSError) as error:
+    except OSError as error:
         raise PortError(f"{url}: the port failed at 'B': {error}") from error
     finally:
         port.close()

@@ -17,7 +17,7 @@ from typing import Literal, TypeVar, cast
 import serial
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.errors import PortError, PortTimeout, ProtocolError, StoppedError
+from khep_twin.errors import PORT_FAILURES, PortError, PortTimeout, ProtocolError, StoppedError
 from khep_twin.host.commands import HostCommand
 from khep_twin.host.opening import SPEEDS, find_speed, numbered, open_port
 from khep_twin.signals import clear_at_end
@@ -223,13 +223,13 @@ class Line:
                 f"{self.name}: {request!r} could not be sent within {self.port.write_timeout} s: no program "
                 "reads at the other end"
             ) from error
-        except (serial.SerialException, OSError) as error:
+        except PORT_FAILURES as error:
             raise self._failed(request, error) from error
 
     def _read_line(self, request: str) -> bytes:
         try:
             return self.port.read_until(b"\n", None)
-        except (serial.SerialException, OSError) as error:
+        except PORT_FAILURES as error:
             raise self._failed(request, error) from error
 
     def _silence(self, request: str, line: bytes) -> PortTimeout:
@@ -255,7 +255,7 @@ class Line:
             with self._exchange:
                 before = self.port.timeout
                 self._stop()
-                self.port.timeout = before
+                self._set_timeout(before)
         finally:
             self._stood.set()
 
@@ -294,11 +294,8 @@ class Line:
     def _stop(self) -> None:
         """Send the stop of the motors, twice if necessary, and wait for the answer."""
         wait = STOP_WAIT / 2
-        try:
-            if self.port.timeout is None or not 0 < self.port.timeout <= wait:
-                self.port.timeout = wait
-        except (serial.SerialException, OSError) as error:
-            raise self._failed(_STOP, error) from error
+        if self.port.timeout is None or not 0 < self.port.timeout <= wait:
+            self._set_timeout(wait)
         for _ in range(2):
             self._write(f"\n{_STOP}\n".encode("ascii"), _STOP)
             if _STOP[0] in self._unanswered:  # a speed whose answer, to come yet, is the same
@@ -313,9 +310,16 @@ class Line:
                     return
         raise PortTimeout(f"{self.name}: no reply to {_STOP!r} within {STOP_WAIT} s")
 
+    def _set_timeout(self, timeout: float | None) -> None:
+        # pyserial negotiates the settings of a port on the network anew for it.
+        try:
+            self.port.timeout = timeout
+        except PORT_FAILURES as error:
+            raise self._failed(_STOP, error) from error
+
     def _close(self) -> None:
         self._forget()
-        with suppress(serial.SerialException, OSError):
+        with suppress(*PORT_FAILURES):
             self.port.close()
 
     def _end(self) -> None:

@@ -4,12 +4,12 @@ import errno
 import os
 import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 
 import serial
 
-from khep_twin.errors import PortError, PortInUse, PortTimeout
+from khep_twin.errors import PORT_FAILURES, PortError, PortInUse, PortTimeout
 from khep_twin.invocation import command
 from khep_twin.ports.service_registry import served
 
@@ -69,7 +69,7 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
             write_timeout=bound,
         )
     # One error says all; its causes repeat it.
-    except (OSError, ValueError) as error:
+    except PORT_FAILURES as error:
         if isinstance(error, serial.SerialException) and error.errno in (errno.EBUSY, errno.EAGAIN):
             raise PortInUse(f"{url}: in use by a program that has locked it") from None
         raise PortError(*_why_not_opened(url, error)) from None
@@ -91,23 +91,36 @@ def find_speed(port: serial.Serial, name: str, now: Callable[[], float]) -> int:
         PortError: The port failed.
     """
     before = port.timeout
+    refused: list[int] = []
     try:
         port.timeout = _LISTEN
-        found = next((speed for speed in SPEEDS if _answers_at(port, speed, now)), None)
+        for speed in SPEEDS:
+            try:
+                port.baudrate = speed
+            except ValueError:  # a converter on the network may have no such speed
+                refused.append(speed)
+                continue
+            if _answers(port, now):
+                port.timeout = before
+                return speed
         port.timeout = before
-    except (serial.SerialException, OSError) as error:
+    except PORT_FAILURES as error:
         raise PortError(f"{name}: the port failed at 'B': {error}") from error
-    if found is None:
-        tried = ", ".join(map(str, SPEEDS))
-        raise PortTimeout(f"{name}: no answer to 'B' at {tried} baud; is the robot on, in a serial mode?")
-    return found
+    tried = _listed(speed for speed in SPEEDS if speed not in refused)
+    raise PortTimeout(
+        f"{name}: no answer to 'B' at {tried or 'any'} baud; is the robot on, in a serial mode?"
+        + (f" The port refuses {_listed(refused)} baud" if refused else "")
+    )
 
 
-def _answers_at(port: serial.Serial, speed: int, now: Callable[[], float]) -> bool:
+def _listed(speeds: Iterable[int]) -> str:
+    return ", ".join(map(str, speeds))
+
+
+def _answers(port: serial.Serial, now: Callable[[], float]) -> bool:
     # A twin in this process warns of a wrong speed and understands all the same.
     with warnings.catch_warnings(record=True) as noticed:
         warnings.simplefilter("always")
-        port.baudrate = speed
         port.reset_input_buffer()
         # The line feed before it ends what an attempt at another speed has begun.
         port.write(b"\nB\n")

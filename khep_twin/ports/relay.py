@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import serial
 
 from khep_twin.board.uart import LineSettings
-from khep_twin.errors import PortError
+from khep_twin.errors import PORT_FAILURES, PortError
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.idle_polls import IdlePolls
 from khep_twin.ports.ration import Ration
@@ -92,7 +92,7 @@ class Device:
             self._port: Any = serial.serial_for_url(
                 url, baud, stopbits=serial.STOPBITS_TWO, timeout=0, exclusive=True
             )
-        except (serial.SerialException, OSError, ValueError) as error:
+        except PORT_FAILURES as error:
             number = getattr(error, "errno", None)
             reason = os.strerror(number) if number else error
             raise PortError(f"{url}: cannot open this port: {reason}") from None
@@ -110,7 +110,7 @@ class Device:
             return ""
         try:
             self._port.baudrate, self._port.stopbits = host.baud, stop_bits
-        except (serial.SerialException, OSError, ValueError) as error:
+        except PORT_FAILURES as error:
             return f"the robot's port cannot follow the host to {host.baud} baud: {error}"
         return f"the line is at {host.baud} baud with {host.stop_bits} stop bits, as the host has set it"
 
@@ -155,7 +155,7 @@ class Device:
         """Turn the failure of the port into a `PortError`."""
         try:
             yield
-        except (serial.SerialException, OSError) as error:
+        except PORT_FAILURES as error:
             raise PortError(f"{self.url}: the robot's port failed: {error}") from error
 
 

@@ -8,10 +8,11 @@ from serial.tools import list_ports
 from served_twin import LISTS_PORTS, served
 
 from khep_twin.cli import completion
-from khep_twin.errors import PortInUse
-from khep_twin.host import Khepera
+from khep_twin.errors import PortInUse, PortTimeout
+from khep_twin.host import Khepera, opening
 from khep_twin.host.discovery import found_ports, who_answers
 from khep_twin.ports.event_sources import Event, open_events
+from khep_twin.ports.negotiation import HIGHEST_BAUD
 
 
 @pytest.fixture(autouse=True)
@@ -75,6 +76,17 @@ def test_asking_leaves_a_running_session_undisturbed(kind: tuple[str, ...]) -> N
             line for line in process.stderr.read().splitlines() if line.startswith(f"khep-twin: {url}: ")
         ]
     assert notices == []
+
+
+@pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
+def test_a_speed_that_the_port_refuses_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    with served("default", "--mode", "3", "--strict-line", "--rfc2217", ":0") as (_, url):
+        monkeypatch.setattr(opening, "SPEEDS", (HIGHEST_BAUD + 1, 38400))
+        with Khepera(url, baudrate="auto") as robot:
+            assert robot.port.baudrate == 38400
+        monkeypatch.setattr(opening, "SPEEDS", (HIGHEST_BAUD + 1,))
+        with pytest.raises(PortTimeout, match=r"no answer to 'B' at any baud.* refuses 4000001 baud"):
+            Khepera(url, baudrate="auto")
 
 
 def test_looking_for_ports_opens_none_of_them() -> None:

@@ -224,7 +224,7 @@ class _Lab:
         error = process.error
         while error is not None:
             clear_frames(error.__traceback__)
-            error = error.__cause__
+            error = error.__cause__ or error.__context__
         if self._lost(part, cuts):
             return None
         if not rescues:

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 import serial
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.errors import KhepTwinError, PortError
+from khep_twin.errors import PORT_FAILURES, KhepTwinError, PortError
 
 SILENCE = 0.1
 """Time without a byte after which a line counts as silent [s]; impatient hosts wait as long for a reply."""
@@ -102,7 +102,10 @@ class CheckedPort:
 
     def __init__(self, port: serial.Serial) -> None:
         self.port = port
-        port.timeout = 1.0
+        try:
+            port.timeout = 1.0
+        except PORT_FAILURES as error:
+            raise PortError(f"{port.name}: the port failed: {error}") from error
 
     def ask(self, request: str, end: str = "\n") -> str:
         """Send a line and return its reply without CR LF; raise a `Deviation` unless it is one line."""
@@ -213,15 +216,16 @@ def run_check(check: Check, line: CheckedPort) -> Result:
     deviation, absent = "", False
     try:
         line.port.reset_input_buffer()
-        absent = check.turret is not None and line.ask(f"T,{check.turret},B").startswith("z,")
-        if not absent:
-            check.body(line)
-        line.silent("after the last reply")
-    except Deviation as error:
-        deviation = str(error)
-        # Leftovers of a wrong answer must not reach the next check.
-        line.send("\n")
-        line.read_for(0.3)
-    except (serial.SerialException, OSError) as error:
+        try:
+            absent = check.turret is not None and line.ask(f"T,{check.turret},B").startswith("z,")
+            if not absent:
+                check.body(line)
+            line.silent("after the last reply")
+        except Deviation as error:
+            deviation = str(error)
+            # Leftovers of a wrong answer must not reach the next check.
+            line.send("\n")
+            line.read_for(0.3)
+    except PORT_FAILURES as error:
         deviation = f"the port failed: {error}"
     return Result(check.name, check.section, deviation, absent)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S
-from khep_twin.errors import LogError, PortError
+from khep_twin.errors import PORT_FAILURES, LogError, PortError
 from khep_twin.host import Khepera
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import Misfit, shown
@@ -156,7 +156,7 @@ def _send(
                 if progress is not None:
                     progress(min(event.at_ns / end.at_ns, 1.0))
             came += port.read(max(port.in_waiting, 1))
-        except (OSError, ValueError) as error:
+        except PORT_FAILURES as error:
             raise PortError(f"{url}: the port failed: {error}") from error
     return [text_of(line) for line in re.split(rb"[\r\n]", came) if line]
 
