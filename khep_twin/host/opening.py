@@ -90,7 +90,7 @@ def find_speed(port: serial.Serial, name: str, now: Callable[[], float]) -> int:
         PortTimeout: There is no answer at any of `SPEEDS`.
         PortError: The port failed.
     """
-    before = port.timeout
+    before, first = port.timeout, port.baudrate
     refused: list[int] = []
     try:
         port.timeout = _LISTEN
@@ -99,6 +99,7 @@ def find_speed(port: serial.Serial, name: str, now: Callable[[], float]) -> int:
                 port.baudrate = speed
             except ValueError:  # a converter on the network may have no such speed
                 refused.append(speed)
+                port.baudrate = first
                 continue
             if _answers(port, now):
                 port.timeout = before
