@@ -173,7 +173,7 @@ class User:
         for cause, pattern in _EXPECTED.items():
             if cause in causes and (found := pattern.search(text)):
                 if cause == "torn":
-                    Path(found[1]).unlink()
+                    Path(found[1]).unlink(missing_ok=len(runs) > 1)  # both may ask for it
                     kept.clear()
                 self._simulation.count("error lines")
                 return
