@@ -9,6 +9,7 @@ deletes its own drafts only.
 import json
 import os
 import re
+import stat
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
@@ -192,14 +193,14 @@ class Documents:
             ConflictError: The file has another version than the page knows.
             KhepTwinError: The draft is no valid playpen, or cannot be written.
         """
-        path = self.path(name, ".toml")
+        path, draft_place = self.path(name, ".toml"), self._draft_place(name, page)
         # Two pages that save at once must not both find the version that they know.
         with self._saving:
             text = text_of(draft, _usable(self._base(base, self._replaced(name, version, overwrite))))
             # Another program may have written the file meanwhile.
             self._replaced(name, version, overwrite)
             write_whole(path, text.encode("utf-8"))
-        self.keep(name, None, page)
+        draft_place.unlink(missing_ok=True)
         return version_of(text)
 
     def version(self, name: str) -> str | None:
@@ -218,8 +219,6 @@ class Documents:
         Raises:
             KhepTwinError: The draft cannot be written.
         """
-        if not _PAGE.fullmatch(page):
-            raise OutsideError("page: expected letters, digits and hyphens, at most 40")
         place = self._draft_place(name, page)
         if kept is None:
             place.unlink(missing_ok=True)
@@ -244,10 +243,14 @@ class Documents:
         return self.root / _UNNAMED if name is None else self.path(name, ".toml")
 
     def _draft_place(self, name: str | None, page: str) -> Path:
+        if not _PAGE.fullmatch(page):
+            raise OutsideError("page: expected letters, digits and hyphens, at most 40")
         path = self._draft_path(name)
         place = path.with_name(f".{path.name}.{page}.draft" if page else f".{path.name}.draft")
-        if place.is_symlink():
-            raise OutsideError(f"{place.name}: a link, which may lead out of the folder")
+        # Unlike `is_symlink`, it raises where the draft's name is too long.
+        with suppress(FileNotFoundError):
+            if stat.S_ISLNK(os.lstat(place).st_mode):
+                raise OutsideError(f"{place.name}: a link, which may lead out of the folder")
         return place
 
     def _base(self, base: dict[str, str], there: str | None) -> str | None:

@@ -44,6 +44,23 @@ def test_what_is_wrong_is_reported_at_the_object_while_it_is_dragged(visit: Visi
     assert visit.count(".kind-robot.drawn") == 1
 
 
+def test_what_is_deleted_while_it_is_dragged_takes_no_other_object_with_it(visit: Visit) -> None:
+    visit.add("block", (200, 200), (400, 300))
+    page = visit.page
+    page.mouse.move(*visit.at(200, 200))
+    page.mouse.down()
+    page.mouse.move(*visit.at(250, 100), steps=3)
+    page.keyboard.press("Delete")
+    page.mouse.move(*visit.at(100, 100), steps=3)
+    page.mouse.up()
+    left = page.locator(".kind-block.drawn")
+    assert left.count() == 1
+    assert left.get_attribute("transform").startswith("translate(400 300)")
+    page.keyboard.press("Control+z")
+    assert left.count() == 2
+    assert left.first.get_attribute("transform").startswith("translate(200 200)")
+
+
 def test_a_playpen_is_built_by_keys_alone(visit: Visit, tmp_path: Path) -> None:
     page = visit.page
     page.focus("#view")
@@ -388,6 +405,34 @@ def test_two_pages_on_one_file_ask_before_one_replaces_the_other(visit: Visit, t
     visit.page.click("text=Continue it")
     visit.page.wait_for_selector(".kind-lamp.drawn")
     visit.trouble = [text for text in visit.trouble if "409" not in text]
+
+
+def test_saves_that_follow_each_other_at_once_do_not_disagree(visit: Visit, tmp_path: Path) -> None:
+    visit.save_as("mine.toml")
+    visit.add("block", (200, 200))
+    visit.page.evaluate("for (let number = 0; number < 3; number++) document.querySelector('#save').click()")
+    visit.wait("document.querySelector('#file').textContent === 'mine.toml'")
+    visit.add("lamp", (400, 200))
+    visit.page.click("#save")
+    visit.wait("document.querySelector('#file').textContent === 'mine.toml'")
+    assert "[[lamp]]" in (tmp_path / "mine.toml").read_text()
+    assert visit.count(".banner.error") == 0
+
+
+def test_a_file_that_is_loaded_anew_ends_the_twin_in_its_drawing(visit: Visit) -> None:
+    visit.add("robot", (200, 200))
+    visit.save_as("both.toml")
+    second = Visit(visit.page.context.new_page(), visit.url)
+    second.page.click("#open")
+    second.page.click("#dialog .main")
+    second.page.wait_for_selector(".kind-robot.drawn")
+    second.add("cylinder", (400, 200))
+    visit.start()
+    second.page.click("#save")
+    visit.page.click("text=Load it anew")
+    visit.page.wait_for_selector(".kind-cylinder.drawn")
+    visit.wait("document.querySelector('#clock').textContent === 'not running'")
+    assert visit.count(".live") == 0
 
 
 @pytest.mark.parametrize("dropped", [False, True])

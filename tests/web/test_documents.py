@@ -15,7 +15,7 @@ from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUn
 from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError, PlaypenError
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
-from khep_twin.web.drafts import draft_of, problems_of
+from khep_twin.web.drafts import blank, draft_of, problems_of
 from khep_twin.web.server import Server
 from tests.drawn_bitmap import drawn
 from tests.web.conftest import Asker
@@ -301,6 +301,14 @@ def test_a_scan_becomes_a_playpen(asker: Asker) -> None:
     assert status == 200, body
     assert json.loads(body)["draft"]["arena"]["width_mm"] == 1160
     assert asker.raw("POST", f"{asker.base}/import?name=scan.mat", headers, b"rubbish")[0] == 400
+
+
+def test_a_name_too_long_for_its_draft_is_refused_before_the_file_is_written(
+    asker: Asker, tmp_path: Path
+) -> None:
+    status, told = asker.do("save", file="x" * 240 + ".toml", tab="1-2345678", draft=blank("p"))
+    assert (status, told["error"]) == (400, "File name too long")
+    assert not [*tmp_path.glob("x*")]
 
 
 def test_a_file_that_has_something_in_it_is_no_place_for_a_new_one(tmp_path: Path) -> None:

@@ -35,8 +35,11 @@ export class Editor {
       if (id && !this.#act && !model.selected.has(id) && event.target.matches(":focus-visible")) model.select([id]);
     });
     model.addEventListener("change", ({ detail }) => {
-      if (detail === "whole") drawing.all();
-      else drawing.marks();
+      if (detail === "whole") {
+        drawing.all();
+        // What is dragged may be gone, or another: a key can remove it or take a step back meanwhile.
+        if (!["running", "twist"].includes(this.#act?.kind)) this.#act = null;
+      } else drawing.marks();
       this.handles();
     });
     model.addEventListener("moved", ({ detail }) => {

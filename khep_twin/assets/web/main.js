@@ -149,8 +149,13 @@ async function openFromLibrary(name) {
 async function mayLeave() {
   const text = Object.assign(document.createElement("p"), { textContent: "There are changes that are not saved. Undo brings them back, while this page is open." });
   if (model.changed && !(await ask("Leave this playpen?", text, "Discard them"))) return false;
-  if (running.active && !running.real) await post("end");
+  await endTwin();
   return true;
+}
+
+// Ends the twin that runs in the drawing, before another document is opened.
+async function endTwin() {
+  if (running.active && !running.real) await post("end");
 }
 
 // Another document is open, a new one or one that undo or redo has gone back to.
@@ -190,6 +195,7 @@ async function openFile(name) {
 }
 
 async function loadAnew(name) {
+  await endTwin();
   await leaveFor(await post("open", { file: name }), { file: name });
 }
 
@@ -221,8 +227,18 @@ function offer(left) {
   offered = { page: kept.page, close };
 }
 
-async function save(name = model.file, overwrite = false, rename = false) {
+let saving = Promise.resolve();
+
+// One save at a time: each starts from the version that the one before has written.
+function save(name = model.file, overwrite = false, rename = false) {
   if (!name) return saveAs();
+  const { opened } = model;
+  const saved = saving.then(() => model.opened === opened && write(name, overwrite, rename));
+  saving = saved.catch(() => {});
+  return saved;
+}
+
+async function write(name, overwrite, rename) {
   const draft = structuredClone(model.draft);
   const { file: before, opened } = model;
   try {
