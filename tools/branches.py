@@ -33,6 +33,7 @@ from khep_twin.log.recorded import BranchPoint, read_recorded
 from khep_twin.log.state_hashes import read_states
 from khep_twin.playpen import Lamp, Lighting, Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.units import STEP_NS
 from khep_twin.world import SAMPLE_NS, World
 
 WORDS = "D,9,4 N O D,-3,8 L,0,2 H D,10,10 K C,900,500 B D,20,19 E P,60,-40 J,20,64,20,64 G,0,0".split()
@@ -172,9 +173,14 @@ def messages(path: Path) -> list[tuple[str, int, bytes]]:
 
 
 def before(path: Path, at_ns: int) -> Counter[tuple[str, int, object]]:
-    """Return what a log has from before a moment, events of hosts and states one by one."""
+    """Return what a log has from before a moment, events of hosts and states one by one.
+
+    An event has the time at which its step began, in which its cause may come after the moment.
+    """
     found: Counter[tuple[str, int, object]] = Counter()
     for topic, time_ns, data in messages(path):
+        if topic == "/events" and time_ns >= at_ns - at_ns % STEP_NS:
+            continue
         each: list[tuple[int, object]] = [(time_ns, data)]
         if topic == "/state":
             each = [(time_ns + SAMPLE_NS * place, state) for place, state in enumerate(read_states(data))]

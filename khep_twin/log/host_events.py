@@ -67,6 +67,15 @@ def read_events(message: bytes) -> Iterator[tuple[int, HostEvent]]:
         yield time_ns, HostEvent(HostEventKind(kind), at_ns, host, bytes(values))
 
 
+PIECE_ENDS = (
+    HostEventKind.PUT,
+    HostEventKind.SWITCH,
+    HostEventKind.SCAN,
+    HostEventKind.RELIGHT,
+    HostEventKind.NOTE,
+)
+"""Kinds of events that end their piece of the log: what other robots did at the same time was before."""
+
 _HEAD = 6
 """Numbers before the bytes of an event."""
 

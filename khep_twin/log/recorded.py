@@ -10,15 +10,15 @@ from typing import Annotated
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from khep_twin.board.uart import HostEvent, HostEventKind
+from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import LATEST_NS, Misfit, decoded, read_line, shown
 from khep_twin.log.entries import Entry
-from khep_twin.log.host_events import read_events
+from khep_twin.log.host_events import PIECE_ENDS, read_events
 from khep_twin.log.label import Label
-from khep_twin.log.reader import read_raw
+from khep_twin.log.reader import read_raw, read_since
 from khep_twin.log.snapshots import TOPIC
 from khep_twin.log.state_hashes import read_states
 from khep_twin.world import SAMPLE_NS
@@ -96,7 +96,7 @@ def read_recorded(path: Path) -> Recorded:
     Raises:
         LogError: There is no log, it is not whole, or it lacks what a repetition needs.
     """
-    channels = ("/host_events", "/serial", "/state", TOPIC)
+    channels = ("/serial", "/state", TOPIC)
     label, found, recovered = read_raw(path, lambda topic: topic.endswith(channels))
     check_line(path, label)
     states: list[int] = []
@@ -106,18 +106,17 @@ def read_recorded(path: Path) -> Recorded:
             raise LogError(f"{path}: cannot be repeated: the state at {at_s:.2f} s is missing")
         states += hashed
     last_ns = (len(states) - 1) * SAMPLE_NS + _OVERTIME_NS if states and not recovered else LATEST_NS
-    events: list[RecordedEvent] = []
+    pieces = read_since(path, TOPIC, -1)
+    next(pieces)
+    events = list(events_in(path, pieces, label.robots))
     lines: list[list[TextLine]] = [[] for _ in label.robots]
     for index, name in enumerate(label.robots):
-        for _, done in decoded(path, f"/{name}/host_events", found, lambda data: list(read_events(data))):
-            events += [(at_ns, index, event) for at_ns, event in done]
         lines[index] = [line for _, line in decoded(path, f"/{name}/serial", found, read_line)]
     for time_ns in (*(at_ns for at_ns, _, _ in events), *(line.time_ns for each in lines for line in each)):
         if time_ns > last_ns:
             wish = f"at most {last_ns / NS_PER_S:.2f} s, {_OVERTIME_NS // NS_PER_S} s after the last state"
             what = f"something at {time_ns / NS_PER_S:.2f} s"
             raise Misfit(what, wish).at(path, "/host_events and /serial")
-    # Robots do not interact on their lines, so events at the same time may be in the order of the robots.
     changes, end_ns = changes_of(path, label), (len(states) - 1) * SAMPLE_NS
     # Replies may still be on their way at the end, which the last snapshot has.
     ended_ns = [time_ns for time_ns, _ in found.get(TOPIC, ()) if time_ns >= end_ns] or [
@@ -177,15 +176,15 @@ def events_in(
     topics = {f"/{name}/host_events": index for index, name in enumerate(robots)}
     for piece in pieces:
         held: list[RecordedEvent] = []
+        last: RecordedEvent | None = None
         for entry in piece:
             if (index := topics.get(entry.topic)) is not None:
                 try:
-                    held += [(at_ns, index, event) for at_ns, event in read_events(entry.data)]
+                    events = [(at_ns, index, event) for at_ns, event in read_events(entry.data)]
                 except Misfit as misfit:
                     raise misfit.at(path, entry.topic, entry.time_ns) from None
-        # What logs an event has ended its piece, so it was the last of those at the same time.
-        yield from sorted(held, key=lambda each: (each[0], each[2].kind in _LOGGED))
-
-
-_LOGGED = (HostEventKind.PUT, HostEventKind.SWITCH, HostEventKind.RELIGHT, HostEventKind.NOTE)
-"""Kinds of host events that log an event."""
+                held += events
+                if events and events[-1][2].kind in PIECE_ENDS:
+                    last = events[-1]
+        # What has ended its piece was the last of those at the same time.
+        yield from sorted(held, key=lambda each: (each[0], each is last))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from khep_twin import __version__
 from khep_twin import playpen as playpens
 from khep_twin.board.kernel import AMBIENT, DUTIES, PROXIMITY, SETPOINTS, SPEEDS, Board
-from khep_twin.board.uart import HostEvent
+from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.log import channels, foxglove_scene
@@ -188,6 +188,9 @@ class WorldRecorder:
         """Record a host event."""
         if self._log.open:
             self._host_events[robot].append((time_ns, event))
+            # The others log an event, which ends the piece. Of one robot all events are in order anyway.
+            if event.kind is HostEventKind.SCAN and len(self._host_events) > 1:
+                self.flush()
 
     def on_event(self, time_ns: int, robot: int | None, text: str) -> None:
         """Record an event; flush the file."""

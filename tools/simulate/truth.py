@@ -1,5 +1,6 @@
 """What a twin's line has carried, and whether it was true: wheels, speeds and sensors at each reply."""
 
+import re
 from dataclasses import dataclass
 
 from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, RIGHT, Mode, Wheel
@@ -9,6 +10,9 @@ from khep_twin.robot import Robot
 from khep_twin.units import PULSES_PER_TURN, wheel_pulses
 from khep_twin.world import Observer
 from tools.simulate.simulation import Simulation
+
+_MOVES = re.compile(r"[CDP](,-?[0-9]+){2}")
+"""Commands that move the robot; one that lost a byte on the line is refused."""
 
 STOP = "D,0,0"
 """Request that stops the motors."""
@@ -151,7 +155,7 @@ class Truth(Observer):
         for each in reversed(self.said):
             if each.request == STOP:
                 return True
-            if each.session == session and each.request[:1] in ("C", "D", "P"):
+            if each.session == session and _MOVES.fullmatch(each.request):
                 return False
         return True
 

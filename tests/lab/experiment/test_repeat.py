@@ -16,6 +16,7 @@ from khep_twin import playpen
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
 from khep_twin.errors import LogError
 from khep_twin.host import Gripper, Khepera
+from khep_twin.interventions.move_robot import scan
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.multi_robot import run_together
 from khep_twin.lab.experiment.repeat import Divergence, elsewhere, repeat
@@ -49,6 +50,16 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = process("run", "--playpen", "obstacles", "--seconds", 10, "--seed", 5, "--log", path)
     assert done.returncode == 0, done.stderr
     return path
+
+
+def test_what_another_robot_was_asked_before_all_sensors_were_converted_is_repeated(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with open_twin(playpen.load("swarm"), TwinOptions(unpaced=True, log=str(path))) as twin:
+        twin.world.advance_to(SECOND)
+        twin.world.robots[1].send(b"N\n")
+        scan(twin.world)
+        twin.world.advance_to(SECOND + 1_000_000)
+    assert again(path) is None
 
 
 def test_a_minute_with_noise_spread_and_faults_is_the_same_in_another_process(tmp_path: Path) -> None:
