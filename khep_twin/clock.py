@@ -21,7 +21,13 @@ def n_steps(duration_ns: int, step_ns: int) -> int:
 
 
 def to_ns(duration: float) -> int:
-    """Convert seconds [s] to integer nanoseconds [ns], rounded to the nearest."""
+    """Convert seconds [s] to integer nanoseconds [ns], rounded to the nearest.
+
+    Raises:
+        ValueError: They are no number, or more than 146 years.
+    """
+    if not abs(duration) < NEVER_NS / NS_PER_S:
+        raise ValueError(f"{duration:g} s; expected less than {NEVER_NS / NS_PER_S:.3g} s")
     return round(duration * NS_PER_S)
 
 

@@ -110,7 +110,9 @@ def branch(
         for number, path in enumerate(paths):
             if asked():
                 break
-            each = replace(plan, change=replace(change, seed=seeds[number]))
+            if number and controller is not None:  # one of its own for each branch
+                found = find_controller(controller, as_toolbox_form)
+            each = replace(plan, change=replace(change, seed=seeds[number]), controller=found)
             part = None if show is None else partial(_share, show, number, runs)
             ways.append(run_branch(each, path, progress=part, stop=asked))
     if not ways:

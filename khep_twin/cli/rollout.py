@@ -85,6 +85,9 @@ def rollout(
     playpen = scene.load()
     # A controller may go to another folder.
     target, log = (None if path is None else path.absolute() for path in (picture, logging.log))
+    for name, value in (("--period", period), ("--step", step)):
+        if value is not None and not 0 < value <= 1e9:
+            raise usage(f"{name} {value:g}: expected a time in ms, above 0 and at most 1e9")
     function = None
     if controller != "braitenberg":
         function = find_function(controller, "proximity and ambient light", 2)

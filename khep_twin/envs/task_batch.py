@@ -94,9 +94,10 @@ class TaskBatch:
         if speeds.shape != (*shape, 2):
             raise ValueError(f"actions of shape {speeds.shape}; expected {(*shape, 2)}")
         self._batch.speeds[rows] = speeds
-        for error in self._batch.step(rows, self.setup.steps_per_period).values():
-            raise error
+        failed = self._batch.step(rows, self.setup.steps_per_period)
         self.periods[rows] += 1
+        for error in failed.values():
+            raise error
         state = self._state(rows)
         self.rewards[rows] = self.setup.task.rewards(state).reshape(shape)
         if self._charge_ns:

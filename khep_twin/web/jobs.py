@@ -3,9 +3,7 @@
 # matplotlib's own annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
 
-import importlib
 import math
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -14,6 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 from khep_twin.host import Khepera
+from khep_twin.lab.experiment.controller_source import forget_modules_beside
 from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController
 from khep_twin.lab.experiment.experiment import find_controller
 from khep_twin.lab.experiment.series import OneRobot, Plan, run_series
@@ -110,31 +109,10 @@ def series(asked: RunRequest, documents: Documents) -> SeriesJob:
     else:
         file, _, function = name.partition(":")
         path = documents.path(file, ".py")
-        _forget_modules_beside(path)
+        forget_modules_beside(path)
         found = find_controller(f"{path}:{function}" if function else str(path), as_toolbox_form)
     plan = Plan(asked.runs, asked.cycles, asked.seconds, asked.pause)
     return SeriesJob(name, found, plan, documents.path(asked.folder, "") if asked.folder else None)
-
-
-_FOLDERS: set[Path] = set()
-"""Folders of the programs read so far."""
-
-
-def _forget_modules_beside(program: Path) -> None:
-    """Have a program import the modules beside it as they are now, not those of an earlier program."""
-    _FOLDERS.add(program.parent)
-    tops = {name.partition(".")[0] for name in sys.modules} - {"khep_twin", "__main__"}
-    beside = {top for top in tops if _folder(top) in _FOLDERS}
-    for name in [name for name in sys.modules if name.partition(".")[0] in beside]:
-        del sys.modules[name]
-    sys.path[:] = [str(program.parent), *(each for each in sys.path if each != str(program.parent))]
-    importlib.invalidate_caches()
-
-
-def _folder(top: str) -> Path:
-    """Return the folder that a module or package without a parent is in."""
-    file = Path(getattr(sys.modules.get(top), "__file__", None) or "/")
-    return file.parent.parent if file.name == "__init__.py" else file.parent
 
 
 def sensing(asked: SenseRequest, keep: Callable[[SensorRun], None]) -> Sensing:

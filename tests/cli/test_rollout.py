@@ -59,6 +59,8 @@ def test_the_path_of_a_rollout_is_drawn_and_changes_nothing(tmp_path: Path) -> N
         (("--picture", "way.bmp"), "expected a name that ends in .png, .svg or .pdf"),
         (("--seconds", "0.03"), "0.03 s; expected a whole number of control periods of 20 ms"),
         (("--seconds", "0"), "--seconds and --cycles are above 0 and finite"),
+        (("--seconds", "1e300"), "1e+300 s; expected less than"),
+        (("--period", "inf"), "--period inf: expected a time in ms, above 0 and at most 1e9"),
         (("own.py:three",), "expected proximity and ambient light"),
         (("own.py:nothing",), "nothing: returned None; expected two speeds in pulses per 10 ms"),
     ],

@@ -313,6 +313,8 @@ def test_an_error_in_one_of_many_is_raised_and_leaves_them_usable() -> None:
     first = many.reset(seed=1)
     with pytest.raises(DivergedError, match="expected finite numbers"):
         many.step(np.array([[0, 0], [math.nan, 0], [0, 0]], np.float32))
+    # The others were stepped.
+    assert many.unwrapped._batch.periods.tolist() == [1, 1, 1]
     assert same(many.reset(seed=1), first)
     many.close()
 

@@ -92,7 +92,7 @@ def table(challenge: Challenge, found: Sequence[Attempt]) -> str:
     for rank, each in ranked(challenge, found):
         value = "" if each.score is None else f"{each.score.value:.4g}"
         passed = _passed(challenge, each)
-        row = f"{rank or '-':>4}  {_name(each):{width}}  {value:>8}  {passed:6}  {each.note}"
+        row = f"{rank or '-':>4}  {_name(each):{width}}  {value:>8}  {passed:6}  {_readable(each.note)}"
         lines.append(row.rstrip())
     return "\n".join(lines)
 
@@ -109,13 +109,20 @@ def to_csv(challenge: Challenge, found: Sequence[Attempt]) -> bytes:
         score = each.score
         values = ["", *[""] * runs] if score is None else [score.value, *score.runs]
         writer.writerow(
-            [rank or "", _name(each), values[0], _passed(challenge, each), _plain(each.note), *values[1:]]
+            [
+                rank or "",
+                _name(each),
+                values[0],
+                _passed(challenge, each),
+                _plain(_readable(each.note)),
+                *values[1:],
+            ]
         )
     return text.getvalue().encode("utf-8")
 
 
 def _name(attempt: Attempt) -> str:
-    return Path(attempt.file).stem
+    return _readable(Path(attempt.file).stem)
 
 
 def _passed(challenge: Challenge, attempt: Attempt) -> str:
@@ -126,3 +133,8 @@ def _passed(challenge: Challenge, attempt: Attempt) -> str:
 def _plain(note: str) -> str:
     """Return a text that a spreadsheet does not take for a formula."""
     return f"'{note}" if note[:1] in ("=", "+", "-", "@") else note
+
+
+def _readable(text: str) -> str:
+    """Return a text with codes for the bytes of a file name that are no UTF-8."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")

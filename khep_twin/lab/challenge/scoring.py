@@ -9,16 +9,18 @@ import math
 import random
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from khep_twin.clock import to_ns
-from khep_twin.errors import ChallengeError, KhepTwinError, StoppedError
+from khep_twin.errors import ChallengeError, ControllerError, KhepTwinError, StoppedError
 from khep_twin.host import Khepera
 from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile, movable_objects
 from khep_twin.lab.challenge.task_metrics import TaskMetrics
-from khep_twin.lab.experiment.controller_source import source_of
+from khep_twin.lab.experiment.controller_source import forget_modules_beside, source_of
+from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.lab.experiment.experiment import find_controller
 from khep_twin.lab.experiment.series import OneRobot, Plan, SeriesRun, own_files, run_series
 from khep_twin.lab.experiment.start_poses import StartPose
@@ -55,7 +57,7 @@ def score(file: ChallengeFile, controller: str, runs: int, seed: int, log: Path 
         log: Log to record; with several runs each has its own, NAME-001.mcap and so on.
 
     Raises:
-        ControllerError: The controller failed.
+        ControllerError: The controller failed, or did not ask for what the score is computed from.
         KhepTwinError: A log cannot be written.
     """
     logs = [None] * runs if log is None else own_files(log, runs)
@@ -65,8 +67,10 @@ def score(file: ChallengeFile, controller: str, runs: int, seed: int, log: Path 
             zip(_cycled(file.start_poses(runs, seed), runs), logs, strict=True)
         )
     ]
-    values = tuple(_value(file, metrics) for metrics in measured)
-    means = {name: math.fsum(each[name] for each in measured) / runs for name in measured[0]}
+    values = tuple(_value(file, controller, run, metrics) for run, metrics in enumerate(measured, 1))
+    # Of a sensor that was not read in some runs, they are those of the others.
+    found = {name: [each[name] for each in measured if name in each] for name in chain(*measured)}
+    means = {name: math.fsum(each) / len(each) for name, each in found.items()}
     return Score(math.fsum(values) / runs, values, means)
 
 
@@ -111,6 +115,8 @@ def _run(
 ) -> dict[str, float]:
     """Return the metrics of one run."""
     challenge = file.challenge
+    if controller not in BUILT_IN:
+        forget_modules_beside(Path(controller.partition(":")[0]).absolute())  # of the run before
     random.seed(seed)
     np.random.seed(seed % 2**32)  # noqa: NPY002 (what a learner's program may use)
     found = find_controller(controller)
@@ -155,11 +161,20 @@ def _goals(challenge: Challenge, lamps: Lamps) -> list[tuple[float, float, float
     return [(goal.x_mm / 1e3, goal.y_mm / 1e3, goal.radius_mm / 1e3) for goal in goals]
 
 
-def _value(file: ChallengeFile, metrics: Mapping[str, float]) -> float:
-    """Return the score of a run."""
-    sign = -1 if file.challenge.better == "higher" else 1
-    lost = math.fsum(penalty.each * metrics.get(penalty.metric, 0.0) for penalty in file.challenge.penalties)
-    return metrics.get(file.challenge.metric, 0.0) + sign * lost
+def _value(file: ChallengeFile, controller: str, run: int, metrics: Mapping[str, float]) -> float:
+    """Return the score of a run.
+
+    Raises:
+        ControllerError: The run has no such metric.
+    """
+    challenge = file.challenge
+    for name in (challenge.metric, *(penalty.metric for penalty in challenge.penalties)):
+        if name not in metrics:
+            wanted = "a program that asks the robot for what it is computed from"
+            raise ControllerError(f"{controller}: run {run} has no {name}; expected {wanted}")
+    sign = -1 if challenge.better == "higher" else 1
+    lost = math.fsum(penalty.each * metrics[penalty.metric] for penalty in challenge.penalties)
+    return metrics[challenge.metric] + sign * lost
 
 
 def _cycled(starts: list[StartPose], runs: int) -> list[StartPose]:

@@ -5,6 +5,7 @@ the moment is run again and recorded. Without a change the recorded hosts go on,
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.errors import LogError
+from khep_twin.errors import KhepTwinError, LogError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controller_source import source_of
-from khep_twin.lab.experiment.controllers import AnyController
-from khep_twin.lab.experiment.experiment import run
+from khep_twin.lab.experiment.controllers import AnyController, as_controller
+from khep_twin.lab.experiment.experiment import call, run
 from khep_twin.log.recorded import BranchPoint
 from khep_twin.ports.branching import Described, branch_off
 from khep_twin.ports.protocol_khep import Serial
@@ -141,8 +142,15 @@ def _take_over(
     taken.hosts.replace(index)
     view = Twin(twin.world, (twin.world.robots[index],), twin.options, taken.hosts)
     seconds = None if end_ns is None else max((end_ns - twin.world.time_ns) / NS_PER_S, 0.0) or _ENDLESS_S
+    algorithm = as_controller(controller)
     with Khepera(Serial.of(view, timeout=1.0)) as robot:
-        run(controller, robot, cycles=plan.cycles, seconds=seconds, progress=progress, stop=stop)
+        try:
+            run(algorithm, robot, cycles=plan.cycles, seconds=seconds, progress=progress, stop=stop)
+        except BaseException:
+            with suppress(KhepTwinError):
+                call(algorithm.stop, robot)
+            raise
+        call(algorithm.stop, robot)
 
 
 _ENDLESS_S = 60.0

@@ -1,7 +1,9 @@
 """Source text of a controller as it was run, for the log."""
 
+import importlib
 import inspect
 import io
+import sys
 import tokenize
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -82,3 +84,24 @@ def _text(data: bytes) -> str:
     except UnicodeDecodeError:
         encoding, _ = tokenize.detect_encoding(io.BytesIO(data).readline)
         return data.decode(encoding)
+
+
+def forget_modules_beside(program: Path) -> None:
+    """Have a program import the modules beside it as they are now, not those of an earlier program."""
+    _FOLDERS.add(program.parent)
+    tops = {name.partition(".")[0] for name in sys.modules} - {"khep_twin", "__main__"}
+    beside = {top for top in tops if _folder(top) in _FOLDERS}
+    for name in [name for name in sys.modules if name.partition(".")[0] in beside]:
+        del sys.modules[name]
+    sys.path[:] = [str(program.parent), *(each for each in sys.path if each != str(program.parent))]
+    importlib.invalidate_caches()
+
+
+def _folder(top: str) -> Path:
+    """Return the folder that a module or package without a parent is in."""
+    file = Path(getattr(sys.modules.get(top), "__file__", None) or "/")
+    return file.parent.parent if file.name == "__init__.py" else file.parent
+
+
+_FOLDERS: set[Path] = set()
+"""Folders of the programs read so far."""

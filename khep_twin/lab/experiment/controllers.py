@@ -72,7 +72,7 @@ class FunctionController(Controller):
 
     def told(self) -> dict[str, object]:
         """Return the mapping that the function returned last."""
-        return {str(name): value for name, value in self._told.items()}
+        return {_readable(str(name)): value for name, value in self._told.items()}
 
 
 class LoopingController(FunctionController):
@@ -127,6 +127,11 @@ def defining(controller: AnyController | AnyFunction) -> AnyFunction:
     return type(owner) if isinstance(owner, Controller) else owner
 
 
+def _readable(text: str) -> str:
+    """Return a text whose characters that no file can hold, such as lone surrogates, are codes."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 def variables(controller: Controller) -> dict[str, object]:
     """Return copies of a controller's variables: booleans, numbers, texts, arrays and lists of numbers.
 
@@ -138,8 +143,7 @@ def variables(controller: Controller) -> dict[str, object]:
         if name.startswith("_"):
             continue
         if isinstance(value, str):
-            # Characters that no file can hold, such as lone surrogates, are written by their codes.
-            found[name] = value.encode("utf-8", "backslashreplace").decode("utf-8")
+            found[name] = _readable(value)
         elif isinstance(value, bool | int | float):
             found[name] = _plain(value)
         elif isinstance(value, np.generic | np.ndarray | list | tuple):

@@ -2,11 +2,13 @@
 
 import importlib.util
 import inspect
+import os
 import sys
 import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
@@ -301,7 +303,9 @@ def _module_of(path: Path) -> ModuleType:
     if not path.is_file():
         odd = "this is no regular file; expected the name of a file" if path.exists() else "no such file"
         raise ControllerError(f"{path}: {odd}")
-    name = f"khep_twin_controller_{path.stem}"
+    # Files of the same name in two folders are two modules.
+    place = sha256(os.fsencode(path.absolute())).hexdigest()[:8]
+    name = f"khep_twin_controller_{place}_{path.stem}"
     # An absolute name stays valid if the controller changes the folder.
     loader = ReadOnceLoader(name, str(path.absolute()))
     spec = importlib.util.spec_from_file_location(name, path, loader=loader)

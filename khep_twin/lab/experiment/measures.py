@@ -51,11 +51,14 @@ class HostMetrics:
         self._readings: list[tuple[int, ...]] = []
         self._lights: list[tuple[int, ...]] = []
         self._cycles: list[tuple[float, float]] = []
+        self._commands: list[tuple[float, float]] = []
 
     def __call__(self, request: str, reply: str) -> None:
         """Add one exchange of the line."""
         if (speed := _numbers(request, "D", 2)) and reply == "d":
             self._speed = speed[0], speed[1]
+            if not self._cycles:
+                self._commands.append(self._driven())
         elif request == "N" and (counts := _numbers(reply, "n", 8)):
             self._proximity = counts
             self._readings.append(counts)
@@ -64,15 +67,22 @@ class HostMetrics:
 
     def end_cycle(self) -> None:
         """End a cycle of the controller, at which its fitness is computed."""
+        self._cycles.append(self._driven())
+
+    def _driven(self) -> tuple[float, float]:
+        """Return fitness and mean speed [pulses/10 ms] of now."""
         left, right = self._speed
         nearest = max(self._proximity or (0,)) / units.COUNTS_LIMIT
-        self._cycles.append((obstacle_avoidance(left, right, nearest), (left + right) / 2))
+        return obstacle_avoidance(left, right, nearest), (left + right) / 2
 
     def metrics(self) -> dict[str, float]:
-        """Return the metrics by name; those of sensors that were not read are left out."""
+        """Return the metrics by name; those of sensors that were not read are left out.
+
+        A controller that loops by itself ends no cycle: each of its speed commands counts as one.
+        """
         found: dict[str, float] = {}
-        if self._cycles:
-            each_fitness, each_speed = zip(*self._cycles, strict=True)
+        if cycles := self._cycles or self._commands:
+            each_fitness, each_speed = zip(*cycles, strict=True)
             found["fitness"] = math.fsum(each_fitness) / len(each_fitness)
             found["speed_mean"] = math.fsum(each_speed) / len(each_speed)
         if self._readings:
@@ -99,6 +109,9 @@ class GroundTruthMetrics(Observer):
         self._poses: list[tuple[float, float, float]] = []
         self._counts: list[NDArray[np.int64]] = []
         self._columns = [*PROXIMITY, *AMBIENT]
+        # Now, as a controller may go to another folder.
+        entry = world.playpen.robots[index]
+        self._dark = np.array(calibration.read(entry.calibration)[0].ambient.dark_counts)
         world.add_observer(self)
         self.sample(world)
 
@@ -125,7 +138,6 @@ class GroundTruthMetrics(Observer):
         radius = units.BODIES[entry.model].radius
         motion = statistics.motion(times_s, pose)
         collisions = statistics.collisions(times_s, pose, playpen, radius)
-        dark = np.array(calibration.read(entry.calibration)[0].ambient.dark_counts)
         return {
             "distance_m": motion.distance,
             "mean_speed_m_per_s": motion.mean_speed,
@@ -133,7 +145,7 @@ class GroundTruthMetrics(Observer):
             "near_s": statistics.near(times_s, proximity).total_s,
             "collisions": float(len(collisions.times_s)),
             "collision_s": collisions.total_s,
-            "light_gained": statistics.light(times_s, ambient, dark).mean,
+            "light_gained": statistics.light(times_s, ambient, self._dark).mean,
             "coverage": coverage(pose[:, :2], playpen, radius),
         }
 

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Iterator, Sequence
+from itertools import cycle, islice
 from typing import NamedTuple, cast, get_args
 
 from khep_twin.errors import PlaypenError
@@ -39,7 +40,8 @@ def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed:
 
     Args:
         wishes: Words, each X,Y,HEADING [mm, degrees], or grid:COLUMNSxROWS with an optional @HEADING, or
-            `random` for a random pose per run, or `playpen` for the playpen's own: all of its spots, if any.
+            `random` for another random pose in each turn, or `playpen` for the playpen's own: all of its
+            spots, if any.
         playpen: Playpen with room for them.
         robot: Index of the robot.
         runs: Number of runs.
@@ -51,17 +53,21 @@ def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed:
     if not 0 <= robot < len(playpen.robots):
         text = f"robot = {robot}: not in playpen {playpen.name!r}"
         raise PlaypenError(text, key="robot", value=robot, expected=range(len(playpen.robots)))
-    found: list[StartPose] = []
+    found: list[StartPose | None] = []
     for wanted in wishes:
         if wanted == "playpen":
             found += own_starts(playpen, robot)
         elif wanted == "random":
-            found += _drawn(playpen, robot, runs, seed)
+            found.append(None)
         elif wanted.startswith("grid:"):
             found += _grid(wanted, playpen, robot)
         else:
             found.append(_single(wanted, playpen, robot))
-    return found
+    fixed = [each for each in found if each is not None]
+    if len(fixed) == len(found):
+        return fixed
+    drawn = _drawn(playpen, robot, seed)
+    return [next(drawn) if each is None else each for each in islice(cycle(found), runs)]
 
 
 def own_starts(playpen: Playpen, robot: int) -> list[StartPose]:
@@ -151,9 +157,9 @@ def _grid(wanted: str, playpen: Playpen, robot: int) -> list[StartPose]:
     return free
 
 
-def _drawn(playpen: Playpen, robot: int, count: int, seed: int) -> Iterator[StartPose]:
+def _drawn(playpen: Playpen, robot: int, seed: int) -> Iterator[StartPose]:
     rng = starts_rng(seed)
-    for _ in range(count):
+    while True:
         start = free_pose(playpen, robot, rng)
         if start is None:
             raise PlaypenError(f"start random: no room for the robot was found in {TRIES} tries")

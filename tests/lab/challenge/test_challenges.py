@@ -13,10 +13,10 @@ import tutorial
 from command_line import khep_twin
 from PIL import Image
 
-from khep_twin.errors import ChallengeError, StoppedError
-from khep_twin.lab.challenge.attempt import attempt
+from khep_twin.errors import ChallengeError, ControllerError, StoppedError
+from khep_twin.lab.challenge.attempt import Attempt, attempt
 from khep_twin.lab.challenge.challenge import load, names
-from khep_twin.lab.challenge.results import attempts
+from khep_twin.lab.challenge.results import attempts, table, to_csv
 from khep_twin.lab.challenge.scoring import score
 
 SHORT = """
@@ -71,6 +71,56 @@ SCORED = {
         "def controller(robot):\n    try:\n        robot.proximity()\n    except Exception:\n        pass\n"
     ),
 }
+
+
+def test_a_program_that_reads_no_sensor_has_no_score_by_it(tmp_path: Path) -> None:
+    challenge = written(tmp_path, SHORT.replace('"distance_m"', '"proximity_max"'))
+    (tmp_path / "blind.py").write_text("def controller(robot):\n    robot.set_speed(5, 5)\n")
+    with pytest.raises(ControllerError, match=r"blind\.py: run 1 has no proximity_max; expected a program"):
+        score(load(str(challenge)), str(tmp_path / "blind.py"), 1, 1)
+
+
+def test_a_program_that_loops_by_itself_has_a_fitness(tmp_path: Path) -> None:
+    challenge = load(str(written(tmp_path, SHORT.replace('"distance_m"', '"fitness"'))))
+    step = "    robot.proximity()\n    robot.set_speed(8, 8)\n"
+    (tmp_path / "cycle.py").write_text(f"def controller(robot):\n{step}")
+    (tmp_path / "loop.py").write_text(f"def controller(robot):\n  while True:\n{step}")
+    by_cycle, by_loop = (score(challenge, str(tmp_path / name), 1, 1) for name in ("cycle.py", "loop.py"))
+    assert by_loop.value == pytest.approx(by_cycle.value, rel=0.02)
+
+
+def test_runs_are_independent_of_each_other_in_modules_and_metrics(tmp_path: Path) -> None:
+    (tmp_path / "beside_it.py").write_text("calls = []\n")
+    (tmp_path / "prog.py").write_text(
+        "import random\n"
+        "import sys\n"
+        f"sys.path.insert(0, {str(tmp_path)!r})\n"
+        "import beside_it\n"
+        "beside_it.calls.append(1)\n"
+        "reads = random.random() < 0.5\n"
+        "def controller(robot):\n"
+        "    if reads:\n"
+        "        robot.proximity()\n"
+        "    robot.set_speed(5 * len(beside_it.calls), 5)\n"
+    )
+    challenge = load(str(written(tmp_path, SHORT)))
+    together = score(challenge, str(tmp_path / "prog.py"), 4, 1)
+    alone = [score(challenge, str(tmp_path / "prog.py"), 1, seed).value for seed in range(1, 5)]
+    assert list(together.runs) == alone
+    assert "proximity_max" in together.metrics
+
+
+def test_a_file_name_that_is_no_utf_8_has_its_row(tmp_path: Path) -> None:
+    found = [Attempt("ren\udce9.py", None, "ren\udce9.py: ended", 0, "")]
+    challenge = load(str(written(tmp_path, SHORT))).challenge
+    assert b"ren\\udce9" in to_csv(challenge, found)
+    table(challenge, found).encode("utf-8")
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "short.toml"
+    path.write_text(text)
+    return path
 
 
 # A quarter turn to one side at the end of a stem.

@@ -235,6 +235,23 @@ def test_the_command_writes_a_log_each_and_draws_their_fan(parent: Path, tmp_pat
     assert "expected --controller" in khep_twin(*words, "--force", "--cycles", 3).stderr
 
 
+def test_each_branch_has_a_controller_of_its_own_that_is_stopped(parent: Path, tmp_path: Path) -> None:
+    (tmp_path / "counts.py").write_text(
+        "from khep_twin.lab.experiment.controllers import Controller\n"
+        "class Counts(Controller):\n"
+        "    n = 0\n"
+        "    def start(self, robot):\n"
+        "        self.n += 1\n"
+        "    def cycle(self, robot):\n"
+        "        robot.set_speed(2, 2)\n"
+        "    def stop(self, robot):\n"
+        "        print('stopped', self.n)\n"
+    )
+    words = ("branch", parent, "--at", 12.9, "-o", tmp_path / "fan.mcap", "--runs", 2, "--cycles", 3)
+    done = khep_twin(*words, "--controller", tmp_path / "counts.py")
+    assert done.stdout.count("stopped 1") == 2, done.stderr
+
+
 def test_a_playpen_edit_that_a_file_would_not_allow_is_refused(parent: Path, tmp_path: Path) -> None:
     with pytest.raises(PlaypenError, match="surface"):
         made(parent, tmp_path, edits=("block.1.surface=velvet",))

@@ -95,6 +95,15 @@ def test_what_is_changed_after_it_was_read_is_kept_as_it_was_run(tmp_path: Path)
     assert find_controller(str(file)).__name__ == "second"
 
 
+def test_files_of_one_name_in_two_folders_are_kept_apart(tmp_path: Path) -> None:
+    texts = [f"def controller(robot): {n}\n" for n in (1, 2)]
+    for folder, text in zip("ab", texts, strict=True):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "ctl.py").write_text(text)
+    found = [find_controller(str(tmp_path / folder / "ctl.py")) for folder in "ab"]
+    assert [source_of(each).attachments["controller/ctl.py"] for each in found] == texts
+
+
 def test_a_source_in_another_encoding_is_read_as_python_reads_it(tmp_path: Path) -> None:
     file = tmp_path / "old.py"
     text = "# -*- coding: latin-1 -*-\ndef controller(robot):\n    '''für alle'''\n"

@@ -1,6 +1,7 @@
 """What runs are measured by, against what was worked out by hand."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from khep_twin.host import Khepera
 from khep_twin.lab.experiment.measures import GroundTruthMetrics, HostMetrics, coverage
 from khep_twin.playpen import Playpen
 from khep_twin.rollout.fitness import obstacle_avoidance
+from khep_twin.sensing import calibration
 
 
 @pytest.mark.parametrize(
@@ -91,5 +93,20 @@ def test_the_ground_truth_of_a_straight_path_is_closed_form(field: Playpen) -> N
 def test_the_shortest_run_has_a_truth() -> None:
     with Khepera("khep://default") as robot:
         truth = GroundTruthMetrics(robot.port.twin.world, 0)
+        truth.end()
+    assert truth.metrics()["distance_m"] == 0
+
+
+def test_a_controller_that_goes_to_another_folder_has_a_truth(
+    field: Playpen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from khep_twin.ports.twin import TwinOptions, open_twin
+
+    (tmp_path / "mine.toml").write_text(calibration.read("khepera1")[1])
+    monkeypatch.chdir(tmp_path)
+    robot = field.robots[0].model_copy(update={"calibration": "mine.toml"})
+    with open_twin(field.model_copy(update={"robots": (robot,)}), TwinOptions()) as twin:
+        truth = GroundTruthMetrics(twin.world, 0)
+        monkeypatch.chdir("/")
         truth.end()
     assert truth.metrics()["distance_m"] == 0

@@ -49,6 +49,12 @@ def test_random_starts_are_the_seeds_and_have_room() -> None:
         assert starts([str(start)], OBSTACLES, 0, 1, 0) == [start]
 
 
+def test_random_starts_take_their_turn_among_others() -> None:
+    drawn, typed = starts(["random"], DEFAULT, 0, 3, 3), StartPose(300, 250, 90)
+    found = starts(["random", str(typed)], DEFAULT, 0, 5, 3)
+    assert found == [drawn[0], typed, drawn[1], typed, drawn[2]]
+
+
 def test_a_robot_with_spots_starts_at_each() -> None:
     text = """
 version = 1
