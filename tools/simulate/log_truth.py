@@ -66,6 +66,12 @@ class Truth:
             world.observers.insert(0, world.observers.pop())
             world.add_observer(_Promises(self), at_once=not world.time_ns)
 
+    def resume(self, heard: Iterable[tuple[int, int, bool, bytes]]) -> None:
+        """Keep the lines that are not complete yet, of bytes from before the moment."""
+        for each in heard:
+            self.on_bytes(*each)
+        self.lines.clear()
+
     def sample(self, world: World) -> None:
         """Keep the registers."""
         for robot in world.robots:

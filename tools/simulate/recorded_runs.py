@@ -72,6 +72,10 @@ class Run:
         assert recorder is not None
         self.truth.failed = lambda: recorder.failure is not None
         self.truth.watch([robot.name for robot in twin.world.robots], twin.world)
+        # A line that its parent's host has begun goes on.
+        transcript = recorder._transcript
+        heard = [(0, *rest) for rest in transcript.rests] + transcript._heard
+        self.truth.resume(heard)
 
     def lock_step(self) -> None:
         """Drive a twin of khep:// by a host in its own process."""
