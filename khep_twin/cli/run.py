@@ -142,8 +142,7 @@ def run(
     plan = Plan(series.runs, cycles, 60.0 if seconds is None and cycles is None else seconds, series.pause)
     source = source_of(found)
     logs = RunLogs(logging, picture, source)
-    # A run that was interrupted has left its log whole, and is run again.
-    logs.check_new(plan.runs if series.start else None, logging.force or series.resume)
+    logs.check_new(plan.runs if series.start else None, logging.force, series.resume)
     with ExitStack() as stack:
         # The robot is released, and its log completed, before what remains is cleared up.
         stack.enter_context(answered())

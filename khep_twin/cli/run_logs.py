@@ -40,13 +40,29 @@ class RunLogs:
         if twin.recorder is not None:
             self._recorders.append(twin.recorder)
 
-    def check_new(self, runs: int | None, force: bool) -> None:
-        """Refuse to replace finished logs: the only one, or with `runs` one for each."""
+    def check_new(self, runs: int | None, force: bool, resume: bool) -> None:
+        """Refuse to replace finished logs: the only one, or with `runs` one for each.
+
+        With `resume`, those of the same controller may be: an interrupted run has left its log whole, and is
+        run again.
+        """
         from khep_twin.lab.experiment.series import numbered
 
         if self._path is not None:
             paths = [self._path] if runs is None else [numbered(self._path, i + 1) for i in range(runs)]
-            check_new(force, *paths)
+            check_new(force, *(path for path in paths if not (resume and self._is_own(path))))
+
+    def _is_own(self, path: Path) -> bool:
+        """Return whether a file is a log of this controller."""
+        from khep_twin.errors import LogError
+        from khep_twin.log.reader import read_label
+
+        try:
+            label = read_label(path)
+        except LogError:
+            return False
+        facts, attachments = self._source.facts.items(), self._source.attachments.items()
+        return facts <= label.metadata.items() and attachments <= label.attachments.items()
 
     def failed(self) -> bool:
         """Return whether a log has failed without which runs cannot continue."""

@@ -213,6 +213,18 @@ def test_a_refused_series_leaves_an_earlier_log_alone(tmp_path: Path) -> None:
     assert not [*tmp_path.glob("*.part")]
 
 
+def test_a_resumed_series_replaces_logs_of_its_own_controller_only(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(PLAIN)
+    words = ("run", "mine.py", "--cycles", "3", "--save", "s")
+    good(*words, "--log", "own.mcap", folder=tmp_path)
+    good("run", "--cycles", "3", "--log", "other.mcap", folder=tmp_path)
+    other = (tmp_path / "other.mcap").read_bytes()
+    more = ("--runs", "2", "--resume", "--log")
+    assert "is there already" in complaint(*words, *more, "other.mcap", folder=tmp_path)
+    assert (tmp_path / "other.mcap").read_bytes() == other
+    good(*words, *more, "own.mcap", folder=tmp_path)
+
+
 def test_a_user_function_is_called_with_each_new_run(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         PLAIN + "\nseen = []\n\ndef after(run):\n"
