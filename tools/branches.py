@@ -107,7 +107,8 @@ def drive(world: World, seed: int, end_ns: int) -> None:
             case 0 if world.lamps.names:
                 switch(world, 0, on=bool(rng.integers(2)))
             case 1 if world.lamps.names:
-                relight(world, [Lamp(x_mm=200, y_mm=100, power_w=3, flicker=0.2)], Lighting())
+                with suppress(PlaypenError):  # no place for a lamp
+                    relight(world, [Lamp(x_mm=200, y_mm=100, power_w=3, flicker=0.2)], Lighting())
             case 2:
                 scan(world)
             case 3:

@@ -191,6 +191,7 @@ class Session:
         for command, value in zip(wanted, values, strict=True):
             self.simulation.count("values")
             shown = ",".join(map(str, value)) if isinstance(value, tuple) and not self.garbles else ""
+            shown = _ZEROS.sub("", shown)  # of a version that lost bytes
             if not any(
                 _reads(command, each.reply) == value and _ZEROS.sub("", each.reply.rstrip()).endswith(shown)
                 for each in truth.said[since:]
