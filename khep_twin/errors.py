@@ -42,8 +42,12 @@ Location = tuple[str | int, ...]
 Expected = str | tuple[object, ...]
 """Expectation in words, or the valid choices."""
 
-PORT_FAILURES = (OSError, ValueError)
-"""Exceptions of a pyserial port that fails; one on the network refuses a setting by a ValueError."""
+PORT_FAILURES = (OSError, ValueError, OverflowError, KeyError)
+"""Exceptions of a pyserial port that fails.
+
+One on the network refuses a setting by a ValueError; a huge speed is an OverflowError, and an unknown value
+in a URL a KeyError.
+"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -177,7 +177,7 @@ def _open_log(
 def _moment(text: str) -> tuple[Path, int | None]:
     """Return the file and the moment [ns] of FILE.mcap[@SECONDS]; None for its end."""
     name, at, seconds = text.rpartition("@")
-    if not at:
+    if not at or text.endswith(".mcap"):
         return Path(text), None
     try:
         if 0 < (moment := float(seconds)) < 1e9:

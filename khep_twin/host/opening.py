@@ -143,7 +143,11 @@ def _link_of(name: str) -> str:
 
 def _why_not_opened(url: str, error: Exception) -> tuple[str, str]:
     """Return the reason, and what to add to it on the command line."""
+    from khep_twin.ports.network import address_fault
+
     text = str(error)
+    if fault := address_fault(url):
+        return fault, ""
     if "://" not in url and isinstance(error, serial.SerialException):
         if path := _link_of(url):
             return f"{url}: no such port here; the twin served under this name is at {path}", ""

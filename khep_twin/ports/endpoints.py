@@ -39,7 +39,7 @@ def open_endpoints(
     given = [option for option in (link, tcp, rfc2217) if option is not None]
     if len(given) > 1:
         raise PortError("--link, --tcp and --rfc2217 are one cable each; expected one of them")
-    address = tcp or rfc2217
+    address = rfc2217 if tcp is None else tcp
     with ExitStack() as stack:
         served_ports: list[HostPort] = []
         served: HostPort

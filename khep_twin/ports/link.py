@@ -33,6 +33,8 @@ class Link:
     """
 
     def __init__(self, wanted: str | Path, target: str) -> None:
+        if not str(wanted):
+            raise PortError("--link '': expected a name")
         # A Path drops a leading ./, which asks for a link in the current directory.
         is_bare = not os.path.dirname(wanted)
         folder = private_folder() if is_bare else Path.cwd()

@@ -49,6 +49,7 @@ class Negotiator:
         self._line = _Line(baud)
         self._answer = answer
         self._manager = _Manager(self._line, self)
+        self._ended = False
 
     def write(self, data: bytes) -> None:
         """Send an answer of the negotiation; called by pyserial."""
@@ -59,13 +60,18 @@ class Negotiator:
         return LineSettings(self._line.baudrate, 2 if self._line.stopbits > 1 else 1)
 
     def received(self, data: bytes) -> bytes:
-        """Return the host's bytes without the negotiation in between, up to a fault."""
+        """Return the host's bytes without the negotiation in between, up to a fault.
+
+        A NUL behind a carriage return belongs to it, as in Telnet without BINARY (RFC 854).
+        """
         manager, taken = self._manager, bytearray()
         for value in data:
             if self.fault:
                 break
             try:
-                taken += b"".join(manager.filter(bytes((value,))))
+                for byte in manager.filter(bytes((value,))):
+                    taken += b"" if self._ended and byte == b"\0" else byte
+                    self._ended = byte == b"\r"
             except (struct.error, TypeError):
                 # A value that is too short or missing, or an end without a beginning.
                 self._find_fault(manager.suboption, "ff f0")

@@ -140,6 +140,17 @@ class TcpPort:
         return last
 
 
+def address_fault(url: str) -> str:
+    """Return the fault of the address in a URL of pyserial's network ports; empty for none or another URL."""
+    kind, _, rest = url.partition("://")
+    if kind in ("socket", "rfc2217"):
+        try:
+            parse_address(re.split("[/?]", rest)[0])
+        except PortError:
+            return f"{url}: expected {kind}://HOST:PORT, such as {kind}://127.0.0.1:5000"
+    return ""
+
+
 def parse_address(text: str) -> tuple[str, int]:
     """Split HOST:PORT; the host of `:PORT` is this machine only.
 

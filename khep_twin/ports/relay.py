@@ -21,6 +21,7 @@ from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PORT_FAILURES, PortError
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.idle_polls import IdlePolls
+from khep_twin.ports.network import address_fault
 from khep_twin.ports.ration import Ration
 from khep_twin.ports.serve import LONGEST_WAIT, Flush
 from khep_twin.units import BITS_PER_BYTE
@@ -95,7 +96,7 @@ class Device:
         except PORT_FAILURES as error:
             number = getattr(error, "errno", None)
             reason = os.strerror(number) if number else error
-            raise PortError(f"{url}: cannot open this port: {reason}") from None
+            raise PortError(address_fault(url) or f"{url}: cannot open this port: {reason}") from None
         try:
             self.descriptor: int | None = self._port.fileno()
             self._port.write_timeout = 0

@@ -138,6 +138,9 @@ def test_a_wrong_answer_is_reported_with_the_exchange(answer: bytes) -> None:
         ("/dev/no-such-port", "/dev/no-such-port: cannot open this port: .*No such file.*khep-twin serve"),
         ("khep://nowhere", "khep://nowhere: nowhere: no such file"),
         ("nonsense://x", "nonsense://x: .*not known"),
+        ("socket://localhost", "^socket://localhost: expected socket://HOST:PORT, such as"),
+        ("rfc2217://localhost:99999", "^rfc2217://localhost:99999: expected rfc2217://HOST:PORT"),
+        ("loop://?logging=foo", r"^loop://\?logging=foo: 'foo'"),
     ],
 )
 def test_a_port_that_cannot_be_opened_says_what_would_be_right(url: str, message: str) -> None:

@@ -87,6 +87,10 @@ def test_a_value_in_range_is_taken(baud: int) -> None:
     assert negotiator.settings() == LineSettings(baud, 1)
 
 
+def test_a_nul_behind_a_carriage_return_is_part_of_the_line_end() -> None:
+    assert negotiated(b"\xff\xfc\x00B\r", b"\0N\r\0\0")[0] == b"B\rN\r\0"
+
+
 @pytest.mark.parametrize(
     "harmless", ["05", "05 63", "0c", "0c 09", "63 01", "", "00" + " 41" * (LONGEST - 2)]
 )
