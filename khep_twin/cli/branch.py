@@ -1,6 +1,7 @@
 """`khep-twin branch`: a logged run taken up at a moment, to go on from there with something changed."""
 
 from collections.abc import Callable
+from contextlib import chdir
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -114,7 +115,8 @@ def branch(
                 found = find_controller(controller, as_toolbox_form)
             each = replace(plan, change=replace(change, seed=seeds[number]), controller=found)
             part = None if show is None else partial(_share, show, number, runs)
-            ways.append(run_branch(each, path, progress=part, stop=asked))
+            with chdir("."):  # a controller may go to another folder
+                ways.append(run_branch(each, path, progress=part, stop=asked))
     if not ways:
         raise typer.Exit(130)
     if picture is not None:

@@ -237,6 +237,7 @@ def test_the_command_writes_a_log_each_and_draws_their_fan(parent: Path, tmp_pat
 
 def test_each_branch_has_a_controller_of_its_own_that_is_stopped(parent: Path, tmp_path: Path) -> None:
     (tmp_path / "counts.py").write_text(
+        "import os\n"
         "from khep_twin.lab.experiment.controllers import Controller\n"
         "class Counts(Controller):\n"
         "    n = 0\n"
@@ -246,9 +247,10 @@ def test_each_branch_has_a_controller_of_its_own_that_is_stopped(parent: Path, t
         "        robot.set_speed(2, 2)\n"
         "    def stop(self, robot):\n"
         "        print('stopped', self.n)\n"
+        "        os.chdir('/')\n"
     )
     words = ("branch", parent, "--at", 12.9, "-o", tmp_path / "fan.mcap", "--runs", 2, "--cycles", 3)
-    done = khep_twin(*words, "--controller", tmp_path / "counts.py")
+    done = khep_twin(*words, "--controller", "counts.py", folder=tmp_path)
     assert done.stdout.count("stopped 1") == 2, done.stderr
 
 
