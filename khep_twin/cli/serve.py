@@ -59,6 +59,8 @@ class TimingOptions:
         from khep_twin.ports.serve import WIRE
 
         if self.clock is Clock.WIRE:
+            if self.speed != "1":
+                raise usage("--speed: has no effect with --clock wire; expected one of them")
             return WIRE
         if self.speed == "max":
             return math.inf
@@ -128,6 +130,8 @@ def serve(
         with stopping() as stop:
             relay_robot(numbered(relay), line_baud(running_mode(twin.mode)), endpoint, logging, stop=stop)
         return
+    if timing.strict_line and endpoint.tcp is not None:
+        raise usage("--strict-line: hosts at --tcp have no speed; expected a terminal or --rfc2217")
     factor, faults = timing.factor(), tuple(fault or ())
     if from_log is not None:
         if ignored := given(context) & _OF_THE_LOG:

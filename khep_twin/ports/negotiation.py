@@ -15,6 +15,17 @@ import serial
 from serial.rfc2217 import (
     COM_PORT_OPTION,
     RFC2217_ANSWER_MAP,
+    SERVER_SET_CONTROL,
+    SET_CONTROL,
+    SET_CONTROL_BREAK_OFF,
+    SET_CONTROL_BREAK_ON,
+    SET_CONTROL_DTR_OFF,
+    SET_CONTROL_DTR_ON,
+    SET_CONTROL_REQ_BREAK_STATE,
+    SET_CONTROL_REQ_DTR,
+    SET_CONTROL_REQ_RTS,
+    SET_CONTROL_RTS_OFF,
+    SET_CONTROL_RTS_ON,
     SET_LINESTATE_MASK,
     SET_MODEMSTATE_MASK,
     PortManager,
@@ -107,6 +118,18 @@ class _Manager(PortManager):
         if suboption[:1] == COM_PORT_OPTION and command in (SET_LINESTATE_MASK, SET_MODEMSTATE_MASK):
             # Clients wait for it, such as serialx.
             self.rfc2217_send_subnegotiation(RFC2217_ANSWER_MAP[command], suboption[2:3])
+        elif suboption[:1] == COM_PORT_OPTION and command == SET_CONTROL and suboption[2:3] in _STATES:
+            name, on, off = _STATES[suboption[2:3]]
+            state = on if getattr(self.serial, name) else off
+            self.rfc2217_send_subnegotiation(SERVER_SET_CONTROL, state)
+
+
+_STATES = {
+    SET_CONTROL_REQ_BREAK_STATE: ("break_condition", SET_CONTROL_BREAK_ON, SET_CONTROL_BREAK_OFF),
+    SET_CONTROL_REQ_DTR: ("dtr", SET_CONTROL_DTR_ON, SET_CONTROL_DTR_OFF),
+    SET_CONTROL_REQ_RTS: ("rts", SET_CONTROL_RTS_ON, SET_CONTROL_RTS_OFF),
+}
+"""Questions about states of the line, which pyserial does not answer: state, answers for on and off."""
 
 
 class _Line:

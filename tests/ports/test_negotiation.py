@@ -79,6 +79,12 @@ def test_a_mask_of_notices_is_confirmed(mask: str, answer: str) -> None:
     assert (taken, answers, negotiator.fault) == (b"B\n", BEGIN + bytes.fromhex(answer) + END, "")
 
 
+def test_states_of_the_line_are_told() -> None:
+    asked = b"".join(BEGIN + bytes((5, state)) + END for state in (4, 7, 10, 8, 9, 7))
+    told = b"".join(BEGIN + bytes((105, state)) + END for state in (6, 8, 11, 8, 9, 9))
+    assert negotiated(asked)[1] == told
+
+
 @pytest.mark.parametrize("baud", [LOWEST_BAUD, 19200, HIGHEST_BAUD])
 def test_a_value_in_range_is_taken(baud: int) -> None:
     value = b"\x01" + baud.to_bytes(4, "big")

@@ -291,3 +291,20 @@ def test_a_port_that_is_no_number_is_said(port: str) -> None:
 def test_a_host_that_is_no_name_is_said(host: str) -> None:
     with pytest.raises(PortError, match="cannot listen here: "):
         TcpPort(host, 0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--clock", "wire", "--speed", "2"), "--speed: has no effect with --clock wire"),
+        (("--strict-line", "--tcp", ":0"), "--strict-line: hosts at --tcp have no speed"),
+        (("--tcp", ""), "expected HOST:PORT"),
+        (("--link", ""), "--link '': expected a name"),
+    ],
+)
+def test_options_that_have_no_effect_are_refused(options: tuple[str, ...], message: str) -> None:
+    command = [sys.executable, "-m", "khep_twin", "serve", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode in (1, 2)
+    assert message in done.stderr
+    assert len(done.stderr.splitlines()) == 1
