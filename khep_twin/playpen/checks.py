@@ -37,6 +37,7 @@ def playpen_problems(playpen: "Playpen", recorded: bool = False, placed: bool = 
         _patch_problems(playpen),
         _lamp_problems(playpen),
         _robot_problems(playpen),
+        _name_problems(playpen),
         placement_problems(list(things(playpen)), playpen.arena) if placed else (),
     )
 
@@ -242,6 +243,25 @@ def _robot_problems(playpen: "Playpen") -> Iterator[Problem]:
             yield Problem.of(
                 ("robot",), "robots: there is not a spot for each of them, clear of the others", "a spot more"
             )
+
+
+def _name_problems(playpen: "Playpen") -> Iterator[Problem]:
+    """Yield the names that two parts have, of whatever kind."""
+    tables = {
+        **playpen.objects,
+        "wall": playpen.walls,
+        "patch": playpen.patches,
+        "lamp": playpen.lamps,
+        "spot": playpen.spots,
+        "robot": playpen.robots,
+    }
+    first: dict[str, str] = {}
+    for kind, items in tables.items():
+        for index, item in enumerate(items):
+            place = label(kind, index + 1, item.name)
+            if item.name is not None and first.setdefault(item.name, place) != place:
+                found = f'{place}: name = "{item.name}": taken by {first[item.name]}'
+                yield Problem.of((kind, index, "name"), found, "a unique name")
 
 
 def things(playpen: "Playpen") -> Iterator[Thing]:

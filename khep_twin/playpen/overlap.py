@@ -77,7 +77,6 @@ def placement_problems(things: Sequence[Thing], floor: Floor) -> Iterator[Proble
         found = f"{len(things)} blocks, cylinders, lamps and robots"
         yield Problem.of((), found, f"up to {THING_LIMIT} together")
         return
-    yield from _shared_names(things)
     inside: list[Thing] = []
     for thing in things:
         outside = list(_outside(thing, floor))
@@ -85,16 +84,6 @@ def placement_problems(things: Sequence[Thing], floor: Floor) -> Iterator[Proble
         if not outside:
             inside.append(thing)
     yield from _collisions(inside, floor)
-
-
-def _shared_names(things: Sequence[Thing]) -> Iterator[Problem]:
-    first: dict[str, Thing] = {}
-    for thing in things:
-        # The pieces of a wall share one name.
-        if thing.name is not None and first.setdefault(thing.name, thing).place != thing.place:
-            other = first[thing.name].label
-            found = f'{thing.label}: name = "{thing.name}": taken by {other}'
-            yield Problem.of((*thing.place, "name"), found, "a unique name")
 
 
 def _outside(thing: Thing, floor: Floor) -> Iterator[Problem]:

@@ -430,6 +430,15 @@ WRONG = {
     + 'name = "a"\n'
     + LAMP
     + 'name = "a"\n': 'lamp 1 (a): name = "a": taken by block 1 (a); expected a unique name',
+    HEAD
+    + ARENA
+    + SPOT
+    + '[[robot]]\nname = "r"\nspots = ["a"]\n'
+    * 2: 'robot 2 (r): name = "r": taken by robot 1 (r); expected a unique name',
+    HEAD
+    + ARENA
+    + '[[patch]]\nname = "q"\nx_mm = 99\ny_mm = 99\nradius_mm = 9\n' * 2: 'patch 2 (q): name = "q": taken '
+    "by patch 1 (q); expected a unique name",
 }
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from khep_twin.errors import ChallengeError
 from khep_twin.lab.challenge.attempt import REAL_SECONDS, Attempt, attempt
 from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile
+from khep_twin.lab.experiment.controllers import readable
 
 
 def participants(folder: Path) -> list[Path]:
@@ -92,7 +93,7 @@ def table(challenge: Challenge, found: Sequence[Attempt]) -> str:
     for rank, each in ranked(challenge, found):
         value = "" if each.score is None else f"{each.score.value:.4g}"
         passed = _passed(challenge, each)
-        row = f"{rank or '-':>4}  {_name(each):{width}}  {value:>8}  {passed:6}  {_readable(each.note)}"
+        row = f"{rank or '-':>4}  {_name(each):{width}}  {value:>8}  {passed:6}  {readable(each.note)}"
         lines.append(row.rstrip())
     return "\n".join(lines)
 
@@ -114,7 +115,7 @@ def to_csv(challenge: Challenge, found: Sequence[Attempt]) -> bytes:
                 _name(each),
                 values[0],
                 _passed(challenge, each),
-                _plain(_readable(each.note)),
+                _plain(readable(each.note)),
                 *values[1:],
             ]
         )
@@ -122,7 +123,7 @@ def to_csv(challenge: Challenge, found: Sequence[Attempt]) -> bytes:
 
 
 def _name(attempt: Attempt) -> str:
-    return _readable(Path(attempt.file).stem)
+    return readable(Path(attempt.file).stem)
 
 
 def _passed(challenge: Challenge, attempt: Attempt) -> str:
@@ -133,8 +134,3 @@ def _passed(challenge: Challenge, attempt: Attempt) -> str:
 def _plain(note: str) -> str:
     """Return a text that a spreadsheet does not take for a formula."""
     return f"'{note}" if note[:1] in ("=", "+", "-", "@") else note
-
-
-def _readable(text: str) -> str:
-    """Return a text with codes for the bytes of a file name that are no UTF-8."""
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")

@@ -72,7 +72,7 @@ class FunctionController(Controller):
 
     def told(self) -> dict[str, object]:
         """Return the mapping that the function returned last."""
-        return {_readable(str(name)): value for name, value in self._told.items()}
+        return {readable(str(name)): value for name, value in self._told.items()}
 
 
 class LoopingController(FunctionController):
@@ -127,7 +127,7 @@ def defining(controller: AnyController | AnyFunction) -> AnyFunction:
     return type(owner) if isinstance(owner, Controller) else owner
 
 
-def _readable(text: str) -> str:
+def readable(text: str) -> str:
     """Return a text whose characters that no file can hold, such as lone surrogates, are codes."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
@@ -143,7 +143,7 @@ def variables(controller: Controller) -> dict[str, object]:
         if name.startswith("_"):
             continue
         if isinstance(value, str):
-            found[name] = _readable(value)
+            found[name] = readable(value)
         elif isinstance(value, bool | int | float):
             found[name] = _plain(value)
         elif isinstance(value, np.generic | np.ndarray | list | tuple):
