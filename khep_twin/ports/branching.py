@@ -51,6 +51,8 @@ def branch_off(
         KhepTwinError: The change cannot be made.
     """
     last_ns = read_end_ns(path)
+    if not last_ns:
+        raise LogError(f"{path}: the run ends at 0 s; expected one that lasts longer, to take it up")
     if not 0 < change.at_ns <= last_ns:
         found = f"{path}: the run cannot be taken up at {change.at_ns / NS_PER_S:g} s"
         raise LogError(f"{found}; expected above 0 and up to its end at {last_ns / NS_PER_S:g} s")

@@ -16,17 +16,37 @@ Place = tuple[str | None, str]
 """File, None for none, and page."""
 
 
+@dataclass(eq=False)
+class Sent:
+    """A request that keeps a draft, or gives it up.
+
+    Attributes:
+        page: Page that has sent it.
+        draft: Draft, as JSON; None to give it up.
+        beside: Drafts of other pages' requests that were underway at the same time.
+    """
+
+    page: str
+    draft: str | None
+    beside: list[str | None] = field(default_factory=list)
+
+
 @dataclass
 class Work:
     """Work of a page on a file.
 
     Attributes:
-        safe: Last draft that was acknowledged, as JSON; None if it was saved, discarded or undone.
-        maybe: Later ones whose outcome is unknown.
+        last: Last request that was acknowledged; without a draft if it was saved, discarded or undone.
+        underway: Requests that were not, whose outcome is unknown.
     """
 
-    safe: str | None = None
-    maybe: list[str | None] = field(default_factory=list)
+    last: Sent = field(default_factory=lambda: Sent("", None))
+    underway: list[Sent] = field(default_factory=list)
+
+    @property
+    def maybe(self) -> set[str | None]:
+        """Drafts that may be in the place of the last one."""
+        return {*self.last.beside, *(each.draft for each in self.underway)}
 
 
 @dataclass
@@ -77,15 +97,21 @@ class Ledger:
         who = "another program" if last.asked is None else f"page {last.asked.wanted['tab']}"
         self._simulation.violate("work", f"{name}, changed by {who}, was overwritten unasked")
 
-    def sent(self, place: Place, draft: str | None) -> Work:
+    def sent(self, place: Place, page: str, draft: str | None) -> Sent:
         """Note that a page keeps a draft, or with None gives it up."""
         work = self.works.setdefault(place, Work())
-        work.maybe.append(draft)
-        return work
+        others = [each for each in work.underway if each.page != page]
+        new = Sent(page, draft, [each.draft for each in others])
+        for each in others:
+            each.beside.append(draft)
+        work.underway.append(new)
+        return new
 
-    def answered(self, place: Place, draft: str | None) -> None:
-        """Note that this was acknowledged, after all that the page has sent before."""
-        self.works[place] = Work(draft)
+    def answered(self, place: Place, sent: Sent) -> None:
+        """Note that a request was acknowledged, after all that its page has sent before."""
+        work = self.works[place]
+        work.underway = [each for each in work.underway if each.page != sent.page]
+        work.last = sent
 
     def saved(self, asked: Asked, version: str) -> None:
         """Check that an acknowledged save has written what it says."""
@@ -100,11 +126,11 @@ class Ledger:
         documents = Documents(self._folder)
         offers: dict[str | None, list[dict[str, object]]] = {}
         for (file, page), work in self.works.items():
-            if work.safe is None or None in work.maybe:
+            if work.last.draft is None or None in work.maybe:
                 continue
             if file not in offers:
                 offers[file] = documents.left(file)
-            right = {work.safe, *work.maybe}
+            right = {work.last.draft, *work.maybe}
             offered = {told(each["draft"]) for each in offers[file] if each["page"] == page}
             if offered & right:
                 continue

@@ -18,7 +18,7 @@ from tools.simulate.compiled_worlds import compiled_worlds
 from tools.simulate.designer import Asked, Designer, Socket, UnreachedError, installed
 from tools.simulate.kernel import NS_PER_S, OpenFile
 from tools.simulate.kernel_files import WritesThroughKernel
-from tools.simulate.ledger import Ledger, told
+from tools.simulate.ledger import Ledger, Sent, told
 from tools.simulate.mutants import Mutant
 from tools.simulate.page_mutants import MUTANTS as _MUTANTS
 from tools.simulate.page_threads import Threading
@@ -299,7 +299,7 @@ class Browser:
         draft = told(self._draft) if changed else None
         place = self._file, self._tab
         ledger = self._office.ledger
-        ledger.sent(place, draft)
+        sent = ledger.sent(place, self._tab, draft)
         found = self._post(
             "keep",
             {
@@ -311,19 +311,18 @@ class Browser:
         )
         if found is None:
             return False
-        ledger.answered(place, draft)
+        ledger.answered(place, sent)
         ledger.check()
         self._simulation.count("edits")
         return True
 
     def _forget(self, file: str | None, page: str | None = None) -> None:
         """Delete a draft: the page's own, or one that another page has left."""
-        place = file, self._tab if page is None else page
-        if place in self._office.ledger.works:
-            self._office.ledger.sent(place, None)
+        place, ledger = (file, self._tab if page is None else page), self._office.ledger
+        sent = ledger.sent(place, self._tab, None) if place in ledger.works else None
         wanted = {"file": file, "draft": None} | ({} if page is None else {"page": page})
-        if self._post("keep", wanted) is not None and place in self._office.ledger.works:
-            self._office.ledger.answered(place, None)
+        if self._post("keep", wanted) is not None and sent is not None:
+            ledger.answered(place, sent)
 
     def _offer(self, left: list[dict[str, Any]]) -> None:
         """Decide on the newest of the drafts that other pages have left."""
@@ -376,7 +375,7 @@ class Browser:
         self._office.ledger.saved(asked, found["version"])
         self._simulation.count("saves")
         if place in self._office.ledger.works:
-            self._office.ledger.answered(place, None)
+            self._office.ledger.answered(place, Sent(self._tab, None))
         if name != before:
             self._forget(before)
         self._has_draft = False

@@ -151,6 +151,8 @@ class _Lab:
             for line in lines:
                 self._simulation.count("lines about logs")
                 reasons = [*_BY_DISK, *["another run is writing it"] * (len(runs) > 1)]
+                # One that was killed before its first step.
+                reasons += ["the run ends at 0 s"] * (run.parent is not None)
                 # A power cut may leave zeros under the name, which the next run does not touch.
                 reasons += ["this is no unfinished log"] * (self.disk.cuts > 0)
                 if not any(reason in line for reason in reasons):

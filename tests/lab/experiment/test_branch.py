@@ -152,6 +152,10 @@ def test_a_moment_outside_the_run_and_a_damaged_snapshot_are_one_line(parent: Pa
     for at_ns in (0, 60 * SECOND):
         with pytest.raises(LogError, match=r"cannot be taken up at .* expected above 0 and up to its end"):
             branch(BranchPlan(parent, BranchPoint(at_ns)), tmp_path / "new.mcap")
+    with open_twin("default", TwinOptions()) as twin:
+        twin.record(tmp_path / "begun.mcap")
+    with pytest.raises(LogError, match="the run ends at 0 s; expected one that lasts longer"):
+        branch(BranchPlan(tmp_path / "begun.mcap", BranchPoint(AT_NS)), tmp_path / "new.mcap")
     with pytest.raises(LogError, match="this is the log that is taken up"):
         branch(BranchPlan(parent, BranchPoint(AT_NS)), parent)
 
