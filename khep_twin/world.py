@@ -372,10 +372,12 @@ class World:
         self._untold = list(state.untold)
         self._failure = DivergedError(state.failure) if state.failure else None
 
-    def relight(self, playpen: Playpen) -> None:
-        """Take the lamps and the lighting of another playpen."""
-        self.playpen = playpen
-        self.lamps = Lamps(playpen, self._lamp_stream, self.time_ns, self.lamps.phase)
+    def relight(self, playpen: Playpen, *, goes_on: bool = False) -> None:
+        """Take the lamps and the lighting of another playpen; with `goes_on`, switched as the present ones."""
+        self.playpen, before = playpen, self.lamps
+        self.lamps = Lamps(playpen, self._lamp_stream, self.time_ns, before.phase)
+        if goes_on:
+            self.lamps.take_over(before)
         self.simulation.set_lamps(self.lamps, playpen.lighting)
 
     def refresh(self) -> None:

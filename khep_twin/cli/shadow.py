@@ -140,7 +140,9 @@ def _follow_log(
     line = recorded(path, robot)
     if line.baud is not None:
         settings = replace(settings, baud=line.baud)
-    end_ns = line.heard[-1].time_ns if until is None else min(int(until * NS_PER_S), line.heard[-1].time_ns)
+    end_ns = line.heard[-1].time_ns
+    if until is not None and until * NS_PER_S < end_ns:
+        end_ns = int(until * NS_PER_S)
     with stopping() as stop, closing(Followed(playpen, settings, ends_on_alarm, output, path)) as followed:
         begun = time.monotonic()
         with progress_bar() as show:
@@ -216,5 +218,5 @@ def _until(
             break
         yield each
         if progress is not None:
-            progress(each.time_ns / end_ns)
+            progress(each.time_ns / max(end_ns, 1))
     yield Heard(end_ns, True, b"")

@@ -116,6 +116,8 @@ def part_file(path: Path) -> Generator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(file.fileno())
+        if target.exists() and (mode := target.stat().st_mode) != part.stat().st_mode:
+            part.chmod(stat.S_IMODE(mode))
         os.replace(part, target)
         synchronize_folder(target.parent)
     finally:

@@ -32,15 +32,15 @@ class Gripper(HostTurret):
 
     def open(self) -> None:
         """Open the fingers (command D)."""
-        self._robot.turret(self.number, "D,0")
+        self._values("D,0", 0)
 
     def close(self) -> None:
         """Close the fingers (command D)."""
-        self._robot.turret(self.number, "D,1")
+        self._values("D,1", 0)
 
     def move_arm(self, position: int) -> None:
         """Move the arm to a position, 152 (up) to 255 (down) (command E)."""
-        self._robot.turret(self.number, f"E,{position}")
+        self._values(f"E,{position}", 0)
 
     def lower(self) -> None:
         """Move the arm down, the fingers to the floor (command E)."""

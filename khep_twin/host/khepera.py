@@ -273,11 +273,15 @@ class Khepera:
         return tuple(values)
 
     def ask(self, request: str) -> str:
-        """Send any line, once, and return the reply, both without their ending.
+        """Send any line, once, and return the reply, or a tool's first line, both without their ending.
+
+        The rest of a tool's output is read and discarded: its end is the first pause of the timeout.
 
         Raises:
             PortTimeout: No whole reply came within the timeout.
             PortError: The port failed or went away.
+            StoppedError: The line would move a robot that must stand still.
+            ValueError: The request is more than one line.
         """
         return self._line.ask(request)
 

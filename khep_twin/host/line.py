@@ -33,6 +33,9 @@ _STOP = "D,0,0"
 _PATIENCE = 1.0
 """Wait for what comes where a port has no timeout of its own [s]."""
 
+_LONGEST_OUTPUT = 10.0
+"""Longest wait for the end of a tool's output [s]; `list` takes 2 s at 9600 baud."""
+
 _PROBES = "BHEK"
 """Reads whose replies resynchronize the line."""
 
@@ -53,6 +56,7 @@ class Line:
 
     Raises:
         PortError: The port cannot be opened, or there is no answer at any speed.
+        ValueError: The number of retries is negative or no integer.
     """
 
     def __init__(
@@ -62,6 +66,8 @@ class Line:
         baudrate: int | Literal["auto"],
         retries: int,
     ) -> None:
+        if not (retries >= 0 and float(retries).is_integer()):
+            raise ValueError(f"retries={retries!r}; expected an integer from 0")
         url = numbered(url) if isinstance(url, str) else url
         self._url = url if isinstance(url, str) else None
         self._retries = retries
@@ -116,16 +122,26 @@ class Line:
             return self._carry_out(commands)
 
     def ask(self, request: str) -> str:
-        """Send any line, once, and return the reply, both without their ending.
+        """Send any line, once, and return the reply, or a tool's first line, both without their ending.
+
+        The rest of a tool's output is read and discarded: its end is the first pause of the timeout.
 
         Raises:
             PortTimeout: No whole reply came within the timeout.
             PortError: The port failed or went away.
+            StoppedError: The line would move a robot that must stand still.
+            ValueError: The request is more than one line.
         """
+        if not request.isascii() or "\n" in request or "\r" in request:
+            raise ValueError(f"request {request!r}; expected one line of ASCII, without its ending")
         replies: list[str] = []
         self._give_way()
         with self._exchange:
             self._ask([request], replies)
+            end = self.time + _LONGEST_OUTPUT
+            is_tool = request.lstrip()[:1].islower()
+            while is_tool and self.time < end and self._read_line(request).endswith(b"\n"):
+                pass
         return replies[0]
 
     def _carry_out(self, commands: Sequence[HostCommand[Value]]) -> list[Value]:
@@ -150,7 +166,7 @@ class Line:
             # What came late is as good, if it is whole.
             with suppress(ProtocolError):
                 return self._read(commands, (replies + before)[-len(commands) :])
-            if not tries:
+            if tries <= 0:
                 raise first from None
 
     def _give_way(self) -> None:
@@ -160,7 +176,7 @@ class Line:
 
     def _ask(self, requests: Sequence[str], replies: list[str]) -> None:
         """Send lines and append the replies, each as it comes."""
-        if self._held and (moves := [each for each in requests if each[:1] in "CDP" and each != _STOP]):
+        if self._held and (moves := [each for each in requests if _moves(each)]):
             raise StoppedError(f"{self.name}: {moves[0]!r} is not sent, as the run is to end")
         if self._unanswered and self._settle() is None:
             raise self._silence(requests[0], b"")
@@ -342,6 +358,12 @@ class Line:
         if not leads_to_ours(path):
             return "a terminal that has gone is not opened again, as its number may be reused by now"
         return ""
+
+
+def _moves(request: str) -> bool:
+    """Return whether a request may move the robot."""
+    words = request.split(maxsplit=1) or [""]
+    return request != _STOP and (words[0][:1] in "CDP" or words[0] in ("run", "restart"))
 
 
 def _text(line: bytes) -> str:

@@ -64,8 +64,16 @@ class Radio(HostTurret):
         self.send(RADIO_ALL, data)
 
     def receive(self) -> RadioMessage | None:
-        """Return the oldest received message and remove it from the turret; None without one (command R)."""
+        """Return the oldest received message and remove it from the turret; None without one (command R).
+
+        Raises:
+            ProtocolError: The reply is no message, as after a disturbed line.
+        """
         sender, length, *data = self._values("R", 2 + RADIO_BYTES)
+        if length > RADIO_BYTES or max(data) > 255:
+            found = f"{length} bytes, {data}"
+            wanted = f"at most {RADIO_BYTES}, of 0 to 255"
+            raise ProtocolError(f"{self._robot.name}: the radio received {found}; expected {wanted}")
         return RadioMessage(sender, bytes(data[:length])) if sender or length else None
 
     def wait_until_sent(self, timeout: float = 5.0) -> bool:

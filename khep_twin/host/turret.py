@@ -1,9 +1,13 @@
 """`HostTurret`: common part of the turrets of a robot at the other end of a serial port."""
 
+import re
 from typing import ClassVar
 
 from khep_twin.errors import ProtocolError
 from khep_twin.host.khepera import Khepera
+
+_NUMBER = re.compile("[0-9]{1,6}")
+"""Numbers of turrets: without a sign, of 16 bits at most."""
 
 
 class HostTurret:
@@ -38,6 +42,6 @@ class HostTurret:
         """Return the numbers of the answer to a message."""
         answer = self._robot.turret(self.number, message)
         head, *fields = answer.split(",")
-        if head != message[0].lower() or len(fields) != count or not all(map(str.isdecimal, fields)):
+        if head != message[0].lower() or len(fields) != count or not all(map(_NUMBER.fullmatch, fields)):
             raise ProtocolError(f"{self._robot.name}: the {self.name} answered {message!r} with {answer!r}")
         return [int(field) for field in fields]

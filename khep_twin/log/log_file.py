@@ -71,13 +71,13 @@ class LogFile(Output):
             self._close()
 
     def discard(self) -> None:
-        """Remove the file, for a run that has not begun."""
+        """Remove the file, for a run that has not begun; where the disk fails it stays, as that of a killed run."""
         with undisturbed():
             if self.open:
-                try:
-                    # As long as it is locked, the name is that of no other run's file.
+                # As long as it is locked, the name is that of no other run's file.
+                with suppress(OSError):
                     self.part.unlink(missing_ok=True)
-                finally:
+                with suppress(OSError):
                     self._close()
 
     @contextmanager

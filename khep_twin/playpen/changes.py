@@ -42,6 +42,26 @@ def set_values(playpen: Playpen, changes: Iterable[str]) -> Playpen:
     )
 
 
+def posed(changed: Playpen, stands: Playpen, changes: Iterable[str]) -> Playpen:
+    """Return a changed playpen whose robots and objects stand as in another one, but where a change says."""
+    set_there = {parts.groups()[:3] for change in changes if (parts := _CHANGE.fullmatch(change))}
+
+    def at(kind: str) -> tuple[Any, ...]:
+        pairs = zip(getattr(changed, f"{kind}s"), getattr(stands, f"{kind}s"), strict=True)
+        return tuple(
+            item.model_copy(
+                update={
+                    key: getattr(standing, key)
+                    for key in ("x_mm", "y_mm", "heading_deg", "angle_deg")
+                    if hasattr(item, key) and (kind, str(number), key) not in set_there
+                }
+            )
+            for number, (item, standing) in enumerate(pairs, 1)
+        )
+
+    return changed.model_copy(update={f"{kind}s": at(kind) for kind in ("robot", *changed.objects)})
+
+
 def no_room_for(changed: Playpen, before: Playpen) -> str:
     """Return the first reason why a changed playpen's things do not have room that the one before lacks."""
     known, new = (

@@ -8,7 +8,7 @@ from khep_twin.errors import PlaypenError
 from khep_twin.interventions.move_robot import as_it_stands
 from khep_twin.log.recorded import BranchPoint
 from khep_twin.playpen import Block, Cylinder, Playpen, Robot
-from khep_twin.playpen.changes import changed_tables, no_room_for, set_values
+from khep_twin.playpen.changes import changed_tables, no_room_for, posed, set_values
 from khep_twin.simulation.carrying_over import carry_over, place
 from khep_twin.simulation.physics_state import physics_state
 from khep_twin.units import metres
@@ -28,7 +28,8 @@ def go_on_in(new: World, old: World, before: Playpen, change: BranchPoint) -> No
         PlaypenError: What was changed has no room.
     """
     stands = as_it_stands(old)
-    edited = set_values(stands, change.edits)
+    # The poses of now may be outside the arena, where no file may put a thing.
+    edited = posed(set_values(old.playpen, change.edits), stands, change.edits)
     if problem := no_room_for(edited, stands):
         raise PlaypenError(f"{', '.join(change.edits)}: {problem}")
     moved = changed_tables(set_values(before, change.edits), before)
@@ -49,7 +50,8 @@ def go_on_in(new: World, old: World, before: Playpen, change: BranchPoint) -> No
     relit = set_values(before, change.edits)
     new.set_state(state)
     if (relit.lamps, relit.lighting) != (before.lamps, before.lighting):
-        new.relight(new.playpen.model_copy(update={"lamps": edited.lamps, "lighting": edited.lighting}))
+        relit = new.playpen.model_copy(update={"lamps": edited.lamps, "lighting": edited.lighting})
+        new.relight(relit, goes_on=True)
 
 
 def _pose(entry: Robot | Block | Cylinder) -> tuple[float, float, float]:

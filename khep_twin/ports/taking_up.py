@@ -82,7 +82,8 @@ class TakenUp:
         before = self.twin
         if change.faults or change.edits or change.calibrations:
             self.twin = self.setup.open(self.changes)
-            if self.twin.world.scene == before.world.scene:
+            # What the compiled scene does not hold, such as a lamp's dimming, is edited as well.
+            if not change.edits and self.twin.world.scene == before.world.scene:
                 self.twin.world.set_state(before.world.state())
             else:
                 go_on_in(self.twin.world, before.world, self.setup.playpen(self.changes[:-1]), change)

@@ -114,6 +114,18 @@ class Lamps:
         self._near_lamp, self._near_wall = state.near_lamp, state.near_wall
         self._time_ns, self.steady, self.phase = state.time_ns, state.steady, state.phase
 
+    def take_over(self, before: "Lamps") -> None:
+        """Go on as other lamps: those off by hand stay off, and the one that is on in its turn stays on."""
+        count = len(self.powers)
+        for index in sorted(before._off & {*range(count)}):
+            self.turn(index, False, self._time_ns)
+        if self.lit is not None and before.lit is not None and before.lit < count:
+            self.lit, self._near_lamp, self._near_wall = before.lit, before._near_lamp, before._near_wall
+        same = [full == other for full, other in zip(self._full, before._full, strict=False)]
+        for index, full in enumerate(self._full):
+            going_on = index < len(same) and same[index]
+            self.powers[index] = before.powers[index] if going_on else full * self._wanted(index)
+
     def turn(self, index: int, on: bool, time_ns: int) -> None:
         """Switch a lamp by hand at a time [ns]: off, or back to its own schedule."""
         (self._off.discard if on else self._off.add)(index)

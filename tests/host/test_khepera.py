@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import serial
 
-from khep_twin.errors import PortError, PortTimeout, ProtocolError
+from khep_twin.errors import PortError, PortTimeout, ProtocolError, StoppedError
 from khep_twin.host import Khepera
 
 
@@ -86,6 +86,28 @@ def test_a_stop_does_not_take_the_answer_to_a_broken_command_for_its_own() -> No
     robot.hold()
     assert twin.robot.registers[[4, 18]].tolist() == [0, 0]
     robot.close()
+
+
+@pytest.mark.parametrize("tool", ["help", "list", "restart"])
+def test_the_rest_of_a_tools_output_is_no_reply_to_the_next_request(tool: str) -> None:
+    with Khepera("khep://default?noise=off") as robot:
+        robot.ask(tool)
+        assert robot.ask("B") == "b,5.02,5.01"
+
+
+def test_a_request_of_two_lines_and_an_odd_number_of_retries_are_refused(robot: Khepera) -> None:
+    with pytest.raises(ValueError, match="expected one line of ASCII"):
+        robot.ask("B\nH")
+    for retries in (-1, 0.5):
+        with pytest.raises(ValueError, match="expected an integer from 0"):
+            Khepera("khep://default", retries=retries)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("request_line", [" D,20,20", "P,1,1", "run demo"])
+def test_a_robot_that_must_stand_still_is_not_moved_by_any_line(robot: Khepera, request_line: str) -> None:
+    robot.hold()
+    with pytest.raises(StoppedError, match="is not sent"):
+        robot.ask(request_line)
 
 
 def test_reads_get_through_a_line_that_loses_bytes() -> None:

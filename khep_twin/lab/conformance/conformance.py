@@ -20,6 +20,8 @@ from khep_twin.errors import PORT_FAILURES, KhepTwinError, PortError
 SILENCE = 0.1
 """Time without a byte after which a line counts as silent [s]; impatient hosts wait as long for a reply."""
 
+LONGEST_OUTPUT = 10.0
+"""Longest wait for the end of what the robot sends [s]; the list of its tools takes 2 s at 9600 baud."""
 
 _NUMBER = re.compile("-?(0|[1-9][0-9]*)")
 
@@ -142,9 +144,12 @@ class CheckedPort:
 
     def read_until_quiet(self, quiet: float) -> bytes:
         """Return the bytes received until the line was quiet for a duration [s]: any number of lines."""
-        told = b""
+        told, end = b"", self.time() + LONGEST_OUTPUT
         while more := self.read_for(quiet):
             told += more
+            if self.time() > end:
+                found = f"the robot still sends after {LONGEST_OUTPUT:g} s"
+                raise Deviation(f"{found}; expected a pause of {quiet:g} s")
         return told
 
     def numbers(self, request: str, count: int) -> list[int]:

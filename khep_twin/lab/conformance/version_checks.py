@@ -70,11 +70,10 @@ def _output(line: RecordedLine, place: int) -> Iterator[bytes]:
     first = line.steps[place].exchange
     source = first.command or first.reply
     yield first.reply or b""
-    # Outputs of tools before it may be between, as steps are in order of the commands.
-    for step in line.steps[place + 1 :]:
-        each = step.exchange
-        if each.command == b"restart" and each.reply is not None:
-            return
-        if each.command or each.output_of != source or each.heard_ns < first.heard_ns:
-            continue
-        yield each.reply or b""
+    # Outputs of tools before it, and commands of the next banner, may be between: steps are in their order.
+    later = [step.exchange for step in line.steps[place + 1 :]]
+    restarts = [each.heard_ns for each in later if each.command == b"restart" and each.reply is not None]
+    end_ns = min(restarts, default=later[-1].heard_ns + 1 if later else 0)
+    for each in later:
+        if not each.command and each.output_of == source and first.heard_ns <= each.heard_ns < end_ns:
+            yield each.reply or b""

@@ -243,7 +243,10 @@ def _from_log(path: Path) -> SensorRun:
         if topic not in arrays or arrays[topic][1].shape[1] != width:
             raise SensorTestError(f"{topic}: missing; expected messages of {width} values")
         times.append(arrays[topic][0])
-        parts.append(arrays[topic][1].astype(np.int64))
+        values = arrays[topic][1]
+        if (wrong := values[~((np.abs(values) < 2**31) & (values == np.round(values)))]).size:
+            raise SensorTestError(f"{topic}: {wrong[0]:g}; expected integers")
+        parts.append(values.astype(np.int64))
     if not np.array_equal(times[0], times[1]):
         raise SensorTestError("positions and readings differ in time; expected one of each for every reading")
     return SensorRun(test, np.hstack(parts), times[0] / 1e9, label.metadata.get("text", ""))

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from numbers import Integral
 from operator import attrgetter
 from typing import Literal, NamedTuple
 
@@ -138,7 +139,7 @@ class SensorTest:
                 f"rotate = {self.rotate_deg:g} degrees; expected 15 to 360, or -15 to -360 for clockwise"
             )
         for name, value, limit in (("speed", self.speed, 127), ("acceleration", self.acceleration, 255)):
-            if value is not None and not 1 <= value <= limit:
+            if value is not None and not (isinstance(value, Integral) and 1 <= value <= limit):
                 raise SensorTestError(key=name, value=value, expected=f"an integer from 1 to {limit}")
 
     @property
@@ -189,12 +190,24 @@ class SensorRun:
     text: str = ""
 
     def __post_init__(self) -> None:
-        """Check the shapes; raise a `SensorTestError` for a text that not every file can hold."""
+        """Check the shapes; raise a `SensorTestError` for values that no test gives, or not every file holds."""
         width = 2 + len(self.test.quantity.names)
         if self.dv.shape != (len(self.times), width) or self.times.ndim != 1:
             raise ValueError(f"shapes {self.dv.shape} and {self.times.shape}; expected (n, {width}) and (n,)")
-        if wrong := next((each for each in self.text if not each.isprintable() and each not in "\n\t"), ""):
-            raise SensorTestError(f"text: has the character {wrong!r}; expected plain text in lines")
+        limit = self.test.quantity.limit
+        wrong = (self.dv[:, 2:] < 0) | (self.dv[:, 2:] > limit)
+        if wrong.any():
+            row, column = (int(place[0]) for place in np.nonzero(wrong))
+            name, count = self.test.quantity.names[column], self.dv[row, 2 + column]
+            raise SensorTestError(f"row {row + 1}: {name} = {count}; expected 0 to {limit}")
+        if not np.isnan(self.times).all():
+            late = ~np.isfinite(self.times) | (np.diff(self.times, prepend=0.0) < 0)
+            if late.any():
+                row = int(np.argmax(late))
+                wanted = "a time from 0 that is not before that of the row above, or nan in all rows"
+                raise SensorTestError(f"row {row + 1}: time = {self.times[row]:g} s; expected {wanted}")
+        if odd := next((each for each in self.text if not each.isprintable() and each not in "\n\t"), ""):
+            raise SensorTestError(f"text: has the character {odd!r}; expected plain text in lines")
 
     @property
     def travelled(self) -> NDArray[np.float64]:

@@ -10,6 +10,7 @@ from served_twin import served
 
 from khep_twin.errors import KhepTwinError, LogError, PlaypenError
 from khep_twin.host import Khepera
+from khep_twin.interventions.switching import switch
 from khep_twin.lab.experiment.branch import BranchPlan, branch, calibrations
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import repeat
@@ -80,9 +81,10 @@ def test_without_a_change_the_parents_run_goes_on(parent: Path, tmp_path: Path) 
         {"faults": ("stuck:2", "dead:left@12")},
         {"edits": ("block.1.height_mm=5", "lamp.1.power_w=2")},
         {"edits": ("block.9.x_mm=500", "robot.1.heading_deg=0")},
+        {"edits": ("lamp.1.dim=0.1",)},
         {"calibrations": {"khepera0": Path("khep_twin/assets/calibration/khepera1-manual.toml").read_text()}},
     ],
-    ids=["seed", "faults", "playpen", "things put elsewhere", "calibration"],
+    ids=["seed", "faults", "playpen", "things put elsewhere", "what no scene holds", "calibration"],
 )
 def test_a_change_changes_what_follows_and_the_new_log_can_be_repeated(
     parent: Path, tmp_path: Path, changes: dict[str, object]
@@ -106,6 +108,19 @@ def test_what_is_put_elsewhere_is_there_and_all_else_goes_on(parent: Path) -> No
     assert moved.data.body("block8").xpos[:2] == pytest.approx([0.5, 0.35], abs=1e-4)
     assert moved.robots[0].pose == pytest.approx((x, y, heading), abs=2e-3)
     assert moved.data.qvel[moved.robots[0].indices.wheel_speeds[0]] == pytest.approx(speed, rel=0.2)
+
+
+def test_a_lamp_that_is_edited_stays_switched_off_and_things_outside_stay_there(parent: Path) -> None:
+    taken = take_up(parent, AT_NS)
+    world = taken.twin.world
+    switch(world, 0, False)
+    block = world.model.body(f"block{len(world.playpen.blocks) - 1}")
+    world.data.qpos[world.model.jnt_qposadr[block.jntadr[0]]] = -0.1
+    taken.change(BranchPoint(AT_NS, edits=("lamp.1.power_w=2",)))
+    changed = taken.twin.world
+    changed.advance_to(AT_NS + 5_000_000)
+    assert changed.lamps.powers[0] == 0.0
+    assert changed.data.body(block.name).xpos[0] == pytest.approx(-0.1, abs=1e-3)
 
 
 def test_a_controller_takes_over_and_a_branch_has_branches(parent: Path, tmp_path: Path) -> None:
