@@ -17,6 +17,7 @@
     ├── SensorTestError   a sensor test that cannot be run, or unusable data of one
     ├── TurretError       a turret that cannot be plugged on
     ├── StudyError        a study that cannot be used, or results that are not its own
+    ├── SeedError         a seed that is negative or too large, a ValueError as well
     ├── StoppedError      a command to a robot whose run is ending
     ├── MissingExtraError a part of khep_twin whose package is not installed
     ├── SnapshotError     a state of a simulation that cannot be taken up
@@ -214,6 +215,11 @@ class MissingExtraError(KhepTwinError):
 
     def __init__(self, package: str, extra: str) -> None:
         super().__init__(f"{package} is not installed; to install it: {pip_install_extra(extra)}")
+        self._given = package, extra
+
+    def __reduce__(self) -> tuple[type[Self], tuple[str, str]]:
+        """Return how it is made in another process."""
+        return type(self), self._given
 
 
 EXTRAS = {"matplotlib": "pictures", "scipy": "fit"}
@@ -225,6 +231,14 @@ class MissingNumbaError(KhepTwinError):
 
     def __init__(self) -> None:
         super().__init__(f"numba is not installed; to install it: {pip_install_required('numba')}")
+
+    def __reduce__(self) -> tuple[type[Self], tuple[()]]:
+        """Return how it is made in another process."""
+        return type(self), ()
+
+
+class SeedError(KhepTwinError, ValueError):
+    """A seed that is negative or too large."""
 
 
 class SnapshotError(KhepTwinError):

@@ -10,6 +10,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from khep_twin.errors import SeedError
+
 SEED_LIMIT = 2**63
 """Upper limit of seeds, exclusive: every file format and language can hold smaller ones."""
 
@@ -36,10 +38,11 @@ def stream(seed: int, *names: str | int) -> np.random.Generator:
     The same seed and names give the same draws in any process, whatever other streams exist.
 
     Raises:
-        ValueError: The seed is negative or too large, or no name is given.
+        SeedError: The seed is negative or too large.
+        ValueError: No name is given.
     """
     if not 0 <= seed < SEED_LIMIT:
-        raise ValueError(f"seed = {seed}; expected an integer from 0 to 2**63-1")
+        raise SeedError(f"seed = {seed}; expected an integer from 0 to 2**63-1")
     if not names:
         raise ValueError("a stream needs a name")
     # SHA-256, because Python salts hash() in each process.

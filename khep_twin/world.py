@@ -373,7 +373,7 @@ class World:
         self._failure = DivergedError(state.failure) if state.failure else None
 
     def relight(self, playpen: Playpen, *, goes_on: bool = False) -> None:
-        """Take the lamps and the lighting of another playpen; with `goes_on`, switched as the present ones."""
+        """Take the lamps and lighting of another playpen; with `goes_on`, switched as the present ones."""
         self.playpen, before = playpen, self.lamps
         self.lamps = Lamps(playpen, self._lamp_stream, self.time_ns, before.phase)
         if goes_on:

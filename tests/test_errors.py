@@ -6,7 +6,16 @@ from pathlib import Path
 import pytest
 
 from khep_twin import playpen
-from khep_twin.errors import KhepTwinError, LogError, PlaypenError, PortError, Problem, StudyError
+from khep_twin.errors import (
+    KhepTwinError,
+    LogError,
+    MissingExtraError,
+    MissingNumbaError,
+    PlaypenError,
+    PortError,
+    Problem,
+    StudyError,
+)
 from khep_twin.log.decoding import Misfit
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.sensing.calibration import read
@@ -102,3 +111,8 @@ def test_fields_pass_from_process_to_process() -> None:
     assert str(error) == str(refused(ARENA))
     assert error.problems == refused(ARENA).problems
     assert Problem((), "text", file="a.toml").key is None
+
+
+@pytest.mark.parametrize("error", [MissingExtraError("dask", "cluster"), MissingNumbaError()])
+def test_an_error_about_what_is_missing_comes_back_from_a_worker(error: KhepTwinError) -> None:
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)

@@ -9,7 +9,7 @@ import typer
 
 from khep_twin.cli import completion
 from khep_twin.cli.options import Commands, Force, check_apart, check_new
-from khep_twin.errors import KhepTwinError
+from khep_twin.errors import CalibrationError, KhepTwinError
 from khep_twin.files.atomic import write_whole
 
 if TYPE_CHECKING:
@@ -52,8 +52,11 @@ def check(playpen: PlaypenName) -> None:
     from khep_twin.sensing import calibration
 
     found = playpens.load(playpen)
-    for robot in found.robots:
-        calibration.read(robot.calibration)
+    for index, robot in enumerate(found.robots, 1):
+        try:
+            calibration.read(robot.calibration)
+        except CalibrationError as error:
+            raise CalibrationError(f"{playpen}: robot {index}: calibration = {error}") from None
     kinds = {**found.objects, "wall": found.walls, "patch": found.patches, "lamp": found.lamps}
     kinds |= {"spot": found.spots, "robot": found.robots}
     plural = {kind: f"{kind}s" for kind in kinds} | {"patch": "patches"}
@@ -105,7 +108,8 @@ def draw(
             raise KhepTwinError("--log draws on a map; expected no --perspective")
         write_whole(target, render(_placed(found, seed), target))
     else:
-        drawing.save(drawing.draw(found, _driven_paths(log) if log is not None else ()), target)
+        paths = _driven_paths(log, found.name) if log is not None else ()
+        drawing.save(drawing.draw(_placed(found, seed), paths), target)
     typer.echo(f"picture  {target}")
 
 
@@ -141,12 +145,9 @@ def random_playpen(
     from khep_twin.randomness import stream
 
     check_new(force, output)
-    try:
-        rng = stream(seed, "obstacle field")
-    except ValueError as error:
-        raise KhepTwinError(f"--seed {seed}: {error}") from None
-    field = obstacle_field(f"field-{seed}", width_mm, height_mm, density, rng)
-    text = f"# khep-twin playpen random --density {density:g} --seed {seed}\n\n{playpens.dump(field)}"
+    field = obstacle_field(f"field-{seed}", width_mm, height_mm, density, stream(seed, "obstacle field"))
+    options = f"--density {density!r} --seed {seed} --width-mm {width_mm!r} --height-mm {height_mm!r}"
+    text = f"# khep-twin playpen random {options}\n\n{playpens.dump(field)}"
     _write(text, output, "playpen", f": {len(field.blocks)} blocks, {len(field.cylinders)} cylinders")
 
 
@@ -163,17 +164,16 @@ def _placed(playpen: "Playpen", seed: int) -> "Playpen":
     """Return a playpen with its robots where a run with this seed puts them."""
     from khep_twin.playpen.starts import at_spots
 
-    try:
-        return at_spots(playpen, seed)
-    except ValueError as error:
-        raise KhepTwinError(f"--seed {seed}: {error}") from None
+    return at_spots(playpen, seed)
 
 
-def _driven_paths(log: Path) -> "list[DrawnPath]":
-    """Return the paths of the robots in a log."""
+def _driven_paths(log: Path, playpen: str) -> "list[DrawnPath]":
+    """Return the paths of the robots in a log of a run in a playpen."""
     from khep_twin.drawing.map import DrawnPath
-    from khep_twin.log.reader import read
+    from khep_twin.log.reader import read, read_label
 
+    if (name := read_label(log).metadata.get("playpen", playpen)) != playpen:
+        raise KhepTwinError(f"{log}: a run in playpen {name}; expected one in {playpen}")
     driven = [(name, track) for name, track in read(log).robots.items() if len(track.pose)]
     return [DrawnPath(name, track.times_ns / 1e9, track.pose[:, :2] * 1e3) for name, track in driven]
 

@@ -153,6 +153,9 @@ def sense(
     _check_distinct([*outputs, *pictures, *(drawn.overlay or [])])
     check_new(force, *outputs)
     earlier = [sensor_files.load(path, what.value if what else None) for path in drawn.overlay or []]
+    for path, run in zip(drawn.overlay or [], earlier, strict=True):
+        if what is not None and run.test.what != what.value:
+            raise SensorTestError(f"{path}: a run of {run.test.what}; expected {what.value}, as of --what")
     drawn.check(earlier, tests)
 
     done: list[SensorRun] = []

@@ -107,6 +107,10 @@ class Physics(mujoco.Physics):
     def after_reset(self) -> None:
         """Do nothing: an episode that has begun must not change."""
 
+    def __deepcopy__(self, memo: dict[int, object]) -> "Physics":
+        """Raise a `TypeError`, as `copy` does."""
+        return self.copy()
+
     def copy(self, share_model: bool = False) -> "Physics":
         """Raise a `TypeError`, as an episode cannot be copied.
 

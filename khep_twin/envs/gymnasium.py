@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from khep_twin.envs.renderer import Picture, Renderer, View
 from khep_twin.envs.task_episode import TaskEpisode
-from khep_twin.envs.task_setup import TaskSetup
+from khep_twin.envs.task_setup import TaskSetup, episode_seed
 from khep_twin.envs.tasks import TASKS, Observation, Task
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 
@@ -109,7 +109,7 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Start an episode; a seed makes it and all later episodes reproducible."""
         super().reset(seed=seed)
         drawn = int(self.np_random.integers(2**31))
-        self._seed = int((options or {}).get("seed", drawn))
+        self._seed = episode_seed(options, drawn)
         return self._episode.begin(self._seed)[0], ground_truth(self._episode, 0, self._seed)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:

@@ -15,8 +15,9 @@ computed as arrays (`task_batch`).
 # Gymnasium's spaces are only partly typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 
+import operator
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, SupportsIndex
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from khep_twin.envs.gymnasium import Info, rendering, spaces
 from khep_twin.envs.renderer import Renderer, View
 from khep_twin.envs.task_batch import TaskBatch
-from khep_twin.envs.task_setup import TaskSetup
+from khep_twin.envs.task_setup import TaskSetup, episode_seed
 from khep_twin.envs.tasks import Observation, Task
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 from khep_twin.machine import n_cores
@@ -93,15 +94,15 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         self, *, seed: int | Sequence[int | None] | None = None, options: Info | None = None
     ) -> tuple[Observation, Info]:
         """Start an episode in each environment, or in those of the option "reset_mask" (num_envs,)."""
-        if seed is None or isinstance(seed, int):
-            seeds = [None if seed is None else seed + index for index in range(self.num_envs)]
+        if seed is None or isinstance(seed, SupportsIndex):
+            seeds = [None if seed is None else operator.index(seed) + index for index in range(self.num_envs)]
         else:
             seeds = list[int | None](seed)
         if len(seeds) != self.num_envs:
             raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments; expected {self.num_envs}")
         others = dict(options or {})
         chosen = self._chosen(others.pop("reset_mask", None))
-        self._begin(chosen, seeds, others.get("seed"))
+        self._begin(chosen, seeds, None if others.get("seed") is None else episode_seed(others, 0))
         return self._seen(), self._infos(chosen)
 
     def step(
@@ -161,7 +162,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
             if self._rngs[row] is None or seed is not None:
                 self._rngs[row] = np_random(seed)[0]
             drawn.append(int(self._rngs[row].integers(2**31)))
-        self._batch.begin(rows, drawn if episode is None else [int(episode)] * len(drawn))
+        self._batch.begin(rows, drawn if episode is None else [episode] * len(drawn))
         self._over[rows] = False
 
     def _seen(self) -> Observation:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from khep_twin.envs.gymnasium import Info, ground_truth, rendering, spaces
 from khep_twin.envs.renderer import Picture, Renderer, View
 from khep_twin.envs.task_episode import TaskEpisode
-from khep_twin.envs.task_setup import TaskSetup
+from khep_twin.envs.task_setup import TaskSetup, episode_seed
 from khep_twin.envs.tasks import Observation, Task
 from khep_twin.errors import KhepTwinError, MissingExtraError
 
@@ -88,7 +88,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         if seed is not None:
             self._rng = seeding.np_random(seed)[0]
         drawn = int(self._rng.integers(2**31))
-        self._seed = int((options or {}).get("seed", drawn))
+        self._seed = episode_seed(options, drawn)
         self.agents = list(self.possible_agents)
         seen = self._episode.begin(self._seed)
         return dict(zip(self.agents, seen, strict=True)), self._infos()

@@ -96,8 +96,9 @@ class TaskBatch:
         self._batch.speeds[rows] = speeds
         failed = self._batch.step(rows, self.setup.steps_per_period)
         self.periods[rows] += 1
-        for error in failed.values():
-            raise error
+        if failed:
+            self.periods[list(failed)] -= 1
+            raise next(iter(failed.values()))
         state = self._state(rows)
         self.rewards[rows] = self.setup.task.rewards(state).reshape(shape)
         if self._charge_ns:

@@ -5,6 +5,9 @@ of the robot: pulses/10 ms, and counts.
 """
 
 import math
+import operator
+from collections.abc import Mapping
+from typing import SupportsIndex
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +18,7 @@ from khep_twin.envs.tasks import TOP_SPEED, Task, find
 from khep_twin.errors import KhepTwinError, PlaypenError, choices
 from khep_twin.playpen import Playpen, load
 from khep_twin.playpen.starts import anywhere, at_spots
+from khep_twin.randomness import SEED_LIMIT
 from khep_twin.rollout.episode import Episode, EpisodeSetup
 from khep_twin.sensing import calibration
 
@@ -65,9 +69,16 @@ class TaskSetup:
             raise ValueError(f"{robots} robots; expected 1 or more")
         if period_ns <= 0 or period_ns % units.TICK_NS:
             raise ValueError(f"control period of {period_ns / 1e6:g} ms; expected whole ticks of 10 ms")
+        switches = {"noise": noise, "vary": vary, "planar": planar, "normalize": normalize}
+        for name, value in (switches | ({} if compiled is None else {"compiled": compiled})).items():
+            if value not in (True, False):
+                raise ValueError(f"{name} = {value!r}; expected True or False")
         self.task = find(task)
         given = self.task.playpen if playpen is None else playpen
         self.playpen = with_robots(given if isinstance(given, Playpen) else load(given), robots)
+        if robots > 1 and self.task.starts == "playpen" and not self.playpen.robots[0].spots:
+            found = f"{self.playpen.name}: robot 1 has no spots"
+            raise PlaypenError(f"{found}; expected spots, at which {robots} robots start")
         self.noise, self.vary, self.period_ns, self.normalize = noise, vary, period_ns, normalize
         self.action_limit = 1.0 if normalize else TOP_SPEED
         self.seconds = self.task.seconds if seconds is None else seconds
@@ -115,6 +126,19 @@ class TaskSetup:
             PlaypenError: There is no room for the robots.
         """
         return (anywhere if self.task.starts == "anywhere" else at_spots)(self.playpen, seed)
+
+
+def episode_seed(options: Mapping[str, object] | None, drawn: int) -> int:
+    """Return the seed of an episode that the options of `reset` choose, or else the one that was drawn.
+
+    Raises:
+        ValueError: It is no integer from 0 to 2**63-1.
+    """
+    if (given := (options or {}).get("seed")) is None:
+        return drawn
+    if isinstance(given, SupportsIndex) and 0 <= (seed := operator.index(given)) < SEED_LIMIT:
+        return seed
+    raise ValueError(f"options: seed = {given!r}; expected an integer from 0 to 2**63-1")
 
 
 def with_robots(playpen: Playpen, count: int) -> Playpen:

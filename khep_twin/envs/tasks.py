@@ -14,9 +14,10 @@ A reward is called with the `State` of one robot at a time, or, if it is marked 
 numbers are arrays of all robots. Observations are computed for all robots at once.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,8 @@ from khep_twin.errors import KhepTwinError, choices
 from khep_twin.rollout import fitness
 from khep_twin.rollout.fitness import Number
 from khep_twin.units import COUNTS_LIMIT, Sensor
+
+Starts = Literal["anywhere", "playpen"]
 
 Observation = NDArray[np.float32]
 
@@ -177,17 +180,23 @@ class Task:
     observation_terms: tuple[str, ...]
     reward: Reward
     seconds: float = 60.0
-    starts: Literal["anywhere", "playpen"] = "anywhere"
+    starts: Starts = "anywhere"
     goal: str = ""
     reach_mm: float = 0.0
     charge_s: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the observation terms.
+        """Check the values.
 
         Raises:
-            KhepTwinError: A term is unknown, or there is none.
+            KhepTwinError: An observation term is unknown, or there is none, or a value is out of range.
         """
+        if self.starts not in (known := get_args(Starts)):
+            found = f"task {self.name}: starts {self.starts!r}: unknown"
+            raise KhepTwinError(f"{found}; {choices(self.starts, known)}")
+        for name, value in (("reach_mm", self.reach_mm), ("charge_s", self.charge_s)):
+            if not 0 <= value < math.inf:
+                raise KhepTwinError(f"task {self.name}: {name} = {value}; expected a finite number from 0")
         for term in self.observation_terms:
             if term not in TERMS:
                 raise KhepTwinError(

@@ -5,6 +5,7 @@
     proximity, positions = robot.burst(commands.proximity(), commands.position())
 """
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -26,6 +27,10 @@ T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
 
 
+_INTEGER = re.compile("-?[0-9]{1,10}")
+"""Numbers in replies: of 32 bits at most."""
+
+
 @dataclass(frozen=True, slots=True)
 class HostCommand(Generic[T_co]):
     """One command.
@@ -43,7 +48,7 @@ class HostCommand(Generic[T_co]):
 
 def mode_codes(bios: str) -> tuple[int, int, int]:
     """Return command K's numbers of speed, position and PWM mode in a BIOS version: before 5 as ROM 4.06."""
-    return ROMS["4.06" if bios.partition(".")[0] < "5" else "5.02"].mode_codes
+    return ROMS["4.06" if bios.partition(".")[0].zfill(4) < "0005" else "5.02"].mode_codes
 
 
 @cache
@@ -171,11 +176,9 @@ def _numbers(
 
     def read(reply: str) -> T:
         fields = _fields(letter.lower(), count, reply)
-        try:
-            values = list(map(int, fields))
-        except ValueError:
-            raise ValueError("expected integers") from None
-        return make(values)
+        if not all(map(_INTEGER.fullmatch, fields)):
+            raise ValueError("expected integers")
+        return make([int(field) for field in fields])
 
     return HostCommand(_request(letter, arguments), read, repeatable)
 

@@ -75,7 +75,7 @@ class Gripper(HostTurret):
         end = self._robot.time + timeout
         before = None
         while before != (now := (self.arm(), self.fingers())):
-            if self._robot.time > end:
+            if not self._robot.time <= end:
                 raise PortTimeout(f"{self._robot.name}: the gripper still moves after {timeout} s")
             before = now
             self._robot.sleep(_PAUSE)

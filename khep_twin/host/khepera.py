@@ -12,7 +12,9 @@ process, in lock-step.
         print(robot.proximity())
 """
 
+import math
 from collections.abc import Callable
+from os import PathLike
 from types import TracebackType
 from typing import Any, Literal, Self, TypeVar, overload
 
@@ -52,17 +54,21 @@ class Khepera:
 
     Raises:
         PortError: The port cannot be opened, or with "auto" there is no answer.
+        ValueError: A duration, distance or number is out of range.
     """
 
     def __init__(
         self,
-        url: str | serial.SerialBase,
+        url: str | PathLike[str] | serial.SerialBase,
         timeout: float = 1.0,
         baudrate: int | Literal["auto"] = 9600,
         *,
         retries: int = 1,
         wheel_base: float = WHEEL_BASE,
     ) -> None:
+        for name, value in (("timeout", timeout), ("wheel_base", wheel_base)):
+            if not 0 < value < math.inf:
+                raise ValueError(f"{name} = {value}; expected a number above 0")
         self._line = Line(url, timeout / 2, baudrate, retries)
         self._wheel_base = wheel_base
         self._mode_codes: tuple[int, int, int] | None = None

@@ -6,6 +6,7 @@ command sent again, and only one that does no harm twice. Where all reads of tha
 answer may be any one's: the line must have been silent after it, too.
 """
 
+import os
 import sys
 import threading
 import time
@@ -61,14 +62,15 @@ class Line:
 
     def __init__(
         self,
-        url: str | serial.SerialBase,
+        url: str | os.PathLike[str] | serial.SerialBase,
         timeout: float | None,
         baudrate: int | Literal["auto"],
         retries: int,
     ) -> None:
         if not (retries >= 0 and float(retries).is_integer()):
             raise ValueError(f"retries={retries!r}; expected an integer from 0")
-        url = numbered(url) if isinstance(url, str) else url
+        if isinstance(url, str | os.PathLike):
+            url = numbered(os.fspath(url))
         self._url = url if isinstance(url, str) else None
         self._retries = retries
         self._unanswered: set[str] = set()

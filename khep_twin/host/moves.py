@@ -67,7 +67,7 @@ def wait_for_target(robot: "Khepera", timeout: float) -> None:
                     f"{robot.name}: the {name} wheel goes to no target but is in {wheel.mode.name} mode; "
                     "expected set_target before"
                 )
-        if robot.time > end:
+        if not robot.time <= end:
             names = " and ".join(name for name, _ in moving)
             raise MoveError(f"{robot.name}: not on target after {timeout:g} s ({names} wheel)")
         robot.sleep(_PAUSE)

@@ -68,8 +68,8 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
             exclusive=exclusive or None,
             write_timeout=bound,
         )
-    # One error says all; its causes repeat it.
-    except PORT_FAILURES as error:
+    # One error says all; its causes repeat it. An expression of hwgrep:// may be malformed.
+    except (*PORT_FAILURES, re.error) as error:
         if isinstance(error, serial.SerialException) and error.errno in (errno.EBUSY, errno.EAGAIN):
             raise PortInUse(f"{url}: in use by a program that has locked it") from None
         raise PortError(*_why_not_opened(url, error)) from None

@@ -104,6 +104,6 @@ class Radio(HostTurret):
         return message
 
     def _pause(self, end: float, problem: str) -> None:
-        if self._robot.time > end:
+        if not self._robot.time <= end:
             raise PortTimeout(f"{self._robot.name}: {problem}")
         self._robot.sleep(_PAUSE)

@@ -71,7 +71,7 @@ class LogFile(Output):
             self._close()
 
     def discard(self) -> None:
-        """Remove the file, for a run that has not begun; where the disk fails it stays, as that of a killed run."""
+        """Remove the file, for a run that has not begun; a disk that fails keeps it, as a killed run's."""
         with undisturbed():
             if self.open:
                 # As long as it is locked, the name is that of no other run's file.

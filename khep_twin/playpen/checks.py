@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
 from khep_twin.errors import Location, Problem, TurretError
-from khep_twin.playpen.footprint import Circle, overlap
+from khep_twin.playpen.footprint import overlap
 from khep_twin.playpen.overlap import Thing, label, placement_problems
 from khep_twin.playpen.parts import BULB_RADIUS_MM, MODELS, SHORTEST_BLINK_S, Robot, Spot
 from khep_twin.playpen.polygon import edges
@@ -34,7 +34,7 @@ def playpen_problems(playpen: "Playpen", recorded: bool = False, placed: bool = 
         () if recorded else _arena_problems(playpen),
         _surface_problems(playpen),
         _wall_problems(playpen),
-        _patch_problems(playpen),
+        _patch_problems(playpen, placed),
         _lamp_problems(playpen),
         _robot_problems(playpen),
         _name_problems(playpen),
@@ -58,24 +58,26 @@ def assigned(playpen: "Playpen", order: Callable[[Sequence[str]], Sequence[str]]
     robots = list(playpen.robots)
     drawn = [index for index, robot in enumerate(robots) if robot.spots]
     tries = {index: [spots[name] for name in order(robots[index].spots)] for index in drawn}
-    steps = 0
-
-    def place(depth: int, taken: list[Circle]) -> bool:
-        nonlocal steps
-        steps += 1
-        if depth == len(drawn):
-            return True
-        index = drawn[depth]
-        for spot in tries[index] if steps < _ASSIGNMENT_LIMIT else ():
+    taken = [robot.footprint for robot in robots if not robot.spots]
+    n_fixed, steps = len(taken), 1
+    left = [iter(tries[index]) for index in drawn[:1]]
+    while left:
+        index = drawn[len(left) - 1]
+        del taken[n_fixed + len(left) - 1 :]
+        for spot in left[-1] if steps < _ASSIGNMENT_LIMIT else ():
             robot = at_spot(robots[index], spot)
-            if any(overlap(other, robot.footprint) for other in taken):
-                continue
-            if place(depth + 1, [*taken, robot.footprint]):
+            if not any(overlap(other, robot.footprint) for other in taken):
                 robots[index] = robot
-                return True
-        return False
-
-    return robots if place(0, [robot.footprint for robot in robots if not robot.spots]) else None
+                taken.append(robot.footprint)
+                break
+        else:
+            left.pop()
+            continue
+        if len(left) == len(drawn):
+            return robots
+        steps += 1
+        left.append(iter(tries[drawn[len(left)]]))
+    return None if drawn else robots
 
 
 _ASSIGNMENT_LIMIT = 20_000
@@ -197,8 +199,16 @@ def _wall_problems(playpen: "Playpen") -> Iterator[Problem]:
                 yield Problem.of(location, found, "each point once")
 
 
-def _patch_problems(playpen: "Playpen") -> Iterator[Problem]:
+def _patch_problems(playpen: "Playpen", placed: bool) -> Iterator[Problem]:
+    arena = playpen.arena
     for index, patch in enumerate(playpen.patches):
+        for key, value, limit in (
+            ("x_mm", patch.x_mm, arena.width_mm),
+            ("y_mm", patch.y_mm, arena.height_mm),
+        ):
+            if placed and value > limit:
+                found = f"{label('patch', index + 1, patch.name)}: {key} = {value:g}: outside the arena"
+                yield Problem.of(("patch", index, key), found, f"0 to {limit:g}")
         if not patch.is_one_shape:
             found = f"{label('patch', index + 1, patch.name)}: neither disc nor rectangle"
             yield Problem.of(("patch", index), found, "radius_mm alone, or length_mm and width_mm")

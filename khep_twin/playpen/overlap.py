@@ -14,7 +14,7 @@ import numpy as np
 
 from khep_twin.errors import Location, Problem
 from khep_twin.playpen.footprint import Footprint, overlap, sticks_out
-from khep_twin.playpen.polygon import Point, contains, walls_around
+from khep_twin.playpen.polygon import Point, contains, corner_before, walls_around
 
 THING_LIMIT = 5000
 """Most parts of one playpen: MuJoCo needs seconds to compile so many."""
@@ -105,8 +105,9 @@ def _collisions(things: Sequence[Thing], floor: Floor) -> Iterator[Problem]:
     for thing in things:
         if not thing.free:
             continue
-        for number, wall in enumerate(around, 1):
+        for index, wall in enumerate(around):
             if overlap(thing.footprint, wall):
+                number = corner_before(floor.outline_mm, index)
                 found = f"{thing} overlaps the wall after corner {number}"
                 yield Problem.of(thing.place, found, "a place further in")
         for wall, depth_mm in () if around else sticks_out(thing.footprint, width_mm, height_mm):

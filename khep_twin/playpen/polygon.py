@@ -93,20 +93,25 @@ def walls_around(points: Sequence[Point], thickness_mm: float) -> list[Rectangle
     return walls
 
 
+def corner_before(points: Sequence[Point], wall: int) -> int:
+    """Return the number from 1 of the corner after which a wall of `walls_around`, from 0, stands."""
+    return wall + 1 if area(points) > 0 else (len(points) - 1 - wall) or len(points)
+
+
 def reaching_in(points: Sequence[Point], thickness_mm: float) -> list[int]:
     """Return the numbers from 1 of the edges whose walls (`walls_around`) reach into the polygon itself."""
     ring = list(points) if area(points) > 0 else list(reversed(points))
     found: list[int] = []
-    for number, wall in enumerate(walls_around(points, thickness_mm), 1):
+    for index, wall in enumerate(walls_around(points, thickness_mm)):
         (ahead_x, ahead_y), (left_x, left_y) = wall.axes()
         for step, side in product(range(-9, 10), (-0.45, 0.0, 0.4)):
             along, across = step / 10 * wall.length_mm / 2, side * thickness_mm
             x = wall.x_mm + along * ahead_x + across * left_x
             y = wall.y_mm + along * ahead_y + across * left_y
             if contains(ring, x, y) and distance(ring, x, y) > 1e-6:
-                found.append(number)
+                found.append(corner_before(points, index))
                 break
-    return found
+    return sorted(found)
 
 
 def pieces(points: Sequence[Point], thickness_mm: float, *, closed: bool) -> Iterator[Footprint]:

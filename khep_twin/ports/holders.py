@@ -31,7 +31,10 @@ def holder(url: str) -> str:
     Args:
         url: Device, link to one, or URL of pyserial's.
     """
-    parts = urlsplit(url)
+    try:
+        parts = urlsplit(url)
+    except ValueError:  # such as brackets that are not closed
+        return ""
     if parts.scheme in ("socket", "rfc2217"):
         with suppress(OSError, ValueError):
             return "a connection" if _is_connected(parts.hostname or "", parts.port or 0) else ""

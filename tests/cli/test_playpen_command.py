@@ -143,3 +143,26 @@ def test_the_page_on_the_import_reports_what_the_command_does(tmp_path: Path, mo
     assert command("import", "scan.mat", "-o", "scan.toml", cwd=tmp_path).stdout == told
     (block,) = playpen.load(tmp_path / "scan.toml").blocks
     assert (block.x_mm, block.y_mm) == (300, 120)
+
+
+def test_the_head_of_a_random_playpen_makes_it_again(tmp_path: Path) -> None:
+    words = ("--density", 0.05, "--seed", 3, "--width-mm", 2000, "--height-mm", 600)
+    text = khep_twin("playpen", "random", *words, folder=tmp_path).stdout
+    head = text.splitlines()[0].split()
+    assert khep_twin(*head[2:], folder=tmp_path).stdout == text
+
+
+def test_a_calibration_that_is_missing_is_named_with_its_playpen_and_robot(tmp_path: Path) -> None:
+    tmp_path.joinpath("arena.toml").write_text(
+        'version = 1\nname = "a"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
+        '[[robot]]\nx_mm = 99\ny_mm = 99\nheading_deg = 0\ncalibration = "none.toml"\n'
+    )
+    done = khep_twin("playpen", "check", "arena.toml", folder=tmp_path)
+    assert re.match(r"khep-twin: arena.toml: robot 1: calibration = .*none.toml: ", done.stderr), done.stderr
+
+
+def test_a_log_of_another_playpen_is_not_drawn(tmp_path: Path) -> None:
+    khep_twin("run", "braitenberg", "--seconds", 1, "--log", "run.mcap", folder=tmp_path)
+    done = khep_twin("playpen", "draw", "two-lamps", "--log", "run.mcap", folder=tmp_path)
+    assert done.stderr == "khep-twin: run.mcap: a run in playpen default; expected one in two-lamps\n"
+    assert not tmp_path.joinpath("two-lamps.png").exists()

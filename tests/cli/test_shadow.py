@@ -151,3 +151,12 @@ def test_a_robot_is_followed_beside_its_host_as_its_log_is_afterwards(tmp_path: 
     assert polled
     assert len(read_arrays(shadow)[1]["/shadow/residuals"][0]) >= 3
     assert len(read_arrays(shadow)[1]["/shadow/learned"][0]) >= 1
+
+
+def test_a_time_beyond_the_end_is_the_end_and_an_odd_seed_is_refused(log: Path) -> None:
+    assert khep_twin("shadow", "obstacles", log, *SOME, "--until", "inf").returncode == 0
+    done = khep_twin("shadow", "obstacles", log, "--seed", -1)
+    assert (done.returncode, done.stderr) == (
+        1,
+        "khep-twin: seed = -1; expected an integer from 0 to 2**63-1\n",
+    )

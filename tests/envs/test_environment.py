@@ -629,3 +629,15 @@ PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
 def test_the_programs_of_the_page_run(number: int) -> None:
     pytest.importorskip("pettingzoo", reason="pettingzoo, the extra [rl], is not installed")
     exec(compile(PROGRAMS[number], str(PAGE), "exec"), {})
+
+
+@pytest.mark.parametrize("seed", [1.7, "abc", -1, 2**63])
+def test_an_odd_seed_of_an_episode_is_refused_and_numpys_integers_are_taken(seed: object) -> None:
+    gymnasium = pytest.importorskip("khep_twin.envs.gymnasium")
+    vector = pytest.importorskip("khep_twin.envs.gymnasium_vector")
+    options: dict[str, Any] = {"planar": True, "compiled": False}
+    for each in (gymnasium.KheperaEnvironment(**options), vector.KheperaVectorEnvironment(2, **options)):
+        with pytest.raises(ValueError, match=r"options: seed = .*; expected an integer from 0 to 2\*\*63-1"):
+            each.reset(options={"seed": seed})
+        each.reset(seed=np.int64(3), options={"seed": np.int64(3)})
+        each.close()

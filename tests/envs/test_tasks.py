@@ -200,6 +200,16 @@ def test_errors_of_wrong_words_name_the_right_ones() -> None:
         TaskSetup("Homing", playpen="obstacles", compiled=False)
     with pytest.raises(ValueError, match="whole ticks"):
         TaskSetup("Homing", period_ns=25_000_000)
+    with pytest.raises(KhepTwinError, match="did you mean 'anywhere'"):
+        dataclasses.replace(TASKS["Homing"], starts="anywher")  # type: ignore[arg-type]
+    with pytest.raises(KhepTwinError, match=r"charge_s = -1; expected a finite number from 0"):
+        dataclasses.replace(TASKS["Homing"], charge_s=-1)
+    with pytest.raises(ValueError, match="noise = 'off'; expected True or False"):
+        TaskSetup("Homing", noise="off")  # type: ignore[arg-type]
+    with pytest.raises(
+        PlaypenError, match="default: robot 1 has no spots; expected spots, at which 2 robots"
+    ):
+        TaskSetup("LoopingMaze", playpen="default", robots=2)
     with pytest.raises(ValueError, match="0 robots"):
         TaskSetup("Homing", robots=0)
 
@@ -210,3 +220,11 @@ def test_only_the_known_pair_of_mujoco_and_dm_control_is_taken() -> None:
         assert version_check.problem(mujoco, dm_control).endswith(
             " --no-deps 'mujoco~=3.17.0' dm-control==1.0.50"
         )
+
+
+def test_a_period_that_was_refused_is_none_of_the_episodes() -> None:
+    episode = TaskEpisode(TaskSetup("ObstacleAvoidance", planar=True, compiled=False))
+    episode.begin(1)
+    with pytest.raises(DivergedError):
+        episode.step([[np.nan, 0.0]])
+    assert episode.time_s == 0

@@ -211,3 +211,11 @@ def test_a_file_is_on_the_disk_before_it_is_renamed_and_its_name_after(
     monkeypatch.setattr(os, "fsync", lambda descriptor: done.append("file"))
     twin.close()
     assert done == ["file", "rename"]
+
+
+def test_a_file_that_is_replaced_keeps_who_may_read_it(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.touch(mode=0o600)
+    write_whole(path, b"new")
+    assert path.read_bytes() == b"new"
+    assert path.stat().st_mode & 0o777 == 0o600

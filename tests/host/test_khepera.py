@@ -1,14 +1,17 @@
 """The host's side, on a twin in lock-step and on ports that misbehave."""
 
+import math
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
 import serial
 
-from khep_twin.errors import PortError, PortTimeout, ProtocolError, StoppedError
+from khep_twin.errors import MoveError, PortError, PortTimeout, ProtocolError, StoppedError
 from khep_twin.host import Khepera
+from khep_twin.ports.holders import holder
 
 
 @pytest.fixture
@@ -101,6 +104,33 @@ def test_a_request_of_two_lines_and_an_odd_number_of_retries_are_refused(robot: 
     for retries in (-1, 0.5):
         with pytest.raises(ValueError, match="expected an integer from 0"):
             Khepera("khep://default", retries=retries)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    "options", [{"timeout": math.nan}, {"timeout": 0.0}, {"timeout": math.inf}, {"wheel_base": -0.05}]
+)
+def test_durations_and_distances_that_cannot_be_are_refused(options: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="expected a number above 0"):
+        Khepera("khep://default", **options)
+
+
+def test_a_port_may_be_a_path_and_an_odd_one_is_one_error(tmp_path: Path) -> None:
+    for url in (tmp_path / "none", "hwgrep://("):
+        with pytest.raises(PortError):
+            Khepera(url)
+    assert holder("socket://[::1") == ""
+
+
+def test_a_wait_without_a_number_ends_at_once(robot: Khepera) -> None:
+    robot.set_target(1000, 1000)
+    with pytest.raises(MoveError, match="not on target"):
+        robot.wait_for_target(math.nan)
+
+
+@pytest.mark.parametrize("reply", ["h,1_0,5", "h," + "9" * 30 + ",5", "h,+1,5"])
+def test_what_is_no_integer_of_the_robots_is_a_protocol_error(reply: str) -> None:
+    with pytest.raises(ProtocolError, match="expected integers"):
+        Khepera(Silent(f"{reply}\r\n".encode()), retries=0).position()
 
 
 @pytest.mark.parametrize("request_line", [" D,20,20", "P,1,1", "run demo"])

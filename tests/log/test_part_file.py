@@ -1,5 +1,6 @@
 """Unfinished logs: two runs of one name that begin or end at the same moment."""
 
+import errno
 import fcntl
 import os
 from pathlib import Path
@@ -74,5 +75,18 @@ def test_a_run_that_is_given_up_removes_its_own_file_only(
         close(self)
 
     monkeypatch.setattr(PartFile, "close", amid)
+    log.discard()
+    assert not log.open
+
+
+def test_a_log_that_cannot_be_removed_does_not_hide_why_its_run_has_not_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = LogFile(tmp_path / "run.mcap", lambda: 0)
+
+    def refuse(path: Path, missing_ok: bool = False) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(Path, "unlink", refuse)
     log.discard()
     assert not log.open

@@ -437,6 +437,10 @@ WRONG = {
     * 2: 'robot 2 (r): name = "r": taken by robot 1 (r); expected a unique name',
     HEAD
     + ARENA
+    + "[[patch]]\nx_mm = 9999\ny_mm = 99\nradius_mm = 9\n": "patch 1: x_mm = 9999: outside the arena; "
+    "expected 0 to 600",
+    HEAD
+    + ARENA
     + '[[patch]]\nname = "q"\nx_mm = 99\ny_mm = 99\nradius_mm = 9\n' * 2: 'patch 2 (q): name = "q": taken '
     "by patch 1 (q); expected a unique name",
 }

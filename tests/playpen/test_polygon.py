@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from khep_twin.playpen.footprint import Rectangle
-from khep_twin.playpen.polygon import area, contains, crossing, distance, pieces, walls_around
+from khep_twin.playpen.polygon import area, contains, corner_before, crossing, distance, pieces, walls_around
 
 SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
 L_SHAPE = [(0.0, 0.0), (300.0, 0.0), (300.0, 100.0), (100.0, 100.0), (100.0, 300.0), (0.0, 300.0)]
@@ -81,3 +81,13 @@ def test_a_free_standing_wall_is_rectangles_with_round_corners() -> None:
     assert [type(shape).__name__ for shape in shapes] == ["Rectangle", "Rectangle", "Circle"]
     assert [shape.length_mm for shape in shapes if isinstance(shape, Rectangle)] == [100, 60]
     assert len(list(pieces(line, 8, closed=True))) == 6
+
+
+@pytest.mark.parametrize("points", [L_SHAPE, L_SHAPE[::-1]])
+def test_a_wall_is_named_by_the_corner_before_it_in_the_files_order(
+    points: list[tuple[float, float]],
+) -> None:
+    for index, wall in enumerate(walls_around(points, 2)):
+        number = corner_before(points, index)
+        middle = np.add(points[number - 1], points[number % len(points)]) / 2
+        assert np.hypot(*(middle - (wall.x_mm, wall.y_mm))) < 2

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen
+from khep_twin.board.kernel import AMBIENT
 from khep_twin.sensing import optics
 from khep_twin.sensing.ambient import light_of
 from khep_twin.sensing.mujoco_scene import points_of_a_bulb
@@ -115,3 +116,19 @@ def test_corners_of_the_gripper_beside_a_sensor_stop_light(
         stopped += any(0 <= hit < 1 - optics.BULB_RADIUS / distance for hit in hits)
     assert optics.part_of_bulb(scene, sensors, channel, way, distance, MANY) == 1 - stopped / 64
     assert stopped in (1, 2, 55)
+
+
+@pytest.mark.parametrize("bulb", ["x_mm = 620\ny_mm = 500\nz_mm = 3", "x_mm = 999\ny_mm = 500"])
+def test_a_bulb_within_floor_or_wall_has_the_same_light_beside_what_can_move(bulb: str) -> None:
+    arena = 'version = 1\nname = "a"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n'
+    robot = "[[robot]]\nx_mm = 500\ny_mm = 500\nheading_deg = 0\n"
+    loose = (
+        "[[cylinder]]\nx_mm = 60\ny_mm = 60\nradius_mm = 10\nheight_mm = 20\nmass_g = 20\nmovable = true\n"
+    )
+    text = f"{arena}{robot}[[lamp]]\npower_w = 1\n{bulb}\n"
+    seen: list[list[int]] = []
+    for each in (text, text + loose):
+        world = World(playpen.parse(each, "bulb"), noise=False)
+        world.advance_to(200_000_000)
+        seen.append([int(count) for count in world.robots[0].registers[AMBIENT]])
+    assert seen[0] == seen[1]

@@ -190,7 +190,7 @@ class SensorRun:
     text: str = ""
 
     def __post_init__(self) -> None:
-        """Check the shapes; raise a `SensorTestError` for values that no test gives, or not every file holds."""
+        """Check the shapes; raise a `SensorTestError` for values that no test gives or no file holds."""
         width = 2 + len(self.test.quantity.names)
         if self.dv.shape != (len(self.times), width) or self.times.ndim != 1:
             raise ValueError(f"shapes {self.dv.shape} and {self.times.shape}; expected (n, {width}) and (n,)")
