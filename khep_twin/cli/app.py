@@ -6,7 +6,9 @@ What a command needs is imported inside it, so that `khep-twin --help` comes at 
 import errno
 import os
 import sys
-from typing import Annotated
+import warnings
+from collections.abc import Callable
+from typing import Annotated, Any
 
 import typer
 from typer.exceptions import TyperException
@@ -22,7 +24,7 @@ from khep_twin.cli.design import design
 from khep_twin.cli.drive import drive
 from khep_twin.cli.fit import fit
 from khep_twin.cli.log import recover, repeat
-from khep_twin.cli.options import Commands
+from khep_twin.cli.options import Commands, complain
 from khep_twin.cli.playpen import playpen_app
 from khep_twin.cli.ports import ports
 from khep_twin.cli.report import export, report
@@ -72,9 +74,22 @@ def main() -> None:
     leave(exit_code(128 + asked_by() if code == 130 and asked_by() else code))
 
 
+def _told(show: Callable[..., None]) -> Callable[..., None]:
+    """Return a function that prints a warning of khep_twin as a line, and others as before."""
+
+    def tell(message: Warning | str, category: type[Warning], *place: Any) -> None:
+        if category is UserWarning:
+            complain(str(message))
+        else:
+            show(message, category, *place)
+
+    return tell
+
+
 def _run() -> int:
     try:
-        with answered():
+        with answered(), warnings.catch_warnings():
+            warnings.showwarning = _told(warnings.showwarning)
             return app(prog_name="khep-twin", standalone_mode=False) or 0
     except KeyboardInterrupt:
         return 130

@@ -51,6 +51,10 @@ class ShadowOptions:
         found = found.model_copy(update={"robots": (found.robots[robot],)})
         if pose := _POSE.fullmatch(self.start):
             x_mm, y_mm, heading_deg = map(float, pose.groups())
+            arena = found.arena
+            if not (0 <= x_mm <= arena.width_mm and 0 <= y_mm <= arena.height_mm):
+                wanted = f"a place in the arena of {arena.width_mm:g} x {arena.height_mm:g} mm"
+                raise usage(f"--start {self.start}: outside; expected {wanted}")
             found = at_start(found, 0, (x_mm, y_mm, heading_deg))
         return found
 

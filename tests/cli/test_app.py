@@ -343,3 +343,14 @@ def test_unknown_options_are_refused_with_help() -> None:
     result = khep_twin("run", "--sed", "1")
     assert result.returncode == 2
     assert "No such option: --sed" in result.stderr
+
+
+def test_a_warning_about_a_port_is_one_line() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "khep_twin", "conform", "khep://default?mode=2"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("khep-twin: khep://default?mode=2: the host has its line at 9600 baud")

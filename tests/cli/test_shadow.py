@@ -160,3 +160,8 @@ def test_a_time_beyond_the_end_is_the_end_and_an_odd_seed_is_refused(log: Path) 
         1,
         "khep-twin: seed = -1; expected an integer from 0 to 2**63-1\n",
     )
+
+
+def test_a_start_outside_the_arena_is_refused(log: Path) -> None:
+    done = khep_twin("shadow", "obstacles", log, "--start", "99999,5,0")
+    assert done.stderr.startswith("khep-twin: --start 99999,5,0: outside; expected a place in the arena of ")
