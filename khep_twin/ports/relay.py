@@ -197,12 +197,14 @@ def relay(
     waiting, next_host = b"", b""
     held_s = 0.0
     while not stop():
-        _wait(device, port, room := not waiting and not next_host, bool(waiting), held_s)
+        # The next host is heard while one that has left still speaks, to know that it waits.
+        room = not next_host and (not waiting or dialogue.ended)
+        _wait(device, port, room, bool(waiting), held_s)
         # Replies before hosts: silence counts up to a read that found nothing, however late this turn is.
         reply = dialogue.read()
         on_bytes(False, reply)
         passed = polls.passed(reply) if polls is not None and reply else reply
-        received = port.receive(_CHUNK if room else 0, room and dialogue.answered)
+        received = port.receive(_CHUNK if room else 0, room and not waiting and dialogue.answered)
         for notice in received.notices:
             note(notice)
         if received.left:
@@ -213,16 +215,16 @@ def relay(
             waiting, next_host = dialogue.end(unsent), b""
             on_bytes(True, waiting[len(unsent) :])
         if received.data:
-            settings = port.settings()
-            if settings is not None and (notice := device.follow(settings)):
-                for text in ration.admitted([notice]):
-                    note(text)
             on_bytes(True, received.data)
             next_host = received.data
         if next_host and dialogue.ended and len(waiting) > _CHUNK:
             note(f"{len(waiting) - _KEPT} bytes of a host that has left were dropped: the next one waits")
             waiting = dialogue.end(waiting[:_KEPT])
-        if not dialogue.settling(waiting):
+        if not dialogue.settling(waiting) and next_host:
+            settings = port.settings()
+            if settings is not None and (notice := device.follow(settings)):
+                for text in ration.admitted([notice]):
+                    note(text)
             waiting, next_host = waiting + next_host, b""
         if polls is not None:
             held_s = polls.hold_s(waiting)
