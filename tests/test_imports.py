@@ -10,7 +10,8 @@ PACKAGE = Path(__file__).parents[1] / "khep_twin"
 
 ORDER = [
     ["compilable"],
-    ["errors", "clock", "machine", "units", "randomness"],
+    ["errors", "clock", "machine", "units"],
+    ["randomness"],
     ["signals", "status_line", "invocation"],
     ["files"],
     ["board"],
