@@ -66,9 +66,10 @@ class Khepera:
         retries: int = 1,
         wheel_base: float = WHEEL_BASE,
     ) -> None:
-        for name, value in (("timeout", timeout), ("wheel_base", wheel_base)):
-            if not 0 < value < math.inf:
-                raise ValueError(f"{name} = {value}; expected a number above 0")
+        if not 0 <= timeout < math.inf:
+            raise ValueError(f"timeout = {timeout}; expected a finite number from 0")
+        if not 0 < wheel_base < math.inf:
+            raise ValueError(f"wheel_base = {wheel_base}; expected a number above 0")
         self._line = Line(url, timeout / 2, baudrate, retries)
         self._wheel_base = wheel_base
         self._mode_codes: tuple[int, int, int] | None = None

@@ -141,8 +141,9 @@ class Line:
         with self._exchange:
             self._ask([request], replies)
             end = self.time + _LONGEST_OUTPUT
-            is_tool = request.lstrip()[:1].islower()
-            while is_tool and self.time < end and self._read_line(request).endswith(b"\n"):
+            # `serial` answers in one line, and speaks at another speed from then on.
+            prints = request.lstrip()[:1].islower() and request.split()[0] != "serial"
+            while prints and self.time < end and self._read_line(request).endswith(b"\n"):
                 pass
         return replies[0]
 

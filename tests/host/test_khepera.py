@@ -107,10 +107,10 @@ def test_a_request_of_two_lines_and_an_odd_number_of_retries_are_refused(robot: 
 
 
 @pytest.mark.parametrize(
-    "options", [{"timeout": math.nan}, {"timeout": 0.0}, {"timeout": math.inf}, {"wheel_base": -0.05}]
+    "options", [{"timeout": math.nan}, {"timeout": -1.0}, {"timeout": math.inf}, {"wheel_base": 0.0}]
 )
 def test_durations_and_distances_that_cannot_be_are_refused(options: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="expected a number above 0"):
+    with pytest.raises(ValueError, match=r"expected a (finite )?number"):
         Khepera("khep://default", **options)
 
 
