@@ -57,10 +57,8 @@ def check(playpen: PlaypenName) -> None:
             calibration.read(robot.calibration)
         except CalibrationError as error:
             raise CalibrationError(f"{playpen}: robot {index}: calibration = {error}") from None
-    kinds = {**found.objects, "wall": found.walls, "patch": found.patches, "lamp": found.lamps}
-    kinds |= {"spot": found.spots, "robot": found.robots}
-    plural = {kind: f"{kind}s" for kind in kinds} | {"patch": "patches"}
-    there = [(kind, len(items)) for kind, items in kinds.items() if items]
+    plural = {kind: f"{kind}s" for kind in found.tables} | {"patch": "patches"}
+    there = [(kind, len(items)) for kind, items in found.tables.items() if items]
     counts = [f"{count} {kind if count == 1 else plural[kind]}" for kind, count in there]
     typer.echo(f"{found.name}: {', '.join(counts) or 'an empty arena'}: no problem")
 
@@ -74,11 +72,12 @@ def compile_playpen(
     It opens in MuJoCo without khep_twin.
     """
     from khep_twin import playpen as playpens
+    from khep_twin.playpen.starts import at_spots
     from khep_twin.playpen_to_mjcf import to_mjcf
 
     check_apart([playpen], output)
     check_new(force, output)
-    _write(to_mjcf(_placed(playpens.load(playpen), seed)), output, "scene")
+    _write(to_mjcf(at_spots(playpens.load(playpen), seed)), output, "scene")
 
 
 @playpen_app.command()
@@ -97,6 +96,7 @@ def draw(
     """
     from khep_twin import playpen as playpens
     from khep_twin.drawing import map as drawing
+    from khep_twin.playpen.starts import at_spots
 
     found = playpens.load(playpen)
     target = output or Path(f"{found.name}.png")
@@ -106,10 +106,10 @@ def draw(
 
         if log is not None:
             raise KhepTwinError("--log draws on a map; expected no --perspective")
-        write_whole(target, render(_placed(found, seed), target))
+        write_whole(target, render(at_spots(found, seed), target))
     else:
         paths = _driven_paths(log, found.name) if log is not None else ()
-        drawing.save(drawing.draw(_placed(found, seed), paths), target)
+        drawing.save(drawing.draw(at_spots(found, seed), paths), target)
     typer.echo(f"picture  {target}")
 
 
@@ -158,13 +158,6 @@ def _write(text: str, output: Path | None, kind: str, more: str = "") -> None:
     else:
         write_whole(output, text.encode("utf-8"))
         typer.echo(f"{kind:7}  {output}{more}")
-
-
-def _placed(playpen: "Playpen", seed: int) -> "Playpen":
-    """Return a playpen with its robots where a run with this seed puts them."""
-    from khep_twin.playpen.starts import at_spots
-
-    return at_spots(playpen, seed)
 
 
 def _driven_paths(log: Path, playpen: str) -> "list[DrawnPath]":

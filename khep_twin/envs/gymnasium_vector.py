@@ -102,7 +102,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
             raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments; expected {self.num_envs}")
         others = dict(options or {})
         chosen = self._chosen(others.pop("reset_mask", None))
-        self._begin(chosen, seeds, None if others.get("seed") is None else episode_seed(others, 0))
+        self._begin(chosen, seeds, episode_seed(others, None))
         return self._seen(), self._infos(chosen)
 
     def step(

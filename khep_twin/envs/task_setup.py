@@ -7,7 +7,7 @@ of the robot: pulses/10 ms, and counts.
 import math
 import operator
 from collections.abc import Mapping
-from typing import SupportsIndex
+from typing import SupportsIndex, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ from khep_twin.playpen.starts import anywhere, at_spots
 from khep_twin.randomness import SEED_LIMIT
 from khep_twin.rollout.episode import Episode, EpisodeSetup
 from khep_twin.sensing import calibration
+
+Drawn = TypeVar("Drawn", int, None)
 
 PERIOD_NS = 50_000_000
 """Default control period [ns]."""
@@ -128,7 +130,7 @@ class TaskSetup:
         return (anywhere if self.task.starts == "anywhere" else at_spots)(self.playpen, seed)
 
 
-def episode_seed(options: Mapping[str, object] | None, drawn: int) -> int:
+def episode_seed(options: Mapping[str, object] | None, drawn: Drawn) -> int | Drawn:
     """Return the seed of an episode that the options of `reset` choose, or else the one that was drawn.
 
     Raises:

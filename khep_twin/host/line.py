@@ -34,7 +34,7 @@ _STOP = "D,0,0"
 _PATIENCE = 1.0
 """Wait for what comes where a port has no timeout of its own [s]."""
 
-_LONGEST_OUTPUT = 10.0
+LONGEST_OUTPUT = 10.0
 """Longest wait for the end of a tool's output [s]; `list` takes 2 s at 9600 baud."""
 
 _PROBES = "BHEK"
@@ -140,7 +140,7 @@ class Line:
         self._give_way()
         with self._exchange:
             self._ask([request], replies)
-            end = self.time + _LONGEST_OUTPUT
+            end = self.time + LONGEST_OUTPUT
             # `serial` answers in one line, and speaks at another speed from then on.
             prints = request.lstrip()[:1].islower() and request.split()[0] != "serial"
             while prints and self.time < end and self._read_line(request).endswith(b"\n"):
@@ -365,8 +365,7 @@ class Line:
 
 def _moves(request: str) -> bool:
     """Return whether a request may move the robot."""
-    words = request.split(maxsplit=1) or [""]
-    return request != _STOP and (words[0][:1] in "CDP" or words[0] in ("run", "restart"))
+    return request != _STOP and request.lstrip().startswith(("C", "D", "P", "run", "restart"))
 
 
 def _text(line: bytes) -> str:

@@ -8,7 +8,7 @@ from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
 from khep_twin.errors import Location, Problem, TurretError
 from khep_twin.playpen.footprint import overlap
-from khep_twin.playpen.overlap import Thing, label, placement_problems
+from khep_twin.playpen.overlap import Thing, beyond, label, placement_problems
 from khep_twin.playpen.parts import BULB_RADIUS_MM, MODELS, SHORTEST_BLINK_S, Robot, Spot
 from khep_twin.playpen.polygon import edges
 from khep_twin.playpen.stripes import PANEL_LIMIT, Stripe
@@ -200,18 +200,13 @@ def _wall_problems(playpen: "Playpen") -> Iterator[Problem]:
 
 
 def _patch_problems(playpen: "Playpen", placed: bool) -> Iterator[Problem]:
-    arena = playpen.arena
     for index, patch in enumerate(playpen.patches):
-        for key, value, limit in (
-            ("x_mm", patch.x_mm, arena.width_mm),
-            ("y_mm", patch.y_mm, arena.height_mm),
-        ):
-            if placed and value > limit:
-                found = f"{label('patch', index + 1, patch.name)}: {key} = {value:g}: outside the arena"
-                yield Problem.of(("patch", index, key), found, f"0 to {limit:g}")
+        told = label("patch", index + 1, patch.name)
         if not patch.is_one_shape:
-            found = f"{label('patch', index + 1, patch.name)}: neither disc nor rectangle"
+            found = f"{told}: neither disc nor rectangle"
             yield Problem.of(("patch", index), found, "radius_mm alone, or length_mm and width_mm")
+        elif placed:
+            yield from beyond(told, ("patch", index), patch.footprint, playpen.arena)
 
 
 def _lamp_problems(playpen: "Playpen") -> Iterator[Problem]:
@@ -257,16 +252,8 @@ def _robot_problems(playpen: "Playpen") -> Iterator[Problem]:
 
 def _name_problems(playpen: "Playpen") -> Iterator[Problem]:
     """Yield the names that two parts have, of whatever kind."""
-    tables = {
-        **playpen.objects,
-        "wall": playpen.walls,
-        "patch": playpen.patches,
-        "lamp": playpen.lamps,
-        "spot": playpen.spots,
-        "robot": playpen.robots,
-    }
     first: dict[str, str] = {}
-    for kind, items in tables.items():
+    for kind, items in playpen.tables.items():
         for index, item in enumerate(items):
             place = label(kind, index + 1, item.name)
             if item.name is not None and first.setdefault(item.name, place) != place:

@@ -48,6 +48,18 @@ class Playpen(TomlTable):
     robots: Annotated[tuple[Robot, ...], Field(alias="robot")] = ()
 
     @property
+    def tables(self) -> dict[str, tuple[Block | Cylinder | Wall | Patch | Lamp | Spot | Robot, ...]]:
+        """Parts by kind, as their tables are named."""
+        return {
+            **self.objects,
+            "wall": self.walls,
+            "patch": self.patches,
+            "lamp": self.lamps,
+            "spot": self.spots,
+            "robot": self.robots,
+        }
+
+    @property
     def objects(self) -> dict[str, tuple[Block | Cylinder, ...]]:
         """Objects that stand on the floor, by the name of their table."""
         return {

@@ -86,14 +86,19 @@ def placement_problems(things: Sequence[Thing], floor: Floor) -> Iterator[Proble
     yield from _collisions(inside, floor)
 
 
-def _outside(thing: Thing, floor: Floor) -> Iterator[Problem]:
-    at = thing.footprint
-    told = False
+def beyond(label: str, place: Location, at: Footprint, floor: Floor) -> Iterator[Problem]:
+    """Yield the coordinates of a part's centre that lie beyond the sides of the floor."""
     for key, value, limit in (("x_mm", at.x_mm, floor.width_mm), ("y_mm", at.y_mm, floor.height_mm)):
         if value > limit:
-            told = True
-            found = f"{thing.label}: {key} = {value:g}: outside the arena"
-            yield Problem.of((*thing.place, key), found, f"0 to {limit:g}")
+            yield Problem.of(
+                (*place, key), f"{label}: {key} = {value:g}: outside the arena", f"0 to {limit:g}"
+            )
+
+
+def _outside(thing: Thing, floor: Floor) -> Iterator[Problem]:
+    at = thing.footprint
+    told = list(beyond(thing.label, thing.place, at, floor))
+    yield from told
     if not told and floor.outline_mm and not contains(floor.outline_mm, at.x_mm, at.y_mm):
         yield Problem.of(thing.place, f"{thing} is outside the arena's outline", "a place within it")
 

@@ -12,6 +12,7 @@ time the same function of time; only the phase at time 0 is drawn by the seed, a
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import zip_longest
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -121,10 +122,8 @@ class Lamps:
             self.turn(index, False, self._time_ns)
         if self.lit is not None and before.lit is not None and before.lit < count:
             self.lit, self._near_lamp, self._near_wall = before.lit, before._near_lamp, before._near_wall
-        same = [full == other for full, other in zip(self._full, before._full, strict=False)]
-        for index, full in enumerate(self._full):
-            going_on = index < len(same) and same[index]
-            self.powers[index] = before.powers[index] if going_on else full * self._wanted(index)
+        for index, (full, other) in enumerate(zip_longest(self._full, before._full[:count])):
+            self.powers[index] = before.powers[index] if full == other else full * self._wanted(index)
 
     def turn(self, index: int, on: bool, time_ns: int) -> None:
         """Switch a lamp by hand at a time [ns]: off, or back to its own schedule."""

@@ -14,8 +14,8 @@ import numpy as np
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.units import BULB_RADIUS, SENSOR_HEIGHT
 
-_AROUND = frozenset(("wall_left", "wall_right", "wall_bottom", "wall_top", "floor"))
-"""Walls and floor of a rectangular arena: nothing is behind them, but they hide a bulb within them."""
+_WALLS = frozenset(("wall_left", "wall_right", "wall_bottom", "wall_top"))
+"""Walls of a rectangular arena: nothing is behind them, but they hide a bulb within them."""
 
 
 class SightLines:
@@ -52,8 +52,8 @@ def _directions(
         size, centre = model.geom_size[geom].tolist(), model.geom_pos[geom].tolist()
         box = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX
         height = centre[2] + (size[2] if box else size[1])
-        around = model.geom(geom).name in _AROUND
-        if model.geom(geom).name == "floor" or height <= lowest:
+        name = model.geom(geom).name
+        if name == "floor" or height <= lowest:
             continue
         x, y = centre[0] - lamp[0], centre[1] - lamp[1]
         w, _, _, z = model.geom_quat[geom].tolist()
@@ -64,7 +64,7 @@ def _directions(
         along = x * math.cos(angle) + y * math.sin(angle)
         across = -x * math.sin(angle) + y * math.cos(angle)
         nearest = math.hypot(max(abs(along) - half_length, 0), max(abs(across) - half_width, 0))
-        if around and nearest >= BULB_RADIUS:
+        if name in _WALLS and nearest >= BULB_RADIUS:
             continue
         if nearest <= 2 * BULB_RADIUS:
             yield 0.0, math.inf, 0.0  # right at the bulb: it may hide it from anywhere

@@ -16,12 +16,11 @@ import serial
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PORT_FAILURES, KhepTwinError, PortError
+from khep_twin.host.line import LONGEST_OUTPUT
 
 SILENCE = 0.1
 """Time without a byte after which a line counts as silent [s]; impatient hosts wait as long for a reply."""
 
-LONGEST_OUTPUT = 10.0
-"""Longest wait for the end of what the robot sends [s]; the list of its tools takes 2 s at 9600 baud."""
 
 _NUMBER = re.compile("-?(0|[1-9][0-9]*)")
 

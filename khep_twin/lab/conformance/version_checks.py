@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator
 
 from khep_twin.board.rom import ROMS
-from khep_twin.clock import NS_PER_S
+from khep_twin.clock import NEVER_NS, NS_PER_S
 from khep_twin.lab.conformance.board_model import RecordedStep
 from khep_twin.lab.conformance.recorded_line import RecordedLine
 from khep_twin.lab.conformance.recording import Finding, RecordingCheck, Verdict, adder, answered, finding
@@ -73,7 +73,7 @@ def _output(line: RecordedLine, place: int) -> Iterator[bytes]:
     # Outputs of tools before it, and commands of the next banner, may be between: steps are in their order.
     later = [step.exchange for step in line.steps[place + 1 :]]
     restarts = [each.heard_ns for each in later if each.command == b"restart" and each.reply is not None]
-    end_ns = min(restarts, default=later[-1].heard_ns + 1 if later else 0)
+    end_ns = min(restarts, default=NEVER_NS)
     for each in later:
         if not each.command and each.output_of == source and first.heard_ns <= each.heard_ns < end_ns:
             yield each.reply or b""
