@@ -5,9 +5,9 @@ import numpy as np
 from benchmarks.one_object import Controller, Decide, Floats
 from benchmarks.sampled_world import DARK_COUNTS
 from khep_twin.board.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
+from khep_twin.episodes.controllers import Network
+from khep_twin.episodes.networks import forward
 from khep_twin.randomness import stream
-from khep_twin.rollout.controllers import Network
-from khep_twin.rollout.networks import forward
 from khep_twin.units import COUNTS_LIMIT, SENSOR_HEADINGS, Sensor
 
 _SLOW, _BRISK = 3.0, 6.0

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.episodes.episode import Episode, EpisodeSetup
 from khep_twin.playpen import Playpen
-from khep_twin.rollout.episode import Episode, EpisodeSetup
 
 Floats = NDArray[np.float64]
 

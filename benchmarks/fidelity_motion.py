@@ -12,8 +12,8 @@ from benchmarks.infrared_fits import rms
 from khep_twin import playpen
 from khep_twin.board.battery import discharged
 from khep_twin.board.kernel import Board
-from khep_twin.rollout.controllers import ConstantSpeed
-from khep_twin.rollout.episode import Episode, EpisodeSetup
+from khep_twin.episodes.controllers import ConstantSpeed
+from khep_twin.episodes.episode import Episode, EpisodeSetup
 
 _TABLE = "motor table of evorobot's simulator, whose scatter is not told"
 _MANUAL = "Khepera manual 5.02"

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from benchmarks.infrared_fits import CYLINDER_RADIUS, reference
 from khep_twin import units
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.planar.planar_world import PlanarWorld
 from khep_twin.playpen import Lamp, Playpen, parse
-from khep_twin.rollout.episode_setup import EpisodeSetup
-from khep_twin.rollout.planar.planar_world import PlanarWorld
 from khep_twin.sensing.optics import convert
 from khep_twin.sensing.scene import step
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
+from khep_twin.episodes.episode import Episode, EpisodeSetup
 from khep_twin.playpen import Arena, Cylinder, Lamp, Playpen, Robot
-from khep_twin.rollout.episode import Episode, EpisodeSetup
 from khep_twin.units import BODY_RADIUS, BULB_RADIUS
 
 Floats = NDArray[np.float64]

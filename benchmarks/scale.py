@@ -14,10 +14,10 @@ import numpy as np
 from benchmarks.table import LEGEND, Row, measure, text, timed
 from khep_twin import playpen, units
 from khep_twin.board import kernel
+from khep_twin.episodes.batch import rollout
+from khep_twin.episodes.controllers import Braitenberg, Driver, Floats, Network, Policy
+from khep_twin.episodes.episode import Episode, EpisodeSetup
 from khep_twin.playpen import Playpen
-from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.controllers import Braitenberg, Driver, Floats, Network, Policy
-from khep_twin.rollout.episode import Episode, EpisodeSetup
 from khep_twin.world import World
 
 PLAYPENS = ("default", "obstacles", "looping-maze")

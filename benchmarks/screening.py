@@ -18,11 +18,11 @@ from scipy.stats import spearmanr
 from benchmarks.growth import TWENTY_BLOCKS, twenty_blocks
 from benchmarks.scale import NETWORK, random_genes
 from khep_twin import playpen
+from khep_twin.episodes.batch import rollout
+from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Driver, Network
+from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.screening import best_first
 from khep_twin.playpen import Arena, Playpen, Robot
-from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Driver, Network
-from khep_twin.rollout.episode import Episode, EpisodeSetup
-from khep_twin.rollout.screening import best_first
 
 GENOMES, SEEDS, EPISODE_S, ELITE = 200, 3, 30.0, 20
 TIMES_S = (1.0, 6.0, 60.0)

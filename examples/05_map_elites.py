@@ -23,12 +23,12 @@ import numpy as np
 
 from khep_twin import playpen
 from khep_twin.drawing.map import draw, save
+from khep_twin.episodes.batch import rollout
+from khep_twin.episodes.controllers import Network
+from khep_twin.episodes.episode import EpisodeSetup
 from khep_twin.errors import pip_install
 from khep_twin.files.atomic import unusable
 from khep_twin.randomness import stream
-from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.controllers import Network
-from khep_twin.rollout.episode import EpisodeSetup
 
 try:
     from ribs.archives import GridArchive

@@ -36,7 +36,7 @@ it; the processor of a robot has stopped."""
 
 WARNED, OUT_OF_BOUNDS, NO_SPEED = 4, 5, 6
 """Reasons for a return that end a run: the physics has warned, or has left its bounds, or a controller (of
-`khep_twin.rollout.stepping`) gave a speed that is no number."""
+`khep_twin.episodes.stepping`) gave a speed that is no number."""
 
 STEPS, PHASE, FIRST, DRAWN = 0, 1, 2, 3
 """Indices in `Simulated.counters`: steps done, part of the step that is done (DONE, STEPPED or TICKED), step

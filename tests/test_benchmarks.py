@@ -18,8 +18,8 @@ from benchmarks.scale import bare_row, episode_row, world_row
 from benchmarks.swarm import swarm_rows
 from benchmarks.table import COST, Row, Table, Taken, measure, text, timed
 from khep_twin import playpen, units
+from khep_twin.episodes.episode import EpisodeSetup
 from khep_twin.errors import KhepTwinError
-from khep_twin.rollout.episode import EpisodeSetup
 
 FOLDER = Path(benchmarks.__file__).parent
 

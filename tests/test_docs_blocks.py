@@ -21,7 +21,7 @@ PROGRAMS = {
     "environments.md": "envs/test_environment.py",
     "README.md": "test_readme.py",
     "host.md": "host/test_guide.py",
-    "scale.md": "rollout/test_page.py",
+    "scale.md": "episodes/test_page.py",
     "toolbox.md": "toolbox/test_toolbox_page.py",
 }
 """Pages whose Python blocks another test runs, and compares."""

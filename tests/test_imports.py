@@ -27,7 +27,7 @@ ORDER = [
     ["log"],
     ["ports"],
     ["host"],
-    ["rollout"],
+    ["episodes"],
     ["shadow"],
     ["envs", "lab.conformance", "lab.experiment", "lab.sensor_test"],
     ["lab.challenge", "lab.fit", "lab.report", "sweep"],

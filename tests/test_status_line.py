@@ -125,8 +125,8 @@ def test_the_compilation_of_an_episode_is_announced_and_no_other_one(
     from numba import njit
     from numba.core import event
 
-    from khep_twin.rollout.compiled import run
-    from khep_twin.rollout.planar.compiled import run as planar_run
+    from khep_twin.episodes.compiled import run
+    from khep_twin.episodes.planar.compiled import run as planar_run
     from khep_twin.simulation import compiled
 
     printed = set[str]()

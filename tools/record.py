@@ -27,10 +27,10 @@ import numpy as np
 from mcap.reader import make_reader
 
 from khep_twin import playpen
+from khep_twin.episodes.batch import rollout
+from khep_twin.episodes.controllers import Braitenberg, Network
 from khep_twin.errors import KhepTwinError
 from khep_twin.playpen_to_mjcf import to_mjcf
-from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.controllers import Braitenberg, Network
 
 RECORD = Path(__file__).with_suffix(".json")
 SEEDS = (1, 2)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.episodes.controllers import Network
 from khep_twin.errors import pip_install
 from khep_twin.files.atomic import unusable
-from khep_twin.rollout.controllers import Network
 
 try:
     from cmaes import CMA

@@ -18,10 +18,10 @@ from trajectories import trajectories
 
 from khep_twin import playpen
 from khep_twin.drawing.map import DrawnPath, draw, save
+from khep_twin.episodes.controllers import Braitenberg, Driver, Network
+from khep_twin.episodes.episode import EpisodeSetup
 from khep_twin.playpen.starts import Start, anywhere
 from khep_twin.randomness import stream
-from khep_twin.rollout.controllers import Braitenberg, Driver, Network
-from khep_twin.rollout.episode import EpisodeSetup
 
 options = parse_options(
     "Evolve phototaxis around a screen.", generations=80, episodes=16, seconds=30.0, check_starts=100

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.episodes.controllers import Driver
+from khep_twin.episodes.episode import Episode, EpisodeSetup
 from khep_twin.playpen.starts import Start
-from khep_twin.rollout.controllers import Driver
-from khep_twin.rollout.episode import Episode, EpisodeSetup
 
 
 def trajectories(

@@ -15,10 +15,10 @@ from trajectories import trajectories
 
 from khep_twin import playpen
 from khep_twin.drawing.map import DrawnPath, draw, save
+from khep_twin.episodes.controllers import Network
+from khep_twin.episodes.episode import EpisodeSetup
 from khep_twin.files.atomic import unusable
 from khep_twin.randomness import stream
-from khep_twin.rollout.controllers import Network
-from khep_twin.rollout.episode import EpisodeSetup
 
 wish = argparse.ArgumentParser(description="Drive Braitenberg's vehicles 2a, 2b, 3a and 3b near a lamp.")
 wish.add_argument("--starts", type=int, default=40, help="episodes of each vehicle")

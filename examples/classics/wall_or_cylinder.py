@@ -16,10 +16,10 @@ from trajectories import trajectories
 
 from khep_twin import playpen
 from khep_twin.drawing.map import DrawnPath, draw, save
+from khep_twin.episodes.controllers import Network
+from khep_twin.episodes.episode import EpisodeSetup
 from khep_twin.playpen.starts import Start
 from khep_twin.randomness import stream
-from khep_twin.rollout.controllers import Network
-from khep_twin.rollout.episode import EpisodeSetup
 
 options = parse_options(
     "Evolve the discrimination of a cylinder from walls.",

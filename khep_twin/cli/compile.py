@@ -19,10 +19,10 @@ def compile_all(
     """
     import numpy as np
 
+    from khep_twin.episodes.controllers import Braitenberg
+    from khep_twin.episodes.episode import Episode, EpisodeSetup
     from khep_twin.errors import choices
     from khep_twin.playpen import load
-    from khep_twin.rollout.controllers import Braitenberg
-    from khep_twin.rollout.episode import Episode, EpisodeSetup
     from khep_twin.shadow.planes import SPEED
     from khep_twin.shadow.sensor_model import SensorModel
     from khep_twin.shadow.start import PUBLISHED, begun

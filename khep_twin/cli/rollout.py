@@ -26,8 +26,8 @@ from khep_twin.cli.options import (
 from khep_twin.cli.progress import progress as progress_bar
 
 if TYPE_CHECKING:
+    from khep_twin.episodes.episode import Episode
     from khep_twin.playpen import Playpen
-    from khep_twin.rollout.episode import Episode
 
 NO_LINE = {"line": "none"}
 """Metadata in the log of an episode, which `khep-twin repeat` cannot repeat."""
@@ -70,11 +70,11 @@ def rollout(
     With several robots, print those of each.
     """
     from khep_twin.board.fault_injection import parse
+    from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed
+    from khep_twin.episodes.episode import Episode, EpisodeSetup
     from khep_twin.lab.experiment.experiment import find_function
     from khep_twin.playpen.starts import at_spots
     from khep_twin.ports.twin import Twin, equipped
-    from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed
-    from khep_twin.rollout.episode import Episode, EpisodeSetup
 
     check_picture(picture)
     check_apart([scene.playpen], picture, logging.log)
@@ -151,7 +151,7 @@ def _run(
 
 def is_compiled() -> bool:
     """Return whether episodes run compiled; print a note where they do not."""
-    from khep_twin.rollout import episode
+    from khep_twin.episodes import episode
 
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")

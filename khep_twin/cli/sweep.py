@@ -51,7 +51,7 @@ def sweep(
 
     The results of each are kept once, in a Parquet table.
     """
-    from khep_twin.rollout.episode import SlowerWarning
+    from khep_twin.episodes.episode import SlowerWarning
     from khep_twin.sweep import study as studies
     from khep_twin.sweep.results import summary
     from khep_twin.sweep.shards import work_of

@@ -26,9 +26,9 @@ from khep_twin.board.kernel import AMBIENT, PROXIMITY, SETPOINTS
 from khep_twin.envs.task_episode import StepResult, TaskEpisode
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import TERMS, Task
+from khep_twin.episodes import version_check
 from khep_twin.errors import KhepTwinError
 from khep_twin.randomness import stream
-from khep_twin.rollout import version_check
 
 version_check.check()
 

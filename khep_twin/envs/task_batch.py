@@ -20,8 +20,8 @@ from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.clock import to_ns
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, State
-from khep_twin.rollout.episode import Episode
-from khep_twin.rollout.episode_batch import EpisodeBatch
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_batch import EpisodeBatch
 
 _ENCODERS = [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]
 

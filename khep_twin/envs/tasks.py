@@ -6,7 +6,7 @@
     Homing              fast, away from obstacles, and to the charger in time (Floreano and Mondada 1996)
     WallOrCylinder      find the cylinder and stay beside it, and not beside a wall (Nolfi 1996)
 
-A reward is that of one control period, 0 to 1; published rewards are those of `khep_twin.rollout.fitness`,
+A reward is that of one control period, 0 to 1; published rewards are those of `khep_twin.episodes.fitness`,
 with the speeds that the wheels' encoders have counted, not the setpoints. To define a task, create a `Task`,
 e.g. `dataclasses.replace(TASKS["Homing"], charge_s=30.0)`.
 
@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
+from khep_twin.episodes import fitness
+from khep_twin.episodes.fitness import Number
 from khep_twin.errors import KhepTwinError, choices
-from khep_twin.rollout import fitness
-from khep_twin.rollout.fitness import Number
 from khep_twin.units import COUNTS_LIMIT, Sensor
 
 Starts = Literal["anywhere", "playpen"]

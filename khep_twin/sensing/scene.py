@@ -1,7 +1,7 @@
 """A scene as the stepping core queries it: motion, joints, and rays of its robots' sensors.
 
 Plain code calls a scene's own methods. Compiled code has a function in place of each of these for every kind
-of scene: `khep_twin.simulation.mujoco_calls` calls MuJoCo, `khep_twin.rollout.planar.compiled` the plane.
+of scene: `khep_twin.simulation.mujoco_calls` calls MuJoCo, `khep_twin.episodes.planar.compiled` the plane.
 The core and the sensors' arithmetic are the same for all of them.
 """
 

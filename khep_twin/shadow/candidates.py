@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.rollout.episode_setup import EpisodeSetup
-from khep_twin.rollout.planar import plane as flat
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.planar import plane as flat
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.hypotheses import Missing, Moved, SlippingWheel, Unexpected, of_wheels, things_of
 from khep_twin.shadow.particle_filter import ParticleFilter

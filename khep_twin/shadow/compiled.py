@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 from khep_twin import units
 from khep_twin.board import kernel
 from khep_twin.compilable import compilable
-from khep_twin.rollout.planar import casting, contact_solver, motion, plane, pushing, shadows
-from khep_twin.rollout.planar import compiled as planar_compiled
-from khep_twin.rollout.planar.plane import Plane
+from khep_twin.episodes.planar import casting, contact_solver, motion, plane, pushing, shadows
+from khep_twin.episodes.planar import compiled as planar_compiled
+from khep_twin.episodes.planar.plane import Plane
 from khep_twin.sensing import optics, reflection, seen_surfaces
 from khep_twin.sensing.optics import SLIGHT, Light, light_counts, lobe_of, received
 from khep_twin.sensing.reflection import reflected, sift

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.log.exchanges import Exchange
-from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Action, Counted, Restarted, Seen, Waited
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.candidates import Candidates

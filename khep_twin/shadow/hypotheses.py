@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.rollout.episode_setup import EpisodeSetup
-from khep_twin.rollout.planar import plane as flat
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.planar import plane as flat
 from khep_twin.sensing.mujoco_scene import visible
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import AWAY, N_SPARE

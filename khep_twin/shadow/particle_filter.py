@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.rollout.episode_setup import EpisodeSetup
-from khep_twin.rollout.planar import plane as flat
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.planar import plane as flat
 from khep_twin.shadow.actions import Action, Counted, Seen, repeat
 from khep_twin.shadow.changes import QUOTA, FaultChange, mixed
 from khep_twin.shadow.particles import Particles, drawn

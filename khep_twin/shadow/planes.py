@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.board import battery, kernel
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar.planar_world import PlanarForms
 from khep_twin.errors import MissingNumbaError, PlaypenError
 from khep_twin.randomness import stream
-from khep_twin.rollout.episode_setup import EpisodeSetup
-from khep_twin.rollout.planar import plane as flat
-from khep_twin.rollout.planar.planar_world import PlanarForms
 from khep_twin.sensing.buffers import as_records
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.optics import Bulb, Hidden

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Action, repeat
 from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.particle_filter import ParticleFilter

@@ -21,11 +21,11 @@ from khep_twin.board import kernel
 from khep_twin.board.protocol import Command, parse
 from khep_twin.board.rom import ROMS
 from khep_twin.clock import NS_PER_S
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.firmware import Firmware
 from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
-from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Action, Commanded, Configured, Counted, Restarted, Seen, Waited
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.diagnosis import Diagnosis

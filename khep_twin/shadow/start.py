@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import PlaypenError
-from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.sensing import calibration
 from khep_twin.shadow.particles import Particles, Prior
 from khep_twin.shadow.planes import Planes

@@ -11,8 +11,8 @@ from khep_twin.machine import lower_priority
 
 CODE = {
     "world": "khep_twin.simulation.compiled:advance",
-    "episodes": "khep_twin.rollout.compiled:run",
-    "plane": "khep_twin.rollout.planar.compiled:run",
+    "episodes": "khep_twin.episodes.compiled:run",
+    "plane": "khep_twin.episodes.planar.compiled:run",
     "vision": "khep_twin.vision.compiled:see",
     "shadow": "khep_twin.shadow.compiled:advance",
 }

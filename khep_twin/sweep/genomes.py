@@ -6,10 +6,10 @@ from typing import Literal
 
 import numpy as np
 
+from khep_twin.episodes.controllers import Floats
 from khep_twin.files.atomic import read_regular
 from khep_twin.files.toml_files import show
 from khep_twin.randomness import stream
-from khep_twin.rollout.controllers import Floats
 from khep_twin.sweep.study import NetworkTable, StudyFile
 
 

@@ -8,8 +8,8 @@ from functools import lru_cache
 from types import ModuleType
 from typing import Any
 
+from khep_twin.episodes.controllers import Driver, Function
 from khep_twin.errors import ControllerError, choices, in_a_line
-from khep_twin.rollout.controllers import Driver, Function
 from khep_twin.signals import is_interruption
 
 

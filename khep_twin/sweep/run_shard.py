@@ -6,12 +6,12 @@ from functools import lru_cache
 import numpy as np
 
 from khep_twin import playpen
+from khep_twin.episodes.batch import RolloutResult, rollout
+from khep_twin.episodes.controllers import Floats
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import ControllerError, in_a_line
 from khep_twin.lab.experiment import start_poses
 from khep_twin.playpen.starts import Start
-from khep_twin.rollout.batch import RolloutResult, rollout
-from khep_twin.rollout.controllers import Floats
-from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.signals import is_interruption
 from khep_twin.sweep.programs import Program, driver_of, function_of
 from khep_twin.sweep.shards import Shard, Work

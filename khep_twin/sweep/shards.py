@@ -15,12 +15,12 @@ import mujoco
 import numpy as np
 
 from khep_twin import __version__, playpen
+from khep_twin.episodes.controllers import Braitenberg, Driver, Floats
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError
 from khep_twin.files.atomic import read_regular
 from khep_twin.lab.experiment import start_poses
 from khep_twin.playpen import Playpen
-from khep_twin.rollout.controllers import Braitenberg, Driver, Floats
-from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.sensing import calibration
 from khep_twin.sweep.genomes import genomes_of
 from khep_twin.sweep.programs import Program, function_of

@@ -24,14 +24,14 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from khep_twin.clock import n_steps, to_ns
+from khep_twin.episodes.controllers import Network
+from khep_twin.episodes.episode import METRICS
+from khep_twin.episodes.fitness import TOP_SPEED_PULSES
 from khep_twin.errors import KhepTwinError, Location, Problem, StudyError
 from khep_twin.files import toml_files
 from khep_twin.files.toml_files import Name, Problems, TomlTable, show
 from khep_twin.files.toml_lines import LineNumbers
 from khep_twin.randomness import SEED_LIMIT
-from khep_twin.rollout.controllers import Network
-from khep_twin.rollout.episode import METRICS
-from khep_twin.rollout.fitness import TOP_SPEED_PULSES
 
 Fitness = Literal[
     "obstacle_avoidance", "light_seeking", "homing", "wall_following", "effort", "distance_m", "forward_m"

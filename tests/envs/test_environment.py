@@ -19,10 +19,10 @@ from khep_twin.envs.renderer import MapWarning, Renderer
 from khep_twin.envs.task_episode import TaskEpisode
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import TASKS, State, batched
+from khep_twin.episodes import version_check
 from khep_twin.errors import DivergedError, KhepTwinError, MissingExtraError, PlaypenError
 from khep_twin.playpen import Spot
 from khep_twin.playpen import load as load_playpen
-from khep_twin.rollout import version_check
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 SHORT = {"seconds": 0.5, "compiled": False}

@@ -11,10 +11,10 @@ from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.envs.task_episode import TaskEpisode
 from khep_twin.envs.task_setup import TaskSetup, with_robots
 from khep_twin.envs.tasks import TASKS, TERMS, State, Task, avoiding, avoiding_either_way
+from khep_twin.episodes import version_check
+from khep_twin.episodes.stepping import drive
 from khep_twin.errors import DivergedError, KhepTwinError, PlaypenError
 from khep_twin.playpen.starts import anywhere
-from khep_twin.rollout import version_check
-from khep_twin.rollout.stepping import drive
 from khep_twin.world import World
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None

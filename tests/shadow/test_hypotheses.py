@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from twins import AT_THE_CRATE, light_of, particles_at, setup_of
 
-from khep_twin.rollout.planar import plane as flat
+from khep_twin.episodes.planar import plane as flat
 from khep_twin.shadow.hypotheses import (
     MOVED_LEAST,
     REFINED,

@@ -8,10 +8,10 @@ import pytest
 from twins import ALL, AT_THE_CRATE, EXACT, SECOND, metric, planes_at, readings, setup_of
 
 from khep_twin import playpen as playpens
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
-from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Commanded, Counted, Seen
 from khep_twin.shadow.particle_filter import ParticleFilter, PoseEstimate
 from khep_twin.shadow.planes import SPEED, Planes

@@ -9,11 +9,11 @@ from twins import AT_THE_CRATE, Pose, light_of, planes_at, readings, setup_of
 
 from khep_twin import playpen as playpens
 from khep_twin import shadow, units
+from khep_twin.episodes.controllers import ConstantSpeed
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.planar import plane as flat
 from khep_twin.errors import MissingNumbaError
-from khep_twin.rollout.controllers import ConstantSpeed
-from khep_twin.rollout.episode import Episode
-from khep_twin.rollout.episode_setup import EpisodeSetup
-from khep_twin.rollout.planar import plane as flat
 from khep_twin.shadow.hypotheses import things_of
 from khep_twin.shadow.planes import AWAY, SPEED, Planes
 

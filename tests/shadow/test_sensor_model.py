@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from twins import ALL, AT_THE_CRATE, metric, particles_at, planes_at, readings, setup_of
 
-from khep_twin.rollout.controllers import ConstantSpeed
-from khep_twin.rollout.episode import Episode
+from khep_twin.episodes.controllers import ConstantSpeed
+from khep_twin.episodes.episode import Episode
 from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
 
 BESIDE_THE_LAMP = 600.0, 275.0, 0.0

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from khep_twin import playpen as playpens
-from khep_twin.rollout.episode_setup import EpisodeSetup
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import Planes
 from khep_twin.shadow.start import Spread, begun

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Playpen
-from khep_twin.rollout.episode import Episode
-from khep_twin.rollout.episode_setup import EpisodeSetup
 from khep_twin.sensing import calibration
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.robot_indices import RobotIndices

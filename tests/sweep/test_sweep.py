@@ -29,7 +29,7 @@ from khep_twin.sweep.shards import Shard, Work, work_of
 from khep_twin.sweep.study import COLUMNS
 from khep_twin.sweep.sweep import run_locally, run_sweep
 
-pytestmark = pytest.mark.filterwarnings("ignore::khep_twin.rollout.episode.SlowerWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::khep_twin.episodes.episode.SlowerWarning")
 
 HAS_RAY = importlib.util.find_spec("ray") is not None
 

@@ -38,7 +38,7 @@ BEGIN_MODULES = "pathlib", "tempfile", "shutil", "serial.", "khep_twin."
 """Beginnings of the names of the modules that get the simulated system."""
 
 
-LEFT_OUT = "__main__", "cli", "drawing", "envs", "lab", "rollout", "shadow", "toolbox", "viewer"
+LEFT_OUT = "__main__", "cli", "drawing", "envs", "episodes", "lab", "shadow", "toolbox", "viewer"
 """Parts of khep_twin that a scenario imports by itself if it uses them."""
 
 

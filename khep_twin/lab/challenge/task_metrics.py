@@ -7,8 +7,8 @@ import numpy as np
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SPEEDS
 from khep_twin.clock import NS_PER_S
+from khep_twin.episodes import fitness
 from khep_twin.lab.experiment import measures
-from khep_twin.rollout import fitness
 from khep_twin.sensing import calibration
 from khep_twin.units import COUNTS_LIMIT, Sensor
 from khep_twin.world import Observer, World

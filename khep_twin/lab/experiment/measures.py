@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
+from khep_twin.episodes.fitness import obstacle_avoidance
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.polygon import contains
-from khep_twin.rollout.fitness import obstacle_avoidance
 from khep_twin.sensing import calibration
 from khep_twin.world import Observer, World
 

@@ -9,13 +9,13 @@ from log_rewriting import rewritten
 
 from khep_twin.envs.task_episode import TaskEpisode, TaskSetup
 from khep_twin.envs.tasks import TASKS, State, find
+from khep_twin.episodes.episode import Episode, EpisodeSetup
 from khep_twin.errors import LogError
 from khep_twin.interventions.move_robot import put
 from khep_twin.lab.dataset.episodes import OfflineEpisode, episodes_of
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.playpen import load
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
-from khep_twin.rollout.episode import Episode, EpisodeSetup
 
 MS = 1_000_000
 SPEEDS = [(0.5, 0.5), (1.0, -0.25), (-0.6, -0.5), (0.0, 0.75), (0.3, 0.35)] * 4

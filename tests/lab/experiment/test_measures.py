@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen as playpens
+from khep_twin.episodes.fitness import obstacle_avoidance
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.measures import GroundTruthMetrics, HostMetrics, coverage
 from khep_twin.playpen import Playpen
-from khep_twin.rollout.fitness import obstacle_avoidance
 from khep_twin.sensing import calibration
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen
+from khep_twin.episodes import batch
+from khep_twin.episodes.batch import RolloutResult, rollout
+from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Function, Network, Policy
+from khep_twin.episodes.episode import METRICS, Episode, EpisodeSetup
 from khep_twin.errors import ControllerError
 from khep_twin.playpen import Lamp
-from khep_twin.rollout import batch
-from khep_twin.rollout.batch import RolloutResult, rollout
-from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Function, Network, Policy
-from khep_twin.rollout.episode import METRICS, Episode, EpisodeSetup
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed")

@@ -19,9 +19,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.stepping import JointRun, Run, run
 from khep_twin.errors import DivergedError
-from khep_twin.rollout.episode import Episode
-from khep_twin.rollout.stepping import JointRun, Run, run
 from khep_twin.step import DONE, NO_SPEED
 
 Rows = Sequence[int] | NDArray[np.int64]

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen as playpens
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.planar.line_view import PlaneView
+from khep_twin.episodes.planar.planar_world import PlanarWorld
 from khep_twin.playpen import Playpen
-from khep_twin.rollout.episode_setup import EpisodeSetup
-from khep_twin.rollout.planar.line_view import PlaneView
-from khep_twin.rollout.planar.planar_world import PlanarWorld
 from khep_twin.sensing.line_faces import fixed_faces, moving_faces, places
 from khep_twin.sensing.line_scene import Eye
 from khep_twin.units import K213_EYE_AHEAD, K213_EYE_HEIGHT

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen
-from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.controllers import Network
-from khep_twin.rollout.screening import best_first, screen
+from khep_twin.episodes.batch import rollout
+from khep_twin.episodes.controllers import Network
+from khep_twin.episodes.screening import best_first, screen
 
 COMPILED = importlib.util.find_spec("numba") is not None
 NETWORK = Network()

@@ -9,15 +9,15 @@ from test_batch import same
 
 from khep_twin import playpen, units
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
+from khep_twin.episodes.batch import RolloutResult, rollout
+from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Network
+from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.planar.casting import PlaneScene, surfaces
+from khep_twin.episodes.planar.motion import step
+from khep_twin.episodes.planar.planar import PlanarScene
+from khep_twin.episodes.planar.planar_world import PlanarForms, PlanarWorld
+from khep_twin.episodes.planar.plane import TOUCHED, distance_to, nearest
 from khep_twin.playpen import Playpen
-from khep_twin.rollout.batch import RolloutResult, rollout
-from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Network
-from khep_twin.rollout.episode import Episode, EpisodeSetup
-from khep_twin.rollout.planar.casting import PlaneScene, surfaces
-from khep_twin.rollout.planar.motion import step
-from khep_twin.rollout.planar.planar import PlanarScene
-from khep_twin.rollout.planar.planar_world import PlanarForms, PlanarWorld
-from khep_twin.rollout.planar.plane import TOUCHED, distance_to, nearest
 from khep_twin.sensing.optics import RobotSensors, proximity_counts
 from khep_twin.sensing.seen_surfaces import Chip
 

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from functools import partial
 
 from khep_twin.compilable import compilable
-from khep_twin.rollout.planar import motion, shadows
-from khep_twin.rollout.planar import plane as flat
-from khep_twin.rollout.planar.plane import (
+from khep_twin.episodes.planar import motion, shadows
+from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar.plane import (
     BOTTOM,
     CENTRE_X,
     CENTRE_Y,

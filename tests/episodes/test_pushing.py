@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen, units
+from khep_twin.episodes.batch import rollout
+from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Network
+from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar.motion import step
+from khep_twin.episodes.planar.planar_world import PlanarForms
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
-from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Network
-from khep_twin.rollout.episode import Episode, EpisodeSetup
-from khep_twin.rollout.planar import plane as flat
-from khep_twin.rollout.planar.motion import step
-from khep_twin.rollout.planar.planar_world import PlanarForms
 
 with_numba = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="numba is not installed")
 

@@ -5,10 +5,10 @@ from operator import index
 
 from khep_twin import units
 from khep_twin.clock import n_steps, to_ns
+from khep_twin.episodes.planar.planar import PlanarScene
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import Start, at_spots
-from khep_twin.rollout.planar.planar import PlanarScene
 from khep_twin.sensing import calibration
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.mujoco_forms import SceneModel

@@ -3,7 +3,17 @@
 import math
 
 from khep_twin.compilable import compilable
-from khep_twin.rollout.planar.plane import BOTTOM, CENTRE_X, CENTRE_Y, COSINE, LENGTH, SINE, TOP, WIDTH, Plane
+from khep_twin.episodes.planar.plane import (
+    BOTTOM,
+    CENTRE_X,
+    CENTRE_Y,
+    COSINE,
+    LENGTH,
+    SINE,
+    TOP,
+    WIDTH,
+    Plane,
+)
 from khep_twin.sensing.buffers import Matrix
 
 Vector = tuple[float, float, float]

@@ -15,9 +15,9 @@ the lags of their mean. `contact_solver` does the rest.
 import math
 
 from khep_twin.compilable import compilable
-from khep_twin.rollout.planar import contact_solver
-from khep_twin.rollout.planar import plane as flat
-from khep_twin.rollout.planar.plane import (
+from khep_twin.episodes.planar import contact_solver
+from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar.plane import (
     ANCHOR_X,
     ANCHOR_Y,
     CENTRE_X,

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.board import kernel
 from khep_twin.board.rom import DEMO, ROMS
+from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar.casting import PlaneScene
+from khep_twin.episodes.planar.planar import PlanarScene
+from khep_twin.episodes.planar.plane import PlanarRobot, Plane
 from khep_twin.playpen import Lamp, Lighting
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import stream
-from khep_twin.rollout.planar import plane as flat
-from khep_twin.rollout.planar.casting import PlaneScene
-from khep_twin.rollout.planar.planar import PlanarScene
-from khep_twin.rollout.planar.plane import PlanarRobot, Plane
 from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import LightSource
 from khep_twin.sensing.buffers import as_records, view

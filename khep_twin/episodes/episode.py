@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 
 from khep_twin.board import kernel
 from khep_twin.board.fault_injection import Fault
+from khep_twin.episodes import stepping
+from khep_twin.episodes.controllers import ConstantSpeed, Driver, Floats, controllers_of
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.planar.planar_world import PlanarWorld
 from khep_twin.errors import DivergedError, MissingNumbaError, pip_install_required
 from khep_twin.playpen import Lamp
 from khep_twin.playpen.starts import Start
-from khep_twin.rollout import stepping
-from khep_twin.rollout.controllers import ConstantSpeed, Driver, Floats, controllers_of
-from khep_twin.rollout.episode_setup import EpisodeSetup
-from khep_twin.rollout.planar.planar_world import PlanarWorld
 from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.world import World
 

@@ -17,8 +17,8 @@ from numba import carray, cfunc, njit, types  # pyright: ignore
 from numba.core.errors import NumbaError, UnsupportedBytecodeError
 
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
+from khep_twin.episodes import fitness, networks, stepping
 from khep_twin.errors import ControllerError
-from khep_twin.rollout import fitness, networks, stepping
 from khep_twin.sensing.optics import Light
 from khep_twin.simulation.compiled import SOURCES, compiled
 from khep_twin.simulation.foreign import moved

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
+from khep_twin.episodes.planar import plane as flat
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.footprint import Circle
 from khep_twin.playpen_to_mjcf import SHELL_FRICTION
-from khep_twin.rollout.planar import plane as flat
 from khep_twin.sensing.mujoco_scene import visible
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.fitted_robots import pairs_of

@@ -6,10 +6,10 @@ Imported only where numba is installed.
 # numba is not typed, and its functions have no types of their own.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
-from khep_twin.rollout import stepping
-from khep_twin.rollout.compiled import EPISODE_SOURCES
-from khep_twin.rollout.planar import casting, contact_solver, motion, plane, pushing, shadows
-from khep_twin.rollout.planar.plane import Plane
+from khep_twin.episodes import stepping
+from khep_twin.episodes.compiled import EPISODE_SOURCES
+from khep_twin.episodes.planar import casting, contact_solver, motion, plane, pushing, shadows
+from khep_twin.episodes.planar.plane import Plane
 from khep_twin.sensing import scene
 from khep_twin.sensing.optics import Light
 from khep_twin.simulation.compiled import compiled

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from khep_twin.episodes import networks, stepping
+from khep_twin.episodes.fitness import TOP_SPEED_PULSES
 from khep_twin.errors import ControllerError
-from khep_twin.rollout import networks, stepping
-from khep_twin.rollout.fitness import TOP_SPEED_PULSES
 from khep_twin.units import N_SENSORS
 
 Floats = NDArray[np.float64]
@@ -123,7 +123,7 @@ def controllers_of(
         case Function():
             kind, function, n_memory = stepping.FUNCTION, driver.decide, driver.n_memory
             if compiled:
-                from khep_twin.rollout.compiled import address_of
+                from khep_twin.episodes.compiled import address_of
 
                 function = address_of(driver.decide)
         case ConstantSpeed() | Policy():

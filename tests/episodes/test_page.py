@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from khep_twin.rollout.episode import SlowerWarning
+from khep_twin.episodes.episode import SlowerWarning
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "scale.md"

@@ -5,9 +5,9 @@ import importlib.util
 import numpy as np
 import pytest
 
+from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode_batch import EpisodeBatch
 from khep_twin.playpen import Playpen, load
-from khep_twin.rollout.episode import Episode, EpisodeSetup
-from khep_twin.rollout.episode_batch import EpisodeBatch
 
 PERIOD_NS = 50_000_000
 COMPILED = [

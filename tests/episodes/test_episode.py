@@ -12,11 +12,11 @@ from khep_twin import playpen, rollout
 from khep_twin.board import kernel
 from khep_twin.board.fault_injection import parse
 from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, SETPOINTS, Board, Wheel
+from khep_twin.episodes import episode as episodes
+from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Function, Network
+from khep_twin.episodes.episode import Episode, EpisodeSetup
 from khep_twin.errors import DivergedError, MissingNumbaError, PlaypenError
 from khep_twin.playpen import Playpen
-from khep_twin.rollout import episode as episodes
-from khep_twin.rollout.controllers import Braitenberg, ConstantSpeed, Function, Network
-from khep_twin.rollout.episode import Episode, EpisodeSetup
 from khep_twin.sensing.seen_surfaces import N_COLUMNS
 from khep_twin.units import COUNTS_LIMIT
 from khep_twin.world import World
@@ -314,7 +314,7 @@ def test_compiled_without_numba_is_one_line_that_says_how_to_install_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delattr(rollout, "compiled", raising=False)
-    monkeypatch.setitem(sys.modules, "khep_twin.rollout.compiled", None)
+    monkeypatch.setitem(sys.modules, "khep_twin.episodes.compiled", None)
     with pytest.raises(MissingNumbaError, match=r"^numba is not installed; .* pip install 'numba<1,>=0.61'$"):
         Episode(EpisodeSetup(arena()), compiled=True)
 

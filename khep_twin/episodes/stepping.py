@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.board import kernel
 from khep_twin.compilable import compilable
-from khep_twin.rollout import fitness, networks
+from khep_twin.episodes import fitness, networks
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.scene import decide, pose
 from khep_twin.step import DONE, NO_SPEED, PHASE, STEPS, Simulated, StepInputs, advance, switch_on

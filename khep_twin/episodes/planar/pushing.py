@@ -13,8 +13,8 @@ corner in each other.
 import math
 
 from khep_twin.compilable import compilable
-from khep_twin.rollout.planar import plane as flat
-from khep_twin.rollout.planar.plane import (
+from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar.plane import (
     ACTIVE,
     BODY,
     CENTRE_X,

@@ -11,9 +11,9 @@ Left out: tilt, hopping tyres, soft contacts.
 import math
 
 from khep_twin.compilable import compilable
-from khep_twin.rollout.planar import plane as flat
-from khep_twin.rollout.planar import pushing
-from khep_twin.rollout.planar.plane import (
+from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar import pushing
+from khep_twin.episodes.planar.plane import (
     ACROSS,
     ACTIVE,
     ALONG,

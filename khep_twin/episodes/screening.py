@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
+from khep_twin.episodes.batch import rollout
+from khep_twin.episodes.controllers import Driver, Floats
+from khep_twin.episodes.episode import METRICS
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import Start
-from khep_twin.rollout.batch import rollout
-from khep_twin.rollout.controllers import Driver, Floats
-from khep_twin.rollout.episode import METRICS
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
 """Batched rollouts: many episodes at once, on all cores.
 
     from khep_twin import playpen
-    from khep_twin.rollout.batch import rollout
-    from khep_twin.rollout.controllers import Network
+    from khep_twin.episodes.batch import rollout
+    from khep_twin.episodes.controllers import Network
 
     network = Network(hidden=(5,), recurrent=True)
     genes = numpy.random.default_rng(0).normal(size=(100, network.n_genes))
@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.board.fault_injection import Fault
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
+from khep_twin.episodes.controllers import Driver, Floats, Network, Policy
+from khep_twin.episodes.episode import METRICS, Episode, EpisodeSetup, Start, is_compiled
+from khep_twin.episodes.episode_batch import EpisodeBatch
 from khep_twin.errors import DivergedError
 from khep_twin.machine import n_cores
 from khep_twin.playpen import Lamp, Playpen
-from khep_twin.rollout.controllers import Driver, Floats, Network, Policy
-from khep_twin.rollout.episode import METRICS, Episode, EpisodeSetup, Start, is_compiled
-from khep_twin.rollout.episode_batch import EpisodeBatch
 from khep_twin.simulation.mujoco_forms import movable_names
 
 BATCH_SIZE = 64

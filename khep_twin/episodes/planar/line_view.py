@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.episodes.planar import plane as flat
+from khep_twin.episodes.planar.plane import Plane
 from khep_twin.playpen import Playpen
-from khep_twin.rollout.planar import plane as flat
-from khep_twin.rollout.planar.plane import Plane
 from khep_twin.sensing.line_faces import Places, fixed_faces, moving_faces
 from khep_twin.sensing.line_scene import Eye
 from khep_twin.simulation.mujoco_forms import movable_names
