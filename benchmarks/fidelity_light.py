@@ -10,7 +10,7 @@ from benchmarks.fidelity_comparison import Comparison, Floats, Outcome, at_rest,
 from benchmarks.infrared_fits import rms
 from benchmarks.lamp_fits import COUNTS_AT_0, FAR, FILAMENT_HEIGHT, POWER, SAMPLED_LIMIT, sampled_lamp
 from khep_twin.lab.fit.lamp_fit import LampTable
-from khep_twin.playpen import Arena, Lamp, Playpen, Robot
+from khep_twin.playpen import Arena, Lamp, Playpen, RobotEntry
 from khep_twin.sensing import calibration
 from khep_twin.units import BODY_HEIGHT, N_SENSORS, SENSOR_HEADINGS, SENSOR_HEIGHT, SENSOR_POSITIONS
 
@@ -21,7 +21,7 @@ _FIGURE_10_MM = 300.0
 """Distance of the lamp of the manual's figure 10 (assumed; the depth of each receiver is fitted)."""
 
 
-def lit(robot: Robot, power: float, positions: Floats, height: float) -> Floats:
+def lit(robot: RobotEntry, power: float, positions: Floats, height: float) -> Floats:
     """Return the twin's ambient counts (n, 8) with a lamp at positions, forward and left of the robot [m].
 
     Args:
@@ -108,9 +108,9 @@ def khepera2_figure_8(folder: Path) -> Outcome:
     return Outcome(rms(errors))
 
 
-def _robot(name: str) -> Robot:
+def _robot(name: str) -> RobotEntry:
     model = "khepera2" if name == "khepera2" else "khepera1"
-    return Robot(x_mm=500, y_mm=500, heading_deg=0, model=model, calibration=name)
+    return RobotEntry(x_mm=500, y_mm=500, heading_deg=0, model=model, calibration=name)
 
 
 def _headings(name: str) -> Floats:

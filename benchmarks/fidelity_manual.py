@@ -19,7 +19,7 @@ from benchmarks.infrared_fits import (
     rms,
 )
 from benchmarks.infrared_picture import PEERS
-from khep_twin.playpen import Arena, Cylinder, Playpen, Robot
+from khep_twin.playpen import Arena, Cylinder, Playpen, RobotEntry
 from khep_twin.playpen.surfaces import Surface
 from khep_twin.sensing import calibration
 
@@ -187,12 +187,12 @@ def _best(errors: dict[int, Floats]) -> Outcome:
     return Outcome(figures[best], None, note=f"{sensor_name(best)}, the best of six: {others}")
 
 
-def _robot(name: str) -> Robot:
+def _robot(name: str) -> RobotEntry:
     model = "khepera2" if name == "khepera2" else "khepera1"
-    return Robot(x_mm=1000, y_mm=1500, heading_deg=0, model=model, calibration=name)
+    return RobotEntry(x_mm=1000, y_mm=1500, heading_deg=0, model=model, calibration=name)
 
 
-def _playpen(arena: Arena, *robots: Robot, cylinders: tuple[Cylinder, ...] = ()) -> Playpen:
+def _playpen(arena: Arena, *robots: RobotEntry, cylinders: tuple[Cylinder, ...] = ()) -> Playpen:
     return Playpen(version=1, name="bench", arena=arena, robot=robots, cylinder=cylinders, surfaces=_SURFACES)
 
 

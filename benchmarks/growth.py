@@ -13,7 +13,7 @@ from benchmarks.scale import bare_row, batch_row, episode_row, world_row
 from benchmarks.table import COST, LEGEND, Row, Table, measure, text
 from khep_twin import playpen
 from khep_twin.episodes.episode import EpisodeSetup
-from khep_twin.playpen import Arena, Block, Playpen, Robot
+from khep_twin.playpen import Arena, Block, Playpen, RobotEntry
 
 BLOCKS = (0, 20, 100, 1000)
 ROBOTS = (1, 2, 8, 20)
@@ -48,7 +48,7 @@ def field(n_blocks: int, n_robots: int = 1, cells: int = 32) -> Playpen:
             at[n_robots : n_robots + n_blocks], shifts[n_robots:], angles[n_robots:], strict=False
         )
     )
-    robots = tuple(Robot(x_mm=x, y_mm=y, heading_deg=30) for x, y in at[:n_robots])
+    robots = tuple(RobotEntry(x_mm=x, y_mm=y, heading_deg=30) for x, y in at[:n_robots])
     arena = Arena(width_mm=cells * CELL_MM, height_mm=cells * CELL_MM)
     return Playpen.model_validate(
         {"version": 1, "name": "field", "arena": arena, "block": blocks, "robot": robots}

@@ -34,7 +34,7 @@ def half_scale(seed: int, world: World) -> float:
     counts: list[float] = []
     for distance_mm in DISTANCES_MM:
         x_mm = 600 - BODY_RADIUS * 1e3 - max(distance_mm, 0.1)
-        world.restart(seed, noise=False, vary=seed > 0, starts=[(x_mm, 300.0, 0.0)])
+        world.reset(seed, noise=False, vary=seed > 0, starts=[(x_mm, 300.0, 0.0)])
         seen = world.robots[0].registers[PROXIMITY]
         counts.append((seen[Sensor.LEFT_10] + seen[Sensor.RIGHT_10]) / 2)
     return float(np.interp(COUNTS_LIMIT / 2, counts, DISTANCES_MM))

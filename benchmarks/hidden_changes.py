@@ -127,7 +127,7 @@ def apply(world: World, change: Change, added: int, rng: np.random.Generator) ->
             lamps = list(world.playpen.lamps)
             at = {"x_mm": lamps[lamp].x_mm + dx_mm, "y_mm": lamps[lamp].y_mm + dy_mm}
             lamps[lamp] = lamps[lamp].model_copy(update=at)
-            switching.relight(world, lamps, world.playpen.lighting)
+            switching.set_lamps(world, lamps, world.playpen.lighting)
         case Moved(thing=thing, by_mm=(dx_mm, dy_mm), turned_deg=turned_deg):
             kind, index = _split(thing)
             item = world.playpen.objects[kind][index]

@@ -132,7 +132,7 @@ def twin(
         away_mm = units.BODY_RADIUS * 1e3 + distance_mm
         x_mm = _SIDE_MM - away_mm if target == "wall" else _SIDE_MM / 2 + CYLINDER_RADIUS * 1e3 + away_mm
         lamp = Lamp(x_mm=x_mm, y_mm=_SIDE_MM / 2, z_mm=LAMP_MM, power_w=lamp_w, flicker=1.0)
-        world.restart(int(rng.integers(1 << 31)), starts=[(x_mm, _SIDE_MM / 2, 0)], lamps=[lamp])
+        world.reset(int(rng.integers(1 << 31)), starts=[(x_mm, _SIDE_MM / 2, 0)], lamps=[lamp])
         plain, joints = simulation.plain, world.forms.state["joints"]
         light, start = plain.light, 0.0 if target == "wall" else np.pi
         errors = np.radians(bearing_sd_deg) * rng.standard_normal(N_BEARINGS)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.episodes.episode import Episode, EpisodeSetup
-from khep_twin.playpen import Arena, Cylinder, Lamp, Playpen, Robot
+from khep_twin.playpen import Arena, Cylinder, Lamp, Playpen, RobotEntry
 from khep_twin.units import BODY_RADIUS, BULB_RADIUS
 
 Floats = NDArray[np.float64]
@@ -183,7 +183,7 @@ def scene(thing: Thing) -> Playpen:
         version=1,
         name=thing.name,
         arena=Arena(width_mm=2 * _MIDDLE_MM, height_mm=2 * _MIDDLE_MM),
-        robot=(Robot(x_mm=500, y_mm=500, heading_deg=0),),
+        robot=(RobotEntry(x_mm=500, y_mm=500, heading_deg=0),),
         cylinder=cylinders,
         lamp=lamps,
         surfaces={},

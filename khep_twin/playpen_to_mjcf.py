@@ -25,7 +25,7 @@ import mujoco
 
 from khep_twin import units
 from khep_twin.board.turrets import find, raised_by
-from khep_twin.playpen import Arena, Block, Cylinder, Patch, Playpen, Robot, Wall
+from khep_twin.playpen import Arena, Block, Cylinder, Patch, Playpen, RobotEntry, Wall
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
 from khep_twin.playpen.merge import merged
 from khep_twin.playpen.polygon import walls_around
@@ -332,7 +332,7 @@ def _add_stripes(
         )
 
 
-def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: Robot) -> tuple[list[str], list[float]]:
+def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: RobotEntry) -> tuple[list[str], list[float]]:
     """Add a robot with its turrets to the scene.
 
     Returns:

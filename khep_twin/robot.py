@@ -26,7 +26,7 @@ from khep_twin.simulation.world_state import HostState, RobotSnapshot
 class WorldContext(TurretWorld, LineWorld, Protocol):
     """Interface of the world to its robots."""
 
-    def log_event(self, robot: int | None, text: str) -> None:
+    def on_event(self, robot: int | None, text: str) -> None:
         """Log an event."""
         ...
 
@@ -79,7 +79,7 @@ class Robot(WiredBoard):
             context,
             index,
             Firmware(ROMS[entry.rom], entry.mode, turrets, state["registers"], state["processor"]),
-            Injector(settings.faults, partial(rng, "fault"), partial(context.log_event, index)),
+            Injector(settings.faults, partial(rng, "fault"), partial(context.on_event, index)),
             settings.unpaced,
             rng("line") if settings.strict_line else None,
         )
@@ -194,7 +194,7 @@ class Robot(WiredBoard):
                 f"the supply fell to {self._state['voltage'][0]:.2f} V: the processor stands still, "
                 "the motors keep their duty"
             )
-            self._context.log_event(self.index, text)
+            self._context.on_event(self.index, text)
 
     @property
     def next_faults_ns(self) -> list[int]:

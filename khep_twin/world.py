@@ -7,6 +7,7 @@ fall between them. Only `World.advance_to` advances time.
 import copy
 from collections.abc import Callable, Sequence
 from functools import cache, partial
+from os import PathLike
 from typing import Protocol
 
 import mujoco
@@ -17,9 +18,9 @@ from khep_twin import step, units
 from khep_twin.board.fault_injection import WHEEL, Fault
 from khep_twin.board.turrets import TurretBody
 from khep_twin.board.uart import HostEvent, HostEventKind
-from khep_twin.clock import NEVER_NS
+from khep_twin.clock import NEVER_NS, to_ns
 from khep_twin.errors import DivergedError, MissingNumbaError, SnapshotError
-from khep_twin.playpen import Lamp, Playpen
+from khep_twin.playpen import Lamp, Lighting, Playpen, load
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import position, resume, stream
 from khep_twin.robot import Robot, RobotSettings
@@ -61,8 +62,8 @@ class World:
     The robots are switched on a scan and a step before time 0, so that every register holds a conversion.
 
     Args:
-        playpen: Scene; robots with spots start at a random one. A `SceneModel` is compiled already, and may
-            have another step; its world begins with `restart`.
+        playpen: Playpen, or the name or path of one; robots with spots start at a random one. A `SceneModel`
+            is compiled already, and may have another step; its world begins with `reset`.
         seed: Seed of every random stream.
         noise: True for noisy sensors.
         unpaced: True for lines without delay.
@@ -90,7 +91,7 @@ class World:
 
     def __init__(
         self,
-        playpen: Playpen | SceneModel,
+        playpen: str | PathLike[str] | Playpen | SceneModel,
         *,
         seed: int = 0,
         noise: bool = True,
@@ -103,6 +104,8 @@ class World:
     ) -> None:
         # MuJoCo would write its warnings into a file in the working directory; they are checked here.
         mujoco.set_mju_user_warning(keep_quiet)
+        if isinstance(playpen, str | PathLike):
+            playpen = load(playpen)
         made = playpen if isinstance(playpen, SceneModel) else SceneModel.of(at_spots(playpen, seed))
         self._base, self.spec, self.timing = made.playpen, made.spec, made.timing
         self._has_turrets = any(entry.turrets for entry in self._base.robots)
@@ -124,9 +127,9 @@ class World:
         elif compiled:
             self.compile()
         if isinstance(playpen, Playpen):
-            self.restart(seed, noise=noise, vary=vary)
+            self.reset(seed, noise=noise, vary=vary)
 
-    def restart(
+    def reset(
         self,
         seed: int = 0,
         *,
@@ -257,7 +260,15 @@ class World:
         if self.change_over_at is not None and simulation.steps >= self.change_over_at:
             self.change_over()
 
-    def go_on(self, reason: int, until: int) -> None:
+    def advance(self, seconds: float) -> None:
+        """Advance the world by a time [s], to the nearest ns; errors are those of `advance_to`."""
+        self.advance_to(self.time_ns + to_ns(seconds))
+
+    def step(self, n_steps: int = 1) -> None:
+        """Advance the world to the end of the present step, or of some steps, as `advance_to` does."""
+        self.advance_to((self.simulation.steps + n_steps) * self.timing.step_ns)
+
+    def finish_steps(self, reason: int, until: int) -> None:
         """Act for a return of the stepping core that was not called here, and run on to a step.
 
         Raises:
@@ -268,7 +279,7 @@ class World:
             returned = self._run(self.simulation.advance, until)
 
     @property
-    def runs_alone(self) -> bool:
+    def is_self_contained(self) -> bool:
         """True if nothing outside the stepping core acts amid a run: no turret, fault to come or observer."""
         idle = self._shares_model and not self._has_turrets and not self.observers
         return idle and self._fault_ns == NEVER_NS
@@ -295,7 +306,7 @@ class World:
 
         Raises:
             SnapshotError: The bytes are no snapshot, or of another version or scene; after a damaged one the
-                world needs a `restart`.
+                world needs a `reset`.
         """
         self.set_state(unpack(snapshot, WorldState, self.scene))
 
@@ -336,7 +347,7 @@ class World:
         """Take over a state.
 
         Raises:
-            SnapshotError: It does not fit the world, which then needs a `restart`.
+            SnapshotError: It does not fit the world, which then needs a `reset`.
         """
         try:
             self._set_state(state)
@@ -372,13 +383,22 @@ class World:
         self._untold = list(state.untold)
         self._failure = DivergedError(state.failure) if state.failure else None
 
-    def relight(self, playpen: Playpen, *, goes_on: bool = False) -> None:
-        """Take the lamps and lighting of another playpen; with `goes_on`, switched as the present ones."""
-        self.playpen, before = playpen, self.lamps
-        self.lamps = Lamps(playpen, self._lamp_stream, self.time_ns, before.phase)
-        if goes_on:
+    def set_lamps(
+        self, lamps: Sequence[Lamp], lighting: Lighting | None = None, *, keep_switched: bool = False
+    ) -> None:
+        """Replace the lamps.
+
+        Args:
+            lamps: All lamps from now on.
+            lighting: Their lighting; None for the present one.
+            keep_switched: True to switch them as the present ones are.
+        """
+        lit = {"lamps": tuple(lamps), "lighting": lighting or self.playpen.lighting}
+        self.playpen, before = self.playpen.model_copy(update=lit), self.lamps
+        self.lamps = Lamps(self.playpen, self._lamp_stream, self.time_ns, before.phase)
+        if keep_switched:
             self.lamps.take_over(before)
-        self.simulation.set_lamps(self.lamps, playpen.lighting)
+        self.simulation.set_lamps(self.lamps, self.playpen.lighting)
 
     def refresh(self) -> None:
         """Take over fixed geoms that were moved in the model, which no other world may share."""
@@ -406,30 +426,35 @@ class World:
         else:
             self._use_compiled(advance)
 
-    def run_by(self, advance: Advance, compiled: bool) -> None:
+    def set_stepper(self, advance: Advance, compiled: bool) -> None:
         """Step by another function from now on, plain or compiled, such as one with controllers in it."""
-        self.simulation.run_by(advance, compiled)
+        self.simulation.set_stepper(advance, compiled)
 
     def _use_compiled(self, advance: Advance) -> None:
         self.change_over_at = None
         if self._base.robots:  # without any there is nothing to compile
-            self.run_by(advance, compiled=True)
+            self.set_stepper(advance, compiled=True)
             # The code is loaded by its first call: now, and not when a host waits for a reply.
             self.simulation.advance(self.simulation.steps)
 
     def log_event(self, robot: int | None, text: str) -> None:
-        """Send an event to the observers."""
+        """Log an event that does not follow from the state, such as an action of yours; logs repeat it.
+
+        Args:
+            robot: Index of the robot that it is about; None for none.
+            text: Words of it.
+        """
+        data = bytes([robot is None]) + text.encode("utf-8")
+        self.on_host_event(robot or 0, HostEvent(HostEventKind.NOTE, self.time_ns, None, data))
+        self.on_event(robot, text)
+
+    def on_event(self, robot: int | None, text: str) -> None:
+        """Send an event that follows from the state to the observers."""
         if self.time_ns == 0 and not self.observers:
             # No observer could be added yet.
             self._untold.append((robot, text))
         for observer in self.observers:
             observer.on_event(self.time_ns, robot, text)
-
-    def note(self, robot: int | None, text: str) -> None:
-        """Log an event that does not follow from the state, as what the host did, so that logs repeat it."""
-        data = bytes([robot is None]) + text.encode("utf-8")
-        self.on_host_event(robot or 0, HostEvent(HostEventKind.NOTE, self.time_ns, None, data))
-        self.log_event(robot, text)
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Send bytes that crossed a robot's line to the observers."""
@@ -493,7 +518,7 @@ class World:
         except DivergedError as error:
             self.time_ns = self.simulation.steps * self.timing.step_ns
             self._failure = error
-            self.log_event(None, str(error))
+            self.on_event(None, str(error))
             raise
         self.time_ns = self.simulation.steps * self.timing.step_ns
         if reason != step.DONE:
@@ -504,7 +529,7 @@ class World:
 
     def _on_switch(self) -> None:
         self.time_ns = self.simulation.steps * self.timing.step_ns
-        self.log_event(None, f"{self.lamps.names[self.lamps.lit or 0]} is on")
+        self.on_event(None, f"{self.lamps.names[self.lamps.lit or 0]} is on")
 
     def _show(self) -> None:
         if self.observers:

@@ -10,20 +10,16 @@ import pytest
 from khep_twin import playpen, units
 from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, RIGHT, SETPOINTS, SPEEDS, Wheel
 from khep_twin.clock import NS_PER_S
-from khep_twin.errors import DivergedError
+from khep_twin.errors import DivergedError, PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.robot import Robot
 from khep_twin.world import World
 
 
-def advance(world: World, seconds: float) -> None:
-    world.advance_to(world.time_ns + round(seconds * NS_PER_S))
-
-
 def command(world: World, line: str) -> None:
     """Sends a command and waits until it is carried out."""
     world.robots[0].send(line.encode() + b"\n")
-    advance(world, 0.05)
+    world.advance(0.05)
 
 
 def position(robot: Robot) -> tuple[int, int]:
@@ -31,14 +27,30 @@ def position(robot: Robot) -> tuple[int, int]:
     return int(robot.registers[LEFT + Wheel.POSITION]), int(robot.registers[RIGHT + Wheel.POSITION])
 
 
+def test_a_world_is_made_by_name_and_advances_by_steps_by_seconds_and_to_a_time() -> None:
+    world, other = World("obstacles", seed=1), World(playpen.load("obstacles"), seed=1)
+    world.step()
+    assert (world.time_ns, world.simulation.steps) == (2_500_000, 1)
+    world.advance(0.001)
+    assert (world.time_ns, world.simulation.steps) == (3_500_000, 1)
+    world.step(3)
+    other.advance_to(10_000_000)
+    assert (world.time_ns, world.simulation.steps) == (10_000_000, 4)
+    assert world.snapshot() == other.snapshot()
+    world.reset(seed=1)
+    assert world.snapshot() == World("obstacles", seed=1).snapshot()
+    with pytest.raises(PlaypenError, match="no-such"):
+        World("no-such")
+
+
 @pytest.mark.parametrize("speed_pulses", [1, 2, 5, 10, 20, 40, 80, 127, -10])
 def test_free_speed_is_within_one_percent_of_the_command(field: Playpen, speed_pulses: int) -> None:
     world = World(field, noise=False)
     command(world, f"D,{speed_pulses},{speed_pulses}")
     # The fastest takes longest, since its wheels slip at first.
-    advance(world, 1.5)
+    world.advance(1.5)
     start = world.robots[0].pose
-    advance(world, 1.0)
+    world.advance(1.0)
     driven = math.dist(start[:2], world.robots[0].pose[:2])
     assert driven == pytest.approx(abs(units.speed(speed_pulses)), rel=0.01)
 
@@ -47,7 +59,7 @@ def test_a_straight_metre_agrees_with_the_counters_within_one_percent(field: Pla
     world = World(field, noise=False)
     start = world.robots[0].pose
     command(world, "D,10,10")
-    advance(world, 12.5)
+    world.advance(12.5)
     driven = math.dist(start[:2], world.robots[0].pose[:2])
     counted = position(world.robots[0])[0] * units.PULSE_LENGTH
     assert driven > 0.98
@@ -61,7 +73,7 @@ def test_a_spin_of_ten_turns_agrees_with_the_counters_within_two_percent(field: 
     command(world, "D,5,-5")
     turned, heading = 0.0, start[2]
     while abs(turned) < 10 * 2 * math.pi:
-        advance(world, 0.05)
+        world.advance(0.05)
         now = world.robots[0].pose[2]
         turned += math.remainder(now - heading, 2 * math.pi)
         heading = now
@@ -73,7 +85,7 @@ def test_a_spin_of_ten_turns_agrees_with_the_counters_within_two_percent(field: 
 def test_a_robot_at_rest_drifts_less_than_a_tenth_of_a_millimetre_in_a_minute(field: Playpen) -> None:
     world = World(field, noise=False)
     start = world.robots[0].pose
-    advance(world, 60)
+    world.advance(60)
     assert math.dist(start[:2], world.robots[0].pose[:2]) < 1e-4
     assert not world.data.warning.number.any()
 
@@ -83,12 +95,12 @@ def test_a_position_is_reached_within_two_pulses(field: Playpen, target: int) ->
     world = World(field, noise=False)
     command(world, f"C,{target},{target}")
     for _ in range(120):
-        advance(world, 0.05)
+        world.advance(0.05)
         if world.robots[0].registers[LEFT + Wheel.ON_TARGET]:
             break
     assert world.robots[0].registers[LEFT + Wheel.ON_TARGET] == 1
     assert position(world.robots[0]) == pytest.approx((target, target), abs=2)
-    advance(world, 2)
+    world.advance(2)
     assert position(world.robots[0]) == pytest.approx((target, target), abs=2)
 
 
@@ -98,7 +110,7 @@ def test_a_short_move_peaks_below_the_cruising_speed_and_takes_its_time(field: P
     command(world, "C,1000,1000")
     peak, start_ns = 0.0, 0
     while not world.robots[0].registers[LEFT + Wheel.ON_TARGET] and world.time_ns < 3 * NS_PER_S:
-        advance(world, 0.01)
+        world.advance(0.01)
         start_ns = start_ns or world.time_ns
         peak = max(peak, world.robots[0].registers[LEFT + Wheel.PROFILE_SPEED] / 256)
     assert peak == pytest.approx(math.sqrt(250), abs=0.3)
@@ -108,9 +120,9 @@ def test_a_short_move_peaks_below_the_cruising_speed_and_takes_its_time(field: P
 def test_a_robot_that_hits_a_wall_stops_while_its_wheels_spin_on(field: Playpen) -> None:
     world = World(playpen.load("default"), noise=False)
     command(world, "D,20,20")
-    advance(world, 4)
+    world.advance(4)
     x, y, _ = world.robots[0].pose
-    advance(world, 1)
+    world.advance(1)
     assert math.dist((x, y), world.robots[0].pose[:2]) < 0.02
     assert 0.5 - units.BODY_RADIUS - 0.002 < y < 0.5 - units.BODY_RADIUS + 0.001
     assert world.robots[0].registers[SPEEDS] == pytest.approx((20, 20), abs=3)
@@ -146,7 +158,7 @@ def test_the_same_seed_gives_the_same_counts_and_another_does_not() -> None:
     counts = []
     for seed in (1, 1, 2):
         world = World(playpen.load("default"), seed=seed)
-        advance(world, 0.5)
+        world.advance(0.5)
         counts.append(tuple(world.robots[0].registers[AMBIENT]))
     assert counts[0] == counts[1] != counts[2]
 
@@ -174,10 +186,10 @@ def test_a_simulation_that_diverges_is_an_error_and_no_silent_restart(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     world = World(field)
-    advance(world, 0.1)
+    world.advance(0.1)
     world.data.qvel[0] = math.nan
     with pytest.raises(DivergedError, match=r"failed at 0\.1\d+ s"):
-        advance(world, 0.1)
+        world.advance(0.1)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -187,7 +199,7 @@ def test_a_world_that_has_diverged_stays_stopped(field: Playpen) -> None:
     messages = []
     for _ in range(2):
         with pytest.raises(DivergedError) as caught:
-            advance(world, 0.1)
+            world.advance(0.1)
         messages.append(str(caught.value))
     assert messages[0] == messages[1]
     assert "step 4" in messages[0]
@@ -197,7 +209,7 @@ def test_several_robots_see_each_other_and_keep_their_own_noise() -> None:
     two = playpen.dump(playpen.load("default")) + ("\n[[robot]]\nx_mm = 300\ny_mm = 318\nheading_deg = -90\n")
     alone, together = World(playpen.load("default"), seed=5), World(playpen.parse(two, "two"), seed=5)
     for world in (alone, together):
-        advance(world, 0.5)
+        world.advance(0.5)
     ambient = [world.robots[0].registers[AMBIENT].tolist() for world in (alone, together)]
     assert ambient[0] == ambient[1]
     quiet = World(playpen.parse(two.replace("318", "310"), "two"), noise=False)
@@ -211,7 +223,7 @@ def test_a_movable_cylinder_is_pushed_along() -> None:
     )
     world = World(playpen.parse(text, "push"), noise=False)
     command(world, "D,5,5")
-    advance(world, 3)
+    world.advance(3)
     assert world.data.xpos[world.model.body("cylinder0").id][1] > 0.35
     assert not world.data.warning.number.any()
 
@@ -225,7 +237,7 @@ def test_the_steps_agree_with_the_compiled_model(field: Playpen) -> None:
 
 def test_a_playpen_without_robots_is_a_world_too() -> None:
     world = World(playpen.parse('version = 1\nname = "x"\n[arena]\nwidth_mm = 500\nheight_mm = 500\n', "x"))
-    advance(world, 0.1)
+    world.advance(0.1)
     assert world.robots == ()
 
 

@@ -24,7 +24,7 @@ from khep_twin.board.uart import LineSettings
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError, PortError, ProtocolError
 from khep_twin.interventions.move_robot import put, scan
-from khep_twin.interventions.switching import relight, switch
+from khep_twin.interventions.switching import set_lamps, switch
 from khep_twin.lab.experiment.branch import BranchPlan, branch
 from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.lab.experiment.repeat import repeat
@@ -96,7 +96,7 @@ def drive(world: World, seed: int, end_ns: int) -> None:
                     robot.disconnect()
                 case 2:
                     if notice := robot.compare_line(LineSettings(int(rng.choice([9600, 19200])), 2)):
-                        world.note(robot.index, notice)
+                        world.log_event(robot.index, notice)
                 case 3:
                     robot.flush()
                 case 4:
@@ -108,7 +108,7 @@ def drive(world: World, seed: int, end_ns: int) -> None:
                 switch(world, 0, on=bool(rng.integers(2)))
             case 1 if world.lamps.names:
                 with suppress(PlaypenError):  # no place for a lamp
-                    relight(world, [Lamp(x_mm=200, y_mm=100, power_w=3, flicker=0.2)], Lighting())
+                    set_lamps(world, [Lamp(x_mm=200, y_mm=100, power_w=3, flicker=0.2)], Lighting())
             case 2:
                 scan(world)
             case 3:

@@ -45,7 +45,7 @@ class HostEventKind(IntEnum):
     PUT = 4
     SWITCH = 5
     SCAN = 6
-    RELIGHT = 7
+    SET_LAMPS = 7
     NOTE = 8
 
 

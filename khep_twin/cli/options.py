@@ -16,7 +16,7 @@ from khep_twin.invocation import command
 if TYPE_CHECKING:
     from khep_twin.log.line_recorder import LineRecorder
     from khep_twin.log.recorder import Recorder
-    from khep_twin.playpen.parts import Robot
+    from khep_twin.playpen.parts import RobotEntry
     from khep_twin.shadow.shadow_log import ShadowLog
 
 
@@ -105,7 +105,7 @@ def running_mode(digit: str | None) -> int | None:
     return None if digit is None else int(digit, 16)
 
 
-def check_body(rom: str | None, robots: Iterable["Robot"]) -> None:
+def check_body(rom: str | None, robots: Iterable["RobotEntry"]) -> None:
     """Print a note that the firmware of a Khepera II does not make one of a Khepera 1."""
     if rom == "khepera2" and any(robot.model == "khepera1" for robot in robots):
         complain(

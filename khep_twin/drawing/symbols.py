@@ -24,7 +24,7 @@ from khep_twin.playpen import (
     Cylinder,
     Lamp,
     Playpen,
-    Robot,
+    RobotEntry,
     Spot,
     Wall,
     footprint,
@@ -196,7 +196,7 @@ def _draw_lamp(axes: Axes, lamp: Lamp, *, on: bool) -> None:
         axes.add_line(ray)
 
 
-def draw_robot(axes: Axes, labels: Labels, robot: Robot, name: str) -> None:
+def draw_robot(axes: Axes, labels: Labels, robot: RobotEntry, name: str) -> None:
     """Draw a robot with its wheels, its front and its name."""
     radius = 1000 * robot.body.radius
     heading = np.radians(robot.heading_deg)

@@ -120,7 +120,7 @@ class Episode:
         else:
             self._world = PlanarWorld(setup.scene_model, setup.planar_scene)
         self._simulation = self._world.simulation
-        self._world.run_by(self._advance, self._compiled)
+        self._world.set_stepper(self._advance, self._compiled)
         self.boards: NDArray[np.int64] = self._simulation.records["registers"]
         self.registers: NDArray[np.int64] = self.boards[0]
         self._begun = False
@@ -157,7 +157,7 @@ class Episode:
         self._controllers = self._new_controllers()
         starts = None if start is None else _starts(start, len(self.boards))
         self._simulation.title = f"episode of seed {seed}"
-        self._world.restart(seed, noise=noise, vary=vary, starts=starts, lamps=lamps)
+        self._world.reset(seed, noise=noise, vary=vary, starts=starts, lamps=lamps)
         self._begun = True
         if isinstance(self._driver, ConstantSpeed) and (self._driver.left or self._driver.right):
             for robot in range(len(self.boards)):
@@ -248,7 +248,7 @@ class Episode:
                 f"robot {robot} was given the speeds {left}, {right}; expected finite numbers"
             )
 
-    def go_on(self, reason: int, until: int) -> None:
+    def finish_steps(self, reason: int, until: int) -> None:
         """Act for a return of the stepping core from a joint run, and run what is left of it.
 
         Args:
@@ -258,13 +258,13 @@ class Episode:
         Raises:
             DivergedError: The physics left its bounds, or a speed is no number.
         """
-        self._world.go_on(reason, until)
+        self._world.finish_steps(reason, until)
 
     @property
     def joint_arguments(self) -> tuple[stepping.Run, tuple[Any, ...]] | None:
         """Compiled code with its arguments for a joint run; None if Python must act amid a run."""
         arguments = self._simulation.arguments
-        if arguments is None or not self._world.runs_alone:
+        if arguments is None or not self._world.is_self_contained:
             return None
         return self._run, (self._controllers, *arguments)
 
@@ -294,7 +294,7 @@ class Episode:
             self._next_look = self.steps + _LOOK
             return False
         self._run, self._compiled, self._next_look = run, True, None
-        self._world.run_by(self._advance, compiled=True)
+        self._world.set_stepper(self._advance, compiled=True)
         return True
 
     def _new_controllers(self) -> stepping.Controllers:

@@ -98,7 +98,7 @@ class EpisodeBatch:
         reason, until = int(self._joint.reasons[index]), int(self._joint.untils[index])
         if reason == NO_SPEED:
             self._drive(index)  # which tells the speed
-        self.episodes[index].go_on(reason, until)
+        self.episodes[index].finish_steps(reason, until)
 
     def _step_alone(self, index: int, steps: int) -> None:
         self._drive(index)

@@ -54,7 +54,7 @@ def put(
     mujoco.mj_kinematics(model, data)
     if afresh:
         world.robots[index].reset_motion()
-    world.log_event(index, f"put to ({x_mm:g}, {y_mm:g}), {heading_deg:g} degrees")
+    world.on_event(index, f"put to ({x_mm:g}, {y_mm:g}), {heading_deg:g} degrees")
 
 
 def repeat_move(world: World, index: int, event: HostEvent) -> None:

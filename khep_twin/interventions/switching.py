@@ -31,7 +31,7 @@ def switch(world: World, lamp: int, on: bool) -> None:
         raise PlaypenError(found, key="lamp", value=lamp, expected=range(len(names)))
     world.on_host_event(0, HostEvent(HostEventKind.SWITCH, world.time_ns, None, _SWITCH.pack(lamp, on)))
     world.lamps.turn(lamp, on, world.time_ns)
-    world.log_event(None, f"{names[lamp]} is switched {'on' if on else 'off'} by hand")
+    world.on_event(None, f"{names[lamp]} is switched {'on' if on else 'off'} by hand")
 
 
 def repeat_switch(world: World, event: HostEvent) -> None:
@@ -39,7 +39,7 @@ def repeat_switch(world: World, event: HostEvent) -> None:
     switch(world, *_SWITCH.unpack(event.data))
 
 
-def relight(world: World, lamps: Sequence[Lamp], lighting: Lighting) -> None:
+def set_lamps(world: World, lamps: Sequence[Lamp], lighting: Lighting) -> None:
     """Replace the lamps and their lighting.
 
     Args:
@@ -58,18 +58,18 @@ def relight(world: World, lamps: Sequence[Lamp], lighting: Lighting) -> None:
     bare = {"version": before.version, "name": before.name, "arena": before.arena.model_dump()}
     checked = check(Playpen, frozen(bare | wanted), before.name, PlaypenError)
     world.on_host_event(
-        0, HostEvent(HostEventKind.RELIGHT, world.time_ns, None, json.dumps(wanted).encode("utf-8"))
+        0, HostEvent(HostEventKind.SET_LAMPS, world.time_ns, None, json.dumps(wanted).encode("utf-8"))
     )
-    world.relight(before.model_copy(update={"lamps": checked.lamps, "lighting": checked.lighting}))
+    world.set_lamps(checked.lamps, checked.lighting)
     places = ", ".join(f"{lamp.power_w:g} W at ({lamp.x_mm:g}, {lamp.y_mm:g})" for lamp in checked.lamps)
-    world.log_event(None, f"the lamps are {places or 'gone'}; on: {lighting.mode}")
+    world.on_event(None, f"the lamps are {places or 'gone'}; on: {lighting.mode}")
 
 
-def repeat_relight(world: World, event: HostEvent) -> None:
+def repeat_set_lamps(world: World, event: HostEvent) -> None:
     """Replace the lamps as recorded in a log.
 
     Raises:
-        PlaypenError: The bytes are not as `relight` writes them.
+        PlaypenError: The bytes are not as `set_lamps` writes them.
     """
     try:
         found = json.loads(event.data)
@@ -79,7 +79,7 @@ def repeat_relight(world: World, event: HostEvent) -> None:
     except (ValueError, TypeError, RecursionError):
         raise PlaypenError(f"lamps = {event.data[:40]!r}; expected JSON with lamp and lighting") from None
     checked = check(_Lamps, wanted, "lamps", PlaypenError)
-    relight(world, checked.lamp, checked.lighting)
+    set_lamps(world, checked.lamp, checked.lighting)
 
 
 class _Lamps(TomlTable):

@@ -71,7 +71,7 @@ PIECE_ENDS = (
     HostEventKind.PUT,
     HostEventKind.SWITCH,
     HostEventKind.SCAN,
-    HostEventKind.RELIGHT,
+    HostEventKind.SET_LAMPS,
     HostEventKind.NOTE,
 )
 """Kinds of events that end their piece of the log: what other robots did at the same time was before."""

@@ -21,7 +21,7 @@ from khep_twin.playpen.parts import (
     Lighting,
     Patch,
     RadioChannel,
-    Robot,
+    RobotEntry,
     Spot,
     Wall,
 )
@@ -36,7 +36,7 @@ __all__ = [
     "Patch",
     "Playpen",
     "RadioChannel",
-    "Robot",
+    "RobotEntry",
     "Spot",
     "Wall",
     "dump",

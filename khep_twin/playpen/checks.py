@@ -9,7 +9,7 @@ from khep_twin.board.turrets import find
 from khep_twin.errors import Location, Problem, TurretError
 from khep_twin.playpen.footprint import overlap
 from khep_twin.playpen.overlap import Thing, beyond, label, placement_problems
-from khep_twin.playpen.parts import BULB_RADIUS_MM, MODELS, SHORTEST_BLINK_S, Robot, Spot
+from khep_twin.playpen.parts import BULB_RADIUS_MM, MODELS, SHORTEST_BLINK_S, RobotEntry, Spot
 from khep_twin.playpen.polygon import edges
 from khep_twin.playpen.stripes import PANEL_LIMIT, Stripe
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
@@ -42,12 +42,12 @@ def playpen_problems(playpen: "Playpen", recorded: bool = False, placed: bool = 
     )
 
 
-def at_spot(robot: Robot, spot: Spot) -> Robot:
+def at_spot(robot: RobotEntry, spot: Spot) -> RobotEntry:
     """Return a robot that stands at a spot."""
     return robot.model_copy(update={"x_mm": spot.x_mm, "y_mm": spot.y_mm, "heading_deg": spot.heading_deg})
 
 
-def assigned(playpen: "Playpen", order: Callable[[Sequence[str]], Sequence[str]]) -> list[Robot] | None:
+def assigned(playpen: "Playpen", order: Callable[[Sequence[str]], Sequence[str]]) -> list[RobotEntry] | None:
     """Return the robots, each with spots at one of them, clear of the others; None if that is impossible.
 
     Args:
@@ -274,7 +274,7 @@ def things(playpen: "Playpen") -> Iterator[Thing]:
         yield Thing("lamp", number, item.name, item.footprint, low_mm, high_mm, False)
     for number, spot in enumerate(playpen.spots, 1):
         # As large as the largest robot that may start on it; a bare robot if none may.
-        bare = Robot(x_mm=spot.x_mm, y_mm=spot.y_mm, heading_deg=spot.heading_deg)
+        bare = RobotEntry(x_mm=spot.x_mm, y_mm=spot.y_mm, heading_deg=spot.heading_deg)
         users = [at_spot(robot, spot) for robot in playpen.robots if spot.name in robot.spots] or [bare]
         largest = max((user.footprint for user in users), key=lambda disc: disc.radius_mm)
         yield Thing("spot", number, spot.name, largest, 0, BODY_HEIGHT * 1000, True)

@@ -22,7 +22,7 @@ from khep_twin.playpen.parts import (
     Lighting,
     Patch,
     RadioChannel,
-    Robot,
+    RobotEntry,
     Spot,
     Wall,
 )
@@ -45,10 +45,10 @@ class Playpen(TomlTable):
     patches: Annotated[tuple[Patch, ...], Field(alias="patch")] = ()
     lamps: Annotated[tuple[Lamp, ...], Field(alias="lamp")] = ()
     spots: Annotated[tuple[Spot, ...], Field(alias="spot")] = ()
-    robots: Annotated[tuple[Robot, ...], Field(alias="robot")] = ()
+    robots: Annotated[tuple[RobotEntry, ...], Field(alias="robot")] = ()
 
     @property
-    def tables(self) -> dict[str, tuple[Block | Cylinder | Wall | Patch | Lamp | Spot | Robot, ...]]:
+    def tables(self) -> dict[str, tuple[Block | Cylinder | Wall | Patch | Lamp | Spot | RobotEntry, ...]]:
         """Parts by kind, as their tables are named."""
         return {
             **self.objects,
@@ -168,7 +168,7 @@ def edited(text: str, playpen: Playpen) -> str:
 def schema() -> Table:
     """Return the format as JSON schema, for editors that complete and check playpen files."""
     found = toml_files.schema(Playpen)
-    robot, place = found["$defs"]["Robot"], ["x_mm", "y_mm", "heading_deg"]
+    robot, place = found["$defs"]["RobotEntry"], ["x_mm", "y_mm", "heading_deg"]
     robot["required"] = [key for key in robot["required"] if key not in place]
     robot["anyOf"] = [{"required": place}, {"required": ["spots"]}]
     return found

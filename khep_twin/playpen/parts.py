@@ -302,7 +302,7 @@ MODELS: Mapping[str, Mapping[str, str]] = {
 """Default sensors and firmware of each model of the robot."""
 
 
-class Robot(TomlTable):
+class RobotEntry(TomlTable):
     """A robot at its start.
 
     Attributes:

@@ -12,7 +12,7 @@ import numpy as np
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen.footprint import Circle, Footprint, overlap
 from khep_twin.playpen.model import Playpen
-from khep_twin.playpen.parts import Arena, Block, Cylinder, Robot
+from khep_twin.playpen.parts import Arena, Block, Cylinder, RobotEntry
 from khep_twin.units import BODY_RADIUS
 
 LANE_MM = 70.0
@@ -50,7 +50,7 @@ def obstacle_field(
     wanted, covered = density * width_mm * height_mm, 0.0
     for _ in range(_TRIES):
         if covered >= wanted:
-            robot = Robot(x_mm=middle.x_mm, y_mm=middle.y_mm, heading_deg=0)
+            robot = RobotEntry(x_mm=middle.x_mm, y_mm=middle.y_mm, heading_deg=0)
             things = {"block": tuple(blocks), "cylinder": tuple(cylinders), "robot": (robot,)}
             return Playpen.model_validate({"version": 1, "name": name, "arena": arena, **things})
         size, other, along, across, turn = rng.uniform(size=5).tolist()

@@ -7,7 +7,7 @@ import mujoco
 from khep_twin.errors import PlaypenError
 from khep_twin.interventions.move_robot import as_it_stands
 from khep_twin.log.recorded import BranchPoint
-from khep_twin.playpen import Block, Cylinder, Playpen, Robot
+from khep_twin.playpen import Block, Cylinder, Playpen, RobotEntry
 from khep_twin.playpen.changes import changed_tables, no_room_for, posed, set_values
 from khep_twin.simulation.carrying_over import carry_over, place
 from khep_twin.simulation.physics_state import physics_state
@@ -50,11 +50,10 @@ def go_on_in(new: World, old: World, before: Playpen, change: BranchPoint) -> No
     relit = set_values(before, change.edits)
     new.set_state(state)
     if (relit.lamps, relit.lighting) != (before.lamps, before.lighting):
-        relit = new.playpen.model_copy(update={"lamps": edited.lamps, "lighting": edited.lighting})
-        new.relight(relit, goes_on=True)
+        new.set_lamps(edited.lamps, edited.lighting, keep_switched=True)
 
 
-def _pose(entry: Robot | Block | Cylinder) -> tuple[float, float, float]:
+def _pose(entry: RobotEntry | Block | Cylinder) -> tuple[float, float, float]:
     """Return the position [mm] and heading [deg] of a robot or an object."""
     heading: float = getattr(entry, "heading_deg", getattr(entry, "angle_deg", 0.0))
     return entry.x_mm, entry.y_mm, heading

@@ -118,5 +118,5 @@ class Connection:
         return NEVER_NS if command_ns is None else command_ns
 
     def _note(self, text: str) -> None:
-        self._world.note(self._robot.index, text)
+        self._world.log_event(self._robot.index, text)
         self._notify(f"{self._cable.path}: {text}")

@@ -215,7 +215,7 @@ class Serial(SerialBase):
         """Apply the host's speed, and warn once where it is not the robot's."""
         robot = self.twin.robot
         if notice := robot.compare_line(self._settings):
-            self.twin.world.note(robot.index, notice)
+            self.twin.world.log_event(robot.index, notice)
             warnings.warn(f"{self._port}: {notice}", stacklevel=3)
 
     def _reconfigure_port(self) -> None:

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import KhepTwinError, LogError, PlaypenError
 from khep_twin.interventions.move_robot import repeat_move, scan
-from khep_twin.interventions.switching import repeat_relight, repeat_switch
+from khep_twin.interventions.switching import repeat_set_lamps, repeat_switch
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.decoding import Misfit, first_line, shown
 from khep_twin.log.label import Label
@@ -121,7 +121,7 @@ class RecordedHosts:
             try:
                 repeat_event(self.twin, index, event)
             except PlaypenError as error:  # in another playpen there may be no room
-                world.note(index, f"left out, as it was recorded: {first_line(error)}")
+                world.log_event(index, f"left out, as it was recorded: {first_line(error)}")
 
     def replace(self, index: int) -> None:
         """Let another host take over a robot: the recorded one leaves its line."""
@@ -132,7 +132,7 @@ class RecordedHosts:
         self.twin.world.robots[index].disconnect()
 
 
-_OF_THE_WORLD = (HostEventKind.SWITCH, HostEventKind.RELIGHT, HostEventKind.SCAN)
+_OF_THE_WORLD = (HostEventKind.SWITCH, HostEventKind.SET_LAMPS, HostEventKind.SCAN)
 """What was done to the world, and not to a robot."""
 
 
@@ -156,10 +156,10 @@ def repeat_event(twin: Twin, index: int, event: HostEvent) -> None:
             repeat_switch(twin.world, event)
         case HostEventKind.SCAN:
             scan(twin.world)
-        case HostEventKind.RELIGHT:
-            repeat_relight(twin.world, event)
+        case HostEventKind.SET_LAMPS:
+            repeat_set_lamps(twin.world, event)
         case HostEventKind.NOTE:
-            twin.world.note(
+            twin.world.log_event(
                 None if event.data[:1] == b"\1" else index, event.data[1:].decode("utf-8", "replace")
             )
 

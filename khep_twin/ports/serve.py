@@ -75,7 +75,7 @@ def _serve_by_clock(
     def now() -> int:
         """Return the time that is due; what has to be given up is, before a host's bytes are given a time."""
         if late_ns := pacer.slip(world.time_ns):
-            world.note(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
+            world.log_event(None, f"the simulation fell behind by {late_ns / 1e6:.1f} ms and gave them up")
         return pacer.due_ns()
 
     while not stop():

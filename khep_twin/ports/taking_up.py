@@ -96,7 +96,7 @@ class TakenUp:
         if change.seed is not None:
             self.twin.world.reseed(change.seed)
         if change.text:
-            self.twin.world.log_event(None, f"branched off, with {change.text}")
+            self.twin.world.on_event(None, f"branched off, with {change.text}")
 
 
 def take_up(

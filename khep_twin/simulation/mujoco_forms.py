@@ -13,7 +13,7 @@ from khep_twin import units
 from khep_twin.board.battery import CHARGER
 from khep_twin.board.kernel import N_PROCESSOR, N_REGISTERS
 from khep_twin.clock import n_steps
-from khep_twin.playpen import Lighting, Playpen, Robot
+from khep_twin.playpen import Lighting, Playpen, RobotEntry
 from khep_twin.playpen.starts import Start
 from khep_twin.playpen_to_mjcf import set_step, to_spec
 from khep_twin.sensing import calibration
@@ -215,7 +215,7 @@ def timing(playpen: Playpen, step_ns: int) -> Timing:
 
 
 def robot_state(
-    model: mujoco.MjModel, indices: RobotIndices, joints: Joints, measured: Calibration, entry: Robot
+    model: mujoco.MjModel, indices: RobotIndices, joints: Joints, measured: Calibration, entry: RobotEntry
 ) -> RobotState:
     """Return the state of a robot before its start.
 
@@ -224,7 +224,7 @@ def robot_state(
         indices: Indices of the robot.
         joints: Indices of its joints in the scene.
         measured: Calibration of its sensors and motors.
-        entry: Robot of the playpen.
+        entry: Entry of the playpen.
     """
     return RobotState(
         *joints,

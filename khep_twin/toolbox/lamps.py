@@ -14,7 +14,7 @@ from typing import SupportsFloat
 
 from khep_twin.errors import PlaypenError
 from khep_twin.interventions.move_robot import scan
-from khep_twin.interventions.switching import relight
+from khep_twin.interventions.switching import set_lamps
 from khep_twin.lab.experiment.start_poses import lit, nearest_lamp, without_nearest_lamp
 from khep_twin.playpen import Lamp, Playpen
 from khep_twin.toolbox.simulator import opened
@@ -86,7 +86,7 @@ def _set_up(command: str, playpen: Playpen) -> None:
     if wrong := next((position for position in positions if not all(map(math.isfinite, position))), None):
         raise PlaypenError(f"{command}: x, y, z, power = {wrong}: expected finite numbers")
     try:
-        relight(world, playpen.lamps, playpen.lighting)
+        set_lamps(world, playpen.lamps, playpen.lighting)
     except PlaypenError as error:
         raise PlaypenError(f"{command}: {error}") from None
     scan(world)

@@ -50,10 +50,10 @@ def test_a_plane_shows_what_mujoco_does(compiled: bool) -> None:
     setup = EpisodeSetup(bare(PARTS), planar=True)
     assert setup.planar_scene is not None
     world = PlanarWorld(setup.scene_model, setup.planar_scene)
-    world.restart(0, noise=False)
+    world.reset(0, noise=False)
     view, model = PlaneView(world.playpen, setup.model, world.forms.plane), setup.model
     for start in ((200, 250, 10), (330, 120, -25), (350, 300, 80)):
-        world.restart(0, noise=False, starts=[start])
+        world.reset(0, noise=False, starts=[start])
         seen, wanted = np.zeros(64, np.int64), np.zeros(64, np.int64)
         light = view.take(seen, [LAMP], 300.0, compiled=compiled)
         data = mujoco.MjData(model)
@@ -81,7 +81,7 @@ def test_what_has_been_pushed_is_seen_where_it_is() -> None:
     setup = EpisodeSetup(text.model_copy(update={"robots": robots}), planar=True)
     assert setup.planar_scene is not None
     world = PlanarWorld(setup.scene_model, setup.planar_scene)
-    world.restart(0, noise=False)
+    world.reset(0, noise=False)
     view, found = PlaneView(world.playpen, setup.model, world.forms.plane), np.zeros((2, 64), np.int64)
     view.take(found[0], [], 300.0)
     world.forms.plane.things[len(world.forms._order), 1] += 0.1  # its centre, to the left

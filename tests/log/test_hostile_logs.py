@@ -237,7 +237,7 @@ def test_attached_files_that_cannot_be_are_one_line(
     ],
 )
 def test_lamps_that_cannot_be_are_one_line(small: Path, tmp_path: Path, data: bytes) -> None:
-    message = events_message([(0, HostEvent(HostEventKind.RELIGHT, 0, None, data))])
+    message = events_message([(0, HostEvent(HostEventKind.SET_LAMPS, 0, None, data))])
     told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", message)))
 
 

@@ -21,7 +21,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from khep_twin import playpen
 from khep_twin.errors import LogError
-from khep_twin.interventions.switching import relight, switch
+from khep_twin.interventions.switching import set_lamps, switch
 from khep_twin.log.decoding import read_array
 from khep_twin.log.reader import read
 from khep_twin.log.recorder import Recorder
@@ -419,7 +419,7 @@ def test_several_robots_and_movable_objects_are_all_recorded(tmp_path: Path) -> 
 def test_a_world_whose_last_lamp_is_taken_away_is_recorded_further(tmp_path: Path) -> None:
     with open_twin("two-lamps", TwinOptions(seed=1, log=str(tmp_path / "x.mcap"))) as twin:
         twin.world.advance_to(SECOND // 10)
-        relight(twin.world, (), twin.world.playpen.lighting)
+        set_lamps(twin.world, (), twin.world.playpen.lighting)
         twin.world.advance_to(SECOND // 5)
     with (tmp_path / "x.mcap").open("rb") as file:
         times = [message.log_time for _, _, message in make_reader(file).iter_messages(topics=["/tf"])]

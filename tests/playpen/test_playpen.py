@@ -15,7 +15,7 @@ from khep_twin import playpen as playpens
 from khep_twin.board.turrets import installed
 from khep_twin.errors import PlaypenError
 from khep_twin.files.toml_files import PROBLEM_LIMIT
-from khep_twin.playpen import Block, Cylinder, Lamp, Playpen, Robot
+from khep_twin.playpen import Block, Cylinder, Lamp, Playpen, RobotEntry
 from khep_twin.playpen.footprint import Circle, overlap
 from khep_twin.playpen.overlap import THING_LIMIT
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
@@ -95,7 +95,7 @@ def test_every_key_of_the_format_is_read() -> None:
     )
     assert playpen.lamps == (Lamp(x_mm=50, y_mm=450, z_mm=40, power_w=7),)
     assert playpen.robots == (
-        Robot(x_mm=300, y_mm=250, heading_deg=90, calibration="mine.toml", mode=3, rom="4.06"),
+        RobotEntry(x_mm=300, y_mm=250, heading_deg=90, calibration="mine.toml", mode=3, rom="4.06"),
     )
     assert playpen.surface("cardboard").rgb == (180, 140, 90)
 
@@ -609,7 +609,7 @@ blocks = st.builds(
 cylinders = st.builds(Cylinder, x_mm=places, y_mm=places, radius_mm=sizes, height_mm=sizes, surface=surfaces)
 lamps = st.builds(Lamp, x_mm=places, y_mm=places, z_mm=st.floats(41, 1000), power_w=st.floats(0, 1000))
 robots = st.builds(
-    Robot,
+    RobotEntry,
     name=object_names,
     x_mm=st.floats(30, 470),
     y_mm=st.floats(30, 470),
@@ -628,7 +628,7 @@ robots = st.builds(
     robots,
 )
 def test_any_playpen_survives_its_dump(
-    blocks: tuple[Block, ...], cylinders: tuple[Cylinder, ...], lamps: tuple[Lamp, ...], robot: Robot
+    blocks: tuple[Block, ...], cylinders: tuple[Cylinder, ...], lamps: tuple[Lamp, ...], robot: RobotEntry
 ) -> None:
     base = parse()
     for parts in (
@@ -642,7 +642,7 @@ def test_any_playpen_survives_its_dump(
 KEYS = [
     *Playpen.model_fields,
     *Block.model_fields,
-    *Robot.model_fields,
+    *RobotEntry.model_fields,
     *TABLES,
     "width_mm",
     "reflectance",

@@ -78,9 +78,9 @@ def test_the_mains_go_on_when_the_lamps_of_a_world_are_changed() -> None:
     scene = playpen.load("two-lamps")
     flickering = [each.model_copy(update={"flicker": 0.5}) for each in scene.lamps]
     world = World(scene, seed=3)
-    world.relight(scene.model_copy(update={"lamps": tuple(flickering)}))
+    world.set_lamps(flickering)
     phase = world.simulation.plain.light.law.phase
-    world.relight(scene.model_copy(update={"lamps": (flickering[0],)}))
+    world.set_lamps(flickering[:1])
     assert world.simulation.plain.light.law.phase == phase > 0
 
 

@@ -98,9 +98,9 @@ def test_a_fitted_scene_is_the_one_compiled_of_that_calibration_and_can_be_undon
 
 def test_a_world_that_has_varied_returns_to_its_own_robot() -> None:
     world, untouched = World(two(), seed=1), World(two(), seed=1)
-    world.restart(2, vary=True)
+    world.reset(2, vary=True)
     assert not same(world.model, untouched.model)
-    world.restart(1)
+    world.reset(1)
     for each in (world, untouched):
         for robot in each.robots:
             robot.send(b"D,5,7\n")
@@ -112,8 +112,8 @@ def test_a_world_that_has_varied_returns_to_its_own_robot() -> None:
 
 def test_a_restart_with_vary_is_a_new_world_with_vary() -> None:
     world, new = World(two(), seed=1), World(two(), seed=2, vary=True)
-    world.restart(3, vary=True)
-    world.restart(2, vary=True)
+    world.reset(3, vary=True)
+    world.reset(2, vary=True)
     assert same(world.model, new.model)
 
 

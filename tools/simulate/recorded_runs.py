@@ -10,7 +10,7 @@ from urllib.parse import quote
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import PlaypenError
 from khep_twin.interventions.move_robot import put, scan
-from khep_twin.interventions.switching import relight, switch
+from khep_twin.interventions.switching import set_lamps, switch
 from khep_twin.log.line_recorder import ROBOT, LineRecorder
 from khep_twin.log.recorded import BranchPoint
 from khep_twin.ports.branching import open_log
@@ -189,11 +189,11 @@ class Run:
             elif act == 1 and world.lamps.names:
                 switch(world, rng.randrange(len(world.lamps.names)), rng.random() < 0.5)
             elif act == 2:
-                relight(world, world.playpen.lamps[rng.randrange(2) :], world.playpen.lighting)
+                set_lamps(world, world.playpen.lamps[rng.randrange(2) :], world.playpen.lighting)
             elif act == 3:
                 scan(world)
             else:
-                world.note(rng.choice((None, index)), f"note {rng.randrange(1000)}")
+                world.log_event(rng.choice((None, index)), f"note {rng.randrange(1000)}")
         except PlaypenError:
             pass  # there is no room
 

@@ -205,7 +205,7 @@ class PlanarWorld:
         self.forms = PlanarForms(scene_model, planar_scene)
         self.simulation = Simulation(self.forms, self.timing)
 
-    def restart(
+    def reset(
         self,
         seed: int = 0,
         *,
@@ -214,7 +214,7 @@ class PlanarWorld:
         starts: Sequence[Start] | None = None,
         lamps: Sequence[Lamp] | None = None,
     ) -> None:
-        """Start a new run at time 0, as `World.restart` does."""
+        """Start a new run at time 0, as `World.reset` does."""
         simulation = self.simulation
         if starts is None:
             robot = at_spots(self.playpen, seed).robots[0]
@@ -238,19 +238,19 @@ class PlanarWorld:
         while self.simulation.advance(time_ns // self.timing.step_ns) != DONE:
             pass
 
-    def go_on(self, reason: int, until: int) -> None:
-        """Act for a return of the stepping core, and run on to a step, as `World.go_on` does."""
+    def finish_steps(self, reason: int, until: int) -> None:
+        """Act for a return of the stepping core, and run on to a step, as `World.finish_steps` does."""
         self.simulation.checked(reason)
         self.advance_to(until * self.timing.step_ns)
 
     @property
-    def runs_alone(self) -> bool:
+    def is_self_contained(self) -> bool:
         """True, as nothing acts amid a run."""
         return True
 
-    def run_by(self, advance: Advance, compiled: bool) -> None:
+    def set_stepper(self, advance: Advance, compiled: bool) -> None:
         """Step by another function from now on, plain or compiled."""
-        self.simulation.run_by(advance, compiled)
+        self.simulation.set_stepper(advance, compiled)
 
     @property
     def poses(self) -> list[tuple[float, float, float]]:

@@ -322,7 +322,7 @@ def _pause(robot: Khepera, duration: float, stop: Callable[[], bool] | None) -> 
 
 def _log(twin: Twin | None, text: str) -> None:
     if twin is not None:
-        twin.world.note(twin.robot.index, text)
+        twin.world.log_event(twin.robot.index, text)
 
 
 def twin_of(robot: Khepera) -> Twin | None:

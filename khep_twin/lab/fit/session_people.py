@@ -11,7 +11,7 @@ from typing import Protocol
 
 from khep_twin.errors import FitError
 from khep_twin.interventions.move_robot import put
-from khep_twin.interventions.switching import relight
+from khep_twin.interventions.switching import set_lamps
 from khep_twin.lab.fit.placement import Ruler
 from khep_twin.lab.fit.session_steps import TURNS, Step
 from khep_twin.playpen import Lamp, Lighting
@@ -131,7 +131,7 @@ class SimulatedPerson:
         if step.kind == "lamp":
             bulb_mm = x_mm + radius_mm + max(away_mm, 0.5) + BULB_RADIUS * 1e3
             lamps = [Lamp(x_mm=bulb_mm, y_mm=y_mm, z_mm=step.height_mm, power_w=step.power_w)]
-        relight(self._twin.world, lamps, Lighting())
+        set_lamps(self._twin.world, lamps, Lighting())
         self._start = self._twin.robot.pose
         return step.distance_mm
 
