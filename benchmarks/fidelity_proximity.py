@@ -111,7 +111,7 @@ def left_out(folder: Path, fitted: int, judged: int) -> Outcome:
 
 
 def sensor_name(sensor: int) -> str:
-    return Sensor(sensor).name.lower().replace("_", " ")
+    return Sensor(sensor).label
 
 
 _FITTED = "fitted: heading and optics of each sensor"

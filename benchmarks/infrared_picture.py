@@ -36,7 +36,7 @@ def draw(target: Path) -> None:
     for panel, sensor in zip(panels, order, strict=True):
         heading = float(np.radians(khepera1.heading_deg[sensor]))
         optics = Optics.of(khepera1.proximity, sensor)
-        lines = [Sensor(sensor).name.lower().replace("_", " ")]
+        lines = [Sensor(sensor).label]
         for table, name, colour in zip(tables, ("wall", "cylinder r 27 mm"), (_INK, "#e4572e"), strict=True):
             axis, millimetres = on_axis(table, sensor), np.unique(table.distances) * 1e3
             fit_inputs = axis @ table.counts[:, sensor]

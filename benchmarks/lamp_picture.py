@@ -51,7 +51,7 @@ def draw(target: Path) -> None:
         upper.plot(degrees, modelled[turn][order], color=_RED, lw=1.3)
         upper.set_xticks([-180, -90, 0, 90, 180])
         upper.tick_params(axis="x", colors=_RED, labelsize=8)
-        name = Sensor(sensor).name.lower().replace("_", " ")
+        name = Sensor(sensor).label
         panel.set_title(name, fontsize=10)
         panel.text(
             0.97,

@@ -21,7 +21,6 @@ from khep_twin import playpen
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Driver, Network
 from khep_twin.episodes.episode import Episode, EpisodeSetup
-from khep_twin.episodes.screening import best_first
 from khep_twin.playpen import Arena, Playpen, Robot
 
 GENOMES, SEEDS, EPISODE_S, ELITE = 200, 3, 30.0, 20
@@ -95,15 +94,19 @@ def ranks(name: str, scene: Playpen) -> None:
 
     plane, true, again = judged(0, True), judged(0, False), judged(SEEDS, False)
     for number in plane:
-        hit = len(set(best_first(plane[number])[:ELITE]) & set(best_first(true[number])[:ELITE]))
-        own = len(set(best_first(again[number])[:ELITE]) & set(best_first(true[number])[:ELITE]))
-        best = int(best_first(true[number])[0])
-        rank = int(np.flatnonzero(best_first(plane[number]) == best)[0]) + 1
+        hit = len(set(_best_first(plane[number])[:ELITE]) & set(_best_first(true[number])[:ELITE]))
+        own = len(set(_best_first(again[number])[:ELITE]) & set(_best_first(true[number])[:ELITE]))
+        best = int(_best_first(true[number])[0])
+        rank = int(np.flatnonzero(_best_first(plane[number]) == best)[0]) + 1
         print(
             f"{name:14}{number:20}{spearmanr(plane[number], true[number])[0]:8.3f}"
             f"{spearmanr(again[number], true[number])[0]:12.3f}{hit:10d}{own:10d}{rank:10d}",
             flush=True,
         )
+
+
+def _best_first(metrics: np.ndarray) -> np.ndarray:
+    return np.argsort(-metrics, kind="stable")  # NaN last
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -150,7 +150,7 @@ def set_step(spec: mujoco.MjSpec, step_ns: int) -> None:
     conversions, scan = step_ns // units.STEP_NS, units.SCAN_NS * 1e-9
     for sensor in spec.sensors:
         for channel, kind in enumerate(units.Sensor):
-            if sensor.name.endswith(f"/{kind.name.lower()}_rays"):
+            if sensor.name.endswith(f"/{kind.key}_rays"):
                 # As in assets/khepera.xml half a step early, so that rounding cannot move it.
                 sensor.interval = [scan, (channel // conversions + 0.5) * step - scan]
 
@@ -346,7 +346,7 @@ def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: RobotEntry) -> tuple[lis
     _fit_motors(child, measured.motors)
     for sensor, heading_deg in zip(units.Sensor, measured.heading_deg, strict=True):
         heading = units.radians(heading_deg)
-        camera = child.camera(sensor.name.lower())
+        camera = child.camera(sensor.key)
         camera.alt.xyaxes = [math.sin(heading), -math.cos(heading), 0, 0, 0, 1]
     hands: list[str] = []
     kinds = find(robot.turrets)
@@ -398,7 +398,7 @@ def _fit_body(robot: mujoco.MjSpec, body: units.Body) -> None:
         support = robot.geom(name)
         support.pos = [side * body.support_position, 0, support.pos[2]]
     for sensor, (x, y) in zip(units.Sensor, body.sensor_positions, strict=True):
-        robot.camera(sensor.name.lower()).pos = [x, y, body.sensor_height]
+        robot.camera(sensor.key).pos = [x, y, body.sensor_height]
     base, mass = robot.body("base"), body.mass - 2 * units.WHEEL_MASS
     base.mass = mass
     across = mass * (3 * body.radius**2 + units.BODY_HEIGHT**2) / 12

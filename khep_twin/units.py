@@ -120,6 +120,20 @@ class Sensor(IntEnum):
     BACK_RIGHT = 6
     BACK_LEFT = 7
 
+    @property
+    def key(self) -> str:
+        """Name in models, tables and observations, such as "left_90"."""
+        return self.name.lower()
+
+    @property
+    def label(self) -> str:
+        """Name for readers, such as "left 90"."""
+        return self.key.replace("_", " ")
+
+
+SENSOR_LABELS = tuple(sensor.label for sensor in Sensor)
+"""Names of the sensors for readers, in the order of the replies."""
+
 
 SENSOR_POSITIONS = (
     (0.010, 0.024),

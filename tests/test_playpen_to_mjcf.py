@@ -78,7 +78,7 @@ def test_the_sensors_sit_and_look_as_the_constants_say(robot: mujoco.MjModel) ->
     data = mujoco.MjData(robot)
     mujoco.mj_forward(robot, data)
     for sensor in Sensor:
-        camera = robot.camera(sensor.name.lower()).id
+        camera = robot.camera(sensor.key).id
         assert data.cam_xpos[camera] == pytest.approx((*units.SENSOR_POSITIONS[sensor], units.SENSOR_HEIGHT))
         axis = -data.cam_xmat[camera].reshape(3, 3)[:, 2]
         heading = units.SENSOR_HEADINGS[sensor]
@@ -199,7 +199,7 @@ def test_the_calibration_turns_the_sensors() -> None:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     for sensor, heading_deg in zip(Sensor, calibration.read("khepera1")[0].heading_deg, strict=True):
-        frame = data.cam_xmat[model.camera(f"khepera0/{sensor.name.lower()}").id].reshape(3, 3)
+        frame = data.cam_xmat[model.camera(f"khepera0/{sensor.key}").id].reshape(3, 3)
         heading = math.radians(heading_deg)
         assert -frame[:, 2] == pytest.approx((math.cos(heading), math.sin(heading), 0), abs=1e-9)
 

@@ -173,7 +173,9 @@ def test_a_robot_that_reverses_tips_by_less_than_a_degree(speed: int) -> None:
 
 
 def test_gears_hold_below_the_dead_zone_of_the_duty() -> None:
-    dead = MotorCalibration().dead_duty
+    motors = MotorCalibration()
+    whole = motors.stall_torque_n_m + motors.friction_torque_n_m
+    dead = units.DUTY_LIMIT * motors.friction_torque_n_m / whole
     assert dead == pytest.approx(12.1, abs=0.1)
     for duty, moves in ((math.floor(dead), False), (math.ceil(dead) + 1, True)):
         twin = episode()

@@ -26,7 +26,6 @@ MODULES = (
     "khep_twin.log.reader",
     "khep_twin.ports.protocol_khep",
     "khep_twin.ports.twin",
-    "khep_twin.episodes.screening",
     "khep_twin.envs.tasks",
     "khep_twin.envs.task_episode",
     "khep_twin.errors",

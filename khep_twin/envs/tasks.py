@@ -128,7 +128,7 @@ class ObservationTerm:
 TOP_SPEED = float(fitness.TOP_SPEED_PULSES)
 """Top speed of a wheel in an action, forwards and backwards [pulses/10 ms]: 160 mm/s."""
 
-_SENSORS = tuple(sensor.name.lower() for sensor in Sensor)
+_SENSORS = tuple(sensor.key for sensor in Sensor)
 
 TERMS = {
     "proximity": ObservationTerm(

@@ -81,7 +81,7 @@ def shapes_of(attachments: Mapping[str, str], robots: Sequence[str], source: obj
         there = {model.body(index).name for index in range(model.nbody)}
         there |= {model.cam(index).name for index in range(model.ncam)}
         for robot in robots:
-            for name in ("base", *(sensor.name.lower() for sensor in Sensor)):
+            for name in ("base", *(sensor.key for sensor in Sensor)):
                 if f"{robot}/{name}" not in there:
                     raise Misfit(f"no {robot}/{name}", "it, as the log's robots have it")
         return model

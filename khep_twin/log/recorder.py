@@ -35,7 +35,7 @@ from khep_twin.log.transcript import Transcript
 from khep_twin.robot import Robot
 from khep_twin.sensing import calibration
 from khep_twin.sensing.lamps import Lamps
-from khep_twin.units import Sensor
+from khep_twin.units import SENSOR_LABELS
 from khep_twin.world import SAMPLE_NS, World
 
 FLUSH_NS = 5 * NS_PER_S
@@ -51,7 +51,7 @@ include them."""
 
 _NONE: Mapping[str, str] = {}
 
-_SENSORS = ", ".join(sensor.name.lower().replace("_", " ") for sensor in Sensor)
+_SENSORS = ", ".join(SENSOR_LABELS)
 
 _WHEELS = "left, right, setpoint left, setpoint right"
 

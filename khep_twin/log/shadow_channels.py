@@ -28,18 +28,17 @@ from khep_twin.log.channels import PLANAR, Level, TextLine
 from khep_twin.log.decoding import Decoder, Misfit, read_arrays_of, read_each, read_line
 from khep_twin.log.label import Label
 from khep_twin.log.reader import read_raw
-from khep_twin.units import Sensor
+from khep_twin.units import SENSOR_LABELS
 
 Floats = NDArray[np.float64]
 
 TOPICS = "/shadow/"
 """Beginning of all topics of a shadow."""
 
-SENSORS = [sensor.name.lower().replace("_", " ") for sensor in Sensor]
 
 RESIDUALS = [
-    *(f"proximity {sensor} [counts]" for sensor in SENSORS),
-    *(f"light {sensor} [counts]" for sensor in SENSORS),
+    *(f"proximity {sensor} [counts]" for sensor in SENSOR_LABELS),
+    *(f"light {sensor} [counts]" for sensor in SENSOR_LABELS),
     "wheel left [pulses]",
     "wheel right [pulses]",
     "timing [s]",
@@ -182,8 +181,8 @@ def read_shadow(path: Path) -> ShadowTrack:
         planar(poses),
         covariances,
         planar(of_all("reckoned", partial(_poses, width=_DOUBLES["reckoned"]))),
-        of_all("expected", partial(_floats, width=len(SENSORS))),
-        of_all("measured", partial(_floats, width=len(SENSORS))),
+        of_all("expected", partial(_floats, width=len(SENSOR_LABELS))),
+        of_all("measured", partial(_floats, width=len(SENSOR_LABELS))),
         of_all("residuals", partial(_floats, width=len(RESIDUALS))),
         particles_ns,
         particles.reshape(-1, PARTICLES, 3),

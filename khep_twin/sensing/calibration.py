@@ -15,7 +15,6 @@ from khep_twin.files import toml_files
 from khep_twin.files.toml_files import Name, Problems, TomlTable
 from khep_twin.units import (
     COUNTS_LIMIT,
-    DUTY_LIMIT,
     MOTOR_FRICTION_TORQUE,
     MOTOR_NO_LOAD_SPEED,
     MOTOR_STALL_TORQUE,
@@ -148,11 +147,6 @@ class MotorCalibration(TomlTable):
     def resistance(self) -> float:
         """Resistance of the winding [ohm]."""
         return SUPPLY_VOLTAGE * self.constant / (self.stall_torque_n_m + self.friction_torque_n_m)
-
-    @property
-    def dead_duty(self) -> float:
-        """Duty below which friction holds an unloaded wheel at rest."""
-        return DUTY_LIMIT * self.friction_torque_n_m / (self.stall_torque_n_m + self.friction_torque_n_m)
 
 
 class Calibration(TomlTable):

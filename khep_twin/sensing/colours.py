@@ -1,6 +1,6 @@
 """Colours of sensors and wheels in curves over time, in rerun and on the page: made for a dark background."""
 
-from khep_twin.units import Sensor
+from khep_twin.units import SENSOR_LABELS
 
 Colour = tuple[int, int, int]
 
@@ -8,10 +8,7 @@ _WARM: list[Colour] = [(228, 87, 46), (242, 159, 5), (244, 211, 94)]
 COLD: list[Colour] = [(64, 224, 208), (77, 171, 247), (92, 124, 250)]
 _VIOLET: list[Colour] = [(177, 151, 252), (230, 153, 247)]
 
-SENSORS = {
-    sensor.name.lower().replace("_", " "): colour
-    for sensor, colour in zip(Sensor, [*_WARM, *COLD, *_VIOLET], strict=True)
-}
+SENSORS = {label: colour for label, colour in zip(SENSOR_LABELS, [*_WARM, *COLD, *_VIOLET], strict=True)}
 """Colours of the sensors: left ones warm, right ones cold, those at the back violet."""
 
 WHEELS = {"left": _WARM[0], "right": COLD[1]}

@@ -56,7 +56,7 @@ class RobotIndices:
         """
         pose = model.joint(f"{robot}/pose")
         left, right = (model.joint(f"{robot}/{side}_axle") for side in _SIDES)
-        sensors = [f"{robot}/{sensor.name.lower()}" for sensor in Sensor]
+        sensors = [f"{robot}/{sensor.key}" for sensor in Sensor]
         left_wheel, right_wheel = (model.body(f"{robot}/{side}_wheel").id for side in _SIDES)
         tyres, rims = ([model.geom(f"{robot}/{side}_{part}").id for side in _SIDES] for part in _PARTS)
         left_motor, right_motor = (model.actuator(f"{robot}/{side}_motor").id for side in _SIDES)

@@ -7,16 +7,14 @@ from numpy.typing import NDArray
 
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.shadow import Shadow
-from khep_twin.units import N_SENSORS, Sensor
+from khep_twin.units import N_SENSORS, SENSOR_LABELS
 
 Floats = NDArray[np.float64]
 
 
-_SENSORS = [sensor.name.lower().replace("_", " ") for sensor in Sensor]
-
 LEARNED = [
     *(f"{part}{name}" for part in ("", "deviation of ") for name in ("radius", "right over left", "base")),
-    *(f"{part}gain {name}" for part in ("", "deviation of log ") for name in _SENSORS),
+    *(f"{part}gain {name}" for part in ("", "deviation of log ") for name in SENSOR_LABELS),
 ]
 """Numbers of a row, in this order, as parts of the calibration's values."""
 

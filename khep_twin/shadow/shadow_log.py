@@ -26,13 +26,14 @@ from khep_twin.log.description import body_name, urdf
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.reader import hash_of
 from khep_twin.log.recorder import FLUSH_NS, versions
-from khep_twin.log.shadow_channels import PARTICLES, RESIDUALS, SENSORS, begin_line, end_line
+from khep_twin.log.shadow_channels import PARTICLES, RESIDUALS, begin_line, end_line
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.sensing import calibration
 from khep_twin.shadow.alarms import LastingAlarms
 from khep_twin.shadow.learned import LEARNED, Learned
 from khep_twin.shadow.shadow import ShadowSettings, Update
+from khep_twin.units import SENSOR_LABELS
 
 ROBOT = "khepera0"
 """Name of the robot in the log."""
@@ -84,8 +85,8 @@ class ShadowLog:
         self._particles_ns = -PARTICLES_NS
         self._alarms = LastingAlarms()
         self._ghost = _Ghost(playpen)
-        label = f"{', '.join(SENSORS)} [counts]"
-        self._proximity = ArrayFrame(len(SENSORS), "f8", label)
+        label = f"{', '.join(SENSOR_LABELS)} [counts]"
+        self._proximity = ArrayFrame(len(SENSOR_LABELS), "f8", label)
         self._residuals = ArrayFrame(len(RESIDUALS), "f8", ", ".join(RESIDUALS))
         self._learned = ArrayFrame(len(LEARNED), "f8", ", ".join(LEARNED))
         self._particles = ArrayFrame(3 * PARTICLES, "f8", "x, y [m], heading [rad] of each particle")

@@ -21,13 +21,13 @@ from khep_twin.errors import SensorTestError
 from khep_twin.lab.sensor_test.sensor_test import (
     PULSES_PER_CM,
     PULSES_PER_DEGREE,
-    SENSORS,
     SensorRun,
     SensorTest,
     What,
 )
 from khep_twin.toolbox.sense import test_of
 from khep_twin.toolbox.windows import show
+from khep_twin.units import SENSOR_LABELS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -98,11 +98,11 @@ def disonel(
     Raises:
         SensorTestError: There is no such sensor, or as for `ddl`.
     """
-    numbers = range(1, len(SENSORS) + 1)
-    if which_one not in numbers and which_one not in SENSORS:
+    numbers = range(1, len(SENSOR_LABELS) + 1)
+    if which_one not in numbers and which_one not in SENSOR_LABELS:
         found = f"which_one = {which_one!r}: no such sensor"
-        raise SensorTestError(found, key="which_one", value=which_one, expected=SENSORS)
-    sensor = which_one if isinstance(which_one, str) else SENSORS[which_one - 1]
+        raise SensorTestError(found, key="which_one", value=which_one, expected=SENSOR_LABELS)
+    sensor = which_one if isinstance(which_one, str) else SENSOR_LABELS[which_one - 1]
     rows = _matrix(dv)
     motion = "rotational" if rows[-1, 0] * rows[-1, 1] < 0 else "linear"
     return _drawn(dv, khep_pos, motion, what, speed, sensor=sensor, y_min=y_min, grid=grid)

@@ -15,7 +15,7 @@ def test_it_returns_its_readings_by_name_and_number(robot: Khepera) -> None:
     light = robot.ambient()
     assert light == (485,) * 8
     assert light.back_left == light[7] == light[Sensor.BACK_LEFT]
-    assert robot.proximity()._fields == tuple(sensor.name.lower() for sensor in Sensor)
+    assert robot.proximity()._fields == tuple(sensor.key for sensor in Sensor)
     assert robot.versions().bios == "5.02"
 
 

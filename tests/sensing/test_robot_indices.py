@@ -43,7 +43,7 @@ def test_each_index_bears_the_name_of_its_part(world: World, name: str) -> None:
         f"{name}/left_motor",
         f"{name}/right_motor",
     ]
-    names = [f"{name}/{sensor.name.lower()}" for sensor in Sensor]
+    names = [f"{name}/{sensor.key}" for sensor in Sensor]
     assert [model.camera(each).name for each in found.cameras] == names
     assert [model.site(each).name for each in found.leds] == [f"{name}/led_0", f"{name}/led_1"]
     assert [model.body(each).name for each in found.led_lights] == [

@@ -17,8 +17,8 @@ from khep_twin.lab.fit.fit_inputs import Measured, SensorData
 from khep_twin.lab.fit.motor_fit import DutyDrive, driven
 from khep_twin.lab.fit.placement import IN_PLACE
 from khep_twin.lab.fit.robot_fit import RobotFit, modelled
-from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.sensing.calibration import Calibration
+from khep_twin.units import SENSOR_LABELS
 
 _COLOURS = ("#e4572e", "#4dabf7", "#5c9e3a", "#9775c9", "#b8860b", "#2aa198")
 _UNITS = {"linear": "distance driven [cm]", "rotational": "turned [degrees]"}
@@ -59,7 +59,7 @@ def _draw_sensors(part: SubFigure, what: str, motion: str, runs: Sequence[Sensor
         for axes, counts, line in zip(panels, data.counts.T, model.T, strict=True):
             axes.plot(data.run.travelled, counts, ".", ms=2.5, color=colour, alpha=0.55)
             axes.plot(data.run.travelled[order], line[order], color=colour, lw=1.3, label=data.name)
-    for axes, name in zip(panels, SENSORS, strict=True):
+    for axes, name in zip(panels, SENSOR_LABELS, strict=True):
         axes.set_title(name, fontsize=9, color=INK)
     part.supxlabel(_UNITS[motion], fontsize=9)
     part.supylabel("ambient [counts]" if what == "light" else "proximity [counts]", fontsize=9)

@@ -32,9 +32,8 @@ from khep_twin.lab.fit.placement import (
     owners_of,
     unknowns,
 )
-from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.units import N_SENSORS
+from khep_twin.units import N_SENSORS, SENSOR_LABELS
 
 HEADING_SPREAD_DEG, LOBE_SPREAD = 5.0, 0.5
 """Standard deviations of a sensor's heading and lobe exponent around those of another robot (assumed: the
@@ -206,7 +205,7 @@ def fitted(start: Calibration, found: InfraredFit) -> Calibration:
 def _check(counts: Floats, noise: Floats, limit: float) -> None:
     """Raise a `FitError` for a sensor with hardly a reading between both ends."""
     between = ((counts > noise) & (counts < limit - noise)).sum(axis=0)
-    for name, told in zip(SENSORS, between.tolist(), strict=True):
+    for name, told in zip(SENSOR_LABELS, between.tolist(), strict=True):
         if told < _LEAST_READINGS:
             raise FitError(
                 f"{name}: the gain cannot be determined: {told} readings are neither 0 nor saturated; "
@@ -216,7 +215,7 @@ def _check(counts: Floats, noise: Floats, limit: float) -> None:
 
 def _parameters(before: Sequence[Optics], headings_deg: Sequence[float]) -> list[Parameter]:
     found: list[Parameter] = []
-    for name, old, heading_deg in zip(SENSORS, before, headings_deg, strict=True):
+    for name, old, heading_deg in zip(SENSOR_LABELS, before, headings_deg, strict=True):
         gain, spread, lobe = old.gain_counts_mm2, HEADING_SPREAD_DEG, LOBE_SPREAD
         found += [
             Parameter(f"{name}: gain", gain, gain / 4, _WIDEST * gain, " counts mm2", gain / 20),

@@ -26,9 +26,8 @@ from khep_twin.lab.fit.placement import (
     owners_of,
     unknowns,
 )
-from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.sensing.calibration import AmbientCalibration, Calibration
-from khep_twin.units import BODY_RADIUS, N_SENSORS, SENSOR_POSITIONS
+from khep_twin.units import BODY_RADIUS, N_SENSORS, SENSOR_LABELS, SENSOR_POSITIONS
 
 _LEAST_LIGHT = 40.0
 """Least depth of a reading below the dark level to fit a receiver [counts]."""
@@ -104,7 +103,7 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
     """
     before = start.ambient
     counts = flat([test.counts for test in tests]).reshape(-1, N_SENSORS)
-    for name, readings in zip(SENSORS, counts.T, strict=True):
+    for name, readings in zip(SENSOR_LABELS, counts.T, strict=True):
         if np.ptp(readings) < _LEAST_LIGHT:
             raise FitError(
                 f"{name}: the gain for lamps cannot be determined: its readings differ by less than "
@@ -177,7 +176,7 @@ def _shared(before: AmbientCalibration, saturated: bool) -> list[Parameter]:
 def _receivers(before: AmbientCalibration) -> list[Parameter]:
     """Return the parameters of each receiver in turn."""
     found: list[Parameter] = []
-    for sensor, name in enumerate(SENSORS):
+    for sensor, name in enumerate(SENSOR_LABELS):
         gain = before.gain_counts_mm2_per_w[sensor]
         found += [
             Parameter(f"{name}: heading to lamps", before.heading_deg[sensor], 10, 10, " deg"),

@@ -15,9 +15,8 @@ from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats
 from khep_twin.lab.fit.motor_fit import DutyDrive, aligned, driven, fit_motors
 from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Ruler
 from khep_twin.lab.fit.wheel_fit import fit_wheels, left_over
-from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.units import N_SENSORS
+from khep_twin.units import N_SENSORS, SENSOR_LABELS
 
 _TOO_FAR = 4.0
 """Error of an object's place from which on it is asked about, in the ruler's standard deviation."""
@@ -144,7 +143,7 @@ def _infrared_values(found: InfraredFit) -> Iterator[FittedValue]:
 
 def _infrared_lines(found: InfraredFit) -> Iterator[str]:
     kept: list[str] = []
-    for name, fit in zip(SENSORS, found.sensors, strict=True):
+    for name, fit in zip(SENSOR_LABELS, found.sensors, strict=True):
         words = [
             f"gain {fit.optics.gain_counts_mm2:.4g} +- {fit.gain_interval:.1%}",
             f"threshold {fit.optics.threshold_counts:.0f} +- {fit.threshold_interval:.0f}",
@@ -179,7 +178,7 @@ def _lamp_values(found: LampFit) -> Iterator[FittedValue]:
 
 def _lamp_lines(found: LampFit) -> Iterator[str]:
     ambient = found.ambient
-    for sensor, name in enumerate(SENSORS):
+    for sensor, name in enumerate(SENSOR_LABELS):
         heading, gain = ambient.heading_deg[sensor], ambient.gain_counts_mm2_per_w[sensor]
         yield (
             f"{name:10}     heading to lamps {heading:.1f} +- {found.heading_intervals[sensor]:.1f} degrees, "

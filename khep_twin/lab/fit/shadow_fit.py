@@ -15,7 +15,6 @@ from khep_twin.errors import CalibrationError, FitError
 from khep_twin.files import toml_files
 from khep_twin.lab.fit.least_squares import CONFIDENCE, DETERMINED
 from khep_twin.lab.fit.robot_fit import FittedValue, RobotFit
-from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.log.reader import read_arrays
 from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.sensing import calibration
@@ -25,6 +24,7 @@ from khep_twin.shadow.learned import LEARNED, Learned, learned
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.start import PUBLISHED
+from khep_twin.units import SENSOR_LABELS
 
 _WHEELS = "radius_mm", "right_over_left", "base_mm"
 _TOLD = {
@@ -85,7 +85,7 @@ def fit_learned(found: Learned, start: Calibration) -> RobotFit:
     wheels, gains = dict[str, float](), list(start.proximity.gain_counts_mm2)
     for each, known in learned_values(found, start):
         key, sensor = each.path[1], each.path[2] if len(each.path) > 2 else None
-        name, words = _TOLD[key] if sensor is None else (SENSORS[sensor], "gain {:.4g} +- {:.4g}")
+        name, words = _TOLD[key] if sensor is None else (SENSOR_LABELS[sensor], "gain {:.4g} +- {:.4g}")
         if each.interval > DETERMINED * known:
             kept.append(name if sensor is None else f"gain of {name}")
             continue

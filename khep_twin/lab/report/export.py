@@ -29,10 +29,9 @@ from khep_twin.board.kernel import Board, Wheel
 from khep_twin.board.turrets import installed
 from khep_twin.errors import LogError, choices
 from khep_twin.files.mat_bytes import mat_bytes
-from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import Recording, TimeSeries, read_pieces
-from khep_twin.units import K213_PIXELS
+from khep_twin.units import K213_PIXELS, SENSOR_LABELS
 
 SUFFIXES = (".csv", ".parquet", ".mat")
 
@@ -43,7 +42,7 @@ LINE_BYTES = 100
 """Assumed size of a line of the transcript [bytes]."""
 
 _SIDES = ("left", "right")
-_SENSORS = tuple(name.replace(" ", "_") for name in SENSORS)
+_SENSORS = tuple(name.replace(" ", "_") for name in SENSOR_LABELS)
 _SENSED = {
     kind: tuple((f"{kind}_{name}", "counts") for name in _SENSORS) for kind in ("proximity", "ambient")
 }

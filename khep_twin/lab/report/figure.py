@@ -15,9 +15,8 @@ from khep_twin.drawing.symbols import INK, Look
 from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Floats
 from khep_twin.lab.report.report import RobotReport
 from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT, draw_strip
-from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.log.reader import TimeSeries
-from khep_twin.units import COUNTS_LIMIT, speed
+from khep_twin.units import COUNTS_LIMIT, SENSOR_LABELS, speed
 
 POINT_LIMIT = 2000
 """Most points of a curve; longer ones are drawn as the extremes of so many intervals."""
@@ -58,7 +57,7 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
                 axes.tick_params(labelbottom=False)
             if column == 0:
                 place: Look = {"rotation": 0, "ha": "right", "va": "center", "fontsize": 8}
-                axes.set_ylabel(SENSORS[sensor], **place)
+                axes.set_ylabel(SENSOR_LABELS[sensor], **place)
                 axes.yaxis.set_label_coords(-0.11, 0.5)
             if series is None and sensor == 3:
                 axes.text(0.5, 0.5, "not in this log", transform=axes.transAxes, ha="center", va="center")

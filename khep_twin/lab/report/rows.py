@@ -9,9 +9,9 @@ from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Stretches
 from khep_twin.lab.experiment.wire_statistics import wire
-from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import TimeSeries
+from khep_twin.units import SENSOR_LABELS
 
 Row = tuple[str, str]
 """Name, and value with its unit."""
@@ -81,7 +81,7 @@ def light_rows(ambient: TimeSeries, dark: float) -> Iterator[Row]:
     levels = np.full(8, float(dark))
     found = statistics.light(ambient.times_ns / 1e9, ambient.values.astype(np.int64), levels)
     yield "Light gained", f"{found.mean:.1f} counts in the mean of all sensors"
-    sensor = SENSORS[found.sensor]
+    sensor = SENSOR_LABELS[found.sensor]
     yield "Brightest moment", f"{found.brightest:.0f} counts, sensor {sensor}, at {found.time_s:.1f} s"
 
 

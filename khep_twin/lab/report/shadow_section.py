@@ -23,9 +23,9 @@ from khep_twin.drawing.symbols import INK, Look
 from khep_twin.lab.experiment.run_statistics import Floats
 from khep_twin.lab.report.figure import thinned, within
 from khep_twin.lab.report.rows import Row
-from khep_twin.lab.sensor_test.sensor_test import SENSORS
 from khep_twin.log.shadow_channels import LIGHT, PROXIMITY, TIMING, WHEELS, ShadowTrack
 from khep_twin.playpen import Playpen
+from khep_twin.units import SENSOR_LABELS
 
 Draw = Callable[[Figure, ShadowTrack, tuple[float, float]], None]
 """Function that draws a picture onto a figure; the corner is the lower left [inch]."""
@@ -148,7 +148,7 @@ def _draw_sensors(figure: Figure, track: ShadowTrack, corner: tuple[float, float
                 axes.set_title(f"{name}: measured less expected [counts]", fontsize=9, loc="left", color=INK)
             if column == 0:
                 place: Look = {"rotation": 0, "ha": "right", "va": "center", "fontsize": 8}
-                axes.set_ylabel(SENSORS[sensor], **place)
+                axes.set_ylabel(SENSOR_LABELS[sensor], **place)
                 axes.yaxis.set_label_coords(-0.16, 0.5)
             if sensor == 7:
                 axes.set_xlabel("time [s]", fontsize=8)

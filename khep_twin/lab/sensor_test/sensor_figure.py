@@ -26,8 +26,15 @@ from numpy.typing import NDArray
 from khep_twin.drawing.map import STYLE
 from khep_twin.drawing.symbols import INK, Look
 from khep_twin.errors import SensorTestError
-from khep_twin.lab.sensor_test.sensor_test import SENSORS, SensorRun
-from khep_twin.units import BODY_RADIUS, SENSOR_POSITIONS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
+from khep_twin.lab.sensor_test.sensor_test import SensorRun
+from khep_twin.units import (
+    BODY_RADIUS,
+    SENSOR_LABELS,
+    SENSOR_POSITIONS,
+    WHEEL_BASE,
+    WHEEL_RADIUS,
+    WHEEL_WIDTH,
+)
 
 Floats = NDArray[np.float64]
 
@@ -152,7 +159,7 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
     figure = sheet(10.5, 7.6)
     edges = {"left": 0.07, "right": 0.985, "bottom": 0.075, "top": 0.955}
     cells = figure.add_gridspec(3, 4, hspace=0.42, wspace=0.26, **edges)
-    for index, name in enumerate(SENSORS):
+    for index, name in enumerate(SENSOR_LABELS):
         row, column = _CELLS[index]
         axes = figure.add_subplot(cells[row, column])
         _draw_sensor(axes, runs, index, y_min, grid)
@@ -232,7 +239,7 @@ def _draw_robot(axes: Axes) -> None:
     for side in (-1, 1):
         corner = (side * WHEEL_BASE / 2 - WHEEL_WIDTH / 2, -WHEEL_RADIUS)
         axes.add_patch(Rectangle(corner, WHEEL_WIDTH, 2 * WHEEL_RADIUS, facecolor=INK, lw=0))
-    for name, (forward, left) in zip(SENSORS, SENSOR_POSITIONS, strict=True):
+    for name, (forward, left) in zip(SENSOR_LABELS, SENSOR_POSITIONS, strict=True):
         axes.add_patch(Circle((-left, forward), 0.0016, facecolor=_RUN, lw=0))
         # Put the names beside lateral sensors, and before or behind the others.
         if abs(left) > 0.012:

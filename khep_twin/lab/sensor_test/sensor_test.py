@@ -22,13 +22,10 @@ from numpy.typing import NDArray
 from khep_twin.errors import KhepTwinError, SensorTestError
 from khep_twin.host import Khepera, Vision
 from khep_twin.log.decoding import shown
-from khep_twin.units import COUNTS_LIMIT, K213_PIXELS, PULSE_LENGTH, WHEEL_BASE, Sensor
+from khep_twin.units import COUNTS_LIMIT, K213_PIXELS, PULSE_LENGTH, SENSOR_LABELS, WHEEL_BASE
 
 What = Literal["proximity", "light", "vision"]
 """Quantity that the sensors measure."""
-
-SENSORS = tuple(sensor.name.lower().replace("_", " ") for sensor in Sensor)
-"""Names of the sensors, in the manual's order."""
 
 
 class Quantity(NamedTuple):
@@ -54,8 +51,10 @@ def _images_of(robot: Khepera) -> Callable[[], Sequence[int]]:
 
 
 QUANTITIES: Mapping[What, Quantity] = {
-    "proximity": Quantity(SENSORS, "proximity", "proximity [counts]", COUNTS_LIMIT, attrgetter("proximity")),
-    "light": Quantity(SENSORS, "ambient", "ambient [counts]", COUNTS_LIMIT, attrgetter("ambient")),
+    "proximity": Quantity(
+        SENSOR_LABELS, "proximity", "proximity [counts]", COUNTS_LIMIT, attrgetter("proximity")
+    ),
+    "light": Quantity(SENSOR_LABELS, "ambient", "ambient [counts]", COUNTS_LIMIT, attrgetter("ambient")),
     "vision": Quantity(
         tuple(f"pixel {pixel}" for pixel in range(K213_PIXELS)),
         "vision",

@@ -81,7 +81,7 @@ class Rays:
         ends, seen = self._cast(robot, poses, rows)
         n = len(rows)
         strips = np.empty((n, len(Sensor), _RAYS, 2, 3), np.float32)
-        starts = [self._model.camera(f"{robot}/{sensor.name.lower()}").pos for sensor in Sensor]
+        starts = [self._model.camera(f"{robot}/{sensor.key}").pos for sensor in Sensor]
         strips[..., 0, :], strips[..., 1, :] = np.array(starts)[None, :, None], ends
         part = np.sqrt(np.clip(track.proximity / COUNTS_LIMIT, 0, 1))[..., None]
         colours = np.empty((n, len(Sensor), _RAYS, 4), np.uint8)
@@ -103,7 +103,7 @@ class Rays:
         model, data = self._model, self._data
         base = model.body(f"{robot}/base").id
         own = model.body_rootid == base
-        cameras = [model.camera(f"{robot}/{sensor.name.lower()}").id for sensor in Sensor]
+        cameras = [model.camera(f"{robot}/{sensor.key}").id for sensor in Sensor]
         angles = np.arctan(np.linspace(-1, 1, _RAYS))
         # A camera looks against its third axis, with its first to the right.
         fan = np.column_stack((np.sin(angles), np.zeros(_RAYS), -np.cos(angles)))

@@ -10,7 +10,8 @@ from matplotlib.collections import PolyCollection
 from khep_twin.drawing.map import save
 from khep_twin.errors import SensorTestError
 from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT, check, draw, mean_and_spread, positions
-from khep_twin.lab.sensor_test.sensor_test import SENSORS, SensorRun, SensorTest
+from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest
+from khep_twin.units import SENSOR_LABELS
 
 LINEAR = SensorTest(linear_cm=10)
 TURN = SensorTest(rotate_deg=360)
@@ -29,7 +30,7 @@ def run(test: SensorTest = LINEAR, counts: int = 100, n: int = 11, part: float =
 def test_eight_axes_lie_like_the_sensors_on_a_robot_that_looks_up() -> None:
     figure = draw([run()])
     places_of = {axes.get_title(): axes.get_position() for axes in figure.axes if axes.get_title()}
-    assert list(places_of) == list(SENSORS)
+    assert list(places_of) == list(SENSOR_LABELS)
     for side in ("90", "45", "10"):
         assert places_of[f"left {side}"].x1 < places_of[f"right {side}"].x0
     assert places_of["back left"].x1 < places_of["back right"].x0

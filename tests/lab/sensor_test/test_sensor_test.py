@@ -8,10 +8,10 @@ import pytest
 from khep_twin import playpen
 from khep_twin.errors import KhepTwinError, SensorTestError
 from khep_twin.host import Khepera, Vision
-from khep_twin.lab.sensor_test.sensor_test import SENSORS, BrokenOffError, SensorRun, SensorTest, sense
+from khep_twin.lab.sensor_test.sensor_test import BrokenOffError, SensorRun, SensorTest, sense
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
-from khep_twin.units import BODY_RADIUS
+from khep_twin.units import BODY_RADIUS, SENSOR_LABELS
 
 
 def before_a_wall(distance_mm: float, faults: tuple[str, ...] = ()) -> Khepera:
@@ -45,7 +45,7 @@ def test_a_whole_turn_shows_the_wall_to_each_sensor_at_its_own_heading() -> None
     # A sensor sees the wall once the robot has turned as far as it looks the other way; those at the
     # side sit at 67 degrees and look to 88, so that near a wall they see it in between.
     for sensor, heading_deg in {"left 90": 283, "right 90": 77, "left 45": 315, "right 45": 45}.items():
-        weights = run.dv[:, 2 + SENSORS.index(sensor)].astype(np.float64)
+        weights = run.dv[:, 2 + SENSOR_LABELS.index(sensor)].astype(np.float64)
         radians = np.radians(run.travelled)
         seen = math.degrees(math.atan2(weights @ np.sin(radians), weights @ np.cos(radians))) % 360
         assert seen == pytest.approx(heading_deg, abs=12), sensor
