@@ -88,7 +88,7 @@ recordings: $(VENV)/dev.stamp ## logs of 300 sound robots with random hosts, in 
 edges: $(VENV)/dev.stamp ## 2,000 random playpens at the edge of what the check lets pass, driven through at full speed; about an hour
 	@$(BIN)/python tools/edge_playpens.py $(EDGES)
 
-branches: $(VENV)/dev.stamp ## 200 random logs taken up at random moments, unchanged and changed; BRANCHES=20 for fewer; about ten minutes
+branches: $(VENV)/dev.stamp ## 200 random logs resumed at random moments, unchanged and changed; BRANCHES=20 for fewer; about ten minutes
 	@$(BIN)/python tools/branches.py $(BRANCHES)
 
 twin-trials: $(VENV)/dev.stamp ## shadows of stand-in robots beside the truth: poses, alarms, healthy hours, cost; TRIALS="pose --runs 4" for a part; hours

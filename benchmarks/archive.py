@@ -1,7 +1,7 @@
 """MAP-Elites here and in Kheperax, with the same number of evaluations: `python -m benchmarks.archive`.
 
 Here it is `examples/05_map_elites.py` with its defaults, which needs ribs; there it is Kheperax's own example
-with qdax (`kheperax_archive`), in a process and a Python of its own. Coverage is the part of all cells of the
+with qdax (`kheperax_archive`), with its own process and Python. Coverage is the part of all cells of the
 archive that have an elite. Both objectives go from 0, full speed all the time, to 1, a robot at rest, and the
 QD score is their sum over all elites. Processor time has all threads; here also the start of Python and the
 loading of compiled code, there only the search, with the compilation beside it.

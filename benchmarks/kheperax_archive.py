@@ -1,4 +1,4 @@
-"""MAP-Elites of qdax on the standard task of Kheperax 0.2.0, in a process and an environment of its own.
+"""MAP-Elites of qdax on the standard task of Kheperax 0.2.0, with its own process and environment.
 
 One line of input, JSON: `seed`, `batch`, `iterations`, `cells` along a side and `sigma`, the standard
 deviation of the mutation. One line of output, JSON:

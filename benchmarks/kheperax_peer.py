@@ -1,4 +1,4 @@
-"""Kheperax 0.2.0 as a peer, in a process and an environment of its own, without khep_twin.
+"""Kheperax 0.2.0 as a peer, with its own process and environment, without khep_twin.
 
 The first line of the input is the scene in JSON, from `peers.scene`; the answer is versions. Each further
 line, "ROBOTS STEPS", is one measurement: ROBOTS robots at once take STEPS steps of 20 ms, as

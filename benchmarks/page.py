@@ -48,7 +48,7 @@ class Turn:
 
 
 class Twin:
-    """A designer in a process of its own, whose twin runs as fast as it goes."""
+    """A designer in its own process, whose twin runs as fast as it goes."""
 
     def __init__(self, folder: str) -> None:
         command = [sys.executable, "-m", "khep_twin", "design", "--no-browser"]

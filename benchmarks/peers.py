@@ -1,4 +1,4 @@
-"""Other simulators beside khep_twin, each in a process and a Python of its own.
+"""Other simulators beside khep_twin, each with its own process and Python.
 
 `kheperax_peer` lists the differences of Kheperax.
 """

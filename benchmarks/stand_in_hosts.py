@@ -118,7 +118,7 @@ class _Turn:
         """Begin a turn to the left (1) or right (-1); return the speeds."""
         if self._free > 0:  # The last one was given up: what the sensors see may not be there.
             return 4, 4
-        # Soon after another turn it goes the same way: in corners, sides take turns.
+        # Soon after another turn it goes the same way: in corners, sides alternate.
         side = self._side = self._side if self._ago < _MEMORY else side
         self._speeds, self._least, self._most = (-side * speed, side * speed), decisions, _PATIENCE
         return self._speeds

@@ -1,4 +1,4 @@
-"""Many robots in real time, each polled on a line of its own, beside bare pseudo-terminals that answer.
+"""Many robots in real time, each polled on its own line, beside bare pseudo-terminals that answer.
 
 `python -m benchmarks.swarm` serves the playpen `swarm` with and without a log, and asks each of its twenty
 robots for N and D in turn, as often as 9600 baud allows. The floor is a process that answers on as many

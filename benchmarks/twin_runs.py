@@ -31,7 +31,7 @@ class Recording(NamedTuple):
         playpen: Name of its playpen.
         seed: Seed of the robot, the host, its start and all that is drawn.
         seconds: Length [s].
-        host: Name of the host; by default they take turns, each with three seeds.
+        host: Name of the host; by default they alternate, each with three seeds.
         asks_counters: Ask H, too.
         asks_light: Ask O, too.
         faults: Faults of the robot.

@@ -5,7 +5,7 @@
 After the rules of cockroaches that Garnier et al. (2008, Artificial Life 14) gave to small robots: a robot
 walks about, rests where it meets another one, and rests the longer the more of them it has around it. The
 numbers are ours. A wall is bright and wide, and seen by three sensors or more from 25 mm on; another robot is
-dark and round, and seen by one or two when it is near. Each robot has a host program of its own on its serial
+dark and round, and seen by one or two when it is near. Each robot has its own host program on its serial
 line, all of them in lock-step; the seed decides everything.
 
 A cluster is a set of robots that are linked by gaps of at most 15 mm from shell to shell.

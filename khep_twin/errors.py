@@ -20,7 +20,7 @@
     ├── SeedError         a seed that is negative or too large, a ValueError as well
     ├── StoppedError      a command to a robot whose run is ending
     ├── MissingExtraError a part of khep_twin whose package is not installed
-    ├── SnapshotError     a state of a simulation that cannot be taken up
+    ├── SnapshotError     a state of a simulation that cannot be resumed
     └── DivergedError     a simulation that left the bounds of physics
 
 Each message gives the location, the value found there and the expected one; programs find what is known as

@@ -72,7 +72,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`pytest tests/conformance --port URL` checks a robot or a served twin instead of twins of its own."""
+    """`pytest tests/conformance --port URL` checks a robot or a served twin instead of its own twins."""
     parser.addoption("--port", help="port of a robot or twin to check; its robot moves about 10 cm")
     parser.addoption("--baudrate", type=int, default=9600, help="speed of that port's line")
 

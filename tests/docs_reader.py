@@ -1,4 +1,4 @@
-"""Reader: runs the blocks of a page in order, in a folder of its own, as one who copies them would.
+"""Reader: runs the blocks of a page in order, in its own folder, as one who copies them would.
 
 Comments above a block, which a page does not show, tell how to read it:
 

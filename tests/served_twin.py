@@ -1,4 +1,4 @@
-"""`khep-twin serve`, and other commands that serve, in processes of their own."""
+"""`khep-twin serve`, and other commands that serve, in their own processes."""
 
 import select
 import subprocess

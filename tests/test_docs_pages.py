@@ -1,6 +1,6 @@
 """Every block of the pages: programs compile, commands are those of the command line and the Makefile.
 
-Pages that a reader follows have tests of their own beside this one, which run their blocks.
+Pages that a reader follows have their own tests beside this one, which run their blocks.
 """
 
 import re

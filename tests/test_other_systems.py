@@ -28,7 +28,7 @@ builtins.__import__ = hidden
 
 COMMAND = "sys.argv[0] = 'khep-twin'\nrunpy.run_module('khep_twin', run_name='__main__')"
 
-ALONE = {"khep_twin.ports.pty", "khep_twin.ports.presence", "khep_twin.__main__"}
+ALONE = {"khep_twin.ports.pty", "khep_twin.ports.terminal_hosts", "khep_twin.__main__"}
 """Modules that are for terminals alone, and the one that runs the command."""
 
 

@@ -1,4 +1,4 @@
-"""Runs of random logs taken up at random moments: unchanged they equal the parent, changed ones up to there.
+"""Runs of random logs resumed at random moments: unchanged they equal the parent, changed ones up to there.
 
     python tools/branches.py 200                      `make branches`
 

@@ -31,7 +31,7 @@ MODULES = (
     "khep_twin.log.recorded",
     "khep_twin.log.snapshots",
     "khep_twin.ports.replay",
-    "khep_twin.ports.taking_up",
+    "khep_twin.ports.resume",
     "khep_twin.ports.branching",
     "khep_twin.lab.conformance.recording",
     "khep_twin.lab.experiment.repeat",

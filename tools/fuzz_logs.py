@@ -30,7 +30,7 @@ MODULES = (
     "record_bytes",
     "recover",
     "mcap_recovery",
-    "sieve",
+    "message_filter",
     "state_hashes",
 )
 """Modules of khep_twin.log, whose branches libFuzzer looks for."""

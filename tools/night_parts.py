@@ -245,7 +245,7 @@ PARTS = (
     ),
     Part(
         "branches",
-        "random logs taken up at random moments, unchanged and changed",
+        "random logs resumed at random moments, unchanged and changed",
         "logs",
         200,
         20,

@@ -1,4 +1,4 @@
-"""`khep-twin branch`: a logged run taken up at a moment, to go on from there with something changed."""
+"""`khep-twin branch`: a logged run resumed at a moment, to go on from there with something changed."""
 
 from collections.abc import Callable
 from contextlib import chdir
@@ -111,7 +111,7 @@ def branch(
         for number, path in enumerate(paths):
             if asked():
                 break
-            if number and controller is not None:  # one of its own for each branch
+            if number and controller is not None:  # a separate one for each branch
                 found = find_controller(controller, as_toolbox_form)
             each = replace(plan, change=replace(change, seed=seeds[number]), controller=found)
             part = None if show is None else partial(_share, show, number, runs)

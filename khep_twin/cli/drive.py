@@ -90,7 +90,7 @@ def _with_log(port: str, log: Path | None) -> str:
 def _running(
     operation: "Teleoperation", stop: Callable[[], bool]
 ) -> Generator[tuple[Callable[[], bool], list[BaseException]], None, None]:
-    """Drive in a thread of its own; yield whether it has ended, and its errors."""
+    """Drive in its own thread; yield whether it has ended, and its errors."""
     quits = threading.Event()
     failures: list[BaseException] = []
 

@@ -126,10 +126,10 @@ def check_outputs(
     """Refuse a calibration and a picture that could not be written, or would replace what is read."""
     check_writable(output, picture)
     if output is not None and picture is not None and is_same(output, picture):
-        raise FitError(f"{picture}: this is the calibration; expected a file of its own for the picture")
+        raise FitError(f"{picture}: this is the calibration; expected a separate file for the picture")
     for path in filter(None, (output, picture)):
         if any(is_same(path, each) for each in recorded):
-            raise FitError(f"{path}: this is a recorded test; expected a file of its own")
+            raise FitError(f"{path}: this is a recorded test; expected a separate file")
     if picture is not None and picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise FitError(f"{picture}: expected a name that ends in .png, .svg or .pdf")
     check_apart([start], output, picture)

@@ -81,7 +81,7 @@ def check_apart(read: Iterable[str | Path], *written: Path | None) -> None:
     """Refuse to overwrite input files with output."""
     for path in filter(None, written):
         if any(is_same(path, Path(each)) for each in read):
-            raise KhepTwinError(f"{path}: this is what is read; expected a file of its own")
+            raise KhepTwinError(f"{path}: this is what is read; expected a separate file")
 
 
 def check_picture(picture: Path | None, log: Path | None = None) -> None:
@@ -93,7 +93,7 @@ def check_picture(picture: Path | None, log: Path | None = None) -> None:
     if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise usage(f"--picture {picture}: expected a name that ends in .png, .svg or .pdf")
     if log is not None and picture.resolve() == log.resolve():
-        raise usage(f"--picture {picture}: this is the log; expected a file of its own")
+        raise usage(f"--picture {picture}: this is the log; expected a separate file")
     if not picture.parent.is_dir():
         raise usage(f"--picture {picture}: there is no directory {picture.parent}")
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from khep_twin.log.recorder import Recorder
     from khep_twin.ports.relay import LineListener
 
-Tapped = Callable[[Callable[[], int]], "LineListener"]
+ListenerMaker = Callable[[Callable[[], int]], "LineListener"]
 """Function of the line's clock [ns] that returns a listener."""
 
 
@@ -34,7 +34,7 @@ def relay_robot(
     baud: int,
     endpoint: EndpointOptions,
     logging: LogOptions,
-    tapped: Tapped | None = None,
+    make_listener: ListenerMaker | None = None,
     *,
     poll: bool = False,
     stop: Callable[[], bool],
@@ -46,7 +46,7 @@ def relay_robot(
         baud: Speed of its line, until a host sets another [baud].
         endpoint: What hosts open.
         logging: Log of the line.
-        tapped: Makes one more listener on the line.
+        make_listener: Makes one more listener on the line.
         poll: Whether to ask the robot while no host does.
         stop: Function that returns whether to end.
     """
@@ -67,8 +67,8 @@ def relay_robot(
             recorder = LineRecorder(logging.log, settings, now, on_failure=logging.on_failure)
             listeners.append(stack.enter_context(closing(recorder)))
         tell_kept(recorder)
-        if tapped is not None:
-            listeners.append(tapped(now))
+        if make_listener is not None:
+            listeners.append(make_listener(now))
         stack.enter_context(endpoint.announced(ports, f"robot at {port}"))
         polls = IdlePolls() if poll else None
         relay(device, ports[0], listeners, polls, stop=stop, notify=complain)

@@ -175,6 +175,6 @@ def _check_outputs(log: Path, *outputs: Path) -> None:
     for path in outputs:
         check_writable(path)
         if is_same(path, log):
-            raise LogError(f"{path}: this is the log; expected a file of its own")
+            raise LogError(f"{path}: this is the log; expected a separate file")
     if len({path.resolve() for path in outputs}) < len(outputs):
-        raise LogError(f"{outputs[0]}: named twice; expected a file of its own for each")
+        raise LogError(f"{outputs[0]}: named twice; expected a separate file for each")

@@ -80,7 +80,7 @@ class SeriesOptions:
         if self.resume and self.save is None:
             raise usage("--resume goes on with a series that was saved; expected --save FOLDER, too")
         if log is not None and self.save is not None and log.resolve() == self.save.resolve():
-            raise usage(f"--save {self.save}: this is the log; expected a folder of its own")
+            raise usage(f"--save {self.save}: this is the log; expected a separate folder")
 
 
 @grouped

@@ -80,7 +80,7 @@ _OF_A_TWIN = option_names(RobotOptions, TimingOptions, LiveViewOptions) - {"mode
 
 
 _OF_THE_LOG = (option_names(RobotOptions) | {"playpen", "unpaced", "strict_line", "relay"}) - {"seed"}
-"""Options of a twin that is taken up from a log which are the log's."""
+"""Options of a twin that is resumed from a log which are the log's."""
 
 
 @grouped
@@ -172,9 +172,9 @@ def _open_log(
     """Take up the run of a log."""
     from khep_twin.log.recorded import BranchPoint
     from khep_twin.ports.branching import open_log
-    from khep_twin.ports.taking_up import end_of
+    from khep_twin.ports.resume import run_end_ns
 
-    change = BranchPoint(end_of(path) if at_ns is None else at_ns, seed=seed, faults=faults)
+    change = BranchPoint(run_end_ns(path) if at_ns is None else at_ns, seed=seed, faults=faults)
     return open_log(path, change, robot, logging.log, served=True, on_failure=logging.on_failure)
 
 

@@ -35,9 +35,9 @@ from khep_twin.status_line import status_line
 
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
+    from khep_twin.shadow.line_pipe import LineReceiver
     from khep_twin.shadow.recording import Heard
     from khep_twin.shadow.shadow import ShadowSettings
-    from khep_twin.shadow.tap import TappedLine
 
 _BEHIND_S = 2.0
 """Delay of the estimate that is reported (assumed) [s]."""
@@ -154,16 +154,16 @@ def _follow_log(
 
 
 def _follow_line(descriptor: int, followed: Followed, viewer: AbstractContextManager[None]) -> None:
-    """Follow the line of a tap, as the process of `cli.beside`."""
-    from khep_twin.cli.beside import READY
-    from khep_twin.shadow.tap import TappedLine
+    """Follow a relay's line, as the process of `cli.shadow_process`."""
+    from khep_twin.cli.shadow_process import READY
+    from khep_twin.shadow.line_pipe import LineReceiver
 
     # Where cores are few, the relay and the host come first.
     lower_priority(by=_NICE)
     with viewer, stopping(None) as stop:
         with closing(followed), status_line() as status:
             os.write(descriptor, READY)
-            line = TappedLine(descriptor, stop)
+            line = LineReceiver(descriptor, stop)
             code = followed.follow(_on_time(line), stop, None if status is None else status.show)
         followed.tell()
         os.write(descriptor, bytes([code]))
@@ -172,7 +172,7 @@ def _follow_line(descriptor: int, followed: Followed, viewer: AbstractContextMan
         raise typer.Exit(code)
 
 
-def _on_time(line: "TappedLine") -> "Iterator[Heard]":
+def _on_time(line: "LineReceiver") -> "Iterator[Heard]":
     """Yield what crosses the line; tell where the shadow falls behind."""
     told = False
     for each in line:
@@ -189,20 +189,20 @@ def _on_time(line: "TappedLine") -> "Iterator[Heard]":
 def _beside_robot(
     port: str, baud: int, words: list[str], endpoint: EndpointOptions, logging: LogOptions, poll: bool
 ) -> None:
-    """Relay a robot's line, with a shadow in a process of its own."""
-    from khep_twin.cli.beside import beside
+    """Relay a robot's line, with a shadow in its own process."""
+    from khep_twin.cli.shadow_process import run_shadow
 
-    with stopping() as stop, beside(words, stop) as other:
+    with stopping() as stop, run_shadow(words, stop) as shadow:
 
         def ends() -> bool:
-            return stop() or other.raised()
+            return stop() or shadow.ended_by_alarm()
 
         try:
-            relay_robot(port, baud, endpoint, logging, other.tap, poll=poll, stop=ends)
+            relay_robot(port, baud, endpoint, logging, shadow.listener, poll=poll, stop=ends)
         except Exception:
-            other.finish()
+            shadow.finish()
             raise
-        code = other.finish()
+        code = shadow.finish()
     if code:
         raise typer.Exit(code)
 

@@ -107,4 +107,4 @@ def _check(
         if reason := unusable(png):
             raise usage(f"--png {png}: cannot be written: {reason}")
         if any(is_same(png, log) for log in logs):
-            raise LogError(f"{png}: this is the log itself; expected a file of its own")
+            raise LogError(f"{png}: this is the log itself; expected a separate file")

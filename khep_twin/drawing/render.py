@@ -1,6 +1,6 @@
 """View of a playpen from a camera above it, rendered by MuJoCo if OpenGL is available.
 
-A graphics driver may crash the process that uses it, so the picture is made in a process of its own:
+A graphics driver may crash the process that uses it, so the picture is made in its own process:
 `python -m khep_twin.drawing.render` reads a playpen and writes a PNG.
 """
 

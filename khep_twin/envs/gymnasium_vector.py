@@ -39,7 +39,7 @@ except ModuleNotFoundError as error:
 
 
 class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[np.generic]]):
-    """Many robots, each in a playpen of its own, stepped by threads.
+    """Many robots, each in its own playpen, stepped by threads.
 
     Each gives the same results as a single environment, for any number of threads: robot i starts with the
     seed + i. What follows the end of an episode is Gymnasium's autoreset mode:

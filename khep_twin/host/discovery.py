@@ -8,7 +8,7 @@ from serial.tools import list_ports
 from khep_twin.errors import PortError, PortInUse, PortTimeout
 from khep_twin.host import commands
 from khep_twin.host.opening import find_speed, open_port
-from khep_twin.ports.holders import holder
+from khep_twin.ports.port_users import port_user
 from khep_twin.ports.service_registry import served
 
 _WAIT = 0.3
@@ -57,7 +57,7 @@ def who_answers(url: str) -> tuple[int, commands.Versions] | None:
         PortInUse: Another program has the port open.
         PortError: The port cannot be opened or fails.
     """
-    if who := holder(url):
+    if who := port_user(url):
         raise PortInUse(f"{url}: in use by {who}")
     port = open_port(url, 9600, _WAIT, exclusive=True)
     try:

@@ -32,7 +32,7 @@ _STOP = "D,0,0"
 """Request that stops the motors."""
 
 _PATIENCE = 1.0
-"""Wait for what comes where a port has no timeout of its own [s]."""
+"""Wait for what comes where a port has no timeout [s]."""
 
 LONGEST_OUTPUT = 10.0
 """Longest wait for the end of a tool's output [s]; `list` takes 2 s at 9600 baud."""

@@ -1,6 +1,6 @@
 """Live view of a run in Foxglove: its messages, as a log has them, on a WebSocket while it goes on.
 
-The server is Foxglove's own (foxglove-sdk), which sends in threads of its own and keeps the last messages for
+The server is Foxglove's own (foxglove-sdk), which sends in its own threads and keeps the last messages for
 a client that reads slowly; what a client does not take in time it misses, and the run waits for none.
 Clients only listen: what they send has no effect.
 """

@@ -34,7 +34,7 @@ def scene_update(model: mujoco.MjModel) -> bytes:
         frame, place = (body_name(model, body), _HERE) if moves else ("world", _place(model, body))
         entity: Any = None
         for shape in shapes(model, body):
-            # Not in /tf: each shape of a fixed body is an entity of its own, at its position in the world.
+            # Not in /tf: each shape of a fixed body is a separate entity, at its position in the world.
             if entity is None or not moves:
                 name = frame if moves else f"world/{shape.name}"
                 # The timestamp is the start of the run; without a lifetime it has no end.

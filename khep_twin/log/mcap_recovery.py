@@ -35,8 +35,8 @@ Progress = Callable[[float], None] | None
 """Function that takes the share that is done, 0 to 1."""
 
 
-class Salvage:
-    """Search of a file for whole records.
+class WholeRecords:
+    """Whole records of a file that may be damaged.
 
     Args:
         data: Content of the file.

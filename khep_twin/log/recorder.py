@@ -161,7 +161,7 @@ class WorldRecorder:
         if not self._log.open:
             return
         if world.lamps is not self._known_lamps:
-            # Rows of a channel have one length, so lamps set up later have a channel of their own.
+            # Rows of a channel have one length, so lamps set up later have their own channel.
             self.flush()
             self._lamps_sets += 1
             self._lamps_topic = f"/lamps_{self._lamps_sets}"

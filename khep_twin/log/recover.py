@@ -17,16 +17,16 @@ from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular, unusable
 from khep_twin.log.decoding import Misfit
 from khep_twin.log.label import robot_names, run_facts
-from khep_twin.log.mcap_recovery import Progress, Salvage
+from khep_twin.log.mcap_recovery import Progress, WholeRecords
+from khep_twin.log.message_filter import MessageFilter
 from khep_twin.log.record_bytes import HEAD, LARGEST_CHUNK, LARGEST_RATIO, MESSAGE
-from khep_twin.log.sieve import Sieve
 from khep_twin.machine import lock
 
 _PART = re.compile(r"\.part(\.[0-9]+)?$")
 
 
 @dataclass(frozen=True, slots=True)
-class Rescue:
+class Recovery:
     """Result of a recovery.
 
     Attributes:
@@ -53,7 +53,7 @@ class Rescue:
         return not (self.damaged or self.torn or self.refused)
 
 
-def recover(path: Path, progress: Progress = None) -> Rescue:
+def recover(path: Path, progress: Progress = None) -> Recovery:
     """Write all whole records of a log beside it, as NAME.mcap or, if that exists, NAME.recovered.mcap.
 
     Args:
@@ -64,8 +64,8 @@ def recover(path: Path, progress: Progress = None) -> Rescue:
         LogError: There is nothing to recover, or the new log cannot be written.
     """
     # Searching a file takes about as long as writing the new one.
-    salvage = Salvage(_content(path), progress and (lambda share: progress(share / 2)))
-    if not (salvage.attachments or salvage.metadata or any(True for _ in salvage.messages())):
+    records = WholeRecords(_content(path), progress and (lambda share: progress(share / 2)))
+    if not (records.attachments or records.metadata or any(True for _ in records.messages())):
         raise LogError(f"{path}: nothing to rescue: no record of an MCAP file is whole")
     target = _target(path)
     if reason := unusable(target):
@@ -74,14 +74,14 @@ def recover(path: Path, progress: Progress = None) -> Rescue:
         # It is renamed only when it is whole; if the name was taken meanwhile, that is an error.
         with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as folder:
             whole = Path(folder) / target.name
-            size, rescue = _write(salvage, whole, CompressionType.ZSTD, progress)
+            size, recovery = _write(records, whole, CompressionType.ZSTD, progress)
             if size > whole.stat().st_size * _RATIO:
                 whole.unlink()
-                _, rescue = _write(salvage, whole, CompressionType.NONE, progress)
+                _, recovery = _write(records, whole, CompressionType.NONE, progress)
             target.hardlink_to(whole)
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
-    return replace(rescue, path=target)
+    return replace(recovery, path=target)
 
 
 def _content(path: Path) -> bytes | mmap:
@@ -110,30 +110,31 @@ def _target(path: Path) -> Path:
 
 
 def _write(
-    salvage: Salvage, path: Path, compression: CompressionType, progress: Progress
-) -> tuple[int, Rescue]:
+    records: WholeRecords, path: Path, compression: CompressionType, progress: Progress
+) -> tuple[int, Recovery]:
     """Write a file that our reader accepts; return the size of its content [bytes] and what is in it."""
     messages = until_ns = 0
-    sieve = _sieve(salvage)
+    message_filter = _message_filter(records)
     with path.open("xb") as file:
         writer = Writer(file, compression=compression)
-        writer.start(salvage.header.profile, salvage.header.library)
-        attachments = [each for each in salvage.attachments if len(each.data) <= _LARGEST and _is_text(each)]
-        refused = len(salvage.attachments) - len(attachments)
+        writer.start(records.header.profile, records.header.library)
+        attachments = [each for each in records.attachments if len(each.data) <= _LARGEST and _is_text(each)]
+        refused = len(records.attachments) - len(attachments)
         for each in attachments:
             writer.add_attachment(each.create_time, each.log_time, each.name, each.media_type, each.data)
-        for record in salvage.metadata:
+        for record in records.metadata:
             writer.add_metadata(record.name, record.metadata)
-        lost = {"damaged": str(salvage.damaged), "torn": str(salvage.torn).lower()}
+        lost = {"damaged": str(records.damaged), "torn": str(records.torn).lower()}
         writer.add_metadata("recovered", {"khep_twin": __version__, **lost})
-        schemas, channels, size = _defined(salvage, writer)
-        for message in salvage.messages(progress and (lambda share: progress((1 + share) / 2))):
+        schemas, channels, size = _defined(records, writer)
+        for message in records.messages(progress and (lambda share: progress((1 + share) / 2))):
             if message.channel_id not in channels:
                 continue
-            channel = salvage.channels[message.channel_id]
+            channel = records.channels[message.channel_id]
             schema = schemas.get(channel.schema_id, "")
             if len(message.data) > _LARGEST or not (
-                sieve is None or sieve.takes(channel.topic, schema, message.log_time, message.data)
+                message_filter is None
+                or message_filter.accepts(channel.topic, schema, message.log_time, message.data)
             ):
                 refused += 1
                 continue
@@ -145,8 +146,8 @@ def _write(
         writer.finish()
         file.flush()
         os.fsync(file.fileno())
-    counts = len(attachments), salvage.damaged, salvage.torn, refused
-    return size, Rescue(path, messages, until_ns, *counts)
+    counts = len(attachments), records.damaged, records.torn, refused
+    return size, Recovery(path, messages, until_ns, *counts)
 
 
 _LARGEST = LARGEST_CHUNK // 4
@@ -156,10 +157,10 @@ _RATIO = LARGEST_RATIO // 4
 """Highest compression ratio; content above it is kept unpacked, as the reader takes it for a bomb."""
 
 
-def _sieve(salvage: Salvage) -> Sieve | None:
+def _message_filter(records: WholeRecords) -> MessageFilter | None:
     """Return the filter of messages that our reader accepts; None if this is no log of khep_twin."""
     try:
-        return Sieve(robot_names(run_facts(salvage.metadata)["robots"]))
+        return MessageFilter(robot_names(run_facts(records.metadata)["robots"]))
     except (KeyError, Misfit):
         return None
 
@@ -172,15 +173,15 @@ def _is_text(attachment: Attachment) -> bool:
     return True
 
 
-def _defined(salvage: Salvage, writer: Writer) -> tuple[dict[int, str], dict[int, int], int]:
+def _defined(records: WholeRecords, writer: Writer) -> tuple[dict[int, str], dict[int, int], int]:
     """Define schemas and channels; return names of schemas, channels by their old numbers, and a size."""
     numbers, names, channels, size = {0: 0}, {0: ""}, dict[int, int](), 0
-    for number, schema in salvage.schemas.items():
+    for number, schema in records.schemas.items():
         size += len(schema.data)
         if number and size <= _LARGEST:
             numbers[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
             names[number] = schema.name
-    for number, each in salvage.channels.items():
+    for number, each in records.channels.items():
         size += len(each.topic) + sum(map(len, chain.from_iterable(each.metadata.items())))
         if each.schema_id in numbers and size <= _LARGEST:
             channels[number] = writer.register_channel(
@@ -189,11 +190,11 @@ def _defined(salvage: Salvage, writer: Writer) -> tuple[dict[int, str], dict[int
     return names, channels, size
 
 
-def summary(path: Path, rescue: Rescue) -> str:
+def summary(path: Path, recovery: Recovery) -> str:
     """Return the result of a recovery in one line."""
-    kept = f"{rescue.messages} messages until {rescue.until_ns / NS_PER_S:.2f} s"
-    reasons = [f"{rescue.damaged} damaged places skipped"] * bool(rescue.damaged)
-    reasons += ["the end is torn off"] * rescue.torn
-    reasons += [f"{rescue.refused} left out that no log has"] * bool(rescue.refused)
+    kept = f"{recovery.messages} messages until {recovery.until_ns / NS_PER_S:.2f} s"
+    reasons = [f"{recovery.damaged} damaged places skipped"] * bool(recovery.damaged)
+    reasons += ["the end is torn off"] * recovery.torn
+    reasons += [f"{recovery.refused} left out that no log has"] * bool(recovery.refused)
     how = f"part: {', '.join(reasons)}" if reasons else "all that was written"
-    return f"{path}: {kept}, {rescue.attachments} attachments ({how})"
+    return f"{path}: {kept}, {recovery.attachments} attachments ({how})"

@@ -1,4 +1,4 @@
-"""Snapshots in a log, from which its run can be taken up at any moment.
+"""Snapshots in a log, from which its run can be resumed at any moment.
 
     /snapshot   std_msgs/UInt8MultiArray   state of the world and of its recorder, every 10 s and at the end
 

@@ -12,7 +12,7 @@ from khep_twin.log.label import Label
 from khep_twin.log.reader import hash_of, read_end_ns
 from khep_twin.log.recorded import BRANCH, BranchPoint, changes_of, changes_text
 from khep_twin.log.recorder import Beginning, versions
-from khep_twin.ports.taking_up import TakenUp, take_up
+from khep_twin.ports.resume import ResumedRun, resume_run
 from khep_twin.ports.twin import Twin
 from khep_twin.units import STEP_NS
 
@@ -35,7 +35,7 @@ def branch_off(
     on_failure: Callable[[str], None] | None = None,
     *,
     same: bool = False,
-) -> TakenUp:
+) -> ResumedRun:
     """Take up the run of a log, and change it; the recorded hosts are still there.
 
     Args:
@@ -54,10 +54,10 @@ def branch_off(
     if not last_ns:
         raise LogError(f"{path}: the run ends at 0 s; expected one that lasts longer, to take it up")
     if not 0 < change.at_ns <= last_ns:
-        found = f"{path}: the run cannot be taken up at {change.at_ns / NS_PER_S:g} s"
+        found = f"{path}: the run cannot be resumed at {change.at_ns / NS_PER_S:g} s"
         raise LogError(f"{found}; expected above 0 and up to its end at {last_ns / NS_PER_S:g} s")
     if log is not None and is_same(log, path):
-        raise LogError(f"{log}: this is the log that is taken up; expected a file of its own")
+        raise LogError(f"{log}: this is the log that is resumed; expected a separate file")
     begun: list[Twin] = []
 
     def start(twin: Twin, label: Label, beginning: Beginning) -> None:
@@ -81,15 +81,15 @@ def branch_off(
     try:
         # A run that stays the same need not stop amid a step.
         at_ns = change.at_ns // STEP_NS * STEP_NS if same else change.at_ns
-        taken = take_up(path, at_ns, None if log is None else start)
+        resumed = resume_run(path, at_ns, None if log is None else start)
         if not same:
-            taken.later.clear()
-            taken.change(change)
+            resumed.later.clear()
+            resumed.change(change)
     except BaseException:
         for recorder in filter(None, [twin.recorder for twin in begun]):
             recorder.discard()
         raise
-    return taken
+    return resumed
 
 
 def open_log(
@@ -114,18 +114,18 @@ def open_log(
     Raises:
         KhepTwinError: As `branch_off`; or there is no such robot.
     """
-    taken = branch_off(path, change, log, on_failure=on_failure)
-    there = range(len(taken.twin.world.robots))
+    resumed = branch_off(path, change, log, on_failure=on_failure)
+    there = range(len(resumed.twin.world.robots))
     if robot is None and not served:
-        robot = taken.setup.options.robot or 0
+        robot = resumed.setup.options.robot or 0
     if robot is not None and robot not in there:
-        if taken.twin.recorder is not None:
-            taken.twin.recorder.discard()
+        if resumed.twin.recorder is not None:
+            resumed.twin.recorder.discard()
         raise PortError(f"robot = {robot}: not in {path}", key="robot", value=robot, expected=there)
     on_the_line = there if robot is None else [robot]
     for index in on_the_line:
-        taken.hosts.replace(index)
-    world, options = taken.twin.world, taken.twin.options
-    twin = Twin(world, tuple(world.robots[index] for index in on_the_line), options, taken.hosts)
-    twin.recorder = taken.twin.recorder
+        resumed.hosts.replace(index)
+    world, options = resumed.twin.world, resumed.twin.options
+    twin = Twin(world, tuple(world.robots[index] for index in on_the_line), options, resumed.hosts)
+    twin.recorder = resumed.twin.recorder
     return twin

@@ -15,7 +15,7 @@ from khep_twin.units import metres
 from khep_twin.world import World
 
 
-def go_on_in(new: World, old: World, before: Playpen, change: BranchPoint) -> None:
+def take_over_state(new: World, old: World, before: Playpen, change: BranchPoint) -> None:
     """Take over the state of a world in another scene; what an edit changes stands where it says.
 
     Args:

@@ -1,4 +1,4 @@
-"""A stable name for a pseudo-terminal: a symbolic link that replaces only links of our own.
+"""A stable name for a pseudo-terminal: a symbolic link that replaces only links made here.
 
 Numbers of terminals are reused at once, so that a link left over from a killed server soon leads to another
 process's terminal. Beside each link lies a lock file, held while the server runs, with the terminal in

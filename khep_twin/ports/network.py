@@ -13,7 +13,7 @@ from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
 from khep_twin.ports.host_port import Received
 from khep_twin.ports.network_host import LAST_LIMIT, WAITING_LIMIT, NetworkHost
-from khep_twin.ports.ration import Ration
+from khep_twin.ports.notice_limit import NoticeLimit
 
 _BACKLOG = 8
 
@@ -41,7 +41,7 @@ class TcpPort:
         self._baud = baud if rfc2217 else None
         self._host: NetworkHost | None = None
         self._dropped = 0
-        self._ration = Ration()
+        self._notice_limit = NoticeLimit()
         try:
             family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
             self._server = socket.create_server((host, port), family=family, backlog=_BACKLOG)
@@ -103,7 +103,7 @@ class TcpPort:
             self._host = NetworkHost(client, address, self._baud)
             break
         data = b"" if self._host is None else self._host.take(limit)
-        return Received(data, last is not None, last or b"", self._ration.admitted(notices))
+        return Received(data, last is not None, last or b"", self._notice_limit.admit(notices))
 
     def write(self, data: bytes) -> None:
         """Send whole lines to the host; what it leaves no room for is dropped and counted."""

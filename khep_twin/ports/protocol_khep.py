@@ -4,7 +4,7 @@
     khep://default?battery_used_min=40
     khep://run.mcap?at=12.5&seed=2
 
-The last one takes up the run of a log at a moment, or at its end, in the place of its host.
+The last one resumes the run of a log at a moment, or at its end, in the place of its host.
 Time passes only while the host waits: in a read until its bytes have arrived or its timeout is over, in a
 flush until all is sent, in `sleep`. A poll that finds nothing (`in_waiting`, a read with timeout 0) costs one
 byte time, so that polling loops make progress. No thread, no wall clock: the same seed and the same bytes
@@ -231,7 +231,7 @@ class Serial(SerialBase):
 
 
 def open_url(url: str) -> Twin:
-    """Open the twin that a khep:// URL names: in a playpen, or taken up from a log.
+    """Open the twin that a khep:// URL names: in a playpen, or resumed from a log.
 
     Raises:
         KhepTwinError: The URL, the playpen or the log cannot be used.
@@ -241,11 +241,11 @@ def open_url(url: str) -> Twin:
         return open_twin(*parse_url(url))
     from khep_twin.log.recorded import BranchPoint
     from khep_twin.ports.branching import open_log
-    from khep_twin.ports.taking_up import end_of
+    from khep_twin.ports.resume import run_end_ns
 
     if others := values.keys() - {"at", "seed", "faults", "robot", "log"}:
         raise TwinPortError(f"{url}: {min(others)} is the log's own; expected at, seed, fault, robot or log")
-    at_ns = end_of(Path(name)) if "at" not in values else to_ns(values["at"])
+    at_ns = run_end_ns(Path(name)) if "at" not in values else to_ns(values["at"])
     change = BranchPoint(at_ns, seed=values.get("seed"), faults=values.get("faults", ()))
     log = values.get("log")
     return open_log(Path(name), change, values.get("robot"), log and Path(log))

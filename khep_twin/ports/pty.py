@@ -2,7 +2,7 @@
 
 The terminal is raw before its name is printed: a fresh one would echo the robot's replies back to it as
 commands. One descriptor of the host's side stays open here, so that the terminal outlives its hosts.
-Settings, a lock and unread replies of a host are removed when the last one closes it, which `presence`
+Settings, a lock and unread replies of a host are removed when the last one closes it, which `terminal_hosts`
 detects.
 """
 
@@ -30,7 +30,7 @@ from khep_twin.errors import PortError
 from khep_twin.ports.event_sources import open_events
 from khep_twin.ports.host_port import NOTHING, Received
 from khep_twin.ports.link import Link
-from khep_twin.ports.presence import Presence
+from khep_twin.ports.terminal_hosts import TerminalHosts
 
 _SPEEDS: dict[int, int] = {
     getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()
@@ -97,10 +97,10 @@ class PtyPort:
         os.set_blocking(self.descriptor, False)
         self.name = self.path = os.ttyname(host_side)
         self.dropped = 0
-        self._presence = Presence(self.descriptor, host_side, open_events(self.name))
+        self._hosts = TerminalHosts(self.descriptor, host_side, open_events(self.name))
         self._readable = select.poll()
         self._readable.register(self.descriptor, select.POLLIN)
-        self._descriptors = [self.descriptor, *self._presence.descriptors]
+        self._descriptors = [self.descriptor, *self._hosts.descriptors]
         self._crowded_since: float | None = None
         self._left_s: float | None = None  # when the last host left, until its settings are restored
         self._given_s: float | None = None  # when bytes were written that may be unread
@@ -126,7 +126,7 @@ class PtyPort:
     @property
     def occupied(self) -> bool:
         """True if a host has it open."""
-        return self._presence.hosts > 0
+        return self._hosts.hosts > 0
 
     def descriptors(self, room: bool) -> Sequence[int]:
         """Return the descriptors that become readable when a host comes, goes or, if `room`, writes."""
@@ -155,7 +155,7 @@ class PtyPort:
         if given_s is not None and time.monotonic() - given_s >= _TRANSIT_S and not self._unread():
             self._given_s = None
         rest = self._is_full(data, limit)
-        change = self._presence.look(bool(data))
+        change = self._hosts.poll(bool(data))
         early, is_new = self._early, bool(data) and not self._rest
         self._early = (early or is_new) and not change.writes_before
         if not change.left:
@@ -169,7 +169,7 @@ class PtyPort:
         self._crowded_since, self._early = None, False
         n_before, self._rest = change.writes_before - early + self._rest, False
         read, data = data, self._read_all()
-        later = self._presence.look(False)
+        later = self._hosts.poll(False)
         if later.left:
             # Whoever wrote what was read first has left, too, and with it that run of writes, unless cut off.
             n_before += change.writes + later.writes_before - (0 < len(read) < limit)
@@ -179,8 +179,8 @@ class PtyPort:
             n_writes = change.writes + later.writes_before
         if not self.occupied:
             self._clear()
-            # One that came since that look may have read them before they were flushed.
-            crossed = given_s is not None and not self._presence.is_quiet()
+            # One that came since that poll may have read them before they were flushed.
+            crossed = given_s is not None and not self._hosts.is_quiet()
             return Received(left=True, last=read + data, notices=[_IN_A_MOMENT] if crossed else ())
         # The next host is already connected, and may have received unread replies.
         unread = self._drop_replies()
@@ -206,7 +206,7 @@ class PtyPort:
         if self._link is not None:
             self._link.close()
             self._link = None
-        self._presence.close()
+        self._hosts.close()
         os.close(self.descriptor)
 
     def _read(self, limit: int) -> bytes:
@@ -233,8 +233,8 @@ class PtyPort:
 
     def _clear(self) -> None:
         """Unlock the terminal and flush its replies; `_restore` puts the settings back later."""
-        host_side = self._presence.host_side
-        if self._presence.is_quiet():
+        host_side = self._hosts.host_side
+        if self._hosts.is_quiet():
             fcntl.ioctl(host_side, termios.TIOCNXCL)
         termios.tcflow(host_side, termios.TCOON)
         self._drop_replies()
@@ -243,8 +243,8 @@ class PtyPort:
     def _restore(self, left_s: float) -> None:
         """Restore the settings after a while without a host; one that connects at once sets its own."""
         if self.occupied or time.monotonic() - left_s >= _RESTORE_S:
-            if not self.occupied and self._presence.is_quiet():
-                termios.tcsetattr(self._presence.host_side, termios.TCSANOW, self._raw)
+            if not self.occupied and self._hosts.is_quiet():
+                termios.tcsetattr(self._hosts.host_side, termios.TCSANOW, self._raw)
             self._left_s = None
 
     def _drop_replies(self) -> int:
@@ -252,17 +252,17 @@ class PtyPort:
         unread = self._unread()
         # They may be in transit to the host side's buffer, or in it.
         termios.tcflush(self.descriptor, termios.TCOFLUSH)
-        termios.tcflush(self._presence.host_side, termios.TCIFLUSH)
+        termios.tcflush(self._hosts.host_side, termios.TCIFLUSH)
         self._given_s = None
         return unread
 
     def _unread(self) -> int:
         """Return the number of bytes that have reached the host's side, and that no host has read."""
-        return struct.unpack("i", fcntl.ioctl(self._presence.host_side, termios.FIONREAD, bytes(4)))[0]
+        return struct.unpack("i", fcntl.ioctl(self._hosts.host_side, termios.FIONREAD, bytes(4)))[0]
 
     def _crowd(self) -> Sequence[str]:
         """Return a notice, once, if several hosts are here for a while."""
-        if self._presence.hosts < 2:
+        if self._hosts.hosts < 2:
             self._crowded_since = None
             return ()
         now = time.monotonic()
@@ -271,10 +271,10 @@ class PtyPort:
         if now - self._crowded_since < _CROWDED_S:
             return ()
         self._crowded_since = math.inf
-        if self._presence.recount() < 2:
+        if self._hosts.recount() < 2:
             return ()
         return (
-            f"the port is open {self._presence.hosts} times at once; each reader takes bytes from the others",
+            f"the port is open {self._hosts.hosts} times at once; each reader takes bytes from the others",
         )
 
     def _make_raw(self, host_side: int) -> list[int | list[bytes | int]]:

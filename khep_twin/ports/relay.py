@@ -22,7 +22,7 @@ from khep_twin.errors import PORT_FAILURES, PortError
 from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.idle_polls import IdlePolls
 from khep_twin.ports.network import address_fault
-from khep_twin.ports.ration import Ration
+from khep_twin.ports.notice_limit import NoticeLimit
 from khep_twin.ports.serve import LONGEST_WAIT, Flush
 from khep_twin.units import BITS_PER_BYTE
 
@@ -193,7 +193,7 @@ def relay(
             each.on_bytes(to_robot, data)
 
     flushes = [Flush(each) for each in listeners]
-    dialogue, ration = _Dialogue(device), Ration()
+    dialogue, limit = _Dialogue(device), NoticeLimit()
     waiting, next_host = b"", b""
     held_s = 0.0
     while not stop():
@@ -223,7 +223,7 @@ def relay(
         if not dialogue.settling(waiting) and next_host:
             settings = port.settings()
             if settings is not None and (notice := device.follow(settings)):
-                for text in ration.admitted([notice]):
+                for text in limit.admit([notice]):
                     note(text)
             waiting, next_host = waiting + next_host, b""
         if polls is not None:

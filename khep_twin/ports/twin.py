@@ -80,7 +80,7 @@ class SimulatedTime:
         self._world.advance_to(time_ns)
 
     def attend(self) -> None:
-        """Do nothing: a program has a world of its own."""
+        """Do nothing: a program has its own world."""
 
 
 class Twin:

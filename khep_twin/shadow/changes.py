@@ -1,6 +1,6 @@
 """Changes that a filter considers, beside no change: each fault that may begin, each that may end.
 
-Every change has particles of its own, at least QUOTA. At each mixing some particles without a change undergo
+Every change has its own particles, at least QUOTA. At each mixing some particles without a change undergo
 it, with the probability that it happens in that time; the weights tell whether it did.
 """
 

@@ -1,6 +1,6 @@
 """A particle filter whose particles are planar twins: where a robot is, from commands and sensor replies.
 
-Each particle has a pose, wheels and sensors of its own; what was learned of these is forgotten slowly.
+Each particle has its own pose, wheels and sensors; what was learned of these is forgotten slowly.
 Replies to N weigh the particles (`sensor_model`), by how far the robot went since the last; those to H move
 them; where few of them count, they are drawn anew. Some have a fault that may have begun, or ended
 (`changes`).

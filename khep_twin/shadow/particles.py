@@ -1,4 +1,4 @@
-"""Particles of a filter: planar twins with weights, wheels and gains of their own."""
+"""Particles of a filter: planar twins with their own weights, wheels and gains."""
 
 import math
 from dataclasses import dataclass, fields

@@ -255,7 +255,7 @@ class Planes:
     def lamplight(self, least: float) -> Floats:
         """Return the light of each lamp at each sensor, below the dark level (n, 8, n_lamps) [counts].
 
-        It holds at the start of the last step; lamps that take turns are as at time 0.
+        It holds at the start of the last step; lamps that shine in sequence are as at time 0.
 
         Args:
             least: Light that matters, at the least [counts].

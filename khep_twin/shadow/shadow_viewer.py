@@ -1,4 +1,4 @@
-"""rerun's viewer beside a shadow: a process of its own that follows a log, as `khep-twin view --live` does.
+"""rerun's viewer beside a shadow: a separate process that follows a log, as `khep-twin view --live` does.
 
     with ShadowViewer(playpen, settings) as viewer:
         for update in shadow.feed(...):

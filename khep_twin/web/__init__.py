@@ -2,7 +2,7 @@
 
 The page is plain HTML, SVG and JavaScript in `assets/web`, served by Starlette and uvicorn. A widget library
 such as NiceGUI was tried and not used: it takes 105 MB and 2 s to import where these take 5 MB and 0.4 s, an
-editor for drawings needs JavaScript of its own anyway, and here each request passes one guard that is
+editor for drawings needs its own JavaScript anyway, and here each request passes one guard that is
 small enough to be read. The page loads nothing from outside, so it works without a network.
 
     guard       checks of each request: host, origin, token, sizes
@@ -11,7 +11,7 @@ small enough to be read. The page loads nothing from outside, so it works withou
     scene       compiled scenes for the 3-D view
     drafts      playpens as the page sends them, with their problems
     paced_twin  a twin that can be watched, paused, and shared with an outside host
-    session     the running twin, or the robot, of the page, in a thread of its own
+    session     the running twin, or the robot, of the page, in its own thread
     jobs        jobs of the robot: controllers and sensor tests
     challenges  programs scored in challenges
     broadcaster messages to the open pages

@@ -1,4 +1,4 @@
-"""Challenges in the page: one program, or a folder of them, is scored at a time, in a process of its own.
+"""Challenges in the page: one program, or a folder of them, is scored at a time, in its own process.
 
 A thread watches that process, so requests are answered meanwhile. It ends when the page asks for it, when the
 designer ends, and when no page is open any more.

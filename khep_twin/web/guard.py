@@ -5,7 +5,7 @@ host name of their own that resolves to 127.0.0.1 they can read its answers. So 
 host, must come from this page, and its path must begin with a random token that is new at each start. Other
 requests are answered 403, and those that are too long 413, before their content is read.
 
-The browser is started with a path of its own, which works once and leads to the token: the arguments of a
+The browser is started with its own path, which works once and leads to the token: the arguments of a
 process can be read by others for as long as it runs.
 """
 

@@ -72,7 +72,7 @@ class RequestError(KhepTwinError):
 
 
 class Request(TomlTable):
-    """A request without keys of its own; `tab` is the identifier of the page that asks."""
+    """A request without its own keys; `tab` is the identifier of the page that asks."""
 
     tab: PageId = ""
 

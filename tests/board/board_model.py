@@ -1,4 +1,4 @@
-"""A second, plain telling of what the board answers, to hold the firmware against: no lines, no physics.
+"""A second, plain telling of what the board answers, to compare the firmware with: no lines, no physics.
 
 It is written from docs/protocol.md, not from the firmware. What only a profile on its way can tell (the
 position error, and when the target is reached) it leaves open: there it says what must hold.

@@ -29,7 +29,7 @@ GOOD = (toml_files.folder("playpens") / "obstacles.toml").read_text()
 def process(
     *arguments: str | Path, before: Callable[[], None] | None = None
 ) -> "subprocess.CompletedProcess[str]":
-    """A command in a process of its own."""
+    """A command in its own process."""
     return subprocess.run(
         [sys.executable, "-m", "khep_twin", *map(str, arguments)],
         capture_output=True,

@@ -92,7 +92,7 @@ def test_a_person_at_a_served_twin_reads_answers_and_interrupts(tmp_path: Path) 
         (["--walls", "500"], "wall = 500; expected 1 to 60"),
         (["--lamp", "-1"], "lamp = -1; expected"),
         (["--ruler-mm", "-1"], "ruler = -1; expected"),
-        (["--picture", "mine.toml"], "expected a file of its own"),
+        (["--picture", "mine.toml"], "expected a separate file"),
     ],
 )
 def test_wrong_options_are_refused_before_the_robot_moves(

@@ -1,4 +1,4 @@
-"""`khep-twin drive` in a terminal of its own: keys go in, screens come out, and it stops whatever ends it."""
+"""`khep-twin drive` in its own terminal: keys go in, screens come out, and it stops whatever ends it."""
 
 import fcntl
 import os

@@ -84,7 +84,7 @@ def test_an_alarm_is_a_line_and_ends_it_where_that_is_wanted(
         (["--robot", "1"], "obstacles: robot 1; expected 0, as it has 1"),
         (["--poll"], "--poll is for a robot at --relay, not for a log"),
         (["--relay", "loop://"], "--relay follows a robot, not a log; expected either"),
-        (["-o", "LOG"], "this is what is read; expected a file of its own"),
+        (["-o", "LOG"], "this is what is read; expected a separate file"),
     ],
 )
 def test_what_cannot_be_is_one_line(log: Path, options: list[str], message: str) -> None:

@@ -355,7 +355,7 @@ def test_lamps_that_blink_shine_the_same_in_any_number_of_threads() -> None:
         return found
 
     alone, usual = seen(1), sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)  # threads take turns all the time
+    sys.setswitchinterval(1e-6)  # threads are switched all the time
     try:
         together = seen(4)
     finally:

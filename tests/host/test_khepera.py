@@ -11,7 +11,7 @@ import serial
 
 from khep_twin.errors import MoveError, PortError, PortTimeout, ProtocolError, StoppedError
 from khep_twin.host import Khepera
-from khep_twin.ports.holders import holder
+from khep_twin.ports.port_users import port_user
 
 
 @pytest.fixture
@@ -118,7 +118,7 @@ def test_a_port_may_be_a_path_and_an_odd_one_is_one_error(tmp_path: Path) -> Non
     for url in (tmp_path / "none", "hwgrep://("):
         with pytest.raises(PortError):
             Khepera(url)
-    assert holder("socket://[::1") == ""
+    assert port_user("socket://[::1") == ""
 
 
 def test_a_wait_without_a_number_ends_at_once(robot: Khepera) -> None:

@@ -54,7 +54,7 @@ def limit(size: int) -> Callable[[], None]:
 
 
 def on_a_small_disk(folder: Path, size: str, words: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    """Runs a command on a disk of its own, which nobody else sees; what it leaves there comes to `folder`."""
+    """Runs a command on its own disk, which nobody else sees; what it leaves there comes to `folder`."""
     disk = folder / "disk"
     disk.mkdir()
     script = (

@@ -1,4 +1,4 @@
-"""Rescue: all that is whole is kept, what is lost is said, nothing is half-written."""
+"""Recovery: all that is whole is kept, what is lost is said, nothing is half-written."""
 
 import os
 import random
@@ -21,10 +21,10 @@ from mcap.writer import MCAP0_MAGIC, Writer
 
 from khep_twin.errors import LogError
 from khep_twin.log.channels import CDR_HEADER
-from khep_twin.log.mcap_recovery import Salvage
+from khep_twin.log.mcap_recovery import WholeRecords
 from khep_twin.log.part_file import PartFile
 from khep_twin.log.reader import read, read_series
-from khep_twin.log.recover import Rescue, recover, summary
+from khep_twin.log.recover import Recovery, recover, summary
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 ATTACHMENTS = ["playpen.toml", "scene.xml", "configuration.json", "calibration/khepera0.toml"]
@@ -50,7 +50,7 @@ def contents(path: Path) -> list[tuple[str, Message]]:
         return [(channel.topic, message) for _, channel, message in reader.iter_messages()]
 
 
-def rescued(folder: Path, data: bytes) -> Rescue | None:
+def rescued(folder: Path, data: bytes) -> Recovery | None:
     """What can be rescued of these bytes; the file is opened, too."""
     part = folder / "torn.mcap.part"
     part.write_bytes(data)
@@ -88,8 +88,8 @@ def test_more_bytes_never_give_fewer_messages(tmp_path: Path, long_log: Path) ->
     points = sorted(random.Random(1).sample(range(len(data) + 1), 300))
     before, opened = (0, 0), 0
     for point in points:
-        salvage = Salvage(data[:point])
-        now = sum(1 for _ in salvage.messages()), len(salvage.attachments)
+        records = WholeRecords(data[:point])
+        now = sum(1 for _ in records.messages()), len(records.attachments)
         assert now >= before, point
         assert now[1] >= before[1], point
         before = now
@@ -119,14 +119,14 @@ def test_flipped_bytes_lose_what_they_hit_and_nothing_false_is_kept(tmp_path: Pa
         place = rng.randrange(8, len(data))
         damaged = bytearray(data)
         damaged[place] ^= 1 << rng.randrange(8)
-        salvage = Salvage(bytes(damaged))
+        records = WholeRecords(bytes(damaged))
         # Channels are named in the summary, too: only the chunk that was hit is lost.
         kept = {
-            (salvage.channels[each.channel_id].topic, each.log_time, each.data) for each in salvage.messages()
+            (records.channels[each.channel_id].topic, each.log_time, each.data) for each in records.messages()
         }
         assert len(kept) >= len(whole) * 0.4, place
-        assert sum(not name.name.startswith("damaged/") for name in salvage.attachments) >= 3, place
-        if salvage.damaged == 0 and not salvage.torn:
+        assert sum(not name.name.startswith("damaged/") for name in records.attachments) >= 3, place
+        if records.damaged == 0 and not records.torn:
             assert len(kept) == len(whole), place
         assert {each[1:] for each in kept} <= known, place
 
@@ -162,7 +162,7 @@ def test_messages_outside_of_chunks_are_kept(tmp_path: Path) -> None:
             writer.add_message(channel, number, b'{"a": 1}', number)
         writer.finish()
     data = path.read_bytes()
-    counts = [sum(1 for _ in Salvage(data[:size]).messages()) for size in range(0, len(data), 7)]
+    counts = [sum(1 for _ in WholeRecords(data[:size]).messages()) for size in range(0, len(data), 7)]
     assert counts == sorted(counts)
     assert counts[-1] == 100
     found = rescued(folder, data[: len(data) // 2])

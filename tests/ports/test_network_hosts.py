@@ -14,7 +14,7 @@ import pytest
 from khep_twin.ports.host_port import Received
 from khep_twin.ports.network import TcpPort
 from khep_twin.ports.network_host import ANSWERS_LIMIT, LAST_LIMIT, QUEUE_LIMIT, WAITING_LIMIT, NetworkHost
-from khep_twin.ports.ration import Ration
+from khep_twin.ports.notice_limit import NoticeLimit
 
 PATIENCE_S = 20.0
 
@@ -318,10 +318,10 @@ def test_the_system_looks_for_hosts_that_vanish(port: TcpPort) -> None:
 def test_notices_are_rationed_and_those_left_out_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    ration = Ration()
-    assert ration.admitted(map(str, range(15))) == [str(number) for number in range(10)]
-    assert ration.admitted(["more"]) == []
+    limit = NoticeLimit()
+    assert limit.admit(map(str, range(15))) == [str(number) for number in range(10)]
+    assert limit.admit(["more"]) == []
     now[0] += 11
-    assert ration.admitted(["a", "b"]) == ["a (6 more notices were not printed)"]
+    assert limit.admit(["a", "b"]) == ["a (6 more notices were not printed)"]
     now[0] += 1000
-    assert len(ration.admitted(["c"] * 20)) == 10
+    assert len(limit.admit(["c"] * 20)) == 10

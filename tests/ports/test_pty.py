@@ -16,7 +16,7 @@ from khep_twin.ports.event_sources import OpenEvents
 from khep_twin.ports.link import private_folder
 from khep_twin.ports.pty import PtyPort
 
-from test_presence import opened  # isort: skip
+from test_terminal_hosts import opened  # isort: skip
 
 
 def test_it_is_raw_and_silent_before_anybody_opens_it() -> None:

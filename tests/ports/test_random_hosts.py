@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 
-from khep_twin.ports.holders import count_descriptors
+from khep_twin.ports.port_users import count_descriptors
 
 from test_serve import served, stop  # isort: skip
 

@@ -378,7 +378,7 @@ def test_terminal_programs_get_a_reply(path: str, tool: str) -> None:
 
 def test_miniterm_gets_a_reply(path: str) -> None:
     command = [sys.executable, "-m", "serial.tools.miniterm", "--raw", path, "9600"]
-    # It wants a terminal of its own to read keys from.
+    # It wants its own terminal to read keys from.
     own, keys = os.openpty()
     with subprocess.Popen(command, stdin=keys, stdout=keys, stderr=keys, close_fds=True) as process:
         os.close(keys)

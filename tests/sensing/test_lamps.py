@@ -1,4 +1,4 @@
-"""Which lamps shine when: they blink, fade, and take turns as the Khepera Toolbox for Matlab had it."""
+"""Lamps over time: they blink, fade, and shine in sequence as the Khepera Toolbox for Matlab had it."""
 
 from functools import cache, partial
 from itertools import pairwise

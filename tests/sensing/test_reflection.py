@@ -232,7 +232,7 @@ def test_what_stands_behind_a_higher_thing_does_not_count() -> None:
     for exponent in (0.0, 3.3):
         alone = light([front], exponent)
         assert light([front, *behind], exponent) == alone
-        # Found first, they cut its arc into pieces, each of which has its height at an azimuth of its own.
+        # Found first, they cut its arc into pieces, each of which has its height at another azimuth.
         assert light([*behind, front], exponent) == pytest.approx(alone, rel=0.01)
     low, higher = front._replace(top=15, reflectance=0.1), Thing(75, 2, 5, 10, top=50)
     assert light([low, higher]) > 1.05 * light([low])

@@ -47,7 +47,7 @@ def off_mm(estimate: PoseEstimate, robot: Planes) -> float:
 
 
 def test_a_robot_whose_start_is_known_is_followed() -> None:
-    """The robot stands 10 mm and 4 degrees off, and has wheels of its own."""
+    """The robot stands 10 mm and 4 degrees off, and has its own wheels."""
     robot = planes_at((367.0, 233.0, -66.0))
     robot.set_wheels(np.array([1.004]), np.array([1.002]), np.array([0.995]))
     tracker = filtering(setup_of("workshop"), metric(START))

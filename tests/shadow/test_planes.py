@@ -1,4 +1,4 @@
-"""Twins side by side: each is an episode in the plane, and a world of its own."""
+"""Twins side by side: each is an episode in the plane, and a separate world."""
 
 import math
 import sys
@@ -30,7 +30,7 @@ def test_a_twin_drives_as_an_episode_in_the_plane(start: Pose) -> None:
     for _ in range(10):
         episode.run(0.4)
         planes.advance(40)
-        # Both reckon the motors' voltages in ways of their own, which differ by the last bit.
+        # Both reckon the motors' voltages in their own ways, which differ by the last bit.
         assert planes.robots["joints"][0] == pytest.approx(episode.joints, abs=1e-9)
 
 

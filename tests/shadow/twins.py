@@ -1,4 +1,4 @@
-"""Planar twins at poses of their own, and what a robot in the place of one would reply."""
+"""Planar twins at their own poses, and what a robot in the place of one would reply."""
 
 import functools
 import math

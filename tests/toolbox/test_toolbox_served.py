@@ -32,7 +32,7 @@ def test_without_sim_and_kheprom_it_drives_a_robot_behind_a_terminal(tmp_path: P
     track = read(log).robots["khepera0"]
     spoken = [line.text for line in track.serial]
     assert spoken[:3] == ["D,1,1", "d", "N"]
-    # A thousand cycles, a stop of its own, and the one with which the host closes the port.
+    # A thousand cycles, its own stop, and the one with which the host closes the port.
     assert spoken.count("N") == 1000
     assert spoken[-4:] == ["D,0,0", "d", "D,0,0", "d"]
     assert "D,-1,1" in spoken

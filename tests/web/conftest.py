@@ -71,7 +71,7 @@ class Asker:
 
 @pytest.fixture
 def asker(tmp_path: Path) -> Iterator[Asker]:
-    """A server in a folder of its own."""
+    """A server in its own folder."""
     ended = threading.Event()
     server = Server(tmp_path, None, "127.0.0.1:0")
     thread = threading.Thread(target=server.serve, args=(ended.is_set,))
@@ -100,7 +100,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def visit(browser: Any, asker: Asker) -> Iterator[Visit]:
-    """A page of a designer of its own, 1280 x 720; its console has to stay empty."""
+    """A page of a separate designer, 1280 x 720; its console has to stay empty."""
     context = browser.new_context(viewport={"width": 1280, "height": 720})
     visit = Visit(context.new_page(), asker.server.url)
     yield visit

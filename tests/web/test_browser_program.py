@@ -84,7 +84,7 @@ def test_each_program_keeps_a_history_of_its_own(visit: Visit, tmp_path: Path) -
     assert page.input_value("#code") == "# b\nthree"
     page.press("#code", "Control+z")
     assert page.input_value("#code") == "# b\n"
-    # What is typed after an undo is a step of its own, as are a deletion and an indentation.
+    # What is typed after an undo is a separate step, as are a deletion and an indentation.
     page.press("#code", "Control+End")
     page.keyboard.type("four")
     page.keyboard.press("Backspace")

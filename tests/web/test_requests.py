@@ -79,7 +79,7 @@ def asked(action: str, key: str = "", value: str = "null") -> bytes:
 
 
 def keys(action: str) -> list[str]:
-    """Those of its own, and of the first one also those that all have."""
+    """Its own keys, and of the first one also those that all have."""
     own = [name for name in ACTIONS[action][0].model_fields if name != "tab" or action == "hello"]
     return [ACTIONS[action][0].model_fields[name].alias or name for name in own]
 

@@ -26,7 +26,7 @@ BROWSED = [
 def need_a_browser() -> None:
     """Skip a file of tests without one, and beside other tests: Playwright's loop would disturb them."""
     if "PYTEST_XDIST_WORKER" in os.environ:
-        pytest.skip("a browser needs a process of its own: make browser", allow_module_level=True)
+        pytest.skip("a browser needs its own process: make browser", allow_module_level=True)
     pytest.importorskip("playwright.sync_api", reason="playwright is not installed; see make browser")
     if CHROMIUM is None:
         pytest.skip("there is no Chromium here", allow_module_level=True)

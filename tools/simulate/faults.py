@@ -1,4 +1,4 @@
-"""Faults of a simulation: each is drawn from a stream of its own, so that one left out shifts no other."""
+"""Faults of a simulation: each is drawn from its own stream, so that one left out shifts no other."""
 
 import random
 from collections import Counter

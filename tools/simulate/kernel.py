@@ -1,4 +1,4 @@
-"""A simulated kernel: processes that take turns, simulated time, descriptors, and waiting for them.
+"""A simulated kernel: processes that run one at a time, time, descriptors, and waiting for them.
 
 Each process is a greenlet that runs until it calls the kernel. A call takes a little simulated time, in which
 another process may come first; only there can a process be stalled or killed. All times are integers, all

@@ -40,7 +40,7 @@ class Truth:
         closing: True if that was begun.
         kept_ns: Time up to which the log has everything, as it was flushed after that [ns]; -1 for none.
         last_ns: Time of the last sample that the recorder took [ns].
-        begun_ns: Moment at which the run was branched off another one; -1 for a run of its own [ns].
+        begun_ns: Moment at which the run was branched off another one; -1 for a run from its start [ns].
     """
 
     def __init__(self, number: int, failed: Callable[[], bool] = lambda: False) -> None:

@@ -1,4 +1,4 @@
-"""Cases in processes of their own."""
+"""Cases in their own processes."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator

@@ -39,7 +39,7 @@ _MOST_DROPPED, _MOST_GARBLED = 0.02, 0.01
 
 
 def _playpen(rng: random.Random, radio: random.Random) -> str:
-    """Draw the playpen of a twin: now and then one with a radio, by a generator of its own."""
+    """Draw the playpen of a twin: now and then one with a radio, by its own generator."""
     usual = rng.choice(_PLAYPENS)
     return _RADIO if radio.random() < _SHARE_RADIO else usual
 
@@ -174,7 +174,7 @@ class Site:
         return self._sessions
 
     def hosts(self) -> None:
-        """Come one after another, each in a process of its own: a process of the scenario."""
+        """Come one after another, each in its own process: a process of the scenario."""
         simulation, rng = self.simulation, self.simulation.rng("hosts")
         time, ended = simulation.system.modules["time"], simulation.system.modules["threading"].Event()
 
@@ -317,7 +317,7 @@ def lockstep(simulation: Simulation, seconds: float) -> None:
 
 
 def _lockstep_session(simulation: Simulation, rng: random.Random, number: int) -> float:
-    """Run a host with a twin of its own; return the time of the twin [s]."""
+    """Run a host with its own twin; return the time of the twin [s]."""
     own = simulation.rng("lockstep", number)
     query = {
         "seed": str(own.randrange(1000)),

@@ -1,4 +1,4 @@
-"""Runs of the product that record logs: in lock-step, served, relayed, and taken up from another log."""
+"""Runs of the product that record logs: in lock-step, served, relayed, and resumed from another log."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from khep_twin.log.line_recorder import ROBOT, LineRecorder
 from khep_twin.log.recorded import BranchPoint
 from khep_twin.ports.branching import open_log
 from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.resume import run_end_ns
 from khep_twin.ports.serve import Flush
-from khep_twin.ports.taking_up import end_of
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from tools.simulate.kernel import NS_PER_S
 from tools.simulate.log_truth import Truth
@@ -41,7 +41,7 @@ class Run:
         path: Path of the finished log.
         truth: What has happened in it.
         duration: Simulated time of it [s].
-        parent: Log that it takes up; None for a run of its own.
+        parent: Log that it resumes; None for a run from its start.
         failures: Lines about a log that cannot be written any more.
         goes_on: True if it goes on without its log.
     """
@@ -85,7 +85,7 @@ class Run:
             noise = rng.choice(("on", "off"))
             url = f"khep://{rng.choice(PLAYPENS)}?seed={self.number}&noise={noise}&log={path}"
         else:
-            at_s = rng.uniform(0.1, end_of(self.parent) / NS_PER_S)
+            at_s = rng.uniform(0.1, run_end_ns(self.parent) / NS_PER_S)
             at = "" if rng.random() < 0.2 else f"at={at_s:.9f}&"
             fault = rng.choice(("", "&fault=drop:0.05", "&fault=stuck:2,weak:left:0.5"))
             url = f"khep://{quote(str(self.parent))}?{at}seed={self.number}&log={path}{fault}"
@@ -114,7 +114,7 @@ class Run:
     def _edited(self, parent: Path, rng: Random) -> Twin:
         """Take up a log with its robot turned, which is another scene; or with another light."""
         edit = rng.choice(("robot.1.heading_deg=77", "lighting.room_lux=50", "robot.1.battery_used_min=30"))
-        at_ns = max(round(end_of(parent) * rng.uniform(0.1, 1.0)), 1)
+        at_ns = max(round(run_end_ns(parent) * rng.uniform(0.1, 1.0)), 1)
         return open_log(parent, BranchPoint(at_ns, seed=self.number, edits=(edit,)), None, self.path)
 
     def served(self) -> None:

@@ -10,7 +10,7 @@ from khep_twin.errors import KhepTwinError, LogError
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.reader import read_label, read_raw
 from khep_twin.log.recorded import changes_of, read_recorded
-from khep_twin.log.recover import Rescue, recover, summary
+from khep_twin.log.recover import Recovery, recover, summary
 from khep_twin.log.tail import GrowingLog
 from tools.simulate.compiled_worlds import compiled_worlds
 from tools.simulate.disk import Disk
@@ -217,7 +217,7 @@ class _Lab:
         simulation = self._simulation
         if self._lost(part, cuts) or _hash(part) in self._unfinished:
             return None
-        before, rescues = part.read_bytes(), list[Rescue]()
+        before, rescues = part.read_bytes(), list[Recovery]()
         process = simulation.spawn(f"recover{self._rounds}", lambda: rescues.append(recover(part)))
         process.mortal = True
         while process.alive:
@@ -246,7 +246,7 @@ class _Lab:
         simulation.count("logs recovered")
         return self._compare(rescue.path, rescue, self.disk.cuts != cuts)
 
-    def _compare(self, path: Path, rescue: Rescue, cut: bool) -> Truth | None:
+    def _compare(self, path: Path, rescue: Recovery, cut: bool) -> Truth | None:
         simulation, truth = self._simulation, self._truth_of(path)
         if truth is None:
             if not cut and rescue.messages:

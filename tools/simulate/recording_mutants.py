@@ -12,7 +12,7 @@ from unittest.mock import patch
 from khep_twin.lab.experiment import repeat as repetition
 from khep_twin.log import log_file, part_file, recorder
 from khep_twin.log.log_file import LogFile
-from khep_twin.log.mcap_recovery import Salvage
+from khep_twin.log.mcap_recovery import WholeRecords
 from khep_twin.log.part_file import PartFile
 from khep_twin.log.recorder import Recorder
 from khep_twin.log.transcript import Transcript
@@ -66,7 +66,7 @@ def _finish_without_fsync(self: Any) -> None:
         self._close()
 
 
-_messages = Salvage.messages
+_messages = WholeRecords.messages
 
 
 def _without_last(self: Any, *arguments: Any) -> Iterator[Any]:
@@ -110,7 +110,7 @@ _broken: dict[str, tuple[str, Broken]] = {
     ),
     "lock-step runs are hardly ever flushed": ("recovery", _replaced(recorder, "_BATCH", 10**9)),
     "served runs are never flushed": ("recovery", _replaced(Flush, "__call__", _nothing)),
-    "a recovery drops the last piece": ("recovery", _replaced(Salvage, "messages", _without_last)),
+    "a recovery drops the last piece": ("recovery", _replaced(WholeRecords, "messages", _without_last)),
     "a flush loses a line": ("recovery", _replaced(Transcript, "write", _lose_a_line)),
     "errors of the file are swallowed": ("leftovers", _replaced(LogFile, "guarded", _forget_failures)),
     "errors of the file are not put into words": (

@@ -1,6 +1,6 @@
 """Scenario `relay`: hosts at the relay to a real robot, whose cable and battery fail, with a log of the line.
 
-The relay is that of `khep-twin serve --relay` and, with questions of its own, of `khep-twin shadow --relay`.
+The relay is that of `khep-twin serve --relay` and, with its own questions, of `khep-twin shadow --relay`.
 A twin in a process that nothing holds up plays the robot.
 """
 

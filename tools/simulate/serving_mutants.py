@@ -7,10 +7,10 @@ from contextlib import AbstractContextManager
 from itertools import groupby
 from unittest.mock import patch
 
-from khep_twin.ports import presence, pty
+from khep_twin.ports import pty, terminal_hosts
 from khep_twin.ports.link import Link
-from khep_twin.ports.presence import Change, Presence
 from khep_twin.ports.pty import PtyPort
+from khep_twin.ports.terminal_hosts import Change, TerminalHosts
 from khep_twin.robot import Robot
 from tools.simulate.mutants import Mutant
 
@@ -18,13 +18,13 @@ from tools.simulate.mutants import Mutant
 def _deaf_line() -> AbstractContextManager[object]:
     """Count hosts by events alone, equal ones in a row once, as khep_twin did before it asked the kernel."""
 
-    def look(hosts: Presence, wrote: bool) -> Change:
+    def poll(hosts: TerminalHosts, wrote: bool) -> Change:
         assert hosts._events is not None
         events = [event for event, _ in groupby(hosts._drain(hosts._events))]
-        hosts.hosts, change = presence._followed(hosts.hosts, Change(), events)
+        hosts.hosts, change = terminal_hosts._followed(hosts.hosts, Change(), events)
         return change
 
-    return patch.object(Presence, "look", look)
+    return patch.object(TerminalHosts, "poll", poll)
 
 
 def _unread_replies() -> AbstractContextManager[object]:
@@ -52,7 +52,7 @@ def _link_left() -> AbstractContextManager[object]:
 
 
 def _host_side_left() -> AbstractContextManager[object]:
-    return patch.object(Presence, "close", lambda hosts: None)
+    return patch.object(TerminalHosts, "close", lambda hosts: None)
 
 
 MUTANTS: dict[str, Mutant] = {

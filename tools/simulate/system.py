@@ -340,7 +340,7 @@ class SimulatedIo(Shim):
 
 
 class SimulatedSignal(Shim):
-    """Module `signal`: processes take turns in one, which none may change."""
+    """Module `signal`: simulated processes share one, which none may change."""
 
     def __init__(self, kernel: Kernel) -> None:
         super().__init__(signal, kernel)

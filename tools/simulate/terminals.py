@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from khep_twin.ports import event_sources, holders, pty
+from khep_twin.ports import event_sources, port_users, pty
 from tools.simulate.inotify import IN_CLOSE_NOWRITE, IN_CLOSE_WRITE, IN_MODIFY, IN_OPEN, Notices
 from tools.simulate.kernel import OpenFile, Process
 from tools.simulate.simulation import Simulation
@@ -380,8 +380,8 @@ class Terminals:
     def installed(self) -> Generator[None]:
         """Have khep_twin see these terminals, and the descriptors of the processes."""
         with (
-            patch.object(holders, "_PROCESSES", _ProcessFolder(self)),
-            patch.object(holders, "_LOCKS", self.folder),
+            patch.object(port_users, "_PROCESSES", _ProcessFolder(self)),
+            patch.object(port_users, "_LOCKS", self.folder),
             patch.object(event_sources, "ctypes", self.notices),
             patch.object(pty, "tty", _Tty(tty, self.kernel)),
         ):

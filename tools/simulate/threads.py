@@ -16,7 +16,7 @@ from tools.simulate.system import Shim
 
 
 class SimulatedThreading(Shim):
-    """Module `threading`, in which each process has a main thread of its own."""
+    """Module `threading`, in which each process has its own main thread."""
 
     def __init__(self, kernel: Kernel) -> None:
         super().__init__(threading, kernel)

@@ -46,7 +46,7 @@ class Reference:
 
 
 class Cluster:
-    """Workers of one sweep; each runs a task in a simulated process of its own."""
+    """Workers of one sweep; each runs a task in its own simulated process."""
 
     def __init__(self, simulation: Simulation, name: str) -> None:
         self.simulation, self.name = simulation, name
@@ -120,7 +120,7 @@ class Cluster:
 
 
 class SimulatedRay(ModuleType):
-    """Module `ray`: each simulated process that uses it has workers of its own."""
+    """Module `ray`: each simulated process that uses it has its own workers."""
 
     def __init__(self, simulation: Simulation) -> None:
         super().__init__("ray")

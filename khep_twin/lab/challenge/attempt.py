@@ -1,4 +1,4 @@
-"""A participant's file scored in a process of its own, which is ended if it hangs.
+"""A participant's file scored in its own process, which is ended if it hangs.
 
     python -m khep_twin.lab.challenge.attempt JSON    # the process itself; JSON has its settings
 
@@ -74,7 +74,7 @@ def attempt(
     show: Callable[[bytes], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> Attempt:
-    """Score a controller file in a process of its own.
+    """Score a controller file in its own process.
 
     Args:
         file: Challenge.

@@ -38,7 +38,7 @@ def attempts(
     done: Callable[[Attempt, float], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> list[Attempt]:
-    """Score files, each in a process of its own, with the options of `attempt`.
+    """Score files, each in its own process, with the options of `attempt`.
 
     Args:
         file: Challenge.

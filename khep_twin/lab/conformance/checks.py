@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable
 
 from khep_twin.lab.conformance.conformance import Check, CheckedPort, Deviation
-from khep_twin.lab.conformance.demands import in_pace, refuses, within
+from khep_twin.lab.conformance.expectations import expect_in_time, expect_range, expect_refusals
 from khep_twin.units import COUNTS_LIMIT, N_SENSORS
 
 ALL: list[Check] = []
@@ -128,7 +128,7 @@ def _counters(line: CheckedPort) -> None:
 @check("E reads two speeds, which are 0 for a robot at rest", "A, command E")
 def _speeds(line: CheckedPort) -> None:
     line.order("D,0,0", pause=0.3)
-    within("E", line.numbers("E", 2), -1, 1)
+    expect_range("E", line.numbers("E", 2), -1, 1)
 
 
 @check("D and C and P are acknowledged", "A, commands C, D and P")
@@ -142,7 +142,7 @@ def _status(line: CheckedPort) -> None:
     for *before, request in (("D,0,0",), ("G,0,0", "C,0,0"), ("P,0,0",)):
         line.order(*before, request, pause=0.05)
         status = line.numbers("K", 6)
-        within("K", [status[0], status[3]], 0, 1)
+        expect_range("K", [status[0], status[3]], 0, 1)
         if status[1] != status[4]:
             raise Deviation(f"after {request} K gave two modes: {status}")
         modes.append(status[1])
@@ -154,18 +154,18 @@ def _status(line: CheckedPort) -> None:
 
 @check("N reads eight proximity values of 10 bits", "A, command N")
 def _proximity(line: CheckedPort) -> None:
-    within("N", line.numbers("N", N_SENSORS), 0, COUNTS_LIMIT)
+    expect_range("N", line.numbers("N", N_SENSORS), 0, COUNTS_LIMIT)
 
 
 @check("O reads eight ambient light values of 10 bits", "A, command O")
 def _ambient(line: CheckedPort) -> None:
-    within("O", line.numbers("O", N_SENSORS), 0, COUNTS_LIMIT)
+    expect_range("O", line.numbers("O", N_SENSORS), 0, COUNTS_LIMIT)
 
 
 @check("I reads the six channels of the converter", "A, command I")
 def _converter(line: CheckedPort) -> None:
     for channel in range(6):
-        within(f"I,{channel}", line.numbers(f"I,{channel}", 1), 0, COUNTS_LIMIT)
+        expect_range(f"I,{channel}", line.numbers(f"I,{channel}", 1), 0, COUNTS_LIMIT)
 
 
 @check("L switches both LEDs off and on, and toggles them", "A, command L")
@@ -177,13 +177,13 @@ def _leds(line: CheckedPort) -> None:
 
 @check("an LED that does not exist is refused", "A, command L")
 def _no_led(line: CheckedPort) -> None:
-    refuses(line, "L,5,0", "L,0,7")
+    expect_refusals(line, "L,5,0", "L,0,7")
 
 
 @check("W writes and R reads a byte of the extension bus", "A, commands R and W")
 def _bus(line: CheckedPort) -> None:
     line.order("W,0,63")
-    within("R,0", line.numbers("R,0", 1), 0, 255)
+    expect_range("R,0", line.numbers("R,0", 1), 0, 255)
 
 
 @check("a turret answers under its number, an absent one is refused, none is silent", "A, command T")
@@ -200,7 +200,7 @@ def _turrets(line: CheckedPort) -> None:
 @check("every reply begins within 10 ms and takes its bytes' time on the line", "3.2")
 def _pace(line: CheckedPort) -> None:
     for request in ("N", "B", "E", "H", "K", "O", "D,0,0", "G,0,0", "J,20,64,20,64", "L,0,0", "hello", "D"):
-        in_pace(line, request)
+        expect_in_time(line, request)
 
 
 # Tools -----------------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ import re
 
 from khep_twin.lab.conformance.checks import SETTLE, check
 from khep_twin.lab.conformance.conformance import CheckedPort, Deviation
-from khep_twin.lab.conformance.demands import within
+from khep_twin.lab.conformance.expectations import expect_range
 from khep_twin.lab.conformance.radio_checks import ALL as ALL
 from khep_twin.units import COUNTS_LIMIT, GRIPPER_NUMBER, N_SENSORS
 
@@ -59,9 +59,9 @@ def _drive(line: CheckedPort) -> None:
         counts = line.numbers("H", 2)
         took = line.time() - start
         line.order("D,0,0", pause=0.5)
-        within("E", [sign * speed for speed in speeds], 7, 13)
+        expect_range("E", [sign * speed for speed in speeds], 7, 13)
         # 10 pulses per 10 ms are 1000 a second, less the start.
-        within("H", [sign * count for count in counts], int(800 * took), int(1050 * took))
+        expect_range("H", [sign * count for count in counts], int(800 * took), int(1050 * took))
 
 
 @check("E reads the measured speeds, not the setpoints", "A, command E", SPIN)
@@ -101,7 +101,7 @@ def _renumbering(line: CheckedPort) -> None:
     left, right = line.numbers("H", 2)
     line.order("D,-10,-10", pause=1.0)
     line.order("D,0,0", pause=0.4)
-    within("H", [left, right + 5000], 350, 800)
+    expect_range("H", [left, right + 5000], 350, 800)
 
 
 @check("J sets speed and acceleration of both wheels", "A, command J", FORWARD)
@@ -123,7 +123,7 @@ def _far_numbers(line: CheckedPort) -> None:
     for start, target in ((0, -500), (70_000, 70_500)):
         line.order(f"G,{start},{start}")
         _drive_to(line, target, target)
-        within("H", [count - target for count in line.numbers("H", 2)], -3, 3)
+        expect_range("H", [count - target for count in line.numbers("H", 2)], -3, 3)
     line.order("D,0,0")
 
 
@@ -157,8 +157,8 @@ def _position(line: CheckedPort) -> None:
     for target in (1000, 0):
         took = _drive_to(line, target, target)
         _took_its_time(took)
-        within("H", [count - target for count in line.numbers("H", 2)], -3, 3)
-        within("K", line.numbers("K", 6)[2::3], -3, 3)
+        expect_range("H", [count - target for count in line.numbers("H", 2)], -3, 3)
+        expect_range("K", line.numbers("K", 6)[2::3], -3, 3)
 
 
 @check("a restart sets the profile to 20 and 64", "A, command J", FORWARD)
@@ -225,11 +225,11 @@ def _gripper(line: CheckedPort) -> None:
         answer = line.ask(f"T,1,{what}")
         if not re.fullmatch(r"t,1,h,\d+", answer):
             raise Deviation(f"'T,1,{what}' was answered {answer!r}; expected 't,1,h' and one number")
-        within(f"T,1,{what}", [int(answer.split(",")[3])], low, high)
+        expect_range(f"T,1,{what}", [int(answer.split(",")[3])], low, high)
     for order in "FGJ":
         answer = line.ask(f"T,1,{order}")
         if not re.fullmatch(rf"t,1,{order.lower()},\d+", answer):
             raise Deviation(
                 f"'T,1,{order}' was answered {answer!r}; expected 't,1,{order.lower()}' and a number"
             )
-        within(f"T,1,{order}", [int(answer.split(",")[3])], 0, COUNTS_LIMIT)
+        expect_range(f"T,1,{order}", [int(answer.split(",")[3])], 0, COUNTS_LIMIT)

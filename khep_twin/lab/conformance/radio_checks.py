@@ -5,7 +5,12 @@ from functools import partial
 from khep_twin.lab.conformance.checks import ALL as ALL
 from khep_twin.lab.conformance.checks import SETTLE, check
 from khep_twin.lab.conformance.conformance import CheckedPort, Deviation
-from khep_twin.lab.conformance.demands import refuses, turret_numbers, turret_values, within
+from khep_twin.lab.conformance.expectations import (
+    ask_turret,
+    expect_range,
+    expect_refusals,
+    numbers_of_turret,
+)
 from khep_twin.units import RADIO_ALL, RADIO_BYTES, RADIO_NUMBER, RadioStatus
 
 MESSAGE_TIME = 10.0
@@ -29,8 +34,8 @@ def _order(to: int, length: int, *data: int) -> str:
 
 
 def _status(line: CheckedPort) -> RadioStatus:
-    [status] = turret_values(line, RADIO_NUMBER, "F", 1)
-    within(f"T,{RADIO_NUMBER},F", [status], 0, sum(RadioStatus))
+    [status] = ask_turret(line, RADIO_NUMBER, "F", 1)
+    expect_range(f"T,{RADIO_NUMBER},F", [status], 0, sum(RadioStatus))
     return RadioStatus(status)
 
 
@@ -46,14 +51,14 @@ def _sent(line: CheckedPort) -> RadioStatus:
 
 @_check("a radio reports its version, its status and received messages", "simulators")
 def _reads(line: CheckedPort) -> None:
-    turret_values(line, RADIO_NUMBER, "B", 2)
+    ask_turret(line, RADIO_NUMBER, "B", 2)
     _sent(line)
     for _ in range(_MOST_READS):
         waits = _status(line) & RadioStatus.RECEIVED
-        sender, length, *data = turret_values(line, RADIO_NUMBER, "R", 2 + RADIO_BYTES)
-        within("the sender of a message", [sender], 0, NOBODY)
-        within("the length of a message", [length], 0, RADIO_BYTES)
-        within("a byte of a message", data, 0, 255)
+        sender, length, *data = ask_turret(line, RADIO_NUMBER, "R", 2 + RADIO_BYTES)
+        expect_range("the sender of a message", [sender], 0, NOBODY)
+        expect_range("the length of a message", [length], 0, RADIO_BYTES)
+        expect_range("a byte of a message", data, 0, 255)
         if not waits:
             return
     raise Deviation(f"a radio still had a message after {_MOST_READS} reads")
@@ -62,11 +67,11 @@ def _reads(line: CheckedPort) -> None:
 @_check("a radio refuses orders and messages that do not exist", "assumed")
 def _refusals(line: CheckedPort) -> None:
     _sent(line)
-    turret_values(line, RADIO_NUMBER, _order(RADIO_ALL, 0), 0)
+    ask_turret(line, RADIO_NUMBER, _order(RADIO_ALL, 0), 0)
     _sent(line)
     rubbish = ["S", f"S,{NOBODY},1,2", _order(NOBODY, 1) + ",0", _order(NOBODY, RADIO_BYTES + 1)]
     rubbish += [_order(NOBODY, -1), _order(NOBODY, 1, 256), _order(NOBODY + 1, 1), _order(RADIO_ALL - 1, 1)]
-    refuses(line, *(f"T,{RADIO_NUMBER},{message}" for message in (*rubbish, "F,1", "R,1", "Q")))
+    expect_refusals(line, *(f"T,{RADIO_NUMBER},{message}" for message in (*rubbish, "F,1", "R,1", "Q")))
     if _sent(line) & RadioStatus.FAILED:
         raise Deviation("a radio has sent a message that it has refused")
 
@@ -74,7 +79,7 @@ def _refusals(line: CheckedPort) -> None:
 @_check("a radio sends a message to all radios, which needs no acknowledgement", "radio base manual, A")
 def _to_all(line: CheckedPort) -> None:
     _sent(line)
-    turret_values(line, RADIO_NUMBER, _order(RADIO_ALL, 5, *b"hello"), 0)
+    ask_turret(line, RADIO_NUMBER, _order(RADIO_ALL, 5, *b"hello"), 0)
     if (status := _sent(line)) & RadioStatus.FAILED:
         raise Deviation(f"a message to all failed: status {status:d}")
 
@@ -85,8 +90,8 @@ def _busy(line: CheckedPort) -> None:
     message = f"T,{RADIO_NUMBER},{_order(NOBODY, 1, 7)}"
     status_request = f"T,{RADIO_NUMBER},F"
     line.send(f"{message}\n{status_request}\n{message}\n")
-    turret_numbers(message, line.reply(message), 0)
-    [status] = turret_numbers(status_request, line.reply(status_request), 1)
+    numbers_of_turret(message, line.reply(message), 0)
+    [status] = numbers_of_turret(status_request, line.reply(status_request), 1)
     second = line.reply(message)
     if RadioStatus(status) & RadioStatus.READY:
         raise Deviation(f"a radio that sends has the status {status}; expected one without the first bit")
@@ -98,11 +103,11 @@ def _busy(line: CheckedPort) -> None:
 @_check("a message that no radio acknowledges fails, until the next message", "radio base manual, 4.4")
 def _failure(line: CheckedPort) -> None:
     _sent(line)
-    turret_values(line, RADIO_NUMBER, _order(NOBODY, RADIO_BYTES, *range(RADIO_BYTES)), 0)
+    ask_turret(line, RADIO_NUMBER, _order(NOBODY, RADIO_BYTES, *range(RADIO_BYTES)), 0)
     for _ in range(2):
         if not (status := _sent(line)) & RadioStatus.FAILED:
             raise Deviation(f"a message to nobody did not fail: status {status:d}")
-    turret_values(line, RADIO_NUMBER, _order(RADIO_ALL, 0), 0)
+    ask_turret(line, RADIO_NUMBER, _order(RADIO_ALL, 0), 0)
     if (status := _sent(line)) & RadioStatus.FAILED:
         raise Deviation(f"a radio reports the failure of an earlier message: status {status:d}")
 
@@ -110,7 +115,7 @@ def _failure(line: CheckedPort) -> None:
 @_check("a restart drops the message that a radio sends", "assumed")
 def _restart(line: CheckedPort) -> None:
     _sent(line)
-    turret_values(line, RADIO_NUMBER, _order(NOBODY, 1, 7), 0)
+    ask_turret(line, RADIO_NUMBER, _order(NOBODY, 1, 7), 0)
     line.send("restart\n")
     line.read_until_quiet(SETTLE)
     if (status := _status(line)) != RadioStatus.READY:

@@ -66,7 +66,7 @@ class RecordedLine:
         """One line that says what was checked."""
         what = f"a twin in mode {self.mode:X}" if self.mode is not None else "a robot"
         asked = sum(bool(step.exchange.command) for step in self.steps)
-        return f"{self.name}: {what}, held against ROM {self.rom}: {asked} commands"
+        return f"{self.name}: {what}, compared with ROM {self.rom}: {asked} commands"
 
 
 def recorded_lines(path: Path) -> list[RecordedLine]:

@@ -1,4 +1,4 @@
-"""Check of a recording: the replies of a robot or an emulator in a log, held against the board's model.
+"""Check of a recording: the replies of a robot or an emulator in a log, compared with the board's model.
 
 Nothing is sent: what the hosts of the log did not ask is not seen. Each check is a function of a
 `RecordedLine`, which returns what it has seen and where that deviates; `reply_checks`,
@@ -99,7 +99,7 @@ class CheckedStatement:
 
 @dataclass(frozen=True, slots=True)
 class CheckedRobot:
-    """Results of one robot: its name, what it was held against, and the verdict of each check."""
+    """Results of one robot: its name, what it was compared with, and the verdict of each check."""
 
     name: str
     text: str

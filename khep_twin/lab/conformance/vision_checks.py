@@ -9,7 +9,7 @@ from functools import partial
 from khep_twin.lab.conformance.checks import ALL as ALL
 from khep_twin.lab.conformance.checks import check
 from khep_twin.lab.conformance.conformance import CheckedPort, Deviation
-from khep_twin.lab.conformance.demands import in_pace, refuses, turret_values, within
+from khep_twin.lab.conformance.expectations import ask_turret, expect_in_time, expect_range, expect_refusals
 from khep_twin.units import K213_NUMBER, K213_PERIODS_MS, K213_PIXELS
 
 TURN = "turns on the spot by 6 degrees and back"
@@ -31,8 +31,8 @@ _CONTRAST = 60
 
 def _values(line: CheckedPort, message: str, count: int, limit: int = 255) -> list[int]:
     """Return the numbers of a reply; raise a `Deviation` unless there are `count` from 0 to a limit."""
-    values = turret_values(line, K213_NUMBER, message, count)
-    within(f"T,{K213_NUMBER},{message}", values, 0, limit)
+    values = ask_turret(line, K213_NUMBER, message, count)
+    expect_range(f"T,{K213_NUMBER},{message}", values, 0, limit)
     return values
 
 
@@ -96,12 +96,12 @@ def _refusals(line: CheckedPort) -> None:
 
 
 def _refuses(line: CheckedPort, *messages: str) -> None:
-    refuses(line, *(f"T,{K213_NUMBER},{message}" for message in messages))
+    expect_refusals(line, *(f"T,{K213_NUMBER},{message}" for message in messages))
 
 
 @_check("a long reply of a K213 begins within 10 ms and takes its bytes' time", SECTION)
 def _pace(line: CheckedPort) -> None:
-    in_pace(line, f"T,{K213_NUMBER},N")
+    expect_in_time(line, f"T,{K213_NUMBER},N")
 
 
 @_check("the image of a K213 moves right as it turns left, at its period", SECTION, TURN)

@@ -22,7 +22,7 @@ from khep_twin.log.recorded import BranchPoint
 from khep_twin.ports.branching import Described, branch_off
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.replay import Setup
-from khep_twin.ports.taking_up import TakenUp, end_of
+from khep_twin.ports.resume import ResumedRun, run_end_ns
 from khep_twin.ports.twin import Twin
 from khep_twin.sensing import calibration
 from khep_twin.world import Observer, World
@@ -89,16 +89,16 @@ def branch(
     source = plan.controller and source_of(plan.controller)
     more = Described(source.facts, source.attachments) if source else Described()
     same = plan.controller is None and not plan.change.text
-    taken = branch_off(plan.log, plan.change, path, more, on_failure, same=same)
-    way = _Observed(taken.twin.world)
+    resumed = branch_off(plan.log, plan.change, path, more, on_failure, same=same)
+    way = _Observed(resumed.twin.world)
     # As of any run that fails, the log has what came before.
-    with taken.twin:
+    with resumed.twin:
         if plan.controller is None:
             last_ns = end_ns or plan.change.at_ns
-            taken.run_to(last_ns, progress, stop)
-            taken.hosts.repeat(lambda time_ns: time_ns <= last_ns)
+            resumed.run_to(last_ns, progress, stop)
+            resumed.hosts.repeat(lambda time_ns: time_ns <= last_ns)
         else:
-            _take_over(taken, plan, plan.controller, end_ns, progress, stop)
+            _take_over(resumed, plan, plan.controller, end_ns, progress, stop)
     return way.way()
 
 
@@ -123,11 +123,11 @@ def ends_at(plan: BranchPlan) -> int:
     """
     if plan.seconds is not None:
         return plan.change.at_ns + round(plan.seconds * NS_PER_S)
-    return end_of(plan.log)
+    return run_end_ns(plan.log)
 
 
 def _take_over(
-    taken: TakenUp,
+    resumed: ResumedRun,
     plan: BranchPlan,
     controller: AnyController,
     end_ns: int | None,
@@ -135,12 +135,12 @@ def _take_over(
     stop: Callable[[], bool] | None,
 ) -> None:
     """Let a controller take over its robot; the recorded hosts of others go on."""
-    twin = taken.twin
+    twin = resumed.twin
     index = twin.robot.index if plan.robot is None else plan.robot
     if not 0 <= index < len(twin.world.robots):
         raise LogError(f"{plan.log}: robot = {index}; expected 0 to {len(twin.world.robots) - 1}")
-    taken.hosts.replace(index)
-    view = Twin(twin.world, (twin.world.robots[index],), twin.options, taken.hosts)
+    resumed.hosts.replace(index)
+    view = Twin(twin.world, (twin.world.robots[index],), twin.options, resumed.hosts)
     seconds = None if end_ns is None else max((end_ns - twin.world.time_ns) / NS_PER_S, 0.0) or _ENDLESS_S
     algorithm = as_controller(controller)
     with Khepera(Serial.of(view, timeout=1.0)) as robot:

@@ -1,4 +1,4 @@
-"""Several hosts on one world in lockstep: each a blocking script in a thread of its own, one at a time.
+"""Several hosts on one world in lockstep: each a blocking script in its own thread, one at a time.
 
     from khep_twin.lab.experiment.multi_robot import run_together
 

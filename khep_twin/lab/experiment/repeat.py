@@ -22,7 +22,7 @@ from khep_twin.log.recorder import versions
 from khep_twin.log.state_hashes import Answered, boards, hashes
 from khep_twin.log.transcript import Transcript
 from khep_twin.ports.replay import RecordedHosts, Setup, repeat_event
-from khep_twin.ports.taking_up import TakenUp
+from khep_twin.ports.resume import ResumedRun
 from khep_twin.ports.twin import Twin
 from khep_twin.world import SAMPLE_NS, Observer, World
 
@@ -81,7 +81,7 @@ def _run(
 ) -> Divergence | None:
     watch = _Watch(twin.world, recorded)
     twin.world.add_observer(watch)
-    run = TakenUp(setup, (), twin, RecordedHosts(twin, iter(())), [])
+    run = ResumedRun(setup, (), twin, RecordedHosts(twin, iter(())), [])
     last_ns = recorded.last_ns
     events = [each for each in recorded.events if not recorded.torn or each[0] <= recorded.end_ns]
     end: list[tuple[int, int, HostEvent | None]] = [(recorded.end_ns if recorded.torn else last_ns, 0, None)]

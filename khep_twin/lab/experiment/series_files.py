@@ -91,7 +91,7 @@ class SeriesFolder:
                     raise ControllerError(
                         f"{self.path}: run {run.number}, repeated, has {name} {row.get(name)}, before "
                         f"{before.get(name)}; expected the same: to be resumed, a controller must use no "
-                        "random numbers or clock of its own, and keep what it learns as a Controller"
+                        "random numbers or a clock of its own, and keep what it learns as a Controller"
                     )
             return False
         self.rows.append(row)

@@ -94,7 +94,7 @@ def least_squares(
         parameters: Parameters to fit. With priors, the residuals must be in their standard deviation.
         wanted: Data that would determine them, for messages.
         outlier: Residual from which on a reading counts as an outlier, which has less weight.
-        unit_variance: If true, residuals are in units of their own standard deviation, and the noise is
+        unit_variance: If true, residuals are in units of their standard deviation, and the noise is
             estimated from their root mean square only if that is larger.
         step: Step of the numeric derivatives, in each parameter's scale.
         owners: Parameters that each residual depends on (m, k), the same parameter always in the same

@@ -5,7 +5,7 @@
     .mat      a matrix for each channel with its own times: proximity, proximity_time_s, proximity_columns;
               transcript and events as cells
 
-If channels have times of their own, as in logs of real robots, a table's cells stay empty between them.
+If channels have their own times, as in logs of real robots, a table's cells stay empty between them.
 The same log gives the same bytes.
 """
 

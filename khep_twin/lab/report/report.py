@@ -71,7 +71,7 @@ class Report:
         robots: Parts on each robot.
         events: Faults and notes: time and robot, and text.
         settings: Versions, seed and other settings.
-        shadow: Updates and alarms, if the log is a shadow's, which has no robot of its own.
+        shadow: Updates and alarms, if the log is a shadow's, which has no robot.
     """
 
     title: str

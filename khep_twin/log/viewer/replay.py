@@ -253,7 +253,7 @@ class Additions:
 
 
 def _moved(chunks: Iterable[Chunk], log: Shown) -> Generator[Chunk, None, None]:
-    """Yield the chunks of a log below its path, with coordinate frames of its own."""
+    """Yield the chunks of a log below its path, with its own coordinate frames."""
     for chunk in chunks:
         if chunk.entity_path == "/__mcap_properties":
             continue  # of a recording that is one log

@@ -62,7 +62,7 @@ ANSWERS: dict[str, Mutation] = {
     "silent on an empty turret": to("T,.*", lambda reply: b""),
     "a turret without its number": to("T,1,B", lambda reply: b"t,b,1,2\r\n"),
     "K with three fields": replies(r"^k,(\d),(\d),(-?\d+),.*", r"k,\1,\2,\3\r\n"),
-    "K with a mode of its own": replies(r"^k,(\d),\d", r"k,\1,7"),
+    "K with its own mode": replies(r"^k,(\d),\d", r"k,\1,7"),
     "speeds as decimals": replies(r"^e,(-?\d+),(-?\d+)", r"e,\1.0,\2.0"),
     "hexadecimal counters": to("H", lambda reply: b"h,0x0,0x0\r\n"),
     "left and right counters exchanged": to("H", lambda reply: swap(reply, 1, 2)),

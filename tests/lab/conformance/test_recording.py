@@ -191,7 +191,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     "silent at times": (every(50, lambda reply: ""), "every command is answered"),
     "silent at E": (to("E", ""), "every command is answered"),
     "echo": (echo, "the robot sends nothing unasked"),
-    "a line of its own": (every(50, lambda reply: f"{reply}\nready"), "the robot sends nothing unasked"),
+    "an unasked line": (every(50, lambda reply: f"{reply}\nready"), "the robot sends nothing unasked"),
     "answers at once": (shifted("n,", -3), "no reply ends before"),
     "thinks for 40 ms": (shifted("h,", 40), "replies begin within 10 ms"),
     "counts backwards": (replies("^h,.*", negated(1)), "counters go as far as the speeds of E"),
@@ -271,7 +271,7 @@ def test_a_relay_finds_the_rom_by_the_replies(rom: str, tmp_path: Path) -> None:
     relay.write(path)
     robot = checked(path)
     assert robot.passed, conform_recording(path).text()
-    assert f"a robot, held against ROM {rom}" in robot.text
+    assert f"a robot, compared with ROM {rom}" in robot.text
 
 
 @pytest.mark.parametrize("controller", BUILT_IN)
@@ -301,8 +301,8 @@ def test_each_robot_of_a_log_is_checked(field: Playpen, tmp_path: Path) -> None:
     report = conform_recording(log)
     assert report.passed
     assert [robot.text for robot in report.robots] == [
-        "khepera0: a twin in mode 1, held against ROM 5.02: 2 commands",
-        "khepera1: a twin in mode 1, held against ROM 4.06: 3 commands",
+        "khepera0: a twin in mode 1, compared with ROM 5.02: 2 commands",
+        "khepera1: a twin in mode 1, compared with ROM 4.06: 3 commands",
     ]
 
 

@@ -1,4 +1,4 @@
-"""Branches: a logged run is taken up at a moment, and is its parent's up to there."""
+"""Branches: a logged run is resumed at a moment, and is its parent's up to there."""
 
 from pathlib import Path
 
@@ -18,15 +18,15 @@ from khep_twin.log.reader import read, read_label
 from khep_twin.log.recorded import BranchPoint, read_recorded
 from khep_twin.log.snapshots import read_snapshot
 from khep_twin.ports.protocol_khep import Serial
-from khep_twin.ports.taking_up import end_of, take_up
+from khep_twin.ports.resume import resume_run, run_end_ns
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 SECOND = 1_000_000_000
 AT_NS = 11_234_567_890
 SHARE = (12, 18, 74)
-"""Numbers of short logs with faults of all devices, a gripper, and lamps that take turns at random.
+"""Numbers of short logs with faults of all devices, a gripper, and lamps that shine in sequence at random.
 
-The first one is taken up from a snapshot, and has late replies."""
+The first one is resumed from a snapshot, and has late replies."""
 
 ARENA = Path("khep_twin/assets/playpens/obstacles.toml")
 
@@ -59,7 +59,7 @@ def test_a_share_of_the_search_finds_nothing(number: int, tmp_path: Path) -> Non
 
 def test_a_log_has_a_snapshot_every_ten_seconds_and_at_the_end(parent: Path) -> None:
     found = [(time_ns, data) for topic, time_ns, data in messages(parent) if topic == "/snapshot"]
-    assert [time_ns for time_ns, _ in found] == [10 * SECOND, end_of(parent)]
+    assert [time_ns for time_ns, _ in found] == [10 * SECOND, run_end_ns(parent)]
     assert [read_snapshot(data, None).world.time_ns for _, data in found] == [time for time, _ in found]
     assert all(len(data) < 4000 for _, data in found)
 
@@ -92,18 +92,18 @@ def test_a_change_changes_what_follows_and_the_new_log_can_be_repeated(
     path = made(parent, tmp_path, **changes)
     assert before(path, AT_NS) == before(parent, AT_NS)
     assert messages(path) != messages(parent)
-    assert end_of(path) == end_of(parent)
+    assert run_end_ns(path) == run_end_ns(parent)
     assert repeat(read_recorded(path)) is None
     assert any(line.text.startswith("branched off, with ") for line in read(path).events)
 
 
 def test_what_is_put_elsewhere_is_there_and_all_else_goes_on(parent: Path) -> None:
-    taken = take_up(parent, AT_NS)
-    world = taken.twin.world
+    resumed = resume_run(parent, AT_NS)
+    world = resumed.twin.world
     x, y, heading = world.robots[0].pose
     speed = world.data.qvel[world.robots[0].indices.wheel_speeds[0]]
-    taken.change(BranchPoint(AT_NS, edits=("block.9.x_mm=500", "block.9.y_mm=350")))
-    moved = taken.twin.world
+    resumed.change(BranchPoint(AT_NS, edits=("block.9.x_mm=500", "block.9.y_mm=350")))
+    moved = resumed.twin.world
     moved.advance_to(AT_NS + 5_000_000)
     assert moved.data.body("block8").xpos[:2] == pytest.approx([0.5, 0.35], abs=1e-4)
     assert moved.robots[0].pose == pytest.approx((x, y, heading), abs=2e-3)
@@ -111,13 +111,13 @@ def test_what_is_put_elsewhere_is_there_and_all_else_goes_on(parent: Path) -> No
 
 
 def test_a_lamp_that_is_edited_stays_switched_off_and_things_outside_stay_there(parent: Path) -> None:
-    taken = take_up(parent, AT_NS)
-    world = taken.twin.world
+    resumed = resume_run(parent, AT_NS)
+    world = resumed.twin.world
     switch(world, 0, False)
     block = world.model.body(f"block{len(world.playpen.blocks) - 1}")
     world.data.qpos[world.model.jnt_qposadr[block.jntadr[0]]] = -0.1
-    taken.change(BranchPoint(AT_NS, edits=("lamp.1.power_w=2",)))
-    changed = taken.twin.world
+    resumed.change(BranchPoint(AT_NS, edits=("lamp.1.power_w=2",)))
+    changed = resumed.twin.world
     changed.advance_to(AT_NS + 5_000_000)
     assert changed.lamps.powers[0] == 0.0
     assert changed.data.body(block.name).xpos[0] == pytest.approx(-0.1, abs=1e-3)
@@ -127,7 +127,7 @@ def test_a_controller_takes_over_and_a_branch_has_branches(parent: Path, tmp_pat
     first, second, same = (tmp_path / f"{name}.mcap" for name in ("first", "second", "same"))
     branch(BranchPlan(parent, BranchPoint(AT_NS, seed=3), braitenberg, seconds=10.0), first)
     assert read_label(first).metadata["controller"] == "braitenberg"
-    assert end_of(first) > 21 * SECOND
+    assert run_end_ns(first) > 21 * SECOND
     later_ns = round(20.5 * SECOND)
     branch(BranchPlan(first, BranchPoint(later_ns, faults=("stuck:1",))), second)
     assert before(second, later_ns) == before(first, later_ns)
@@ -138,8 +138,8 @@ def test_a_controller_takes_over_and_a_branch_has_branches(parent: Path, tmp_pat
 
 def test_a_log_without_snapshots_is_run_again_from_its_start(parent: Path, tmp_path: Path) -> None:
     old = rewritten(parent, tmp_path / "old.mcap", rename=lambda topic: topic.replace("/snapshot", "/other"))
-    taken, known = take_up(old, AT_NS), take_up(parent, AT_NS)
-    assert taken.twin.world.snapshot() == known.twin.world.snapshot()
+    resumed, known = resume_run(old, AT_NS), resume_run(parent, AT_NS)
+    assert resumed.twin.world.snapshot() == known.twin.world.snapshot()
 
 
 @pytest.mark.parametrize(
@@ -165,13 +165,13 @@ def test_a_change_that_cannot_be_made_is_one_line_and_leaves_no_log(
 
 def test_a_moment_outside_the_run_and_a_damaged_snapshot_are_one_line(parent: Path, tmp_path: Path) -> None:
     for at_ns in (0, 60 * SECOND):
-        with pytest.raises(LogError, match=r"cannot be taken up at .* expected above 0 and up to its end"):
+        with pytest.raises(LogError, match=r"cannot be resumed at .* expected above 0 and up to its end"):
             branch(BranchPlan(parent, BranchPoint(at_ns)), tmp_path / "new.mcap")
     with open_twin("default", TwinOptions()) as twin:
         twin.record(tmp_path / "begun.mcap")
     with pytest.raises(LogError, match="the run ends at 0 s; expected one that lasts longer"):
         branch(BranchPlan(tmp_path / "begun.mcap", BranchPoint(AT_NS)), tmp_path / "new.mcap")
-    with pytest.raises(LogError, match="this is the log that is taken up"):
+    with pytest.raises(LogError, match="this is the log that is resumed"):
         branch(BranchPlan(parent, BranchPoint(AT_NS)), parent)
 
     def spoilt(topic: str, time_ns: int, data: bytes) -> bytes:
@@ -179,7 +179,7 @@ def test_a_moment_outside_the_run_and_a_damaged_snapshot_are_one_line(parent: Pa
 
     torn = rewritten(parent, tmp_path / "torn.mcap", spoilt)
     with pytest.raises(LogError, match=r"torn.mcap: /snapshot at 10.0000 s: .*expected at most") as error:
-        take_up(torn, AT_NS)
+        resume_run(torn, AT_NS)
     assert len(str(error.value).splitlines()) == 1
 
 
@@ -198,7 +198,7 @@ def test_a_host_goes_on_from_a_log_and_its_log_is_a_branch(parent: Path, tmp_pat
     assert before(path, at_ns) == before(parent, at_ns)
     assert repeat(read_recorded(path)) is None
     with Khepera(f"khep://{parent}") as robot:
-        assert robot.time == end_of(parent) / SECOND
+        assert robot.time == run_end_ns(parent) / SECOND
     with Serial(f"khep://{parent}?at=11.5&fault=brown-out@3", timeout=1) as port:
         assert port.read_until(b"ROM") == b"ROM"  # it is due at once
         assert port.time_ns < 11_560_000_000
@@ -225,7 +225,7 @@ def test_what_was_sent_last_is_not_part_of_a_run_that_is_taken_up_at_its_end(tmp
         for _ in range(20):
             port.write(b"N\n")
             port.sleep(0.1)
-        assert port.twin.world.time_ns == end_of(first) + 2 * SECOND
+        assert port.twin.world.time_ns == run_end_ns(first) + 2 * SECOND
     assert b"D,5,5" not in b"".join(data for _, _, data in messages(second))
     assert repeat(read_recorded(second)) is None
 

@@ -18,7 +18,7 @@ from khep_twin.sensing import calibration
 
 @pytest.fixture
 def hidden(tmp_path: Path) -> str:
-    """A playpen whose robot has wheels of its own."""
+    """A playpen whose robot has its own wheels."""
     other = calibration.read("khepera1")[0].model_copy(
         update={"wheels": calibration.WheelCalibration(radius_mm=7.83, base_mm=53.4)}
     )

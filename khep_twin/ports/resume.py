@@ -1,6 +1,6 @@
-"""Runs of logs taken up at any moment, to go on with something changed.
+"""Runs of logs resumed at any moment, to go on with something changed.
 
-A run is taken up from the last snapshot before the moment, or from its start, and what its hosts did is
+A run is resumed from the last snapshot before the moment, or from its start, and what its hosts did is
 repeated up to there. Then seed, faults, calibrations or playpen may change; see `branching` for other hosts.
 """
 
@@ -19,15 +19,15 @@ from khep_twin.log.recorded import BranchPoint, changes_of, check_line, events_i
 from khep_twin.log.recorder import Beginning, WorldRecorder
 from khep_twin.log.snapshots import TOPIC, LoggedState, read_snapshot
 from khep_twin.log.state_hashes import read_states
-from khep_twin.ports.changed_scene import go_on_in
+from khep_twin.ports.changed_scene import take_over_state
 from khep_twin.ports.replay import RecordedHosts, Setup
 from khep_twin.ports.twin import Twin
 from khep_twin.world import SAMPLE_NS
 
 
 @dataclass(slots=True)
-class TakenUp:
-    """Run that was taken up.
+class ResumedRun:
+    """Run that was resumed.
 
     Attributes:
         setup: What the log says of its twin.
@@ -86,7 +86,7 @@ class TakenUp:
             if not change.edits and self.twin.world.scene == before.world.scene:
                 self.twin.world.set_state(before.world.state())
             else:
-                go_on_in(self.twin.world, before.world, self.setup.playpen(self.changes[:-1]), change)
+                take_over_state(self.twin.world, before.world, self.setup.playpen(self.changes[:-1]), change)
             self.twin.world.observers = before.world.observers
             self.twin.recorder = before.recorder
             for observer in self.twin.world.observers:
@@ -99,11 +99,11 @@ class TakenUp:
             self.twin.world.on_event(None, f"branched off, with {change.text}")
 
 
-def take_up(
+def resume_run(
     path: Path,
     at_ns: int,
     start: Callable[[Twin, Label, Beginning], None] | None = None,
-) -> TakenUp:
+) -> ResumedRun:
     """Take up the run of a log at a moment, before what was done at that very moment.
 
     Args:
@@ -132,16 +132,16 @@ def take_up(
             begun = () if last is None else read_until(path, last)
             start(twin, label, Beginning(begun, state and state.recorder))
         hosts = RecordedHosts(twin, events_in(path, pieces, label.robots))
-        taken = TakenUp(setup, done, twin, hosts, [*changes[len(done) :]])
-        taken.run_to(at_ns)
-        return taken
+        resumed = ResumedRun(setup, done, twin, hosts, [*changes[len(done) :]])
+        resumed.run_to(at_ns)
+        return resumed
     except LogError:
         raise
     except KhepTwinError as error:
-        raise LogError(f"{path}: cannot be taken up: {first_line(error)}") from error
+        raise LogError(f"{path}: cannot be resumed: {first_line(error)}") from error
 
 
-def end_of(path: Path) -> int:
+def run_end_ns(path: Path) -> int:
     """Return the time at which a logged run ended [ns]: that of its last snapshot, or of its last message.
 
     Raises:

@@ -10,7 +10,7 @@ _INTERVAL = 10.0
 """Time per further notice [s]."""
 
 
-class Ration:
+class NoticeLimit:
     """Rate limit of notices, ten at once and six a minute: no host fills the log or blocks standard error."""
 
     def __init__(self) -> None:
@@ -18,7 +18,7 @@ class Ration:
         self._since = time.monotonic()
         self._dropped = 0
 
-    def admitted(self, notices: Iterable[str]) -> list[str]:
+    def admit(self, notices: Iterable[str]) -> list[str]:
         """Return the notices to be printed; the next one gives the number of those that were not."""
         now = time.monotonic()
         self._room = min(self._room + (now - self._since) / _INTERVAL, _AT_ONCE)

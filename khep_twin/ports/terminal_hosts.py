@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from khep_twin.ports.event_sources import ONE_WRITE, Event, OpenEvents
-from khep_twin.ports.holders import count_descriptors
+from khep_twin.ports.port_users import count_descriptors
 
 if sys.platform == "win32":
     raise ImportError("a pseudo-terminal needs a system with terminals")
@@ -51,7 +51,7 @@ class Change:
 _NONE, _ONE_WRITE = Change(), Change(writes_before=1)
 
 
-class Presence:
+class TerminalHosts:
     """Hosts on the host side of a terminal.
 
     Args:
@@ -81,7 +81,7 @@ class Presence:
         """Descriptor for `select` that becomes readable when hosts come, write or go; none without events."""
         return [] if self._events is None else [self._events.descriptor]
 
-    def look(self, wrote: bool) -> Change:
+    def poll(self, wrote: bool) -> Change:
         """Return the changes since the last poll.
 
         Args:

@@ -11,8 +11,8 @@ import termios
 import pytest
 
 from khep_twin.ports import pty as pty_module
-from khep_twin.ports.presence import Change, Presence
 from khep_twin.ports.pty import PtyPort
+from khep_twin.ports.terminal_hosts import Change, TerminalHosts
 
 
 @pytest.fixture(params=["inotify", "no inotify"])
@@ -142,17 +142,17 @@ def test_settings_that_a_host_makes_as_another_leaves_are_its_own(
     port.receive(100)
     os.close(first)
 
-    look = Presence.look
+    poll = TerminalHosts.poll
 
-    def come_after_the_last_look(presence: Presence, wrote: bool) -> Change:
-        change = look(presence, wrote)
+    def come_after_the_last_poll(watched: TerminalHosts, wrote: bool) -> Change:
+        change = poll(watched, wrote)
         if not wrote and not change.left:
             later.append(opened(port))
             set_speed(later[0], termios.B57600)
         return change
 
     with monkeypatch.context() as patch:
-        patch.setattr(Presence, "look", come_after_the_last_look)
+        patch.setattr(TerminalHosts, "poll", come_after_the_last_poll)
         assert port.receive(100).left
     assert termios.tcgetattr(later[0])[5] == termios.B57600
     monkeypatch.setattr(pty_module, "_RESTORE_S", 0.0)
@@ -187,17 +187,17 @@ def test_bytes_that_were_read_before_a_host_left_are_not_the_next_one_s(
         os.close(hosts.pop())
         hosts.append(opened(port))
         os.write(hosts[0], b"N\n")
-        look = Presence.look
+        poll = TerminalHosts.poll
 
-        def look_and_be_followed(presence: Presence, wrote: bool) -> Change:
-            change = look(presence, wrote)
+        def poll_and_be_followed(watched: TerminalHosts, wrote: bool) -> Change:
+            change = poll(watched, wrote)
             if len(hosts) == 1:
                 os.close(hosts[0])
                 hosts.append(opened(port))
                 os.write(hosts[1], b"B\nO\n")
             return change
 
-        monkeypatch.setattr(Presence, "look", look_and_be_followed)
+        monkeypatch.setattr(TerminalHosts, "poll", poll_and_be_followed)
         received = port.receive(100)
         assert (received.left, received.last, received.data) == (True, b"N\n", b"B\nO\n")
         os.close(hosts[1])
@@ -209,7 +209,7 @@ def set_speed(host: int, speed: int) -> None:
     termios.tcsetattr(host, termios.TCSANOW, flags)
 
 
-def is_held(presence: Presence) -> bool:
+def is_held(hosts: TerminalHosts) -> bool:
     return True
 
 
@@ -221,7 +221,7 @@ def test_a_host_that_is_still_closing_has_left_when_the_next_one_comes(
         port.receive(100)
         with monkeypatch.context() as patch:
             # The kernel tells of a closing before the terminal is hung up.
-            patch.setattr(Presence, "_held", is_held)
+            patch.setattr(TerminalHosts, "_held", is_held)
             os.close(host)
             assert not port.receive(100).left
         host = opened(port)

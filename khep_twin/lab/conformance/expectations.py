@@ -1,4 +1,4 @@
-"""Demands of checks on answers, which raise a `Deviation`."""
+"""Expectations of answers, which raise a `Deviation`."""
 
 import re
 
@@ -12,20 +12,20 @@ _REAL_TIME_SLACK = 0.02
 """Delay by a scheduler that is no fault of the port's [s]."""
 
 
-def within(request: str, values: list[int], low: int, high: int) -> None:
+def expect_range(request: str, values: list[int], low: int, high: int) -> None:
     """Raise a `Deviation` if a number of a reply is out of range."""
     for value in values:
         if not low <= value <= high:
             raise Deviation(f"{request!r} gave {value}; expected {low} to {high}")
 
 
-def turret_values(line: CheckedPort, turret: int, message: str, count: int) -> list[int]:
+def ask_turret(line: CheckedPort, turret: int, message: str, count: int) -> list[int]:
     """Return the numbers of a turret's answer to a message; raise a `Deviation` unless there are `count`."""
     request = f"T,{turret},{message}"
-    return turret_numbers(request, line.ask(request), count)
+    return numbers_of_turret(request, line.ask(request), count)
 
 
-def turret_numbers(request: str, answer: str, count: int) -> list[int]:
+def numbers_of_turret(request: str, answer: str, count: int) -> list[int]:
     """Return the numbers of a turret's answer, none below 0; raise a `Deviation` unless there are `count`."""
     _, turret, letter = request.split(",")[:3]
     head = f"t,{turret},{letter.lower()}"
@@ -34,7 +34,7 @@ def turret_numbers(request: str, answer: str, count: int) -> list[int]:
     return [int(field) for field in answer.split(",")[3:]]
 
 
-def refuses(line: CheckedPort, *requests: str) -> None:
+def expect_refusals(line: CheckedPort, *requests: str) -> None:
     """Raise a `Deviation` unless each request is answered by a line that starts with "z,"."""
     for request in requests:
         answer = line.ask(request)
@@ -42,7 +42,7 @@ def refuses(line: CheckedPort, *requests: str) -> None:
             raise Deviation(f"{request!r} was answered {answer!r}; expected a line that starts with 'z,'")
 
 
-def in_pace(line: CheckedPort, request: str) -> None:
+def expect_in_time(line: CheckedPort, request: str) -> None:
     """Raise a `Deviation` unless the reply begins within 10 ms and takes its bytes' time on the line."""
     byte_time = BITS_PER_BYTE / line.port.baudrate
     slack = 0.0 if hasattr(line.port, "time_ns") else _REAL_TIME_SLACK

@@ -1,9 +1,9 @@
-"""A tap on a line: nothing of it is lost, and nothing waits for who listens."""
+"""A line's pipe to a shadow: nothing of it is lost, and nothing waits for who listens."""
 
 import os
 import socket
 
-from khep_twin.shadow.tap import Tap, TappedLine
+from khep_twin.shadow.line_pipe import LineReceiver, LineSender
 
 never = bool
 
@@ -21,13 +21,13 @@ class Clock:
 def test_bytes_come_in_order_with_their_times_and_silence_is_told() -> None:
     here, there = socket.socketpair()
     with here, there:
-        tap = Tap(here.fileno(), Clock())
-        tap.on_bytes(True, b"N\n")
-        tap.on_bytes(False, b"n,1")
-        tap.flush()
-        tap.close()
+        sender = LineSender(here.fileno(), Clock())
+        sender.on_bytes(True, b"N\n")
+        sender.on_bytes(False, b"n,1")
+        sender.flush()
+        sender.close()
         here.close()
-        found = list(TappedLine(there.fileno(), never))
+        found = list(LineReceiver(there.fileno(), never))
     assert [(each.to_robot, each.data) for each in found] == [(True, b"N\n"), (False, b"n,1"), (True, b"")]
     times_ns = [each.time_ns for each in found]
     assert times_ns == sorted(set(times_ns))
@@ -37,12 +37,12 @@ def test_a_listener_that_sleeps_delays_nothing_and_loses_nothing() -> None:
     here, there = socket.socketpair()
     sent = [os.urandom(1000) for _ in range(2000)]
     with here, there:
-        tap = Tap(here.fileno(), Clock())
+        sender = LineSender(here.fileno(), Clock())
         for data in sent:  # Nobody reads: what the pipe does not take would block.
-            tap.on_bytes(False, data)
-        line, found = iter(TappedLine(there.fileno(), never)), list[bytes]()
+            sender.on_bytes(False, data)
+        line, found = iter(LineReceiver(there.fileno(), never)), list[bytes]()
         while len(found) < len(sent):
-            tap.flush()
+            sender.flush()
             found += filter(None, [next(line).data])
     assert found == sent
 
@@ -50,15 +50,15 @@ def test_a_listener_that_sleeps_delays_nothing_and_loses_nothing() -> None:
 def test_a_listener_that_has_gone_is_noticed_and_costs_nothing() -> None:
     here, there = socket.socketpair()
     with here:
-        tap = Tap(here.fileno(), Clock())
+        sender = LineSender(here.fileno(), Clock())
         there.close()
         for _ in range(10):
-            tap.on_bytes(True, b"N\n")
-        assert tap.broken
-        tap.close()
+            sender.on_bytes(True, b"N\n")
+        assert sender.broken
+        sender.close()
 
 
 def test_a_listener_ends_where_it_is_asked_to() -> None:
     here, there = socket.socketpair()
     with here, there:
-        assert list(TappedLine(there.fileno(), lambda: True)) == []
+        assert list(LineReceiver(there.fileno(), lambda: True)) == []

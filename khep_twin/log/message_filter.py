@@ -9,7 +9,7 @@ from khep_twin.log.messages import FOR_REPEAT, READERS, WIDTHS, line_topics, rea
 from khep_twin.log.state_hashes import read_states
 
 
-class Sieve:
+class MessageFilter:
     """Filter of messages that the reader accepts.
 
     Args:
@@ -22,7 +22,7 @@ class Sieve:
         self._sampled = {f"/{robot}/{name}" for robot in robots for name in WIDTHS}
         self._widths: dict[tuple[str, str], int] = {}
 
-    def takes(self, topic: str, schema: str, time_ns: int, message: bytes) -> bool:
+    def accepts(self, topic: str, schema: str, time_ns: int, message: bytes) -> bool:
         """Return whether the reader accepts a message after those passed before."""
         try:
             return time_ns <= LATEST_NS and self._fits(topic, schema, message)

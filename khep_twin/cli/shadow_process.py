@@ -1,4 +1,4 @@
-"""A shadow in a process of its own, so that its work never delays the line that it listens to."""
+"""A shadow in its own process, so that its work never delays the line that it listens to."""
 
 import socket
 import subprocess
@@ -12,7 +12,7 @@ import typer
 from khep_twin.cli.followed import ALARM_CODE
 from khep_twin.cli.options import complain
 from khep_twin.errors import KhepTwinError
-from khep_twin.shadow.tap import Tap
+from khep_twin.shadow.line_pipe import LineSender
 from khep_twin.signals import clear_at_end, undisturbed
 
 READY = b"\n"
@@ -21,12 +21,12 @@ READY = b"\n"
 _TURN_S = 0.05
 """Interval of checks of the process [s]."""
 
-_PATIENCE_S = 2.0
+_TERMINATION_S = 2.0
 """Time for a process that was told to end [s]."""
 
 
-class Beside:
-    """A shadow's process.
+class ShadowProcess:
+    """Process that runs a shadow.
 
     Args:
         process: Process.
@@ -38,32 +38,32 @@ class Beside:
 
     def __init__(self, process: "subprocess.Popen[bytes]", line: socket.socket) -> None:
         self._process, self._line = process, line
-        self._tap: Tap | None = None
+        self._sender: LineSender | None = None
         self.code: int | None = None
 
-    def tap(self, now: Callable[[], int]) -> Tap:
-        """Return the tap on a line with this clock [ns]."""
-        self._tap = Tap(self._line.fileno(), now)
-        return self._tap
+    def listener(self, now: Callable[[], int]) -> LineSender:
+        """Return a listener that passes a line on to the shadow, with times of this clock [ns]."""
+        self._sender = LineSender(self._line.fileno(), now)
+        return self._sender
 
-    def raised(self) -> bool:
+    def ended_by_alarm(self) -> bool:
         """Return whether it has ended by an alarm; complain once if it has ended otherwise."""
-        if self.code is None and self._tap is not None and self._tap.broken:
-            self.code = self._told()
+        if self.code is None and self._sender is not None and self._sender.broken:
+            self.code = self._read_code()
             if self.code != ALARM_CODE:
                 complain(f"the shadow has ended with code {self.code}; the relay goes on without it")
         return self.code == ALARM_CODE
 
     def finish(self) -> int:
         """End the line and wait until the shadow has followed the rest; return the exit code."""
-        if self._tap is not None:
-            self._tap.close()
+        if self._sender is not None:
+            self._sender.close()
         if self.code is None:
             self._line.shutdown(socket.SHUT_WR)
-            self.code = self._told()
+            self.code = self._read_code()
         return self.code
 
-    def _told(self) -> int:
+    def _read_code(self) -> int:
         """Wait for the exit code; what the process still has to clear up nobody waits for."""
         self._line.setblocking(True)
         try:
@@ -74,7 +74,7 @@ class Beside:
 
 
 @contextmanager
-def beside(words: Sequence[str], stop: Callable[[], bool]) -> Generator[Beside]:
+def run_shadow(words: Sequence[str], stop: Callable[[], bool]) -> Generator[ShadowProcess]:
     """Run a shadow beside this process; its alarms go to this one's standard output.
 
     Args:
@@ -90,16 +90,16 @@ def beside(words: Sequence[str], stop: Callable[[], bool]) -> Generator[Beside]:
         process = subprocess.Popen(arguments, pass_fds=[there.fileno()], start_new_session=True)
         forget = clear_at_end(lambda: _end(process))
         there.close()
-    other = Beside(process, here)
+    shadow = ShadowProcess(process, here)
     with here:
         try:
             while not select([here], [], [], _TURN_S)[0] and not stop():
                 pass
             if not stop() and here.recv(1) != READY:
                 raise typer.Exit(process.wait() or 1)
-            yield other
+            yield shadow
         finally:
-            if other.code is None:
+            if shadow.code is None:
                 _end(process)
             forget()
 
@@ -110,5 +110,5 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
             if process.poll() is None:
                 end()
         with suppress(subprocess.TimeoutExpired):
-            process.wait(timeout=_PATIENCE_S)
+            process.wait(timeout=_TERMINATION_S)
             return

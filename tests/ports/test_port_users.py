@@ -14,8 +14,8 @@ import serial
 
 from khep_twin.errors import PortInUse
 from khep_twin.host.discovery import who_answers
-from khep_twin.ports import holders
-from khep_twin.ports.holders import holder
+from khep_twin.ports import port_users
+from khep_twin.ports.port_users import port_user
 
 if not Path("/proc/self/fd").exists():
     pytest.skip("there is no /proc here", allow_module_level=True)
@@ -39,24 +39,24 @@ def test_who_keeps_the_far_end_is_no_host_and_another_process_is(
     _, _, path = terminal
     link = tmp_path / "robot"
     link.symlink_to(path)
-    assert holder(path) == ""
+    assert port_user(path) == ""
     with subprocess.Popen(
         [sys.executable, "-c", HOLDS, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as host:
         assert host.stdout is not None
         host.stdout.readline()
         for name in (path, str(link)):
-            assert holder(name).startswith(f"process {host.pid} (")
+            assert port_user(name).startswith(f"process {host.pid} (")
         with pytest.raises(PortInUse, match=f"{path}: in use by process {host.pid}"):
             who_answers(path)
         host.communicate()
-    assert holder(path) == ""
+    assert port_user(path) == ""
 
 
 def test_a_host_in_the_process_of_the_far_end_is_one(terminal: tuple[int, int, str]) -> None:
     _, _, path = terminal
     second = os.open(path, os.O_RDWR | os.O_NOCTTY)
-    assert holder(path).startswith(f"process {os.getpid()} ")
+    assert port_user(path).startswith(f"process {os.getpid()} ")
     os.close(second)
 
 
@@ -64,18 +64,18 @@ def test_the_lock_file_of_a_living_process_counts(
     terminal: tuple[int, int, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, _, path = terminal
-    monkeypatch.setattr(holders, "_LOCKS", tmp_path)
+    monkeypatch.setattr(port_users, "_LOCKS", tmp_path)
     lock = tmp_path / f"LCK..{os.path.basename(path)}"
     lock.write_text(f"{os.getpid():10}\n")
-    assert holder(path).startswith(f"process {os.getpid()} ")
+    assert port_user(path).startswith(f"process {os.getpid()} ")
     lock.write_text(f"{2**22 + 1:10}\n")
-    assert holder(path) == ""
+    assert port_user(path) == ""
     lock.write_text("")
-    assert holder(path) == ""
+    assert port_user(path) == ""
     link = tmp_path / "robot"
     link.symlink_to(path)
     (tmp_path / "LCK..robot").write_text(f"{os.getpid():10}\n")
-    assert holder(str(link)).startswith(f"process {os.getpid()} ")
+    assert port_user(str(link)).startswith(f"process {os.getpid()} ")
 
 
 def test_a_lock_of_a_holder_that_cannot_be_seen_counts(
@@ -85,7 +85,7 @@ def test_a_lock_of_a_holder_that_cannot_be_seen_counts(
 
     _, kept, path = terminal
     fcntl.flock(kept, fcntl.LOCK_EX)
-    assert holder(path) == ""
+    assert port_user(path) == ""
     with pytest.raises(PortInUse, match="in use by a program that has locked it"):
         who_answers(path)
 
@@ -114,18 +114,18 @@ def test_an_established_connection_holds_a_port_of_the_network(address: str) -> 
         number = server.getsockname()[1]
         shown = f"[{address}]" if ":" in address else address
         url = f"socket://{shown}:{number}"
-        assert holder(url) == ""
+        assert port_user(url) == ""
         with socket.create_connection((near, number), timeout=5):
-            assert holder(url) == "a connection"
+            assert port_user(url) == "a connection"
             with pytest.raises(PortInUse, match="in use by a connection"):
                 who_answers(url)
 
 
 @pytest.mark.parametrize("url", ["/nowhere", "khep://default", "socket://", "socket://127.0.0.1:x", "\0"])
 def test_what_is_no_port_here_has_no_holder(url: str) -> None:
-    assert holder(url) == ""
+    assert port_user(url) == ""
 
 
 def test_a_file_that_is_no_device_has_no_holder(tmp_path: Path) -> None:
     with (tmp_path / "file").open("w") as file:
-        assert holder(file.name) == ""
+        assert port_user(file.name) == ""

@@ -25,8 +25,8 @@ _UNIX98_PTS = range(136, 144)
 """Major numbers of pseudo-terminals, whose minor numbers are their names in /dev/pts."""
 
 
-def holder(url: str) -> str:
-    """Name the holder of a port: "process 1234 (picocom)", "a connection"; empty if none is found.
+def port_user(url: str) -> str:
+    """Name the user of a port: "process 1234 (picocom)", "a connection"; empty if none is found.
 
     Args:
         url: Device, link to one, or URL of pyserial's.

@@ -1,4 +1,4 @@
-"""A tap on a line: its bytes for a shadow in another process, through a pipe that never delays the line.
+"""Pipe by which a line's bytes reach a shadow in another process, and which never delays the line.
 
 What the pipe does not take at once waits in memory, at most the 1 kB/s of a line at 9600 baud, so nothing is
 lost. Records without bytes tell that none came until their time.
@@ -25,8 +25,8 @@ _TURN_S = 0.2
 """Longest wait for bytes, before `stop` is asked again [s]."""
 
 
-class Tap:
-    """The line's end of a tap.
+class LineSender:
+    """End of the pipe at the line.
 
     Args:
         descriptor: Pipe to write to, which stays open.
@@ -75,8 +75,8 @@ class Tap:
             self.broken = True
 
 
-class TappedLine:
-    """The shadow's end of a tap.
+class LineReceiver:
+    """End of the pipe at the shadow.
 
     Args:
         descriptor: Pipe to read.
@@ -121,6 +121,6 @@ class TappedLine:
 
 
 def _set_blocking(descriptor: int, blocks: bool) -> None:
-    """Set if a write waits for room; Windows has no taps."""
+    """Set if a write waits for room; Windows has no such pipes."""
     if sys.platform != "win32":
         os.set_blocking(descriptor, blocks)
