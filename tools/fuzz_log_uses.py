@@ -33,7 +33,7 @@ MODULES = (
     "khep_twin.ports.replay",
     "khep_twin.ports.resume",
     "khep_twin.ports.branching",
-    "khep_twin.lab.conformance.recording",
+    "khep_twin.lab.conformance.recording.conform",
     "khep_twin.lab.experiment.repeat",
     "khep_twin.lab.experiment.branch",
     "khep_twin.lab.report.report",
@@ -166,7 +166,7 @@ def _branch(path: Path, seed: int | None) -> None:
 
 def conform(path: Path) -> None:
     """Check the protocol in a log."""
-    from khep_twin.lab.conformance.recording import conform_recording
+    from khep_twin.lab.conformance.recording.conform import conform_recording
 
     found = conform_recording(path)
     found.text()

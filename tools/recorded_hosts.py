@@ -21,7 +21,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PlaypenError
 from khep_twin.files.toml_files import names
 from khep_twin.interventions.move_robot import put, scan
-from khep_twin.lab.conformance.recording import conform_recording
+from khep_twin.lab.conformance.recording.conform import conform_recording
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from khep_twin.units import BITS_PER_BYTE, STEP_NS

@@ -35,18 +35,19 @@ def conform(
         raise usage(f"--report {report}: cannot be written: {reason}")
     check_new(force, report)
     if "://" not in port and (port.endswith(".mcap") or Path(port).is_file()):
-        from khep_twin.lab.conformance.recording import conform_recording
+        from khep_twin.lab.conformance.recording.conform import conform_recording
 
         if ignored := given(context) & _OF_A_PORT:
             raise usage(f"--{min(ignored)} is for a port, not for a log")
         outcome = conform_recording(Path(port))
     else:
-        from khep_twin.lab.conformance import conformance
+        from khep_twin.lab.conformance.port.conform import checks
+        from khep_twin.lab.conformance.port.conform import conform as check_port
 
         if move:
-            ways = dict.fromkeys(check.moves for check in conformance.checks(True) if check.moves)
+            ways = dict.fromkeys(check.moves for check in checks(True) if check.moves)
             typer.echo(f"the robot {', '.join(ways)}", err=True)
-        outcome = conformance.conform(port, move=move, baudrate=baudrate)
+        outcome = check_port(port, move=move, baudrate=baudrate)
     typer.echo(outcome.text())
     if report is not None:
         write_whole(report, outcome.json().encode("utf-8"))

@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
 from khep_twin.errors import KhepTwinError
-from khep_twin.lab.conformance.recording import conform_recording
+from khep_twin.lab.conformance.recording.conform import conform_recording
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.lab.experiment.replay_to_port import replay_to_port
 from khep_twin.lab.report.report import report

@@ -14,7 +14,8 @@ import serial
 
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
-from khep_twin.lab.conformance.conformance import CheckedPort, checks, run_check
+from khep_twin.lab.conformance.port.check import CheckedPort
+from khep_twin.lab.conformance.port.conform import checks, run_check
 from khep_twin.ports.network import TcpPort, is_loopback, parse_address
 from khep_twin.ports.network_host import LONGEST_LINE, SILENCE
 

@@ -8,7 +8,8 @@ import pytest
 from lateness import lateness
 
 from khep_twin.host import Khepera
-from khep_twin.lab.conformance.conformance import Check, CheckedPort, checks, run_check
+from khep_twin.lab.conformance.port.check import Check, CheckedPort
+from khep_twin.lab.conformance.port.conform import checks, run_check
 
 MOST_LATE = 0.003
 """Lateness of the machine that the checks of pace bear [s]."""

@@ -9,7 +9,8 @@ import pytest
 
 from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.host import Khepera
-from khep_twin.lab.conformance.conformance import CheckedPort, examine
+from khep_twin.lab.conformance.port.check import CheckedPort
+from khep_twin.lab.conformance.port.conform import examine
 from khep_twin.ports.twin import Twin
 
 Mutation = Callable[[bytes, bytes], bytes]

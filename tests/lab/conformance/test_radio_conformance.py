@@ -15,7 +15,8 @@ from test_recording import to as recorded_to
 
 from khep_twin import playpen
 from khep_twin.host import Khepera, commands
-from khep_twin.lab.conformance.conformance import CheckedPort, checks, examine, run_check
+from khep_twin.lab.conformance.port.check import CheckedPort
+from khep_twin.lab.conformance.port.conform import checks, examine, run_check
 from khep_twin.lab.experiment.multi_robot import run_together
 from khep_twin.log.recorded import read_recorded
 from khep_twin.ports.protocol_khep import Serial

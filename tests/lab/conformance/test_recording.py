@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from recorded_hosts import Relay, findings, tour
 
-from khep_twin.lab.conformance.recording import CheckedRobot, conform_recording
+from khep_twin.lab.conformance.recording.conform import CheckedRobot, conform_recording
 from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.log.channels import Level, LineFrame, TextLine
 from khep_twin.log.decoding import read_line

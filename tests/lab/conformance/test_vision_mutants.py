@@ -8,12 +8,14 @@ import pytest
 
 from khep_twin.board.k213 import K213Register
 from khep_twin.host import Khepera
-from khep_twin.lab.conformance import vision_checks
-from khep_twin.lab.conformance.conformance import CheckedPort, run_check
+from khep_twin.lab.conformance.port import vision
+from khep_twin.lab.conformance.port.catalogue import CHECKS as ALL
+from khep_twin.lab.conformance.port.check import CheckedPort
+from khep_twin.lab.conformance.port.conform import run_check
 from khep_twin.ports.twin import Twin
 from tests.lab.conformance.test_mutants import Mutation, break_answers, think, to
 
-CHECKS = [check for check in vision_checks.ALL if check.section == vision_checks.SECTION]
+CHECKS = [check for check in ALL if check.section == vision.SECTION]
 
 
 def fields(reply: bytes) -> list[bytes]:

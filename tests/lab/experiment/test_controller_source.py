@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from log_rewriting import rewritten
 
-from khep_twin.lab.conformance.recording import conform_recording
+from khep_twin.lab.conformance.recording.conform import conform_recording
 from khep_twin.lab.experiment import controller_source
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.controllers import braitenberg

@@ -1,7 +1,7 @@
-"""Checks of a recording's replies: their form, and errors. See `recording`."""
+"""Checks of a recording's replies: their form, and errors."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from khep_twin.board.protocol import (
     COMMAND_NOT_FOUND,
@@ -12,23 +12,11 @@ from khep_twin.board.protocol import (
     TurretMessage,
 )
 from khep_twin.board.radio import BUSY
-from khep_twin.lab.conformance.board_model import RecordedStep, is_error
-from khep_twin.lab.conformance.recorded_line import RecordedLine
-from khep_twin.lab.conformance.recording import (
-    Finding,
-    RecordingCheck,
-    Verdict,
-    adder,
-    answered,
-    finding,
-)
+from khep_twin.lab.conformance.recording.board_model import RecordedStep, is_error
+from khep_twin.lab.conformance.recording.check import Finding, Verdict, answered, check, finding, over
+from khep_twin.lab.conformance.recording.recorded_line import RecordedLine
 from khep_twin.log.transcript import text_of
 from khep_twin.units import COUNTS_LIMIT, RADIO_NUMBER
-
-ALL: list[RecordingCheck] = []
-"""All checks; `check` adds to them."""
-
-check = adder(ALL)
 
 SPEED_MOST = 180
 """Fastest speed of a wheel [pulses/10 ms] (assumed: 155 without load on full cells, and 15 % more)."""
@@ -74,23 +62,17 @@ def accepted(line: RecordedLine) -> Iterator[tuple[RecordedStep, bytes]]:
             yield step, reply
 
 
-def over(steps: Iterator[RecordedStep], deviation: Callable[[RecordedStep], Finding | None]) -> Verdict:
-    """Return the verdict over steps of which each may deviate."""
-    found = [deviation(step) for step in steps]
-    return Verdict(len(found), [each for each in found if each is not None])
-
-
 # Grammar -------------------------------------------------------------------------------------------------
 
 
 @check("every command is answered", "3.2")
-def _answers(line: RecordedLine) -> Verdict:
+def answers(line: RecordedLine) -> Verdict:
     asked = (step for step in line.steps if step.exchange.command and not step.exchange.abandoned)
     return over(asked, lambda step: finding(step, "no reply", "one") if step.exchange.reply is None else None)
 
 
 @check("the robot sends nothing unasked", "3.2")
-def _silence(line: RecordedLine) -> Verdict:
+def unasked_lines(line: RecordedLine) -> Verdict:
     findings: list[Finding] = []
     last, lines = b"", 0
     for step in line.steps:
@@ -107,7 +89,7 @@ def _silence(line: RecordedLine) -> Verdict:
 
 
 @check("a reply begins with its command's letter", "A")
-def _letters(line: RecordedLine) -> Verdict:
+def letters(line: RecordedLine) -> Verdict:
     def deviation(step: RecordedStep) -> Finding | None:
         letter = step.exchange.letter.lower()
         head = (step.exchange.reply or b"").partition(b",")[0]
@@ -117,7 +99,7 @@ def _letters(line: RecordedLine) -> Verdict:
 
 
 @check("a reply has as many plain integers as its command asks for", "A")
-def _values(line: RecordedLine) -> Verdict:
+def plain_integers(line: RecordedLine) -> Verdict:
     def deviation(step: RecordedStep) -> Finding | None:
         wanted = step.expected.count(b",")
         fields = (step.exchange.reply or b"").split(b",")[1:]
@@ -131,7 +113,7 @@ def _values(line: RecordedLine) -> Verdict:
 
 
 @check("values are in the range of their command", "A")
-def _ranges(line: RecordedLine) -> Verdict:
+def ranges(line: RecordedLine) -> Verdict:
     def deviation(step: RecordedStep) -> Finding | None:
         low, high = _RANGES[step.exchange.letter]
         wrong = next((value for value in step.exchange.values or () if not low <= value <= high), None)
@@ -142,7 +124,7 @@ def _ranges(line: RecordedLine) -> Verdict:
 
 
 @check("a valid command is not refused", "A")
-def _refusals(line: RecordedLine) -> Verdict:
+def refusals(line: RecordedLine) -> Verdict:
     def deviation(step: RecordedStep) -> Finding | None:
         reply = step.exchange.reply or b""
         return finding(step, answered(step), f"{text_of(step.expected[:-2])}") if is_error(reply) else None
@@ -159,18 +141,18 @@ def exactly(step: RecordedStep) -> Finding | None:
 
 
 @check("missing, surplus or wrong parameters are a protocol error", "A")
-def _wrong_parameters(line: RecordedLine) -> Verdict:
+def wrong_parameters(line: RecordedLine) -> Verdict:
     return over((step for step in _with_replies(line, Malformed) if step.expected == PROTOCOL_ERROR), exactly)
 
 
 @check("an unknown word is answered with Command not found", "3.2")
-def _unknown_words(line: RecordedLine) -> Verdict:
+def unknown_words(line: RecordedLine) -> Verdict:
     unknown = (step for step in line.steps if step.exchange.reply is not None and step.request is not None)
     return over((step for step in unknown if step.expected == COMMAND_NOT_FOUND), exactly)
 
 
 @check("an LED, channel or address that does not exist is refused", "A")
-def _nothing_there(line: RecordedLine) -> Verdict:
+def missing_devices(line: RecordedLine) -> Verdict:
     def deviation(step: RecordedStep) -> Finding | None:
         reply = step.exchange.reply or b""
         return (
@@ -183,7 +165,7 @@ def _nothing_there(line: RecordedLine) -> Verdict:
 
 
 @check("a turret answers under its number, an absent one is refused", "A, command T")
-def _turrets(line: RecordedLine) -> Verdict:
+def turrets(line: RecordedLine) -> Verdict:
     def deviation(step: RecordedStep) -> Finding | None:
         request, reply = step.request, step.exchange.reply or b""
         assert isinstance(request, TurretMessage)
@@ -205,6 +187,6 @@ def _turrets(line: RecordedLine) -> Verdict:
 
 
 @check("a tool is answered in lines", "3.2.1")
-def _tools(line: RecordedLine) -> Verdict:
+def tools(line: RecordedLine) -> Verdict:
     known = (step for step in _with_replies(line, Tool) if step.expected != COMMAND_NOT_FOUND)
     return over(known, lambda step: exactly(step) if step.exchange.reply == COMMAND_NOT_FOUND[:-2] else None)

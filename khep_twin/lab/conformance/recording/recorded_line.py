@@ -16,7 +16,7 @@ from khep_twin.board.turrets import find
 from khep_twin.board.uart import HostEvent, HostEventKind, SerialLine
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.lab.conformance.board_model import (
+from khep_twin.lab.conformance.recording.board_model import (
     BoardModel,
     KnownRobot,
     RecordedStep,

@@ -1,17 +1,12 @@
-"""Checks of `conformance` that move the robot, in the order in which they run."""
+"""Checks of commands that move the robot."""
 
-import re
-
-from khep_twin.lab.conformance.checks import SETTLE, check
-from khep_twin.lab.conformance.conformance import CheckedPort, Deviation
-from khep_twin.lab.conformance.expectations import expect_range
-from khep_twin.lab.conformance.radio_checks import ALL as ALL
-from khep_twin.units import COUNTS_LIMIT, GRIPPER_NUMBER, N_SENSORS
+from khep_twin.lab.conformance.port.check import SETTLE, CheckedPort, Deviation, check
+from khep_twin.lab.conformance.port.expectations import expect_range
+from khep_twin.units import N_SENSORS
 
 FORWARD = "drives about 80 mm forwards and as far back"
 SPIN = "turns on the spot, about a quarter turn each way"
 TO_A_WALL = "drives forwards to a light-coloured object, up to 40 cm, turns there and comes back"
-ARM = "moves the arm and the fingers of its gripper"
 
 NEAR = 600
 """Proximity at which the robot is near enough to a wall [counts]."""
@@ -50,7 +45,7 @@ def _took_its_time(took: float) -> None:
 
 
 @check("D drives both wheels at the requested speed", "A, command D", FORWARD)
-def _drive(line: CheckedPort) -> None:
+def driven_speed(line: CheckedPort) -> None:
     for sign in (1, -1):
         line.order("G,0,0", f"D,{10 * sign},{10 * sign}")
         start = line.time()
@@ -65,7 +60,7 @@ def _drive(line: CheckedPort) -> None:
 
 
 @check("E reads the measured speeds, not the setpoints", "A, command E", SPIN)
-def _measured_speeds(line: CheckedPort) -> None:
+def measured_speeds(line: CheckedPort) -> None:
     for left, right in ((40, -40), (-40, 40)):
         line.order(f"P,{left},{right}", pause=0.4)
         speeds = line.numbers("E", 2)
@@ -75,7 +70,7 @@ def _measured_speeds(line: CheckedPort) -> None:
 
 
 @check("K reads the left wheel first, and the error left", "A, command K", FORWARD)
-def _status_of_each_wheel(line: CheckedPort) -> None:
+def status_of_each_wheel(line: CheckedPort) -> None:
     line.order("J,20,64,20,64", "G,0,0", "C,1000,0", pause=0.6)
     status = line.numbers("K", 6)
     if status[:5:3] != [0, 1]:
@@ -95,7 +90,7 @@ def _status_of_each_wheel(line: CheckedPort) -> None:
 
 
 @check("G in motion sets the counters and stops nothing", "A, command G", FORWARD)
-def _renumbering(line: CheckedPort) -> None:
+def counters_in_motion(line: CheckedPort) -> None:
     line.order("D,10,10", pause=0.5)
     line.order("G,0,-5000", pause=0.5)
     left, right = line.numbers("H", 2)
@@ -105,7 +100,7 @@ def _renumbering(line: CheckedPort) -> None:
 
 
 @check("J sets speed and acceleration of both wheels", "A, command J", FORWARD)
-def _profiles(line: CheckedPort) -> None:
+def profiles(line: CheckedPort) -> None:
     line.order("G,0,0")
     # 1000 pulses: at 10 pulses/tick 100 ticks and a ramp of 40; at 16/256 pulse/tick^2 2 sqrt(16000) ticks.
     for profile, target, right in (("10,64,10,64", 1000, 1.4), ("20,16,20,16", 0, 2.53)):
@@ -119,7 +114,7 @@ def _profiles(line: CheckedPort) -> None:
 
 
 @check("C goes to positions below zero and beyond 16 bits", "A, command C", FORWARD)
-def _far_numbers(line: CheckedPort) -> None:
+def far_positions(line: CheckedPort) -> None:
     for start, target in ((0, -500), (70_000, 70_500)):
         line.order(f"G,{start},{start}")
         _drive_to(line, target, target)
@@ -128,7 +123,7 @@ def _far_numbers(line: CheckedPort) -> None:
 
 
 @check("a restart stops the motors", "3.2.1, tool restart", FORWARD)
-def _restart_stops(line: CheckedPort) -> None:
+def restart_in_motion(line: CheckedPort) -> None:
     line.order("D,8,8", pause=0.3)
     line.send("restart\n")
     line.read_until_quiet(SETTLE)
@@ -143,7 +138,7 @@ def _restart_stops(line: CheckedPort) -> None:
 
 
 @check("D drives the left and the right wheel in this order", "A, command D", SPIN)
-def _sides(line: CheckedPort) -> None:
+def wheel_order(line: CheckedPort) -> None:
     line.order("G,0,0")
     for left, right in ((5, -5), (-5, 5)):
         ways = _ways(line, "D", left, right, 0.7)
@@ -152,7 +147,7 @@ def _sides(line: CheckedPort) -> None:
 
 
 @check("C goes to a position along the profile and reports arrival", "A, commands C and J", FORWARD)
-def _position(line: CheckedPort) -> None:
+def position(line: CheckedPort) -> None:
     line.order("J,20,64,20,64", "G,0,0")
     for target in (1000, 0):
         took = _drive_to(line, target, target)
@@ -162,7 +157,7 @@ def _position(line: CheckedPort) -> None:
 
 
 @check("a restart sets the profile to 20 and 64", "A, command J", FORWARD)
-def _profile_of_a_reset(line: CheckedPort) -> None:
+def profile_after_restart(line: CheckedPort) -> None:
     line.order("J,5,5,5,5")
     line.send("restart\n")
     line.read_until_quiet(SETTLE)
@@ -171,7 +166,7 @@ def _profile_of_a_reset(line: CheckedPort) -> None:
 
 
 @check("the sensors come in the manual's order, clockwise from the left", "A, command N", TO_A_WALL)
-def _sensor_order(line: CheckedPort) -> None:
+def sensor_order(line: CheckedPort) -> None:
     line.order("D,0,0", "G,0,0", "D,10,10")
     start = line.time()
     while max(line.numbers("N", N_SENSORS)[2:4]) < NEAR:
@@ -199,7 +194,7 @@ def _sensor_order(line: CheckedPort) -> None:
 
 
 @check("P drives the motors open loop", "A, command P", FORWARD)
-def _open_loop(line: CheckedPort) -> None:
+def open_loop(line: CheckedPort) -> None:
     line.order("G,0,0")
     for duty in (40, -40):
         ways = _ways(line, "P", duty, duty, 0.4)
@@ -209,27 +204,5 @@ def _open_loop(line: CheckedPort) -> None:
 
 
 @check("a value beyond the range is accepted and keeps its sign", "A, commands D and P", FORWARD)
-def _saturation(line: CheckedPort) -> None:
+def saturation(line: CheckedPort) -> None:
     line.order("P,0,0", "D,0,0", "G,0,0", "P,999,999", "D,0,0", "D,999,999", "D,0,0", pause=0.5)
-
-
-@check("a gripper opens, closes and moves its arm", "gripper manual", ARM, GRIPPER_NUMBER)
-def _gripper(line: CheckedPort) -> None:
-    # Something between the fingers may keep them open.
-    opened, closed = ("D,0", 190, 210), ("D,1", -10, 150)
-    arm = {place: (f"E,{place}", place - 10, place + 10) for place in (255, 190, 152)}
-    for order, low, high in (opened, arm[255], closed, arm[190], opened, arm[152]):
-        line.expect(f"T,1,{order}", f"t,1,{order[0].lower()}")
-        line.sleep(1.5)
-        what = "H,1" if order[0] == "E" else "H,0"
-        answer = line.ask(f"T,1,{what}")
-        if not re.fullmatch(r"t,1,h,\d+", answer):
-            raise Deviation(f"'T,1,{what}' was answered {answer!r}; expected 't,1,h' and one number")
-        expect_range(f"T,1,{what}", [int(answer.split(",")[3])], low, high)
-    for order in "FGJ":
-        answer = line.ask(f"T,1,{order}")
-        if not re.fullmatch(rf"t,1,{order.lower()},\d+", answer):
-            raise Deviation(
-                f"'T,1,{order}' was answered {answer!r}; expected 't,1,{order.lower()}' and a number"
-            )
-        expect_range(f"T,1,{order}", [int(answer.split(",")[3])], 0, COUNTS_LIMIT)

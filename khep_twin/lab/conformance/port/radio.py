@@ -1,11 +1,7 @@
-"""Checks of `conformance` for the radio turret."""
+"""Checks of a radio turret."""
 
-from functools import partial
-
-from khep_twin.lab.conformance.checks import ALL as ALL
-from khep_twin.lab.conformance.checks import SETTLE, check
-from khep_twin.lab.conformance.conformance import CheckedPort, Deviation
-from khep_twin.lab.conformance.expectations import (
+from khep_twin.lab.conformance.port.check import SETTLE, CheckedPort, Deviation, check
+from khep_twin.lab.conformance.port.expectations import (
     ask_turret,
     expect_range,
     expect_refusals,
@@ -18,8 +14,6 @@ MESSAGE_TIME = 10.0
 
 NOBODY = 255
 """Number that no radio has."""
-
-_check = partial(check, turret=RADIO_NUMBER)
 
 _PAUSE = 0.05
 """Pause between two reads of the status [s]."""
@@ -49,8 +43,8 @@ def _sent(line: CheckedPort) -> RadioStatus:
     return status
 
 
-@_check("a radio reports its version, its status and received messages", "simulators")
-def _reads(line: CheckedPort) -> None:
+@check("a radio reports its version, its status and received messages", "simulators", turret=RADIO_NUMBER)
+def reports(line: CheckedPort) -> None:
     ask_turret(line, RADIO_NUMBER, "B", 2)
     _sent(line)
     for _ in range(_MOST_READS):
@@ -64,8 +58,8 @@ def _reads(line: CheckedPort) -> None:
     raise Deviation(f"a radio still had a message after {_MOST_READS} reads")
 
 
-@_check("a radio refuses orders and messages that do not exist", "assumed")
-def _refusals(line: CheckedPort) -> None:
+@check("a radio refuses orders and messages that do not exist", "assumed", turret=RADIO_NUMBER)
+def refusals(line: CheckedPort) -> None:
     _sent(line)
     ask_turret(line, RADIO_NUMBER, _order(RADIO_ALL, 0), 0)
     _sent(line)
@@ -76,16 +70,20 @@ def _refusals(line: CheckedPort) -> None:
         raise Deviation("a radio has sent a message that it has refused")
 
 
-@_check("a radio sends a message to all radios, which needs no acknowledgement", "radio base manual, A")
-def _to_all(line: CheckedPort) -> None:
+@check(
+    "a radio sends a message to all radios, which needs no acknowledgement",
+    "radio base manual, A",
+    turret=RADIO_NUMBER,
+)
+def broadcast(line: CheckedPort) -> None:
     _sent(line)
     ask_turret(line, RADIO_NUMBER, _order(RADIO_ALL, 5, *b"hello"), 0)
     if (status := _sent(line)) & RadioStatus.FAILED:
         raise Deviation(f"a message to all failed: status {status:d}")
 
 
-@_check("a radio is not ready while it sends, and takes no second message", "assumed")
-def _busy(line: CheckedPort) -> None:
+@check("a radio is not ready while it sends, and takes no second message", "assumed", turret=RADIO_NUMBER)
+def one_at_a_time(line: CheckedPort) -> None:
     _sent(line)
     message = f"T,{RADIO_NUMBER},{_order(NOBODY, 1, 7)}"
     status_request = f"T,{RADIO_NUMBER},F"
@@ -100,8 +98,12 @@ def _busy(line: CheckedPort) -> None:
     _sent(line)
 
 
-@_check("a message that no radio acknowledges fails, until the next message", "radio base manual, 4.4")
-def _failure(line: CheckedPort) -> None:
+@check(
+    "a message that no radio acknowledges fails, until the next message",
+    "radio base manual, 4.4",
+    turret=RADIO_NUMBER,
+)
+def failure(line: CheckedPort) -> None:
     _sent(line)
     ask_turret(line, RADIO_NUMBER, _order(NOBODY, RADIO_BYTES, *range(RADIO_BYTES)), 0)
     for _ in range(2):
@@ -112,8 +114,8 @@ def _failure(line: CheckedPort) -> None:
         raise Deviation(f"a radio reports the failure of an earlier message: status {status:d}")
 
 
-@_check("a restart drops the message that a radio sends", "assumed")
-def _restart(line: CheckedPort) -> None:
+@check("a restart drops the message that a radio sends", "assumed", turret=RADIO_NUMBER)
+def restart(line: CheckedPort) -> None:
     _sent(line)
     ask_turret(line, RADIO_NUMBER, _order(NOBODY, 1, 7), 0)
     line.send("restart\n")

@@ -1,4 +1,4 @@
-"""Checks of a recording's sensor readings, which depend on where the robot was. See `recording`."""
+"""Checks of a recording's sensor readings, which depend on where the robot was."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -6,15 +6,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.lab.conformance.board_model import RecordedStep
-from khep_twin.lab.conformance.recorded_line import RecordedLine
-from khep_twin.lab.conformance.recording import Finding, RecordingCheck, Verdict, adder, answered, finding
+from khep_twin.lab.conformance.recording.board_model import RecordedStep
+from khep_twin.lab.conformance.recording.check import Finding, Verdict, answered, check, finding
+from khep_twin.lab.conformance.recording.recorded_line import RecordedLine
 from khep_twin.units import COUNTS_LIMIT, N_SENSORS, STEP_NS
-
-ALL: list[RecordingCheck] = []
-"""All checks; `check` adds to them."""
-
-check = adder(ALL)
 
 _READINGS = 200
 """Readings in a row that a working sensor cannot repeat while others change (assumed)."""
@@ -46,7 +41,7 @@ def _readings(line: RecordedLine, letter: str) -> list[tuple[RecordedStep, tuple
 
 
 @check("readings within one scan are the same but for the sensors converted meanwhile", "3.1.5")
-def _scan(line: RecordedLine) -> Verdict:
+def one_scan(line: RecordedLine) -> Verdict:
     seen, findings = 0, list[Finding]()
     changes_ns = np.array(line.changes_ns, np.int64)
     for letter in "NO":
@@ -68,7 +63,7 @@ def _scan(line: RecordedLine) -> Verdict:
 
 
 @check("no sensor repeats its reading while others change", "3.1.5")
-def _stuck(line: RecordedLine) -> Verdict:
+def stuck_sensors(line: RecordedLine) -> Verdict:
     seen, findings = 0, list[Finding]()
     for letter, name in (("N", "proximity"), ("O", "ambient light")):
         found = _readings(line, letter) if line.noisy else []
@@ -115,7 +110,7 @@ def _windows(line: RecordedLine, letter: str) -> Iterator[tuple[list[RecordedSte
 
 
 @check("readings change while the robot drives", "3.1.5")
-def _frozen(line: RecordedLine) -> Verdict:
+def frozen_readings(line: RecordedLine) -> Verdict:
     seen, findings = 0, list[Finding]()
     ways = _ways(line)
     for letter in "NO":

@@ -1,4 +1,4 @@
-"""Checks of a recording's counters and speeds, which depend on the wheels. See `recording`.
+"""Checks of a recording's counters and speeds, which depend on the wheels.
 
 A wheel's motion between two replies is not known, so counters are compared with speeds over 160 mm and
 more, and by half of them.
@@ -17,16 +17,11 @@ from numpy.typing import NDArray
 from khep_twin.board.kernel import Mode, wrap
 from khep_twin.board.protocol import Command
 from khep_twin.clock import NS_PER_S
-from khep_twin.lab.conformance.board_model import RecordedStep, is_error
-from khep_twin.lab.conformance.recorded_line import RecordedLine
-from khep_twin.lab.conformance.recording import Finding, RecordingCheck, Verdict, adder, answered, finding
-from khep_twin.lab.conformance.reply_checks import SPEED_MOST, read
+from khep_twin.lab.conformance.recording.board_model import RecordedStep, is_error
+from khep_twin.lab.conformance.recording.check import Finding, Verdict, answered, check, finding
+from khep_twin.lab.conformance.recording.recorded_line import RecordedLine
+from khep_twin.lab.conformance.recording.replies import SPEED_MOST, read
 from khep_twin.units import TICK_NS
-
-ALL: list[RecordingCheck] = []
-"""All checks; `check` adds to them."""
-
-check = adder(ALL)
 
 SIDES = ("left", "right")
 _SLOWEST = 3
@@ -103,17 +98,17 @@ def _jumps(line: RecordedLine, source: str, expected: str) -> Verdict:
 
 
 @check("counters go on from reply to reply, no faster than a wheel turns", "A, command H")
-def _continuity(line: RecordedLine) -> Verdict:
+def counters_without_jumps(line: RecordedLine) -> Verdict:
     return _jumps(line, "H", "after")
 
 
 @check("G sets the counters", "A, command G")
-def _set_counters(line: RecordedLine) -> Verdict:
+def set_counters(line: RecordedLine) -> Verdict:
     return _jumps(line, "G", "after G")
 
 
 @check("a restart sets the counters to 0", "3.2.1, tool restart")
-def _zero_counters(line: RecordedLine) -> Verdict:
+def counters_after_restart(line: RecordedLine) -> Verdict:
     return _jumps(line, "restart", "")
 
 
@@ -170,7 +165,7 @@ def _verdict(ways: list[_Ways]) -> Verdict:
 
 
 @check("counters go as far as the speeds of E say", "A, commands E and H")
-def _way_by_speeds(line: RecordedLine) -> Verdict:
+def counters_by_measured_speeds(line: RecordedLine) -> Verdict:
     ways = [_Ways(side, "by H a way", "E") for side in SIDES]
     speeds = [(step.arrived_ns, *values) for step, values in read(line, "E") if _is_sure(step)]
     if len(speeds) < 2:
@@ -211,7 +206,7 @@ def _steady(line: RecordedLine) -> Iterator[tuple[RecordedStep, tuple[int, int],
 
 
 @check("counters go as far as the speeds of D say", "A, commands D and H")
-def _way_by_setpoints(line: RecordedLine) -> Verdict:
+def counters_by_setpoints(line: RecordedLine) -> Verdict:
     ways = [_Ways(side, "by H a way", "D") for side in SIDES]
     since = {id(step): (speeds, since_ns) for step, speeds, since_ns in _steady(line)}
     for known, step, values in _counted(line):
@@ -226,7 +221,7 @@ def _way_by_setpoints(line: RecordedLine) -> Verdict:
 
 
 @check("speeds of E are those of D", "A, commands D and E")
-def _speeds_by_setpoints(line: RecordedLine) -> Verdict:
+def speeds_by_setpoints(line: RecordedLine) -> Verdict:
     ways = [_Ways(side, "by E speeds, times 10,", "D") for side in SIDES]
     for step, speeds, since_ns in _steady(line):
         values = step.exchange.values if step.exchange.letter == "E" else None

@@ -2,7 +2,7 @@
 
 import re
 
-from khep_twin.lab.conformance.conformance import CheckedPort, Deviation
+from khep_twin.lab.conformance.port.check import CheckedPort, Deviation
 from khep_twin.units import BITS_PER_BYTE
 
 _FIRST_BYTE = 0.010

@@ -1,4 +1,4 @@
-"""Checks of a recording's times: when replies begin and end, by the speed of the line. See `recording`."""
+"""Checks of a recording's times: when replies begin and end, by the speed of the line."""
 
 from collections import defaultdict
 from collections.abc import Iterator
@@ -6,15 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from khep_twin.board.protocol import Command, Malformed, TurretMessage
-from khep_twin.lab.conformance.board_model import RecordedStep
-from khep_twin.lab.conformance.recorded_line import RecordedLine
-from khep_twin.lab.conformance.recording import Finding, RecordingCheck, Verdict, adder, answered, finding
-from khep_twin.lab.conformance.reply_checks import over
-
-ALL: list[RecordingCheck] = []
-"""All checks; `check` adds to them."""
-
-check = adder(ALL)
+from khep_twin.lab.conformance.recording.board_model import RecordedStep
+from khep_twin.lab.conformance.recording.check import Finding, Verdict, answered, check, finding, over
+from khep_twin.lab.conformance.recording.recorded_line import RecordedLine
 
 _SHORTEST = 10 / 11
 """Shortest time of a byte, with one stop bit, by that with two."""
@@ -39,7 +33,7 @@ def _timed(line: RecordedLine) -> Iterator[RecordedStep]:
 
 
 @check("no reply ends before command and reply have crossed the line", "3.2")
-def _early(line: RecordedLine) -> Verdict:
+def too_early(line: RecordedLine) -> Verdict:
     slack_ns = 0 if line.simulated else _WALL_CLOCK_NS
 
     def deviation(step: RecordedStep) -> Finding | None:
@@ -56,7 +50,7 @@ def _early(line: RecordedLine) -> Verdict:
 
 
 @check("replies begin within 10 ms, through a relay within 30 ms", "3.2")
-def _late(line: RecordedLine) -> Verdict:
+def too_late(line: RecordedLine) -> Verdict:
     most_ns, busy_ns = FIRST_BYTE_NS[line.simulated], 0
     waits: dict[str, list[tuple[int, RecordedStep]]] = defaultdict(list)
     timed = {id(step) for step in _timed(line)}

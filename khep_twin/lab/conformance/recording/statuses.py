@@ -1,4 +1,4 @@
-"""Checks of a recording's status of the motors, the replies to K. See `recording`."""
+"""Checks of a recording's status of the motors, the replies to K."""
 
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -6,16 +6,11 @@ from itertools import pairwise
 from khep_twin.board.kernel import TARGET_TOLERANCE_PULSES, Mode, wrap
 from khep_twin.board.rom import ROMS
 from khep_twin.clock import NS_PER_S
-from khep_twin.lab.conformance.board_model import MotorSettings, RecordedStep
-from khep_twin.lab.conformance.recorded_line import RecordedLine
-from khep_twin.lab.conformance.recording import Finding, RecordingCheck, Verdict, adder, answered, finding
-from khep_twin.lab.conformance.reply_checks import SPEED_MOST, read
-from khep_twin.lab.conformance.wheel_checks import SIDES
-
-ALL: list[RecordingCheck] = []
-"""All checks; `check` adds to them."""
-
-check = adder(ALL)
+from khep_twin.lab.conformance.recording.board_model import MotorSettings, RecordedStep
+from khep_twin.lab.conformance.recording.check import Finding, Verdict, answered, check, finding
+from khep_twin.lab.conformance.recording.recorded_line import RecordedLine
+from khep_twin.lab.conformance.recording.replies import SPEED_MOST, read
+from khep_twin.lab.conformance.recording.wheels import SIDES
 
 _PUSHED = 10
 """Most pulses by which a wheel on its target is pushed away and comes back between two replies (assumed)."""
@@ -50,7 +45,7 @@ def _status(
 
 
 @check("K has the mode that D, C, P or a restart has set", "A, command K")
-def _modes(line: RecordedLine) -> Verdict:
+def modes(line: RecordedLine) -> Verdict:
     codes = ROMS[line.rom].mode_codes
 
     def deviation(step: RecordedStep, motion: MotorSettings, wheel: int, status: tuple[int, ...]) -> str:
@@ -61,7 +56,7 @@ def _modes(line: RecordedLine) -> Verdict:
 
 
 @check("K's target flag is 0 after D and P, 1 after a restart, and otherwise 0 or 1", "A, command K; assumed")
-def _flags(line: RecordedLine) -> Verdict:
+def flags(line: RecordedLine) -> Verdict:
     def deviation(step: RecordedStep, motion: MotorSettings, wheel: int, status: tuple[int, ...]) -> str:
         if motion.modes[wheel] == Mode.POSITION:
             return "" if status[0] in (0, 1) else "a target flag of 0 or 1"
@@ -72,7 +67,7 @@ def _flags(line: RecordedLine) -> Verdict:
 
 
 @check("K's error is that of the controller: 0 in PWM mode, small on a target", "A, command K; assumed")
-def _errors(line: RecordedLine) -> Verdict:
+def errors(line: RecordedLine) -> Verdict:
     def deviation(step: RecordedStep, motion: MotorSettings, wheel: int, status: tuple[int, ...]) -> str:
         match motion.modes[wheel]:
             case Mode.PWM:
@@ -87,7 +82,7 @@ def _errors(line: RecordedLine) -> Verdict:
 
 
 @check("a wheel that K says is on its target has the counter of C", "A, commands C, H and K")
-def _arrivals(line: RecordedLine) -> Verdict:
+def counters_on_target(line: RecordedLine) -> Verdict:
     seen, findings = 0, list[Finding]()
     for before, (step, values), after in _between_status(line):
         for wheel, side in enumerate(SIDES):
@@ -135,7 +130,7 @@ def _target_in_counts(
 
 
 @check("K says that a wheel is on its target within a second", "A, commands C, H and K")
-def _notices(line: RecordedLine) -> Verdict:
+def arrival_in_time(line: RecordedLine) -> Verdict:
     """Check the status of wheels whose counters have been on the target for a second."""
     seen, findings = 0, list[Finding]()
     for wheel, side in enumerate(SIDES):

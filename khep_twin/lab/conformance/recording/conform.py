@@ -1,78 +1,19 @@
 """Check of a recording: the replies of a robot or an emulator in a log, compared with the board's model.
 
-Nothing is sent: what the hosts of the log did not ask is not seen. Each check is a function of a
-`RecordedLine`, which returns what it has seen and where that deviates; `reply_checks`,
-`version_checks`, `time_checks`, `wheel_checks`, `status_checks` and `sensor_checks` have them.
+Nothing is sent: what the hosts of the log did not ask is not seen.
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from khep_twin.clock import NS_PER_S
-from khep_twin.lab.conformance.board_model import RecordedStep
-from khep_twin.lab.conformance.recorded_line import RecordedLine, recorded_lines
-from khep_twin.log.decoding import shown
-from khep_twin.log.transcript import text_of
-
-_Body = Callable[[RecordedLine], "Verdict"]
+from khep_twin.lab.conformance.recording.catalogue import CHECKS
+from khep_twin.lab.conformance.recording.check import Finding
+from khep_twin.lab.conformance.recording.recorded_line import RecordedLine, recorded_lines
 
 MOST_SHOWN = 5
 """Most findings of a check that are shown; the JSON has all."""
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One place where a robot deviates.
-
-    Attributes:
-        time_s: Time in the log [s].
-        command: Command that was sent; empty if none was.
-        found: What was given.
-        expected: What was expected.
-    """
-
-    time_s: float
-    command: str
-    found: str
-    expected: str
-
-    @property
-    def text(self) -> str:
-        """One line."""
-        asked = f"{shown(self.command)}: " if self.command else ""
-        return f"{self.time_s:.4f} s  {asked}{self.found}; expected {self.expected}"
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """Result of a check.
-
-    Attributes:
-        seen: Number of replies, or of pairs of them, that were checked.
-        findings: Deviations.
-        note: Further words, such as measured times.
-    """
-
-    seen: int
-    findings: Sequence[Finding] = ()
-    note: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingCheck:
-    """One check.
-
-    Attributes:
-        name: Tested statement.
-        section: Section of the manual; "assumed" where it is silent and the twin's decision counts.
-        body: Function that runs the check.
-    """
-
-    name: str
-    section: str
-    body: Callable[[RecordedLine], Verdict]
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,47 +90,11 @@ def conform_recording(path: Path) -> RecordingReport:
     return RecordingReport(str(path), tuple(map(_checked, recorded_lines(path))))
 
 
-def finding(step: RecordedStep, found: str, expected: str) -> Finding:
-    """Return a finding at a step."""
-    each = step.exchange
-    time_ns = each.sent_ns if each.reply is None else each.heard_ns
-    return Finding(time_ns / NS_PER_S, text_of(each.command), found, expected)
-
-
-def answered(step: RecordedStep) -> str:
-    """Return the words for a step's reply."""
-    reply = step.exchange.reply
-    return "no reply" if reply is None else f"the reply {shown(text_of(reply))}"
-
-
 def _checked(line: RecordedLine) -> CheckedRobot:
-    from khep_twin.lab.conformance import (
-        reply_checks,
-        sensor_checks,
-        status_checks,
-        time_checks,
-        version_checks,
-        wheel_checks,
-    )
-
-    modules = (reply_checks, version_checks, time_checks, wheel_checks, status_checks, sensor_checks)
     statements: list[CheckedStatement] = []
-    for check in (check for module in modules for check in module.ALL):
+    for check in CHECKS:
         verdict = check.body(line)
         statements.append(
             CheckedStatement(check.name, check.section, verdict.seen, tuple(verdict.findings), verdict.note)
         )
     return CheckedRobot(line.name, line.text, tuple(statements))
-
-
-def adder(checks: list[RecordingCheck]) -> Callable[[str, str], Callable[[_Body], _Body]]:
-    """Return a decorator with name and section that adds a function to a list of checks."""
-
-    def check(name: str, section: str) -> Callable[[_Body], _Body]:
-        def add(body: _Body) -> _Body:
-            checks.append(RecordingCheck(name, section, body))
-            return body
-
-        return add
-
-    return check

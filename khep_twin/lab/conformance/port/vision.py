@@ -1,22 +1,21 @@
-"""Checks of `conformance` of a K213.
+"""Checks of a K213.
 
 What they ask of it is what hosts need. That M has 16 greys, and what exactly is answered to a wrong
 parameter, is left open, as no source says it.
 """
 
-from functools import partial
-
-from khep_twin.lab.conformance.checks import ALL as ALL
-from khep_twin.lab.conformance.checks import check
-from khep_twin.lab.conformance.conformance import CheckedPort, Deviation
-from khep_twin.lab.conformance.expectations import ask_turret, expect_in_time, expect_range, expect_refusals
+from khep_twin.lab.conformance.port.check import CheckedPort, Deviation, check
+from khep_twin.lab.conformance.port.expectations import (
+    ask_turret,
+    expect_in_time,
+    expect_range,
+    expect_refusals,
+)
 from khep_twin.units import K213_NUMBER, K213_PERIODS_MS, K213_PIXELS
 
 TURN = "turns on the spot by 6 degrees and back"
 
 SECTION = "K213"
-
-_check = partial(check, turret=K213_NUMBER)
 
 _SLOWEST = len(K213_PERIODS_MS) - 1
 _SCAN = 1.1
@@ -44,24 +43,28 @@ def _image(line: CheckedPort) -> list[int]:
     return _values(line, "N", K213_PIXELS)
 
 
-@_check("a K213 tells its version by two integers", SECTION)
-def _versions(line: CheckedPort) -> None:
+@check("a K213 tells its version by two integers", SECTION, turret=K213_NUMBER)
+def versions(line: CheckedPort) -> None:
     _values(line, "B", 2)
 
 
-@_check("a K213 has 64 greys of 8 bits, and 32 values in M", SECTION)
-def _greys(line: CheckedPort) -> None:
+@check("a K213 has 64 greys of 8 bits, and 32 values in M", SECTION, turret=K213_NUMBER)
+def greys(line: CheckedPort) -> None:
     _image(line)
     _values(line, "M", K213_PIXELS // 2)
 
 
-@_check("the light sensor of a K213 reads two bytes", SECTION)
-def _light(line: CheckedPort) -> None:
+@check("the light sensor of a K213 reads two bytes", SECTION, turret=K213_NUMBER)
+def light(line: CheckedPort) -> None:
     _values(line, "L", 2)
 
 
-@_check("parts of the image of a K213 are its pixels, and those of O and P its limits", SECTION)
-def _parts(line: CheckedPort) -> None:
+@check(
+    "parts of the image of a K213 are its pixels, and those of O and P its limits",
+    SECTION,
+    turret=K213_NUMBER,
+)
+def parts_of_the_image(line: CheckedPort) -> None:
     # Within the longest period the image stays.
     _set_period(line, _SLOWEST)
     image = _image(line)
@@ -83,15 +86,17 @@ def _parts(line: CheckedPort) -> None:
     _set_period(line, 0)
 
 
-@_check("a K213 takes every period and refuses others", SECTION)
-def _periods(line: CheckedPort) -> None:
+@check("a K213 takes every period and refuses others", SECTION, turret=K213_NUMBER)
+def periods(line: CheckedPort) -> None:
     for period in (*range(1, len(K213_PERIODS_MS)), 0):
         _set_period(line, period)
     _refuses(line, f"U,{len(K213_PERIODS_MS)}", "U,-1", "U")
 
 
-@_check("a K213 refuses pixels that it has not, wrong parameters and unknown letters", SECTION)
-def _refusals(line: CheckedPort) -> None:
+@check(
+    "a K213 refuses pixels that it has not, wrong parameters and unknown letters", SECTION, turret=K213_NUMBER
+)
+def refusals(line: CheckedPort) -> None:
     _refuses(line, f"Q,{K213_PIXELS}", "Q,-1", "Q", f"R,{K213_PIXELS}", "R", "N,1", "L,x", "X")
 
 
@@ -99,13 +104,13 @@ def _refuses(line: CheckedPort, *messages: str) -> None:
     expect_refusals(line, *(f"T,{K213_NUMBER},{message}" for message in messages))
 
 
-@_check("a long reply of a K213 begins within 10 ms and takes its bytes' time", SECTION)
-def _pace(line: CheckedPort) -> None:
+@check("a long reply of a K213 begins within 10 ms and takes its bytes' time", SECTION, turret=K213_NUMBER)
+def reply_times(line: CheckedPort) -> None:
     expect_in_time(line, f"T,{K213_NUMBER},N")
 
 
-@_check("the image of a K213 moves right as it turns left, at its period", SECTION, TURN)
-def _turning(line: CheckedPort) -> None:
+@check("the image of a K213 moves right as it turns left, at its period", SECTION, TURN, turret=K213_NUMBER)
+def turning(line: CheckedPort) -> None:
     _set_period(line, 0)
     line.sleep(_SCAN)
     before = _image(line)

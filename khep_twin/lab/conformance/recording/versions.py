@@ -1,27 +1,22 @@
-"""Checks of a recording's versions and restarts. See `recording`."""
+"""Checks of a recording's versions and restarts."""
 
 import re
 from collections.abc import Iterator
 
 from khep_twin.board.rom import ROMS
 from khep_twin.clock import NEVER_NS, NS_PER_S
-from khep_twin.lab.conformance.board_model import RecordedStep
-from khep_twin.lab.conformance.recorded_line import RecordedLine
-from khep_twin.lab.conformance.recording import Finding, RecordingCheck, Verdict, adder, answered, finding
-from khep_twin.lab.conformance.reply_checks import accepted, exactly, over
+from khep_twin.lab.conformance.recording.board_model import RecordedStep
+from khep_twin.lab.conformance.recording.check import Finding, Verdict, answered, check, finding, over
+from khep_twin.lab.conformance.recording.recorded_line import RecordedLine
+from khep_twin.lab.conformance.recording.replies import accepted, exactly
 from khep_twin.log.exchanges import BANNER
 from khep_twin.log.transcript import text_of
-
-ALL: list[RecordingCheck] = []
-"""All checks; `check` adds to them."""
-
-check = adder(ALL)
 
 _REVISION = re.compile(r"Rev\. ([0-9.]+)")
 
 
 @check("B reads the versions of the ROM, and always the same", "A, command B")
-def _versions(line: RecordedLine) -> Verdict:
+def versions(line: RecordedLine) -> Verdict:
     told: list[bytes] = []
 
     def deviation(step: RecordedStep) -> Finding | None:
@@ -38,7 +33,7 @@ def _versions(line: RecordedLine) -> Verdict:
 
 
 @check("a restart shows the banner of the ROM", "3.2.1, tool restart")
-def _banner(line: RecordedLine) -> Verdict:
+def banner(line: RecordedLine) -> Verdict:
     findings: list[Finding] = []
     rom, seen, alone_s = ROMS[line.rom], 0, list[float]()
     versions = {step.exchange.reply for step, _ in accepted(line) if step.exchange.letter == "B"}

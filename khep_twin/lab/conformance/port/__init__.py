@@ -1,0 +1,1 @@
+"""Checks of a robot or twin at a port."""
