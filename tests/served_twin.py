@@ -1,10 +1,13 @@
 """`khep-twin serve`, and other commands that serve, in their own processes."""
 
 import select
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+
+from forked import Forked
 
 LISTS_PORTS = (
     *(sys.executable, "-c"),
@@ -17,15 +20,30 @@ LISTS_PORTS = (
 
 @contextmanager
 def served(
-    *arguments: str, command: str = "serve", notices: bool = False
+    *arguments: str,
+    command: str = "serve",
+    program: Sequence[str] = ("-m", "khep_twin"),
+    pass_fds: tuple[int, ...] = (),
 ) -> Iterator[tuple["subprocess.Popen[str]", str]]:
-    """`khep-twin serve`, or another one, and what a host opens; with notices in `stderr` if wanted."""
-    words = [sys.executable, "-m", "khep_twin", command, *arguments]
-    errors = subprocess.PIPE if notices else subprocess.DEVNULL
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=errors, text=True) as process:
-        try:
-            assert process.stdout is not None
-            assert select.select([process.stdout], [], [], 120)[0], "nothing was served"
-            yield process, process.stdout.readline().strip()
-        finally:
-            process.kill()
+    """`khep-twin serve`, or another one, and what a host opens, its first line."""
+    process = Forked(
+        [sys.executable, *program, command, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        pass_fds=pass_fds,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert select.select([process.stdout], [], [], 120)[0], "nothing was served"
+        yield process, process.stdout.readline().strip()
+    finally:
+        process.terminate()
+        process.communicate(timeout=60)
+
+
+def stop(process: "subprocess.Popen[str]", how: signal.Signals = signal.SIGTERM) -> tuple[int, str]:
+    """Ends it; returns its exit code and what it said."""
+    process.send_signal(how)
+    _, errors = process.communicate(timeout=60)
+    return process.returncode, errors

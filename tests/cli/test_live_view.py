@@ -18,7 +18,7 @@ pytest.importorskip("foxglove", reason="foxglove-sdk, the extra [foxglove], is n
 
 
 def test_a_served_twin_is_seen_while_a_host_drives_it() -> None:
-    with served("default", "--foxglove-at", "127.0.0.1:0", notices=True) as (process, path):
+    with served("default", "--foxglove-at", "127.0.0.1:0") as (process, path):
         assert process.stderr is not None
         told = process.stderr.readline()
         found = re.match(

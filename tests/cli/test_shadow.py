@@ -128,7 +128,6 @@ def test_a_robot_is_followed_beside_its_host_as_its_log_is_afterwards(tmp_path: 
         served(
             *("obstacles", "--relay", robot, *SOME, "--poll", "--log", str(line), "-o", str(shadow)),
             command="shadow",
-            notices=True,
         ) as (process, path),
     ):
         with serial.Serial(path, 9600, stopbits=2, timeout=20) as port:

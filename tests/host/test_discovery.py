@@ -55,7 +55,7 @@ def test_the_command_lists_and_asks() -> None:
 @pytest.mark.parametrize("kind", [(), ("--tcp", ":0"), ("--rfc2217", ":0")])
 def test_asking_leaves_a_running_session_undisturbed(kind: tuple[str, ...]) -> None:
     command = [*LISTS_PORTS, "--probe"]
-    with served("default", *kind, notices=True) as (process, url):
+    with served("default", *kind) as (process, url):
         with Khepera(url) as robot:
             asking = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
             n_asked = 0

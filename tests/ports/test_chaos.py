@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator
 
 import pytest
 import serial
+from forked import Forked
+from served_twin import served, stop
 
-from test_serve import served, stop  # isort: skip
-
-CONNECTS = int(os.environ.get("KHEP_OPENINGS", "400"))
+CONNECTS = int(os.environ.get("KHEP_OPENINGS", "60"))
 PAUSE = 0.02
 
 
@@ -38,7 +38,7 @@ def killed(path: str, rubbish: str) -> None:
     assert subprocess.run(["/bin/sh", "-c", script], check=False).returncode == -signal.SIGKILL
 
 
-def test_hundreds_of_connects_get_no_wrong_or_stale_reply() -> None:
+def test_no_connect_of_many_gets_a_wrong_or_stale_reply() -> None:
     with served("default", "--unpaced") as (process, path):
         folder = f"/proc/{process.pid}/fd"
         exchange(path, b"B\n", b"b,5.02,5.01\r\n")
@@ -78,9 +78,9 @@ def leave_exclusive(path: str) -> None:
 
 def two_at_once(path: str) -> None:
     """Two hosts that take each other's bytes."""
-    with subprocess.Popen(["/bin/sh", "-c", f"exec 3<>{path}; printf 'N\\nB\\n' >&3; exec sleep 1"]):
+    with subprocess.Popen(["/bin/sh", "-c", f"exec 3<>{path}; printf 'N\\nB\\n' >&3; exec sleep 0.3"]):
         time.sleep(0.1)
-        exchange(path, b"N\nB\n", bytes(200), timeout=0.7)
+        exchange(path, b"N\nB\n", bytes(200), timeout=0.2)
 
 
 def flow_control(path: str) -> None:
@@ -98,13 +98,13 @@ def wrong_speed(path: str) -> None:
 
 
 def rubbish(path: str) -> None:
-    """Noise at full speed for some seconds, from a host that is killed."""
+    """Noise at full speed, from a host that is killed."""
     program = (
         "import os, sys\nport = os.open(sys.argv[1], os.O_RDWR)\n"
         "os.set_blocking(port, False)\n"
         "while True:\n    try: os.write(port, os.urandom(512))\n    except BlockingIOError: pass"
     )
-    with subprocess.Popen([sys.executable, "-c", program, path]) as host:
+    with Forked([sys.executable, "-c", program, path]) as host:
         time.sleep(RUBBISH_SECONDS)
         host.kill()
 
@@ -112,7 +112,7 @@ def rubbish(path: str) -> None:
 def never_reads(path: str) -> None:
     """A host that asks for ever and never reads."""
     port = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    end = time.monotonic() + 2
+    end = time.monotonic() + 0.5
     while time.monotonic() < end:
         try:
             os.write(port, b"N\n" * 20)
@@ -121,7 +121,7 @@ def never_reads(path: str) -> None:
     os.close(port)
 
 
-RUBBISH_SECONDS = float(os.environ.get("KHEP_RUBBISH_SECONDS", "5"))
+RUBBISH_SECONDS = float(os.environ.get("KHEP_RUBBISH_SECONDS", "0.5"))
 """A minute takes a minute: `make soak` takes it."""
 
 

@@ -22,7 +22,7 @@ def test_a_command_of_the_page_serves_at_a_link(
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     speed = 38400 if "--mode 3" in command else 9600
-    with served(*command.split(), notices=True) as (process, path):
+    with served(*command.split()) as (process, path):
         assert path == str(tmp_path / "khep_twin" / "khepera")
         with Khepera(path, baudrate=speed) as robot:
             assert robot.versions().bios == ("6.01" if "khepera2" in command else "5.02")

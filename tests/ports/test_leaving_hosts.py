@@ -14,10 +14,9 @@ import time
 from collections.abc import Sequence
 
 import pytest
+from served_twin import served, stop
 
-from test_serve import served, stop  # isort: skip
-
-LEAVINGS = int(os.environ.get("KHEP_LEAVINGS", "40"))
+LEAVINGS = int(os.environ.get("KHEP_LEAVINGS", "25"))
 MOST_S = 0.5 if "KHEP_LEAVINGS" in os.environ else 10.0
 """Longest that a next host may wait: in the suite the machine is busy; on the line 20 kB take 22 s."""
 

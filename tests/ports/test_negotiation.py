@@ -8,12 +8,11 @@ from fuzz_rfc2217 import BEGIN, END, ODD, WELL_FORMED, check, seeds
 from fuzzing import run_libfuzzer
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from served_twin import served, stop
 
 from khep_twin.board.uart import LineSettings
 from khep_twin.log.reader import read
 from khep_twin.ports.negotiation import HIGHEST_BAUD, LONGEST, LOWEST_BAUD, Negotiator
-
-from test_serve import served, stop  # isort: skip
 
 SHARE = 2_000
 

@@ -2,8 +2,6 @@
 
 import os
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from contextlib import closing
@@ -11,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import serial
+from served_twin import served, stop
 
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
@@ -18,8 +17,6 @@ from khep_twin.lab.conformance.port.check import CheckedPort
 from khep_twin.lab.conformance.port.conform import checks, run_check
 from khep_twin.ports.network import TcpPort, is_loopback, parse_address
 from khep_twin.ports.network_host import LONGEST_LINE, SILENCE
-
-from test_serve import served, stop  # isort: skip
 
 TWO = """
 version = 1
@@ -206,30 +203,6 @@ def test_several_robots_have_a_line_each(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["two.toml"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        (["--tcp", "0.0.0.0:0"], "other machines could drive the robot from there; expected 127.0.0.1:0"),
-        (["--tcp", "nowhere"], "nowhere: expected HOST:PORT"),
-        (["--tcp", "127.0.0.1:99999"], "expected HOST:PORT"),
-        (["--tcp", ":0", "--rfc2217", ":0"], "one cable each; expected one of them"),
-        (["--tcp", "no.such.host.invalid:0", "--allow-remote"], "cannot listen here"),
-        (["--fault", "nope"], "fault 'nope': unknown"),
-    ],
-)
-def test_what_cannot_be_served_is_one_line(arguments: list[str], line: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "khep_twin", "serve", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert done.returncode == 1
-    assert line in done.stderr
-    assert done.stderr.count("\n") == 1
-
-
 def test_a_port_that_is_taken_is_reported() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         number = server.getsockname()[1]
@@ -292,20 +265,3 @@ def test_a_port_that_is_no_number_is_said(port: str) -> None:
 def test_a_host_that_is_no_name_is_said(host: str) -> None:
     with pytest.raises(PortError, match="cannot listen here: "):
         TcpPort(host, 0)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--clock", "wire", "--speed", "2"), "--speed: has no effect with --clock wire"),
-        (("--strict-line", "--tcp", ":0"), "--strict-line: hosts at --tcp have no speed"),
-        (("--tcp", ""), "expected HOST:PORT"),
-        (("--link", ""), "--link '': expected a name"),
-    ],
-)
-def test_options_that_have_no_effect_are_refused(options: tuple[str, ...], message: str) -> None:
-    command = [sys.executable, "-m", "khep_twin", "serve", *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode in (1, 2)
-    assert message in done.stderr
-    assert len(done.stderr.splitlines()) == 1

@@ -15,12 +15,12 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 import pytest
+from forked import Forked
+from served_twin import served, stop
 
 from khep_twin.ports.port_users import count_descriptors
 
-from test_serve import served, stop  # isort: skip
-
-OPENINGS = int(os.environ.get("KHEP_OPENINGS", "120"))
+OPENINGS = int(os.environ.get("KHEP_OPENINGS", "50"))
 SEED = int(os.environ.get("KHEP_FIRST", "7"))
 PATIENCE_S = 20.0
 """Longest wait for a reply; a machine may be busy, a line that is deaf stays so [s]."""
@@ -72,9 +72,7 @@ def bystanders(path: str, count: int) -> Iterator[list[Bystander]]:
     with ExitStack() as stack:
         yield [
             Bystander(
-                stack.enter_context(
-                    subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
-                )
+                stack.enter_context(Forked(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0))
             )
             for _ in range(count)
         ]

@@ -4,8 +4,6 @@ import os
 import select
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 import tty
@@ -17,6 +15,7 @@ from types import SimpleNamespace
 import pytest
 import serial
 from pyserial_suite import plug
+from served_twin import served, stop
 
 from khep_twin.log.reader import read
 from khep_twin.log.viewer.replay import view
@@ -24,8 +23,6 @@ from khep_twin.ports import idle_polls
 from khep_twin.ports import relay as relaying
 from khep_twin.ports.idle_polls import IdlePolls
 from khep_twin.ports.pty import PtyPort
-
-from test_serve import served, stop  # isort: skip
 
 
 def test_both_directions_are_passed_on_and_logged_as_a_twins_are(tmp_path: Path) -> None:
@@ -233,27 +230,6 @@ def test_it_ends_at_once_and_removes_its_link(tmp_path: Path, how: signal.Signal
         assert time.monotonic() - start < 10  # it waits for no host
     assert not link.is_symlink()
     assert read(log).robots["khepera0"].serial == []
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--relay", "/dev/no-such-robot"], "/dev/no-such-robot: cannot open this port"),
-        (["--relay", "nonsense://x"], "nonsense://x: cannot open this port"),
-        (["--relay", "khep://default"], "khep://default: a twin needs no relay; expected khep-twin serve"),
-        (["obstacles", "--relay", "loop://"], "PLAYPEN is for a twin, not for a robot at --relay"),
-        (["--relay", "loop://", "--speed", "2"], "--speed is for a twin"),
-        (["--relay", "loop://", "--fault", "stuck:1"], "--fault is for a twin"),
-        (["--relay", "loop://", "--mode", "4"], "--mode 4: mode 4"),
-        (["--relay", "loop://", "--log", "/no/such/folder/a.mcap"], "cannot write a log here"),
-    ],
-)
-def test_what_cannot_be_relayed_is_one_line(arguments: list[str], message: str) -> None:
-    command = [sys.executable, "-m", "khep_twin", "serve", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
-    assert done.returncode in (1, 2)
-    assert done.stderr.startswith(f"khep-twin: {message}") or message in done.stderr
-    assert len(done.stderr.splitlines()) == 1
 
 
 def test_a_host_that_leaves_amid_a_reply_of_several_lines_leaves_none_to_the_next() -> None:

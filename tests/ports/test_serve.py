@@ -8,14 +8,15 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import serial
 from command_line import khep_twin
+from forked import Forked, run
 from lateness import lateness
+from served_twin import served, stop
 
 from khep_twin import playpen
 from khep_twin.errors import PortError
@@ -25,33 +26,6 @@ from khep_twin.log.reader import read
 
 PATIENCE = 20.0
 """Wait for what must come, on machines of any load [s]."""
-
-
-@contextmanager
-def served(
-    *arguments: str, program: Sequence[str] = ("-m", "khep_twin")
-) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """`khep-twin serve`, and the path that it prints."""
-    process = subprocess.Popen(
-        [sys.executable, *program, "serve", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        assert select.select([process.stdout], [], [], 120)[0], "nothing was served"
-        yield process, process.stdout.readline().strip()
-    finally:
-        process.terminate()
-        process.communicate(timeout=60)
-
-
-def stop(process: subprocess.Popen[str], how: signal.Signals = signal.SIGTERM) -> tuple[int, str]:
-    """Ends it; returns its exit code and what it said."""
-    process.send_signal(how)
-    _, errors = process.communicate(timeout=60)
-    return process.returncode, errors
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +118,7 @@ def test_noise_at_full_speed_is_survived(path: str) -> None:
 
 def test_the_example_runs_unchanged_on_a_pty(path: str) -> None:
     example = Path(__file__).parents[2] / "examples" / "01_braitenberg.py"
-    subprocess.run([sys.executable, str(example), path, "20"], check=True, timeout=300)
+    assert run([sys.executable, str(example), path, "20"], timeout=300).returncode == 0
 
 
 def reply_of_the_next_host(path: str) -> bytes:
@@ -174,8 +148,8 @@ def test_a_host_that_is_killed_does_not_spoil_the_next(path: str) -> None:
         "import os, sys, time; port = os.open(sys.argv[1], os.O_RDWR)\n"
         "while True: os.write(port, b'N\\n'); time.sleep(0.01)"
     )
-    with subprocess.Popen([sys.executable, "-c", program, path]) as host:
-        time.sleep(1)
+    with Forked([sys.executable, "-c", program, path]) as host:
+        time.sleep(0.3)
         host.kill()
     assert reply_of_the_next_host(path) == b"b,5.02,5.01\r\n"
 
@@ -255,21 +229,40 @@ def test_a_killed_server_loses_less_than_a_second_and_is_announced_next_time(tmp
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "line"),
     [
+        (["--tcp", "0.0.0.0:0"], "other machines could drive the robot from there; expected 127.0.0.1:0"),
+        (["--tcp", "nowhere"], "nowhere: expected HOST:PORT"),
+        (["--tcp", "127.0.0.1:99999"], "expected HOST:PORT"),
+        (["--tcp", ":0", "--rfc2217", ":0"], "one cable each; expected one of them"),
+        (["--tcp", "no.such.host.invalid:0", "--allow-remote"], "cannot listen here"),
+        (["--fault", "nope"], "fault 'nope': unknown"),
+        (["--clock", "wire", "--speed", "2"], "--speed: has no effect with --clock wire"),
+        (["--strict-line", "--tcp", ":0"], "--strict-line: hosts at --tcp have no speed"),
+        (["--tcp", ""], "expected HOST:PORT"),
+        (["--link", ""], "--link '': expected a name"),
         (["nowhere"], "khep-twin: nowhere: no such file"),
         (["--speed", "fast"], "khep-twin: --speed fast: expected a number from 0.001 to 1000, or max"),
         (["--speed", "-1"], "khep-twin: --speed -1: expected a number from 0.001 to 1000, or max"),
         (["--mode", "9"], "khep-twin: mode = 9 with rom = '5.02': mode 9 is a mode of the Khepera II"),
         (["--link", "/nowhere/link"], "khep-twin: /nowhere/link: cannot make this link"),
+        (["--relay", "/dev/no-such-robot"], "/dev/no-such-robot: cannot open this port"),
+        (["--relay", "nonsense://x"], "nonsense://x: cannot open this port"),
+        (["--relay", "khep://default"], "khep://default: a twin needs no relay; expected khep-twin serve"),
+        (["obstacles", "--relay", "loop://"], "PLAYPEN is for a twin, not for a robot at --relay"),
+        (["--relay", "loop://", "--speed", "2"], "--speed is for a twin"),
+        (["--relay", "loop://", "--fault", "stuck:1"], "--fault is for a twin"),
+        (["--relay", "loop://", "--mode", "4"], "--mode 4: mode 4"),
+        (["--relay", "loop://", "--log", "/no/such/folder/a.mcap"], "cannot write a log here"),
     ],
 )
-def test_wrong_usage_is_one_line_and_no_trace(arguments: list[str], message: str) -> None:
-    result = khep_twin("serve", *arguments)
-    assert result.returncode in (1, 2)
-    assert result.stderr.startswith(message)
-    assert result.stderr.count("\n") == 1
-    assert result.stdout == ""
+def test_what_cannot_be_served_is_one_line_and_no_trace(arguments: list[str], line: str) -> None:
+    done = khep_twin("serve", *arguments)
+    assert done.returncode in (1, 2)
+    assert done.stdout == ""
+    assert done.stderr.startswith("khep-twin: ")
+    assert line in done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 def test_after_a_kill_the_next_start_takes_the_link_again(tmp_path: Path) -> None:
@@ -288,13 +281,7 @@ def test_after_a_kill_the_next_start_takes_the_link_again(tmp_path: Path) -> Non
 def test_a_link_in_use_is_not_taken(tmp_path: Path) -> None:
     link = tmp_path / "khepera"
     with served("default", "--link", str(link)):
-        done = subprocess.run(
-            [sys.executable, "-m", "khep_twin", "serve", "--link", str(link)],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+        done = khep_twin("serve", "--link", link)
         assert done.returncode == 1
         assert "another khep-twin serves under this name" in done.stderr
         assert link.is_symlink()
@@ -338,20 +325,10 @@ def test_a_bare_link_lies_in_a_private_directory(tmp_path: Path, monkeypatch: py
 
 def test_a_descriptor_reports_when_hosts_may_come() -> None:
     reader, writer = os.pipe()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "khep_twin", "serve", "default", "--ready-fd", str(writer)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        pass_fds=[writer],
-        text=True,
-    )
-    os.close(writer)
-    with open(reader) as ready:
-        told = ready.read()
-    assert process.stdout is not None
-    assert told == process.stdout.readline()
-    process.terminate()
-    process.communicate(timeout=60)
+    with served("default", "--ready-fd", str(writer), pass_fds=(writer,)) as (_, path):
+        os.close(writer)
+        with open(reader) as ready:
+            assert ready.read() == f"{path}\n"
 
 
 def test_stty_and_a_shell_get_a_reply(path: str) -> None:

@@ -5,9 +5,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from khep_twin.log.reader import read
+from served_twin import served
 
-from test_serve import served  # isort: skip
+from khep_twin.log.reader import read
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "toolbox" / "simsamp1.py"
 
