@@ -8,16 +8,15 @@ import platform
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import benchmarks
-from benchmarks import archive, growth, home_test, peers, record, umbmark
+from benchmarks import archive, growth, peers, record
 from benchmarks.ports import line_row, trip_rows
 from benchmarks.scale import bare_row, episode_row, world_row
 from benchmarks.swarm import swarm_rows
 from benchmarks.table import COST, Row, Table, Taken, measure, text, timed
-from khep_twin import playpen, units
+from khep_twin import playpen
 from khep_twin.episodes.episode import EpisodeSetup
 from khep_twin.errors import KhepTwinError
 
@@ -99,34 +98,6 @@ def test_results_survive_their_file_and_tell_nothing_of_where_they_were_made(tmp
     assert text(found.tables) == text(kept.tables)
     written = path.read_text()
     assert not [word for word in (platform.node(), str(Path.home())) if len(word) > 1 and word in written]
-
-
-def test_the_nominal_robot_comes_home_and_one_with_other_wheels_does_not(tmp_path: Path) -> None:
-    arena = home_test.open_arena(tmp_path)
-    assert home_test.missed_by(arena, 0, 1) < 0.015
-    assert home_test.missed_by(arena, 3, 2) > 0.1
-
-
-@pytest.mark.parametrize(("wheels", "base"), [(1.0, 1.0), (1.002, 1.0), (1.0, 0.99), (0.998, 1.01)])
-def test_a_square_tells_the_wheels_and_the_base(wheels: float, base: float) -> None:
-    """Each side is an arc of the wheels' difference, each corner a turn by the base."""
-    ends: list[float] = []
-    for side in (1, -1):
-        x = heading = 0.0
-        for _ in range(4):
-            bend = 2 * (wheels - 1) / (wheels + 1) * umbmark.SIDE / (base * units.WHEEL_BASE)
-            x += umbmark.SIDE * float(np.sinc(bend / 2 / np.pi)) * math.cos(heading + bend / 2)
-            heading += bend + side * math.pi / 2 / base
-        ends.append(x)
-    # The odometry takes the wheels as equal and the base as nominal, and itself as back at the start.
-    assert umbmark.factors(*ends) == pytest.approx((wheels, base), abs=1e-3)
-
-
-def test_squares_find_the_wheels_of_a_twin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(umbmark, "RUNS", 2)
-    with home_test.twin(home_test.open_arena(tmp_path), 1) as robot:
-        found = umbmark.umbmark(robot)
-    assert (found.wheels, found.base) == pytest.approx(umbmark.drawn(1), abs=1e-3)
 
 
 def test_the_results_that_are_kept_can_be_read() -> None:

@@ -42,6 +42,8 @@ def test_the_page_names_all_targets_of_the_makefile() -> None:
 
 def test_the_files_and_pages_on_it_are_there() -> None:
     made = {step["file"] for step in CREATE.finditer(PAGE)}
-    named = re.findall(r"`((?:khep_twin|tests|tools|docs)/[^` ]*)`", PAGE) + re.findall(r"\]\(([^)#]+)", PAGE)
+    named = re.findall(r"`((?:khep_twin|tests|checks|tools|docs)/[^` ]*)`", PAGE) + re.findall(
+        r"\]\(([^)#]+)", PAGE
+    )
     assert len(named) > 10
     assert not [name for name in named if name not in made and not (ROOT / name).exists()]

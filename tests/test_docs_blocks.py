@@ -1,6 +1,6 @@
 """docs/*.md: who copies the blocks of a page into a folder, in order, has no error.
 
-`make docs-blocks` also runs the long ones, and lists what cannot run in a test.
+`python -m checks tests docs-blocks` also runs the long ones, and lists what cannot run in a test.
 """
 
 import sys
@@ -66,5 +66,5 @@ def test_a_block_that_fails_is_reported(tmp_path: Path) -> None:
 
 def test_a_block_that_is_not_run_is_listed_with_its_reason(tmp_path: Path) -> None:
     reader = Reader(tmp_path)
-    reader.read("<!-- not run: no robot -->\n\n```sh\nfalse\n```\n\n```sh\nmake fuzz\n```\n", {"sh"})
-    assert reader.left == ["line 3, a block of sh: no robot", "make fuzz: a target of the Makefile"]
+    reader.read("<!-- not run: no robot -->\n\n```sh\nfalse\n```\n\n```sh\nmake long\n```\n", {"sh"})
+    assert reader.left == ["line 3, a block of sh: no robot", "make long: a target of the Makefile"]

@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
-import tutorial
 from command_line import khep_twin
 
 from khep_twin.lab.challenge.challenge import load, names
 from khep_twin.lab.challenge.task_metrics import UNITS
+from tools import tutorial
 
 LESSONS = sorted((tutorial.PAGE.parent / "lessons").glob("0*.md"))
 ENVIRONMENT = {

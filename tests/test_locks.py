@@ -4,9 +4,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
-import wheels
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+from tools import wheels
 
 PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
 

@@ -16,7 +16,7 @@ FOLDER = Path(__file__).parents[1] / "mjcf"
 @pytest.mark.parametrize("name", playpen.names())
 def test_a_shipped_playpen_is_there_as_it_is_compiled_and_opens_without_khep_twin(name: str) -> None:
     file = FOLDER / f"{name}.xml"
-    assert file.read_text(encoding="utf-8") == to_mjcf(at_spots(playpen.load(name), 0)), "make mjcf"
+    assert file.read_text(encoding="utf-8") == to_mjcf(at_spots(playpen.load(name), 0)), "tools mjcf"
     model = mujoco.MjModel.from_xml_path(str(file))
     assert model.keyframe("home").id == 0
     with Image.open(FOLDER / f"{name}.png") as picture:

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import tutorial
 from PIL import Image
 from typer.testing import CliRunner
 
 from khep_twin import playpen
 from khep_twin.cli.app import app
 from khep_twin.host import Khepera
+from tools import tutorial
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
 
@@ -72,7 +72,7 @@ def test_the_picture_is_the_one_that_make_run_leaves(tmp_path: Path) -> None:
         pixels = [np.asarray(picture.convert("RGB"), np.int16) for picture in (made, shown)]
     other = np.abs(pixels[0] - pixels[1]).max(axis=2) > 40
     # A tenth of the way, two lines wide, are some 800 pixels.
-    assert other.sum() < 100, "another path than the README's picture shows; make tutorial draws it anew"
+    assert other.sum() < 100, "another path than the README's picture shows; `tools tutorial` draws it anew"
 
 
 def test_the_environment_of_the_readme_takes_a_step() -> None:

@@ -1,4 +1,4 @@
-"""`make reference` writes every public thing, from its docstring, into pages that need no network."""
+"""The reference has every public thing, from its docstring, in pages that need no network."""
 
 import os
 import re
@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-REFERENCE = Path(__file__).parents[1] / "tools" / "reference.py"
+ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The pages; any warning, such as of a type that cannot be found, is an error."""
     folder = tmp_path_factory.mktemp("reference")
-    command = [sys.executable, "-W", "error", str(REFERENCE), str(folder)]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(REFERENCE.parents[1]), *sys.path])}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    command = [sys.executable, "-W", "error", "-m", "tools", "reference", str(folder)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT, check=False)
     assert done.returncode == 0, done.stderr
     return folder
 

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.hidden_changes import Added, Gone, Lifted, Moved, apply, hide_added, with_added
-from benchmarks.stand_ins import Truth, record
 from khep_twin import playpen as playpens
 from khep_twin.log.reader import read_series
 from khep_twin.playpen import Cylinder, Playpen
 from khep_twin.randomness import stream
 from khep_twin.units import BITS_PER_BYTE
 from khep_twin.world import World
+from stand_ins.hidden_changes import Added, Gone, Lifted, Moved, apply, hide_added, with_added
+from stand_ins.recordings import Truth, record
 
 PLAYPEN = playpens.load("workshop")
 CAN = Cylinder(x_mm=345, y_mm=190, radius_mm=15, height_mm=50)

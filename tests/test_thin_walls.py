@@ -5,8 +5,8 @@ import math
 import mujoco
 import numpy as np
 import pytest
-from edge_playpens import COMMANDS
 
+from checks.edges import COMMANDS
 from khep_twin import playpen, units
 from khep_twin.clock import NS_PER_S
 from khep_twin.playpen import Playpen

@@ -3,8 +3,9 @@
 from pathlib import Path
 
 import pytest
-import tutorial
 from PIL import Image
+
+from tools import tutorial
 
 PAGE = tutorial.PAGE.read_text()
 BLOCKS = tutorial.blocks(PAGE)

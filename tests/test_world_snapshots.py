@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from branches import LAMPS, PUSHED, ROBOTS, arena, drive
 from notes import Events
 
+from checks.branches import LAMPS, PUSHED, ROBOTS, arena, drive
 from khep_twin import playpen
 from khep_twin.board.fault_injection import Fault, parse
 from khep_twin.errors import DivergedError, SnapshotError

@@ -1,11 +1,11 @@
 """Foxglove's published definition of SceneUpdate, from the package foxglove-schemas-protobuf.
 
-    python tools/foxglove_schema.py FILE
+    python -m tools foxglove-schema [FILE]
 
 writes it, with its dependencies, as a google.protobuf.FileDescriptorSet.
 """
 
-import sys
+import argparse
 from pathlib import Path
 
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
@@ -27,5 +27,8 @@ def published() -> FileDescriptorSet:
     return found
 
 
-if __name__ == "__main__":
-    Path(sys.argv[1]).write_bytes(published().SerializeToString(deterministic=True))
+def main() -> None:
+    """Write the definition into a file."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", nargs="?", type=Path, default="khep_twin/assets/foxglove_scene_update.bin")
+    parser.parse_args().file.write_bytes(published().SerializeToString(deterministic=True))

@@ -1,7 +1,7 @@
 """The shipped playpens as MJCF with a picture each, for viewers without khep_twin: the folder mjcf.
 
-    python tools/mjcf.py                            all of it anew; `make mjcf`
-    python tools/mjcf.py FOLDER --without-pictures
+    python -m tools mjcf                            all of it anew; `python -m tools mjcf`
+    python -m tools mjcf FOLDER --without-pictures
 
 The pictures need OpenGL: EGL or libOSMesa.
 """
@@ -25,7 +25,7 @@ SIZE, COLOURS = (640, 480), 128
 
 INTRODUCTION = """# Playpens as MJCF
 
-The shipped playpens for MuJoCo's own viewers, without khep_twin. `make mjcf` writes this folder.
+The shipped playpens for MuJoCo's own viewers, without khep_twin. `python -m tools mjcf` writes this folder.
 
 - On the desktop: `python -m mujoco.viewer --mjcf=mjcf/default.xml`, or drop a file onto `simulate`.
 - In a browser: drop a file onto [live.mujoco.org](https://live.mujoco.org). A file with a public address
@@ -65,7 +65,3 @@ def small(picture: bytes) -> bytes:
     content = io.BytesIO()
     image.save(content, format="PNG", optimize=True)
     return content.getvalue()
-
-
-if __name__ == "__main__":
-    main()

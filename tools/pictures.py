@@ -1,6 +1,6 @@
 """Pictures of the docs that are made by commands or files shown beside them, in full colour.
 
-MUJOCO_GL=egl python tools/pictures.py    # redraws them in docs/pictures
+    MUJOCO_GL=egl python -m tools pictures
 
 The pictures of the tutorial and the README: tutorial.py.
 """
@@ -9,6 +9,7 @@ The pictures of the tutorial and the README: tutorial.py.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 # pyright: reportAttributeAccessIssue=false, reportPrivateUsage=false
 
+import argparse
 import contextlib
 import copy
 import runpy
@@ -19,12 +20,10 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import tutorial
 from PIL import Image
 from scipy.io import loadmat
 from typer.testing import CliRunner
 
-from benchmarks import library_picture
 from khep_twin import playpen as playpens
 from khep_twin.cli.app import app
 from khep_twin.host import Gripper, Khepera
@@ -32,6 +31,7 @@ from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.shadow_log import ShadowLog
 from khep_twin.world import World
+from tools import library_picture, tutorial
 
 _LEFT_COLUMN = (0, 30, 800, 876)
 """Arena, robot and serial line in a still of `khep-twin view` [pixels]."""
@@ -172,7 +172,9 @@ def _keep(picture: Image.Image, name: str) -> None:
     print(f"{name}.png")
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Draw all pictures anew."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         library_picture.draw(tutorial.PICTURES / "library.png")
         draw_gripper()

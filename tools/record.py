@@ -1,7 +1,7 @@
 """A record of results, to check that a change of names, files or sentences changes nothing else.
 
-    python tools/record.py              compare with tools/record.json: prints "same", or each difference
-    python tools/record.py --write      rewrite tools/record.json
+    python -m tools record              compare with tools/record.json: prints "same", or each difference
+    python -m tools record --write      rewrite tools/record.json
 
 Each shipped playpen, two seeds: a run of the Braitenberg vehicle and one of random commands, with replies,
 hashes of the state and the samples of each channel of the log; rollouts in MuJoCo and in the plane; the scene

@@ -1,10 +1,10 @@
-"""The reference, `make reference`: pages of the public functions and classes from their docstrings.
+"""Reference pages of the public functions and classes, from their docstrings.
 
 They are generated, not kept in the repository: each edit of a docstring would change a megabyte of pages and
 search index. A test generates them with every warning an error.
 """
 
-import sys
+import argparse
 from pathlib import Path
 
 # Imported before pdoc, which forbids modules to start programs on import, as mujoco's window library does.
@@ -46,5 +46,10 @@ def write(folder: Path) -> None:
     pdoc.pdoc(*MODULES, output_directory=folder)
 
 
-if __name__ == "__main__":
-    write(Path(sys.argv[1]))
+def main() -> None:
+    """Write the pages where the command line says."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", nargs="?", type=Path, default="docs/reference")
+    folder = parser.parse_args().folder
+    write(folder)
+    print(f"reference  {folder}/index.html")

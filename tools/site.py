@@ -1,17 +1,17 @@
 """The site's source out of the repository's pages, for mkdocs: `make docs`.
 
-    python tools/site.py out/site-source
+    python -m tools site [FOLDER]
 
 The front page is the head of the README, the gallery every picture of the pages, and the reference is that of
-`make reference`. Links between pages stay as they are; those to the README lead to its page.
+`python -m tools reference`. Links between pages stay as they are; those to the README lead to its page.
 """
 
+import argparse
 import re
 import shutil
-import sys
 from pathlib import Path
 
-from reference import write as write_reference
+from tools.reference import write as write_reference
 
 ROOT = Path(__file__).parents[1]
 
@@ -20,6 +20,7 @@ PAGES = {
     "CHANGELOG.md": "changelog.md",
     "CONTRIBUTING.md": "contributing.md",
     "mjcf/README.md": "mjcf/playpens.md",
+    "checks/README.md": "checks/checks.md",
 }
 """Pages with other names in the site, where a README is the index of its section."""
 
@@ -47,7 +48,14 @@ STYLE = """
 PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)]+\.(?:png|svg))\)")
 
 
-def main(target: Path) -> None:
+def main() -> None:
+    """Write the source where the command line says."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", nargs="?", type=Path, default="out/site-source")
+    write(parser.parse_args().folder)
+
+
+def write(target: Path) -> None:
     """Write the source into a folder, which is emptied first."""
     shutil.rmtree(target, ignore_errors=True)
     for folder, kinds in FOLDERS.items():
@@ -105,7 +113,3 @@ def _gallery(target: Path) -> str:
                 parts += [heading] * (heading not in parts)
                 parts.append(f"![{words}]({picture.relative_to(target.resolve())})<br>{words}\n")
     return "\n".join(parts)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

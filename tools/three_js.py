@@ -1,10 +1,11 @@
 """Three.js for the designer's page, as its package in the npm registry has it.
 
-    python tools/three_js.py FOLDER
+    python -m tools three-js [FOLDER]
 
 writes its files, its licence, and the SHA-256 of each into a folder; `npm` fetches the package.
 """
 
+import argparse
 import subprocess
 import sys
 import tarfile
@@ -42,5 +43,8 @@ def fetch(folder: Path) -> None:
     (folder / SUMS).write_text("".join(sums))
 
 
-if __name__ == "__main__":
-    fetch(Path(sys.argv[1]))
+def main() -> None:
+    """Fetch the files into a folder."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", nargs="?", type=Path, default="khep_twin/assets/web")
+    fetch(parser.parse_args().folder)

@@ -7,9 +7,10 @@ served twin.
 The numbers of a run depend in their last bits on MuJoCo, numpy and the kind of machine. A comment
 in the page names those of its own numbers; where they are the same, every number is compared.
 
-    python tools/tutorial.py    # remakes the pictures and numbers of the tutorial and the README
+    python -m tools tutorial    # remakes the pictures and numbers of the tutorial and the README
 """
 
+import argparse
 import ast
 import contextlib
 import io
@@ -253,6 +254,8 @@ def shrunk(file: Path, width: int) -> Image.Image:
     return picture.resize((width, height), Image.Resampling.LANCZOS)
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Make numbers and pictures anew."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     draw_readme()
     draw_pictures()

@@ -1,11 +1,12 @@
 """Wheels of every locked package that pip would install, for each version of Python.
 
-    python tools/wheels.py [3.14 ...]
+    python -m tools wheels [3.14 …]
 
 pip is run for x86_64 Linux with glibc 2.28, whatever the interpreter. A wheel counts if its hash is in the
 lock. The exit status is 1 if a package has none.
 """
 
+import argparse
 import json
 import re
 import subprocess
@@ -74,10 +75,12 @@ def wheels(version: str, pins: dict[str, str]) -> dict[str, tuple[str, str]]:
     return found
 
 
-def main(versions: list[str]) -> int:
-    """Print a table for each version; return the total number of packages without a wheel."""
+def main() -> int:
+    """Print a table for each version; return 1 if a package has none."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("versions", nargs="*", default=VERSIONS, metavar="VERSION")
     without = 0
-    for version in versions:
+    for version in parser.parse_args().versions:
         packages = locked(version)
         found = wheels(version, {name: pin for name, (pin, _) in packages.items()})
         there = 0
@@ -87,8 +90,4 @@ def main(versions: list[str]) -> int:
             print(f"{version}  {name:26} {pin:18} {file if digest in hashes else 'NO LOCKED WHEEL'}")
         print(f"Python {version}: {there} of {len(packages)} locked packages have a wheel")
         without += len(packages) - there
-    return without
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:] or VERSIONS) > 0)
+    return min(without, 1)

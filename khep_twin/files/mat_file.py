@@ -1,7 +1,7 @@
 """Variables of MAT files, Matlab 4 to 7.2: matrices of real numbers and of characters.
 
 scipy reads them too, but a damaged file can end the whole process there: 124 of 20,000 inputs of
-`tools/fuzz_files.py` did (scipy 1.17.1), and a process for each file takes 0.4 s of CPU time. Here, damage
+`checks/fuzz/files.py` did (scipy 1.17.1), and a process for each file takes 0.4 s of CPU time. Here, damage
 is an error with its place, and memory and time for a file are limited in advance.
 
     Matlab 4        one header of five int32 a matrix: kind, rows, columns, imaginary, length of the name

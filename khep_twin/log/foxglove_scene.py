@@ -2,8 +2,8 @@
 
 One message holds all shapes: fixed bodies in the frame "world", an entity each, and every moving body as an
 entity in its own frame of /tf, to which it is locked. The message is protobuf, of classes made at run time
-from the descriptors that Foxglove publishes, kept in assets/foxglove_scene_update.bin (`make schemas`); the
-log holds them too.
+from the descriptors that Foxglove publishes, kept in assets/foxglove_scene_update.bin (`python -m tools
+foxglove-schema`); the log holds them too.
 """
 
 from collections.abc import Mapping

@@ -199,7 +199,7 @@ RADIUS_SPREAD, BASE_SPREAD = 0.015, 0.015
 
 INEQUALITY_SPREAD = 0.004
 """Standard deviation of `right_over_left` (assumed: so that after 30 s of driving robots miss home by the
-published 50 to 100 mm, and 8 in 10 by less than 100 mm; `benchmarks.home_test`)."""
+published 50 to 100 mm, and 8 in 10 by less than 100 mm; `studies.home_test`)."""
 
 FRICTION_SPREAD, NO_LOAD_SPREAD, STALL_SPREAD, GEAR_SPREAD = 0.1, 0.05, 0.1, 0.2
 """Relative standard deviations of the tyres' friction, the motors' no-load speed and stall torque, and the

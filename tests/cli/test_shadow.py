@@ -12,12 +12,12 @@ import serial
 from command_line import khep_twin
 from served_twin import served
 
-from benchmarks.stand_ins import Truth, record
 from khep_twin import playpen as playpens
 from khep_twin.log.reader import read, read_arrays
 from khep_twin.sensing import calibration
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.shadow import Shadow, Update
+from stand_ins.recordings import Truth, record
 
 SOME = ("--particles", "100")
 

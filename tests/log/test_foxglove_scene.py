@@ -6,7 +6,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from foxglove_schema import published
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message_factory import GetMessages
@@ -17,6 +16,7 @@ from khep_twin.log.decoding import read_transforms
 from khep_twin.log.foxglove_scene import descriptors, scene_update
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from tools.foxglove_schema import published
 
 SHIPPED = sorted(
     path.stem for path in (Path(playpens.__file__).parents[1] / "assets" / "playpens").glob("*.toml")

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from command_line import khep_twin
 from driving import SECOND
-from log_mutations import Record, put_together, taken_apart
 from log_rewriting import rewritten
 from mcap.opcode import Opcode
 
+from checks.fuzz.log_mutations import Record, put_together, taken_apart
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
 from khep_twin.errors import KhepTwinError
 from khep_twin.lab.conformance.recording.conform import conform_recording

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 import zstandard
 from driving import SECOND
-from log_mutations import HEAD, Record, bytes_of, put_together, taken_apart, with_packed
 from mcap.opcode import Opcode
 from mcap.records import Footer
 from mcap.writer import MCAP0_MAGIC
 
+from checks.fuzz.log_mutations import HEAD, Record, bytes_of, put_together, taken_apart, with_packed
 from khep_twin.errors import LogError
 from khep_twin.log.reader import read, read_end_ns, read_label, read_series
 from khep_twin.log.record_bytes import LARGEST_CHUNK

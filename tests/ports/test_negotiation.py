@@ -4,12 +4,12 @@ import socket
 from pathlib import Path
 
 import pytest
-from fuzz_rfc2217 import BEGIN, END, ODD, WELL_FORMED, check, seeds
-from fuzzing import run_libfuzzer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from served_twin import served, stop
 
+from checks.fuzz.libfuzzer import run_libfuzzer
+from checks.fuzz.rfc2217 import BEGIN, END, ODD, WELL_FORMED, check, seeds
 from khep_twin.board.uart import LineSettings
 from khep_twin.log.reader import read
 from khep_twin.ports.negotiation import HIGHEST_BAUD, LONGEST, LOWEST_BAUD, Negotiator
@@ -105,7 +105,7 @@ def test_what_has_no_answer_is_passed_over(harmless: str) -> None:
 
 
 def test_a_share_of_the_fuzzing_finds_nothing(tmp_path: Path) -> None:
-    run_libfuzzer("fuzz_rfc2217.py", SHARE, tmp_path)
+    run_libfuzzer("fuzz-rfc2217", SHARE, tmp_path)
 
 
 @settings(max_examples=300, derandomize=True, database=None, deadline=None)

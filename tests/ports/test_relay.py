@@ -14,9 +14,9 @@ from types import SimpleNamespace
 
 import pytest
 import serial
-from pyserial_suite import plug
 from served_twin import served, stop
 
+from checks.pyserial_suite import plug
 from khep_twin.log.reader import read
 from khep_twin.log.viewer.replay import view
 from khep_twin.ports import idle_polls

@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.noise_fits import ORDERS, PERIOD, differences, ripple, twin
 from khep_twin.sensing.noise import draws, key_words, no_noise, philox, quantiles
+from studies.noise_fits import ORDERS, PERIOD, differences, ripple, twin
 
 DISTANCES_MM = tuple(range(11, 39, 4))
 

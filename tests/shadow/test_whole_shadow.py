@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from twins import EXACT, SECOND
 
-from benchmarks.twin_runs import Followed, Recording, follow, told_playpen
 from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
 from khep_twin.shadow.alarms import AlarmChange
@@ -16,6 +15,7 @@ from khep_twin.shadow.following import Follower
 from khep_twin.shadow.learned import LEARNED, Learned, learned
 from khep_twin.shadow.recording import Heard, recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings, Update
+from studies.twin_runs import Followed, Recording, follow, told_playpen
 
 STUCK, SINCE_S, UNTIL_S, RESTART_S, LENGTH_S = 3, 4, 9, 12, 20
 SETTINGS = ShadowSettings(particles=300)

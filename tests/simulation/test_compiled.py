@@ -3,9 +3,9 @@
 import importlib.util
 
 import pytest
-from branches import LAMPS, ROBOTS, arena
 from notes import Events
 
+from checks.branches import LAMPS, ROBOTS, arena
 from khep_twin import playpen
 from khep_twin.board.fault_injection import parse
 from khep_twin.playpen import Playpen

@@ -1,4 +1,4 @@
-"""Sweeps: each result once, whatever happens on the way; `make worker-kills` is harder on Ray's workers."""
+"""Sweeps: each result once, whatever happens; the check worker-kills is harder on Ray's workers."""
 
 import builtins
 import importlib.util
@@ -19,8 +19,8 @@ import pyarrow.parquet as pq
 import pytest
 from test_study import STUDY, loaded
 from typer.testing import CliRunner
-from worker_kills import trial
 
+from checks.worker_kills import trial
 from khep_twin.cli.app import app
 from khep_twin.errors import KhepTwinError, MissingExtraError, StudyError
 from khep_twin.invocation import command

@@ -1,13 +1,12 @@
-"""three.js is shipped as its package has it (`make three`), and loads nothing else."""
+"""three.js is shipped as its package has it (`python -m tools three-js`), and loads nothing else."""
 
 import re
 from hashlib import sha256
 from http.client import HTTPConnection
 
-from three_js import FILES, SUMS
-
 from khep_twin.web.routes import ASSETS
 from tests.web.conftest import Asker
+from tools.three_js import FILES, SUMS
 
 
 def test_the_shipped_files_are_those_of_the_package() -> None:

@@ -9,7 +9,6 @@ import time
 from pathlib import Path
 
 import pytest
-import tutorial
 from command_line import khep_twin
 from PIL import Image
 
@@ -18,6 +17,7 @@ from khep_twin.lab.challenge.attempt import Attempt, attempt
 from khep_twin.lab.challenge.challenge import load, names
 from khep_twin.lab.challenge.results import attempts, table, to_csv
 from khep_twin.lab.challenge.scoring import score
+from tools import tutorial
 
 SHORT = """
 version = 1

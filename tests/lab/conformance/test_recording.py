@@ -10,8 +10,8 @@ import pytest
 from command_line import khep_twin
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from recorded_hosts import Relay, findings, tour
 
+from checks.recordings import Relay, findings, tour
 from khep_twin.lab.conformance.recording.conform import CheckedRobot, conform_recording
 from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.log.channels import Level, LineFrame, TextLine

@@ -3,11 +3,11 @@
 from pathlib import Path
 
 import pytest
-from branches import before, check, messages
 from command_line import khep_twin
 from log_rewriting import rewritten
 from served_twin import served
 
+from checks.branches import before, check, messages
 from khep_twin.errors import KhepTwinError, LogError, PlaypenError
 from khep_twin.host import Khepera
 from khep_twin.interventions.switching import switch

@@ -5,8 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.fidelity_manual import figure_11, figure_12, figure_13
-from benchmarks.infrared_fits import (
+from khep_twin import playpen
+from khep_twin.board.kernel import PROXIMITY
+from khep_twin.lab.fit.infrared import MeasuredTable, Optics, proximity
+from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
+from khep_twin.sensing import calibration
+from khep_twin.units import BODIES, BODY_RADIUS, SENSOR_HEADINGS
+from khep_twin.world import World
+from studies.fidelity_manual import figure_11, figure_12, figure_13
+from studies.infrared_fits import (
     CYLINDER_RADIUS,
     MANUAL_SURFACES,
     OBSTACLE_REFLECTANCE,
@@ -20,13 +27,6 @@ from benchmarks.infrared_fits import (
     rms,
     sampled,
 )
-from khep_twin import playpen
-from khep_twin.board.kernel import PROXIMITY
-from khep_twin.lab.fit.infrared import MeasuredTable, Optics, proximity
-from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
-from khep_twin.sensing import calibration
-from khep_twin.units import BODIES, BODY_RADIUS, SENSOR_HEADINGS
-from khep_twin.world import World
 
 KHEPERA1 = calibration.read("khepera1")[0]
 SENSORS = range(8)

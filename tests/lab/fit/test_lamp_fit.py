@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.lamp_fits import FAR, SET_UP_BEARING, left_over, readings, sampled_lamp
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
 from khep_twin.errors import FitError
@@ -15,6 +14,7 @@ from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Readings, Ruler
 from khep_twin.sensing import calibration
 from khep_twin.units import SENSOR_HEIGHT
 from khep_twin.world import World
+from studies.lamp_fits import FAR, SET_UP_BEARING, left_over, readings, sampled_lamp
 
 KHEPERA1 = calibration.read("khepera1")[0]
 SENSORS = range(8)

@@ -1,0 +1,74 @@
+"""Determinism of an environment over 100,000 steps.
+
+One environment runs with the same actions in two processes, and four together by one thread and by two: each
+pair must give the same observations and rewards bit for bit.
+"""
+
+import hashlib
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import gymnasium
+import numpy as np
+
+import khep_twin.envs.gymnasium  # noqa: F401
+
+STEPS = 100_000
+MANY = 4
+
+
+def single(task: str, seed: int) -> str:
+    """Return a hash of all results of one environment."""
+    environment = gymnasium.make(f"khep_twin/{task}-v0", vary=True)
+    rng, digest = np.random.default_rng(seed), hashlib.sha256()
+    digest.update(environment.reset(seed=seed)[0].tobytes())
+    for _ in range(STEPS):
+        observation, reward, ended, late, _ = environment.step(rng.uniform(-0.25, 1, 2).astype(np.float32))
+        digest.update(observation.tobytes() + np.float64(reward).tobytes())
+        if ended or late:
+            digest.update(environment.reset()[0].tobytes())
+    return digest.hexdigest()
+
+
+def together(task: str, seed: int, threads: int) -> str:
+    """Return a hash of all results of MANY environments, STEPS in total."""
+    environments = gymnasium.make_vec(f"khep_twin/{task}-v0", num_envs=MANY, vary=True, threads=threads)
+    rng, digest = np.random.default_rng(seed), hashlib.sha256()
+    digest.update(environments.reset(seed=seed)[0].tobytes())
+    for _ in range(STEPS // MANY):
+        observations, rewards, *_ = environments.step(rng.uniform(-0.25, 1, (MANY, 2)).astype(np.float32))
+        digest.update(observations.tobytes() + rewards.tobytes())
+    environments.close()
+    return digest.hexdigest()
+
+
+RUNS = (("single", 0), ("single", 0), ("together", 1), ("together", 2))
+"""Runs, each in its own process, and their numbers of threads."""
+
+
+def run(job: tuple[str, int]) -> str:
+    """Return the hash of a run in another process."""
+    kind, threads = job
+    command = [sys.executable, "-m", "checks", "determinism", kind, str(threads)]
+    digest = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    print(f"{STEPS} steps, {kind}{f' by {threads} threads' if threads else ''}: {digest}", flush=True)
+    return digest
+
+
+def main() -> int:
+    """Compare the runs; return 0 if they are the same."""
+    match sys.argv[1:]:
+        case ["single", _]:
+            print(single("Homing", 1))
+            return 0
+        case ["together", threads]:
+            print(together("ObstacleAvoidance", 1, int(threads)))
+            return 0
+        case _:
+            pass
+    with ThreadPoolExecutor(2) as pool:
+        one, other, few, more = pool.map(run, RUNS)
+    same = one == other and few == more
+    print("the same" if same else "NOT the same")
+    return 0 if same else 1

@@ -1,0 +1,170 @@
+"""A fuzz target: damaged playpen files, MAT files and PNGs.
+
+    python -m checks fuzz-files toml 1000000 --jobs 2
+
+Each input depends on the files of `data/corpus` and its number alone, so that a finding is reproducible:
+`--first NUMBER` begins there. A job may use 512 MB more than after all imports; an input that takes 2 s is a
+finding, and 10 s end the job.
+"""
+
+import argparse
+import random
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+from tools.command_table import ROOT
+
+CORPUS = ROOT / "tests" / "data" / "corpus"
+SECONDS, MEMORY = 2.0, 2**29
+
+TOKENS = {
+    "toml": [
+        *(b"nan inf -1 0 1e999 1_0 0x10 1979-05-27 true [ ] [[ ]] { } = . , #".split()),
+        *(b"\" ' \"\"\" ''' \\u0000 \\".split()),
+        *(b"\n[[block]]\n \n[[robot]]\n \n[arena]\n \xff \xef\xbb\xbf \0 x_mm name a.a.a.a.a.a".split(b" ")),
+        *(b"[" * 3000, b"a." * 3000, b"9" * 5000, b"{a=" * 500),
+    ],
+    "mat": [
+        *(number.to_bytes(4, order) for number in (0, 1, 2, 5, 9, 14, 15) for order in ("little", "big")),
+        *(number.to_bytes(4, "little") for number in (2**31 - 1, 2**31, 2**32 - 1, 44, 0x0801, 0x40009)),
+    ],
+    "png": [
+        *(b"IHDR PLTE tRNS IDAT IEND iCCP zTXt iTXt tEXt acTL fdAT gAMA eXIf".split()),
+        *(number.to_bytes(4, "big") for number in (0, 1, 13, 4096, 4097, 2**31 - 1, 2**32 - 1)),
+    ],
+}
+"""Bytes that mutations insert."""
+
+
+def toml_target(data: bytes) -> None:
+    """Check a playpen."""
+    from khep_twin import playpen
+    from khep_twin.errors import PlaypenError
+
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        return
+    told = ""
+    try:
+        playpen.parse(text, "x.toml")
+    except PlaypenError as error:
+        told = str(error)
+    assert told.replace("\n", "").isprintable(), told
+    assert all(re.match(r"x\.toml:(\d+:)? ", line) for line in told.split("\n") if told), told
+
+
+def bitmap_target(data: bytes) -> None:
+    """Check a bitmap and the playpen made of it."""
+    from khep_twin.errors import BitmapError, MatError
+    from khep_twin.playpen import bitmap, bitmap_files
+
+    told = ""
+    try:
+        bitmap.to_playpen(bitmap_files.decode(data).solid, "x", mm_per_pixel=5.0)
+    except (BitmapError, MatError) as error:
+        told = str(error)
+    assert told.isprintable(), told
+
+
+TARGETS: dict[str, Callable[[bytes], None]] = {
+    "toml": toml_target,
+    "mat": bitmap_target,
+    "png": bitmap_target,
+}
+
+
+def mutated(seeds: list[bytes], kind: str, number: int) -> bytes:
+    """Return the input of a number."""
+    rng = random.Random(number)
+    data = bytearray(rng.choice(seeds))
+    for _ in range(rng.choice((1, 1, 2, 4, 8))):
+        place = rng.randrange(len(data) + 1)
+        match rng.randrange(7):
+            case 0 if data:
+                data[place % len(data)] = rng.randrange(256)
+            case 1 if data:
+                data[place % len(data)] ^= 1 << rng.randrange(8)
+            case 2:
+                del data[place : place + rng.choice((1, 4, 30, len(data)))]
+            case 3:
+                piece = data[place : place + rng.randrange(1, 60)]
+                data[rng.randrange(len(data) + 1) : 0] = piece * rng.choice((1, 1, 2, 20))
+            case 4:
+                other = rng.choice(seeds)
+                start = rng.randrange(len(other))
+                data[place:place] = other[start : start + rng.randrange(1, 200)]
+            case 5:
+                data[place:place] = rng.choice(TOKENS[kind])
+            case _:
+                token = rng.choice(TOKENS[kind])
+                data[place : place + len(token)] = token
+    # Most damage is caught by a PNG's checksums; half of them are corrected.
+    return _with_right_sums(bytes(data)) if kind == "png" and rng.random() < 0.5 else bytes(data)
+
+
+def _with_right_sums(data: bytes) -> bytes:
+    place, parts = 8, [data[:8]]
+    while place + 12 <= len(data):
+        size = int.from_bytes(data[place : place + 4], "big")
+        content = data[place + 4 : place + 8 + size]
+        parts += [data[place : place + 4], content, zlib.crc32(content).to_bytes(4, "big")]
+        place += 12 + size
+    return b"".join(parts)
+
+
+def run(kind: str, runs: int, first: int) -> None:
+    """Feed a target; the process ends at a finding.
+
+    Raises:
+        AssertionError: An input is a finding.
+    """
+    # Imports do not count.
+    seeds = [path.read_bytes() for path in sorted(CORPUS.glob(f"*.{kind}"))]
+    for seed in seeds:
+        TARGETS[kind](seed)
+    status = Path("/proc/self/status").read_text()
+    now = 1024 * int(status.split("VmSize:")[1].split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (now + MEMORY, now + MEMORY))
+    begun, slowest = time.perf_counter(), (0.0, first)
+    for number in range(first, first + runs):
+        data = mutated(seeds, kind, number)
+        signal.setitimer(signal.ITIMER_REAL, 10)
+        start = time.perf_counter()
+        try:
+            TARGETS[kind](data)
+        except BaseException:
+            print(f"{kind} input {number}: {data[:200]!r}", file=sys.stderr)
+            raise
+        slowest = max(slowest, (time.perf_counter() - start, number))
+        assert slowest[0] < SECONDS, f"{kind} input {number} took {slowest[0]:.1f} s"
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(
+        f"{kind}: {runs} inputs from {first} in {time.perf_counter() - begun:.0f} s, "
+        f"the slowest {slowest[0] * 1000:.0f} ms (input {slowest[1]}), {peak:.0f} MB"
+    )
+
+
+def main() -> int:
+    """Distribute the inputs over jobs; return 1 if there is a finding."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("kind", choices=list(TARGETS))
+    parser.add_argument("runs", type=int, nargs="?", default=200_000)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1)
+    given = parser.parse_args()
+    if given.jobs == 1:
+        run(given.kind, given.runs, given.first)
+        return 0
+    share = -(-given.runs // given.jobs)
+    command = [sys.executable, "-m", "checks", "fuzz-files", given.kind, str(share), "--first"]
+    firsts = range(given.first, given.first + share * given.jobs, share)
+    jobs = [subprocess.Popen([*command, str(first)]) for first in firsts]
+    return max(bool(job.wait()) for job in jobs)

@@ -1,0 +1,199 @@
+"""Kills of runs at random times, and the loss in their logs.
+
+    python -m checks kills serve 200 --jobs 3
+    python -m checks kills run 40 --jobs 3
+
+`serve` is polled for its sensors by a host, in real time, until it is killed; the loss is the wall time
+before the kill that is missing in the recovered log, by its last sample and by its last reply. `run` goes in
+lock-step and prints its simulated time after each cycle; the loss is the missing simulated time.
+Each log must be recovered by `khep-twin recover`, be opened by mcap's own reader, and hold the same replies
+that the host has seen. The exit status is 1 if one did not, or lost more than the limit.
+"""
+
+import argparse
+import os
+import random
+import select
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.reader import make_reader
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.log.channels import TextLine
+from khep_twin.log.decoding import read_line
+
+MOST_LOST = {"serve": 1.0, "run": 5.0}
+"""Largest loss of a log: wall time for `serve`, simulated time for `run` [s]."""
+
+LATEST_KILL = 3.0
+"""Latest wall time of a kill after the first output [s]."""
+
+PATIENCE = 60.0
+"""Timeout on a busy machine [s]."""
+
+CONTROLLER = """import os
+
+def controller(robot):
+    robot.proximity()
+    os.write(1, b"%.9f\\n" % robot.time)
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Kill:
+    """Results of one kill.
+
+    Attributes:
+        lost: Time lost before the kill, by the last sample [s].
+        lost_replies: Time lost by the last reply, with the pause between two replies [s].
+        stall: Longest pause between two outputs, which a busy machine may cause [s].
+        whole: True if the file was recovered as a whole, and not in part.
+    """
+
+    lost: float
+    lost_replies: float
+    stall: float
+    whole: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """Content of a recovered log: time of the last sample [s], and the robot's replies."""
+
+    last_sample: float
+    replies: Sequence[TextLine]
+    whole: bool
+
+
+def kill_serve(folder: Path, after: float) -> Kill:
+    """Serve a twin, poll it and kill it after so many seconds."""
+    log = folder / "run.mcap"
+    command = [sys.executable, "-m", "khep_twin", "serve", "obstacles", "--log", str(log)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
+        assert server.stdout is not None
+        try:
+            assert select.select([server.stdout], [], [], PATIENCE)[0], "nothing was served"
+            path = server.stdout.readline().strip()
+            start = time.monotonic()
+            heard = _poll(path, start + after)
+            killed = time.monotonic()
+        finally:
+            server.kill()
+    found = _recover(log)
+    times = [start, *(at for at, _ in heard)]
+    recorded = [line.text for line in found.replies]
+    known = min(len(recorded), len(heard))
+    # The last reply may still have been on the line when the host was asked for the last time.
+    assert recorded[:known] == [text for _, text in heard][:known], "other replies than the host's"
+    # The last reply in both relates simulated time to wall time; without one, the start does.
+    at, simulated = (
+        (heard[known - 1][0], found.replies[known - 1].time_ns / NS_PER_S) if known else (start, 0)
+    )
+    by_sample = killed - at - (found.last_sample - simulated)
+    by_reply = killed - times[known] if known < len(heard) else 0.0
+    stall = max(after - before for before, after in zip(times, [*times[1:], killed], strict=True))
+    return Kill(by_sample, by_reply, stall, found.whole)
+
+
+def _poll(path: str, until: float) -> list[tuple[float, str]]:
+    """Poll the sensors repeatedly; return the time of completion and the text of each reply."""
+    port = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    heard: list[tuple[float, str]] = []
+    try:
+        while time.monotonic() < until:
+            os.write(port, b"N\n")
+            reply = b""
+            while not reply.endswith(b"\n"):
+                if not select.select([port], [], [], max(until - time.monotonic(), 0))[0]:
+                    return heard
+                reply += os.read(port, 4096)
+            heard.append((time.monotonic(), reply.decode("ascii").rstrip()))
+        return heard
+    finally:
+        # Closing after the kill would be the same; a host that disconnects first loses nothing.
+        os.close(port)
+
+
+def kill_run(folder: Path, after: float) -> Kill:
+    """Run a controller in lock-step and kill it after so many seconds."""
+    log, controller = folder / "run.mcap", folder / "ask.py"
+    controller.write_text(CONTROLLER)
+    command = [sys.executable, "-m", "khep_twin", "run", str(controller), "--playpen", "obstacles"]
+    command += ["--seconds", "9999", "--log", str(log)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        assert process.stdout is not None
+        told = b""
+        try:
+            assert select.select([process.stdout], [], [], PATIENCE)[0], "nothing was run"
+            until = time.monotonic() + after
+            while (rest := until - time.monotonic()) > 0:
+                if select.select([process.stdout], [], [], rest)[0]:
+                    told = (told + os.read(process.stdout.fileno(), 65536))[-100:]
+        finally:
+            process.kill()
+        told = (told + process.stdout.read())[-100:]
+    found = _recover(log)
+    reached = float(told.splitlines()[-1])
+    last_reply = found.replies[-1].time_ns / NS_PER_S if found.replies else 0.0
+    return Kill(reached - found.last_sample, reached - last_reply, 0.0, found.whole)
+
+
+def _recover(log: Path) -> Recovered:
+    """Recover a killed run's log by the command and read it by mcap's own reader."""
+    part = log.with_name(log.name + ".part")
+    command = [sys.executable, "-m", "khep_twin", "recover", str(part)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode in (0, 3), done
+    last_ns, replies = 0, []
+    with log.open("rb") as file:
+        for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            if channel.topic == "/tf":
+                last_ns = message.log_time
+            elif channel.topic.endswith("/serial"):
+                line = read_line(message.data)
+                replies += [line] if line.name == "robot" else []
+    return Recovered(last_ns / NS_PER_S, replies, done.returncode == 0)
+
+
+KILLS = {"serve": kill_serve, "run": kill_run}
+
+
+def kill(what: str, seed: int, latest: float = LATEST_KILL) -> Kill:
+    """Kill one run, in its own folder, at a time drawn from the seed."""
+    with tempfile.TemporaryDirectory(prefix="khep-twin-kills-") as folder:
+        return KILLS[what](Path(folder), random.Random(seed).uniform(0, latest))
+
+
+def main() -> int:
+    """Kill the requested number of runs and print the losses."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", choices=sorted(KILLS), nargs="?", default="serve")
+    parser.add_argument("count", type=int, nargs="?", default=200)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=0)
+    wish = parser.parse_args()
+    seeds = range(wish.seed, wish.seed + wish.count)
+    with ThreadPoolExecutor(wish.jobs) as pool:
+        kills = list(pool.map(lambda seed: kill(wish.what, seed), seeds))
+    lost = [max(each.lost, 0.0) for each in kills]
+    replies = [max(each.lost_replies, 0.0) for each in kills]
+    late = sum(max(pair) > MOST_LOST[wish.what] for pair in zip(lost, replies, strict=True))
+    whole = sum(each.whole for each in kills)
+    print(f"{wish.what} killed {len(kills)} times, all recovered, {whole} as a whole")
+    for name, values in (("samples", lost), ("replies", replies)):
+        print(
+            f"lost by {name} [s]: min {min(values):.3f}  mean {statistics.mean(values):.3f}  "
+            f"median {statistics.median(values):.3f}  max {max(values):.3f}"
+        )
+    if wish.what == "serve":
+        print(f"longest pause between two replies {max(each.stall for each in kills):.3f} s")
+    print(f"{late} lost more than {MOST_LOST[wish.what]:.1f} s")
+    return 1 if late else 0

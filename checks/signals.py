@@ -1,0 +1,249 @@
+"""Ends of commands by signals at random moments: exit status and remains.
+
+    python -m checks signals 1000 --jobs 2
+
+Each command is started and sent SIGINT, SIGTERM or SIGHUP: in one half of the cases within LATEST of its
+start, in the other within LATEST of its first output. It has to end within LONGEST, by itself or by the
+signal, with the corresponding exit status, without a traceback; a log has to be whole, and no unfinished
+file, link, note of a server, temporary file or process may be left. Otherwise the exit status is 1.
+"""
+
+import argparse
+import os
+import random
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.reader import make_reader
+
+LONGEST = 4.0
+"""Longest time from the signal to the end [s]."""
+
+LATEST = 2.5
+"""Longest time from the start, or from the first output, to the signal [s]."""
+
+PATIENCE = 600.0
+"""Timeout of the first output on a busy machine [s]."""
+
+HANGS = """import time
+
+def controller(robot):
+    robot.set_speed(5, 5)
+    while True:
+        try:
+            time.sleep(1000)
+        except BaseException:
+            pass
+"""
+
+STUDY = """version = 1
+name = "study"
+playpens = ["default"]
+controllers = ["braitenberg"]
+seeds = 4000
+seconds = 20
+step_ms = 10
+rollouts_per_task = 20
+output = "out"
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A command to be ended.
+
+    Attributes:
+        words: Words of the command line.
+        life: File that exists once it has begun; empty for the first line of its output.
+        good: Valid exit status after a signal, besides that of the signal.
+    """
+
+    words: Sequence[str]
+    life: str = ""
+    good: int | None = None
+
+
+KINDS = {
+    "run": Kind(
+        ["run", "--playpen", "obstacles", "--seconds", "1e6", "--log", "run.mcap"], life="run.mcap.part"
+    ),
+    "run that hangs": Kind(["run", "hangs.py", "--log", "run.mcap"], life="run.mcap.part"),
+    "series": Kind(
+        ["run", "--cycles", "100", "--runs", "9999", "--save", "series", "--log", "run.mcap"],
+        life="series/runs.csv",
+    ),
+    "serve": Kind(["serve", "--log", "run.mcap", "--link", "./robot"], good=0),
+    "design": Kind(["design", "--no-browser"], good=0),
+    "sweep": Kind(["sweep", "study.toml", "--workers", "1"], life="out/study.json"),
+    "sense": Kind(
+        ["sense", "khep://default?log=run.mcap", "--linear", "10", "--runs", "100", "-o", "test.csv"],
+        life="run.mcap.part",
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """End of a command.
+
+    Attributes:
+        took: Time from the signal to the end [s].
+        faults: Faults found.
+        early: True if it ended during Python's own start, by Python's traceback.
+    """
+
+    took: float
+    faults: Sequence[str]
+    early: bool = False
+
+
+def end(name: str, seed: int, *, begun: bool | None = None) -> End:
+    """Start a command, send it a signal and check the remains.
+
+    Args:
+        name: Name of the kind.
+        seed: Seed of signal and moment.
+        begun: True if the signal waits for the first output; None for a random choice.
+    """
+    rng = random.Random(seed)
+    number = rng.choice([signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+    begun = rng.random() < 0.5 if begun is None else begun
+    after = rng.uniform(0, LATEST)
+    kind = KINDS[name]
+    with tempfile.TemporaryDirectory(prefix="khep-twin-signals-") as top:
+        folder, private = Path(top) / "work", Path(top) / "private"
+        folder.mkdir()
+        private.mkdir(mode=0o700)
+        (folder / "hangs.py").write_text(HANGS)
+        (folder / "study.toml").write_text(STUDY)
+        given = {path.name for path in folder.iterdir()}
+        environment = os.environ | {"XDG_RUNTIME_DIR": str(private), "TMPDIR": str(private)}
+        with subprocess.Popen(
+            [sys.executable, "-m", "khep_twin", *kind.words],
+            cwd=folder,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+            preexec_fn=_hear,
+        ) as process:
+            try:
+                if begun:
+                    _await(process, folder, kind.life)
+                time.sleep(after)
+                process.send_signal(number)
+                sent = time.monotonic()
+                _, errors = process.communicate(timeout=PATIENCE)
+                took = time.monotonic() - sent
+            finally:
+                process.kill()
+        told = errors.decode("utf-8", "replace")
+        # Python's own start is not the program's fault.
+        early = "Traceback" in told and "khep_twin/__main__" not in told and "cli" not in told
+        faults: list[str] = []
+        if took > LONGEST:
+            faults.append(f"took {took:.2f} s")
+        if not early and process.returncode not in (128 + number, -number, kind.good):
+            faults.append(f"status {process.returncode} of signal {number}: {told}")
+        if not early and any(word in told for word in ("Traceback", "Exception", "Error")):
+            faults.append(told)
+        faults += _left(folder, private, given) + _logs(folder)
+        faults += [f"process {line}" for line in _processes(process.pid)]
+        if begun and kind.life == "run.mcap.part" and not (folder / "run.mcap").exists():
+            faults.append("no log")
+    return End(took, faults, early)
+
+
+def _hear() -> None:
+    """Restore the signals that the parent process may have disabled."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
+def _await(process: "subprocess.Popen[bytes]", folder: Path, life: str) -> None:
+    """Wait for the first output."""
+    until = time.monotonic() + PATIENCE
+    if not life:
+        assert process.stdout is not None
+        process.stdout.read(1)
+    while life and not (folder / life).exists():
+        assert time.monotonic() < until, "it has not begun"
+        assert process.poll() is None, "it has ended"
+        time.sleep(0.01)
+
+
+def _left(folder: Path, private: Path, given: set[str]) -> list[str]:
+    """Return the names of forbidden remains."""
+    found = [path for path in folder.rglob("*") if path.name not in given]
+    left = [path for path in found if path.name.startswith(".") or ".part" in path.name or path.is_symlink()]
+    left += [path for path in private.rglob("*") if path != private / "khep_twin"]
+    return [f"left {path.name}" for path in left]
+
+
+def _logs(folder: Path) -> list[str]:
+    """Return the faults of logs, by mcap's own reader."""
+    faults: list[str] = []
+    for path in folder.glob("*.mcap"):
+        with path.open("rb") as file:
+            try:
+                reader = make_reader(file, validate_crcs=True)
+                count = sum(1 for _ in reader.iter_messages())
+                summary = reader.get_summary()
+                if summary is None or summary.statistics is None:
+                    faults.append(f"{path.name}: has no summary")
+                elif summary.statistics.message_count != count:
+                    faults.append(f"{path.name}: {count} messages, {summary.statistics.message_count} told")
+            except Exception as error:  # any fault of the log
+                faults.append(f"{path.name}: {error!r}")
+    return faults
+
+
+def _processes(session: int) -> list[str]:
+    """Return the names of the remaining processes of a session."""
+    found: list[str] = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            state, _, _, its_session = (folder / "stat").read_text().rpartition(")")[2].split()[:4]
+            if int(its_session) == session and state != "Z":
+                found.append((folder / "cmdline").read_bytes().replace(b"\0", b" ").decode())
+        except (OSError, ValueError):
+            continue
+    return found
+
+
+def main() -> int:
+    """Run the requested number of cases and print the results."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("count", type=int, nargs="?", default=1000)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", choices=[*KINDS])
+    wish = parser.parse_args()
+    names = [wish.only] if wish.only else [*KINDS]
+    cases = [(names[i % len(names)], wish.seed + i) for i in range(wish.count)]
+
+    def one(case: tuple[str, int]) -> End:
+        ended = end(*case)
+        for fault in ended.faults:
+            print(f"{case[0]}, seed {case[1]}: {fault}", flush=True)
+        return ended
+
+    with ThreadPoolExecutor(wish.jobs) as pool:
+        ends = list(pool.map(one, cases))
+    for name in names:
+        took = [each.took for each, case in zip(ends, cases, strict=True) if case[0] == name]
+        print(
+            f"{name}: {len(took)} signals, ended after [s]: median {statistics.median(took):.2f}  "
+            f"max {max(took):.2f}"
+        )
+    faulty, early = sum(bool(each.faults) for each in ends), sum(each.early for each in ends)
+    print(f"{len(ends)} signals, {faulty} with faults, {early} amid Python's own start")
+    return 1 if faulty else 0

@@ -1,0 +1,211 @@
+"""Seeded simulation of the whole system.
+
+    python -m checks simulate run --hours 10             all scenarios in turn, seeds from 0
+    python -m checks simulate run serve --hours 1 --first 500
+    python -m checks simulate one serve 17               one seed, as a violation names it
+    python -m checks simulate mutants                    every mutant until it is caught, and shrunk
+    python -m checks simulate coverage                   lines of ports, log and host that are run
+
+A violation is shrunk to the fewest faults, printed as a command, and kept in out/simulate for
+tests/checks/regressions. The exit status is 1 if there was one, or if a mutant was not caught.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from itertools import count, islice
+from pathlib import Path
+
+from checks.simulate.case import SECONDS, Case
+from checks.simulate.catalogue import mutants, scenarios
+from checks.simulate.many import caught, in_processes, timed
+from checks.simulate.shrink import shrunk
+
+FOUND = Path("out/simulate")
+"""Folder of the cases that violate an invariant."""
+
+MOST_FAULTS = 5
+"""Most faults of a shrunk mutant."""
+
+SECONDS_COVERED = 120.0
+"""Simulated time of a seed where lines are counted [s]."""
+
+HOURS_COVERED = 2.0
+"""Simulated time in which lines are counted [h]: six or seven seeds of each scenario."""
+
+PACKAGES = ("ports", "log", "host")
+"""Packages whose lines are counted."""
+
+LEAST_COVERED = 85
+"""Least share of their lines that the scenarios must run [%]."""
+
+LEFT_OUT = "khep_twin/log/viewer"
+"""Folder whose lines are not counted: rerun's own threads and sockets stay outside the simulated kernel."""
+
+
+def main() -> int:
+    """Run the command; return the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m checks simulate",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parsers = parser.add_subparsers(required=True)
+    for name, function in {"run": run, "one": one, "mutants": run_mutants, "coverage": coverage}.items():
+        sub = parsers.add_parser(name, help=function.__doc__)
+        sub.set_defaults(function=function)
+        if name == "one":
+            sub.add_argument("scenario", choices=scenarios())
+            sub.add_argument("seed", type=int)
+            sub.add_argument("--mutant", default="", choices=mutants(), help="broken build to run")
+            sub.add_argument("--faults", help="names of the faults that happen, with commas between; all")
+        else:
+            known = mutants() if name == "mutants" else scenarios()
+            sub.add_argument("names", nargs="*", choices=[*known, []], metavar="NAME", help=", ".join(known))
+            sub.add_argument("--first", type=int, default=0, help="first seed")
+        if name in ("run", "coverage"):
+            usual = HOURS_COVERED if name == "coverage" else 1.0
+            sub.add_argument("--hours", type=float, default=usual, help="simulated time [h]")
+        if name in ("run", "mutants"):
+            sub.add_argument(
+                "--jobs", type=int, default=os.cpu_count(), help="number of processes; 0: this one"
+            )
+            sub.add_argument("--json", type=Path, help="file for the figures")
+        if name == "run":
+            sub.add_argument("--no-shrink", dest="shrink", action="store_false", help="name violations only")
+        own = {"mutants": None, "coverage": SECONDS_COVERED}.get(name, SECONDS)
+        sub.add_argument("--seconds", type=float, default=own, help="simulated time of a seed [s]")
+    options = parser.parse_args()
+    return options.function(options)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run scenarios under seed after seed."""
+    begun = time.monotonic()
+    hours, spent_s = Counter[str](), Counter[str]()
+    counts, seeds = Counter[str](), Counter[str]()
+    found: list[Case] = []
+    for case, outcome, case_s in in_processes(timed, _cases(options), options.jobs):
+        hours[case.scenario] += outcome.simulated_ns / 3.6e12
+        spent_s[case.scenario] += case_s
+        seeds[case.scenario] += 1
+        counts.update({f"{case.scenario} {name}": number for name, number in outcome.counts.items()})
+        if outcome.violation is not None:
+            print(f"{case.scenario} seed {case.seed}: {outcome.violation}", flush=True)
+            found.append(_kept(shrunk(case, outcome)) if options.shrink else case)
+        _tell(f"{hours.total():.1f} of {options.hours:g} h, {seeds.total()} seeds, {len(found)} violations")
+    figures = {
+        "hours": round(hours.total(), 3),
+        "seeds": dict(seeds),
+        "wall_s": round(time.monotonic() - begun, 1),
+        "counts": dict(sorted(counts.items())),
+        "violations": [each.command() for each in found],
+        "commit": _commit(),
+    }
+    _write(options.json, figures)
+    for name in seeds:
+        speed = f"{3600 * hours[name] / spent_s[name]:.0f} simulated s per s of processor time"
+        print(f"{name}: {hours[name]:.1f} h, {seeds[name]} seeds, {speed}")
+    for name, number in figures["counts"].items():
+        print(f"  {name}: {number}")
+    print(f"{hours.total():.1f} simulated hours in {figures['wall_s']:.0f} s, {len(found)} violations")
+    return 1 if found else 0
+
+
+def one(options: argparse.Namespace) -> int:
+    """Run one seed and print its outcome."""
+    faults = None if options.faults is None else tuple(filter(None, options.faults.split(",")))
+    case = Case(options.scenario, options.seed, options.seconds, options.mutant, faults)
+    outcome = case.run()
+    for fault in outcome.faults:
+        print(fault)
+    print(json.dumps(outcome.counts))
+    print(outcome.violation or f"no violation in {outcome.simulated_ns / 1e9:.0f} simulated seconds")
+    return 1 if outcome.violation else 0
+
+
+def run_mutants(options: argparse.Namespace) -> int:
+    """Run mutants until they are caught, and shrink what catches them."""
+    names = options.names or [*mutants()]
+    missed, rows = 0, list[dict[str, object]]()
+    searches = [(name, options.first, options.seconds) for name in names]
+    for name, case, simulated_s in in_processes(caught, searches, options.jobs):
+        n_faults = None if case is None else len(case.faults or ())
+        if case is None or n_faults is None or n_faults > MOST_FAULTS:
+            missed += 1
+        if case is None:
+            print(f"{name}: not caught in {simulated_s:.0f} s", flush=True)
+        else:
+            _kept(case)
+            print(
+                f"{name}: {case.invariant}, seed {case.seed}, {simulated_s:.0f} s, {n_faults} faults",
+                flush=True,
+            )
+        seed = None if case is None else case.seed
+        rows.append({"mutant": name, "seed": seed, "simulated_s": simulated_s, "faults": n_faults})
+    _write(options.json, {"mutants": rows, "commit": _commit()})
+    print(f"{len(names) - missed} of {len(names)} mutants caught, with {MOST_FAULTS} faults or fewer")
+    return 1 if missed else 0
+
+
+def coverage(options: argparse.Namespace) -> int:
+    """Print the share of the lines of the ports, the log and the host library that scenarios run."""
+    with tempfile.TemporaryDirectory() as folder:
+        counted = f"{folder}/counted"
+        measure = [sys.executable, "-m", "coverage"]
+        ran = subprocess.run(
+            [
+                *(*measure, "run", f"--data-file={counted}", "--concurrency=greenlet"),
+                "--source=" + ",".join(f"khep_twin.{name}" for name in PACKAGES),
+                *("-m", "checks", "simulate", "run", *options.names, "--jobs", "0"),
+                *("--hours", str(options.hours), "--first", str(options.first)),
+                *("--seconds", str(options.seconds)),
+            ],
+            check=False,
+        )
+        print(f"{LEFT_OUT} is not counted: rerun's own threads and sockets cannot be simulated")
+        shown = ["--show-missing", f"--omit=*/{LEFT_OUT}/*", f"--fail-under={LEAST_COVERED}"]
+        told = subprocess.run([*measure, "report", f"--data-file={counted}", *shown], check=False)
+        return ran.returncode or told.returncode
+
+
+def _cases(options: argparse.Namespace) -> Iterator[Case]:
+    """Yield cases, a seed of each scenario in turn, for so many simulated hours."""
+    n_cases = max(round(options.hours * 3600 / options.seconds), 1)
+    names = options.names or [*scenarios()]
+    seeds = count(options.first)
+    turns = (Case(name, seed, options.seconds) for seed in seeds for name in names)
+    return islice(turns, n_cases)
+
+
+def _kept(case: Case) -> Case:
+    """Keep a case that fails, and print the command for it."""
+    FOUND.mkdir(parents=True, exist_ok=True)
+    path = FOUND / f"{case.mutant or case.scenario}-{case.invariant}-{case.seed}.toml"
+    case.write(path)
+    print(f"  {case.command()}", flush=True)
+    return case
+
+
+def _tell(text: str) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{text}", end="", file=sys.stderr, flush=True)
+
+
+def _write(path: Path | None, figures: dict[str, object]) -> None:
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+
+
+def _commit() -> str:
+    done = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
+    )
+    return done.stdout.strip()

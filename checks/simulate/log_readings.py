@@ -1,0 +1,44 @@
+"""Readings of a finished log in every way that the product has; they must agree."""
+
+from pathlib import Path
+
+from checks.simulate.simulation import Simulation
+from khep_twin.log.attached import calibration_of, playpen_of, shapes_of
+from khep_twin.log.exchanges import Dialogue
+from khep_twin.log.reader import hash_of, read, read_arrays, read_heads, read_pieces, read_series
+from khep_twin.log.transcript import bytes_of
+
+
+def read_in_every_way(simulation: Simulation, path: Path, has_world: bool) -> None:
+    """Read a log as a whole, in pieces, by its heads, and as exchanges; compare what is read.
+
+    Args:
+        simulation: Simulation.
+        path: Path of the log.
+        has_world: True for a twin's log, which has samples and a scene.
+    """
+    whole, heads = read_series(path), read_heads(path)
+    label = whole.label
+    pieces = list(read_pieces(path, lambda _: None))
+    arrays = read_arrays(path)[1]
+    for topic, series in whole.series.items():
+        in_pieces = sum(len(piece.series[topic].times_ns) for piece in pieces if topic in piece.series)
+        if in_pieces != len(series.times_ns) or topic not in heads.series:
+            simulation.violate("recovery", f"{path.name}: {topic} differs by the way of its reading")
+        if topic in arrays and (arrays[topic][0] != series.times_ns).any():
+            simulation.violate("recovery", f"{path.name}: {topic} has other times as arrays")
+    for topic, lines in whole.lines.items():
+        if [line for piece in pieces for line in piece.lines.get(topic, [])] != lines:
+            simulation.violate("recovery", f"{path.name}: {topic} has other lines in pieces")
+        if topic.endswith("/serial"):
+            dialogue, found = Dialogue(), 0
+            for line in lines:
+                found += len(dialogue.feed(line.time_ns, line.name == "host", bytes_of(line.text) + b"\n"))
+            simulation.count("exchanges", found + len(dialogue.close()))
+    hash_of(path)
+    if has_world:
+        read(path)
+        playpen_of(label.attachments, path)
+        shapes_of(label.attachments, label.robots, path)
+        for robot in label.robots:
+            calibration_of(label.attachments, robot, path)

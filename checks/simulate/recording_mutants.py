@@ -1,0 +1,124 @@
+"""Broken builds of the recorder, of recovery and of repetition, which the scenario `record` must catch."""
+
+# The breaks replace private functions.
+# pyright: reportPrivateUsage=false
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext, suppress
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+from checks.simulate.mutants import Mutant
+from khep_twin.lab.experiment import repeat as repetition
+from khep_twin.log import log_file, part_file, recorder
+from khep_twin.log.log_file import LogFile
+from khep_twin.log.mcap_recovery import WholeRecords
+from khep_twin.log.part_file import PartFile
+from khep_twin.log.recorder import Recorder
+from khep_twin.log.transcript import Transcript
+from khep_twin.ports.serve import Flush
+
+Broken = Callable[[], AbstractContextManager[object]]
+
+
+def _replaced(owner: object, name: str, function: object) -> Broken:
+    """Return a break that puts another function in the place of one."""
+    return lambda: patch.object(owner, name, function)
+
+
+def _nothing(*_: object) -> None:
+    """Do nothing."""
+
+
+def _write_once(self: Any, data: bytes) -> int:
+    """Take a short write for a whole one."""
+    part_file.os.write(self._descriptor, data)
+    self._size += len(data)
+    return len(data)
+
+
+def _write_without_truncation(self: Any, data: bytes) -> int:
+    """Leave what was written of a record that does not fit, and go on after it."""
+    rest = memoryview(data)
+    try:
+        while rest:
+            rest = rest[part_file.os.write(self._descriptor, rest) :]
+    except OSError:
+        rest = rest[:0]
+    self._size += len(data)
+    return len(data)
+
+
+def _finish_early(self: Any) -> None:
+    """Rename a log before its summary is written."""
+    with self.guarded():
+        log_file.os.replace(self.part, self._target)
+        self._writer.finish()
+        self._close()
+
+
+def _finish_without_fsync(self: Any) -> None:
+    """Rename a log before it is on the disk."""
+    with self.guarded():
+        self._writer.finish()
+        log_file.os.replace(self.part, self._target)
+        self._close()
+
+
+_messages = WholeRecords.messages
+
+
+def _without_last(self: Any, *arguments: Any) -> Iterator[Any]:
+    """Drop the last piece of a log."""
+    self._pieces = self._pieces[:-1]
+    return _messages(self, *arguments)
+
+
+_write_lines = Transcript.write
+
+
+def _lose_a_line(self: Any) -> None:
+    """Forget the last bytes at a flush, if there are many."""
+    if len(self._heard) > 5:
+        self._heard.pop()
+    _write_lines(self)
+
+
+def _forget_failures(self: Any) -> Any:
+    """Go on after an error of the file as if nothing had happened."""
+    return suppress(OSError)
+
+
+def _remove(part: Path) -> Path | None:
+    """Remove what an earlier run has left."""
+    part.unlink(missing_ok=True)
+    return None
+
+
+_broken: dict[str, tuple[str, Broken]] = {
+    "a short write is taken for whole": ("recovery", _replaced(PartFile, "write", _write_once)),
+    "a failed write is not taken back": ("recovery", _replaced(PartFile, "write", _write_without_truncation)),
+    "the next run overwrites the remains": (
+        "leftovers",
+        _replaced(log_file, "set_aside", _remove),
+    ),
+    "logs are renamed before the summary": ("recovery", _replaced(LogFile, "finish", _finish_early)),
+    "logs are renamed before they are on the disk": (
+        "recovery",
+        _replaced(LogFile, "finish", _finish_without_fsync),
+    ),
+    "lock-step runs are hardly ever flushed": ("recovery", _replaced(recorder, "_BATCH", 10**9)),
+    "served runs are never flushed": ("recovery", _replaced(Flush, "__call__", _nothing)),
+    "a recovery drops the last piece": ("recovery", _replaced(WholeRecords, "messages", _without_last)),
+    "a flush loses a line": ("recovery", _replaced(Transcript, "write", _lose_a_line)),
+    "errors of the file are swallowed": ("leftovers", _replaced(LogFile, "guarded", _forget_failures)),
+    "errors of the file are not put into words": (
+        "errors",
+        _replaced(LogFile, "guarded", lambda _: nullcontext()),
+    ),
+    "host events are left out": ("recovery", _replaced(Recorder, "on_host_event", _nothing)),
+    "repetition repeats nothing": ("repeat", _replaced(repetition, "repeat_event", _nothing)),
+}
+
+MUTANTS = {name: Mutant("record", *broken, seconds=600) for name, broken in _broken.items()}

@@ -1,0 +1,1 @@
+"""Stand-ins for real robots: twins with hidden differences, and the hosts that drive them."""

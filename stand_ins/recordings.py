@@ -1,0 +1,169 @@
+"""Stand-in robots: recordings of a robot's line as a relay makes them, with the truth beside them.
+
+A twin with hidden differences stands in for a robot: another robot of the same make, faults, and changes of
+its world that the playpen does not tell. A scripted host asks N and sets speeds, one exchange at a time. The
+log NAME.mcap has what crossed the line alone, with the times at which a relay passes it on; NAME.npz the
+truth. Simulated time is the only clock, so a recording is the same each time.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.board import fault_injection
+from khep_twin.clock import to_ns
+from khep_twin.log.line_recorder import LineRecorder
+from khep_twin.playpen import Playpen
+from khep_twin.playpen.starts import Start, at_spots, at_start, no_room
+from khep_twin.randomness import stream
+from stand_ins.hidden_changes import Change, LampMoved, reachable
+from stand_ins.hosts import HOSTS
+from stand_ins.runs import BAUD, Run, converse, noticeable
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Truth of a recording.
+
+    A hidden change is noticeable from the first reply on that differs from that of a second world, which has
+    the same seed and everything else, and gets the same bytes at the same times, but not this change. It
+    differs if
+
+    - a count of N or O is off by more than 100 counts and more than 25 % of the larger one, a counter of H by
+      more than 100 pulses, in this reply and, in the same channel, in the next to the same command;
+    - or it is missing, malformed or of another kind, or its first byte comes more than 10 ms late, or another
+      line such as a banner comes before it.
+
+    Attributes:
+        times_ns: Times of the poses, every 20 ms (n,) [ns].
+        poses: x, y [m] and heading [rad] (n, 3).
+        start: Pose at the start (3,).
+        told: Pose at the start that the twin is told (3,).
+        hidden: Faults and changes, in words (k,).
+        changed_ns: Time of each (k,) [ns]; -1 if there was no room for it.
+        ended_ns: End of each (k,) [ns]; -1 if it does not end.
+        noticeable_ns: Arrival of the first reply that each changes noticeably (k,) [ns]; -1 if none is.
+    """
+
+    times_ns: NDArray[np.int64]
+    poses: NDArray[np.float64]
+    start: NDArray[np.float64]
+    told: NDArray[np.float64]
+    hidden: NDArray[np.str_]
+    changed_ns: NDArray[np.int64]
+    ended_ns: NDArray[np.int64]
+    noticeable_ns: NDArray[np.int64]
+
+    def save(self, path: Path) -> None:
+        """Write it as NumPy's .npz."""
+        np.savez(path, **{each.name: getattr(self, each.name) for each in fields(self)})
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read it from the .npz beside a log."""
+        with np.load(path) as found:
+            return cls(**{each.name: found[each.name] for each in fields(cls)})
+
+
+def record(
+    path: Path,
+    playpen: Playpen,
+    *,
+    seed: int,
+    seconds: float,
+    host: str,
+    asks_counters: bool = False,
+    asks_light: bool = False,
+    vary: bool = True,
+    faults: Sequence[str] = (),
+    changes: Sequence[Change] = (),
+    start: Start | None = None,
+    start_error: Start | None = None,
+) -> Truth:
+    """Record a run of a stand-in robot; return the truth, which is also saved beside the log.
+
+    Args:
+        path: Path of the log, NAME.mcap; the truth goes to NAME.npz.
+        playpen: Playpen of one robot, as the twin is told it.
+        seed: Seed of the robot, the host and all that is drawn.
+        seconds: Length of the recording [s].
+        host: Name of the host in `stand_in_hosts.HOSTS`.
+        asks_counters: Ask H in each cycle, too.
+        asks_light: Ask O in each cycle, too.
+        vary: Draw another robot of the same make.
+        faults: Faults of the robot, in the syntax of `khep_twin.board.fault_injection`.
+        changes: Changes of its world.
+        start: Start that the twin is told; by default the playpen's, or a spot drawn by the seed.
+        start_error: Error of that, in mm and degrees; drawn within 10 mm and 5 degrees if not given.
+    """
+    told = at_spots(playpen, seed) if start is None else at_start(playpen, 0, start)
+    actual = _misplaced(told, seed, start_error)
+    run = Run(actual, seed, vary, faults, changes)
+    asks = [b"N\n", *([b"H\n"] if asks_counters else []), *([b"O\n"] if asks_light else [])]
+    settings = {"relay": "stand-in", "baud": BAUD}
+    recorder = LineRecorder(path, settings, lambda: run.relayed_ns)
+    exchanges = list(
+        converse(run, recorder, stream(seed, "host", "pauses"), HOSTS[host](seed), asks, to_ns(seconds))
+    )
+    recorder.close()
+    seen_ns: list[int] = []
+    for index in range(len(faults) + len(changes)):
+        fewer = [fault for number, fault in enumerate(faults) if number != index]
+        without = _without(run.made, index - len(faults))
+        seen_ns.append(noticeable(exchanges, Run(actual, seed, vary, fewer, without)))
+    parsed = [fault_injection.parse(fault) for fault in faults]
+    starts_ns = [fault.start_ns for fault in parsed]
+    ends_ns = [fault.end_ns if fault.ends else -1 for fault in parsed]
+    truth = Truth(
+        np.array(run.times_ns),
+        np.array(run.poses),
+        np.array(run.poses[0]),
+        np.array(_pose(told)),
+        np.array([*faults, *(str(run.made[i] or each) for i, each in enumerate(changes))], np.str_),
+        np.array([*starts_ns, *(-1 if each is None else to_ns(each.at_s) for each in run.made)], np.int64),
+        np.array([*ends_ns, *[-1] * len(changes)], np.int64),
+        np.array(seen_ns, np.int64),
+    )
+    truth.save(path.with_suffix(".npz"))
+    return truth
+
+
+def _without(made: Sequence[Change | None], index: int) -> list[Change | None]:
+    """Return changes without one of them, and later moves of its lamp, which may have no room then."""
+
+    def stays(number: int, each: Change | None) -> bool:
+        gone = made[index] if index >= 0 else None
+        moved = isinstance(gone, LampMoved) and isinstance(each, LampMoved) and each.lamp == gone.lamp
+        return number != index and not (moved and number > index)
+
+    return [each if stays(number, each) else None for number, each in enumerate(made)]
+
+
+def _misplaced(playpen: Playpen, seed: int, error: Start | None) -> Playpen:
+    """Return the playpen with its robot off by an error; a drawn one is halved until there is room."""
+    entry = playpen.robots[0]
+    if error is None:
+        rng = stream(seed, "stand-in", "start")
+        radius, angle = 10 * math.sqrt(rng.random()), math.tau * rng.random()
+        error = radius * math.cos(angle), radius * math.sin(angle), float(rng.uniform(-5, 5))
+        while no_room(playpen, 0, entry.x_mm + error[0], entry.y_mm + error[1]):
+            error = error[0] / 2, error[1] / 2, error[2]
+    return at_start(playpen, 0, (entry.x_mm + error[0], entry.y_mm + error[1], entry.heading_deg + error[2]))
+
+
+def _pose(playpen: Playpen) -> Start:
+    """Return the start of a playpen's robot in metres and radians."""
+    entry = playpen.robots[0]
+    return entry.x_mm / 1e3, entry.y_mm / 1e3, math.radians(entry.heading_deg)
+
+
+def free_start(playpen: Playpen, seed: int) -> Start:
+    """Return a start that a robot could have driven to from the playpen's own, drawn by the seed."""
+    rng = stream(seed, "stand-in", "free start")
+    places = reachable(at_spots(playpen, seed))
+    return (*places[int(rng.integers(len(places)))], round(float(rng.uniform(-180, 180)), 1))

@@ -1,0 +1,257 @@
+"""Runs of stand-in robots: a hidden world, a host on a recorded line, and comparisons of replies.
+
+The host sends its next command after the whole reply has come. Bytes of the robot are recorded as they arrive
+at the host, those of the host when it sends them, as a relay between the two does.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from khep_twin.board import fault_injection
+from khep_twin.clock import NS_PER_S, to_ns
+from khep_twin.log.line_recorder import LineRecorder
+from khep_twin.playpen import Block, Playpen
+from khep_twin.randomness import stream
+from khep_twin.units import BITS_PER_BYTE, COUNTS_LIMIT, N_SENSORS, SCAN_NS
+from khep_twin.world import World
+from stand_ins.hidden_changes import Added, Change, apply, hide_added, with_added
+from stand_ins.hosts import Host
+
+BAUD = 9600
+
+_TIMEOUT_NS = 300_000_000
+"""Longest wait of a host for a reply, six times the longest reply (assumed)."""
+_PAUSE_NS = 500_000, 3_000_000
+"""Time from a reply to the next command, drawn evenly: the work of program and system (assumed)."""
+_LOOK_NS = 5_000_000
+"""Interval at which a host looks for bytes that nothing announces."""
+_LATE_NS = 10_000_000
+"""Delay of a reply that is noticeable."""
+_REPLY = re.compile(rb"[no](,\d{1,4}){8}|h(,-?\d{1,10}){2}")
+
+
+class Line(NamedTuple):
+    """A line of the robot, and the arrivals of its first and last byte [ns]."""
+
+    text: bytes
+    first_ns: int
+    last_ns: int
+
+
+class Exchange(NamedTuple):
+    """A command, when it was sent [ns], its reply if one came, its end [ns], and a number of other lines."""
+
+    sent_ns: int
+    command: bytes
+    reply: Line | None
+    end_ns: int
+    others: int
+
+
+class Run:
+    """A stand-in robot's world, its hidden changes and the track of its robot.
+
+    Args:
+        playpen: Playpen as it is told, with the robot where it really is.
+        seed: Seed of the robot and of what changes draw.
+        vary: Draw another robot of the same make.
+        faults: Faults of the robot.
+        changes: Changes of its world; None in the place of one that does not happen.
+
+    Attributes:
+        world: World.
+        robot: Its robot.
+        relayed_ns: Time at which the relay has passed on bytes last [ns].
+        times_ns: Times of the poses [ns].
+        poses: x, y [m] and heading [rad].
+        made: Changes as they were made, with their times and what was drawn; None for others.
+    """
+
+    def __init__(
+        self,
+        playpen: Playpen,
+        seed: int,
+        vary: bool,
+        faults: Sequence[str],
+        changes: Sequence[Change | None],
+    ) -> None:
+        wanted = [change for change in changes if change is not None]
+        self.world = World(
+            with_added(playpen, wanted),
+            seed=seed,
+            vary=vary,
+            faults=[fault_injection.parse(fault) for fault in faults],
+            compiled=True,
+        )
+        self.robot = self.world.robots[0]
+        self.relayed_ns = 0
+        self.times_ns: list[int] = []
+        self.poses: list[tuple[float, float, float]] = []
+        self.made: list[Change | None] = [None] * len(changes)
+        self._rng = stream(seed, "stand-in", "changes")
+        self._waiting: list[tuple[int, int, Change, int]] = []
+        counts = {kind: len(items) for kind, items in playpen.objects.items()}
+        for index, change in enumerate(changes):
+            added = 0
+            if isinstance(change, Added):
+                kind = "block" if isinstance(change.item, Block) else "cylinder"
+                added, counts[kind] = counts[kind], counts[kind] + 1
+            if change is not None:
+                self._waiting.append((to_ns(change.at_s), index, change, added))
+        hide_added(self.world, playpen)
+        self._change()
+        # The conversions of time 0 show what is there, or not, from the start.
+        self.world.scan()
+        self._sample()
+
+    def advance_to(self, time_ns: int) -> None:
+        """Advance the world, sample its robot every 20 ms, and make changes that are due."""
+        while (sample_ns := len(self.times_ns) * SCAN_NS) <= time_ns:
+            self.world.advance_to(sample_ns)
+            self._change()
+            self._sample()
+        self.world.advance_to(time_ns)
+
+    def receive(self) -> Iterator[tuple[int, bytes]]:
+        """Yield the bytes that have come from the robot, one by one with their arrivals [ns]."""
+        tx = self.robot.uart.tx
+        while (arrival_ns := tx.next_ns) is not None and arrival_ns <= self.world.time_ns:
+            yield arrival_ns, tx.read(arrival_ns, 1)
+
+    def next_ns(self) -> int:
+        """Return when to look for a reply next [ns]."""
+        tx, now_ns = self.robot.uart.tx, self.world.time_ns
+        length = tx.count_to_end_of(b"\n")
+        end_ns = None if length is None else tx.arrival(length)
+        found = [each for each in (end_ns, self.robot.next_answer_ns()) if each is not None]
+        return max(min([*found, now_ns + _LOOK_NS]), now_ns + 1)
+
+    def _change(self) -> None:
+        for waiting in [each for each in self._waiting if each[0] <= self.world.time_ns]:
+            _, index, change, added = waiting
+            if (made := apply(self.world, change, added, self._rng)) is not None:
+                self._waiting.remove(waiting)
+                self.made[index] = made
+
+    def _sample(self) -> None:
+        self.times_ns.append(self.world.time_ns)
+        self.poses.append(self.robot.pose)
+
+
+def converse(
+    run: Run,
+    recorder: LineRecorder,
+    rng: np.random.Generator,
+    decide: Host,
+    asks: Sequence[bytes],
+    end_ns: int,
+) -> Iterator[Exchange]:
+    """Let a host talk to the robot until a time; record the line and yield the exchanges."""
+    world, lines = run.world, _Lines()
+    counts, speeds = [0] * N_SENSORS, (0, 0)
+
+    def hear() -> Iterator[Line]:
+        """Pass on what has come, and yield its lines."""
+        for arrival_ns, byte in run.receive():
+            run.relayed_ns = arrival_ns
+            recorder.on_bytes(False, byte)
+            if line := lines.feed(arrival_ns, byte):
+                yield line
+
+    while world.time_ns < end_ns:
+        for command in (*asks, b"D,%d,%d\n" % speeds):
+            run.advance_to(world.time_ns + int(rng.integers(*_PAUSE_NS)))
+            others = list(hear())
+            sent_ns = run.relayed_ns = world.time_ns
+            recorder.on_bytes(True, command)
+            run.robot.send(command)
+            reply = None
+            while reply is None and world.time_ns < sent_ns + _TIMEOUT_NS:
+                run.advance_to(min(run.next_ns(), sent_ns + _TIMEOUT_NS))
+                for line in hear():
+                    if _answers(line, command):
+                        reply = line
+                    else:
+                        others.append(line)
+            yield Exchange(sent_ns, command, reply, world.time_ns, len(others))
+            if command == b"N\n" and reply is not None:
+                counts = _values(reply) or counts
+        speeds = decide(counts)
+
+
+def noticeable(exchanges: Sequence[Exchange], run: Run) -> int:
+    """Return when the first reply came that differs noticeably from this world's [ns]; -1 if none does."""
+    lines, others = _Lines(), 0
+    pending: list[Exchange] = []
+    off: dict[bytes, tuple[int, set[int]]] = {}
+    sent = [(each.sent_ns, each) for each in exchanges]
+    for time_ns, exchange in [*sent, (exchanges[-1].end_ns + _TIMEOUT_NS, None)]:
+        run.advance_to(time_ns)
+        for line in filter(None, (lines.feed(*heard) for heard in run.receive())):
+            count = next((i for i, each in enumerate(pending) if _answers(line, each.command)), None)
+            if count is None:
+                others += 1
+                continue
+            for asked, here in zip(pending[: count + 1], [*[None] * count, line], strict=True):
+                if _differs(asked, here) or asked.others > others:
+                    return asked.end_ns
+                channels = _channels_off(asked, here)
+                since_ns, before = off.get(asked.command[:1], (0, set[int]()))
+                if channels & before:
+                    return since_ns
+                off[asked.command[:1]] = asked.end_ns, channels
+            del pending[: count + 1]
+        if exchange is not None:
+            run.robot.send(exchange.command)
+            pending.append(exchange)
+    return -1
+
+
+class _Lines:
+    """Assembler of the robot's lines."""
+
+    def __init__(self) -> None:
+        self._begun, self._first_ns = b"", 0
+
+    def feed(self, arrival_ns: int, byte: bytes) -> Line | None:
+        """Add a byte; return the line that it ends, if any."""
+        if not self._begun:
+            self._first_ns = arrival_ns
+        self._begun += byte
+        if byte != b"\n":
+            return None
+        text, self._begun = self._begun.strip(), b""
+        return Line(text, self._first_ns, arrival_ns)
+
+
+def _answers(line: Line, command: bytes) -> bool:
+    return line.text[:1] == command[:1].lower()
+
+
+def _values(line: Line | None) -> list[int] | None:
+    """Return the numbers of a well-formed reply to N, O or H; None for any other."""
+    if line is None or not (found := _REPLY.fullmatch(line.text)):
+        return None
+    values = [int(field) for field in found[0].split(b",")[1:]]
+    return values if found[0][:1] == b"h" or max(values) <= COUNTS_LIMIT else None
+
+
+def _differs(asked: Exchange, here: Line | None) -> bool:
+    """Return whether a reply is missing, malformed or late, unlike here."""
+    reply = asked.reply
+    if reply is None or here is None:
+        return (reply is None) is not (here is None)
+    if _values(reply) is None or _values(here) is None:
+        return reply.text != here.text
+    least_ns = (len(asked.command) + 1) * BITS_PER_BYTE * NS_PER_S // BAUD + _LATE_NS
+    return reply.first_ns - asked.sent_ns > least_ns >= here.first_ns - asked.sent_ns
+
+
+def _channels_off(asked: Exchange, here: Line | None) -> set[int]:
+    """Return the channels whose values differ noticeably from those here."""
+    pairs = list(zip(_values(asked.reply) or [], _values(here) or [], strict=False))
+    part = 0.0 if asked.command == b"H\n" else 0.25
+    return {i for i, (one, two) in enumerate(pairs) if abs(one - two) > max(100, part * max(one, two))}

@@ -1,0 +1,27 @@
+"""The studies: `python -m studies` lists them, `python -m studies NAME` runs one."""
+
+import sys
+
+from tools.command_table import run
+
+STUDIES = {
+    "fidelity": "fidelity",
+    "behaviour": "behaviour",
+    "infrared-fits": "infrared_fits",
+    "infrared-picture": "infrared_picture",
+    "lamp-fits": "lamp_fits",
+    "lamp-picture": "lamp_picture",
+    "noise-fits": "noise_fits",
+    "fit-intervals": "fit_intervals",
+    "half-scale": "half_scale",
+    "home-test": "home_test",
+    "umbmark": "umbmark",
+    "screening": "screening",
+    "transfer": "transfer",
+    "twin-trials": "twin_trials",
+    "shadow-fits": "shadow_fits",
+}
+"""Module of each name."""
+
+if __name__ == "__main__":
+    sys.exit(run("studies", STUDIES))

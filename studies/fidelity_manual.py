@@ -1,0 +1,242 @@
+"""Comparisons of proximity with the figures of the manuals and other Khepera IIs.
+
+A sensor's distance is that from its own face to a wall; before a Khepera II, from the face that is foremost.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from khep_twin.playpen import Arena, Cylinder, Playpen, RobotEntry
+from khep_twin.playpen.surfaces import Surface
+from khep_twin.sensing import calibration
+from studies.fidelity_comparison import Comparison, Floats, Outcome, at_rest, columns
+from studies.fidelity_proximity import peer_curve, sensor_name
+from studies.infrared_fits import (
+    MANUAL_SURFACES,
+    OBSTACLE_REFLECTANCE,
+    Report,
+    khepera2_report,
+    materials,
+    rms,
+)
+from studies.infrared_picture import PEERS
+
+_FACING = (2, 3), (5,)
+"""Sensors of a Khepera II that face what stands ahead, and what stands at its right side."""
+
+_MANUAL = "Khepera manual 5.02"
+_REPORT = "K-Team's report on the Khepera II, 2002"
+_SIDE_MM = 3000.0
+_SURFACES = {"obstacle": Surface(reflectance=OBSTACLE_REFLECTANCE, rgb=(255, 255, 255))}
+_SIX = range(6)
+"""Sensors of the manual's figures: all but those at the back."""
+
+OBSTACLE_RADIUS_MM, OBSTACLE_MM = 3.5, 15.0
+"""The manual's obstacle of 7 mm, taken as round, and its distance from the sensor's face [mm]."""
+
+
+def face_to_face(name: str, sensor: int, distances_mm: Floats, surface: str = "white") -> Floats:
+    """Return the counts of a sensor whose face is so far from a wall; NaN where the robot would be in it."""
+    robot = _robot(name)
+    heading = math.radians(calibration.read(name)[0].heading_deg[sensor])
+    ahead, left = robot.body.sensor_positions[sensor]
+    away_mm = distances_mm + (ahead * math.cos(heading) + left * math.sin(heading)) * 1e3
+    arena = Arena(width_mm=_SIDE_MM, height_mm=_SIDE_MM, surface=surface)
+    starts = [[_SIDE_MM - away, _SIDE_MM / 2, -math.degrees(heading)] for away in away_mm]
+    clear = away_mm >= robot.body.radius * 1e3
+    counts = np.full(len(away_mm), np.nan)
+    counts[clear] = at_rest(_playpen(arena, robot), np.array(starts)[clear])[0][:, sensor]
+    return counts
+
+
+def figure_11(folder: Path) -> Outcome:
+    """Compare the materials of the manual, by the sensor that meets them best."""
+    measured = {name: curve for name, curve in materials(folder).items() if name in MANUAL_SURFACES}
+
+    def errors(sensor: int) -> Floats:
+        each = [
+            face_to_face("khepera1-manual", sensor, distances * 1e3, MANUAL_SURFACES[name]) - counts
+            for name, (distances, counts) in measured.items()
+        ]
+        return np.concatenate(each)
+
+    return _best({sensor: errors(sensor) for sensor in _SIX})
+
+
+def figure_12(folder: Path) -> Outcome:
+    """Compare a thin obstacle around a sensor, by the sensor that meets it best."""
+    table = columns(folder / "manual_data" / "k1_fig12_proximity_vs_angle_7mm_obstacle_15mm.csv")
+    measured = table["proximity_raw"].astype(float)
+    calibrated, robot = calibration.read("khepera1-manual")[0], _robot("khepera1-manual")
+    middle = _SIDE_MM / 2
+    obstacle = Cylinder(
+        x_mm=middle, y_mm=middle, radius_mm=OBSTACLE_RADIUS_MM, height_mm=50, surface="obstacle"
+    )
+    arena = Arena(width_mm=_SIDE_MM, height_mm=_SIDE_MM)
+    away = OBSTACLE_MM + OBSTACLE_RADIUS_MM
+
+    def errors(sensor: int) -> Floats:
+        ahead, left = (each * 1e3 for each in robot.body.sensor_positions[sensor])
+        outwards = 1 if left > 0 else -1
+        angles = np.radians(calibrated.heading_deg[sensor] + outwards * table["obstacle_angle_deg"])
+        at = np.column_stack([ahead + away * np.cos(angles), left + away * np.sin(angles)])
+        starts = np.column_stack([middle - at, np.zeros(len(at))])
+        return at_rest(_playpen(arena, robot, cylinders=(obstacle,)), starts)[0][:, sensor] - measured
+
+    return _best({sensor: errors(sensor) for sensor in _SIX})
+
+
+def figure_13(folder: Path) -> Outcome:
+    """Compare six sensors before wood."""
+    table = columns(folder / "manual_data" / "k1_fig13_proximity_vs_distance_wood_6sensors.csv")
+    errors: list[Floats] = []
+    others: dict[str, list[Floats]] = {name: [] for name in PEERS}
+    for sensor in _SIX:
+        own = table["sensor"] == f"sensor_{sensor + 1}"
+        distances = table["distance_mm"][own].astype(float)
+        measured = np.minimum(table["proximity_raw"][own], 1023).astype(float)
+        errors.append(face_to_face("khepera1-manual", sensor, distances, "wood") - measured)
+        for name in PEERS:
+            others[name].append(peer_curve(name, distances / 1e3) - measured)
+    return Outcome(rms(errors), None, {name: rms(each) for name, each in others.items()})
+
+
+def khepera2_facing(folder: Path) -> Outcome:
+    """Compare the sensors of a Khepera II that face white paper."""
+    errors: list[Floats] = []
+    others: dict[str, list[Floats]] = {name: [] for name in PEERS}
+    for curve in khepera2_report(folder):
+        if not curve.is_robot and curve.sensor in _FACING[curve.is_aside]:
+            errors.append(_read(curve) - curve.counts)
+            for name in PEERS:
+                others[name].append(peer_curve(name, curve.distances) - curve.counts)
+    return Outcome(rms(errors), None, {name: rms(each) for name, each in others.items()})
+
+
+def khepera2_oblique(folder: Path) -> Outcome:
+    """Compare the sensors of a Khepera II that look past white paper."""
+    errors: list[Floats] = []
+    notes: list[str] = []
+    for curve in khepera2_report(folder):
+        if not curve.is_robot and curve.sensor not in _FACING[curve.is_aside]:
+            modelled, nearest = _read(curve), curve.distances.argmin()
+            errors.append(modelled - curve.counts)
+            notes.append(
+                f"{modelled[nearest]:.0f} for {curve.counts[nearest]:.0f} "
+                f"at {curve.distances[nearest] * 1e3:.0f} mm"
+            )
+    return Outcome(rms(errors), None, note=", ".join(notes))
+
+
+def khepera2_robot(folder: Path) -> Outcome:
+    """Compare a Khepera II before another one."""
+    errors: dict[bool, list[Floats]] = {True: [], False: []}
+    for curve in khepera2_report(folder):
+        if curve.is_robot:
+            errors[curve.sensor in _FACING[curve.is_aside]].append(_read(curve) - curve.counts)
+    facing, oblique = (rms(errors[key]) for key in (True, False))
+    return Outcome(
+        rms([*errors[True], *errors[False]]), None, note=f"facing {facing:.0f}, oblique {oblique:.0f}"
+    )
+
+
+def pykhepera(folder: Path) -> Outcome:
+    """Compare the front sensors of yet another Khepera II that drives away from a wall."""
+    table = columns(folder / "data" / "khepera2_pykhepera_distance_calibration.csv")
+    robot = _robot("khepera2")
+    arena = Arena(width_mm=_SIDE_MM, height_mm=_SIDE_MM)
+    gaps = np.unique(table["dist_index_x10mm_from_start_contact"]).astype(float)
+    starts = [[_SIDE_MM - robot.body.radius * 1e3 - gap, _SIDE_MM / 2, 0.0] for gap in gaps]
+    modelled, _ = at_rest(_playpen(arena, robot), np.array(starts))
+    errors: list[Floats] = []
+    days: list[Floats] = []
+    others: dict[str, list[Floats]] = {name: [] for name in PEERS}
+    for sensor in (2, 3):
+        for gap, counts in zip(gaps, modelled[:, sensor], strict=True):
+            own = (table["sensor"] == sensor) & (table["dist_index_x10mm_from_start_contact"] == gap)
+            measured = table["reading_max_of_2"][own].astype(float)
+            errors.append(np.array([counts - measured.mean()]))
+            days.append(measured - measured.mean())
+            for name in PEERS:
+                others[name].append(peer_curve(name, np.array([gap / 1e3])) - measured.mean())
+    return Outcome(rms(errors), rms(days), {name: rms(each) for name, each in others.items()})
+
+
+def _read(curve: Report) -> Floats:
+    """Return a Khepera II's counts before a wall of white paper or a robot, so far from its foremost face."""
+    robot, sensor = _robot("khepera2"), curve.sensor
+    turn = 90.0 if curve.is_aside else 0.0
+    reach = max(-left if curve.is_aside else ahead for ahead, left in robot.body.sensor_positions) * 1e3
+    arena = Arena(width_mm=_SIDE_MM, height_mm=_SIDE_MM)
+    away = curve.distances * 1e3 + reach
+    if not curve.is_robot:
+        own = [[_SIDE_MM - each, _SIDE_MM / 2, turn] for each in away]
+        return at_rest(_playpen(arena, robot), np.array(own))[0][:, sensor]
+    away = away + robot.body.radius * 1e3
+    both = [[[1000.0, 1500.0, turn], [1000.0 + each, 1500.0, 180.0]] for each in away]
+    other = robot.model_copy(update={"x_mm": 2000.0})
+    return at_rest(_playpen(arena, robot, other), np.array(both))[0][:, sensor]
+
+
+def _best(errors: dict[int, Floats]) -> Outcome:
+    figures = {sensor: rms([each[~np.isnan(each)]]) for sensor, each in errors.items()}
+    best = min(figures, key=lambda sensor: figures[sensor])
+    others = f"{min(figures.values()):.0f} to {max(figures.values()):.0f} by sensor"
+    return Outcome(figures[best], None, note=f"{sensor_name(best)}, the best of six: {others}")
+
+
+def _robot(name: str) -> RobotEntry:
+    model = "khepera2" if name == "khepera2" else "khepera1"
+    return RobotEntry(x_mm=1000, y_mm=1500, heading_deg=0, model=model, calibration=name)
+
+
+def _playpen(arena: Arena, *robots: RobotEntry, cylinders: tuple[Cylinder, ...] = ()) -> Playpen:
+    return Playpen(version=1, name="bench", arena=arena, robot=robots, cylinder=cylinders, surfaces=_SURFACES)
+
+
+COMPARISONS = (
+    Comparison(
+        "materials (figure 11)",
+        _MANUAL,
+        "fitted: optics of the sensor, reflectance of each material",
+        "counts",
+        figure_11,
+    ),
+    Comparison(
+        "obstacle of 7 mm around a sensor (figure 12)",
+        _MANUAL,
+        "fitted: lobe, reflectance of the obstacle",
+        "counts",
+        figure_12,
+    ),
+    Comparison(
+        "wood before six sensors (figure 13)",
+        _MANUAL,
+        "fitted: gain, threshold, offset of each",
+        "counts",
+        figure_13,
+    ),
+    Comparison(
+        "Khepera II, white paper ahead", _REPORT, "fitted: gain, threshold, offset", "counts", khepera2_facing
+    ),
+    Comparison(
+        "another Khepera II, wall ahead",
+        "pykhepera's calibration on five days, Edinburgh 2013; wall of unknown material",
+        "predicted",
+        "counts",
+        pykhepera,
+    ),
+    Comparison(
+        "Khepera II, white paper aside",
+        _REPORT,
+        "fitted: gain, threshold, offset",
+        "counts",
+        khepera2_oblique,
+    ),
+    Comparison(
+        "Khepera II, another robot", _REPORT, "fitted: reflectance of the shell", "counts", khepera2_robot
+    ),
+)
+"""Comparisons with the manuals' figures, in the page's order."""

@@ -1,0 +1,328 @@
+"""Fits of the infrared optics to measured tables, and what is left.
+
+The tables are not part of the project; the environment variable KHEP_TWIN_REFERENCE_DATA names the folder in
+which they lie (data/ and manual_data/). The printed values are those in khep_twin/assets/calibration.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from khep_twin.lab.fit.infrared import Bench, MeasuredTable, Optics, View, level, proximity
+from khep_twin.units import BODIES, COUNTS_LIMIT, N_SENSORS, SENSOR_HEADINGS
+
+Floats = NDArray[np.float64]
+
+CYLINDER_RADIUS = 0.027
+SET_UP_BEARING = np.radians(2.2)
+"""Corrections of the sampled set-up's bearings of wall and cylinder [rad]: they make left and right equal."""
+
+MANUAL_SENSOR = 1
+"""Sensor of the manual's figures 11 and 12, which name none: that of figure 13 which meets them best."""
+
+ROD_RADIUS, ROD_DISTANCE = 0.0035, 0.015
+"""Obstacle of the manual's figure 12 [m], taken as a cylinder; its distance is from the sensor's face."""
+
+MANUAL_SURFACES = {
+    "white plastic": "white",
+    "wood 2": "wood",
+    "green styropor": "styropor",
+    "copper": "copper",
+    "pink sponge": "sponge",
+    "grey plastic": "grey",
+    "black plastic": "black",
+}
+"""Its materials that are built-in surfaces; of its two woods, one is enough."""
+
+OTHER_WOOD, OBSTACLE_REFLECTANCE = 0.82, 1.2
+"""Reflectances of the manual's "wood 1" and of the obstacle of its figure 12, as fitted."""
+
+PEAK_DEG = 6
+"""Largest angle from the peak of readings that count as on axis [degrees]."""
+
+_ON_AXIS_WEIGHT = 8.0
+_PRIOR = 200.0
+_SHARED, _SPREAD = np.array([4.0, 3.0]), np.array([4.0, 1.5])
+"""Offset [mm] and lobe exponent of a usual sensor (assumed), which those of each are drawn to."""
+
+_OFFSET_PRIOR = 3.0
+
+
+def reference() -> Path:
+    """Return the folder of the tables."""
+    folder = os.environ.get("KHEP_TWIN_REFERENCE_DATA")
+    if not folder:
+        sys.exit("KHEP_TWIN_REFERENCE_DATA is not set; expected the folder with data/ and manual_data/")
+    return Path(folder)
+
+
+def sampled(folder: Path) -> list[MeasuredTable]:
+    """Return the readings of the sampled robot before a wall and a cylinder."""
+    tables: list[MeasuredTable] = []
+    for name, radius in (("wall", 0.0), ("round", CYLINDER_RADIUS)):
+        rows = np.genfromtxt(folder / "data" / f"evorobot_{name}_samples.csv", delimiter=",", skip_header=1)
+        bearings = SET_UP_BEARING - np.radians(rows[:, 1])
+        tables.append(MeasuredTable(rows[:, 0] / 1e3, bearings, rows[:, 2:], radius))
+    return tables
+
+
+def fit_sampled(tables: Sequence[MeasuredTable], sensor: int, heading: float) -> tuple[float, Optics]:
+    """Fit heading [rad] and optics of one sensor of the sampled robot, by all bearings and on axis."""
+    axes = [on_axis(table, sensor) for table in tables]
+
+    def left(x: Floats) -> Floats:
+        optics = Optics(x[1] * 1e5, x[2] * 100, *x[3:])
+        errors = [proximity(table.view(sensor, x[0]), optics) - table.counts[:, sensor] for table in tables]
+        means = [_ON_AXIS_WEIGHT * (axis @ error) for axis, error in zip(axes, errors, strict=True)]
+        return np.concatenate([*errors, *means, _PRIOR * (x[3:] - _SHARED) / _SPREAD])
+
+    start = [heading, 9, 6, *_SHARED]
+    low, high = [-np.inf, 1, 0, 0, 0], [np.inf, 80, 20, 15, 8]
+    x = least_squares(left, start, bounds=(low, high), x_scale=[0.05, 3, 1, 1, 1], max_nfev=60).x
+    return float(x[0]), Optics(x[1] * 1e5, x[2] * 100, *x[3:])
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """Residuals of one sensor before one object: model less robot.
+
+    Attributes:
+        everywhere: Residuals at all bearings (n,) [counts].
+        on_axis: Residuals of the means near the peak, per distance [counts].
+        half: Residual of the distance at half scale [m].
+        peak: Residual of the peak's bearing [rad].
+    """
+
+    everywhere: Floats
+    on_axis: Floats
+    half: float
+    peak: float
+
+
+def peak(table: MeasuredTable, counts: Floats) -> float:
+    """Return the bearing around which readings (n,) are centred [rad]."""
+    return float(np.angle((counts * np.exp(1j * table.bearings)).sum()))
+
+
+def on_axis(table: MeasuredTable, sensor: int) -> Floats:
+    """Return the matrix that maps readings (n,) to their means near the peak, one per distance."""
+    tangential = np.angle(np.exp(1j * (table.bearings - peak(table, table.counts[:, sensor]))))
+    near = np.abs(tangential) <= np.radians(PEAK_DEG)
+    rows = [near & (table.distances == distance) for distance in np.unique(table.distances)]
+    return np.array([row / row.sum() for row in rows])
+
+
+def compare(table: MeasuredTable, sensor: int, heading: float, optics: Optics) -> Residuals:
+    """Return the residuals of a model."""
+    fit_inputs = table.counts[:, sensor]
+    modelled = proximity(table.view(sensor, heading), optics)
+    axis, distances = on_axis(table, sensor), np.unique(table.distances)
+
+    def half(counts: Floats) -> float:
+        return float(np.interp(-511.5, -(axis @ counts), distances))
+
+    return Residuals(
+        modelled - fit_inputs,
+        axis @ (modelled - fit_inputs),
+        half(modelled) - half(fit_inputs),
+        float(np.angle(np.exp(1j * (peak(table, modelled) - peak(table, fit_inputs))))),
+    )
+
+
+def rms(errors: Sequence[Floats]) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(np.concatenate([error.ravel() for error in errors]) ** 2)))
+
+
+def facing(distances: Floats, optics: Optics, reflectance: float = 1.0, limit: int = COUNTS_LIMIT) -> Floats:
+    """Return the counts of a sensor face to face with a wall at these distances (n,) [m]."""
+    return proximity(View(np.zeros(len(distances)), distances), optics, reflectance, limit)
+
+
+def rod(bearings: Floats, optics: Optics, reflectance: float) -> Floats:
+    """Return the counts of a sensor before the obstacle of figure 12 at bearings off its axis (n,) [rad]."""
+    distances = np.full(len(bearings), ROD_DISTANCE + ROD_RADIUS)
+    return proximity(View(bearings, distances, ROD_RADIUS), optics, reflectance)
+
+
+def materials(folder: Path) -> dict[str, tuple[Floats, Floats]]:
+    """Return the manual's figure 11: distances [m] and counts by material."""
+    return _curves(folder / "manual_data" / "k1_fig11_proximity_vs_distance_materials.csv", "material")
+
+
+def wooden_wall(folder: Path) -> list[tuple[Floats, Floats]]:
+    """Return the manual's figure 13: distances [m] and counts of six sensors, from left to right."""
+    path = folder / "manual_data" / "k1_fig13_proximity_vs_distance_wood_6sensors.csv"
+    return list(_curves(path, "sensor").values())
+
+
+def obstacle(folder: Path) -> tuple[Floats, Floats]:
+    """Return the manual's figure 12: bearings [rad] and counts."""
+    path = folder / "manual_data" / "k1_fig12_proximity_vs_angle_7mm_obstacle_15mm.csv"
+    rows = np.genfromtxt(path, delimiter=",", skip_header=1)
+    return np.radians(rows[:, 0]), rows[:, 1]
+
+
+def _curves(path: Path, column: str) -> dict[str, tuple[Floats, Floats]]:
+    rows = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    # The plateau is drawn a little off.
+    counts = np.where(rows["proximity_raw"] >= 1018, COUNTS_LIMIT, rows["proximity_raw"]).astype(np.float64)
+    return {
+        str(name): (rows["distance_mm"][rows[column] == name] / 1e3, counts[rows[column] == name])
+        for name in dict.fromkeys(rows[column].tolist())
+    }
+
+
+def manual_residuals(
+    folder: Path, sensors: Sequence[Optics], reflectances: dict[str, float]
+) -> tuple[list[Floats], Floats, list[Floats]]:
+    """Return model less robot for the manual's figures 11, 12 and 13, with reflectances by material."""
+    own, (bearings, counts) = sensors[MANUAL_SENSOR], obstacle(folder)
+    eleven = [
+        facing(*measured[:1], own, reflectances[name]) - measured[1]
+        for name, measured in materials(folder).items()
+    ]
+    walls = zip(wooden_wall(folder), sensors, strict=False)
+    thirteen = [facing(away, each, reflectances["wood 2"]) - found for (away, found), each in walls]
+    return eleven, rod(bearings, own, reflectances["obstacle"]) - counts, thirteen
+
+
+def fit_manual(folder: Path) -> tuple[list[Optics], dict[str, float]]:
+    """Fit six sensors of the manual's robot with one lobe, and reflectances beside white plastic."""
+    names = [*(name for name in materials(folder) if name != "white plastic"), "obstacle"]
+
+    def split(x: Floats) -> tuple[list[Optics], dict[str, float]]:
+        sensors = [Optics(x[i] * 1e5, x[6 + i] * 100, x[12 + i], x[18]) for i in range(6)]
+        return sensors, {"white plastic": 1.0, **dict(zip(names, x[19:].tolist(), strict=True))}
+
+    def left(x: Floats) -> Floats:
+        eleven, twelve, thirteen = manual_residuals(folder, *split(x))
+        # Figure 12 has ten points, the others ten times as many.
+        prior = _OFFSET_PRIOR * (x[12:18] - _SHARED[0])
+        return np.concatenate([*eleven, twelve, *(1.5 * each for each in thirteen), prior])
+
+    start = [*[10.0] * 6, *[4.0] * 6, *[_SHARED[0]] * 6, 1.5, *[0.8] * len(names)]
+    low = [*[1.0] * 6, *[0.0] * 6, *[0.0] * 6, 0.0, *[0.01] * len(names)]
+    high = [*[80.0] * 6, *[20.0] * 6, *[15.0] * 6, 8.0, *[2.0] * len(names)]
+    return split(least_squares(left, start, bounds=(low, high), max_nfev=60).x)
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Curve of K-Team's report on the Khepera II at its basic gain.
+
+    Attributes:
+        sensor: Number of the sensor.
+        is_aside: Whether the target stands at the right side, not ahead.
+        is_robot: Whether it is another robot, not white paper.
+        distances: Distances from the face of the sensor that looks straight at it (n,) [m].
+        counts: Readings (n,) [counts].
+    """
+
+    sensor: int
+    is_aside: bool
+    is_robot: bool
+    distances: Floats
+    counts: Floats
+
+    def view(self, heading: float) -> View:
+        """Return the view of the sensor with a heading [rad]."""
+        body = BODIES["khepera2"]
+        faces = body.sensor_positions
+        bench = Bench(faces[self.sensor], heading, -faces[5][1] if self.is_aside else faces[2][0])
+        bearings = np.full(len(self.distances), np.radians(-90 if self.is_aside else 0))
+        if self.is_robot:
+            return bench.cylinder(self.distances, bearings, body.radius)
+        return bench.wall(self.distances, bearings)
+
+
+def khepera2_report(folder: Path) -> list[Report]:
+    """Return the curves of the Khepera II's sensors before white paper and another robot."""
+    path = folder / "manual_data" / "iran_proximity_curves.csv"
+    rows = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    found: list[Report] = []
+    for target in ("paper", "robot"):
+        for side in ("front", "side"):
+            part = rows[(rows["test"] == f"A0_12_{target}_{side}") & (rows["kind"] == "marker")]
+            for sensor in np.unique(part["sensor_fig7_number"]).tolist():
+                mine = part[part["sensor_fig7_number"] == sensor]
+                away, counts = mine["distance_mm"] / 1e3, mine["mean_raw"].astype(np.float64)
+                found.append(Report(int(sensor), side == "side", target == "robot", away, counts))
+    return found
+
+
+def fit_khepera2(
+    folder: Path, headings: Sequence[float], lobe: float = 4.0
+) -> tuple[dict[int, Optics], float]:
+    """Fit the sensors 1 to 5 of the Khepera II with a lobe, and the reflectance of another robot's shell."""
+    curves, limit = khepera2_report(folder), 1020
+
+    def split(x: Floats) -> tuple[dict[int, Optics], float]:
+        each = {i + 1: Optics(x[i] * 1e5, -x[5 + i] * 100, x[10 + i], lobe) for i in range(5)}
+        return each, float(x[15])
+
+    def left(x: Floats) -> Floats:
+        sensors, shell = split(x)
+        errors = [
+            np.minimum(
+                level(
+                    curve.view(headings[curve.sensor]),
+                    sensors[curve.sensor],
+                    shell if curve.is_robot else 1.0,
+                ),
+                limit,
+            )
+            - curve.counts
+            for curve in curves
+        ]
+        return np.concatenate([*errors, _OFFSET_PRIOR * (x[10:15] - _SHARED[0])])
+
+    start = [*[2.5] * 5, *[0.9] * 5, *[_SHARED[0]] * 5, 0.2]
+    low, high = [*[0.3] * 5, *[0.0] * 10, 0.01], [*[20.0] * 5, *[3.0] * 5, *[15.0] * 5, 2.0]
+    return split(least_squares(left, start, bounds=(low, high), max_nfev=60).x)
+
+
+def main() -> None:
+    """Fit the three robots and print the values of their calibrations, and what is left."""
+    folder = reference()
+    tables = sampled(folder)
+    fits = [fit_sampled(tables, sensor, SENSOR_HEADINGS[sensor]) for sensor in range(N_SENSORS)]
+    print("khepera1\nheading_deg =", [round(float(np.degrees(heading)), 1) for heading, _ in fits])
+    _show([optics for _, optics in fits])
+    for table in tables:
+        _residuals(f"radius {table.radius}", table, fits)
+    for known, unseen in (tables, tables[::-1]):
+        alone = [fit_sampled([known], sensor, SENSOR_HEADINGS[sensor]) for sensor in range(N_SENSORS)]
+        _residuals(f"radius {unseen.radius}, not fitted", unseen, alone)
+    sensors, reflectances = fit_manual(folder)
+    print("\nkhepera1-manual")
+    _show(sensors)
+    print({name: round(value, 3) for name, value in reflectances.items()})
+    eleven, twelve, thirteen = manual_residuals(folder, sensors, reflectances)
+    print(f"figure 11 {rms(eleven):.1f}, figure 12 {rms([twelve]):.1f}, figure 13 {rms(thirteen):.1f}")
+    found, shell = fit_khepera2(folder, np.radians([90, 45, 10, -10, -45, -90]).tolist())
+    print(f"\nkhepera2, sensors 1 to 5; reflectance of a robot's shell {shell:.3f}")
+    _show(list(found.values()))
+
+
+def _show(sensors: Sequence[Optics]) -> None:
+    print("gain_counts_mm2 =", [round(optics.gain_counts_mm2, -3) for optics in sensors])
+    print("threshold_counts =", [round(optics.threshold_counts) for optics in sensors])
+    for name in ("offset_mm", "lobe_exponent"):
+        print(name, "=", [round(getattr(optics, name), 2) for optics in sensors])
+
+
+def _residuals(title: str, table: MeasuredTable, fits: Sequence[tuple[float, Optics]]) -> None:
+    found = [compare(table, sensor, *fit) for sensor, fit in enumerate(fits)]
+    print(
+        f"{title}: rms {rms([each.everywhere for each in found]):.1f} at all bearings, "
+        f"{rms([each.on_axis for each in found]):.1f} on axis, "
+        f"half scale within {max(abs(each.half) for each in found) * 1e3:.2f} mm, "
+        f"peak within {np.degrees(max(abs(each.peak) for each in found)):.1f} deg"
+    )

@@ -1,0 +1,132 @@
+"""Differences between episodes in a plane and in MuJoCo.
+
+Two tables; `python -m benchmarks` measures the speeds. Paths: the same episode in both, without noise, as the
+median and the largest of some; with speeds from a list, regardless of obstacles, and with the ROM's vehicle
+and networks, whose feedback from the sensors makes any difference grow. Ranks: Spearman's correlation of a
+metric over random networks between both, and, as an upper bound, between MuJoCo's own episodes with other
+seeds.
+"""
+
+import argparse
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from scipy.stats import spearmanr
+
+from benchmarks.growth import TWENTY_BLOCKS, twenty_blocks
+from benchmarks.scale import NETWORK, random_genes
+from khep_twin import playpen
+from khep_twin.episodes.batch import rollout
+from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Driver, Network
+from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.playpen import Arena, Playpen, Robot
+
+GENOMES, SEEDS, EPISODE_S, ELITE = 200, 3, 30.0, 20
+TIMES_S = (1.0, 6.0, 60.0)
+REPEATS = 10
+
+
+def open_floor() -> Playpen:
+    """Return a floor without obstacles within a minute's drive."""
+    robot = Robot(x_mm=5000, y_mm=5000, heading_deg=20)
+    arena = Arena(width_mm=10_000, height_mm=10_000)
+    return Playpen(version=1, name="open-floor", arena=arena, robot=(robot,), surfaces={})
+
+
+def without_gripper() -> Playpen:
+    """Return the arena with five cylinders, for a robot without a gripper that pushes them."""
+    scene = playpen.load("garbage")
+    robots = tuple(robot.model_copy(update={"turrets": ()}) for robot in scene.robots)
+    return scene.model_copy(update={"name": "garbage, pushed", "robots": robots})
+
+
+def scenes() -> dict[str, Playpen]:
+    shipped = {name: playpen.load(name) for name in ("default", "obstacles", "looping-maze")}
+    return {**shipped, TWENTY_BLOCKS: twenty_blocks()}
+
+
+def path(setup: EpisodeSetup, index: int, driver: Driver | None) -> list[tuple[float, float, float]]:
+    """Return the poses of an episode at some times; without a driver speeds change at random every 0.5 s."""
+    episode = Episode(setup, driver or ConstantSpeed())
+    genes = random_genes(REPEATS)[index] if isinstance(driver, Network) else ()
+    robot = setup.entry
+    start = (robot.x_mm, robot.y_mm, robot.heading_deg + 3.0 * index)
+    episode.begin(index, start=start, noise=False, genes=genes)
+    rng = np.random.default_rng(index)
+    poses: list[tuple[float, float, float]] = []
+    for half in range(round(2 * TIMES_S[-1])):
+        if driver is None:
+            episode.drive(*rng.integers(-10, 16, 2).tolist())
+        episode.run(0.5)
+        if (half + 1) / 2 in TIMES_S:
+            poses.append(episode.pose)
+    return poses
+
+
+def paths(title: str, scene: Playpen, driver: Driver | None) -> None:
+    """Print the distances between both."""
+    both = [EpisodeSetup(scene), EpisodeSetup(scene, planar=True)]
+    found = np.array([[path(setup, index, driver) for setup in both] for index in range(REPEATS)])
+    off = found[:, 0] - found[:, 1]
+    away_mm = np.hypot(off[..., 0], off[..., 1]) * 1e3
+    turned = np.degrees(np.abs((off[..., 2] + np.pi) % (2 * np.pi) - np.pi))
+    register_view = [
+        f"{np.median(away_mm[:, i]):8.2f} {away_mm[:, i].max():7.1f} {np.median(turned[:, i]):7.2f}"
+        for i in range(len(TIMES_S))
+    ]
+    print(f"{title:36}{'   '.join(register_view)}", flush=True)
+
+
+def ranks(name: str, scene: Playpen) -> None:
+    """Print the correlation of both rankings of the same networks."""
+    genes = np.repeat(random_genes(GENOMES), SEEDS, axis=0)
+
+    def judged(first: int, planar: bool) -> dict[str, np.ndarray]:
+        seeds = [first + seed for _ in range(GENOMES) for seed in range(SEEDS)]
+        found = rollout(scene, NETWORK, seeds, EPISODE_S, genes=genes, planar=planar)
+        numbers = {number: found.metrics[number] for number in ("obstacle_avoidance", "distance_m")}
+        if found.objects.size:
+            first = rollout(scene, NETWORK, seeds[:1], 0.0, genes=genes[:1], planar=planar).objects
+            numbers["objects moved"] = np.hypot(*(found.objects - first)[..., :2].T).sum(axis=0)
+        return {name: values.reshape(GENOMES, SEEDS).mean(axis=1) for name, values in numbers.items()}
+
+    plane, true, again = judged(0, True), judged(0, False), judged(SEEDS, False)
+    for number in plane:
+        hit = len(set(_best_first(plane[number])[:ELITE]) & set(_best_first(true[number])[:ELITE]))
+        own = len(set(_best_first(again[number])[:ELITE]) & set(_best_first(true[number])[:ELITE]))
+        best = int(_best_first(true[number])[0])
+        rank = int(np.flatnonzero(_best_first(plane[number]) == best)[0]) + 1
+        print(
+            f"{name:14}{number:20}{spearmanr(plane[number], true[number])[0]:8.3f}"
+            f"{spearmanr(again[number], true[number])[0]:12.3f}{hit:10d}{own:10d}{rank:10d}",
+            flush=True,
+        )
+
+
+def _best_first(metrics: np.ndarray) -> np.ndarray:
+    return np.argsort(-metrics, kind="stable")  # NaN last
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("table", nargs="?", choices=["paths", "ranks"], help="print one table; default both")
+    wanted = parser.parse_args(arguments).table or "paths and ranks"
+    print(f"mujoco {mujoco.__version__}")
+    if "paths" in wanted:
+        print("apart after" + "".join(f"{time_s:>24g} s " for time_s in TIMES_S))
+        print(" " * 36 + "   ".join("  median     max    turn" for _ in TIMES_S) + "  [mm, mm, deg]")
+        paths("open floor, speeds by a list", open_floor(), None)
+        for name, scene in scenes().items():
+            paths(f"{name}, speeds by a list", scene, None)
+        for name, scene in scenes().items():
+            paths(f"{name}, ROM's vehicle", scene, Braitenberg())
+        for name, scene in scenes().items():
+            paths(f"{name}, random networks", scene, NETWORK)
+    if "ranks" in wanted:
+        print(
+            f"{GENOMES} networks, {SEEDS} episodes of {EPISODE_S:g} s: Spearman's rank correlation to MuJoCo"
+        )
+        print(f"{'':34}{'plane':>8}{'own seeds':>12}{f'of {ELITE}':>10}{'own':>10}{'best at':>10}")
+        for name, scene in {**scenes(), "garbage": without_gripper()}.items():
+            ranks(name, scene)

@@ -1,0 +1,331 @@
+"""Trials of the shadow: stand-in robots, followed by their lines alone.
+
+    python -m studies twin-trials                        # all of them: hours
+    python -m studies twin-trials pose --runs 4 --seconds 120
+    python -m studies twin-trials alarms --fault "dead motor" --runs 6 --detail
+    python -m studies twin-trials healthy --hours 20 --jobs 2
+
+Each robot is another of the same make, steps in MuJoCo and talks at 9600 baud; its host asks N and sets
+speeds. The same options give the same tables, but for CPU times.
+"""
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from itertools import starmap
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.errors import KhepTwinError
+from khep_twin.shadow.shadow import ShadowSettings
+from stand_ins.hosts import HOSTS
+from studies.fault_trials import FAULTS, Outcome, run_trial
+from studies.twin_runs import Floats, Recording, follow
+
+POSE = "obstacles", "looping-maze", "workshop"
+
+ALL = (
+    "workshop",
+    "obstacles",
+    "looping-maze",
+    "default",
+    "homing",
+    "light-seeking",
+    "t-maze",
+    "two-lamps",
+)
+"""Playpens of one robot without movable things, which a shadow supports."""
+
+HEALTHY_S = 300.0
+"""Length of a healthy run [s]."""
+
+NEAR_MM = 30.0
+"""Distance within which a pose that was unknown counts as found."""
+
+_TRIES = 6
+"""Seeds for each trial that is wanted; the fault of many is not noticeable."""
+
+Map = Callable[[Callable[..., Any], Iterable[tuple[Any, ...]]], Iterable[Any]]
+"""Map of a function over arguments, on one or several cores, in order."""
+
+
+class Options(NamedTuple):
+    """Options of the trials.
+
+    Attributes:
+        folder: Folder of the recordings.
+        runs: Number of runs of each kind.
+        seconds: Length of a run whose pose is looked at [s].
+        hours: Length of all healthy runs together [h].
+        first: Seed of the first run.
+        faults: Faults of the alarms' trials.
+        settings: Settings of the shadow.
+        detail: Print a line for each run.
+        run: Map over all cores.
+    """
+
+    folder: Path
+    runs: int
+    seconds: float
+    hours: float
+    first: int
+    faults: Sequence[str]
+    settings: ShadowSettings
+    detail: bool
+    run: Map
+
+
+class Errors(NamedTuple):
+    """Errors of a run: distance [mm] and heading [degrees] of the estimate and of dead reckoning (n, 2)."""
+
+    estimate: Floats
+    reckoned: Floats
+    alarms: list[str]
+
+
+def pose(options: Options) -> None:
+    """Print errors of poses whose start is known within 10 mm and 5 degrees."""
+    head("playpen", "asks", "runs", "median", "95 %", "heading 95 %", "reckoned", "95 %", "heading 95 %")
+    for counters in (False, True):
+        for playpen in POSE:
+            tasks = [
+                (options.folder, playpen, seed, options.seconds, counters, options.settings)
+                for seed in _seeds(options)
+            ]
+            found: list[Errors] = list(options.run(pose_errors, tasks))
+            estimate = np.concatenate([each.estimate for each in found])
+            reckoned = np.concatenate([each.reckoned for each in found])
+            asks = "N, H, D" if counters else "N, D"
+            row(playpen, asks, len(found), *_quantiles(estimate), *_quantiles(reckoned))
+            if options.detail:
+                for task, each in zip(tasks, found, strict=True):
+                    row("", f"seed {task[2]}", "", *_quantiles(each.estimate), *_quantiles(each.reckoned))
+                    note(each.alarms)
+    print("\nErrors of position in mm, of heading in degrees, over all replies to N of all runs.\n")
+
+
+def pose_errors(
+    folder: Path, playpen: str, seed: int, seconds: float, counters: bool, settings: ShadowSettings
+) -> Errors:
+    """Return the errors of one run."""
+    name = "counters" if counters else "sound"
+    path = Recording(name, playpen, seed, seconds, asks_counters=counters).path(folder)
+    found = follow(path, playpen, settings)
+    told = [f"{each.fault} at {each.raised_ns / NS_PER_S:.1f} s" for each in found.alarms]
+    return Errors(found.errors(found.poses), found.errors(found.reckoned), told)
+
+
+def unknown(options: Options) -> None:
+    """Print how many poses are found whose start is unknown."""
+    head("playpen", "runs", "within 30 mm at 30 s", "at 60 s", "median error at 60 s")
+    settings = options.settings
+    lost = ShadowSettings(seed=settings.seed, particles=settings.particles, known=False)
+    tasks = [(options.folder, seed, lost) for seed in _seeds(options)]
+    found: list[tuple[float, float]] = list(options.run(unknown_errors, tasks))
+    half, whole = np.array(found).T
+    row(
+        "workshop",
+        len(found),
+        int((half < NEAR_MM).sum()),
+        int((whole < NEAR_MM).sum()),
+        f"{np.median(whole):.0f} mm",
+    )
+    if options.detail:
+        note(f"seed {task[1]}: {each:.0f} mm" for task, each in zip(tasks, whole, strict=True))
+    print()
+
+
+def unknown_errors(folder: Path, seed: int, settings: ShadowSettings) -> tuple[float, float]:
+    """Return the errors of position after 30 and 60 s of a run [mm]."""
+    found = follow(Recording("sound", "workshop", seed, 60).path(folder), "workshop", settings)
+    errors = found.errors(found.poses)[:, 0]
+    half = int(np.searchsorted(found.times_ns, 30 * NS_PER_S)) - 1
+    return float(errors[half]), float(errors[-1])
+
+
+def alarms(options: Options) -> None:
+    """Print how many faults are named."""
+    head("fault", "runs", "named in 3 s", "median delay", "ended", "median, longest", "wrong names")
+    for fault in options.faults:
+        found = list(_noticeable(fault, options))
+        if not found:
+            row(fault, 0, *[""] * 5)
+            continue
+        outcomes = [each for _, each in found]
+        ends = [each for each in outcomes if each.ends]
+        times = [each.end_s for each in ends if not np.isnan(each.end_s)]
+        delays = [each.delay_s for each in outcomes if not np.isnan(each.delay_s)]
+        row(
+            fault,
+            len(found),
+            sum(each.named for each in outcomes),
+            f"{np.median(delays):.1f} s" if delays else "",
+            f"{len(times)} of {len(ends)}" if ends else "",
+            f"{np.median(times):.1f}, {max(times):.1f} s" if times else "",
+            counted(Counter(name for each in outcomes for name in each.wrong)),
+        )
+        if options.detail:
+            note(
+                f"{'' if each.named else 'NOT NAMED '}seed {seed}, {each.text} (busiest {each.busiest_s:.2f})"
+                for seed, each in found
+            )
+    print("\nRuns are those in which the fault is noticeable; delays count from the first such reply.\n")
+
+
+def _noticeable(fault: str, options: Options) -> Iterator[tuple[int, Outcome]]:
+    """Yield the outcomes of the wanted number of trials whose fault is noticeable, with their seeds."""
+    seed, missing = options.first, options.runs
+    while missing and seed < options.first + _TRIES * options.runs:
+        tasks = [(fault, each, options.folder, options.settings) for each in range(seed, seed + missing)]
+        for task, outcome in zip(tasks, options.run(run_trial, tasks), strict=True):
+            if outcome is not None:
+                missing -= 1
+                yield task[1], outcome
+        seed += len(tasks)
+
+
+def healthy(options: Options) -> None:
+    """Print the alarms of sound robots."""
+    head("playpen", "hours", "alarms", "per hour", "names")
+    runs = max(round(options.hours * 3600 / HEALTHY_S), 1)
+    tasks = [
+        (options.folder, ALL[i % len(ALL)], options.first + 1000 + i, options.settings) for i in range(runs)
+    ]
+    names = {playpen: list[str]() for playpen in ALL[:runs]}
+    for task, found in zip(tasks, options.run(false_alarms, tasks), strict=True):
+        names[task[1]] += [fault for fault, _ in found]
+        if options.detail and found:
+            note([f"{task[1]}, seed {task[2]}: {', '.join(f'{n} at {t:.1f} s' for n, t in found)}"])
+    for playpen, found in [*names.items(), ("all", [name for each in names.values() for name in each])]:
+        hours = sum(task[1] == playpen or playpen == "all" for task in tasks) * HEALTHY_S / 3600
+        row(playpen, f"{hours:.2f}", len(found), f"{len(found) / hours:.2f}", counted(Counter(found)))
+    print()
+
+
+def false_alarms(folder: Path, playpen: str, seed: int, settings: ShadowSettings) -> list[tuple[str, float]]:
+    """Return the alarms of a sound robot, with their times [s]."""
+    host = list(HOSTS)[seed // len(ALL) % len(HOSTS)]
+    path = Recording("healthy", playpen, seed, HEALTHY_S, host).path(folder)
+    found = follow(path, playpen, settings)
+    path.unlink()
+    path.with_suffix(".npz").unlink()
+    return [(each.fault, each.raised_ns / NS_PER_S) for each in found.alarms]
+
+
+def cost(options: Options) -> None:
+    """Print the CPU time of each playpen."""
+    head("playpen", "CPU s per s", "busiest 10 s", "after a lift, busiest 10 s", "busiest 1 s")
+    for playpen in ALL:
+        sound = Recording("sound", playpen, options.first, 60).path(options.folder)
+        lifted = "brown-out@20", "weak:left:0.12@22"
+        ill = Recording("ill", playpen, options.first, 60, faults=lifted).path(options.folder)
+        follow(sound, playpen, options.settings)  # Compiled code is loaded.
+        well, diagnosed = (follow(path, playpen, options.settings).cpu_s for path in (sound, ill))
+        busy = np.convolve(diagnosed, np.full(10, 0.1), "valid").max()
+        row(
+            playpen,
+            f"{well.mean():.3f}",
+            f"{np.convolve(well, np.full(10, 0.1), 'valid').max():.3f}",
+            f"{busy:.3f}",
+            f"{diagnosed.max():.2f}",
+        )
+    print(f"\n{options.settings.particles} particles; shares of one core at real time.\n")
+
+
+SECTIONS: dict[str, Callable[[Options], None]] = {
+    "pose": pose,
+    "unknown": unknown,
+    "alarms": alarms,
+    "healthy": healthy,
+    "cost": cost,
+}
+
+
+def head(*names: str) -> None:
+    """Print the head of a table."""
+    row(*names)
+    row(*["---"] * len(names))
+
+
+def row(*cells: object) -> None:
+    """Print a row of a table."""
+    print(f"| {' | '.join(map(str, cells))} |", flush=True)
+
+
+def note(lines: Iterable[str]) -> None:
+    """Print lines below a row."""
+    for line in lines:
+        print(f"    {line}", flush=True)
+
+
+def counted(names: Counter[str]) -> str:
+    """Return names with their numbers, the most frequent first."""
+    return ", ".join(f"{number} {name}" for name, number in names.most_common())
+
+
+def _quantiles(errors: Floats) -> tuple[str, str, str]:
+    median, most = np.quantile(errors[:, 0], (0.5, 0.95))
+    return f"{median:.1f}", f"{most:.1f}", f"{np.quantile(errors[:, 1], 0.95):.1f}"
+
+
+def _seeds(options: Options) -> range:
+    return range(options.first, options.first + options.runs)
+
+
+@contextmanager
+def _jobs(count: int) -> Generator[Map]:
+    """Yield a map over so many processes."""
+    if count == 1:
+        yield starmap
+        return
+    with ProcessPoolExecutor(count, get_context("spawn")) as pool:
+        yield lambda function, tasks: pool.map(function, *zip(*tasks, strict=True))
+
+
+def main() -> None:
+    """Run the trials that are wanted."""
+    options = argparse.ArgumentParser(
+        "python -m studies twin-trials",
+        description=__doc__,
+        formatter_class=argparse.RawTextHelpFormatter,
+    )
+    options.add_argument("trials", nargs="?", choices=SECTIONS, help="which trials; all without it")
+    options.add_argument("--runs", type=int, default=20, help="number of runs of each kind")
+    options.add_argument("--seconds", type=float, default=300.0, help="length of a run of pose [s]")
+    options.add_argument("--hours", type=float, default=2.0, help="simulated hours of healthy robots")
+    options.add_argument("--fault", action="append", choices=FAULTS, help="a fault for alarms; all without")
+    options.add_argument("--first", type=int, default=0, help="seed of the first run")
+    options.add_argument("--particles", type=int, default=1000, help="number of particles")
+    options.add_argument("--jobs", type=int, default=1, help="number of processes")
+    options.add_argument("--keep", type=Path, help="folder of recordings, which are reused if they are there")
+    options.add_argument("--detail", action="store_true", help="print a line for each run, too")
+    given = options.parse_args()
+    with TemporaryDirectory() as scratch, _jobs(given.jobs) as run:
+        folder: Path = given.keep or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        settings = ShadowSettings(particles=given.particles)
+        chosen = Options(
+            folder,
+            given.runs,
+            given.seconds,
+            given.hours,
+            given.first,
+            given.fault or list(FAULTS),
+            settings,
+            given.detail,
+            run,
+        )
+        try:
+            for section in [given.trials] if given.trials else SECTIONS:
+                print(f"## {section}\n")
+                SECTIONS[section](chosen)
+        except (KhepTwinError, OSError) as error:
+            sys.exit(str(error))

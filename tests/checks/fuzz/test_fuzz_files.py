@@ -1,0 +1,24 @@
+"""A share of fuzz-files: damaged playpens, MAT files and PNGs never crash, hang or fill the memory."""
+
+from pathlib import Path
+
+import pytest
+
+from checks.fuzz.files import CORPUS, TARGETS, mutated
+from checks.fuzz.libfuzzer import run_target
+
+SHARE = {"toml": 5_000, "mat": 2_500, "png": 2_500}
+
+
+@pytest.mark.parametrize("kind", TARGETS)
+def test_a_share_of_the_fuzzing_finds_nothing(kind: str, tmp_path: Path) -> None:
+    done = run_target("fuzz-files", kind, str(SHARE[kind]), folder=tmp_path)
+    assert done.stdout.startswith(f"{kind}: {SHARE[kind]} inputs from 0")
+
+
+@pytest.mark.parametrize("kind", TARGETS)
+def test_a_number_is_always_the_same_input_and_most_are_damaged(kind: str) -> None:
+    seeds = [path.read_bytes() for path in sorted(CORPUS.glob(f"*.{kind}"))]
+    inputs = [mutated(seeds, kind, number) for number in range(200)]
+    assert inputs == [mutated(seeds, kind, number) for number in range(200)]
+    assert sum(data not in seeds for data in inputs) > 150

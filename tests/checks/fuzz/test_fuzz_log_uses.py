@@ -1,0 +1,42 @@
+"""A share of fuzz-log-uses: viewing, repeating, branching and checking a changed log ends in one line."""
+
+import random
+from pathlib import Path
+
+import pytest
+from mcap.opcode import Opcode
+
+from checks.fuzz.libfuzzer import run_libfuzzer
+from checks.fuzz.log_mutations import Record
+from checks.fuzz.log_uses import IN_TEXT, USES, WORDS, changed_text, check, log_of, records
+from checks.fuzz.logs import STEP, said
+
+SHARE = 1_500
+
+
+def test_a_share_of_the_fuzzing_finds_nothing(tmp_path: Path) -> None:
+    run_libfuzzer("fuzz-log-uses", SHARE, tmp_path)
+
+
+def test_random_changes_end_in_a_result_or_a_line() -> None:
+    rng = random.Random(1)
+    for _ in range(300):
+        check(bytes([rng.randrange(128)]) + rng.randbytes(STEP * rng.randrange(4)))
+
+
+@pytest.mark.parametrize("use", USES)
+def test_each_use_of_the_log_to_begin_with_has_a_result(use: object, tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(log_of(bytes([USES.index(use)])))  # pyright: ignore
+    assert said(use, path) == ""  # pyright: ignore
+
+
+def test_a_word_of_an_attachment_is_replaced() -> None:
+    def text(log: tuple[Record, ...]) -> bytes:
+        return next(each.content for each in log if each.opcode == Opcode.ATTACHMENT)
+
+    changed = changed_text(records()[1], 1, WORDS[0])
+    assert b"version = 1\n" in text(records())
+    assert b"version = 0\n" in text((changed,))
+    step = bytes([IN_TEXT, 0, 1, 0, 0, 0, 0])
+    assert log_of(step) != log_of(b"\0")

@@ -1,0 +1,17 @@
+"""The intervals that a fit prints contain the robot's own values as often as they say."""
+
+import numpy as np
+
+from khep_twin.lab.fit.least_squares import CONFIDENCE
+from khep_twin.sensing import calibration
+from studies.fit_intervals import errors, study
+
+
+def test_hidden_robots_measured_with_a_ruler_lie_within_the_told_intervals() -> None:
+    """Two of the 40 robots of the study, whose sensors share the ruler's errors."""
+    (*robots,) = study(calibration.read("khepera1")[0], 2, period=0.2)
+    assert min(map(len, robots)) > 45
+    found = np.array([error for values in robots for _, error in errors(values)])
+    assert np.mean(np.abs(found) <= CONFIDENCE) >= 0.85
+    # Intervals that are far too wide would contain them, too.
+    assert np.sqrt(np.mean(found**2)) > 0.5

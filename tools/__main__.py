@@ -1,0 +1,22 @@
+"""The tools: `python -m tools` lists them, `python -m tools NAME` runs one."""
+
+import sys
+
+from tools.command_table import run
+
+TOOLS = {
+    "record": "record",
+    "commands": "command_docs",
+    "reference": "reference",
+    "site": "site",
+    "tutorial": "tutorial",
+    "pictures": "pictures",
+    "mjcf": "mjcf",
+    "foxglove-schema": "foxglove_schema",
+    "three-js": "three_js",
+    "wheels": "wheels",
+}
+"""Module of each name."""
+
+if __name__ == "__main__":
+    sys.exit(run("tools", TOOLS))
