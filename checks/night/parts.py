@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 Words = tuple[str, ...]
 
 CORES = os.cpu_count() or 1
+CHECKS = ("-m", "checks")
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Part:
         unit: Unit of its counts.
         wanted: Count of a whole night.
         share: Largest count of one process, which is what an interruption loses at most.
-        words: Function of a share that returns the module with its options.
+        words: Function of a share that returns the command, without the interpreter.
         done: Pattern of the count in the output; all that are found are added.
         figures: Pattern of further lines to keep.
         under_way: Pattern of the count in the output of an interrupted process; the last counts.
@@ -60,7 +61,7 @@ class Part:
 
     def command(self, share: Share) -> list[str]:
         """Return the command of a share."""
-        return [sys.executable, "-m", *self.words(share)]
+        return [sys.executable, *self.words(share)]
 
     def count(self, output: str) -> float:
         """Return the count that a finished process has told."""
@@ -84,7 +85,7 @@ def fuzzed(name: str, what: str, tool: str, wanted: float, share: float) -> Part
         "inputs",
         wanted,
         share,
-        lambda share: ("checks", f"fuzz-{tool}", f"-runs={share.count:.0f}", f"-seed={share.number + 1}"),
+        lambda share: (*CHECKS, f"fuzz-{tool}", f"-runs={share.count:.0f}", f"-seed={share.number + 1}"),
         done=r"^Done (\d+) runs in ",
         figures=r"(?<=DONE   )cov: \d+ ft: \d+",
         under_way=r"^#(\d+)\t",
@@ -99,7 +100,7 @@ def files(kind: str, what: str, wanted: float) -> Part:
         "files",
         wanted,
         25_000,
-        lambda share: ("checks", "fuzz-files", kind, f"{share.count:.0f}", "--first", f"{share.first:.0f}"),
+        lambda share: (*CHECKS, "fuzz-files", kind, f"{share.count:.0f}", "--first", f"{share.first:.0f}"),
         done=rf"^{kind}: (\d+) inputs",
         figures=r"the slowest .*$",
     )
@@ -107,7 +108,7 @@ def files(kind: str, what: str, wanted: float) -> Part:
 
 def tested(path: str) -> Callable[[Share], Words]:
     """Return a command that runs a file of tests, whose output is not hidden."""
-    return lambda share: ("pytest", "-q", "-s", "-p", "no:cacheprovider", *path.split())
+    return lambda share: ("-m", "pytest", "-q", "-s", "-p", "no:cacheprovider", *path.split())
 
 
 def ids(share: Share) -> str:
@@ -123,7 +124,7 @@ PARTS = (
         1000,
         10,
         lambda share: (
-            *("checks", "simulate", "run", "--hours", f"{share.count:g}", "--jobs", "1"),
+            *(*CHECKS, "simulate", "run", "--hours", f"{share.count:g}", "--jobs", "1"),
             *("--first", ids(share)),
         ),
         done=r"^([\d.]+) simulated hours in ",
@@ -158,7 +159,7 @@ PARTS = (
         "simulated hours",
         72,
         24,
-        lambda share: ("checks", "day", f"{share.count:g}", "--seed", str(share.number + 1)),
+        lambda share: (*CHECKS, "day", f"{share.count:g}", "--seed", str(share.number + 1)),
         done=r"([\d.]+) h  [^\n]*\n(?=closed in)",
         figures=r"^.* MB more than after the first minute$",
         least=0.05,
@@ -183,7 +184,7 @@ PARTS = (
         200,
         50,
         lambda share: (
-            *("checks", "kills", "serve", f"{share.count:.0f}"),
+            *(*CHECKS, "kills", "serve", f"{share.count:.0f}"),
             *("--jobs", str(CORES), "--seed", f"{share.first:.0f}"),
         ),
         done=r"^serve killed (\d+) times",
@@ -197,7 +198,7 @@ PARTS = (
         40,
         20,
         lambda share: (
-            *("checks", "kills", "run", f"{share.count:.0f}"),
+            *(*CHECKS, "kills", "run", f"{share.count:.0f}"),
             *("--jobs", str(CORES), "--seed", f"{share.first:.0f}"),
         ),
         done=r"^run killed (\d+) times",
@@ -211,7 +212,7 @@ PARTS = (
         100,
         100,
         lambda share: (
-            *("checks", "worker-kills", "--tasks", f"{2 * share.count:.0f}"),
+            *(*CHECKS, "worker-kills", "--tasks", f"{2 * share.count:.0f}"),
             *("--kills", f"{share.count:.0f}", "--seed", str(share.number)),
         ),
         done=r"^(\d+) workers killed in ",
@@ -224,7 +225,7 @@ PARTS = (
         "steps",
         400_000,
         400_000,
-        lambda share: ("checks", "determinism"),
+        lambda share: (*CHECKS, "determinism"),
         done=r"^(\d+) steps, [^\n]*\n(?=(?:[^\n]*\n)*the same\n)",
         figures=r"^the same$",
         alone=True,
@@ -236,7 +237,7 @@ PARTS = (
         1000,
         100,
         lambda share: (
-            *("checks", "signals", f"{share.count:.0f}"),
+            *(*CHECKS, "signals", f"{share.count:.0f}"),
             *("--jobs", str(CORES), "--seed", f"{share.first:.0f}"),
         ),
         done=r"^(\d+) signals, ",
@@ -249,7 +250,7 @@ PARTS = (
         "logs",
         200,
         20,
-        lambda share: ("checks", "branches", f"{share.count:.0f}", "--first", f"{share.first:.0f}"),
+        lambda share: (*CHECKS, "branches", f"{share.count:.0f}", "--first", f"{share.first:.0f}"),
         done=r"^(\d+) logs from ",
         figures=r"\d+ findings$",
     ),
