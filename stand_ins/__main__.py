@@ -20,9 +20,7 @@ def main() -> None:
         formatter_class=argparse.RawTextHelpFormatter,
     )
     options.add_argument("folder", type=Path, help="folder of the recordings, made if it is not there")
-    options.add_argument(
-        "--runs", type=int, default=3, help="number of runs, which alternate with the hosts"
-    )
+    options.add_argument("--runs", type=int, default=3, help="number of runs, which alternate with the hosts")
     options.add_argument("--playpen", default="workshop", help="name or path of the playpen")
     options.add_argument("--seconds", type=float, default=300.0, help="length of each run [s]")
     options.add_argument("--seed", type=int, default=0, help="seed of the first run")
