@@ -40,7 +40,7 @@ def test_a_page_has_methods_with_their_units_and_arguments(folder: Path) -> None
         ("host/results", "SensorCounts"),
         ("playpen", "Playpen"),
         ("lab/experiment/controllers", "Controller"),
-        ("lab/experiment/experiment", "find_controller"),
+        ("lab/experiment/controller_files", "find_controller"),
         ("lab/experiment/series", "run_series"),
         ("lab/experiment/run_statistics", "collisions"),
         ("log/reader", "read"),

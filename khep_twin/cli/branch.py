@@ -82,8 +82,8 @@ def branch(
     """
     from khep_twin.lab.experiment.branch import BranchPlan, calibrations
     from khep_twin.lab.experiment.branch import branch as run_branch
-    from khep_twin.lab.experiment.experiment import find_controller
-    from khep_twin.lab.experiment.series import own_files
+    from khep_twin.lab.experiment.controller_files import find_controller
+    from khep_twin.lab.experiment.series_run import own_files
     from khep_twin.log.recorded import BranchPoint
     from khep_twin.toolbox.form import as_toolbox_form
 

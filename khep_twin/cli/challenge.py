@@ -120,7 +120,7 @@ def run(
     from khep_twin.errors import ControllerError
     from khep_twin.lab.challenge.attempt import attempt
     from khep_twin.lab.challenge.challenge import load
-    from khep_twin.lab.experiment.series import own_files
+    from khep_twin.lab.experiment.series_run import own_files
 
     file = load(name)
     challenge = file.challenge

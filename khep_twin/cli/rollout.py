@@ -72,7 +72,7 @@ def rollout(
     from khep_twin.board.fault_injection import parse
     from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed
     from khep_twin.episodes.episode import Episode, EpisodeSetup
-    from khep_twin.lab.experiment.experiment import find_function
+    from khep_twin.lab.experiment.controller_files import find_function
     from khep_twin.playpen.starts import at_spots
     from khep_twin.ports.twin import Twin, equipped
 
@@ -192,7 +192,8 @@ def _draw(
 def _speeds(function: Callable[..., Any], episode: "Episode", robot: int) -> tuple[float, float]:
     """Return the left and right speed that a user's function makes of the readings [pulses/10 ms]."""
     from khep_twin.errors import ControllerError
-    from khep_twin.lab.experiment.experiment import call, name_of
+    from khep_twin.lab.experiment.controllers import name_of
+    from khep_twin.lab.experiment.user_calls import call
 
     speeds = call(function, *episode.readings(robot))
     try:

@@ -41,8 +41,9 @@ from khep_twin.signals import answered, stopping
 
 if TYPE_CHECKING:
     from khep_twin.lab.experiment.controllers import AnyController
-    from khep_twin.lab.experiment.series import Plan, RobotSource
+    from khep_twin.lab.experiment.series import RobotSource
     from khep_twin.lab.experiment.series_files import SeriesFolder
+    from khep_twin.lab.experiment.series_run import Plan
     from khep_twin.log.foxglove_live import FoxgloveServer
     from khep_twin.playpen import Playpen
     from khep_twin.ports.twin import Twin, TwinOptions
@@ -116,11 +117,12 @@ def run(
     """Run a controller on a twin or a robot, once or in a series."""
     from khep_twin.host import Khepera
     from khep_twin.host.opening import PORT_IDS
+    from khep_twin.lab.experiment.controller_files import find_controller, find_on_run_end
     from khep_twin.lab.experiment.controller_source import source_of
     from khep_twin.lab.experiment.controllers import LoopingController
-    from khep_twin.lab.experiment.experiment import find_controller, find_on_run_end
-    from khep_twin.lab.experiment.series import OneRobot, Plan
+    from khep_twin.lab.experiment.series import OneRobot
     from khep_twin.lab.experiment.series_files import SeriesFolder
+    from khep_twin.lab.experiment.series_run import Plan
     from khep_twin.toolbox.form import as_toolbox_form
 
     typed = given(context)
@@ -188,8 +190,8 @@ def _run_series(
     user_function: Callable[..., Any] | None,
 ) -> bool:
     """Run the series, and print and keep each run; return whether it was stopped before its end."""
-    from khep_twin.lab.experiment.experiment import call_on_run_end
     from khep_twin.lab.experiment.series import run_series
+    from khep_twin.lab.experiment.user_calls import call_on_run_end
 
     first, last = 1 if folder is None else robot_source.first(len(folder.rows), controller), 0
     awaited = "stopping the motors, waiting for the end of this cycle"

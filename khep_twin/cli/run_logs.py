@@ -25,7 +25,7 @@ class RunLogs:
 
     def record(self, twin: "Twin", number: int | None = None) -> None:
         """Start the log of a twin; with a number its own one, NAME-001.mcap."""
-        from khep_twin.lab.experiment.series import numbered
+        from khep_twin.lab.experiment.series_run import numbered
 
         if self._path is None:
             return
@@ -46,7 +46,7 @@ class RunLogs:
         With `resume`, those of the same controller may be: an interrupted run has left its log whole, and is
         run again.
         """
-        from khep_twin.lab.experiment.series import numbered
+        from khep_twin.lab.experiment.series_run import numbered
 
         if self._path is not None:
             paths = [self._path] if runs is None else [numbered(self._path, i + 1) for i in range(runs)]

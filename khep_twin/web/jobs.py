@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Protocol
 
 from khep_twin.host import Khepera
+from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.controller_source import forget_modules_beside
 from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController
-from khep_twin.lab.experiment.experiment import find_controller
-from khep_twin.lab.experiment.series import OneRobot, Plan, run_series
-from khep_twin.lab.experiment.series import SeriesRun as DoneRun
+from khep_twin.lab.experiment.series import OneRobot, run_series
 from khep_twin.lab.experiment.series_files import SeriesFolder
+from khep_twin.lab.experiment.series_run import Plan
+from khep_twin.lab.experiment.series_run import SeriesRun as DoneRun
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, sense
 from khep_twin.toolbox.form import as_toolbox_form
 from khep_twin.web.documents import Documents

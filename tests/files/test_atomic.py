@@ -14,7 +14,7 @@ from khep_twin import playpen
 from khep_twin.cli import app as cli
 from khep_twin.errors import KhepTwinError, LogError
 from khep_twin.files.atomic import write_whole
-from khep_twin.lab.experiment.experiment import find_controller
+from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.series_files import read_series
 from khep_twin.lab.sensor_test import sensor_files
 from khep_twin.log.reader import read

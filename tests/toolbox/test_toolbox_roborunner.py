@@ -14,7 +14,7 @@ import pytest
 from scipy.io import loadmat
 
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError
-from khep_twin.lab.experiment.series import SeriesRun
+from khep_twin.lab.experiment.series_run import SeriesRun
 from khep_twin.toolbox import names, roborunner
 from khep_twin.toolbox import serial_commands as host
 from khep_twin.toolbox.names import kheprom, rps, sim_rps, sim_sms, sms

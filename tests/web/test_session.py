@@ -19,7 +19,7 @@ from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import repeat
-from khep_twin.lab.experiment.series import Plan
+from khep_twin.lab.experiment.series_run import Plan
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest
 from khep_twin.log.recorded import read_recorded
 from khep_twin.ports.twin import TwinOptions

@@ -19,10 +19,11 @@ from khep_twin.errors import ChallengeError, ControllerError, KhepTwinError, Sto
 from khep_twin.host import Khepera
 from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile, movable_objects
 from khep_twin.lab.challenge.task_metrics import TaskMetrics
+from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.controller_source import forget_modules_beside, source_of
 from khep_twin.lab.experiment.controllers import BUILT_IN
-from khep_twin.lab.experiment.experiment import find_controller
-from khep_twin.lab.experiment.series import OneRobot, Plan, SeriesRun, own_files, run_series
+from khep_twin.lab.experiment.series import OneRobot, run_series
+from khep_twin.lab.experiment.series_run import Plan, SeriesRun, own_files
 from khep_twin.lab.experiment.start_poses import StartPose
 from khep_twin.playpen.starts import at_start
 from khep_twin.ports.protocol_khep import Serial

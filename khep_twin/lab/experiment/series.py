@@ -1,6 +1,7 @@
 """Series of runs of one controller, on a robot or on twins, with the metrics of each run.
 
-    from khep_twin.lab.experiment.series import OneRobot, Plan, run_series
+    from khep_twin.lab.experiment.series import OneRobot, run_series
+    from khep_twin.lab.experiment.series_run import Plan
 
     with Khepera("khep://obstacles") as robot:
         for run in run_series(braitenberg, OneRobot(robot), Plan(runs=20, cycles=500)):
@@ -10,19 +11,19 @@ On one robot, on any port, each run starts where the robot stands. On new twins 
 seed, so that it does not depend on the others.
 """
 
-import math
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment import experiment
 from khep_twin.lab.experiment.controllers import AnyController, Controller, as_controller, variables
+from khep_twin.lab.experiment.experiment import Outcome, run
 from khep_twin.lab.experiment.measures import GroundTruthMetrics, HostMetrics
+from khep_twin.lab.experiment.series_run import Plan, SeriesRun
 from khep_twin.lab.experiment.start_poses import StartPose
+from khep_twin.lab.experiment.user_calls import call
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_start
 from khep_twin.ports.protocol_khep import Serial
@@ -30,74 +31,6 @@ from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
 _LOOK = 0.1
 """Interval in a pause at which `stop` is called [s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """Number and length of the runs of a series.
-
-    Attributes:
-        runs: Number of runs.
-        cycles: Calls of the controller per run, None for no limit.
-        seconds: Longest time of a run in the port's own time [s], None for no limit.
-        pause: Pause between runs in the port's own time [s].
-    """
-
-    runs: int = 1
-    cycles: int | None = None
-    seconds: float | None = None
-    pause: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Raise a `ControllerError` if a value is out of its range, or a run has no end."""
-        if self.runs < 1 or (self.cycles is not None and self.cycles < 1):
-            raise ControllerError(f"{self.runs} runs of {self.cycles} cycles; expected numbers above 0")
-        if self.cycles is None and self.seconds is None:
-            raise ControllerError("a run needs an end; expected a number of cycles or of seconds")
-        if self.seconds is not None and not 0 < self.seconds < math.inf:
-            raise ControllerError(f"runs of {self.seconds} s; expected a time above 0")
-        if not 0 <= self.pause < math.inf:
-            raise ControllerError(f"a pause of {self.pause} s; expected 0 or more")
-
-
-@dataclass(frozen=True, slots=True)
-class SeriesRun:
-    """One run of a series.
-
-    Attributes:
-        number: Number of the run, from 1.
-        start: Start pose, None if the robot started where it stood.
-        cycles: Number of calls of the controller.
-        duration: Duration in the port's own time [s].
-        metrics: Metrics by name (`khep_twin.lab.experiment.measures`).
-        variables: Variables of the controller at the run's end.
-    """
-
-    number: int
-    start: StartPose | None
-    cycles: int
-    duration: float
-    metrics: Mapping[str, float]
-    variables: Mapping[str, object] = field(default_factory=dict[str, object])
-
-    def line(self, runs: int) -> str:
-        """Return the run as a line of text, as one of `runs`."""
-        told = f"{self.cycles} cycles in {self.duration:.1f} s"
-        if runs == 1:
-            return told
-        names = ("fitness", "distance_m")
-        shown = [f"{name} {self.metrics[name]:.3g}" for name in names if name in self.metrics]
-        return "  ".join([f"run {self.number:3d}", told, *shown])
-
-
-def numbered(path: Path, number: int) -> Path:
-    """Return the name of a run's own file: NAME-001.SUFFIX."""
-    return path.with_name(f"{path.stem}-{number:03d}{path.suffix}")
-
-
-def own_files(path: Path, runs: int) -> list[Path]:
-    """Return the file of each run: the path itself for one run, NAME-001.SUFFIX and so on for several."""
-    return [path] if runs == 1 else [numbered(path, number) for number in range(1, runs + 1)]
 
 
 class RobotSource(Protocol):
@@ -246,16 +179,18 @@ def run_series(
                         before(number)
                     if stop is not None and stop():
                         break
-                    run = _run(algorithm, robot, session.start, number, plan, progress, stop, broken_off)
-                    if run is None:
+                    completed = _run(
+                        algorithm, robot, session.start, number, plan, progress, stop, broken_off
+                    )
+                    if completed is None:
                         break
-                    yield run
+                    yield completed
             except BaseException:
                 # A second error while the controller stops would only hide the first one.
                 with suppress(KhepTwinError):
-                    experiment.call(algorithm.stop, robot)
+                    call(algorithm.stop, robot)
                 raise
-            experiment.call(algorithm.stop, robot)
+            call(algorithm.stop, robot)
 
 
 def _run(
@@ -278,7 +213,7 @@ def _run(
         host_metrics.end_cycle()
         done += 1
 
-    def result(outcome: experiment.Outcome) -> SeriesRun:
+    def result(outcome: Outcome) -> SeriesRun:
         metrics = host_metrics.metrics() | ({} if ground_truth is None else ground_truth.metrics())
         return SeriesRun(number, start, outcome.cycles, outcome.duration, metrics, variables(controller))
 
@@ -286,7 +221,7 @@ def _run(
     robot.listen(host_metrics)
     try:
         try:
-            outcome = experiment.run(
+            outcome = run(
                 controller,
                 robot,
                 cycles=plan.cycles,
@@ -302,7 +237,7 @@ def _run(
     except KhepTwinError:
         # It may have been stopped within a cycle.
         if broken_off is not None and stop is not None and stop():
-            broken_off(result(experiment.Outcome(done, robot.time - began, complete=False)))
+            broken_off(result(Outcome(done, robot.time - began, complete=False)))
         raise
     _log(twin, f"run {number} ends" if outcome.complete else f"run {number} is broken off")
     if outcome.complete:

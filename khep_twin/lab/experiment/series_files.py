@@ -26,7 +26,7 @@ from khep_twin.errors import ControllerError
 from khep_twin.files.atomic import read_regular, write_whole
 from khep_twin.files.mat_bytes import mat_bytes
 from khep_twin.lab.experiment.measures import UNITS
-from khep_twin.lab.experiment.series import SeriesRun
+from khep_twin.lab.experiment.series_run import SeriesRun
 
 Row = Mapping[str, int | float | str | bool]
 """A run as a table row: values by column name."""

@@ -12,9 +12,9 @@ from log_rewriting import rewritten
 
 from khep_twin.lab.conformance.recording.conform import conform_recording
 from khep_twin.lab.experiment import controller_source
+from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.controllers import braitenberg
-from khep_twin.lab.experiment.experiment import find_controller
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.reader import read, read_label
 from khep_twin.log.recorded import read_recorded

@@ -9,8 +9,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from khep_twin.board.kernel import SETPOINTS
 from khep_twin.errors import ControllerError
 from khep_twin.host import Khepera
+from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.controllers import braitenberg
-from khep_twin.lab.experiment.experiment import find_controller, run
+from khep_twin.lab.experiment.experiment import run
 from khep_twin.log.reader import read
 
 

@@ -10,7 +10,8 @@ from khep_twin.board.kernel import SETPOINTS
 from khep_twin.errors import ControllerError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import Controller, braitenberg
-from khep_twin.lab.experiment.series import FreshTwins, OneRobot, Plan, SeriesRun, numbered, run_series
+from khep_twin.lab.experiment.series import FreshTwins, OneRobot, run_series
+from khep_twin.lab.experiment.series_run import Plan, SeriesRun, numbered
 from khep_twin.lab.experiment.start_poses import StartPose
 from khep_twin.ports.twin import Twin, TwinOptions
 

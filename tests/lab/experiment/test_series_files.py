@@ -14,8 +14,8 @@ from scipy.io import loadmat
 from khep_twin.errors import ControllerError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import Controller, as_controller, variables
-from khep_twin.lab.experiment.series import SeriesRun
 from khep_twin.lab.experiment.series_files import SeriesFolder, read_series
+from khep_twin.lab.experiment.series_run import SeriesRun
 from khep_twin.lab.experiment.start_poses import StartPose
 
 SETTINGS: dict[str, Any] = {"seed": 1, "playpen": "a\nb\nc", "cycles": None}

@@ -1,0 +1,77 @@
+"""Plan of a series of runs, its results and the names of their files."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from khep_twin.errors import ControllerError
+from khep_twin.lab.experiment.start_poses import StartPose
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Number and length of the runs of a series.
+
+    Attributes:
+        runs: Number of runs.
+        cycles: Calls of the controller per run, None for no limit.
+        seconds: Longest time of a run in the port's own time [s], None for no limit.
+        pause: Pause between runs in the port's own time [s].
+    """
+
+    runs: int = 1
+    cycles: int | None = None
+    seconds: float | None = None
+    pause: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise a `ControllerError` if a value is out of its range, or a run has no end."""
+        if self.runs < 1 or (self.cycles is not None and self.cycles < 1):
+            raise ControllerError(f"{self.runs} runs of {self.cycles} cycles; expected numbers above 0")
+        if self.cycles is None and self.seconds is None:
+            raise ControllerError("a run needs an end; expected a number of cycles or of seconds")
+        if self.seconds is not None and not 0 < self.seconds < math.inf:
+            raise ControllerError(f"runs of {self.seconds} s; expected a time above 0")
+        if not 0 <= self.pause < math.inf:
+            raise ControllerError(f"a pause of {self.pause} s; expected 0 or more")
+
+
+@dataclass(frozen=True, slots=True)
+class SeriesRun:
+    """One run of a series.
+
+    Attributes:
+        number: Number of the run, from 1.
+        start: Start pose, None if the robot started where it stood.
+        cycles: Number of calls of the controller.
+        duration: Duration in the port's own time [s].
+        metrics: Metrics by name (`khep_twin.lab.experiment.measures`).
+        variables: Variables of the controller at the run's end.
+    """
+
+    number: int
+    start: StartPose | None
+    cycles: int
+    duration: float
+    metrics: Mapping[str, float]
+    variables: Mapping[str, object] = field(default_factory=dict[str, object])
+
+    def line(self, runs: int) -> str:
+        """Return the run as a line of text, as one of `runs`."""
+        told = f"{self.cycles} cycles in {self.duration:.1f} s"
+        if runs == 1:
+            return told
+        names = ("fitness", "distance_m")
+        shown = [f"{name} {self.metrics[name]:.3g}" for name in names if name in self.metrics]
+        return "  ".join([f"run {self.number:3d}", told, *shown])
+
+
+def numbered(path: Path, number: int) -> Path:
+    """Return the name of a run's own file: NAME-001.SUFFIX."""
+    return path.with_name(f"{path.stem}-{number:03d}{path.suffix}")
+
+
+def own_files(path: Path, runs: int) -> list[Path]:
+    """Return the file of each run: the path itself for one run, NAME-001.SUFFIX and so on for several."""
+    return [path] if runs == 1 else [numbered(path, number) for number in range(1, runs + 1)]
