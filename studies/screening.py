@@ -20,7 +20,7 @@ from khep_twin import playpen
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Driver, Network
 from khep_twin.episodes.episode import Episode, EpisodeSetup
-from khep_twin.playpen import Arena, Playpen, Robot
+from khep_twin.playpen import Arena, Playpen, RobotEntry
 
 GENOMES, SEEDS, EPISODE_S, ELITE = 200, 3, 30.0, 20
 TIMES_S = (1.0, 6.0, 60.0)
@@ -29,7 +29,7 @@ REPEATS = 10
 
 def open_floor() -> Playpen:
     """Return a floor without obstacles within a minute's drive."""
-    robot = Robot(x_mm=5000, y_mm=5000, heading_deg=20)
+    robot = RobotEntry(x_mm=5000, y_mm=5000, heading_deg=20)
     arena = Arena(width_mm=10_000, height_mm=10_000)
     return Playpen(version=1, name="open-floor", arena=arena, robot=(robot,), surfaces={})
 
