@@ -19,7 +19,7 @@ from benchmarks.ports import line_row, trip_rows
 from benchmarks.scale import NETWORK, POLICY, bare_row, batch_row, episode_row, world_row
 from benchmarks.table import LEGEND, Table, measure, text
 from khep_twin import playpen, units
-from khep_twin.episodes.episode import EpisodeSetup
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError
 
 PLAYPEN = "obstacles"

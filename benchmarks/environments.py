@@ -13,7 +13,7 @@ from benchmarks.scale import POLICY, batch_row
 from benchmarks.table import LEGEND, Row, Table, measure, text, timed
 from khep_twin import playpen
 from khep_twin.envs.task_setup import PERIOD_NS
-from khep_twin.episodes.episode import EpisodeSetup
+from khep_twin.episodes.episode_setup import EpisodeSetup
 
 NAME, PLAYPEN = "khep_twin/ObstacleAvoidance-v0", "obstacles"
 EPISODES = 64

@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.scale import bare_row, batch_row, episode_row, world_row
 from benchmarks.table import COST, LEGEND, Row, Table, measure, text
 from khep_twin import playpen
-from khep_twin.episodes.episode import EpisodeSetup
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Arena, Block, Playpen, RobotEntry
 
 BLOCKS = (0, 20, 100, 1000)

@@ -16,7 +16,8 @@ from khep_twin import playpen, units
 from khep_twin.board import kernel
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Braitenberg, Driver, Floats, Network, Policy
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Playpen
 from khep_twin.world import World
 

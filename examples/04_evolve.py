@@ -22,7 +22,8 @@ from khep_twin import playpen
 from khep_twin.drawing.map import DrawnPath, draw, save
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Network
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import pip_install
 from khep_twin.files.atomic import unusable
 from khep_twin.lab.experiment import run_statistics

@@ -25,7 +25,7 @@ from khep_twin import playpen
 from khep_twin.drawing.map import draw, save
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Network
-from khep_twin.episodes.episode import EpisodeSetup
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import pip_install
 from khep_twin.files.atomic import unusable
 from khep_twin.randomness import stream

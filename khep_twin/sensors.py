@@ -23,8 +23,9 @@ import mujoco
 from khep_twin.sensing import lobes
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.mujoco_scene import visible
-from khep_twin.sensing.optics import SLIGHT, Proximity
+from khep_twin.sensing.optics import SLIGHT
 from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.sensing.robot_sensors import Proximity
 from khep_twin.sensing.seen_surfaces import N_COLUMNS, N_SURFACES
 
 _RANGE = 1.5

@@ -17,8 +17,10 @@ from khep_twin import units
 from khep_twin.board import battery, kernel
 from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.light import Light
 from khep_twin.sensing.noise import Tables, draws
-from khep_twin.sensing.optics import Light, RobotSensors, convert
+from khep_twin.sensing.optics import convert
+from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import (
     Scene,
     in_bounds,

@@ -9,7 +9,8 @@ from khep_twin import playpen
 from khep_twin.board.battery import discharged
 from khep_twin.board.kernel import Board
 from khep_twin.episodes.controllers import ConstantSpeed
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from studies.behaviour import motor_table
 from studies.fidelity_comparison import Comparison, Outcome, columns
 from studies.home_test import HOME_MM, ROBOTS, misses

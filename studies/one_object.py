@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Arena, Cylinder, Lamp, Playpen, RobotEntry
 from khep_twin.units import BODY_RADIUS, BULB_RADIUS
 

@@ -19,7 +19,8 @@ from benchmarks.scale import NETWORK, random_genes
 from khep_twin import playpen
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Driver, Network
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Arena, Playpen, RobotEntry
 
 GENOMES, SEEDS, EPISODE_S, ELITE = 200, 3, 30.0, 20

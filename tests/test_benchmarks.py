@@ -17,7 +17,7 @@ from benchmarks.scale import bare_row, episode_row, world_row
 from benchmarks.swarm import swarm_rows
 from benchmarks.table import COST, Row, Table, Taken, measure, text, timed
 from khep_twin import playpen
-from khep_twin.episodes.episode import EpisodeSetup
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError
 
 FOLDER = Path(benchmarks.__file__).parent

@@ -9,7 +9,8 @@ import pytest
 from khep_twin import playpen, units
 from khep_twin.board.kernel import DUTIES, RIGHT, Board, set_duty
 from khep_twin.episodes.controllers import ConstantSpeed
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.sensing.calibration import MotorCalibration
 from khep_twin.units import TYRE_FRICTION
 

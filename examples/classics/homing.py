@@ -26,7 +26,8 @@ from curves import draw_curve
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.drawing.map import DrawnPath, draw, save
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.files.atomic import unusable
 from khep_twin.randomness import stream
 from khep_twin.units import COUNTS_LIMIT, Sensor

@@ -19,7 +19,7 @@ from trajectories import trajectories
 from khep_twin import playpen
 from khep_twin.drawing.map import DrawnPath, draw, save
 from khep_twin.episodes.controllers import Braitenberg, Driver, Network
-from khep_twin.episodes.episode import EpisodeSetup
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen.starts import Start, anywhere
 from khep_twin.randomness import stream
 

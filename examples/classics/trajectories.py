@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.episodes.controllers import Driver
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen.starts import Start
 
 

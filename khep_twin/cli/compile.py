@@ -20,7 +20,8 @@ def compile_all(
     import numpy as np
 
     from khep_twin.episodes.controllers import Braitenberg
-    from khep_twin.episodes.episode import Episode, EpisodeSetup
+    from khep_twin.episodes.episode import Episode
+    from khep_twin.episodes.episode_setup import EpisodeSetup
     from khep_twin.errors import choices
     from khep_twin.playpen import load
     from khep_twin.shadow.planes import SPEED

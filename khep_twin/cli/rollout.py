@@ -71,7 +71,8 @@ def rollout(
     """
     from khep_twin.board.fault_injection import parse
     from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed
-    from khep_twin.episodes.episode import Episode, EpisodeSetup
+    from khep_twin.episodes.episode import Episode
+    from khep_twin.episodes.episode_setup import EpisodeSetup
     from khep_twin.lab.experiment.controller_files import find_function
     from khep_twin.playpen.starts import at_spots
     from khep_twin.ports.twin import Twin, equipped

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.clock import n_steps, to_ns
 from khep_twin.envs.tasks import TOP_SPEED, Task, find
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError, PlaypenError, choices
 from khep_twin.playpen import Playpen, load
 from khep_twin.playpen.starts import anywhere, at_spots

@@ -27,11 +27,14 @@ from khep_twin import units
 from khep_twin.board.fault_injection import Fault
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.episodes.controllers import Driver, Floats, Network, Policy
-from khep_twin.episodes.episode import METRICS, Episode, EpisodeSetup, Start, is_compiled
+from khep_twin.episodes.episode import Episode, is_compiled
 from khep_twin.episodes.episode_batch import EpisodeBatch
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.metrics import METRICS
 from khep_twin.errors import DivergedError
 from khep_twin.machine import n_cores
 from khep_twin.playpen import Lamp, Playpen
+from khep_twin.playpen.starts import Start
 from khep_twin.simulation.mujoco_forms import movable_names
 
 BATCH_SIZE = 64
@@ -62,7 +65,7 @@ class RolloutResult:
     Where an episode has several robots, all arrays have an axis of robots behind that of episodes.
 
     Attributes:
-        metrics: Metrics of the episodes by name (`episode.METRICS`), NaN for those that failed, each (n,).
+        metrics: Metrics of the episodes by name (`metrics.METRICS`), NaN for those that failed, each (n,).
         registers: Registers of each board at the end (n, N_REGISTERS).
         poses: Final x, y [m] and heading [rad] (n, 3).
         objects: Final x, y [m] and heading [rad] of the movable objects, in the order of `Playpen.objects`

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from khep_twin.episodes import networks, stepping
 from khep_twin.episodes.fitness import TOP_SPEED_PULSES
+from khep_twin.episodes.metrics import sums_at_start
 from khep_twin.errors import ControllerError
 from khep_twin.units import N_SENSORS
 
@@ -96,7 +97,7 @@ def controllers_of(
     """Return the controllers of an episode's robots as the stepping core uses them.
 
     Args:
-        driver: Controller; for a policy only the sums of fitness are kept.
+        driver: Controller; for a policy only the sums of metrics are kept.
         genes: Weights of a network, or parameters of a function (n_genes,), or each robot's own
             (n_robots, n_genes).
         home: Home x, y, radius [m] and duration of the charge [s] (4,).
@@ -130,8 +131,6 @@ def controllers_of(
             pass
         case _:
             raise ControllerError(f"{driver!r} is no controller; {_DRIVERS}")
-    sums = np.zeros((n_robots, stepping.N_SUMS))
-    sums[:, stepping.CHARGE] = home[3]
     controllers = stepping.Controllers(
         kind,
         function,
@@ -144,7 +143,7 @@ def controllers_of(
         np.zeros(sum(sizes)),
         np.zeros(2),
         home,
-        sums,
+        sums_at_start(n_robots, home),
     )
     if compiled or kind == stepping.FUNCTION:
         return controllers

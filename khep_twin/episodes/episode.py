@@ -14,7 +14,6 @@ and sensors, thirty times faster and more, and similar trajectories.
 """
 
 import importlib.util
-import math
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -28,26 +27,13 @@ from khep_twin.board.fault_injection import Fault
 from khep_twin.episodes import stepping
 from khep_twin.episodes.controllers import ConstantSpeed, Driver, Floats, controllers_of
 from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.metrics import metrics_of
 from khep_twin.episodes.planar.planar_world import PlanarWorld
 from khep_twin.errors import DivergedError, MissingNumbaError, pip_install_required
 from khep_twin.playpen import Lamp
 from khep_twin.playpen.starts import Start
 from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.world import World
-
-METRICS = (
-    "obstacle_avoidance",
-    "light_seeking",
-    "homing",
-    "wall_following",
-    "effort",
-    "distance_m",
-    "forward_m",
-)
-"""Metrics of an episode: means over its control periods, distance, and distance forwards less backwards."""
-
-_MEANS = stepping.AVOIDANCE, stepping.SEEKING, stepping.HOMING, stepping.FOLLOWING, stepping.EFFORT
-
 
 _LOOK = 2000
 """Steps between two looks for compiled code."""
@@ -273,15 +259,9 @@ class Episode:
         stepping.observe(self._simulation.plain, joint, row)
 
     def metrics(self, robot: int = 0) -> dict[str, float]:
-        """Return a robot's metrics so far (`METRICS`); "homing" is NaN without a home."""
+        """Return a robot's metrics so far (`metrics.METRICS`); "homing" is NaN without a home."""
         self._insist()
-        sums = self._controllers.sums[robot]
-        periods = max(float(sums[stepping.PERIODS]), 1.0)
-        means = [float(sums[each]) / periods for each in _MEANS]
-        if not self._controllers.home[2]:
-            means[2] = math.nan
-        distances = float(sums[stepping.DISTANCE]), float(sums[stepping.FORWARD])
-        return dict(zip(METRICS, [*means, *distances], strict=True))
+        return metrics_of(self._controllers.sums[robot])
 
     def _advance(self, *arguments: Any) -> int:
         if self._compiled:

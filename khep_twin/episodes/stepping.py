@@ -1,4 +1,4 @@
-"""Controllers of robots inside the stepping core, and the sums of their fitness.
+"""Controllers of robots inside the stepping core, and the sums of their metrics.
 
 A controller replaces the line's bytes: at the start of every control period it reads the registers and sets
 both wheels' speeds in them at once, as the firmware would on a command D. Like the core, this is plain
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.board import kernel
 from khep_twin.compilable import compilable
-from khep_twin.episodes import fitness, networks
+from khep_twin.episodes import networks
+from khep_twin.episodes.metrics import add_period
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.scene import decide, pose
 from khep_twin.step import DONE, NO_SPEED, PHASE, STEPS, Simulated, StepInputs, advance, switch_on
@@ -23,26 +24,15 @@ from khep_twin.step import DONE, NO_SPEED, PHASE, STEPS, Simulated, StepInputs, 
 CONSTANT_SPEED, BRAITENBERG, NETWORK, FUNCTION = 0, 1, 2, 3
 """Kinds of controller: none (constant speeds), the ROM's Braitenberg vehicle, a network, a function."""
 
-PERIODS, AVOIDANCE, SEEKING, HOMING, FOLLOWING, DISTANCE, CHARGE, LAST_X, LAST_Y = 0, 1, 2, 3, 4, 5, 6, 7, 8
-"""Indices in `Controllers.sums`: control periods, sums of fitness over them, distance [m], charge left
-[s], last position of the robot [m]."""
-FORWARD = 9
-"""Index in `Controllers.sums` of the distance forwards less that backwards [m]."""
-EFFORT = 10
-"""Index in `Controllers.sums` of the sum of the control effort."""
-N_SUMS = 11
-
 _SPEED_LIMIT = 127
 _CONVERSION = units.STEP_NS * 1e-9
 _PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
 _RIGHT = kernel.RIGHT
-_LEFT_SETPOINT, _RIGHT_SETPOINT = kernel.SETPOINTS
-_SIDES = (int(units.Sensor.LEFT_90), int(units.Sensor.RIGHT_90))
 _N = units.N_SENSORS
 
 
 class Controllers(NamedTuple):
-    """Controllers of a scene's robots, of one kind, and their sums of fitness.
+    """Controllers of a scene's robots, of one kind, and their sums of metrics.
 
     Attributes:
         kind: CONSTANT_SPEED, BRAITENBERG, NETWORK or FUNCTION.
@@ -56,7 +46,7 @@ class Controllers(NamedTuple):
         values: Buffer for a network's values.
         speeds: Buffer for the speeds of a function (2,) [pulses/10 ms].
         home: Home x, y and radius [m], and duration of the charge [s] (4,); radius 0 for none.
-        sums: Sums over the episode (n_robots, N_SUMS).
+        sums: Sums over the episode, as of `metrics` (n_robots, N_SUMS).
     """
 
     kind: int
@@ -183,14 +173,14 @@ def observe(simulated: Simulated, joint: JointRun, row: int) -> None:
 
 @compilable
 def control(simulated: Simulated, controllers: Controllers, robot: int) -> bool:
-    """Run the controller of a robot and add its fitness; return False if a speed is not finite."""
+    """Run the controller of a robot and add its metrics; return False if a speed is not finite."""
     state, ambient = simulated.robots[robot], simulated.robots[robot].sensors.ambient
     if state.processor[kernel.POWERED] and not _drive(
         state.registers, controllers, robot, ambient.dark, ambient.floor
     ):
         return False
     period = controllers.steps_per_period * simulated.timing.conversions * _CONVERSION
-    note(
+    add_period(
         state.registers,
         controllers.sums[robot],
         controllers.home,
@@ -200,54 +190,6 @@ def control(simulated: Simulated, controllers: Controllers, robot: int) -> bool:
         period,
     )
     return True
-
-
-@compilable
-def note(
-    registers: kernel.Registers,
-    sums: Vector[float],
-    home: Vector[float],
-    dark: float,
-    floor: float,
-    at: tuple[float, float, float, float],
-    period: float,
-) -> None:
-    """Add the fitness at the start of a control period, with the speeds just set.
-
-    Args:
-        registers: State of the board.
-        sums: Sums over the episode, changed in place (N_SUMS,).
-        home: Home as in `Controllers`.
-        dark: Ambient reading in the dark [counts].
-        floor: Ambient reading in the brightest light [counts].
-        at: Robot x and y [m], cosine and sine of its heading.
-        period: Control period [s].
-    """
-    nearest, darkest = registers[_PROXIMITY], registers[_AMBIENT]
-    for sensor in range(1, _N):
-        nearest = max(nearest, registers[_PROXIMITY + sensor])
-        darkest = min(darkest, registers[_AMBIENT + sensor])
-    side = max(registers[_PROXIMITY + _SIDES[0]], registers[_PROXIMITY + _SIDES[1]]) / units.COUNTS_LIMIT
-    left, right = float(registers[_LEFT_SETPOINT]), float(registers[_RIGHT_SETPOINT])
-    part = nearest / units.COUNTS_LIMIT
-    x, y, cosine, sine = at
-    dx, dy = x - sums[LAST_X], y - sums[LAST_Y]
-    if sums[PERIODS] > 0:
-        sums[DISTANCE] += math.sqrt(dx * dx + dy * dy)
-        sums[FORWARD] += dx * cosine + dy * sine
-    sums[LAST_X], sums[LAST_Y] = x, y
-    sums[PERIODS] += 1
-    sums[AVOIDANCE] += fitness.obstacle_avoidance(left, right, part)
-    sums[SEEKING] += fitness.light_seeking(float(darkest), dark, floor)
-    sums[FOLLOWING] += fitness.wall_following(left, right, side)
-    sums[EFFORT] += fitness.effort(left, right)
-    if home[2] > 0 and sums[CHARGE] > 0:
-        dx, dy = x - home[0], y - home[1]
-        if dx * dx + dy * dy <= home[2] * home[2]:
-            sums[CHARGE] = home[3]  # at home the fitness is 0 and the cells are full at once
-        else:
-            sums[HOMING] += fitness.homing(left, right, part)
-            sums[CHARGE] -= period
 
 
 @compilable

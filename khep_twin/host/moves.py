@@ -4,20 +4,48 @@ The wheels follow the board's own trapezoid (command J), and the board reports t
 """
 
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from khep_twin.errors import MoveError
-from khep_twin.host.results import MotorMode, Positions
+from khep_twin.host.results import MotionStatus, MotorMode, Positions
 from khep_twin.units import PULSE_LENGTH, WHEEL_BASE
-
-if TYPE_CHECKING:
-    from khep_twin.host.khepera import Khepera
 
 LONGEST_WAY_PULSES = 2**23 - 2
 """Farthest target of command C (manual, appendix A)."""
 
 _PAUSE = 0.05
 """Pause between two reads of the wheels [s]."""
+
+
+class MovingRobot(Protocol):
+    """Interface of a robot to its moves, as `Khepera` has it."""
+
+    name: str
+
+    @property
+    def time(self) -> float:
+        """Time on the robot's port [s]."""
+        ...
+
+    def position(self) -> Positions:
+        """Read both counters."""
+        ...
+
+    def status(self) -> MotionStatus:
+        """Read the state of both wheels."""
+        ...
+
+    def set_target(self, left: int, right: int) -> None:
+        """Move both wheels to these counters."""
+        ...
+
+    def set_speed(self, left: int, right: int) -> None:
+        """Set both speeds [pulses/10 ms]."""
+        ...
+
+    def sleep(self, duration: float) -> None:
+        """Wait for a time on the port [s]."""
+        ...
 
 
 def way_pulses(distance: float) -> int:
@@ -33,7 +61,7 @@ def turn_pulses(angle: float, wheel_base: float = WHEEL_BASE) -> int:
     return round(_finite("angle", angle) * wheel_base / 2 / PULSE_LENGTH)
 
 
-def drive_by(robot: "Khepera", left: int, right: int, timeout: float) -> Positions:
+def drive_by(robot: MovingRobot, left: int, right: int, timeout: float) -> Positions:
     """Move the wheels on by so many pulses and wait; see `Khepera.move`."""
     start = robot.position()
     target = start.left + left, start.right + right
@@ -52,7 +80,7 @@ def drive_by(robot: "Khepera", left: int, right: int, timeout: float) -> Positio
     return robot.position()
 
 
-def wait_for_target(robot: "Khepera", timeout: float) -> None:
+def wait_for_target(robot: MovingRobot, timeout: float) -> None:
     """Wait until both wheels are on target; see `Khepera.wait_for_target`."""
     end = robot.time + timeout
     while not (status := robot.status()).on_target:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain, islice
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
@@ -13,13 +13,13 @@ from khep_twin.playpen.parts import BULB_RADIUS_MM, MODELS, SHORTEST_BLINK_S, Ro
 from khep_twin.playpen.polygon import edges
 from khep_twin.playpen.stripes import PANEL_LIMIT, Stripe
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
+from khep_twin.playpen.tables import PlaypenTables
 from khep_twin.units import BODY_HEIGHT
 
-if TYPE_CHECKING:
-    from khep_twin.playpen.model import Playpen
 
-
-def playpen_problems(playpen: "Playpen", recorded: bool = False, placed: bool = True) -> Iterator[Problem]:
+def playpen_problems(
+    playpen: PlaypenTables, recorded: bool = False, placed: bool = True
+) -> Iterator[Problem]:
     """Yield the problems of a playpen whose keys are valid one by one.
 
     Args:
@@ -47,7 +47,9 @@ def at_spot(robot: RobotEntry, spot: Spot) -> RobotEntry:
     return robot.model_copy(update={"x_mm": spot.x_mm, "y_mm": spot.y_mm, "heading_deg": spot.heading_deg})
 
 
-def assigned(playpen: "Playpen", order: Callable[[Sequence[str]], Sequence[str]]) -> list[RobotEntry] | None:
+def assigned(
+    playpen: PlaypenTables, order: Callable[[Sequence[str]], Sequence[str]]
+) -> list[RobotEntry] | None:
     """Return the robots, each with spots at one of them, clear of the others; None if that is impossible.
 
     Args:
@@ -130,7 +132,7 @@ random drives of 10 s a cylinder was pressed through walls of 1 to 3 mm in four,
 one of 1,000; from 5 g and 10 mm on, in none (measured)."""
 
 
-def _arena_problems(playpen: "Playpen") -> Iterator[Problem]:
+def _arena_problems(playpen: PlaypenTables) -> Iterator[Problem]:
     height_mm, turrets = playpen.arena.wall_height_mm, any(robot.turrets for robot in playpen.robots)
     lowest_mm = LOWEST_WALL_WITH_TURRET_MM if turrets else LOWEST_WALL_MM
     if playpen.robots and height_mm < lowest_mm:
@@ -153,7 +155,7 @@ def _arena_problems(playpen: "Playpen") -> Iterator[Problem]:
             yield Problem.of((kind, index, "mass_g"), found, f"at least {LIGHTEST_G:g}")
 
 
-def _surface_problems(playpen: "Playpen") -> Iterator[Problem]:
+def _surface_problems(playpen: PlaypenTables) -> Iterator[Problem]:
     for name in playpen.surfaces:
         if name in BUILT_IN_SURFACES:
             wanted = f"a name other than {', '.join(BUILT_IN_SURFACES)}"
@@ -170,7 +172,7 @@ def _surface_problems(playpen: "Playpen") -> Iterator[Problem]:
     yield from _stripe_problems(playpen, tuple(known))
 
 
-def _stripe_problems(playpen: "Playpen", known: tuple[str, ...]) -> Iterator[Problem]:
+def _stripe_problems(playpen: PlaypenTables, known: tuple[str, ...]) -> Iterator[Problem]:
     """Yield stripes of unknown surfaces, and too many stripes."""
     striped: list[tuple[Location, str, Sequence[Stripe]]] = [(("arena",), "arena", playpen.arena.stripes)]
     for kind, items in {**playpen.objects, "wall": playpen.walls}.items():
@@ -185,7 +187,7 @@ def _stripe_problems(playpen: "Playpen", known: tuple[str, ...]) -> Iterator[Pro
         yield Problem.of((), f"stripes: more than {PANEL_LIMIT} panels", "wider or fewer stripes")
 
 
-def _wall_problems(playpen: "Playpen") -> Iterator[Problem]:
+def _wall_problems(playpen: PlaypenTables) -> Iterator[Problem]:
     for index, wall in enumerate(playpen.walls):
         place, location = label("wall", index + 1, wall.name), ("wall", index, "points_mm")
         for number, (x_mm, y_mm) in enumerate(wall.points_mm, 1):
@@ -199,7 +201,7 @@ def _wall_problems(playpen: "Playpen") -> Iterator[Problem]:
                 yield Problem.of(location, found, "each point once")
 
 
-def _patch_problems(playpen: "Playpen", placed: bool) -> Iterator[Problem]:
+def _patch_problems(playpen: PlaypenTables, placed: bool) -> Iterator[Problem]:
     for index, patch in enumerate(playpen.patches):
         told = label("patch", index + 1, patch.name)
         if not patch.is_one_shape:
@@ -209,7 +211,7 @@ def _patch_problems(playpen: "Playpen", placed: bool) -> Iterator[Problem]:
             yield from beyond(told, ("patch", index), patch.footprint, playpen.arena)
 
 
-def _lamp_problems(playpen: "Playpen") -> Iterator[Problem]:
+def _lamp_problems(playpen: PlaypenTables) -> Iterator[Problem]:
     lighting = playpen.lighting
     if not lighting.min_angle_deg < lighting.max_angle_deg:
         found = f"lighting: max_angle_deg = {lighting.max_angle_deg:g}"
@@ -228,7 +230,7 @@ def _lamp_problems(playpen: "Playpen") -> Iterator[Problem]:
             last = end
 
 
-def _robot_problems(playpen: "Playpen") -> Iterator[Problem]:
+def _robot_problems(playpen: PlaypenTables) -> Iterator[Problem]:
     """Yield the inconsistencies of the robots' keys."""
     known = [spot.name for spot in playpen.spots]
     for index, robot in enumerate(playpen.robots):
@@ -250,7 +252,7 @@ def _robot_problems(playpen: "Playpen") -> Iterator[Problem]:
             )
 
 
-def _name_problems(playpen: "Playpen") -> Iterator[Problem]:
+def _name_problems(playpen: PlaypenTables) -> Iterator[Problem]:
     """Yield the names that two parts have, of whatever kind."""
     first: dict[str, str] = {}
     for kind, items in playpen.tables.items():
@@ -261,7 +263,7 @@ def _name_problems(playpen: "Playpen") -> Iterator[Problem]:
                 yield Problem.of((kind, index, "name"), found, "a unique name")
 
 
-def things(playpen: "Playpen") -> Iterator[Thing]:
+def things(playpen: PlaypenTables) -> Iterator[Thing]:
     """Yield all parts of a playpen, and the spots where robots may start."""
     for kind, items in playpen.objects.items():
         for number, item in enumerate(items, 1):

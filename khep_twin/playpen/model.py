@@ -1,99 +1,24 @@
 """Model of a whole playpen: reading, checking and writing of playpen files."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Self
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, ValidationInfo, model_serializer, model_validator
+from pydantic import SerializerFunctionWrapHandler, ValidationInfo, model_serializer, model_validator
 
 from khep_twin.errors import PlaypenError
 from khep_twin.files import toml_files
-from khep_twin.files.toml_files import PROBLEM_LIMIT, Name, Problems, Table, TomlTable
+from khep_twin.files.toml_files import PROBLEM_LIMIT, Problems, Table
 from khep_twin.playpen.checks import assigned, completed, following, playpen_problems
-from khep_twin.playpen.parts import (
-    Arena,
-    Block,
-    Cylinder,
-    Lamp,
-    Lighting,
-    Patch,
-    RadioChannel,
-    RobotEntry,
-    Spot,
-    Wall,
-)
-from khep_twin.playpen.stripes import Panel, panels, panels_within
-from khep_twin.playpen.surfaces import BUILT_IN_SURFACES, Surface
+from khep_twin.playpen.tables import PlaypenTables
 
 
-class Playpen(TomlTable):
+class Playpen(PlaypenTables):
     """A whole playpen."""
-
-    version: Annotated[int, Field(ge=1, le=1, description="1")]
-    name: Name
-    arena: Arena
-    lighting: Lighting = Lighting()
-    radio: RadioChannel = RadioChannel()
-    surfaces: Annotated[Mapping[Name, Surface], Field(default_factory=dict[str, Surface])]
-    blocks: Annotated[tuple[Block, ...], Field(alias="block")] = ()
-    cylinders: Annotated[tuple[Cylinder, ...], Field(alias="cylinder")] = ()
-    walls: Annotated[tuple[Wall, ...], Field(alias="wall")] = ()
-    patches: Annotated[tuple[Patch, ...], Field(alias="patch")] = ()
-    lamps: Annotated[tuple[Lamp, ...], Field(alias="lamp")] = ()
-    spots: Annotated[tuple[Spot, ...], Field(alias="spot")] = ()
-    robots: Annotated[tuple[RobotEntry, ...], Field(alias="robot")] = ()
-
-    @property
-    def tables(self) -> dict[str, tuple[Block | Cylinder | Wall | Patch | Lamp | Spot | RobotEntry, ...]]:
-        """Parts by kind, as their tables are named."""
-        return {
-            **self.objects,
-            "wall": self.walls,
-            "patch": self.patches,
-            "lamp": self.lamps,
-            "spot": self.spots,
-            "robot": self.robots,
-        }
-
-    @property
-    def objects(self) -> dict[str, tuple[Block | Cylinder, ...]]:
-        """Objects that stand on the floor, by the name of their table."""
-        return {
-            "block": self.blocks,
-            "cylinder": self.cylinders,
-        }
-
-    @property
-    def turret_settings(self) -> Mapping[str, Mapping[str, float]]:
-        """Values of the tables for turrets, by the name of the turret."""
-        return {"radio": self.radio.model_dump()}
-
-    def surface(self, name: str) -> Surface:
-        """Return the surface of a name, built-in or this playpen's own."""
-        return BUILT_IN_SURFACES.get(name) or self.surfaces[name]
-
-    def reflectance(self, part: Arena | Block | Cylinder | Wall) -> float:
-        """Return the infrared reflectance of a part: the mean over its stripes, if it has any."""
-        if not part.stripes:
-            return self.surface(part.surface).reflectance
-        widths_mm = [width_mm for width_mm, _ in part.stripes]
-        light = (width_mm * self.surface(name).reflectance for width_mm, name in part.stripes)
-        return sum(light) / sum(widths_mm)
-
-    @property
-    def panels(self) -> Iterator[Panel]:
-        """Panels of all stripes, seen from above."""
-        yield from panels_within(self.arena.corners, self.arena.stripes)
-        for wall in self.walls:
-            for shape in wall.footprints:
-                yield from panels(shape, wall.stripes)
-        for items in self.objects.values():
-            for item in items:
-                yield from panels(item.footprint, item.stripes)
 
     @model_serializer(mode="wrap")
     def _without_empty_arrays(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:

@@ -18,9 +18,10 @@ import mujoco
 
 from khep_twin.playpen import Lighting
 from khep_twin.sensing.calibration import AmbientCalibration
+from khep_twin.sensing.light import Bulb, Hidden, Light, LightLaw
 from khep_twin.sensing.occlusion import SightLines
-from khep_twin.sensing.optics import Ambient, Bulb, Hidden, Light, LightLaw
 from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.sensing.robot_sensors import Ambient
 from khep_twin.units import radians
 
 

@@ -20,7 +20,7 @@ from pydantic import Field, FiniteFloat
 
 from khep_twin.playpen import BULB_RADIUS_MM, Lamp, Playpen
 from khep_twin.playpen.polygon import distance
-from khep_twin.sensing.optics import Light
+from khep_twin.sensing.light import Light
 from khep_twin.units import STEP_NS, metres
 
 
@@ -55,7 +55,7 @@ class Lamps:
         playpen: Playpen with the lamps and the lighting.
         rng: Factory of the random stream for the next lamp, called in mode "random" only.
         time_ns: Current time [ns].
-        phase: Phase of the mains, as in `optics.LightLaw`; drawn where a lamp flickers if not given.
+        phase: Phase of the mains, as in `light.LightLaw`; drawn where a lamp flickers if not given.
 
     Attributes:
         rng: The same factory.

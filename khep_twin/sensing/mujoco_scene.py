@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import view
-from khep_twin.sensing.optics import RobotSensors, chip_behind
+from khep_twin.sensing.robot_sensors import RobotSensors, chip_behind
 from khep_twin.sensing.scene import FASTEST, FEW, MANY, Triple
 from khep_twin.sensing.seen_surfaces import Chip, Upright, add_upright
 

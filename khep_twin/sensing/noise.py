@@ -1,4 +1,7 @@
-"""Random draws of the sensors: a counter-based generator, and quantiles of two distributions.
+"""Noise of the sensors, and the random draws behind it: a counter-based generator, and quantiles.
+
+Three functions make the noise of a conversion from its draws: `proximity_noise`, `ambient_noise` and
+`idle_counts`; another model of noise is another body of theirs. Their numbers are of the robot's calibration.
 
 The draws of a conversion follow from a robot's key and the number of the conversion alone: nothing is kept
 between two conversions, and any of them can be drawn first. The generator is Philox-2x32-10 (Salmon, Moraes,
@@ -14,6 +17,11 @@ import numpy as np
 
 from khep_twin.compilable import compilable
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.robot_sensors import Ambient, Proximity
+
+Draws = tuple[float, float, float]
+"""Random draws of a conversion for proximity, ambient and idle counts: the first two with mean 0 and standard
+deviation 1, the third with mean 1."""
 
 N_CELLS = 1024
 """Cells of equal probability between two quantiles."""
@@ -62,10 +70,26 @@ TABLE_ARRAYS = tuple(np.array(tables) for tables in TABLES)
 
 
 @compilable
-def draws(tables: Tables, key: Vector[int], number: int) -> tuple[float, float, float]:
-    """Return the draws of a conversion for proximity, ambient and idle counts.
+def proximity_noise(proximity: Proximity, channel: int, draws: Draws) -> float:
+    """Return the noise of one reading of reflected light [counts]."""
+    return proximity.noise[channel] * draws[0]
 
-    Their standard deviation is 1, and the mean of the first two 0, that of the third 1.
+
+@compilable
+def ambient_noise(ambient: Ambient, draws: Draws) -> float:
+    """Return the noise of one reading of ambient light [counts]."""
+    return ambient.noise * draws[1]
+
+
+@compilable
+def idle_counts(proximity: Proximity, draws: Draws) -> int:
+    """Return the reading of reflected light with nothing in reach [counts]."""
+    return int(proximity.idle * draws[2])
+
+
+@compilable
+def draws(tables: Tables, key: Vector[int], number: int) -> Draws:
+    """Return the draws of a conversion.
 
     Args:
         tables: Quantiles of the distributions.

@@ -19,7 +19,7 @@ _WALLS = frozenset(("wall_left", "wall_right", "wall_bottom", "wall_top"))
 
 
 class SightLines:
-    """Sight lines of one robot's receivers to the lamps of a scene, for `optics.clear`.
+    """Sight lines of one robot's receivers to the lamps of a scene, for `light.clear`.
 
     Args:
         model: Model of the scene.

@@ -7,16 +7,14 @@ The core and the sensors' arithmetic are the same for all of them.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, Registers
 from khep_twin.sensing.buffers import Vector
+from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.seen_surfaces import Chip
-
-if TYPE_CHECKING:
-    from khep_twin.sensing.optics import RobotSensors
 
 FEW, MANY = 0, 1
 """Numbers of points on a bulb: 9 or 64."""
@@ -70,15 +68,15 @@ class SceneJoints(Protocol):
 class SceneSight(Protocol):
     """Poses of the sensors in a scene."""
 
-    def body_frame(self, sensors: "RobotSensors") -> Sequence[float]:
+    def body_frame(self, sensors: RobotSensors) -> Sequence[float]:
         """Answer the query `body_frame`."""
         ...
 
-    def position(self, sensors: "RobotSensors", channel: int) -> Sequence[float]:
+    def position(self, sensors: RobotSensors, channel: int) -> Sequence[float]:
         """Answer the query `position`."""
         ...
 
-    def chip(self, sensors: "RobotSensors", channel: int) -> Chip:
+    def chip(self, sensors: RobotSensors, channel: int) -> Chip:
         """Answer the query `chip`."""
         ...
 
@@ -86,17 +84,17 @@ class SceneSight(Protocol):
 class SceneRays(Protocol):
     """Surfaces and rays of the sensors in a scene."""
 
-    def surfaces(self, sensors: "RobotSensors", channel: int, chip: Chip, needed: float) -> int:
+    def surfaces(self, sensors: RobotSensors, channel: int, chip: Chip, needed: float) -> int:
         """Answer the query `surfaces`."""
         ...
 
-    def stopped(self, sensors: "RobotSensors", channel: int, way: Triple, glass: float) -> bool:
+    def stopped(self, sensors: RobotSensors, channel: int, way: Triple, glass: float) -> bool:
         """Answer the query `stopped`."""
         ...
 
     def blocked(
         self,
-        sensors: "RobotSensors",
+        sensors: RobotSensors,
         channel: int,
         disc: int,
         left: Triple,
@@ -152,22 +150,22 @@ def set_motor(scene: Scene, index: int, voltage: float) -> None:
     scene.set_motor(index, voltage)
 
 
-def body_frame(scene: Scene, sensors: "RobotSensors") -> Sequence[float]:
+def body_frame(scene: Scene, sensors: RobotSensors) -> Sequence[float]:
     """Return the orientation of a robot: rows of a matrix (9,)."""
     return scene.body_frame(sensors)
 
 
-def position(scene: Scene, sensors: "RobotSensors", channel: int) -> Sequence[float]:
+def position(scene: Scene, sensors: RobotSensors, channel: int) -> Sequence[float]:
     """Return the position of a sensor (3,) [m]."""
     return scene.position(sensors, channel)
 
 
-def chip(scene: Scene, sensors: "RobotSensors", channel: int) -> Chip:
+def chip(scene: Scene, sensors: RobotSensors, channel: int) -> Chip:
     """Return the place of a sensor's chip, in the frame in which `surfaces` finds what it sees."""
     return scene.chip(sensors, channel)
 
 
-def surfaces(scene: Scene, sensors: "RobotSensors", channel: int, chip: Chip, needed: float) -> int:
+def surfaces(scene: Scene, sensors: RobotSensors, channel: int, chip: Chip, needed: float) -> int:
     """Fill in `proximity.found` with the surfaces that a sensor may see; return their number.
 
     Args:
@@ -181,14 +179,14 @@ def surfaces(scene: Scene, sensors: "RobotSensors", channel: int, chip: Chip, ne
     return scene.surfaces(sensors, channel, chip, needed)
 
 
-def stopped(scene: Scene, sensors: "RobotSensors", channel: int, way: Triple, glass: float) -> bool:
+def stopped(scene: Scene, sensors: RobotSensors, channel: int, way: Triple, glass: float) -> bool:
     """Return whether light along a way from a sensor [m] is stopped before a part of it, 0 to 1."""
     return scene.stopped(sensors, channel, way, glass)
 
 
 def blocked(
     scene: Scene,
-    sensors: "RobotSensors",
+    sensors: RobotSensors,
     channel: int,
     disc: int,
     left: Triple,

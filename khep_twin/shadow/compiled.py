@@ -15,9 +15,11 @@ from khep_twin.compilable import compilable
 from khep_twin.episodes.planar import casting, contact_solver, motion, plane, pushing, shadows
 from khep_twin.episodes.planar import compiled as planar_compiled
 from khep_twin.episodes.planar.plane import Plane
-from khep_twin.sensing import optics, reflection, seen_surfaces
-from khep_twin.sensing.optics import SLIGHT, Light, light_counts, lobe_of, received
+from khep_twin.sensing import light, optics, reflection, robot_sensors, seen_surfaces
+from khep_twin.sensing.light import Light, light_counts, received
+from khep_twin.sensing.optics import SLIGHT
 from khep_twin.sensing.reflection import reflected, sift
+from khep_twin.sensing.robot_sensors import lobe_of
 from khep_twin.sensing.scene import chip, position, surfaces
 from khep_twin.sensing.seen_surfaces import Chip
 from khep_twin.shadow.planes import DUTY, SPEED, TARGET
@@ -30,6 +32,8 @@ _SOURCES = (
     kernel,
     seen_surfaces,
     reflection,
+    robot_sensors,
+    light,
     optics,
     casting,
     contact_solver,

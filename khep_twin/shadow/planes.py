@@ -17,7 +17,7 @@ from khep_twin.errors import MissingNumbaError, PlaypenError
 from khep_twin.randomness import stream
 from khep_twin.sensing.buffers import as_records
 from khep_twin.sensing.lamps import Lamps
-from khep_twin.sensing.optics import Bulb, Hidden
+from khep_twin.sensing.light import Bulb, Hidden
 
 Floats = NDArray[np.float64]
 
@@ -134,12 +134,12 @@ class Planes:
 
     @property
     def ambient(self) -> Any:
-        """Record of `optics.Ambient`, which all twins share."""
+        """Record of `robot_sensors.Ambient`, which all twins share."""
         return self.sensors[0]["ambient"]
 
     @property
     def proximity(self) -> Any:
-        """Record of `optics.Proximity`, which all twins share."""
+        """Record of `robot_sensors.Proximity`, which all twins share."""
         return self.sensors[0]["proximity"]
 
     @property

@@ -22,8 +22,17 @@ from numba.extending import register_jitable
 from khep_twin import step, units
 from khep_twin.board import battery, kernel
 from khep_twin.compilable import FUNCTIONS
-from khep_twin.sensing import mujoco_scene, noise, optics, reflection, scene, seen_surfaces
-from khep_twin.sensing.optics import Light
+from khep_twin.sensing import (
+    light,
+    mujoco_scene,
+    noise,
+    optics,
+    reflection,
+    robot_sensors,
+    scene,
+    seen_surfaces,
+)
+from khep_twin.sensing.light import Light
 from khep_twin.simulation import addresses, foreign, mujoco_calls
 from khep_twin.simulation.mujoco_calls import MujocoCalls
 from khep_twin.status_line import announced
@@ -31,7 +40,7 @@ from khep_twin.step import Simulated, StepInputs
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-_OPTICS = noise, seen_surfaces, reflection, optics, mujoco_scene
+_OPTICS = noise, seen_surfaces, reflection, robot_sensors, light, optics, mujoco_scene
 SOURCES = (units, battery, kernel, scene, *_OPTICS, step, addresses, foreign, mujoco_calls)
 """Modules that are compiled."""
 

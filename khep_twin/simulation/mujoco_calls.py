@@ -16,7 +16,7 @@ from khep_twin.compilable import compilable
 from khep_twin.sensing import scene as queries
 from khep_twin.sensing.buffers import as_records
 from khep_twin.sensing.mujoco_scene import fixed, points_of_a_bulb, upright, visible
-from khep_twin.sensing.optics import chip_behind
+from khep_twin.sensing.robot_sensors import chip_behind
 from khep_twin.sensing.scene import FASTEST, FEW, MANY
 from khep_twin.sensing.seen_surfaces import add_upright
 from khep_twin.simulation.addresses import function_address, object_address

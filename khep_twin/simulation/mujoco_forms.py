@@ -20,9 +20,10 @@ from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import LightSource, ambient_optics
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.lamps import Lamps
+from khep_twin.sensing.light import Light
 from khep_twin.sensing.mujoco_scene import MujocoScene
-from khep_twin.sensing.optics import Light, RobotSensors
 from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensors import proximity_optics
 from khep_twin.simulation.fitted_robots import FittedRobots
 from khep_twin.simulation.simulation import NO_LIGHT

@@ -17,8 +17,8 @@ from khep_twin.playpen import Lighting
 from khep_twin.randomness import key, stream
 from khep_twin.sensing.buffers import as_plain, as_records, fill_record
 from khep_twin.sensing.lamps import Lamps
+from khep_twin.sensing.light import Bulb, Hidden, Light, LightLaw
 from khep_twin.sensing.noise import TABLE_ARRAYS, TABLES, key_words
-from khep_twin.sensing.optics import Bulb, Hidden, Light, LightLaw
 from khep_twin.step import RobotState, Simulated, StepInputs, Timing
 from khep_twin.units import N_SENSORS
 

@@ -25,8 +25,8 @@ from pydantic import Field, model_validator
 
 from khep_twin.clock import n_steps, to_ns
 from khep_twin.episodes.controllers import Network
-from khep_twin.episodes.episode import METRICS
 from khep_twin.episodes.fitness import TOP_SPEED_PULSES
+from khep_twin.episodes.metrics import METRICS
 from khep_twin.errors import KhepTwinError, Location, Problem, StudyError
 from khep_twin.files import toml_files
 from khep_twin.files.toml_files import Name, Problems, TomlTable, show
@@ -36,7 +36,7 @@ from khep_twin.randomness import SEED_LIMIT
 Fitness = Literal[
     "obstacle_avoidance", "light_seeking", "homing", "wall_following", "effort", "distance_m", "forward_m"
 ]
-"""Metrics of an episode; `episode.METRICS`."""
+"""Metrics of an episode; `metrics.METRICS`."""
 
 COLUMNS = frozenset(
     "episode playpen controller genome seed noise vary lighting start start_x_mm start_y_mm "

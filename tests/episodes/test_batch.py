@@ -12,7 +12,9 @@ from khep_twin import playpen
 from khep_twin.episodes import batch
 from khep_twin.episodes.batch import RolloutResult, rollout
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Function, Network, Policy
-from khep_twin.episodes.episode import METRICS, Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.metrics import METRICS
 from khep_twin.errors import ControllerError
 from khep_twin.playpen import Lamp
 

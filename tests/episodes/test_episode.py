@@ -14,7 +14,8 @@ from khep_twin.board.fault_injection import parse
 from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, SETPOINTS, Board, Wheel
 from khep_twin.episodes import episode as episodes
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Function, Network
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import DivergedError, MissingNumbaError, PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.sensing.seen_surfaces import N_COLUMNS

@@ -5,8 +5,9 @@ import importlib.util
 import numpy as np
 import pytest
 
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_batch import EpisodeBatch
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Playpen, load
 
 PERIOD_NS = 50_000_000

@@ -11,14 +11,16 @@ from khep_twin import playpen, units
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.episodes.batch import RolloutResult, rollout
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Network
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar.casting import PlaneScene, surfaces
 from khep_twin.episodes.planar.motion import step
 from khep_twin.episodes.planar.planar import PlanarScene
 from khep_twin.episodes.planar.planar_world import PlanarForms, PlanarWorld
 from khep_twin.episodes.planar.plane import TOUCHED, distance_to, nearest
 from khep_twin.playpen import Playpen
-from khep_twin.sensing.optics import RobotSensors, proximity_counts
+from khep_twin.sensing.optics import proximity_counts
+from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.seen_surfaces import Chip
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
@@ -289,9 +291,10 @@ def test_leaving_out_what_is_not_near_changes_no_count(name: str) -> None:
     for _ in range(100):
         backend.put((*rng.uniform((0, 0), (floor.width_mm, floor.height_mm)).tolist(), rng.uniform(0, 360)))
         drive(backend, 0.5, 0.5, 1)
-        for channel, noise in enumerate(rng.normal(size=8).tolist()):
-            usual = proximity_counts(Usual(), sensors, channel, noise, 1.0, 1.0, 0.0)
-            assert proximity_counts(Whole(), sensors, channel, noise, 1.0, 1.0, 0.0) == usual
+        for channel, draw in enumerate(rng.normal(size=8).tolist()):
+            noise, idle = draw * sensors.proximity.noise[channel], int(sensors.proximity.idle)
+            usual = proximity_counts(Usual(), sensors, channel, noise, idle, 1.0, 0.0)
+            assert proximity_counts(Whole(), sensors, channel, noise, idle, 1.0, 0.0) == usual
             chip = Usual().chip(sensors, channel)
             in_reach = surfaces(backend.plane, sensors, channel, chip, 0.0)
             seen, left_out = seen + (usual > 10), left_out + (near_ones[-1] == 0 < in_reach)

@@ -9,7 +9,8 @@ import pytest
 from khep_twin import playpen, units
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Network
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.episodes.planar.motion import step
 from khep_twin.episodes.planar.planar_world import PlanarForms

@@ -11,7 +11,7 @@ from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
 from khep_twin.randomness import stream
 from khep_twin.sensing.lamps import Lamps
-from khep_twin.sensing.optics import Bulb, Light, LightLaw
+from khep_twin.sensing.light import Bulb, Light, LightLaw
 from khep_twin.world import World
 
 MIDDLE = (0.5, 0.5)

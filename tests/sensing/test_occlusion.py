@@ -8,7 +8,7 @@ import pytest
 
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
-from khep_twin.sensing import optics
+from khep_twin.sensing import light as lamp_light
 from khep_twin.sensing.ambient import light_of
 from khep_twin.sensing.mujoco_scene import points_of_a_bulb
 from khep_twin.sensing.occlusion import SightLines
@@ -28,13 +28,13 @@ def share_of_clear(text: str, n: int = 400) -> float:
     clear = 0
     for x, y in np.random.default_rng(7).uniform((0, 0), (width, depth), (n, 2)).tolist():
         for lamp, at in enumerate(world.lamps.positions):
-            if optics.clear(light, lamp, x, y):
+            if lamp_light.clear(light, lamp, x, y):
                 clear += 1
                 place[:] = x, y, SENSOR_HEIGHT
                 way = at[0] - x, at[1] - y, at[2] - SENSOR_HEIGHT
                 distance = float(np.linalg.norm(way))
                 if distance > 0.03:
-                    assert optics.part_of_bulb(plain.scene, sensors, 0, way, distance, MANY) == 1, (
+                    assert lamp_light.part_of_bulb(plain.scene, sensors, 0, way, distance, MANY) == 1, (
                         x,
                         y,
                         lamp,
@@ -101,7 +101,7 @@ def test_corners_of_the_gripper_beside_a_sensor_stop_light(
     others = (model.geom_bodyid != sensors.base) & (model.geom_rgba[:, 3] > 0)
     stopped = 0
     for across, upward in points_of_a_bulb(MANY):
-        ray = np.array(way) + optics.BULB_RADIUS * (across * left + upward * up)
+        ray = np.array(way) + lamp_light.BULB_RADIUS * (across * left + upward * up)
         hits = [
             mujoco.mju_rayGeom(
                 data.geom_xpos[geom],
@@ -113,8 +113,8 @@ def test_corners_of_the_gripper_beside_a_sensor_stop_light(
             )
             for geom in np.flatnonzero(others)
         ]
-        stopped += any(0 <= hit < 1 - optics.BULB_RADIUS / distance for hit in hits)
-    assert optics.part_of_bulb(scene, sensors, channel, way, distance, MANY) == 1 - stopped / 64
+        stopped += any(0 <= hit < 1 - lamp_light.BULB_RADIUS / distance for hit in hits)
+    assert lamp_light.part_of_bulb(scene, sensors, channel, way, distance, MANY) == 1 - stopped / 64
     assert stopped in (1, 2, 55)
 
 

@@ -10,7 +10,8 @@ from khep_twin import playpen, units
 from khep_twin.board.fault_injection import parse
 from khep_twin.board.kernel import RIGHT, Wheel, set_duty
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.sensing.calibration import MotorCalibration
 from khep_twin.simulation.faulty_wheels import FIELDS
 from khep_twin.units import TYRE_FRICTION

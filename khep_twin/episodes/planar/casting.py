@@ -35,7 +35,7 @@ from khep_twin.episodes.planar.plane import (
     Y,
 )
 from khep_twin.sensing.buffers import Vector
-from khep_twin.sensing.optics import RobotSensors
+from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.scene import FASTEST, FEW, Triple
 from khep_twin.sensing.seen_surfaces import Chip, add_upright
 

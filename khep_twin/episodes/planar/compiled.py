@@ -11,7 +11,7 @@ from khep_twin.episodes.compiled import EPISODE_SOURCES
 from khep_twin.episodes.planar import casting, contact_solver, motion, plane, pushing, shadows
 from khep_twin.episodes.planar.plane import Plane
 from khep_twin.sensing import scene
-from khep_twin.sensing.optics import Light
+from khep_twin.sensing.light import Light
 from khep_twin.simulation.compiled import compiled
 from khep_twin.simulation.foreign import implements, moved
 from khep_twin.step import Simulated, StepInputs

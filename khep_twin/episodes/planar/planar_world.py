@@ -24,8 +24,8 @@ from khep_twin.sensing import calibration
 from khep_twin.sensing.ambient import LightSource
 from khep_twin.sensing.buffers import as_records, view
 from khep_twin.sensing.lamps import Lamps
+from khep_twin.sensing.light import Light
 from khep_twin.sensing.mujoco_scene import points_of_a_bulb
-from khep_twin.sensing.optics import Light
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.scene import FEW, MANY
 from khep_twin.simulation.fitted_robots import FittedRobots

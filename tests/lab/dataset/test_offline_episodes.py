@@ -9,7 +9,8 @@ from log_rewriting import rewritten
 
 from khep_twin.envs.task_episode import TaskEpisode, TaskSetup
 from khep_twin.envs.tasks import TASKS, State, find
-from khep_twin.episodes.episode import Episode, EpisodeSetup
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import LogError
 from khep_twin.interventions.move_robot import put
 from khep_twin.lab.dataset.episodes import OfflineEpisode, episodes_of
