@@ -46,7 +46,7 @@ format: $(VENV)/dev.stamp ## put the code into its layout
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
 
-long: $(VENV)/dev.stamp ## all long checks, a night, and a page of what they found, out/night/index.html; goes on where it stopped; LONG="parser soak" for parts, LONG_SHARE=0.01 for less
+long: $(VENV)/dev.stamp ## all long checks, a night, and a page of what they found, out/night/page.md; goes on where it stopped; LONG="fuzz-board day" for parts, LONG_SHARE=0.01 for less
 	@$(BIN)/python -m checks night run --share $(LONG_SHARE) $(LONG)
 
 record: $(VENV)/dev.stamp ## whether results are still those of tools/record.json; two minutes

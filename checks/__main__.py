@@ -7,7 +7,6 @@ from tools.command_table import run
 CHECKS = {
     "night": "night.runner",
     "simulate": "simulate.command",
-    "tests": "tests",
     "fuzz-board": "fuzz.board",
     "fuzz-files": "fuzz.files",
     "fuzz-logs": "fuzz.logs",

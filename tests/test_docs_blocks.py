@@ -1,6 +1,6 @@
 """docs/*.md: who copies the blocks of a page into a folder, in order, has no error.
 
-`python -m checks tests docs-blocks` also runs the long ones, and lists what cannot run in a test.
+`make long LONG=docs-blocks` also runs the long ones, and lists what cannot run in a test.
 """
 
 import sys

@@ -2,18 +2,17 @@
 
 import os
 import re
+import shlex
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-
-Words = tuple[str, ...]
+from dataclasses import dataclass
+from typing import NamedTuple
 
 CORES = os.cpu_count() or 1
-CHECKS = ("-m", "checks")
+
+PYTEST = "-m pytest -q -s -p no:cacheprovider"
 
 
-@dataclass(frozen=True)
-class Share:
+class Share(NamedTuple):
     """Share of a part.
 
     Attributes:
@@ -26,6 +25,16 @@ class Share:
     first: float
     count: float
 
+    def filled(self, text: str) -> str:
+        """Return a text with the values of this share in the place of their names."""
+        first, count = (f"{value:.12g}" for value in (self.first, self.count))
+        half, twice = f"{-(-self.count // 2):.0f}", f"{2 * self.count:.0f}"
+        # Far from the seeds of other shares.
+        seeds = 1_000_000 * (self.number + 1)
+        return text.format(
+            first=first, count=count, half=half, twice=twice, seed=self.number + 1, seeds=seeds, cores=CORES
+        )
+
 
 @dataclass(frozen=True)
 class Part:
@@ -37,11 +46,11 @@ class Part:
         unit: Unit of its counts.
         wanted: Count of a whole night.
         share: Largest count of one process, which is what an interruption loses at most.
-        words: Function of a share that returns the command, without the interpreter.
-        done: Pattern of the count in the output; all that are found are added.
+        words: Options for Python, with names of `Share.filled`.
+        done: Pattern of the count in the output, all that are found are added; without a group, each is one.
         figures: Pattern of further lines to keep.
         under_way: Pattern of the count in the output of an interrupted process; the last counts.
-        environment: Function of a share that returns variables of its process.
+        variables: Variables of its process, in the form of a shell, with names of `Share.filled`.
         alone: True if it measures times, and needs all cores.
         least: Smallest share that makes sense.
     """
@@ -51,21 +60,26 @@ class Part:
     unit: str
     wanted: float
     share: float
-    words: Callable[[Share], Words]
+    words: str
     done: str
     figures: str = r"(?!)"
     under_way: str = r"(?!)"
-    environment: Callable[[Share], Mapping[str, str]] = field(default=lambda share: {})
+    variables: str = ""
     alone: bool = False
     least: float = 1
 
     def command(self, share: Share) -> list[str]:
         """Return the command of a share."""
-        return [sys.executable, *self.words(share)]
+        return [sys.executable, *shlex.split(share.filled(self.words))]
+
+    def environment(self, share: Share) -> dict[str, str]:
+        """Return the variables of a share's process."""
+        return dict(each.split("=", 1) for each in share.filled(self.variables).split())
 
     def count(self, output: str) -> float:
         """Return the count that a finished process has told."""
-        return sum(float(found) for found in re.findall(self.done, output, re.MULTILINE))
+        found = re.findall(self.done, output, re.MULTILINE)
+        return sum(map(float, found)) if re.compile(self.done).groups else len(found)
 
     def count_under_way(self, output: str) -> float:
         """Return the count that an interrupted process had told."""
@@ -77,7 +91,7 @@ class Part:
         return [found.group().strip() for found in re.finditer(self.figures, output, re.MULTILINE)]
 
 
-def fuzzed(name: str, what: str, tool: str, wanted: float, share: float) -> Part:
+def fuzzed(name: str, what: str, wanted: float, share: float) -> Part:
     """Return a part that libFuzzer does, with other seeds in each share."""
     return Part(
         name,
@@ -85,7 +99,7 @@ def fuzzed(name: str, what: str, tool: str, wanted: float, share: float) -> Part
         "inputs",
         wanted,
         share,
-        lambda share: (*CHECKS, f"fuzz-{tool}", f"-runs={share.count:.0f}", f"-seed={share.number + 1}"),
+        f"-m checks {name} -runs={{count}} -seed={{seed}}",
         done=r"^Done (\d+) runs in ",
         figures=r"(?<=DONE   )cov: \d+ ft: \d+",
         under_way=r"^#(\d+)\t",
@@ -94,53 +108,48 @@ def fuzzed(name: str, what: str, tool: str, wanted: float, share: float) -> Part
 
 def files(kind: str, what: str, wanted: float) -> Part:
     """Return a part of damaged files of a kind."""
-    return Part(
-        f"files-{kind}",
-        what,
-        "files",
-        wanted,
-        25_000,
-        lambda share: (*CHECKS, "fuzz-files", kind, f"{share.count:.0f}", "--first", f"{share.first:.0f}"),
-        done=rf"^{kind}: (\d+) inputs",
-        figures=r"the slowest .*$",
-    )
+    words = f"-m checks fuzz-files {kind} {{count}} --first {{first}}"
+    done = rf"^{kind}: (\d+) inputs"
+    return Part(f"fuzz-{kind}", what, "files", wanted, 25_000, words, done, r"the slowest .*$")
 
 
-def tested(path: str) -> Callable[[Share], Words]:
-    """Return a command that runs a file of tests, whose output is not hidden."""
-    return lambda share: ("-m", "pytest", "-q", "-s", "-p", "no:cacheprovider", *path.split())
+def whole(
+    name: str, what: str, words: str, variables: str = "", figures: str = r"(?!)", *, alone: bool = False
+) -> Part:
+    """Return a part that runs as a whole, once."""
+    done = r"^(?:\d+ passed|\d+ tests, \d+ failed|\d+ of \d+ mutants caught|TOTAL )"
+    return Part(name, what, "runs", 1, 1, words, done, figures, variables=variables, alone=alone)
 
 
-def ids(share: Share) -> str:
-    """Return the first seed of a share, far from those of the others."""
-    return str(1_000_000 * (share.number + 1))
+def killed(kind: str, what: str, wanted: float, share: float) -> Part:
+    """Return a part of kills at random times."""
+    words = f"-m checks kills {kind} {{count}} --jobs {{cores}} --seed {{first}}"
+    done = rf"^{kind} killed (\d+) times"
+    return Part(f"kills-{kind}", what, "kills", wanted, share, words, done, r"^lost by .*$", alone=True)
 
 
 PARTS = (
     Part(
-        "simulation",
+        "simulate",
         "the whole system under seeds, with faults of kernel, disk, hosts and clock",
         "simulated hours",
         1000,
         10,
-        lambda share: (
-            *(*CHECKS, "simulate", "run", "--hours", f"{share.count:g}", "--jobs", "1"),
-            *("--first", ids(share)),
-        ),
+        "-m checks simulate run --hours {count} --jobs 1 --first {seeds}",
         done=r"^([\d.]+) simulated hours in ",
         figures=r"^.*simulated s per s of processor time$",
         least=0.05,
     ),
-    fuzzed("parser", "arbitrary bytes on the robot's line", "board", 10_000_000, 250_000),
+    fuzzed("fuzz-board", "arbitrary bytes on the robot's line", 10_000_000, 250_000),
     Part(
         "model",
         "random commands, each reply compared with a model of the board",
         "commands",
         1_000_000,
         25_000,
-        tested("tests/board/test_board_against_model.py -k thousands"),
+        f"{PYTEST} tests/board/test_board_against_model.py -k thousands",
         done=r"^\.?(\d+) commands agree",
-        environment=lambda share: {"KHEP_COMMANDS": f"{share.count:.0f}", "KHEP_FIRST": ids(share)},
+        variables="KHEP_COMMANDS={count} KHEP_FIRST={seeds}",
     ),
     Part(
         "reconnects",
@@ -148,18 +157,18 @@ PARTS = (
         "reconnects",
         100_000,
         2_000,
-        tested("tests/ports/test_random_hosts.py"),
+        f"{PYTEST} tests/ports/test_random_hosts.py",
         done=r"^\.?(\d+) reconnects",
         figures=r"\d+ in doubt.*$",
-        environment=lambda share: {"KHEP_OPENINGS": f"{-(-share.count // 2):.0f}", "KHEP_FIRST": ids(share)},
+        variables="KHEP_OPENINGS={half} KHEP_FIRST={seeds}",
     ),
     Part(
-        "soak",
+        "day",
         "serve --log with a host that never stops asking, memory watched; a day in each process",
         "simulated hours",
         72,
         24,
-        lambda share: (*CHECKS, "day", f"{share.count:g}", "--seed", str(share.number + 1)),
+        "-m checks day {count} --seed {seed}",
         done=r"([\d.]+) h  [^\n]*\n(?=closed in)",
         figures=r"^.* MB more than after the first minute$",
         least=0.05,
@@ -167,54 +176,69 @@ PARTS = (
     files("toml", "damaged playpens", 500_000),
     files("mat", "damaged MAT files", 100_000),
     files("png", "damaged PNGs", 100_000),
-    fuzzed("logs", "changed logs, read, exported and recovered", "logs", 250_000, 25_000),
-    fuzzed(
-        "log-uses",
-        "changed logs, viewed, repeated, branched and checked",
-        "log-uses",
-        50_000,
-        5_000,
-    ),
-    fuzzed("page", "requests to the designer's page", "page", 100_000, 10_000),
-    fuzzed("rfc2217", "negotiations over network ports", "rfc2217", 1_000_000, 100_000),
+    fuzzed("fuzz-logs", "changed logs, read, exported and recovered", 250_000, 25_000),
+    fuzzed("fuzz-log-uses", "changed logs, viewed, repeated, branched and checked", 50_000, 5_000),
+    fuzzed("fuzz-page", "requests to the designer's page", 100_000, 10_000),
+    fuzzed("fuzz-rfc2217", "negotiations over network ports", 1_000_000, 100_000),
     Part(
-        "kills",
-        "served twins killed at random times, their logs recovered",
-        "kills",
+        "edges",
+        "random playpens at the edge of what the check lets pass, driven through at full speed",
+        "playpens",
+        2_000,
+        100,
+        "-m checks edges {count} --first {first}",
+        done=r"^(\d+) playpens from ",
+    ),
+    Part(
+        "branches",
+        "random logs resumed at random moments, unchanged and changed",
+        "logs",
         200,
-        50,
-        lambda share: (
-            *(*CHECKS, "kills", "serve", f"{share.count:.0f}"),
-            *("--jobs", str(CORES), "--seed", f"{share.first:.0f}"),
-        ),
-        done=r"^serve killed (\d+) times",
-        figures=r"^lost by .*$",
-        alone=True,
+        20,
+        "-m checks branches {count} --first {first}",
+        done=r"^(\d+) logs from ",
+        figures=r"\d+ findings$",
     ),
     Part(
-        "run-kills",
-        "runs killed at random times, their logs recovered",
-        "kills",
-        40,
-        20,
-        lambda share: (
-            *(*CHECKS, "kills", "run", f"{share.count:.0f}"),
-            *("--jobs", str(CORES), "--seed", f"{share.first:.0f}"),
-        ),
-        done=r"^run killed (\d+) times",
-        figures=r"^lost by .*$",
+        "recordings",
+        "logs of sound robots with random hosts, in which conform must find nothing",
+        "logs",
+        300,
+        50,
+        "-m checks recordings {count} --first {first}",
+        done=r"^(\d+) logs, ",
+    ),
+    whole(
+        "docs-blocks",
+        "every block of the pages, the long ones, too, as a reader who copies it",
+        f"{PYTEST} -n 0 tests/test_docs_blocks.py",
+        "KHEP_DOCS=all",
+        r"^\.?(\S+\.md, not run: .*)$",
+    ),
+    whole("long-tests", "tests of the suite that are marked long", f"{PYTEST} -n 0 -m long tests"),
+    whole("pyserial", "pyserial's own tests on a looped-back line", "-m checks pyserial"),
+    whole(
+        "coverage",
+        "lines of ports, log and host that two hours of all scenarios run",
+        "-m checks simulate coverage",
+        figures=r"^TOTAL .*$",
+    ),
+    whole(
+        "mutants",
+        "broken builds, which the simulation must catch",
+        "-m checks simulate mutants --jobs {cores}",
+        figures=r"^\d+ of \d+ mutants .*$",
         alone=True,
     ),
+    killed("serve", "served twins killed at random times, their logs recovered", 200, 50),
+    killed("run", "runs killed at random times, their logs recovered", 40, 20),
     Part(
         "worker-kills",
         "Ray's workers killed in a sweep, each result once",
         "kills",
         100,
         100,
-        lambda share: (
-            *(*CHECKS, "worker-kills", "--tasks", f"{2 * share.count:.0f}"),
-            *("--kills", f"{share.count:.0f}", "--seed", str(share.number)),
-        ),
+        "-m checks worker-kills --tasks {twice} --kills {count} --seed {seed}",
         done=r"^(\d+) workers killed in ",
         figures=r"each is there once.*$",
         alone=True,
@@ -225,7 +249,7 @@ PARTS = (
         "steps",
         400_000,
         400_000,
-        lambda share: (*CHECKS, "determinism"),
+        "-m checks determinism",
         done=r"^(\d+) steps, [^\n]*\n(?=(?:[^\n]*\n)*the same\n)",
         figures=r"^the same$",
         alone=True,
@@ -236,23 +260,25 @@ PARTS = (
         "signals",
         1000,
         100,
-        lambda share: (
-            *(*CHECKS, "signals", f"{share.count:.0f}"),
-            *("--jobs", str(CORES), "--seed", f"{share.first:.0f}"),
-        ),
+        "-m checks signals {count} --jobs {cores} --seed {first}",
         done=r"^(\d+) signals, ",
         figures=r"\d+ with faults.*$",
         alone=True,
     ),
-    Part(
-        "branches",
-        "random logs resumed at random moments, unchanged and changed",
-        "logs",
-        200,
-        20,
-        lambda share: (*CHECKS, "branches", f"{share.count:.0f}", "--first", f"{share.first:.0f}"),
-        done=r"^(\d+) logs from ",
-        figures=r"\d+ findings$",
+    whole(
+        "rubbish",
+        "hosts that misbehave for a minute each, and thousands that open a line",
+        f"{PYTEST} tests/ports/test_chaos.py",
+        "KHEP_RUBBISH_SECONDS=60 KHEP_OPENINGS=2000",
+        alone=True,
+    ),
+    whole(
+        "leavings",
+        "hosts that leave a network port; the next is served within half a second",
+        f"{PYTEST} tests/ports/test_leaving_hosts.py -k stale",
+        "KHEP_LEAVINGS=1000",
+        r"\w+: \d+ hosts left; .*$",
+        alone=True,
     ),
 )
 """All parts, in the order in which they run."""

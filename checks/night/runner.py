@@ -1,10 +1,10 @@
 """The long checks of a night, in parts that accumulate over calls, and one page with their figures.
 
     python -m checks night run                       all that is missing, on all cores; `make long`
-    python -m checks night run parser soak           some parts; `make long LONG="parser soak"`
+    python -m checks night run fuzz-board day           some parts; `make long LONG="fuzz-board day"`
     python -m checks night run --share 0.01          a share of each part; `make long LONG_SHARE=0.01`
     python -m checks night list                      what there is, and what is done
-    python -m checks night page                      the page anew, out/night/index.html and page.md
+    python -m checks night page                      the page anew, out/night/page.md
 
 Each part runs in processes of one share each; a share that is done is kept in out/night, so that an
 interruption loses at most those under way. Counts come from the output of the processes. A finding ends its
@@ -27,7 +27,7 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
-from checks.night.page import html, markdown, number
+from checks.night.page import markdown, number
 from checks.night.parts import CORES, PARTS, Part, Share
 
 OUT = Path("out/night")
@@ -105,7 +105,7 @@ class Process:
     def __init__(self, part: Part, share: Share, folder: Path) -> None:
         self.part, self.share = part, share
         self.log = folder / f"{part.name}-{share.number}.txt"
-        self._command, self._more = part.command(share), dict(part.environment(share))
+        self._command, self._more = part.command(share), part.environment(share)
         self._begun = time.monotonic()
         paths = [str(Path.cwd()), *filter(None, [os.environ.get("PYTHONPATH", "")])]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), **self._more}
@@ -288,10 +288,9 @@ def rows(folder: Path) -> list[dict[str, Any]]:
 
 
 def write_page(folder: Path) -> None:
-    """Write the page, as Markdown and as HTML."""
-    found, now = rows(folder), datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-    (folder / "page.md").write_text(markdown(found, now))
-    (folder / "index.html").write_text(html(found, now))
+    """Write the page."""
+    now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+    (folder / "page.md").write_text(markdown(rows(folder), now))
 
 
 def main() -> int:
@@ -322,5 +321,5 @@ def main() -> int:
             print(f"{part.name:13} {done:41} {part.what}")
     else:
         write_page(wish.folder)
-        print(wish.folder / "index.html")
+        print(wish.folder / "page.md")
     return 0

@@ -1,7 +1,7 @@
 """Thousands of random commands, and the firmware agrees with a model of the board on every reply.
 
-The suite takes a share of them; `KHEP_COMMANDS=50000` takes 50,000 and more, as `python -m checks tests
-model` does, and `KHEP_FIRST=1000` begins with another seed.
+The suite takes a share of them; `KHEP_COMMANDS=50000` takes 50,000 and more, as the part `model` of a night
+does, and `KHEP_FIRST=1000` begins with another seed.
 """
 
 import os

@@ -1,6 +1,7 @@
 """`make long`: parts accumulate over calls, counts come from outputs, findings are kept."""
 
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -10,13 +11,17 @@ from pathlib import Path
 
 import pytest
 
+from checks.__main__ import CHECKS
 from checks.night import runner as night
-from checks.night.page import html, markdown
+from checks.night.page import markdown
 from checks.night.parts import PARTS, Part, Share
 from checks.night.runner import Night, State, rows, wanted_of
 
 ROOT = Path(__file__).parents[2]
 MAKEFILE = (ROOT / "Makefile").read_text()
+
+
+PROLOGUE = "number, first, count = {seed} - 1, {first}, {count}; "
 
 
 def part(program: str, wanted: float = 10, share: float = 4, alone: bool = False) -> Part:
@@ -27,10 +32,7 @@ def part(program: str, wanted: float = 10, share: float = 4, alone: bool = False
         "things",
         wanted,
         share,
-        lambda share: (
-            "-c",
-            f"number, first, count = {share.number}, {share.first}, {share.count}; {program}",
-        ),
+        f"-c {shlex.quote(PROLOGUE + program.replace('{', '{{').replace('}', '}}'))}",
         done=r"^did (\d+)$",
         figures=r"(?<=figure: ).*$",
         under_way=r"^at (\d+)$",
@@ -127,21 +129,27 @@ def test_an_interruption_keeps_what_a_process_has_told(tmp_path: Path) -> None:
 
 
 OUTPUTS = {
-    "simulation": ("10.0 simulated hours in 52 s, 0 violations", 10),
-    "parser": ("#7\tNEW\nDone 250000 runs in 93 second(s)", 250000),
+    "simulate": ("10.0 simulated hours in 52 s, 0 violations", 10),
+    "fuzz-board": ("#7\tNEW\nDone 250000 runs in 93 second(s)", 250000),
     "model": (".25004 commands agree, seeds 0 to 9\n.\n1 passed", 25004),
     "reconnects": ("1000 reconnects, 0 in doubt\n.1000 reconnects, 1 in doubt", 2000),
-    "soak": ("  1.00 h  1 MB  x\n 24.00 h     84.2 MB  grown\nclosed in 0.0 s, 84.3 MB then", 24),
-    "files-toml": (
+    "day": ("  1.00 h  1 MB  x\n 24.00 h     84.2 MB  grown\nclosed in 0.0 s, 84.3 MB then", 24),
+    "fuzz-toml": (
         "toml: 12500 inputs from 0 in 3 s, the slowest 1 ms\ntoml: 12500 inputs from 12500",
         25000,
     ),
-    "kills": ("serve killed 50 times, all recovered, 50 as a whole", 50),
-    "run-kills": ("run killed 20 times, all recovered, 20 as a whole", 20),
+    "kills-serve": ("serve killed 50 times, all recovered, 50 as a whole", 50),
+    "kills-run": ("run killed 20 times, all recovered, 20 as a whole", 20),
     "worker-kills": ("100 workers killed in a sweep of 200 tasks", 100),
     "determinism": ("100000 steps, single: a\n100000 steps, together by 2 threads: b\nthe same\n", 200000),
     "signals": ("run: 20 signals, ended\n100 signals, 0 with faults, 1 amid Python's own start", 100),
     "branches": ("20 logs from 0 on, 0 findings", 20),
+    "edges": ("100 playpens from 300 on: 0 broke", 100),
+    "recordings": ("50 logs, 0 reports with findings", 50),
+    "long-tests": (".....\n5 passed, 3 skipped in 100.1s", 1),
+    "pyserial": ("test 20 tests, 3 failed\n71 tests, 5 failed, 5 known to", 1),
+    "mutants": ("a: replies, seed 3, 20 s, 1 faults\n74 of 74 mutants caught, with 5 faults or fewer", 1),
+    "coverage": ("Name  Stmts\nkhep_twin/log/a.py  10\nTOTAL   3000   300   90%", 1),
 }
 """Outputs of the tools, and their counts."""
 
@@ -154,11 +162,11 @@ def test_the_count_of_each_tool_is_read(name: str) -> None:
 
 
 def test_an_interrupted_fuzzer_has_done_what_it_told_last() -> None:
-    (parser,) = (each for each in PARTS if each.name == "parser")
+    (parser,) = (each for each in PARTS if each.name == "fuzz-board")
     assert parser.count_under_way("#2\tINITED cov\n#4096\tpulse  cov: 3\n") == 4096
 
 
-QUICK = ("parser", "files-mat", "files-png", "rfc2217")
+QUICK = ("fuzz-board", "fuzz-mat", "fuzz-png", "fuzz-rfc2217")
 
 
 def test_quick_parts_run_with_a_tiny_share(tmp_path: Path) -> None:
@@ -170,36 +178,39 @@ def test_quick_parts_run_with_a_tiny_share(tmp_path: Path) -> None:
     for found in PARTS:
         state = State(found, tmp_path)
         assert (state.done >= wanted_of(found, 0.0005)) == (found.name in QUICK)
-    page = (tmp_path / "index.html").read_text()
+    page = (tmp_path / "page.md").read_text()
     assert page.count("nothing found so far") == len(QUICK)
-    assert page.count("not run") == len(PARTS) - len(QUICK)
+    assert page.count("| not run |") == len(PARTS) - len(QUICK)
 
 
 def test_shares_of_a_part_draw_other_things() -> None:
     for found in PARTS:
-        if found.name == "determinism":  # which is one thing
+        if found.wanted == found.share:  # which is one thing
             continue
         shares = [Share(number, found.share * number, found.share) for number in range(3)]
         told = {(tuple(found.command(share)), tuple(found.environment(share).items())) for share in shares}
         assert len(told) == 3, found.name
 
 
-def test_the_pages_tell_each_part_and_its_findings_as_text(tmp_path: Path) -> None:
-    finding = "it broke <b>here</b>\n```\nDone 5 runs in 1 second(s)"
+def test_the_page_tells_each_part_and_its_findings_as_text(tmp_path: Path) -> None:
+    finding = "it broke here\n```\nDone 5 runs in 1 second(s)"
     state = State(PARTS[1], tmp_path)
     state.add(night.Run(0, 5, 5, 3.0, 1, "python x.py", "2026-01-01 00:00", "abc", [], finding))
     found = rows(tmp_path)
-    page, text = html(found, "now"), markdown(found, "now")
-    assert all(each.what in page.replace("&#x27;", "'") and each.what in text for each in PARTS)
-    assert "<b>here</b>" not in page
-    assert "it broke &lt;b&gt;here" in page
+    text = markdown(found, "now")
+    assert all(each.what in text for each in PARTS)
     assert text.count("```") == 2
     assert "1 finding" in text
 
 
+def test_every_check_is_part_of_a_night() -> None:
+    run_by = {found.command(Share(0, 0, found.share))[3] for found in PARTS if "checks" in found.words}
+    assert run_by == set(CHECKS) - {"night"}
+
+
 def test_the_files_that_parts_name_are_there_and_make_runs_them() -> None:
     for found in PARTS:
-        words = found.words(Share(0, 0, found.share))
+        words = found.command(Share(0, 0, found.share))
         for word in words:
             if re.fullmatch(r"tests/.*\.py", word):
                 assert (ROOT / word).is_file(), word

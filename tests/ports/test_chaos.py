@@ -122,7 +122,7 @@ def never_reads(path: str) -> None:
 
 
 RUBBISH_SECONDS = float(os.environ.get("KHEP_RUBBISH_SECONDS", "0.5"))
-"""A minute takes a minute: `python -m checks tests soak` takes it."""
+"""A minute takes a minute: `make long LONG=rubbish` takes it."""
 
 
 WITHOUT_INOTIFY = (

@@ -1,7 +1,7 @@
 """Hosts of the network that leave in the middle of something: the next is served at once, with no stale byte.
 
 The suite takes a share of them; `KHEP_LEAVINGS=1000` takes 1,000 at a port of each kind and holds the server
-to half a second, as `python -m checks tests soak` does.
+to half a second, as `make long LONG=leavings` does.
 """
 
 import os

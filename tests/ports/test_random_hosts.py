@@ -1,6 +1,6 @@
 """Hosts that open and close one line at random, several processes at once: every line gets its own reply.
 
-The suite takes a share of them; `KHEP_OPENINGS=2000` takes 2,000, as `python -m checks tests soak` does, and
+The suite takes a share of them; `KHEP_OPENINGS=2000` takes 2,000, as `make long LONG=reconnects` does, and
 `KHEP_FIRST=8` draws others.
 """
 
