@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections.abc import Container
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,23 @@ def imports_of(path: Path) -> set[str]:
     return names
 
 
+def name_of(path: Path) -> str:
+    """Return the name of a module, or of a package for its `__init__`."""
+    return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+
+
+def imported_modules(path: Path, known: Container[str]) -> set[str]:
+    """Return the modules that a module imports, or whose names it does, also those for its types alone."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            members = [f"{node.module}.{alias.name}" for alias in node.names]
+            names.update(member if member in known else node.module for member in members)
+    return {name for name in names if name in known}
+
+
 def place_of(part: str) -> int:
     return next(place for place, parts in enumerate(ORDER) if part in parts)
 
@@ -79,6 +97,17 @@ def test_a_module_imports_only_from_packages_before_its_own(path: Path) -> None:
             continue
         part = part_of(rest)
         assert part == own or place_of(part) < place_of(own), f"{path.name} imports {name}"
+
+
+def test_no_module_imports_itself_by_way_of_others_not_even_for_its_types() -> None:
+    paths = {name_of(path): path for path in modules()}
+    left = {name: imported_modules(path, paths.keys()) - {name} for name, path in paths.items()}
+    assert "khep_twin.host.moves" in left["khep_twin.host.khepera"]
+    assert "khep_twin.playpen.model" in left["khep_twin.playpen"]
+    while free := [name for name, imported in left.items() if not imported & left.keys()]:
+        for name in free:
+            del left[name]
+    assert not left, f"in a circle, or above one: {', '.join(left)}"
 
 
 @pytest.mark.parametrize("path", sorted((PACKAGE / "host").glob("*.py")), ids=lambda path: path.name)

@@ -24,9 +24,9 @@ def compile_all(
     from khep_twin.episodes.episode_setup import EpisodeSetup
     from khep_twin.errors import choices
     from khep_twin.playpen import load
-    from khep_twin.shadow.planes import SPEED
     from khep_twin.shadow.sensor_model import SensorModel
     from khep_twin.shadow.start import PUBLISHED, begun
+    from khep_twin.shadow.wheel_commands import SPEED
     from khep_twin.simulation.ready import CODE
     from khep_twin.vision.camera import take_one
     from khep_twin.world import World

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from khep_twin.board import kernel
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.planes import POSITION, TICK_NS
+from khep_twin.shadow.planes import TICK_NS
+from khep_twin.shadow.wheel_commands import POSITION
 
 Integers = NDArray[np.int64]
 

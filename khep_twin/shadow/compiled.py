@@ -22,7 +22,7 @@ from khep_twin.sensing.reflection import reflected, sift
 from khep_twin.sensing.robot_sensors import lobe_of
 from khep_twin.sensing.scene import chip, position, surfaces
 from khep_twin.sensing.seen_surfaces import Chip
-from khep_twin.shadow.planes import DUTY, SPEED, TARGET
+from khep_twin.shadow.wheel_commands import DUTY, SPEED, TARGET
 from khep_twin.simulation.compiled import compiled
 
 assert planar_compiled.run  # its queries of a plane are those used here

@@ -24,9 +24,6 @@ Floats = NDArray[np.float64]
 TICK_NS = units.TICK_NS
 """Step of the twins [ns]."""
 
-SPEED, DUTY, TARGET, POSITION = 0, 1, 2, 3
-"""Commands whose effect depends on the state of a wheel's registers."""
-
 N_SPARE = 1
 """Obstacles of each plane that the playpen does not have, out of reach until they are put somewhere."""
 

@@ -30,8 +30,8 @@ from khep_twin.shadow.actions import Action, Commanded, Configured, Counted, Res
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.diagnosis import Diagnosis
 from khep_twin.shadow.particle_filter import ParticleFilter, PoseEstimate
-from khep_twin.shadow.planes import DUTY, POSITION, SPEED, TARGET
 from khep_twin.shadow.start import PUBLISHED, Spread, begun
+from khep_twin.shadow.wheel_commands import DUTY, POSITION, SPEED, TARGET
 from khep_twin.units import BITS_PER_BYTE
 
 Floats = NDArray[np.float64]

@@ -6,7 +6,7 @@ from twins import SECOND, particles_at
 
 from khep_twin.board import kernel
 from khep_twin.shadow.actions import Commanded, Configured, Counted, Restarted, Seen, Waited, repeat
-from khep_twin.shadow.planes import POSITION, SPEED
+from khep_twin.shadow.wheel_commands import POSITION, SPEED
 
 OPEN = 350.0, 250.0, 0.0
 LEFT_TARGET = kernel.LEFT + kernel.Wheel.POSITION

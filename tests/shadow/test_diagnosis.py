@@ -13,8 +13,8 @@ from khep_twin.shadow.actions import Commanded, Counted, Seen
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.diagnosis import Diagnosis
 from khep_twin.shadow.particle_filter import ParticleFilter
-from khep_twin.shadow.planes import SPEED
 from khep_twin.shadow.start import PUBLISHED, begun
+from khep_twin.shadow.wheel_commands import SPEED
 
 START = 360.0, 240.0, -70.0
 TICKS = 6

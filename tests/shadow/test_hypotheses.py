@@ -19,7 +19,7 @@ from khep_twin.shadow.hypotheses import (
     things_of,
 )
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.planes import SPEED
+from khep_twin.shadow.wheel_commands import SPEED
 
 HEADING_45_LEFT = 1  # the second sensor from the left looks aside
 

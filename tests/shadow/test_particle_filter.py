@@ -14,8 +14,9 @@ from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Commanded, Counted, Seen
 from khep_twin.shadow.particle_filter import ParticleFilter, PoseEstimate
-from khep_twin.shadow.planes import SPEED, Planes
+from khep_twin.shadow.planes import Planes
 from khep_twin.shadow.start import PUBLISHED, Spread, anywhere, begun
+from khep_twin.shadow.wheel_commands import SPEED
 
 START = 360.0, 240.0, -70.0
 TICKS = 6

@@ -9,8 +9,8 @@ from twins import particles_at, setup_of
 from khep_twin import units
 from khep_twin.board import kernel
 from khep_twin.shadow.particles import FORGOTTEN_S, Particles
-from khep_twin.shadow.planes import SPEED
 from khep_twin.shadow.start import PUBLISHED, begun
+from khep_twin.shadow.wheel_commands import SPEED
 
 OPEN = 350.0, 250.0, 0.0
 POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]

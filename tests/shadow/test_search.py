@@ -7,9 +7,9 @@ from twins import ALL, AT_THE_CRATE, SECOND, metric, planes_at, readings, setup_
 from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Commanded, Seen
 from khep_twin.shadow.particle_filter import ParticleFilter
-from khep_twin.shadow.planes import SPEED
 from khep_twin.shadow.search import KEPT_NS, Search
 from khep_twin.shadow.start import PUBLISHED, begun
+from khep_twin.shadow.wheel_commands import SPEED
 
 ELSEWHERE = 560.0, 120.0, 100.0
 TURNING = 3, -3
