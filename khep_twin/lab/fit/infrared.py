@@ -174,7 +174,8 @@ def level(view: View, optics: Optics, reflectance: float = 1.0) -> Floats:
 def _below(slopes: Floats) -> Floats:
     """Return the part of the lobe in elevation below a slope, less a half, as `reflection` has it."""
     sines = slopes / np.sqrt(1 + slopes**2)
-    return 35 / 32 * (sines - sines**3 + 0.6 * sines**5 - sines**7 / 7)
+    squares = sines * sines  # numpy's powers of negative numbers take 70 times as long
+    return 35 / 32 * sines * (1 - squares * (1 - squares * (0.6 - squares / 7)))
 
 
 def _wrapped(angles: Floats) -> Floats:
