@@ -1,11 +1,10 @@
 """The conformance checks on khep:// and a pty at three speeds, or on the port given by --port."""
 
-import subprocess
-import sys
 from collections.abc import Iterator
 
 import pytest
 from lateness import lateness
+from served_twin import served
 
 from khep_twin.host import Khepera
 from khep_twin.lab.conformance.port.check import Check, CheckedPort
@@ -15,12 +14,23 @@ MOST_LATE = 0.003
 """Lateness of the machine that the checks of pace bear [s]."""
 
 TWINS = [f"{kind}-{baudrate}" for kind in ("khep", "pty") for baudrate in (9600, 19200, 38400)]
+SHARE = {"khep-9600": lambda check: True, "pty-38400": lambda check: not check.moves}
+"""What the suite checks: in simulated time everything, in real time the line."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     given = metafunc.config.getoption("--port")
-    metafunc.parametrize("line", [given] if given else TWINS, indirect=True, scope="module")
-    metafunc.parametrize("check", list(checks(True)), ids=lambda check: check.name)
+    cases = [
+        pytest.param(
+            line,
+            check,
+            id=f"{line}-{check.name}",
+            marks=() if given or SHARE.get(line, lambda check: False)(check) else pytest.mark.long,
+        )
+        for line in ([given] if given else TWINS)
+        for check in checks(True)
+    ]
+    metafunc.parametrize(("line", "check"), cases, indirect=["line"], scope="module")
 
 
 @pytest.fixture(scope="module")
@@ -36,14 +46,8 @@ def line(request: pytest.FixtureRequest) -> Iterator[CheckedPort]:
         with Khepera(f"khep://default?mode={mode}", baudrate=int(baudrate)) as robot:
             yield CheckedPort(robot.port)
         return
-    command = [sys.executable, "-m", "khep_twin", "serve", "default", "--mode", mode]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
-        try:
-            assert process.stdout is not None
-            with Khepera(process.stdout.readline().strip(), baudrate=int(baudrate)) as robot:
-                yield CheckedPort(robot.port)
-        finally:
-            process.terminate()
+    with served("default", "--mode", mode) as (_, port), Khepera(port, baudrate=int(baudrate)) as robot:
+        yield CheckedPort(robot.port)
 
 
 def test_the_port_conforms(line: CheckedPort, check: Check) -> None:

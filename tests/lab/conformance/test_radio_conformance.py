@@ -1,14 +1,14 @@
 """The conformance checks on robots with a radio: sound ones pass, broken ones are caught."""
 
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 from radio_scene import playpen_with_radios
+from served_twin import served
+from shares import share
 from test_mutants import Mutation, break_answers, replies, to
 from test_recording import changed, checked, failed
 from test_recording import to as recorded_to
@@ -87,21 +87,21 @@ def lost(twin: Twin) -> None:
     twin.robot.firmware.receive = answer  # type: ignore[method-assign]
 
 
-def deviations(breaking: Callable[[Twin], None]) -> list[str]:
+def is_caught(breaking: Callable[[Twin], None]) -> bool:
     with closing(Khepera(Serial.of(open_twin(PAIR, TwinOptions(noise=False)), timeout=1.0))) as robot:
         breaking(robot.port.twin)
         line = CheckedPort(robot.port)
-        return [check.name for check in CHECKS if run_check(check, line).deviation]
+        return any(run_check(check, line).deviation for check in CHECKS)
 
 
-@pytest.mark.parametrize("name", RADIOS)
+@pytest.mark.parametrize("name", share(RADIOS, 3))
 def test_a_radio_that_answers_wrongly_is_caught(name: str) -> None:
-    assert deviations(lambda twin: break_answers(twin, RADIOS[name]))
+    assert is_caught(lambda twin: break_answers(twin, RADIOS[name]))
 
 
-@pytest.mark.parametrize("breaking", [deaf_to_restarts, without_power, lost])
+@pytest.mark.parametrize("breaking", share([deaf_to_restarts, lost, without_power], 2))
 def test_a_radio_that_is_broken_inside_is_caught(breaking: Callable[[Twin], None]) -> None:
-    assert deviations(breaking)
+    assert is_caught(breaking)
 
 
 @pytest.fixture(scope="module")
@@ -112,22 +112,17 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("mode", "baudrate"), [(1, 9600), (2, 19200), (3, 38400)])
+@pytest.mark.parametrize(("mode", "baudrate"), share([(3, 38400), (1, 9600), (2, 19200)], 3))
 def test_a_robot_with_a_radio_conforms(path: Path, mode: int, baudrate: int) -> None:
     with Khepera(f"khep://{path}?mode={mode}", baudrate=baudrate) as robot:
         report = examine(CheckedPort(robot.port), "a radio")
     assert report.passed, report.text()
 
 
+@pytest.mark.long
 def test_a_served_robot_with_a_radio_conforms(path: Path) -> None:
-    command = [sys.executable, "-m", "khep_twin", "serve", str(path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
-        try:
-            assert process.stdout is not None
-            with Khepera(process.stdout.readline().split()[-1]) as robot:
-                found = [run_check(check, CheckedPort(robot.port)).deviation for check in CHECKS]
-        finally:
-            process.terminate()
+    with served(str(path)) as (_, port), Khepera(port.split()[-1]) as robot:
+        found = [run_check(check, CheckedPort(robot.port)).deviation for check in CHECKS]
     assert found == [""] * len(CHECKS) == [""] * 6
 
 

@@ -10,6 +10,7 @@ import pytest
 from command_line import khep_twin
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from shares import share
 
 from checks.recordings import Relay, findings, tour
 from khep_twin.lab.conformance.recording.conform import CheckedRobot, conform_recording
@@ -23,6 +24,7 @@ Change = Callable[[list[TextLine]], list[TextLine]]
 """From the transcript of a sound robot to that of a wrong one."""
 
 MS = 1_000_000
+LONG = pytest.mark.long
 
 SCAN = "readings within one scan are the same but for the sensors converted meanwhile"
 
@@ -213,7 +215,13 @@ WRONG: dict[str, tuple[Change, str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", WRONG)
+FIRST = {statement: name for name, (_, statement) in reversed(WRONG.items())}
+"""First wrong robot of each statement, for the suite."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in FIRST.values() else LONG) for name in WRONG]
+)
 def test_a_wrong_robot_is_caught_and_what_is_wrong_is_named(name: str, sound: Path, tmp_path: Path) -> None:
     change, statement = WRONG[name]
     names = failed(checked(changed(sound, tmp_path / "wrong.mcap", change)))
@@ -226,13 +234,16 @@ def test_a_copy_that_changes_nothing_has_no_finding(sound: Path, tmp_path: Path)
 
 @pytest.mark.parametrize(
     ("fault", "statement"),
-    [
-        ("stuck:2@1", "no sensor repeats its reading"),
-        ("dead:left@2", "counters go as far as the speeds of D"),
-        ("late:0.1:60", "replies begin within 10 ms"),
-        ("drop:0.01", "a reply has as many plain integers"),
-        ("garble:0.01", "a reply has as many plain integers"),
-    ],
+    share(
+        [
+            ("stuck:2@1", "no sensor repeats its reading"),
+            ("dead:left@2", "counters go as far as the speeds of D"),
+            ("late:0.1:60", "replies begin within 10 ms"),
+            ("drop:0.01", "a reply has as many plain integers"),
+            ("garble:0.01", "a reply has as many plain integers"),
+        ],
+        3,
+    ),
 )
 def test_a_faulty_robot_is_caught(fault: str, statement: str, tmp_path: Path) -> None:
     names = failed(checked(recorded(tmp_path / "run.mcap", faults=(fault,))))
@@ -257,12 +268,12 @@ def test_everything_but_scans_is_seen_in_the_tour(sound: Path) -> None:
     assert [each.name for each in robot.statements if not each.seen] == [SCAN]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", share(range(3), 3))
 def test_no_host_makes_a_sound_robot_wrong(seed: int, tmp_path: Path) -> None:
     assert findings(seed, tmp_path, seconds=8.0) == []
 
 
-@pytest.mark.parametrize("rom", ["5.02", "4.06", "khepera2"])
+@pytest.mark.parametrize("rom", share(["4.06", "5.02", "khepera2"], 3))
 def test_a_relay_finds_the_rom_by_the_replies(rom: str, tmp_path: Path) -> None:
     path = tmp_path / "relay.mcap"
     with open_twin("obstacles", TwinOptions(seed=2, mode=2, rom=rom)) as twin:
@@ -274,7 +285,7 @@ def test_a_relay_finds_the_rom_by_the_replies(rom: str, tmp_path: Path) -> None:
     assert f"a robot, compared with ROM {rom}" in robot.text
 
 
-@pytest.mark.parametrize("controller", BUILT_IN)
+@pytest.mark.parametrize("controller", share(BUILT_IN, 3))
 def test_built_in_controllers_meet_a_sound_robot(controller: str, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     khep_twin("run", controller, "--playpen", "obstacles", "--seconds", "5", "--log", str(log))

@@ -1,10 +1,10 @@
 """K213s that are broken on purpose: the conformance checks catch every one of them."""
 
-import subprocess
-import sys
 from contextlib import closing
 
 import pytest
+from served_twin import served
+from shares import share
 
 from khep_twin.board.k213 import K213Register
 from khep_twin.host import Khepera
@@ -13,7 +13,7 @@ from khep_twin.lab.conformance.port.catalogue import CHECKS as ALL
 from khep_twin.lab.conformance.port.check import CheckedPort
 from khep_twin.lab.conformance.port.conform import run_check
 from khep_twin.ports.twin import Twin
-from tests.lab.conformance.test_mutants import Mutation, break_answers, think, to
+from tests.lab.conformance.test_mutants import Mutation, break_answers, is_caught, think, to
 
 CHECKS = [check for check in ALL if check.section == vision.SECTION]
 
@@ -91,7 +91,8 @@ def with_a_mirror(twin: Twin) -> None:
     turret.receive = mirrored  # type: ignore[method-assign]
 
 
-BOARDS = [late, frozen, restless, with_a_mirror]
+STRIPES = "khep://stripes?noise=off"
+BOARDS = [frozen, restless, with_a_mirror, late]
 
 
 def deviations(robot: Khepera) -> list[str]:
@@ -104,11 +105,12 @@ def test_there_are_checks_that_stand_and_one_that_moves() -> None:
     assert [check.moves for check in CHECKS].count("") == len(CHECKS) - 1
 
 
-@pytest.mark.parametrize("mode", [1, 2, 3])
-@pytest.mark.parametrize("noise", ["on", "off"])
-def test_a_sound_k213_passes(noise: str, mode: int) -> None:
-    baud = {1: 9600, 2: 19200, 3: 38400}[mode]
-    with closing(Khepera(f"khep://stripes?noise={noise}&mode={mode}", baudrate=baud)) as robot:
+@pytest.mark.parametrize(
+    ("noise", "mode", "baudrate"),
+    share([("on", 3, 38400), ("on", 1, 9600), ("on", 2, 19200), ("off", 3, 38400)], 4),
+)
+def test_a_sound_k213_passes(noise: str, mode: int, baudrate: int) -> None:
+    with closing(Khepera(f"khep://stripes?noise={noise}&mode={mode}", baudrate=baudrate)) as robot:
         assert deviations(robot) == []
 
 
@@ -117,29 +119,23 @@ def test_a_robot_without_a_k213_passes() -> None:
         assert deviations(robot) == []
 
 
+@pytest.mark.long
 def test_a_sound_k213_on_a_pseudo_terminal_passes() -> None:
-    command = [sys.executable, "-m", "khep_twin", "serve", "stripes", "--mode", "3"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
-        try:
-            assert process.stdout is not None
-            with Khepera(process.stdout.readline().strip(), baudrate=38400) as robot:
-                found = deviations(robot)
-        finally:
-            process.terminate()
+    with served("stripes", "--mode", "3") as (_, port), Khepera(port, baudrate=38400) as robot:
+        found = deviations(robot)
     # A busy machine may delay a reply.
     assert [text for text in found if " ms" not in text] == []
 
 
-@pytest.mark.parametrize("name", ANSWERS)
+@pytest.mark.parametrize("name", share(ANSWERS, 3))
 def test_a_k213_that_answers_wrongly_is_caught(name: str) -> None:
-    with closing(Khepera("khep://stripes?noise=off")) as robot:
-        break_answers(robot.port.twin, ANSWERS[name])
-        assert deviations(robot)
+    assert is_caught(lambda twin: break_answers(twin, ANSWERS[name]), CHECKS, STRIPES)
 
 
-@pytest.mark.parametrize("breaking", BOARDS, ids=lambda breaking: breaking.__name__)
+@pytest.mark.parametrize("breaking", share(BOARDS, 2), ids=lambda breaking: breaking.__name__)
 def test_a_k213_that_is_broken_inside_is_caught(breaking) -> None:
-    with closing(Khepera("khep://stripes?noise=off")) as robot:
-        robot.sleep(0.3)
-        breaking(robot.port.twin)
-        assert deviations(robot)
+    def broken(twin: Twin) -> None:
+        twin.advance_to(300_000_000)
+        breaking(twin)
+
+    assert is_caught(broken, CHECKS, STRIPES)
