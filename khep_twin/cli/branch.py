@@ -1,8 +1,8 @@
 """`khep-twin branch`: a logged run resumed at a moment, to go on from there with something changed."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import chdir
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.completion import controllers, logs
+from khep_twin.cli.option_groups import grouped
 from khep_twin.cli.options import (
     Faults,
     Force,
@@ -23,12 +24,51 @@ from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.signals import stopping
 
 if TYPE_CHECKING:
-    from khep_twin.lab.experiment.branch import Way
+    from khep_twin.lab.experiment.branch import BranchPlan, Trajectory
+    from khep_twin.log.recorded import BranchPoint
 
 
+@dataclass(frozen=True, slots=True)
+class ChangeOptions:
+    """Options for a change of a run."""
+
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Draw from another seed; with --runs from this one, the next, and so on."),
+    ] = None
+    fault: Faults = None
+    calibration: Annotated[
+        str | None,
+        typer.Option(help="Another calibration of the robots on the line: a shipped name, or a path."),
+    ] = None
+    set_values: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="TABLE.N.KEY=VALUE",
+            help="Change the playpen, as often as wanted: block.3.x_mm=250 for the third [[block]].",
+        ),
+    ] = None
+
+    def at(self, time_s: float, log: Path, robot: int | None) -> "BranchPoint":
+        """Return the change of a log's run at a time [s]; `robot` is the one whose calibration changes."""
+        from khep_twin.lab.experiment.branch import calibrations
+        from khep_twin.log.recorded import BranchPoint
+
+        return BranchPoint(
+            round(time_s * 1e9),
+            seed=self.seed,
+            faults=tuple(self.fault or ()),
+            edits=tuple(self.set_values or ()),
+            calibrations=None if self.calibration is None else calibrations(log, self.calibration, robot),
+        )
+
+
+@grouped
 def branch(
+    *,
     log: Annotated[Path, typer.Argument(help="Log of the run, FILE.mcap.", autocompletion=logs)],
-    at: Annotated[float, typer.Option(help="Moment at which to take the run up [s].")],
+    at: Annotated[float, typer.Option(help="Moment from which to resume the run [s].")],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Log to write, with --runs NAME-001.mcap and so on.")
     ],
@@ -44,23 +84,7 @@ def branch(
         int | None,
         typer.Option(help="Robot of --controller and --calibration, counted from 0."),
     ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(min=0, help="Draw from another seed; with --runs from this one, the next, and so on."),
-    ] = None,
-    fault: Faults = None,
-    calibration: Annotated[
-        str | None,
-        typer.Option(help="Another calibration of the robots on the line: a shipped name, or a path."),
-    ] = None,
-    set_values: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="TABLE.N.KEY=VALUE",
-            help="Change the playpen, as often as wanted: block.3.x_mm=250 for the third [[block]].",
-        ),
-    ] = None,
+    change: ChangeOptions,
     seconds: Annotated[
         float | None, typer.Option(help="Go on for this time [s]; without, to the end of the log's run.")
     ] = None,
@@ -74,21 +98,19 @@ def branch(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Take a logged run up at a moment, and go on with a change.
+    """Resume a logged run at a moment, with a change.
 
     Controller, seed, fault, robot or playpen may be another.
 
     Up to the moment the new log is the old one's. Without --seconds or --cycles it ends when that does.
     """
-    from khep_twin.lab.experiment.branch import BranchPlan, calibrations
-    from khep_twin.lab.experiment.branch import branch as run_branch
+    from khep_twin.lab.experiment.branch import BranchPlan
     from khep_twin.lab.experiment.controller_files import find_controller
     from khep_twin.lab.experiment.series_run import own_files
-    from khep_twin.log.recorded import BranchPoint
     from khep_twin.toolbox.form import as_toolbox_form
 
     found = None if controller is None else find_controller(controller, as_toolbox_form)
-    if found is None and (cycles is not None or (robot is not None and calibration is None)):
+    if found is None and (cycles is not None or (robot is not None and change.calibration is None)):
         raise usage("--cycles and --robot are for a controller; expected --controller, too")
     if not 0 < at < 1e9 or (seconds is not None and not 0 < seconds < 1e9):
         raise usage("--at and --seconds are above 0 and finite")
@@ -97,37 +119,42 @@ def branch(
     check_new(force, *paths)
     check_picture(picture, output)
     check_apart([log], *paths, picture)
-    change = BranchPoint(
-        round(at * 1e9),
-        seed=seed,
-        faults=tuple(fault or ()),
-        edits=tuple(set_values or ()),
-        calibrations=None if calibration is None else calibrations(log, calibration, robot),
-    )
-    plan = BranchPlan(log, change, found, robot, seconds, cycles)
-    seeds = [seed] if runs == 1 else [(1 if seed is None else seed) + number for number in range(runs)]
-    ways: list[Way] = []
+    plan = BranchPlan(log, change.at(at, log, robot), found, robot, seconds, cycles)
+    trajectories = _run_branches(plan, controller, paths)
+    if not trajectories:
+        raise typer.Exit(130)
+    if picture is not None:
+        from khep_twin.drawing.map import save
+        from khep_twin.lab.experiment.fan_figure import draw_fan
+
+        save(draw_fan(plan, trajectories), picture)
+        typer.echo(f"picture  {picture}")
+    tell_written("log", paths[: len(trajectories)])
+    if len(trajectories) < runs:
+        raise typer.Exit(130)
+
+
+def _run_branches(plan: "BranchPlan", controller: str | None, paths: Sequence[Path]) -> "list[Trajectory]":
+    """Run a branch for each path, of a seed each; return those that were run before the user stopped."""
+    from khep_twin.lab.experiment.branch import branch as run_branch
+    from khep_twin.lab.experiment.controller_files import find_controller
+    from khep_twin.toolbox.form import as_toolbox_form
+
+    first, runs = plan.change.seed, len(paths)
+    trajectories: list[Trajectory] = []
+    seeds = [first] if runs == 1 else [(1 if first is None else first) + number for number in range(runs)]
+    found = plan.controller
     with stopping("ending this branch") as asked, progress_bar() as show:
         for number, path in enumerate(paths):
             if asked():
                 break
             if number and controller is not None:  # a separate one for each branch
                 found = find_controller(controller, as_toolbox_form)
-            each = replace(plan, change=replace(change, seed=seeds[number]), controller=found)
+            each = replace(plan, change=replace(plan.change, seed=seeds[number]), controller=found)
             part = None if show is None else partial(_share, show, number, runs)
             with chdir("."):  # a controller may go to another folder
-                ways.append(run_branch(each, path, progress=part, stop=asked))
-    if not ways:
-        raise typer.Exit(130)
-    if picture is not None:
-        from khep_twin.drawing.map import save
-        from khep_twin.lab.experiment.fan_figure import draw_fan
-
-        save(draw_fan(plan, ways), picture)
-        typer.echo(f"picture  {picture}")
-    tell_written("log", paths[: len(ways)])
-    if len(ways) < runs:
-        raise typer.Exit(130)
+                trajectories.append(run_branch(each, path, progress=part, stop=asked))
+    return trajectories
 
 
 def _share(show: Callable[[float], None], number: int, runs: int, part: float) -> None:

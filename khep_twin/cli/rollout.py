@@ -26,7 +26,7 @@ from khep_twin.cli.options import (
 from khep_twin.cli.progress import progress as progress_bar
 
 if TYPE_CHECKING:
-    from khep_twin.episodes.episode import Episode
+    from khep_twin.episodes.episode import Episode, EpisodeSetup
     from khep_twin.playpen import Playpen
 
 NO_LINE = {"line": "none"}
@@ -86,12 +86,10 @@ def rollout(
     playpen = scene.load()
     # A controller may go to another folder.
     target, log = (None if path is None else path.absolute() for path in (picture, logging.log))
-    for name, value in (("--period", period), ("--step", step)):
-        if value is not None and not 0 < value <= 1e9:
-            raise usage(f"{name} {value:g}: expected a time in ms, above 0 and at most 1e9")
-    function = None
-    if controller != "braitenberg":
-        function = find_function(controller, "proximity and ambient light", 2)
+    _check_time("--period", period)
+    _check_time("--step", step)
+    is_built_in = controller == "braitenberg"
+    function = None if is_built_in else find_function(controller, "proximity and ambient light", 2)
     playpen, _ = equipped(at_spots(playpen, options.seed), options)
     check_body(options.rom, playpen.robots)
     try:
@@ -100,7 +98,7 @@ def rollout(
         periods = length.cycles or setup.periods(60.0 if length.seconds is None else length.seconds)
         episode = Episode(
             setup,
-            Braitenberg() if function is None else ConstantSpeed(),
+            Braitenberg() if is_built_in else ConstantSpeed(),
             compiled=None if is_compiled() else False,
             faults=[parse(text) for text in options.faults],
             observed=log is not None,
@@ -115,39 +113,40 @@ def rollout(
             recorded.record(log, facts={"controller": controller, **NO_LINE}, on_failure=logging.on_failure)
             recorder = recorded.recorder
             tell_kept(recorder)
-        # Where the path is not needed in between, many periods pass at once, with the same results.
-        at_once = 1 if function is not None or picture is not None else max(_SPAN_NS // setup.period_ns, 1)
-        ways = _run(episode, function, periods, at_once, setup.steps_per_period)
+        paths = _run(episode, setup, function, periods, picture is not None)
     _print_metrics(episode, periods)
     if target is not None:
-        _draw(playpen, ways, setup.period_ns, target)
+        _draw(playpen, paths, setup.period_ns, target)
         typer.echo(f"picture  {picture}")
     logging.check(recorder)
     if logging.log is not None:
         tell_written("log", [logging.log])
 
 
+def _check_time(option: str, time_ms: float | None) -> None:
+    if time_ms is not None and not 0 < time_ms <= 1e9:
+        raise usage(f"{option} {time_ms:g}: expected a time in ms, above 0 and at most 1e9")
+
+
 def _run(
-    episode: "Episode",
-    function: Callable[..., Any] | None,
-    periods: int,
-    at_once: int,
-    steps_per_period: int,
+    episode: "Episode", setup: "EpisodeSetup", function: Callable[..., Any] | None, periods: int, drawn: bool
 ) -> list[list[Pose]]:
-    """Run an episode; return the path of each robot, with a pose after every `at_once` periods."""
-    ways = [[pose] for pose in episode.poses]
+    """Run an episode; return the path of each robot, with a pose of each period if it is to be drawn."""
+    # Where the path is not needed in between, many periods pass at once, with the same results.
+    at_once = 1 if function is not None or drawn else max(_SPAN_NS // setup.period_ns, 1)
+    paths = [[pose] for pose in episode.poses]
     with progress_bar() as show:
         for done in range(0, periods, at_once):
             if function is not None:
-                for robot in range(len(ways)):
+                for robot in range(len(paths)):
                     episode.drive(*_speeds(function, episode, robot), robot)
             now = min(at_once, periods - done)
-            episode.step(now * steps_per_period)
-            for way, pose in zip(ways, episode.poses, strict=True):
-                way.append(pose)
+            episode.step(now * setup.steps_per_period)
+            for path, pose in zip(paths, episode.poses, strict=True):
+                path.append(pose)
             if show is not None:
                 show((done + now) / periods)
-    return ways
+    return paths
 
 
 def is_compiled() -> bool:
@@ -175,19 +174,17 @@ def _print_metrics(episode: "Episode", periods: int) -> None:
             typer.echo(f"{name.replace('_', ' '):20}{row}".rstrip())
 
 
-def _draw(
-    playpen: "Playpen", ways: "list[list[tuple[float, float, float]]]", period_ns: int, path: Path
-) -> None:
+def _draw(playpen: "Playpen", paths: list[list[Pose]], period_ns: int, picture: Path) -> None:
     """Draw the robots' paths."""
     import numpy as np
 
     from khep_twin.drawing.map import DrawnPath, draw, save
 
-    times = np.arange(len(ways[0])) * period_ns / 1e9
-    paths = [
-        DrawnPath(f"khepera{robot}", times, 1000 * np.array(way)[:, :2]) for robot, way in enumerate(ways)
+    times = np.arange(len(paths[0])) * period_ns / 1e9
+    drawn = [
+        DrawnPath(f"khepera{robot}", times, 1000 * np.array(path)[:, :2]) for robot, path in enumerate(paths)
     ]
-    save(draw(playpen, paths), path)
+    save(draw(playpen, drawn), picture)
 
 
 def _speeds(function: Callable[..., Any], episode: "Episode", robot: int) -> tuple[float, float]:

@@ -28,6 +28,7 @@ from khep_twin.cli.options import (
     check_apart,
     check_body,
     check_picture,
+    complain,
     given,
     tell_written,
     usage,
@@ -152,10 +153,9 @@ def run(
             robot_source: RobotSource = OneRobot(stack.enter_context(Khepera(port)))
             settings: dict[str, Any] = {"port": port}
         else:
-            wanted_starts = series.start or []
             place = scene.load(own)
             begin = _beginning(stack, logs, viewer, live_view.open(stack, place.name))
-            robot_source, settings = _twins(stack, place, options, wanted_starts, plan.runs, begin)
+            robot_source, settings = _twins(stack, place, options, series.start or [], plan.runs, begin)
         settings |= {"cycles": cycles, "seconds": plan.seconds, "pause": plan.pause, **source.identity}
         folder = None if series.save is None else SeriesFolder(series.save, settings, resume=series.resume)
         stopped = _run_series(found, robot_source, plan, folder, logs, series.confirm, gone_to, user_function)
@@ -164,7 +164,7 @@ def run(
         tell_written("series", [folder.path], command("series", folder.path))
     if stopped:
         rest = f"; {len(folder.rows)} of {plan.runs} runs are kept, go on with --resume" if folder else ""
-        typer.echo(f"khep-twin: stopped before its end{rest}", err=True)
+        complain(f"stopped before its end{rest}")
         raise typer.Exit(130)
 
 

@@ -53,8 +53,8 @@ class BranchPlan:
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
-    """Way of the robots from the moment on.
+class Trajectory:
+    """Trajectory of the robots from the moment on.
 
     Attributes:
         times_s: Times of the samples (n,) [s].
@@ -72,14 +72,14 @@ def branch(
     on_failure: Callable[[str], None] | None = None,
     progress: Callable[[float], None] | None = None,
     stop: Callable[[], bool] | None = None,
-) -> Way:
-    """Run a branch and write its log; return the way from the moment on.
+) -> Trajectory:
+    """Run a branch and write its log; return the trajectory from the moment on.
 
     Args:
         plan: Plan of the branch.
         path: Path of the new log.
         on_failure: Function that takes the line about a log that cannot be written any more; None to end.
-        progress: Function that takes the part of the way from the moment on that is done, 0 to 1.
+        progress: Function that takes the part of the time from the moment on that is done, 0 to 1.
         stop: Function that returns whether to end early.
 
     Raises:
@@ -91,7 +91,7 @@ def branch(
     more = Described(source.facts, source.attachments) if source else Described()
     same = plan.controller is None and not plan.change.text
     resumed = branch_off(plan.log, plan.change, path, more, on_failure, same=same)
-    way = _Observed(resumed.twin.world)
+    observed = _Observed(resumed.twin.world)
     # As of any run that fails, the log has what came before.
     with resumed.twin:
         if plan.controller is None:
@@ -100,7 +100,7 @@ def branch(
             resumed.hosts.repeat(lambda time_ns: time_ns <= last_ns)
         else:
             _take_over(resumed, plan, plan.controller, end_ns, progress, stop)
-    return way.way()
+    return observed.trajectory()
 
 
 def calibrations(log: Path, name: str, robot: int | None) -> dict[str, str]:
@@ -171,6 +171,6 @@ class _Observed(Observer):
         self._times_ns.append(world.time_ns)
         self._poses.append(world.poses)
 
-    def way(self) -> Way:
-        """Return the way so far."""
-        return Way(np.array(self._times_ns) / NS_PER_S, np.array(self._poses))
+    def trajectory(self) -> Trajectory:
+        """Return the trajectory so far."""
+        return Trajectory(np.array(self._times_ns) / NS_PER_S, np.array(self._poses))

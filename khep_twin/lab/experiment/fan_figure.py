@@ -1,4 +1,4 @@
-"""Figure of branches of one run: the fan of their ways on the playpen, and how far they spread over time."""
+"""Figure of branches of one run: their trajectories on the playpen, and how far they spread over time."""
 
 # matplotlib's own annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S
 from khep_twin.drawing.map import STYLE, draw
 from khep_twin.drawing.symbols import INK
-from khep_twin.lab.experiment.branch import BranchPlan, Way
+from khep_twin.lab.experiment.branch import BranchPlan, Trajectory
 from khep_twin.log.reader import read
 from khep_twin.log.recorded import changes_of
 from khep_twin.ports.replay import Setup
@@ -29,28 +29,28 @@ _MOMENTS = 4
 """Number of times at which the places of all runs are marked."""
 
 
-def draw_fan(plan: BranchPlan, ways: Sequence[Way]) -> Figure:
+def draw_fan(plan: BranchPlan, trajectories: Sequence[Trajectory]) -> Figure:
     """Draw branches of one run: a dark line up to the moment, then each run, and how far they spread."""
     run = read(plan.log)
     at_s = plan.change.at_ns / NS_PER_S
     setup = Setup.of(plan.log)
     playpen = setup.playpen((*changes_of(plan.log, setup.label), plan.change))
     with matplotlib.style.context(STYLE):
-        figure = draw(playpen, title=f"{plan.log.name}, {len(ways)} branches at {at_s:g} s")
+        figure = draw(playpen, title=f"{plan.log.name}, {len(trajectories)} branches at {at_s:g} s")
         axes = figure.axes[0]
         for index, track in enumerate(run.robots.values()):
             before = track.pose[track.times_ns <= plan.change.at_ns]
             axes.plot(1e3 * before[:, 0], 1e3 * before[:, 1], color=INK, lw=1.2, zorder=4)
             colour = _COLOURS[index % len(_COLOURS)]
-            strength = max(min(8 / len(ways), 0.9), 0.12)
-            for way in ways:
-                x, y = 1e3 * way.poses[:, index, :2].T
+            strength = max(min(8 / len(trajectories), 0.9), 0.12)
+            for trajectory in trajectories:
+                x, y = 1e3 * trajectory.poses[:, index, :2].T
                 axes.plot(x, y, color=colour, lw=0.8, alpha=strength, zorder=4)
             axes.plot(*(1e3 * before[-1, :2]), "o", ms=4.5, mfc="white", mec=INK, zorder=7)
         panel = _panel_beside(figure)
         for index, name in enumerate(run.robots):
-            _draw_spread(panel, ways, index, _COLOURS[index % len(_COLOURS)], name)
-        _mark_moments(axes, panel, ways)
+            _draw_spread(panel, trajectories, index, _COLOURS[index % len(_COLOURS)], name)
+        _mark_moments(axes, panel, trajectories)
         panel.set(xlabel="time [s]", ylabel="distance from the runs' mean [mm]")
         panel.set_ylim(bottom=0)
         panel.grid(color=INK, alpha=0.1, lw=0.5)
@@ -58,20 +58,20 @@ def draw_fan(plan: BranchPlan, ways: Sequence[Way]) -> Figure:
     return figure
 
 
-def spread(ways: Sequence[Way], robot: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return how far ways spread, up to the end of the shortest one.
+def spread(trajectories: Sequence[Trajectory], robot: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return how far trajectories spread, up to the end of the shortest one.
 
     Returns:
         Times (n,) [s], mean positions (n, 2) [m], and the root mean square and the 95th percentile of the
         distances from them (n,) [m].
     """
-    length = min(len(way.times_s) for way in ways)
-    places = np.stack([way.poses[:length, robot, :2] for way in ways])
+    length = min(len(trajectory.times_s) for trajectory in trajectories)
+    places = np.stack([trajectory.poses[:length, robot, :2] for trajectory in trajectories])
     mean: Floats = places.mean(axis=0)
     away = np.hypot(*np.moveaxis(places - mean, 2, 0))
     rms: Floats = np.sqrt((away * away).mean(axis=0))
     most = np.asarray(np.percentile(away, 95, axis=0), np.float64)
-    return ways[0].times_s[:length], mean, rms, most
+    return trajectories[0].times_s[:length], mean, rms, most
 
 
 def _panel_beside(figure: Figure) -> Axes:
@@ -87,20 +87,20 @@ def _panel_beside(figure: Figure) -> Axes:
     return figure.add_axes((left, lowest.y0, 1 - left - 0.15 / (width + _PANEL), lowest.height))
 
 
-def _draw_spread(panel: Axes, ways: Sequence[Way], robot: int, colour: str, name: str) -> None:
-    """Draw how far ways spread over time."""
-    times_s, _, rms, most = spread(ways, robot)
+def _draw_spread(panel: Axes, trajectories: Sequence[Trajectory], robot: int, colour: str, name: str) -> None:
+    """Draw how far trajectories spread over time."""
+    times_s, _, rms, most = spread(trajectories, robot)
     panel.plot(times_s, 1e3 * rms, color=colour, lw=1.4, label=f"{name}, root mean square")
     panel.plot(times_s, 1e3 * most, color=colour, lw=0.9, ls="--", label="95 % of the runs")
 
 
-def _mark_moments(axes: Axes, panel: Axes, ways: Sequence[Way]) -> None:
+def _mark_moments(axes: Axes, panel: Axes, trajectories: Sequence[Trajectory]) -> None:
     """Mark where all runs are at some moments, in a colour each."""
-    length = min(len(way.times_s) for way in ways)
+    length = min(len(trajectory.times_s) for trajectory in trajectories)
     moments = np.linspace(length / _MOMENTS, length - 1, _MOMENTS).astype(int).tolist()
     colours = matplotlib.colormaps["plasma"](np.linspace(0, 0.8, _MOMENTS))
     for moment, colour in zip(moments, colours, strict=True):
-        x, y = 1e3 * np.concatenate([way.poses[moment, :, :2] for way in ways]).T
+        x, y = 1e3 * np.concatenate([trajectory.poses[moment, :, :2] for trajectory in trajectories]).T
         axes.plot(x, y, "o", color=colour, ms=4, mec="white", mew=0.5, zorder=6)
-        time_s = float(ways[0].times_s[moment])
+        time_s = float(trajectories[0].times_s[moment])
         panel.axvline(time_s, color=colour, lw=1.0, ls=":", label=f"dots at {time_s:.1f} s")
