@@ -18,9 +18,10 @@ from benchmarks import environments, growth, peers, record
 from benchmarks.ports import line_row, trip_rows
 from benchmarks.scale import NETWORK, POLICY, bare_row, batch_row, episode_row, world_row
 from benchmarks.table import LEGEND, Table, measure, text
-from khep_twin import playpen, units
+from khep_twin import units
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError
+from khep_twin.playpen import Playpen
 
 PLAYPEN = "obstacles"
 PEERS = (growth.TWENTY_BLOCKS, "default", "looping-maze")
@@ -30,15 +31,15 @@ PEERS = (growth.TWENTY_BLOCKS, "default", "looping-maze")
 def main_job(part: float, rounds: int) -> Table:
     """Measure the bare loop, the whole twin with its line and log, and episodes without a line."""
     seconds, n_episodes = max(round(60 * part), 1), 32 if part >= 1 else 8
-    setup = EpisodeSetup(playpen.load(PLAYPEN))
+    setup = EpisodeSetup(Playpen.load(PLAYPEN))
     with TemporaryDirectory() as folder:
         rows = [
             bare_row("bare mj_step, rangefinders (floor)", setup, seconds),
             bare_row("bare mj_step, no sensors", setup, seconds, sensors=False),
-            world_row("World, told by no line", playpen.load(PLAYPEN), seconds),
+            world_row("World, told by no line", Playpen.load(PLAYPEN), seconds),
             line_row("main job over khep://, no log", PLAYPEN, seconds),
             line_row("main job over khep://, logged", PLAYPEN, seconds, Path(folder) / "run.mcap"),
-            world_row("World, plain", playpen.load(PLAYPEN), seconds, compiled=False),
+            world_row("World, plain", Playpen.load(PLAYPEN), seconds, compiled=False),
             line_row(
                 "main job, logged, plain", PLAYPEN, seconds, Path(folder) / "plain.mcap", compiled=False
             ),
@@ -62,7 +63,7 @@ def beside_kheperax(name: str, part: float, rounds: int, python: str | None, fou
         python: Python with Kheperax; None if there is none.
         found: Filled with the versions of Kheperax.
     """
-    scene = growth.twenty_blocks() if name == growth.TWENTY_BLOCKS else playpen.load(name)
+    scene = growth.twenty_blocks() if name == growth.TWENTY_BLOCKS else Playpen.load(name)
     seconds, n_episodes = max(round(20 * part), 1), 32 if part >= 1 else 8
     fine, coarse = EpisodeSetup(scene), EpisodeSetup(scene, step_ns=4 * units.STEP_NS)
     plane, long_s = EpisodeSetup(scene, planar=True), 60 * part

@@ -11,9 +11,9 @@ import numpy as np
 
 from benchmarks.scale import POLICY, batch_row
 from benchmarks.table import LEGEND, Row, Table, measure, text, timed
-from khep_twin import playpen
 from khep_twin.envs.task_setup import PERIOD_NS
 from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.playpen import Playpen
 
 NAME, PLAYPEN = "khep_twin/ObstacleAvoidance-v0", "obstacles"
 EPISODES = 64
@@ -66,7 +66,7 @@ def tables(part: float, rounds: int) -> list[Table]:
     """
     found: list[Table] = []
     for planar, seconds in ((False, 4 * part), (True, 60 * part)):
-        setup = EpisodeSetup(playpen.load(PLAYPEN), period_ns=PERIOD_NS, planar=planar)
+        setup = EpisodeSetup(Playpen.load(PLAYPEN), period_ns=PERIOD_NS, planar=planar)
         rows = [batch_row("batch, Python policy (floor)", setup, EPISODES, seconds, 1, POLICY)]
         present = importlib.util.find_spec("gymnasium") is not None
         if present:

@@ -11,7 +11,6 @@ import numpy as np
 
 from benchmarks.scale import bare_row, batch_row, episode_row, world_row
 from benchmarks.table import COST, LEGEND, Row, Table, measure, text
-from khep_twin import playpen
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Arena, Block, Playpen, RobotEntry
 
@@ -79,7 +78,7 @@ def robots_table(seconds: float, rounds: int, numbers: Sequence[int] = ROBOTS) -
 
 def batches_table(episode_s: float, rounds: int, numbers: Sequence[int] = BATCHES) -> Table:
     """Measure batches of increasing numbers of short episodes, on two threads."""
-    setup = EpisodeSetup(playpen.load("default"))
+    setup = EpisodeSetup(Playpen.load("default"))
     rows = [batch_row(f"{number} lives", setup, number, episode_s, 2) for number in numbers]
     title = f"lives of {episode_s:g} s in a batch, default, 2 threads"
     return measure(title, rows, rounds, unit=COST, cost=True)

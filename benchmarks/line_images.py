@@ -7,7 +7,6 @@ counts, as other load only adds time.
 import time
 from collections.abc import Callable
 
-from khep_twin import playpen
 from khep_twin.board.k213 import PIXELS
 from khep_twin.playpen import Playpen
 from khep_twin.sensing.line_faces import fixed_faces, moving_faces, places
@@ -41,7 +40,7 @@ def cost_us(take: Callable[[], object], count: int) -> float:
 
 def row(name: str) -> str:
     """Measure one playpen."""
-    world = World(with_a_k213(playpen.load(name)), compiled=False)
+    world = World(with_a_k213(Playpen.load(name)), compiled=False)
     turret = next(iter(world.robots[0].firmware.turrets.values()))
     eye = world.model.camera("khepera0/k213/eye").id
     fixed, moving = fixed_faces(world.model), moving_faces(world.model, world.robots[0].indices.base)

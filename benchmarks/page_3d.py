@@ -18,6 +18,7 @@ from typing import Any
 
 from benchmarks.page import Twin, chromium
 from khep_twin import playpen
+from khep_twin.playpen import Playpen
 from khep_twin.web import drafts
 
 SECONDS = 6.0
@@ -74,7 +75,7 @@ def main() -> None:
 
 def draft() -> dict[str, Any]:
     """Return the maze with blocks where there is room for them."""
-    rng, maze = random.Random(1), playpen.load("looping-maze")
+    rng, maze = random.Random(1), Playpen.load("looping-maze")
     found: dict[str, Any] = json.loads(json.dumps(drafts.draft_of(maze)))
     blocks = found["block"] = list(found.get("block", []))
     while len(blocks) < BLOCKS:

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from benchmarks.table import LEGEND, Row, measure, text, timed
-from khep_twin import playpen, units
+from khep_twin import units
 from khep_twin.board import kernel
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Braitenberg, Driver, Floats, Network, Policy
@@ -125,7 +125,7 @@ POLICY = Policy(lambda proximity, ambient, which: 10 - proximity[:, [3, 2]] / 10
 def main() -> None:
     for name in PLAYPENS:
         for step_ns in (units.STEP_NS, 2 * units.STEP_NS):
-            setup = EpisodeSetup(playpen.load(name), step_ns=step_ns)
+            setup = EpisodeSetup(Playpen.load(name), step_ns=step_ns)
             rows = [
                 bare_row("bare mj_step, rangefinders (floor)", setup, 20.0),
                 bare_row("bare mj_step, no sensors", setup, 20.0, sensors=False),
@@ -140,7 +140,7 @@ def main() -> None:
                 for kind in (True, False):
                     word = "compiled" if kind else "plain"
                     rows.append(
-                        world_row(f"World, told by no line, {word}", playpen.load(name), 20.0, compiled=kind)
+                        world_row(f"World, told by no line, {word}", Playpen.load(name), 20.0, compiled=kind)
                     )
             table = measure(f"{name}, steps of {step_ns / 1e6:g} ms", rows, ROUNDS)
             print(text([table]), end="\n\n", flush=True)

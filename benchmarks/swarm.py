@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.table import LEGEND, Row, Taken, measure, text
-from khep_twin import playpen
+from khep_twin.playpen import Playpen
 
 ROUNDS = 3
 SECONDS = 10.0
@@ -38,7 +38,7 @@ def swarm_rows(name: str, seconds: float) -> Generator[list[Row]]:
         name: Playpen.
         seconds: Duration of one run [s].
     """
-    count = len(playpen.load(name).robots)
+    count = len(Playpen.load(name).robots)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         rows = [Polled(*stack.enter_context(_echoes(count)), seconds).row("bare paced echoes (floor)")]

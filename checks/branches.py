@@ -75,7 +75,7 @@ PUSHED = "".join(
 
 def arena(more: str = "", **changes: object) -> Playpen:
     """Return the shipped obstacles, with more, and with changes of the first robot."""
-    found = playpen.parse(playpen.dump(playpen.load("obstacles")) + more, "arena")
+    found = playpen.parse(playpen.dump(Playpen.load("obstacles")) + more, "arena")
     robots = (found.robots[0].model_copy(update=changes), *found.robots[1:])
     return found.model_copy(update={"robots": robots})
 
@@ -124,11 +124,11 @@ def make(number: int, path: Path) -> float:
     """Write the log of a number; return when its run ends [s]."""
     rng = np.random.default_rng([number, 1])
     scenes = [
-        *(lambda name=name: playpen.load(name) for name in playpen.names()),
+        *(lambda name=name: Playpen.load(name) for name in playpen.names()),
         *(lambda more=more: arena(more) for more in ("", LAMPS, ROBOTS, PUSHED, LAMPS + PUSHED + ROBOTS)),
         lambda: arena(battery_used_min=41.0),
         lambda: arena(PUSHED, turrets=("gripper",)),
-        lambda: playpen.load("two-lamps").model_copy(update={"lighting": Lighting(mode="random")}),
+        lambda: Playpen.load("two-lamps").model_copy(update={"lighting": Lighting(mode="random")}),
     ]
     scene = scenes[number % len(scenes)]()
     options = TwinOptions(

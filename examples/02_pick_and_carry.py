@@ -6,7 +6,7 @@ python examples/02_pick_and_carry.py khep://gripper   a twin in this process
 
 import sys
 
-from khep_twin.host import Gripper, Khepera
+from khep_twin import Gripper, Khepera
 
 NEAR = 400  # counts of the front sensors about a centimetre from a bright object
 HALF_TURN = 1021  # pulses of 0.08 mm: half a circle of the wheels, 52 mm apart

@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from khep_twin.board.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
-from khep_twin.drawing.map import DrawnPath, save
-from khep_twin.drawing.map import draw as drawing
-from khep_twin.envs.task_setup import TaskSetup
+import khep_twin
+from khep_twin.board import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
+from khep_twin.drawing import DrawnPath, save
+from khep_twin.drawing import draw as drawing
+from khep_twin.envs import TaskSetup
 from khep_twin.errors import pip_install
 
 try:
-    import gymnasium
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
@@ -33,8 +33,6 @@ try:
 except ImportError as error:
     needed = pip_install("gymnasium", "stable-baselines3")
     sys.exit(f"{error.name} is not installed; to install what this example needs: {needed}")
-
-import khep_twin.envs.gymnasium  # noqa: F401  (registers the environments)
 
 TASK = "ObstacleAvoidance"
 ENVIRONMENTS = 64
@@ -49,7 +47,7 @@ TOP_SPEED_PULSES = 20
 def make(task, count, planar, **options):
     """Return some environments, stepped together."""
     name = f"khep_twin/{task}-v0"
-    return gymnasium.make_vec(name, num_envs=count, vary=True, planar=planar, threads=1, **options)
+    return khep_twin.make_vec(name, num_envs=count, vary=True, planar=planar, threads=1, **options)
 
 
 class Environments(VecEnv):

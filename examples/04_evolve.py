@@ -18,12 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from khep_twin import playpen
-from khep_twin.drawing.map import DrawnPath, draw, save
-from khep_twin.episodes.batch import rollout
-from khep_twin.episodes.controllers import Network
-from khep_twin.episodes.episode import Episode
-from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin import Episode, EpisodeSetup, Network, Playpen, rollout
+from khep_twin.drawing import DrawnPath, draw, save
 from khep_twin.errors import pip_install
 from khep_twin.files.atomic import unusable
 from khep_twin.lab.experiment import run_statistics
@@ -51,7 +47,7 @@ NETWORK = Network(recurrent=True)
 FULL_SPEED = NETWORK.top_speed * 0.008
 """Full speed [m/s]: a pulse in 10 ms is 8 mm/s."""
 
-maze = playpen.load("looping-maze")
+maze = Playpen.load("looping-maze")
 starts = [(spot.x_mm, spot.y_mm, spot.heading_deg + turn) for turn in (0.0, 180.0) for spot in maze.spots]
 setup = EpisodeSetup(maze, step_ns=5_000_000)
 

@@ -21,11 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from khep_twin import playpen
-from khep_twin.drawing.map import draw, save
-from khep_twin.episodes.batch import rollout
-from khep_twin.episodes.controllers import Network
-from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin import EpisodeSetup, Network, Playpen, rollout
+from khep_twin.drawing import draw, save
 from khep_twin.errors import pip_install
 from khep_twin.files.atomic import unusable
 from khep_twin.randomness import stream
@@ -54,7 +51,7 @@ for path in (options.picture, options.elites):
 
 NETWORK = Network(hidden=(8,))
 
-maze = playpen.load("deceptive-maze")
+maze = Playpen.load("deceptive-maze")
 side = maze.arena.width_mm / 1000
 plane, mujoco = EpisodeSetup(maze, planar=True), EpisodeSetup(maze)
 

@@ -22,13 +22,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
-from khep_twin import playpen
-from khep_twin.drawing.map import save
+from khep_twin import Khepera, Playpen, TwinOptions, read_log
+from khep_twin.drawing import save
 from khep_twin.files.atomic import unusable
-from khep_twin.host import Khepera
-from khep_twin.lab.experiment.multi_robot import run_together
-from khep_twin.log.reader import read
-from khep_twin.ports.twin import TwinOptions
+from khep_twin.lab.experiment import run_together
 from khep_twin.randomness import stream
 from khep_twin.units import BODY_RADIUS
 
@@ -95,14 +92,14 @@ def clusters(places: np.ndarray) -> list[list[int]]:
     return sorted(found, key=len, reverse=True)
 
 
-scene = playpen.load("swarm")
+scene = Playpen.load("swarm")
 scene = scene.model_copy(update={"robots": scene.robots[: options.robots]})
 began = time.monotonic()
 with tempfile.TemporaryDirectory() as folder:
     log = Path(folder) / "swarm.mcap"
     scripts = [partial(gather, index) for index in range(len(scene.robots))]
     run_together(scene, scripts, TwinOptions(seed=options.seed, log=str(log)))
-    tracks = list(read(log).robots.values())
+    tracks = list(read_log(log).robots.values())
 times = tracks[0].times_ns / 1e9
 poses = np.stack([track.pose[:, :2] for track in tracks], axis=1)[::50]  # each second (n, n_robots, 2) [m]
 times = times[::50]

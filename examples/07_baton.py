@@ -9,9 +9,8 @@ import struct
 import sys
 from pathlib import Path
 
-from khep_twin.host import Gripper, Khepera, Radio
-from khep_twin.lab.experiment.multi_robot import run_together
-from khep_twin.ports.twin import TwinOptions
+from khep_twin import Gripper, Khepera, Radio, TwinOptions
+from khep_twin.lab.experiment import run_together
 
 PLAYPEN = Path(__file__).with_suffix(".toml")
 SCOUT, PORTER = 1, 2  # numbers of their radios: robots of the playpen, from 1

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from itertools import groupby
 
-from khep_twin.host import Khepera, Vision
+from khep_twin import Khepera, Vision
 
 DARK = 100  # greys: a white wall has some 180, a black stripe 10
 GAP = 14  # pixels between two dark stripes of the same thing, at most

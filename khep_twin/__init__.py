@@ -3,9 +3,64 @@
 Importing this package registers the port `khep://` with pyserial and has no other effect.
 """
 
+from typing import TYPE_CHECKING
+
 import serial
 
-__version__ = "0.1.0"
+if TYPE_CHECKING:
+    from khep_twin import board as board
+    from khep_twin import drawing as drawing
+    from khep_twin import envs as envs
+    from khep_twin import episodes as episodes
+    from khep_twin import errors as errors
+    from khep_twin import host as host
+    from khep_twin import lab as lab
+    from khep_twin import log as log
+    from khep_twin import playpen as playpen
+    from khep_twin import ports as ports
+    from khep_twin import sensing as sensing
+    from khep_twin import shadow as shadow
+    from khep_twin import sweep as sweep
+    from khep_twin import toolbox as toolbox
+    from khep_twin import units as units
+    from khep_twin.envs.gymnasium import make as make
+    from khep_twin.envs.gymnasium import make_vec as make_vec
+    from khep_twin.episodes.batch import RolloutResult as RolloutResult
+    from khep_twin.episodes.batch import rollout as rollout
+    from khep_twin.episodes.controllers import Braitenberg as Braitenberg
+    from khep_twin.episodes.controllers import ConstantSpeed as ConstantSpeed
+    from khep_twin.episodes.controllers import Function as Function
+    from khep_twin.episodes.controllers import Network as Network
+    from khep_twin.episodes.controllers import Policy as Policy
+    from khep_twin.episodes.episode import Episode as Episode
+    from khep_twin.episodes.episode_setup import EpisodeSetup as EpisodeSetup
+    from khep_twin.errors import KhepTwinError as KhepTwinError
+    from khep_twin.errors import MoveError as MoveError
+    from khep_twin.errors import PlaypenError as PlaypenError
+    from khep_twin.errors import PortError as PortError
+    from khep_twin.errors import PortTimeout as PortTimeout
+    from khep_twin.host.gripper import Gripper as Gripper
+    from khep_twin.host.khepera import Khepera as Khepera
+    from khep_twin.host.radio import Radio as Radio
+    from khep_twin.host.vision import Vision as Vision
+    from khep_twin.lab.experiment.controllers import Controller as Controller
+    from khep_twin.log.reader import LoggedRun as LoggedRun
+    from khep_twin.log.reader import read_log as read_log
+    from khep_twin.playpen.model import Playpen as Playpen
+    from khep_twin.playpen.starts import Start as Start
+    from khep_twin.ports.serve import serve as serve
+    from khep_twin.ports.twin import Twin as Twin
+    from khep_twin.ports.twin import TwinOptions as TwinOptions
+    from khep_twin.ports.twin import open_twin as open_twin
+    from khep_twin.shadow.shadow import Shadow as Shadow
+    from khep_twin.units import Sensor as Sensor
+    from khep_twin.world import World as World
+else:
+    from khep_twin import lazy
+
+    __getattr__, __dir__, __all__ = lazy.names(__name__)
+
+__version__ = "1.0.0"
 
 if "khep_twin.ports" not in serial.protocol_handler_packages:
     serial.protocol_handler_packages.append("khep_twin.ports")

@@ -7,7 +7,6 @@ fall between them. Only `World.advance_to` advances time.
 import copy
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from os import PathLike
 from typing import Protocol
 
 import mujoco
@@ -20,7 +19,7 @@ from khep_twin.board.turrets import TurretBody
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NEVER_NS, to_ns
 from khep_twin.errors import DivergedError, MissingNumbaError, SnapshotError
-from khep_twin.playpen import Lamp, Lighting, Playpen, load
+from khep_twin.playpen import Lamp, Lighting, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import position, resume, stream
 from khep_twin.robot import Robot, RobotSettings
@@ -91,7 +90,7 @@ class World:
 
     def __init__(
         self,
-        playpen: str | PathLike[str] | Playpen | SceneModel,
+        playpen: PlaypenLike | SceneModel,
         *,
         seed: int = 0,
         noise: bool = True,
@@ -104,9 +103,9 @@ class World:
     ) -> None:
         # MuJoCo would write its warnings into a file in the working directory; they are checked here.
         mujoco.set_mju_user_warning(keep_quiet)
-        if isinstance(playpen, str | PathLike):
-            playpen = load(playpen)
-        made = playpen if isinstance(playpen, SceneModel) else SceneModel.of(at_spots(playpen, seed))
+        made = playpen
+        if not isinstance(made, SceneModel):
+            made = SceneModel.of(at_spots(Playpen.load(made), seed))
         self._base, self.spec, self.timing = made.playpen, made.spec, made.timing
         self._has_turrets = any(entry.turrets for entry in self._base.robots)
         # LEDs and faulty wheels change the model.

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError
+from khep_twin.playpen import Playpen
 from stand_ins.hosts import HOSTS
 from stand_ins.recordings import free_start, record
 
@@ -38,7 +38,7 @@ def main() -> None:
 
 def _record_all(given: argparse.Namespace) -> None:
     given.folder.mkdir(parents=True, exist_ok=True)
-    playpen = playpens.load(given.playpen)
+    playpen = Playpen.load(given.playpen)
     for seed in range(given.seed, given.seed + given.runs):
         host = given.host or list(HOSTS)[seed % len(HOSTS)]
         path = given.folder / f"{playpen.name}_{host.replace(' ', '_')}_{seed}.mcap"

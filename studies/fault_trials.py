@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
 from khep_twin.playpen import Block, Cylinder, Playpen
 from khep_twin.randomness import stream
@@ -219,7 +218,7 @@ def run_trial(fault: str, seed: int, folder: Path, settings: ShadowSettings) -> 
     light = rooms is LIT
     sound = Recording("sound" + "_light" * light, room, seed, BEGINS_S[1] + LASTS_S, asks_light=light)
     way = Truth.load(sound.path(folder).with_suffix(".npz"))
-    trial = draw(_Scene(playpens.load(room), way, at_s, at_s + LASTS_S, rng))
+    trial = draw(_Scene(Playpen.load(room), way, at_s, at_s + LASTS_S, rng))
     if trial is None:
         return None
     faulty = Recording(

@@ -16,7 +16,6 @@ from scipy.stats import spearmanr
 
 from benchmarks.growth import TWENTY_BLOCKS, twenty_blocks
 from benchmarks.scale import NETWORK, random_genes
-from khep_twin import playpen
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Driver, Network
 from khep_twin.episodes.episode import Episode
@@ -37,13 +36,13 @@ def open_floor() -> Playpen:
 
 def without_gripper() -> Playpen:
     """Return the arena with five cylinders, for a robot without a gripper that pushes them."""
-    scene = playpen.load("garbage")
+    scene = Playpen.load("garbage")
     robots = tuple(robot.model_copy(update={"turrets": ()}) for robot in scene.robots)
     return scene.model_copy(update={"name": "garbage, pushed", "robots": robots})
 
 
 def scenes() -> dict[str, Playpen]:
-    shipped = {name: playpen.load(name) for name in ("default", "obstacles", "looping-maze")}
+    shipped = {name: Playpen.load(name) for name in ("default", "obstacles", "looping-maze")}
     return {**shipped, TWENTY_BLOCKS: twenty_blocks()}
 
 

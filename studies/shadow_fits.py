@@ -12,9 +12,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from khep_twin import playpen as playpens
 from khep_twin.lab.fit.least_squares import CONFIDENCE
 from khep_twin.lab.fit.shadow_fit import learned_values
+from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
 from khep_twin.sensing import calibration
 from khep_twin.shadow.diagnosis import Diagnosis
@@ -35,7 +35,7 @@ def main() -> None:
     options.add_argument("--asks-counters", action="store_true", help="ask H as well")
     given = options.parse_args()
     Diagnosis._diagnose = lambda self, time_ns: None  # pyright: ignore[reportPrivateUsage]
-    playpen = playpens.load(given.playpen)
+    playpen = Playpen.load(given.playpen)
     start = calibration.read(playpen.robots[0].calibration)[0]
     errors: defaultdict[str, list[tuple[float, float, float]]] = defaultdict(list)
     with TemporaryDirectory() as temporary:

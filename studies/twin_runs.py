@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_start
@@ -52,7 +51,7 @@ class Recording(NamedTuple):
         """Return the path of the log; the recording is made unless it is there."""
         path = folder / f"{self.name}_{self.playpen}_{self.seed}_{self.seconds:g}s.mcap"
         if not path.with_suffix(".npz").exists():
-            playpen = playpens.load(self.playpen)
+            playpen = Playpen.load(self.playpen)
             record(
                 path,
                 playpen,
@@ -116,7 +115,7 @@ class Followed:
 def told_playpen(name: str, truth: Truth) -> Playpen:
     """Return a playpen whose robot stands where the shadow is told."""
     x, y, heading = truth.told.tolist()
-    return at_start(playpens.load(name), 0, (x * 1e3, y * 1e3, float(np.degrees(heading))))
+    return at_start(Playpen.load(name), 0, (x * 1e3, y * 1e3, float(np.degrees(heading))))
 
 
 def follow(path: Path, playpen: str, settings: ShadowSettings) -> Followed:

@@ -16,9 +16,9 @@ from benchmarks.ports import line_row, trip_rows
 from benchmarks.scale import bare_row, episode_row, world_row
 from benchmarks.swarm import swarm_rows
 from benchmarks.table import COST, Row, Table, Taken, measure, text, timed
-from khep_twin import playpen
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError
+from khep_twin.playpen import Playpen
 
 FOLDER = Path(benchmarks.__file__).parent
 
@@ -128,7 +128,7 @@ def test_fields_grow_around_the_same_blocks() -> None:
 
 
 def test_rows_run_what_they_name() -> None:
-    scene = playpen.load("default")
+    scene = Playpen.load("default")
     setup = EpisodeSetup(scene)
     rows = [
         episode_row("plain", setup, 0.1, compiled=False),
@@ -174,11 +174,11 @@ def test_an_archive_in_kheperax_without_kheperax_is_one_line() -> None:
 
 
 def test_kheperax_gets_every_wall_of_a_playpen() -> None:
-    maze = playpen.load("looping-maze")
+    maze = Playpen.load("looping-maze")
     told = peers.scene(maze)
     assert len(told["walls_mm"]) == len(maze.arena.outline_mm) + len(maze.walls[0].points_mm)
     assert told["walls_mm"][-1] == (*maze.walls[0].points_mm[-1], *maze.walls[0].points_mm[0])
-    assert peers.scene(playpen.load("default"))["walls_mm"] == []
+    assert peers.scene(Playpen.load("default"))["walls_mm"] == []
 
 
 def test_kheperax_gets_the_sides_of_all_that_stands_around() -> None:
@@ -187,7 +187,7 @@ def test_kheperax_gets_the_sides_of_all_that_stands_around() -> None:
     assert len(told) == 4 * len(blocks.blocks)
     for block, first in zip(blocks.blocks, told[::4], strict=True):
         assert math.dist(first[:2], first[2:]) == pytest.approx(block.length_mm)
-    round_one = playpen.load("obstacles")
+    round_one = Playpen.load("obstacles")
     sides = peers.corners(round_one.cylinders[0].footprint)
     place, radius = round_one.cylinders[0], round_one.cylinders[0].radius_mm
     assert len(sides) == peers.N_SIDES
@@ -204,4 +204,4 @@ def test_a_python_without_kheperax_is_an_error_of_one_line(monkeypatch: pytest.M
     with pytest.raises(KhepTwinError, match="no Python with Kheperax"):
         peers.kheperax_python("/nowhere/python")
     with pytest.raises(KhepTwinError, match="Kheperax failed: ModuleNotFoundError"):
-        peers.Kheperax(sys.executable, playpen.load("default"))
+        peers.Kheperax(sys.executable, Playpen.load("default"))

@@ -17,6 +17,7 @@ from khep_twin.errors import (
     StudyError,
 )
 from khep_twin.log.decoding import Misfit
+from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.sensing.calibration import read
 from khep_twin.sweep.study import load
@@ -72,7 +73,7 @@ def test_a_problem_of_the_whole_playpen_has_fields_too() -> None:
 
 
 def test_a_file_that_is_missing_is_a_field() -> None:
-    for error, loader in ((PlaypenError, playpen.load), (KhepTwinError, read), (StudyError, load)):
+    for error, loader in ((PlaypenError, Playpen.load), (KhepTwinError, read), (StudyError, load)):
         with pytest.raises(error) as caught:
             loader(Path("nowhere.toml"))
         assert (caught.value.file, caught.value.line, caught.value.key) == ("nowhere.toml", None, None)

@@ -7,6 +7,7 @@ from khep_twin.files.toml_files import folder
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.lab.experiment.experiment import run
+from khep_twin.playpen import Playpen
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.world import World
@@ -54,7 +55,7 @@ def test_a_shipped_playpen_says_what_it_is(name: str) -> None:
 
 
 def test_what_moves_sleeps_until_it_is_pushed() -> None:
-    world = World(playpens.load("garbage"), noise=False)
+    world = World(Playpen.load("garbage"), noise=False)
     world.advance_to(2_000_000_000)
     # Below 0 is awake: the robot, and it alone.
     assert (world.data.tree_asleep >= 0).tolist() == [True] * 5 + [False]

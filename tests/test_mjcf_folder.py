@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from khep_twin import playpen
+from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_spots
 from khep_twin.playpen_to_mjcf import to_mjcf
 
@@ -16,7 +17,7 @@ FOLDER = Path(__file__).parents[1] / "mjcf"
 @pytest.mark.parametrize("name", playpen.names())
 def test_a_shipped_playpen_is_there_as_it_is_compiled_and_opens_without_khep_twin(name: str) -> None:
     file = FOLDER / f"{name}.xml"
-    assert file.read_text(encoding="utf-8") == to_mjcf(at_spots(playpen.load(name), 0)), "tools mjcf"
+    assert file.read_text(encoding="utf-8") == to_mjcf(at_spots(Playpen.load(name), 0)), "tools mjcf"
     model = mujoco.MjModel.from_xml_path(str(file))
     assert model.keyframe("home").id == 0
     with Image.open(FOLDER / f"{name}.png") as picture:

@@ -71,7 +71,7 @@ def test_a_twin_is_driven_in_lock_step_and_its_log_is_read_recovered_and_repeate
         "from pathlib import Path\n"
         "from khep_twin.host import Khepera\n"
         "from khep_twin.lab.experiment.repeat import repeat\n"
-        "from khep_twin.log.reader import read\n"
+        "from khep_twin import read_log\n"
         "from khep_twin.log.recorded import read_recorded\n"
         "from khep_twin.log.recover import recover\n"
         "log = Path(sys.argv[1])\n"

@@ -9,6 +9,7 @@ import pytest
 
 from khep_twin import playpen, units
 from khep_twin.board.kernel import PROXIMITY
+from khep_twin.playpen import Playpen
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 from khep_twin.playpen_to_mjcf import ROBOT_FILE, to_mjcf, to_spec
 from khep_twin.sensing import calibration
@@ -111,7 +112,7 @@ def test_the_rangefinders_take_turns_for_ten_minutes() -> None:
 @pytest.mark.parametrize("name", playpen.names())
 def test_a_shipped_playpen_opens_in_mujoco_alone_and_holds_still(name: str, tmp_path: Path) -> None:
     file = tmp_path / "scene.xml"
-    file.write_text(to_mjcf(playpen.load(name)))
+    file.write_text(to_mjcf(Playpen.load(name)))
     model = mujoco.MjModel.from_xml_path(str(file))
     data = mujoco.MjData(model)
     start = data.qpos[:3].copy()
@@ -205,9 +206,9 @@ def test_the_calibration_turns_the_sensors() -> None:
 
 
 def test_islands_are_off_unless_something_moves_beside_the_robot() -> None:
-    still = to_spec(playpen.load("default")).compile()
+    still = to_spec(Playpen.load("default")).compile()
     moving = to_spec(playpen.parse(SCENE, "scene")).compile()
-    swarm = to_spec(playpen.load("swarm")).compile()
+    swarm = to_spec(Playpen.load("swarm")).compile()
     assert still.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND
     assert not swarm.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND
     assert not swarm.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP
@@ -240,7 +241,7 @@ def test_a_khepera_2_has_its_own_body_and_senses() -> None:
 
 
 def test_a_gripper_stays_up_where_mujoco_alone_opens_the_scene_at_its_keyframe() -> None:
-    text = playpen.dump(playpen.load("gripper"))
+    text = playpen.dump(Playpen.load("gripper"))
     second = "[[robot]]\nx_mm = 100.0\ny_mm = 100.0\nheading_deg = 0\n"
     first, _, rest = text.partition("[[robot]]")
     model = mujoco.MjModel.from_xml_string(to_mjcf(playpen.parse(f"{first}{second}[[robot]]{rest}", "pair")))

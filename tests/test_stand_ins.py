@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from khep_twin import playpen as playpens
 from khep_twin.log.reader import read_series
 from khep_twin.playpen import Cylinder, Playpen
 from khep_twin.randomness import stream
@@ -15,7 +14,7 @@ from khep_twin.world import World
 from stand_ins.hidden_changes import Added, Gone, Lifted, Moved, apply, hide_added, with_added
 from stand_ins.recordings import Truth, record
 
-PLAYPEN = playpens.load("workshop")
+PLAYPEN = Playpen.load("workshop")
 CAN = Cylinder(x_mm=345, y_mm=190, radius_mm=15, height_mm=50)
 
 

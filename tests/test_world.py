@@ -28,7 +28,7 @@ def position(robot: Robot) -> tuple[int, int]:
 
 
 def test_a_world_is_made_by_name_and_advances_by_steps_by_seconds_and_to_a_time() -> None:
-    world, other = World("obstacles", seed=1), World(playpen.load("obstacles"), seed=1)
+    world, other = World("obstacles", seed=1), World(Playpen.load("obstacles"), seed=1)
     world.step()
     assert (world.time_ns, world.simulation.steps) == (2_500_000, 1)
     world.advance(0.001)
@@ -118,7 +118,7 @@ def test_a_short_move_peaks_below_the_cruising_speed_and_takes_its_time(field: P
 
 
 def test_a_robot_that_hits_a_wall_stops_while_its_wheels_spin_on(field: Playpen) -> None:
-    world = World(playpen.load("default"), noise=False)
+    world = World(Playpen.load("default"), noise=False)
     command(world, "D,20,20")
     world.advance(4)
     x, y, _ = world.robots[0].pose
@@ -130,7 +130,7 @@ def test_a_robot_that_hits_a_wall_stops_while_its_wheels_spin_on(field: Playpen)
 
 
 def test_the_scan_converts_one_sensor_per_step_in_order() -> None:
-    world = World(playpen.load("default"), noise=False)
+    world = World(Playpen.load("default"), noise=False)
     world.robots[0].registers[PROXIMITY] = -1
     for channel in range(8):
         assert list(world.robots[0].registers[PROXIMITY] == -1).count(True) == 8 - channel
@@ -139,12 +139,12 @@ def test_the_scan_converts_one_sensor_per_step_in_order() -> None:
 
 
 def test_every_register_holds_a_conversion_at_the_start() -> None:
-    world = World(playpen.load("default"), noise=False)
+    world = World(Playpen.load("default"), noise=False)
     assert (world.robots[0].registers[AMBIENT] == 485).all()
 
 
 def test_how_time_is_cut_does_not_change_the_run() -> None:
-    whole, cut = (World(playpen.load("obstacles"), seed=3) for _ in range(2))
+    whole, cut = (World(Playpen.load("obstacles"), seed=3) for _ in range(2))
     for world in (whole, cut):
         world.robots[0].send(b"D,10,8\n")
     whole.advance_to(2 * NS_PER_S)
@@ -157,7 +157,7 @@ def test_how_time_is_cut_does_not_change_the_run() -> None:
 def test_the_same_seed_gives_the_same_counts_and_another_does_not() -> None:
     counts = []
     for seed in (1, 1, 2):
-        world = World(playpen.load("default"), seed=seed)
+        world = World(Playpen.load("default"), seed=seed)
         world.advance(0.5)
         counts.append(tuple(world.robots[0].registers[AMBIENT]))
     assert counts[0] == counts[1] != counts[2]
@@ -206,8 +206,8 @@ def test_a_world_that_has_diverged_stays_stopped(field: Playpen) -> None:
 
 
 def test_several_robots_see_each_other_and_keep_their_own_noise() -> None:
-    two = playpen.dump(playpen.load("default")) + ("\n[[robot]]\nx_mm = 300\ny_mm = 318\nheading_deg = -90\n")
-    alone, together = World(playpen.load("default"), seed=5), World(playpen.parse(two, "two"), seed=5)
+    two = playpen.dump(Playpen.load("default")) + ("\n[[robot]]\nx_mm = 300\ny_mm = 318\nheading_deg = -90\n")
+    alone, together = World(Playpen.load("default"), seed=5), World(playpen.parse(two, "two"), seed=5)
     for world in (alone, together):
         world.advance(0.5)
     ambient = [world.robots[0].registers[AMBIENT].tolist() for world in (alone, together)]
@@ -217,7 +217,7 @@ def test_several_robots_see_each_other_and_keep_their_own_noise() -> None:
 
 
 def test_a_movable_cylinder_is_pushed_along() -> None:
-    text = playpen.dump(playpen.load("default")) + (
+    text = playpen.dump(Playpen.load("default")) + (
         "\n[[cylinder]]\nx_mm = 300\ny_mm = 320\nradius_mm = 12.5\nheight_mm = 30\n"
         "movable = true\nmass_g = 20\n"
     )
@@ -258,7 +258,7 @@ def test_the_next_exchange_is_that_of_a_whole_command_or_of_the_next_byte_of_an_
 
 def test_a_scan_sees_lamps_as_they_are_now() -> None:
     lamp = "[[lamp]]\nx_mm = 360\ny_mm = 250\npower_w = 5\nblink_period_s = 0.1\n"
-    world = World(playpen.parse(playpen.dump(playpen.load("default")) + lamp, "blinking"), noise=False)
+    world = World(playpen.parse(playpen.dump(Playpen.load("default")) + lamp, "blinking"), noise=False)
     found: list[list[int]] = []
     for time_ns in (140_000_000, 160_000_000):  # on, and off since 150 ms
         world.advance_to(time_ns)

@@ -8,7 +8,6 @@ import pytest
 from notes import Events
 
 from checks.branches import LAMPS, PUSHED, ROBOTS, arena, drive
-from khep_twin import playpen
 from khep_twin.board.fault_injection import Fault, parse
 from khep_twin.errors import DivergedError, SnapshotError
 from khep_twin.playpen import Lighting, Playpen
@@ -34,14 +33,14 @@ CASES: dict[str, Case] = {
     "no noise, no line": (arena, {"noise": False, "unpaced": True}),
     "a strict line": (arena, {"strict_line": True}),
     "a lamp that blinks and fades": (lambda: arena(LAMPS), {}),
-    "lamps by turns": (lambda: playpen.load("two-lamps"), {}),
+    "lamps by turns": (lambda: Playpen.load("two-lamps"), {}),
     "lamps at random": (
-        lambda: playpen.load("two-lamps").model_copy(update={"lighting": Lighting(mode="random")}),
+        lambda: Playpen.load("two-lamps").model_copy(update={"lighting": Lighting(mode="random")}),
         {},
     ),
     "three robots": (lambda: arena(ROBOTS), {"vary": True}),
     "things that are pushed and fall asleep": (lambda: arena(PUSHED), {}),
-    "a gripper": (lambda: playpen.load("gripper"), {}),
+    "a gripper": (lambda: Playpen.load("gripper"), {}),
     "faults": (
         lambda: arena(ROBOTS),
         {
@@ -116,7 +115,7 @@ def test_a_snapshot_keeps_that_a_run_has_ended() -> None:
 
 def test_a_snapshot_of_another_scene_is_refused_and_changes_nothing() -> None:
     world = World(arena(), compiled=False)
-    for other in (World(arena(LAMPS)), World(playpen.load("default")), World(arena(), vary=True)):
+    for other in (World(arena(LAMPS)), World(Playpen.load("default")), World(arena(), vary=True)):
         taken = other.snapshot()
         before = world.snapshot()
         if other.scene == world.scene:  # lamps are part of the state

@@ -7,6 +7,7 @@ from PIL import Image
 
 from khep_twin import playpen
 from khep_twin.drawing import map as drawing
+from khep_twin.playpen import Playpen
 
 COLUMNS, DPI = 3, 130
 _LONGER_SIDE = 3.3
@@ -17,7 +18,7 @@ def draw(target: Path) -> None:
     """Draw them as `khep-twin playpen draw` does, smaller."""
     pictures: list[Image.Image] = []
     for name in playpen.names():
-        figure = drawing.draw(playpen.load(name), longer_side=_LONGER_SIDE)
+        figure = drawing.draw(Playpen.load(name), longer_side=_LONGER_SIDE)
         pictures.append(Image.open(BytesIO(drawing.picture(figure, "png", DPI))).convert("RGB"))
     rows = [pictures[start : start + COLUMNS] for start in range(0, len(pictures), COLUMNS)]
     width = max(picture.width for picture in pictures)

@@ -15,6 +15,7 @@ from PIL import Image
 from khep_twin import playpen
 from khep_twin.drawing.render import render
 from khep_twin.files.atomic import write_whole
+from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_spots
 from khep_twin.playpen_to_mjcf import to_mjcf
 
@@ -49,7 +50,7 @@ def main() -> None:
     options.folder.mkdir(exist_ok=True)
     table = ""
     for name in playpen.names():
-        found = at_spots(playpen.load(name), 0)
+        found = at_spots(Playpen.load(name), 0)
         write_whole(options.folder / f"{name}.xml", to_mjcf(found).encode("utf-8"))
         picture = options.folder / f"{name}.png"
         if not options.without_pictures:

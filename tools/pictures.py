@@ -24,9 +24,9 @@ from PIL import Image
 from scipy.io import loadmat
 from typer.testing import CliRunner
 
-from khep_twin import playpen as playpens
 from khep_twin.cli.app import app
 from khep_twin.host import Gripper, Khepera
+from khep_twin.playpen import Playpen
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.shadow_log import ShadowLog
@@ -82,7 +82,7 @@ def draw_shadow() -> None:
     """Draw the log of a shadow of a varied robot with a stuck sensor, for docs/logs.md."""
     fault = ["--vary", "on", "--seed", "5", "--fault", "stuck:5@25"]
     _type("run", "--playpen", "workshop", *fault, "--seconds", "60", "--log", "robot.mcap")
-    settings, playpen, parent = ShadowSettings(), playpens.load("workshop"), Path("robot.mcap")
+    settings, playpen, parent = ShadowSettings(), Playpen.load("workshop"), Path("robot.mcap")
     shadow, log = Shadow(playpen, settings), ShadowLog(Path("shadow.mcap"), playpen, settings, parent=parent)
     for heard in recorded(parent).heard:
         for update in shadow.feed(*heard):

@@ -26,10 +26,10 @@ from pathlib import Path
 import numpy as np
 from mcap.reader import make_reader
 
-from khep_twin import playpen
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Braitenberg, Network
 from khep_twin.errors import KhepTwinError
+from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_mjcf
 
 RECORD = Path(__file__).with_suffix(".json")
@@ -88,7 +88,7 @@ def run(name: str, seed: int, controller: str, folder: Path) -> list[str]:
 
 def rolled(name: str, planar: bool) -> list[str]:
     """Return the hashes of the rollouts' results; none if the playpen does not allow rollouts."""
-    scene = playpen.load(name)
+    scene = Playpen.load(name)
     network = Network(hidden=(6,), recurrent=True, ambient=True)
     genes = np.random.default_rng(1).normal(size=(8, network.n_genes))
     hashes: list[str] = []
@@ -105,7 +105,7 @@ def rolled(name: str, planar: bool) -> list[str]:
 def record() -> Iterator[tuple[str, list[str]]]:
     """Yield the name and hashes of each result."""
     for name in names():
-        yield f"{name}: MJCF", [digest(to_mjcf(playpen.load(name)).encode())]
+        yield f"{name}: MJCF", [digest(to_mjcf(Playpen.load(name)).encode())]
         for planar in (False, True):
             yield f"{name}: rollout{' in the plane' if planar else ''}", rolled(name, planar)
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -211,9 +211,9 @@ def said(use: Callable[[Path], object], path: Path) -> str:
 
 def read_whole(path: Path) -> None:
     """Read a log as pictures of paths do."""
-    from khep_twin.log.reader import read, read_end_ns
+    from khep_twin.log.reader import read_end_ns, read_log
 
-    read(path)
+    read_log(path)
     read_end_ns(path)
 
 
@@ -246,11 +246,11 @@ def export(path: Path) -> None:
 
 def rescue(path: Path) -> None:
     """Recover a log and read the result."""
-    from khep_twin.log.reader import read
+    from khep_twin.log.reader import read_log
     from khep_twin.log.recover import recover
 
     found = recover(path)
-    line = said(read, found.path)
+    line = said(read_log, found.path)
     found.path.unlink()
     # These records are not a log of khep_twin.
     assert not line or "no log of khep_twin" in line or ": metadata: robots = " in line, line

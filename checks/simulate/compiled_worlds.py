@@ -6,7 +6,7 @@ from functools import cache
 from unittest.mock import patch
 
 import khep_twin.status_line  # noqa: F401 - before a simulation: compilation tells by it
-from khep_twin import playpen
+from khep_twin.playpen import Playpen
 from khep_twin.vision import camera
 from khep_twin.world import World
 
@@ -24,5 +24,5 @@ def compiled_worlds() -> Generator[None]:
 @cache
 def _load() -> None:
     """Load the compiled code, or compile it, here: the product would start a process that does."""
-    World(playpen.load("default"), compiled=True)
+    World(Playpen.load("default"), compiled=True)
     camera.take_one()

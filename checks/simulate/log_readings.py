@@ -5,7 +5,7 @@ from pathlib import Path
 from checks.simulate.simulation import Simulation
 from khep_twin.log.attached import calibration_of, playpen_of, shapes_of
 from khep_twin.log.exchanges import Dialogue
-from khep_twin.log.reader import hash_of, read, read_arrays, read_heads, read_pieces, read_series
+from khep_twin.log.reader import hash_of, read_arrays, read_heads, read_log, read_pieces, read_series
 from khep_twin.log.transcript import bytes_of
 
 
@@ -37,7 +37,7 @@ def read_in_every_way(simulation: Simulation, path: Path, has_world: bool) -> No
             simulation.count("exchanges", found + len(dialogue.close()))
     hash_of(path)
     if has_world:
-        read(path)
+        read_log(path)
         playpen_of(label.attachments, path)
         shapes_of(label.attachments, label.robots, path)
         for robot in label.robots:

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from khep_twin.drawing.map import save
+from khep_twin.drawing import save
 
 
 def draw_curve(fitness: Sequence[ArrayLike], label: str, file: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.episodes.controllers import Network
+from khep_twin import Network
 from khep_twin.errors import pip_install
 from khep_twin.files.atomic import unusable
 

@@ -15,12 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from khep_twin import playpen
-from khep_twin.drawing.map import DrawnPath, draw, save
-from khep_twin.errors import MoveError
+from khep_twin import Gripper, Khepera, MoveError, Playpen
+from khep_twin.drawing import DrawnPath, draw, save
 from khep_twin.files.atomic import unusable
-from khep_twin.host import Gripper, Khepera
-from khep_twin.host.moves import turn_pulses
+from khep_twin.host import turn_pulses
 from khep_twin.randomness import stream
 
 wish = argparse.ArgumentParser(description="Clear an arena of cylinders.")
@@ -32,7 +30,7 @@ options = wish.parse_args()
 if options.picture is not None and (reason := unusable(options.picture)):
     wish.error(f"{options.picture}: cannot be written: {reason}")
 
-ARENA = playpen.load("garbage")
+ARENA = Playpen.load("garbage")
 SIDES_MM = ARENA.arena.width_mm, ARENA.arena.height_mm
 SEEN, LOST = 200, 60
 """Counts from which an object is examined, and below which it is out of sight."""

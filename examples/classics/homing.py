@@ -23,14 +23,12 @@ from typing import NamedTuple
 import numpy as np
 from curves import draw_curve
 
-from khep_twin import playpen
-from khep_twin.board.kernel import AMBIENT, PROXIMITY
-from khep_twin.drawing.map import DrawnPath, draw, save
-from khep_twin.episodes.episode import Episode
-from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin import Episode, EpisodeSetup, Playpen, Sensor
+from khep_twin.board import AMBIENT, PROXIMITY
+from khep_twin.drawing import DrawnPath, draw, save
 from khep_twin.files.atomic import unusable
 from khep_twin.randomness import stream
-from khep_twin.units import COUNTS_LIMIT, Sensor
+from khep_twin.units import COUNTS_LIMIT
 
 wish = argparse.ArgumentParser(description="Evolve homing to a charger.")
 wish.add_argument("--generations", type=int, default=240)
@@ -119,7 +117,7 @@ def offspring(genomes: np.ndarray, fitness: np.ndarray) -> np.ndarray:
 
 
 began = time.monotonic()
-arena, rng = playpen.load("homing"), stream(options.seed, "homing")
+arena, rng = Playpen.load("homing"), stream(options.seed, "homing")
 plane, mujoco = (EpisodeSetup(arena, planar=planar, period_ns=ACTION_NS) for planar in (True, False))
 reused: dict[EpisodeSetup, list[Episode]] = {plane: [], mujoco: []}
 genomes = rng.uniform(-0.5, 0.5, (options.population, N_GENES))

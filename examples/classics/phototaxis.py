@@ -16,11 +16,10 @@ from curves import draw_curve
 from evolution import evolve, parse_options
 from trajectories import trajectories
 
-from khep_twin import playpen
-from khep_twin.drawing.map import DrawnPath, draw, save
-from khep_twin.episodes.controllers import Braitenberg, Driver, Network
-from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.playpen.starts import Start, anywhere
+from khep_twin import Braitenberg, EpisodeSetup, Network, Playpen, Start
+from khep_twin.drawing import DrawnPath, draw, save
+from khep_twin.episodes import Driver
+from khep_twin.playpen import anywhere
 from khep_twin.randomness import stream
 
 options = parse_options(
@@ -30,7 +29,7 @@ options = parse_options(
 ARRIVED_MM = 60.0
 SAMPLE_S = 0.2
 NETWORK = Network(recurrent=True, ambient=True)
-ARENA = playpen.load("light-seeking")
+ARENA = Playpen.load("light-seeking")
 BRIGHT = np.array((ARENA.lamps[0].x_mm, ARENA.lamps[0].y_mm))
 
 

@@ -5,10 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.episodes.controllers import Driver
-from khep_twin.episodes.episode import Episode
-from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.playpen.starts import Start
+from khep_twin import Episode, EpisodeSetup, Start
+from khep_twin.episodes import Driver
 
 
 def trajectories(

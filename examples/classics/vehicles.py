@@ -13,10 +13,8 @@ from pathlib import Path
 import numpy as np
 from trajectories import trajectories
 
-from khep_twin import playpen
-from khep_twin.drawing.map import DrawnPath, draw, save
-from khep_twin.episodes.controllers import Network
-from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin import EpisodeSetup, Network, playpen
+from khep_twin.drawing import DrawnPath, draw, save
 from khep_twin.files.atomic import unusable
 from khep_twin.randomness import stream
 

@@ -14,11 +14,8 @@ from curves import draw_curve
 from evolution import evolve, parse_options
 from trajectories import trajectories
 
-from khep_twin import playpen
-from khep_twin.drawing.map import DrawnPath, draw, save
-from khep_twin.episodes.controllers import Network
-from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.playpen.starts import Start
+from khep_twin import EpisodeSetup, Network, Playpen, Start
+from khep_twin.drawing import DrawnPath, draw, save
 from khep_twin.randomness import stream
 
 options = parse_options(
@@ -31,7 +28,7 @@ options = parse_options(
 
 NEAR_MM, SAMPLE_S, ACTION_NS = 80.0, 0.5, 100_000_000
 NETWORK = Network()
-ARENA = playpen.load("wall-or-cylinder")
+ARENA = Playpen.load("wall-or-cylinder")
 CYLINDER = np.array((ARENA.cylinders[0].x_mm, ARENA.cylinders[0].y_mm))
 rng = stream(options.seed, "wall-or-cylinder")
 

@@ -11,7 +11,7 @@ says it reads proximity; here it does what it says.
 
 from numpy import array
 
-from khep_twin.toolbox.names import *
+from khep_twin.toolbox import *
 
 khepbase()
 loopvar = 0

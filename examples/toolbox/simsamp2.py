@@ -9,7 +9,7 @@ It goes ahead until a sensor sees something near, then turns.
 # The toolbox's names come all at once, as in Matlab.
 # ruff: noqa: F403, F405
 
-from khep_twin.toolbox.names import *
+from khep_twin.toolbox import *
 
 btmap1 = open_default(seed=1)
 

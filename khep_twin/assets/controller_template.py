@@ -7,8 +7,7 @@
 The same file drives a robot and a twin. As it stands, it wanders and turns away from what is near.
 """
 
-from khep_twin.host import Khepera
-from khep_twin.lab.experiment.controllers import Controller
+from khep_twin import Controller, Khepera
 
 SPEED_PULSES = 5  # [pulses/10 ms = 8 mm/s]
 NEAR_COUNTS = 200  # proximity from 0, nothing there, to 1023, touching

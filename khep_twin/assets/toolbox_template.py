@@ -13,7 +13,7 @@ the end of each cycle. As it stands, it wanders and turns away from what is near
 
 from numpy import array
 
-from khep_twin.toolbox.names import *
+from khep_twin.toolbox import *
 
 # Initialize all your variables here; what has to last from run to run is global.
 Intercon = array([[4, -5], [4, -15], [6, -18], [-18, 6], [-15, 4], [-5, 4], [5, 3], [3, 5]])

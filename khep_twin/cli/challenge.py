@@ -118,7 +118,7 @@ def run(
     The exit code is 4 if it does not pass.
     """
     from khep_twin.errors import ControllerError
-    from khep_twin.lab.challenge.attempt import attempt
+    from khep_twin.lab.challenge.attempt import score_file
     from khep_twin.lab.challenge.challenge import load
     from khep_twin.lab.experiment.series_run import own_files
 
@@ -132,7 +132,9 @@ def run(
         raise usage(f"{name}: has no reference solution {file.solution}; expected a FILE.py to score")
     typed = str(file.solution) if controller is None else controller
     printer = _Printer()
-    found = attempt(file, typed, runs=count, seed=seed, log=log, real_seconds=real_seconds, show=printer.show)
+    found = score_file(
+        file, typed, runs=count, seed=seed, log=log, real_seconds=real_seconds, show=printer.show
+    )
     printer.end()
     if found.score is None:
         raise ControllerError(found.reason)

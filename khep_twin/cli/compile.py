@@ -23,7 +23,7 @@ def compile_all(
     from khep_twin.episodes.episode import Episode
     from khep_twin.episodes.episode_setup import EpisodeSetup
     from khep_twin.errors import choices
-    from khep_twin.playpen import load
+    from khep_twin.playpen import Playpen
     from khep_twin.shadow.sensor_model import SensorModel
     from khep_twin.shadow.start import PUBLISHED, begun
     from khep_twin.shadow.wheel_commands import SPEED
@@ -35,16 +35,16 @@ def compile_all(
         if part not in CODE:
             raise usage(f"part {part!r}: unknown; {choices(part, CODE)}")
         if part == "world":
-            world = World(load("default"), compiled=True)
+            world = World(Playpen.load("default"), compiled=True)
             world.advance_to(world.timing.step_ns)
         elif part == "vision":
             take_one()
         elif part == "shadow":
-            setup, rng = EpisodeSetup(load("two-lamps"), planar=True), np.random.default_rng(0)
+            setup, rng = EpisodeSetup(Playpen.load("two-lamps"), planar=True), np.random.default_rng(0)
             particles = begun(setup, None, PUBLISHED, 1, rng)
             particles.planes.command(SPEED, 0, 0)
             particles.planes.advance(1)
             SensorModel(particles.planes).explain(particles, np.zeros(8, np.int64), np.ones(8, np.bool_))
         else:
-            setup = EpisodeSetup(load("default"), planar=part == "plane")
+            setup = EpisodeSetup(Playpen.load("default"), planar=part == "plane")
             Episode(setup, Braitenberg(), compiled=True).begin()

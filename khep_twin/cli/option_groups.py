@@ -120,9 +120,9 @@ class SceneOptions:
     def load(self, own: "Playpen | None" = None) -> "Playpen":
         """Return the playpen, or the controller's own one, with the lamps that are wanted."""
         from khep_twin.lab.experiment.start_poses import lit, numbers, without_nearest_lamp
-        from khep_twin.playpen import load
+        from khep_twin.playpen import Playpen
 
-        scene = lit(load(self.playpen) if own is None else own, self.lighting)
+        scene = lit(Playpen.load(self.playpen) if own is None else own, self.lighting)
         for wanted in self.without_lamp or []:
             position = numbers(wanted, 2)
             if position is None:

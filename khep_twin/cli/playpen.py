@@ -48,10 +48,10 @@ def list_playpens() -> None:
 @playpen_app.command()
 def check(playpen: PlaypenName) -> None:
     """Check a playpen; print one line per problem."""
-    from khep_twin import playpen as playpens
+    from khep_twin.playpen import Playpen
     from khep_twin.sensing import calibration
 
-    found = playpens.load(playpen)
+    found = Playpen.load(playpen)
     for index, robot in enumerate(found.robots, 1):
         try:
             calibration.read(robot.calibration)
@@ -71,13 +71,12 @@ def compile_playpen(
 
     It opens in MuJoCo without khep_twin.
     """
-    from khep_twin import playpen as playpens
-    from khep_twin.playpen.starts import at_spots
+    from khep_twin.playpen import Playpen, at_spots
     from khep_twin.playpen_to_mjcf import to_mjcf
 
     check_apart([playpen], output)
     check_new(force, output)
-    _write(to_mjcf(at_spots(playpens.load(playpen), seed)), output, "scene")
+    _write(to_mjcf(at_spots(Playpen.load(playpen), seed)), output, "scene")
 
 
 @playpen_app.command()
@@ -94,11 +93,10 @@ def draw(
 
     The formats are PNG, SVG and PDF.
     """
-    from khep_twin import playpen as playpens
     from khep_twin.drawing import map as drawing
-    from khep_twin.playpen.starts import at_spots
+    from khep_twin.playpen import Playpen, at_spots
 
-    found = playpens.load(playpen)
+    found = Playpen.load(playpen)
     target = output or Path(f"{found.name}.png")
     check_apart([playpen, *([] if log is None else [log])], target)
     if perspective:
@@ -163,11 +161,11 @@ def _write(text: str, output: Path | None, kind: str, more: str = "") -> None:
 def _driven_paths(log: Path, playpen: str) -> "list[DrawnPath]":
     """Return the paths of the robots in a log of a run in a playpen."""
     from khep_twin.drawing.map import DrawnPath
-    from khep_twin.log.reader import read, read_label
+    from khep_twin.log.reader import read_label, read_log
 
     if (name := read_label(log).metadata.get("playpen", playpen)) != playpen:
         raise KhepTwinError(f"{log}: a run in playpen {name}; expected one in {playpen}")
-    driven = [(name, track) for name, track in read(log).robots.items() if len(track.pose)]
+    driven = [(name, track) for name, track in read_log(log).robots.items() if len(track.pose)]
     return [DrawnPath(name, track.times_ns / 1e9, track.pose[:, :2] * 1e3) for name, track in driven]
 
 

@@ -86,9 +86,9 @@ def draw_logs(logs: Sequence[Path], picture: Path) -> None:
     """Draw the playpen and the driven paths of logs."""
     from khep_twin.drawing import map as drawing
     from khep_twin.log.attached import playpen_of
-    from khep_twin.log.reader import read
+    from khep_twin.log.reader import read_log
 
-    runs = [read(log) for log in logs]
+    runs = [read_log(log) for log in logs]
     tracks = [
         drawing.DrawnPath(
             name if len(logs) == 1 else log.stem, track.times_ns / 1e9, track.pose[:, :2] * 1000

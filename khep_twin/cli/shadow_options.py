@@ -41,10 +41,9 @@ class ShadowOptions:
 
     def load(self, name: str, robot: int = 0) -> "Playpen":
         """Return the playpen with the robot alone, at its start."""
-        from khep_twin import playpen as playpens
-        from khep_twin.playpen.starts import at_start
+        from khep_twin.playpen import Playpen, at_start
 
-        found = playpens.load(name)
+        found = Playpen.load(name)
         if not 0 <= robot < len(found.robots):
             wanted = f"0 to {len(found.robots) - 1}" if len(found.robots) > 1 else "0"
             raise PlaypenError(f"{name}: robot {robot}; expected {wanted}, as it has {len(found.robots)}")

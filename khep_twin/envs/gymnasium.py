@@ -1,13 +1,15 @@
 """Tasks as Gymnasium environments (extra `rl`), single or vectorized.
 
-    import gymnasium
-    import khep_twin.envs.gymnasium  # registers the environments
+    import khep_twin
 
-    environment = gymnasium.make("khep_twin/ObstacleAvoidance-v0", vary=True)
+    environment = khep_twin.make("khep_twin/ObstacleAvoidance-v0", vary=True)
     observation, info = environment.reset(seed=1)
     observation, reward, terminated, truncated, info = environment.step(environment.action_space.sample())
 
-    many = gymnasium.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=8)
+    many = khep_twin.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=8)
+
+`make` and `make_vec` are those of Gymnasium. A program that has them from there imports this module first,
+names it: `gymnasium.make("khep_twin.envs.gymnasium:khep_twin/ObstacleAvoidance-v0")`.
 
 Observation: the task's terms, each number normalized to -1 to 1 (`tasks.TERMS` has order and ranges).
 Action: speeds of left and right wheel, -1 to 1; 1 is 20 pulses/10 ms, 160 mm/s.
@@ -34,6 +36,8 @@ try:
     from gymnasium.spaces import Box, Space
 except ModuleNotFoundError as error:
     raise MissingExtraError("gymnasium", "rl") from error
+
+make, make_vec = gymnasium.make, gymnasium.make_vec
 
 Info = dict[str, Any]
 """Gymnasium's type of metadata, options and ground truth."""

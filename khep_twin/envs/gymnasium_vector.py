@@ -1,9 +1,8 @@
 """Many robots as one vectorized Gymnasium environment, stepped by threads (extra `rl`).
 
-    import gymnasium
-    import khep_twin.envs.gymnasium  # registers the environments
+    import khep_twin
 
-    environments = gymnasium.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=8)
+    environments = khep_twin.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=8)
     observations, infos = environments.reset(seed=1)
     actions = environments.action_space.sample()
     observations, rewards, terminated, truncated, infos = environments.step(actions)

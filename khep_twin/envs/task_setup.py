@@ -18,7 +18,7 @@ from khep_twin.envs.tasks import TOP_SPEED, Task, find
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError, PlaypenError, choices
-from khep_twin.playpen import Playpen, load
+from khep_twin.playpen import Playpen, PlaypenLike
 from khep_twin.playpen.starts import anywhere, at_spots
 from khep_twin.randomness import SEED_LIMIT
 from khep_twin.sensing import calibration
@@ -58,7 +58,7 @@ class TaskSetup:
         self,
         task: Task | str,
         *,
-        playpen: Playpen | str | None = None,
+        playpen: PlaypenLike | None = None,
         robots: int = 1,
         noise: bool = True,
         vary: bool = False,
@@ -78,7 +78,7 @@ class TaskSetup:
                 raise ValueError(f"{name} = {value!r}; expected True or False")
         self.task = find(task)
         given = self.task.playpen if playpen is None else playpen
-        self.playpen = with_robots(given if isinstance(given, Playpen) else load(given), robots)
+        self.playpen = with_robots(Playpen.load(given), robots)
         if robots > 1 and self.task.starts == "playpen" and not self.playpen.robots[0].spots:
             found = f"{self.playpen.name}: robot 1 has no spots"
             raise PlaypenError(f"{found}; expected spots, at which {robots} robots start")

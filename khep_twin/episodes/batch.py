@@ -6,7 +6,7 @@
 
     network = Network(hidden=(5,), recurrent=True)
     genes = numpy.random.default_rng(0).normal(size=(100, network.n_genes))
-    results = rollout(playpen.load("looping-maze"), network, range(100), 60.0, genes=genes)
+    results = rollout("looping-maze", network, range(100), 60.0, genes=genes)
     print(results.metrics["obstacle_avoidance"].max(), results.failures)
 
 Each episode depends on its own seed, genes, start and lamps alone: results are the same, bit for bit, with
@@ -33,7 +33,7 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.metrics import METRICS
 from khep_twin.errors import DivergedError
 from khep_twin.machine import n_cores
-from khep_twin.playpen import Lamp, Playpen
+from khep_twin.playpen import Lamp, PlaypenLike
 from khep_twin.playpen.starts import Start
 from khep_twin.simulation.mujoco_forms import movable_names
 
@@ -81,7 +81,7 @@ class RolloutResult:
 
 
 def rollout(
-    playpen: Playpen | EpisodeSetup,
+    playpen: PlaypenLike | EpisodeSetup,
     driver: Driver,
     seeds: Sequence[int] | range,
     seconds: float,
@@ -102,7 +102,7 @@ def rollout(
     """Run a batch of episodes.
 
     Args:
-        playpen: Playpen, or an `EpisodeSetup`, which has its own step, period and plane.
+        playpen: Playpen, its name or path, or an `EpisodeSetup`, which has its own step, period and plane.
         driver: Controller of all episodes.
         seeds: Seeds of the episodes (n,).
         seconds: Duration of each episode [s], whole control periods.
@@ -149,13 +149,11 @@ def rollout(
 
 
 def _setup(
-    playpen: Playpen | EpisodeSetup, step_ns: int | None, period_ns: int, planar: bool
+    playpen: PlaypenLike | EpisodeSetup, step_ns: int | None, period_ns: int, planar: bool
 ) -> EpisodeSetup:
     """Return the setup of a batch, unchanged if one is given."""
-    if isinstance(playpen, Playpen):
+    if not isinstance(playpen, EpisodeSetup):
         return EpisodeSetup(playpen, step_ns=step_ns, period_ns=period_ns, planar=planar)
-    if not isinstance(playpen, EpisodeSetup):  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise TypeError(f"playpen = {playpen!r}; expected a Playpen, such as playpen.load('obstacles')")
     given = (
         step_ns not in (None, playpen.step_ns)
         or period_ns not in (units.SCAN_NS, playpen.period_ns)

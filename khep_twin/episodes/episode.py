@@ -1,6 +1,6 @@
 """One episode of a playpen's robots, without a serial line.
 
-    setup = EpisodeSetup(playpen.load("obstacles"))
+    setup = EpisodeSetup(Playpen.load("obstacles"))
     episode = Episode(setup, Braitenberg())
     episode.begin(seed=1)
     episode.run(60.0)

@@ -1,6 +1,6 @@
 """Episodes side by side: all of them run for the same time in one call of compiled code for each thread.
 
-    setup = EpisodeSetup(playpen.load("obstacles"), planar=True)
+    setup = EpisodeSetup(Playpen.load("obstacles"), planar=True)
     batch = EpisodeBatch([Episode(setup) for _ in range(32)], threads=1)
     for index in range(32):
         batch.begin(index, seed=index)

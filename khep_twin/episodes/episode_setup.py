@@ -7,7 +7,7 @@ from khep_twin import units
 from khep_twin.clock import n_steps, to_ns
 from khep_twin.episodes.planar.planar import PlanarScene
 from khep_twin.errors import PlaypenError
-from khep_twin.playpen import Playpen
+from khep_twin.playpen import Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.sensing import calibration
 from khep_twin.sensing.robot_indices import RobotIndices
@@ -21,7 +21,7 @@ class EpisodeSetup:
     """A playpen prepared for any number of episodes; threads may share it.
 
     Args:
-        playpen: Playpen with a robot.
+        playpen: Playpen with a robot, or its name or path.
         step_ns: Physics step [ns]: 2.5 ms as on the robot, or coarser, 5 or 10 ms; by default 2.5 ms, and
             10 ms in a plane.
         period_ns: Control period [ns], whole ticks of 10 ms.
@@ -43,12 +43,13 @@ class EpisodeSetup:
 
     def __init__(
         self,
-        playpen: Playpen,
+        playpen: PlaypenLike,
         *,
         step_ns: int | None = None,
         period_ns: int = units.SCAN_NS,
         planar: bool = False,
     ) -> None:
+        playpen = Playpen.load(playpen)
         name, robots = playpen.name, playpen.robots
         if len(robots) == 0:
             raise PlaypenError(f"{name}: 0 robots; expected one for an episode")

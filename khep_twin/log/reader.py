@@ -7,6 +7,7 @@ import hashlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -82,8 +83,9 @@ class Recording:
     lines: Mapping[str, list[TextLine]]
 
 
-def read(path: Path) -> LoggedRun:
+def read_log(path: str | PathLike[str]) -> LoggedRun:
     """Read a log as arrays."""
+    path = Path(path)
     with _opened(path) as content:
         label = _label(path, content)
         messages = Messages(path, content.messages())

@@ -11,39 +11,33 @@ the walls, as in mazes. Lamps are bulbs without posts: robots and objects pass t
 none that reaches up to a bulb may start there.
 """
 
-from khep_twin.playpen.model import Playpen, dump, edited, load, names, parse, place_robots, schema
-from khep_twin.playpen.parts import (
-    BULB_RADIUS_MM,
-    Arena,
-    Block,
-    Cylinder,
-    Lamp,
-    Lighting,
-    Patch,
-    RadioChannel,
-    RobotEntry,
-    Spot,
-    Wall,
-)
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "BULB_RADIUS_MM",
-    "Arena",
-    "Block",
-    "Cylinder",
-    "Lamp",
-    "Lighting",
-    "Patch",
-    "Playpen",
-    "RadioChannel",
-    "RobotEntry",
-    "Spot",
-    "Wall",
-    "dump",
-    "edited",
-    "load",
-    "names",
-    "parse",
-    "place_robots",
-    "schema",
-]
+if TYPE_CHECKING:
+    from khep_twin.playpen.model import Playpen as Playpen
+    from khep_twin.playpen.model import PlaypenLike as PlaypenLike
+    from khep_twin.playpen.model import dump as dump
+    from khep_twin.playpen.model import edited as edited
+    from khep_twin.playpen.model import names as names
+    from khep_twin.playpen.model import parse as parse
+    from khep_twin.playpen.model import place_robots as place_robots
+    from khep_twin.playpen.model import schema as schema
+    from khep_twin.playpen.parts import BULB_RADIUS_MM as BULB_RADIUS_MM
+    from khep_twin.playpen.parts import Arena as Arena
+    from khep_twin.playpen.parts import Block as Block
+    from khep_twin.playpen.parts import Cylinder as Cylinder
+    from khep_twin.playpen.parts import Lamp as Lamp
+    from khep_twin.playpen.parts import Lighting as Lighting
+    from khep_twin.playpen.parts import Patch as Patch
+    from khep_twin.playpen.parts import RadioChannel as RadioChannel
+    from khep_twin.playpen.parts import RobotEntry as RobotEntry
+    from khep_twin.playpen.parts import Spot as Spot
+    from khep_twin.playpen.parts import Wall as Wall
+    from khep_twin.playpen.starts import Start as Start
+    from khep_twin.playpen.starts import anywhere as anywhere
+    from khep_twin.playpen.starts import at_spots as at_spots
+    from khep_twin.playpen.starts import at_start as at_start
+else:
+    from khep_twin import lazy
+
+    __getattr__, __dir__, __all__ = lazy.names(__name__)

@@ -20,6 +20,18 @@ from khep_twin.playpen.tables import PlaypenTables
 class Playpen(PlaypenTables):
     """A whole playpen."""
 
+    @classmethod
+    def load(cls, playpen: "PlaypenLike") -> "Playpen":
+        """Load a playpen by the bare name of a shipped one, or by path; a playpen is returned as it is.
+
+        Raises:
+            PlaypenError: The file does not exist or cannot be used; one line per problem.
+        """
+        if isinstance(playpen, Playpen):
+            return playpen
+        text, source = toml_files.read("playpens", Path(playpen), PlaypenError)
+        return parse(text, source)
+
     @model_serializer(mode="wrap")
     def _without_empty_arrays(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
         # Keep `lamp = []` out of a file: TOML allows no [[lamp]] after it.
@@ -41,14 +53,8 @@ class Playpen(PlaypenTables):
         return self
 
 
-def load(path_or_name: str | os.PathLike[str]) -> Playpen:
-    """Load a playpen by the bare name of a shipped one, or by path.
-
-    Raises:
-        PlaypenError: The file does not exist or cannot be used; one line per problem.
-    """
-    text, source = toml_files.read("playpens", Path(path_or_name), PlaypenError)
-    return parse(text, source)
+PlaypenLike = Playpen | str | os.PathLike[str]
+"""A playpen, the bare name of a shipped one, or the path of a file."""
 
 
 def parse(text: str, source: str, recorded: bool = False) -> Playpen:

@@ -3,6 +3,7 @@
 import math
 import select
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
@@ -29,22 +30,31 @@ MANY = 4
 """Robots from which on plain code takes more of a processor in real time than their lines."""
 
 
+def _never() -> bool:
+    """Return False."""
+    return False
+
+
 def serve(
     twin: Twin,
     ports: Sequence[HostPort],
-    speed: float,
+    speed: float = 1.0,
     *,
-    stop: Callable[[], bool],
-    notify: Callable[[str], None],
+    stop: Callable[[], bool] = _never,
+    notify: Callable[[str], None] = warnings.warn,
 ) -> Pacer:
-    """Connect hosts to the twin until `stop` returns True.
+    """Connect hosts to the twin until `stop` returns True, or until the process is interrupted.
+
+        with open_twin("obstacles") as twin, PtyPort("khepera") as port:
+            serve(twin, [port])  # hosts open ./khepera
 
     Args:
         twin: Twin to serve.
         ports: Cables to the hosts of its robots, one for each.
         speed: Simulated seconds per second of wall time; inf for as fast as it goes, WIRE for the wire clock.
         stop: Callback that is called once per cycle; True ends it.
-        notify: Callback that takes notices for the user, such as a wrong speed of the line.
+        notify: Callback that takes notices for the user, such as a wrong speed of the line; by default they
+            are warnings.
 
     Returns:
         The pacer, with the number and sum of the times that had to be given up.

@@ -10,13 +10,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Self
 
-from khep_twin import playpen as playpens
 from khep_twin.board.fault_injection import parse
 from khep_twin.board.rom import ROMS
 from khep_twin.clock import TimeSource
 from khep_twin.errors import PortError
 from khep_twin.log.recorder import Beginning, Recorder, WorldRecorder
-from khep_twin.playpen import Playpen
+from khep_twin.playpen import Playpen, PlaypenLike
 from khep_twin.playpen.checks import playpen_problems
 from khep_twin.playpen.parts import MODELS
 from khep_twin.randomness import SEED_LIMIT
@@ -194,7 +193,7 @@ class Twin:
                 ends.callback(view.close)
 
 
-def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
+def open_twin(playpen: PlaypenLike, options: TwinOptions | None = None) -> Twin:
     """Open a world for a playpen.
 
     Raises:
@@ -204,6 +203,7 @@ def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
         FaultError: There is no such fault.
         LogError: The log cannot be written.
     """
+    options = options or TwinOptions()
     chosen, on_the_line = equipped(playpen, options)
     faults = tuple(parse(fault) for fault in options.faults)
     world = World(
@@ -221,14 +221,14 @@ def open_twin(playpen: str | Path | Playpen, options: TwinOptions) -> Twin:
     return twin
 
 
-def equipped(playpen: str | Path | Playpen, options: TwinOptions) -> tuple[Playpen, Sequence[int]]:
+def equipped(playpen: PlaypenLike, options: TwinOptions) -> tuple[Playpen, Sequence[int]]:
     """Return a playpen whose robots are as the options have them, and the indices of those on the line.
 
     Raises:
         PlaypenError: The playpen cannot be used.
         PortError: The playpen has no such robot, or a robot cannot be like that.
     """
-    chosen = playpen if isinstance(playpen, Playpen) else playpens.load(playpen)
+    chosen = Playpen.load(playpen)
     count = len(chosen.robots)
     if count == 0 or (options.robot is not None and not 0 <= options.robot < count):
         number = 0 if options.robot is None else options.robot

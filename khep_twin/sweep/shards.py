@@ -157,7 +157,7 @@ def work_of(file: StudyFile) -> Work:
 def _playpen(file: StudyFile, name: str) -> Playpen:
     """Return one of a study's playpens, by the name of a shipped one or by path."""
     try:
-        found = playpen.load(name if name in playpen.names() else file.folder / name)
+        found = Playpen.load(name if name in playpen.names() else file.folder / name)
         if len(found.robots) > 1:
             raise PlaypenError(f"{found.name}: {len(found.robots)} robots; expected one in a study")
         EpisodeSetup(found, planar=file.study.planar)  # raises early for unsupported features

@@ -11,7 +11,7 @@ or a `Khepera` may be given instead. A row of Matlab's, 1x2, 1x6 or 1x8, is an a
 that `motors(1)` is `motors[0]`; scipy's `savemat` makes a row of it again. A number that is no integer is
 rounded, halves away from zero, as Matlab does.
 
-`khep_twin.toolbox.names` has these and all other names of the toolbox, the simulator's among them.
+`khep_twin.toolbox` has these and all other names of the toolbox, the simulator's among them.
 """
 
 import atexit

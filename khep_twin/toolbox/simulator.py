@@ -22,7 +22,6 @@ from typing import SupportsFloat
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import playpen as playpens
 from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.errors import BitmapError, PlaypenError, PortError
@@ -275,7 +274,7 @@ def _playpen(source: str | Path | Playpen | NDArray[np.generic]) -> Playpen:
         return bitmap.to_playpen(source[::-1] == bitmap_files.SOLID, bitmap_files.SCAN).playpen
     path = Path(source)
     if path.suffix.lower() not in (".mat", ".png"):
-        return playpens.load(source)
+        return Playpen.load(source)
     found = bitmap_files.read(path)
     solid = found.solid[::-1] if found.scanned else found.solid
     try:

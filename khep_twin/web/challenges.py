@@ -16,7 +16,7 @@ from starlette.responses import FileResponse, Response
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import ChallengeError, KhepTwinError, StoppedError, choices
-from khep_twin.lab.challenge.attempt import Attempt, attempt
+from khep_twin.lab.challenge.attempt import Attempt, score_file
 from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile, load, names
 from khep_twin.lab.challenge.results import attempts, participants, ranked, to_csv
 from khep_twin.machine import n_cores
@@ -89,7 +89,7 @@ class Challenges:
                 printed.tell()
                 return over()
 
-            found = attempt(file, str(path), show=printed.add, stop=stop)
+            found = score_file(file, str(path), show=printed.add, stop=stop)
             printed.tell(at_once=True)
             told = _told(file.challenge, self._named(found))
             self._publish({"kind": "scored", "program": name, **told})

@@ -21,6 +21,7 @@ from khep_twin.errors import KhepTwinError, PlaypenError
 from khep_twin.files import toml_files
 from khep_twin.files.atomic import unusable, write_whole
 from khep_twin.files.toml_files import SIZE_LIMIT
+from khep_twin.playpen import Playpen
 from khep_twin.web.drafts import Draft, blank, draft_of, text_of
 from khep_twin.web.requests import RequestError, object_of, sendable
 
@@ -164,7 +165,7 @@ class Documents:
         """
         if name not in playpens.names():
             raise PlaypenError(f"{name}: no such playpen in the library")
-        return {"file": None, "version": None, "draft": draft_of(playpens.load(name))}
+        return {"file": None, "version": None, "draft": draft_of(Playpen.load(name))}
 
     def save(
         self,

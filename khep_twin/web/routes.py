@@ -31,7 +31,7 @@ from khep_twin.invocation import command
 from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.lab.sensor_test import sensor_files
 from khep_twin.lab.sensor_test.sensor_test import SensorRun
-from khep_twin.playpen import bitmap, bitmap_files
+from khep_twin.playpen import Playpen, bitmap, bitmap_files
 from khep_twin.playpen.starts import at_spots
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.ports.twin import TwinOptions
@@ -363,7 +363,7 @@ _DRAWING = threading.Lock()
 def _drawn(name: str) -> bytes:
     from khep_twin.drawing.map import thumbnail  # matplotlib takes long to load
 
-    return thumbnail(playpens.load(name))
+    return thumbnail(Playpen.load(name))
 
 
 _Action = tuple[type[requests.Request], Callable[[bytes, str], object]]

@@ -10,6 +10,7 @@ from khep_twin.board.turrets import find
 from khep_twin.clock import NS_PER_S
 from khep_twin.firmware import Firmware
 from khep_twin.host import Khepera
+from khep_twin.playpen import Playpen
 from khep_twin.world import World
 
 
@@ -69,7 +70,7 @@ def test_serial_changes_the_speed_behind_its_reply_and_restart_changes_it_back()
 
 
 def test_a_restart_leaves_every_sensor_in_its_place() -> None:
-    text = playpen.dump(playpen.load("two-lamps")).replace("y_mm = 200.0", "y_mm = 305.0")
+    text = playpen.dump(Playpen.load("two-lamps")).replace("y_mm = 200.0", "y_mm = 305.0")
     for wait_ns in range(0, 20_000_000, 2_500_000):
         world = World(playpen.parse(text, "scene"), noise=False)
         robot = world.robots[0]
@@ -83,7 +84,7 @@ def test_a_restart_leaves_every_sensor_in_its_place() -> None:
 
 
 def test_mode_0_drives_by_itself_and_avoids_walls() -> None:
-    text = playpen.dump(playpen.load("default")).replace("mode = 1", "mode = 0")
+    text = playpen.dump(Playpen.load("default")).replace("mode = 1", "mode = 0")
     world = World(playpen.parse(text, "demo"), seed=1)
     ways = []
     for _ in range(30):

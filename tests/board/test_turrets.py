@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from khep_twin import playpen
 from khep_twin.board import turrets
 from khep_twin.board.gripper_body import GRIPPER
 from khep_twin.board.protocol import turret_reply
@@ -16,6 +15,7 @@ from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import TurretKind, find, installed, raised_by
 from khep_twin.errors import TurretError
 from khep_twin.firmware import Firmware
+from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 
 
@@ -106,7 +106,7 @@ def test_the_body_of_a_turret_stands_on_the_one_below_it(
     lens = replace(MAST, name="lens", scene=GRIPPER.scene)
     monkeypatch.setitem(globals(), "LENS", lens)
     offered += ["GRIPPER", "LENS"]
-    scene = playpen.load("gripper")
+    scene = Playpen.load("gripper")
     robot = scene.robots[0].model_copy(update={"turrets": ("gripper", "lens")})
     model = to_spec(scene.model_copy(update={"robots": (robot,)})).compile()
     lower, upper = (model.body(f"khepera0/{name}/board").pos for name in ("gripper", "lens"))

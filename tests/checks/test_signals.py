@@ -13,7 +13,7 @@ import pytest
 from checks.signals import KINDS, end
 from khep_twin.errors import StoppedError
 from khep_twin.host import Khepera
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 
 PROGRAM = (sys.executable, "-m", "khep_twin")
 
@@ -119,7 +119,7 @@ def test_a_second_signal_ends_a_run_whose_controller_never_returns(
     assert told.startswith(first)
     assert "Traceback" not in told
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.py", "run.mcap"]
-    lines = [line.text for line in read(tmp_path / "run.mcap").robots["khepera0"].serial]
+    lines = [line.text for line in read_log(tmp_path / "run.mcap").robots["khepera0"].serial]
     assert [line for line in lines if line.startswith("D")][-1] == "D,0,0"
 
 

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from khep_twin import __version__, invocation
 from khep_twin.cli.app import app
 from khep_twin.files import toml_files
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 
 GOOD = (toml_files.folder("playpens") / "obstacles.toml").read_text()
 
@@ -294,7 +294,7 @@ def test_a_run_that_is_asked_to_end_ends_with_its_log_whole(how: signal.Signals,
     assert process.returncode == 128 + how
     assert errors.endswith("khep-twin: stopped before its end\n")
     assert "look at it" in output
-    assert read(log).robots["khepera0"].times_ns[-1] > 10**9
+    assert read_log(log).robots["khepera0"].times_ns[-1] > 10**9
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from fake_robot import FakeRobot
 from lateness import Lateness
 
 from khep_twin.lab.experiment.teleoperation import FIRST_HOLD
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 
 LONG = 60.0
 """Far more than anything here takes [s]."""
@@ -244,7 +244,7 @@ def test_a_drive_on_a_twin_in_this_process_takes_its_time_and_is_logged(tmp_path
         assert f"log      {log}" in window.text
     finally:
         window.close()
-    track = read(log).robots["khepera0"]
+    track = read_log(log).robots["khepera0"]
     window.late.excuse(MOST_LATE)
     # One press at 40 mm/s, for as long on the robot's clock as on the wall's.
     direction = abs(track.pose[-1, :2] - track.pose[0, :2]).sum()

@@ -12,7 +12,7 @@ from drawn_bitmap import drawn, seen_from_above
 from PIL import Image
 from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
-from khep_twin import playpen
+from khep_twin.playpen import Playpen
 
 DRAWN = drawn()
 PAGE = (Path(__file__).parents[2] / "docs" / "import.md").read_text()
@@ -36,7 +36,7 @@ def folder(tmp_path: Path) -> Path:
 def test_scan_and_picture_become_the_playpen_as_it_was_drawn(file: str, folder: Path) -> None:
     done = command("import", file, "-o", "out.toml", cwd=folder)
     assert done.returncode == 0, done.stderr
-    found = playpen.load(folder / "out.toml")
+    found = Playpen.load(folder / "out.toml")
     np.testing.assert_array_equal(seen_from_above(found), DRAWN[10:-10, 10:-10])
     assert found.name == Path(file).stem.replace(" ", "-")
     text = (folder / "out.toml").read_text()
@@ -62,7 +62,7 @@ def test_the_command_reports_what_it_found_and_made(folder: Path) -> None:
 @pytest.mark.parametrize(("file", "option"), [("scan.mat", "--no-flip"), ("painted.png", "--flip")])
 def test_the_other_way_up_is_an_option(file: str, option: str, folder: Path) -> None:
     assert command("import", file, option, "-o", "out.toml", cwd=folder).returncode == 0
-    found = playpen.load(folder / "out.toml")
+    found = Playpen.load(folder / "out.toml")
     np.testing.assert_array_equal(seen_from_above(found), DRAWN[::-1][10:-10, 10:-10])
 
 
@@ -70,7 +70,7 @@ def test_options_name_scale_and_place(folder: Path) -> None:
     words = "--name maze --mm-per-pixel 2 --height-mm 80 --robot 500,240.5,-45 -o out.toml".split()
     done = command("import", "scan.mat", *words, cwd=folder)
     assert done.returncode == 0, done.stderr
-    found = playpen.load(folder / "out.toml")
+    found = Playpen.load(folder / "out.toml")
     (robot,) = found.robots
     assert (robot.x_mm, robot.y_mm, robot.heading_deg) == (500, 240.5, -45)
     assert (found.name, found.arena.width_mm, found.arena.wall_thickness_mm) == ("maze", 1160, 20)
@@ -81,7 +81,7 @@ def test_options_name_scale_and_place(folder: Path) -> None:
 def test_a_playpen_may_have_no_robot(folder: Path) -> None:
     done = command("import", "scan.mat", "--robot", "none", cwd=folder)
     assert "robot    none\n" in done.stdout
-    assert playpen.load(folder / "scan.toml").robots == ()
+    assert Playpen.load(folder / "scan.toml").robots == ()
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_the_page_on_the_import_reports_what_the_command_does(tmp_path: Path, mo
     monkeypatch.chdir(tmp_path)
     exec(compile(paints, "import.md", "exec"), {})
     assert command("import", "scan.mat", "-o", "scan.toml", cwd=tmp_path).stdout == told
-    (block,) = playpen.load(tmp_path / "scan.toml").blocks
+    (block,) = Playpen.load(tmp_path / "scan.toml").blocks
     assert (block.x_mm, block.y_mm) == (300, 120)
 
 

@@ -8,7 +8,8 @@ import pytest
 from command_line import khep_twin
 
 from khep_twin import playpen
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
+from khep_twin.playpen import Playpen
 
 OWN = """
 def controller(proximity, ambient):
@@ -83,12 +84,12 @@ heading_deg = 90
 
 
 def test_an_episode_with_robots_and_faults_is_logged_and_its_log_is_read(tmp_path: Path) -> None:
-    (tmp_path / "two.toml").write_text(playpen.dump(playpen.load("obstacles")) + TWO)
+    (tmp_path / "two.toml").write_text(playpen.dump(Playpen.load("obstacles")) + TWO)
     options = ("--playpen", "two.toml", "--seconds", "1", "--fault", "dead:left@0.5", "--log", "run.mcap")
     ended = rollout(*options, "--picture", "run.png", cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     assert re.search(r"^ +khepera0 +khepera1\n(.*\n)*distance m +0\.\d+ +0\.\d+$", ended.stdout, re.MULTILINE)
-    found = read(tmp_path / "run.mcap")
+    found = read_log(tmp_path / "run.mcap")
     assert [len(robot.registers) for robot in found.robots.values()] == [51, 51]
     assert [event.text for event in found.events] == ["fault dead:left@0.5 begins"] * 2
     assert (tmp_path / "run.png").stat().st_size > 10_000

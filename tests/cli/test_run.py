@@ -16,8 +16,8 @@ from command_line import khep_twin
 from fake_robot import FakeRobot
 from scipy.io import loadmat
 
-from khep_twin.log.reader import read
-from khep_twin.playpen import dump, load
+from khep_twin.log.reader import read_log
+from khep_twin.playpen import Playpen, dump
 
 PROGRAM = (sys.executable, "-m", "khep_twin")
 # Slow enough for a signal to come in between, and its own chance as the robot's.
@@ -159,7 +159,7 @@ def test_a_series_that_was_stopped_goes_on_to_the_very_same_table(
     kept = len(rows(tmp_path / "series"))
     assert errors.endswith(f"stopped before its end; {kept} of 40 runs are kept, go on with --resume\n")
     assert "khep-twin series series" in output
-    log = read(sorted(tmp_path.glob("run*.mcap"))[-1])
+    log = read_log(sorted(tmp_path.glob("run*.mcap"))[-1])
     # The last setpoints of the log are those of motors that stand.
     assert [line.text for line in log.robots["khepera0"].serial if line.text.startswith("D")][-1] == "D,0,0"
     assert not [*tmp_path.glob("*.part")]
@@ -308,7 +308,7 @@ def test_a_twin_that_is_killed_in_mid_run_is_one_error_and_nothing_is_lost(tmp_p
     assert "run" in good("series", "series", folder=tmp_path)
     recovered = khep_twin("recover", "served.mcap.part", folder=tmp_path)
     assert recovered.returncode in (0, 3), recovered.stderr
-    assert len(read(tmp_path / "served.mcap").robots["khepera0"].times_ns) >= 1
+    assert len(read_log(tmp_path / "served.mcap").robots["khepera0"].times_ns) >= 1
 
 
 def test_a_terminal_that_closes_and_a_peer_that_goes_are_one_error(tmp_path: Path) -> None:
@@ -354,7 +354,7 @@ def test_starts_have_logs_and_tracks_of_their_own(tmp_path: Path) -> None:
         "p.svg",
         *(f"run-00{number}.mcap" for number in (1, 2, 3)),
     ]
-    pose = [read(tmp_path / f"run-00{number}.mcap").robots["khepera0"].pose[0] for number in (1, 2, 3)]
+    pose = [read_log(tmp_path / f"run-00{number}.mcap").robots["khepera0"].pose[0] for number in (1, 2, 3)]
     assert [round(float(place[0]), 3) for place in pose] == [0.15, 0.45, 0.15]
 
 
@@ -442,7 +442,7 @@ def test_starts_have_room_for_the_body_that_is_run(tmp_path: Path) -> None:
 
 
 TOOLBOX = """
-from khep_twin.toolbox.names import *
+from khep_twin.toolbox import *
 btmap1 = open_custom("two-lamps", noise=False)
 total = 0
 def brait(port_id, cycles_per_run, runs, pause_stat):
@@ -483,7 +483,7 @@ def test_a_function_in_the_toolboxs_form_is_run_in_a_series(tmp_path: Path) -> N
     assert [f"user2 {row['near']} {row['total']}" in told for row in kept] == [True] * 4
     variables = loadmat(tmp_path / "kept" / "run-002.mat")
     assert variables["near"].item() == variables["var1"].item()
-    texts = [line.text for line in read(tmp_path / "run.mcap").events]
+    texts = [line.text for line in read_log(tmp_path / "run.mcap").events]
     assert [text for text in texts if text.startswith("run 2")] == ["run 2 begins", "run 2 ends"]
     assert good("run", "tb.py:brait", *words, "--resume", folder=tmp_path).count("as before") == 4
 
@@ -556,7 +556,7 @@ def test_whatever_a_controller_raises_is_its_fault_and_its_log_is_whole(
     result = khep_twin(*words, folder=tmp_path)
     assert result.returncode == 1
     assert result.stderr == f"khep-twin: {tmp_path / 'mine.py'}:{line}: {told}\n"
-    assert [line.text for line in read(tmp_path / "run.mcap").robots["khepera0"].serial][-2:] == [
+    assert [line.text for line in read_log(tmp_path / "run.mcap").robots["khepera0"].serial][-2:] == [
         "D,0,0",
         "d",
     ]
@@ -572,7 +572,7 @@ def test_files_lie_where_they_were_typed_wherever_a_controller_goes(when: str, t
         "    os.path.isdir('away') and os.chdir('away')\n    robot.set_speed(5, 5)\n"
     )
     (folder / "then.py").write_text("def after(run):\n    open('own', 'w').close()\n")
-    (folder / "arena.toml").write_text(dump(load("default")))
+    (folder / "arena.toml").write_text(dump(Playpen.load("default")))
     words = ("--playpen", "arena.toml", "--start", "playpen", "--runs", "2", "--cycles", "3")
     files = ("--on-run-end", "then.py", "--log", "run.mcap", "--picture", "run.png", "--save", "series")
     told = good("run", "goes.py", *words, *files, folder=folder)
@@ -583,7 +583,7 @@ def test_files_lie_where_they_were_typed_wherever_a_controller_goes(when: str, t
     assert {path.name for path in folder.iterdir()} == {"goes.py", "then.py", "arena.toml", "away", *made}
     assert len(rows(folder / "series")) == 2
     assert (folder / "away" / "away" / "own").exists()
-    assert read(folder / "run-002.mcap").robots["khepera0"].serial
+    assert read_log(folder / "run-002.mcap").robots["khepera0"].serial
 
 
 def test_a_picture_without_its_package_is_refused_before_the_run(

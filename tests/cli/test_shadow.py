@@ -12,8 +12,8 @@ import serial
 from command_line import khep_twin
 from served_twin import served
 
-from khep_twin import playpen as playpens
-from khep_twin.log.reader import read, read_arrays
+from khep_twin.log.reader import read_arrays, read_log
+from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
 from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.shadow import Shadow, Update
@@ -26,7 +26,7 @@ SOME = ("--particles", "100")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The line of a stand-in robot, asked N and H for 5 s."""
     path = tmp_path_factory.mktemp("stand-in") / "robot.mcap"
-    record(path, playpens.load("obstacles"), seed=1, seconds=5, host="wall follower", asks_counters=True)
+    record(path, Playpen.load("obstacles"), seed=1, seconds=5, host="wall follower", asks_counters=True)
     return path
 
 
@@ -146,7 +146,7 @@ def test_a_robot_is_followed_beside_its_host_as_its_log_is_afterwards(tmp_path: 
         told, errors = process.communicate(timeout=60)
     assert process.returncode == 0, errors
     assert told.splitlines()[0].startswith("pose ")
-    polled = [entry.text for entry in read(line).robots["khepera0"].serial if entry.text == "H"]
+    polled = [entry.text for entry in read_log(line).robots["khepera0"].serial if entry.text == "H"]
     assert polled
     assert len(read_arrays(shadow)[1]["/shadow/residuals"][0]) >= 3
     assert len(read_arrays(shadow)[1]["/shadow/learned"][0]) >= 1

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from khep_twin import playpen
 from khep_twin.cli import app as cli
 from khep_twin.host import Khepera
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 
 PROGRAM = (sys.executable, "-m", "khep_twin")
 
@@ -104,7 +104,7 @@ def test_a_run_that_cannot_print_keeps_its_log_and_its_picture(
     (tmp_path / "talks.py").write_text(TALKS)
     words = "run talks.py --cycles 20 --log run.mcap --picture run.png --save series"
     assert run(words, tmp_path, output) == ends
-    assert len(read(tmp_path / "run.mcap").robots["khepera0"].serial) >= 40
+    assert len(read_log(tmp_path / "run.mcap").robots["khepera0"].serial) >= 40
     assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
     assert len((tmp_path / "series" / "runs.csv").read_text().splitlines()) == 2
     assert not [*tmp_path.glob("*.part")]
@@ -122,7 +122,7 @@ def test_a_program_may_put_anything_in_a_streams_place(change: str, tmp_path: Pa
     (tmp_path / "mine.py").write_text(f"import sys\n\ndef after(run):\n    {change}\n")
     words = "run braitenberg --cycles 3 --on-run-end mine.py --log run.mcap"
     assert run(words, tmp_path, "pipe") == (0, "")
-    assert read(tmp_path / "run.mcap").robots["khepera0"].serial
+    assert read_log(tmp_path / "run.mcap").robots["khepera0"].serial
 
 
 def test_a_series_whose_reader_has_gone_ends_after_its_run(tmp_path: Path) -> None:
@@ -158,7 +158,7 @@ def test_a_server_that_cannot_print_its_path_serves_all_the_same(
     assert process.returncode == code, told
     assert told.count("cannot be written") == (output != "unread")
     assert "Traceback" not in told
-    assert read(tmp_path / "run.mcap").robots["khepera0"].serial
+    assert read_log(tmp_path / "run.mcap").robots["khepera0"].serial
 
 
 def test_too_few_descriptors_are_one_line() -> None:

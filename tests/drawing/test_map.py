@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from khep_twin import playpen as playpens
 from khep_twin.drawing.map import POINT_LIMIT, DrawnPath, draw, save
 from khep_twin.errors import KhepTwinError
+from khep_twin.playpen import Playpen
 
 SCENE = playpens.parse(
     """
@@ -231,7 +232,7 @@ def test_a_track_is_finite_and_has_a_place_for_every_time(time_s: list[float], x
 @pytest.mark.parametrize("name", playpens.names())
 def test_every_shipped_playpen_can_be_drawn(tmp_path: Path, name: str) -> None:
     file = tmp_path / f"{name}.png"
-    save(draw(playpens.load(name)), file)
+    save(draw(Playpen.load(name)), file)
     assert file.read_bytes().startswith(b"\x89PNG")
 
 

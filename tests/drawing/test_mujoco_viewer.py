@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from khep_twin import playpen
 from khep_twin.cli.app import app
 from khep_twin.drawing import mujoco_viewer
 from khep_twin.drawing.mujoco_viewer import MujocoViewer
+from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.world import World
 
@@ -120,13 +120,13 @@ def test_closing_waits_until_nothing_is_drawn(windows: list[Window], monkeypatch
 
     monkeypatch.setattr("mujoco.viewer.launch_passive", launch)
     viewer = MujocoViewer(real_time=False)
-    viewer.watch(World(playpen.load("default")))
+    viewer.watch(World(Playpen.load("default")))
     viewer.close()
     assert drawn == ["last"]
 
 
 def test_a_lamp_that_is_off_is_dark(windows: list[Window]) -> None:
-    world = World(playpen.load("two-lamps"))
+    world = World(Playpen.load("two-lamps"))
     MujocoViewer(real_time=False).watch(world)
     bright = windows[0].lamps[-1]
     world.lamps.turn(0, on=False, time_ns=0)
@@ -135,7 +135,7 @@ def test_a_lamp_that_is_off_is_dark(windows: list[Window]) -> None:
 
 
 def test_a_run_goes_on_when_its_window_is_closed(windows: list[Window]) -> None:
-    world = World(playpen.load("default"))
+    world = World(Playpen.load("default"))
     MujocoViewer(real_time=True).watch(world)
     windows[0].close()
     world.advance_to(10**12 // 100)
@@ -163,7 +163,7 @@ def test_without_a_screen_one_line_says_what_is_expected(words: list[str], tmp_p
 
 
 def test_a_compiled_playpen_opens_without_the_rays_of_its_rangefinders() -> None:
-    model = to_spec(playpen.load("obstacles")).compile()
+    model = to_spec(Playpen.load("obstacles")).compile()
     assert model.vis.rgba.rangefinder[3] == 0
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

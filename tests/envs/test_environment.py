@@ -21,8 +21,7 @@ from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import TASKS, State, batched
 from khep_twin.episodes import version_check
 from khep_twin.errors import DivergedError, KhepTwinError, MissingExtraError, PlaypenError
-from khep_twin.playpen import Spot
-from khep_twin.playpen import load as load_playpen
+from khep_twin.playpen import Playpen, Spot
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 SHORT = {"seconds": 0.5, "compiled": False}
@@ -97,7 +96,7 @@ def test_the_physics_names_what_it_has() -> None:
 
 
 def test_the_physics_follows_a_world_that_is_made_anew_each_time() -> None:
-    scene = load_playpen("two-lamps")
+    scene = Playpen.load("two-lamps")
     lighting = scene.lighting.model_copy(update={"mode": "sequenced"})
     environment = dm("LightSeeking", playpen=scene.model_copy(update={"lighting": lighting}))
     for _ in range(2):
@@ -343,7 +342,7 @@ def test_many_in_threads_are_the_same_as_one_after_another(threads: int) -> None
 
 
 def test_lamps_that_blink_shine_the_same_in_any_number_of_threads() -> None:
-    place = load_playpen("light-seeking")
+    place = Playpen.load("light-seeking")
     lamps = tuple(lamp.model_copy(update={"blink_period_s": 0.3, "fade_s": 0.07}) for lamp in place.lamps)
     blinking = place.model_copy(update={"lamps": lamps})
 
@@ -411,7 +410,7 @@ def test_in_the_plane_a_picture_is_a_map_and_a_scene_is_refused() -> None:
 
 
 def test_what_a_plane_has_not_is_refused_in_one_line() -> None:
-    scene = load_playpen("obstacles")
+    scene = Playpen.load("obstacles")
     movable = tuple(block.model_copy(update={"movable": True, "width_mm": 9.0}) for block in scene.blocks)
     with pytest.raises(PlaypenError, match=r"is movable, 9 mm wide .* in the plane, where nothing tips over"):
         gyms(2, planar=True, playpen=scene.model_copy(update={"blocks": movable}))
@@ -484,7 +483,7 @@ def test_robots_together_are_the_same_again_by_their_seed() -> None:
 
 
 def test_robots_together_see_each_other() -> None:
-    scene = load_playpen("default")
+    scene = Playpen.load("default")
     spots = tuple(
         Spot(name=f"at-{x_mm}", x_mm=x_mm, y_mm=250, heading_deg=heading)
         for x_mm, heading in ((300, 0), (357, 180))
@@ -571,7 +570,7 @@ def test_where_there_is_no_screen_the_checker_warns_of_nothing_and_pictures_are_
 
     check_env(environment.unwrapped)
     assert environment.unwrapped._painter.view == "map"
-    assert Renderer(load_playpen("default"), "scene").view == "scene"
+    assert Renderer(Playpen.load("default"), "scene").view == "scene"
 
 
 def test_without_gl_auto_is_a_map_with_a_warning_and_a_scene_is_refused(

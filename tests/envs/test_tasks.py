@@ -14,6 +14,7 @@ from khep_twin.envs.tasks import TASKS, TERMS, State, Task, avoiding, avoiding_e
 from khep_twin.episodes import version_check
 from khep_twin.episodes.stepping import drive
 from khep_twin.errors import DivergedError, KhepTwinError, PlaypenError
+from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import anywhere
 from khep_twin.world import World
 
@@ -121,12 +122,12 @@ def test_starts_anywhere_differ_by_seed_and_have_room() -> None:
 
 
 def test_robots_that_start_anywhere_do_not_overlap() -> None:
-    scene = anywhere(with_robots(playpen.load("default"), 6), 1)
+    scene = anywhere(with_robots(Playpen.load("default"), 6), 1)
     assert playpen.parse(playpen.dump(scene), "scene") == scene  # which refuses overlaps
 
 
 def test_where_there_is_no_room_for_all_an_error_says_so() -> None:
-    crowd = with_robots(playpen.load("default"), 200)
+    crowd = with_robots(Playpen.load("default"), 200)
     with pytest.raises(PlaypenError, match=r"no room for robot \d+ was found in 1000 tries"):
         anywhere(crowd, 0)
 
@@ -150,7 +151,7 @@ def test_a_charge_runs_out_away_from_home_and_is_full_again_there() -> None:
 
 
 def test_only_beside_the_cylinder_is_there_a_reward() -> None:
-    scene = playpen.load("wall-or-cylinder")
+    scene = Playpen.load("wall-or-cylinder")
     for y_mm, reward in ((230.0 - 60, 1.0), (230.0 - 80, 0.0)):
         place = {"x_mm": 250.0, "y_mm": y_mm, "heading_deg": 0.0, "spots": ()}
         robots = (scene.robots[0].model_copy(update=place),)

@@ -15,14 +15,14 @@ from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Function,
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.metrics import METRICS
-from khep_twin.errors import ControllerError
-from khep_twin.playpen import Lamp
+from khep_twin.errors import ControllerError, PlaypenError
+from khep_twin.playpen import Lamp, Playpen
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed")
 KINDS = [pytest.param(False, id="plain"), pytest.param(True, id="compiled", marks=with_numba)]
 
-SCENE = playpen.load("obstacles")
+SCENE = Playpen.load("obstacles")
 NETWORK = Network(hidden=(4,), recurrent=True, ambient=True)
 N = 6
 SECONDS = 1.0
@@ -210,8 +210,8 @@ def test_what_is_no_driver_or_no_playpen_is_refused() -> None:
         ControllerError, match=r"is no controller; expected a ConstantSpeed, Braitenberg, Network"
     ):
         rollout(SCENE, along, [1], 0.02, compiled=False)  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match=r"playpen = 'obstacles'; expected a Playpen"):
-        rollout("obstacles", Braitenberg(), [1], 0.02, compiled=False)  # type: ignore[arg-type]
+    with pytest.raises(PlaypenError, match=r"obstackles: no such file; .*did you mean 'obstacles'"):
+        rollout("obstackles", Braitenberg(), [1], 0.02, compiled=False)
     with pytest.raises(ValueError, match=r"the policy returned no speeds: .*expected an array \(1, 2\)"):
         rollout(SCENE, Policy(lambda *readings: [["a", "b"]]), [1], 0.02, compiled=False)
 
@@ -241,7 +241,7 @@ heading_deg = 90
 
 
 def test_results_of_several_robots_have_an_axis_of_robots_and_are_those_of_episodes() -> None:
-    setup = EpisodeSetup(playpen.parse(playpen.dump(playpen.load("obstacles")) + PAIR, "pair"))
+    setup = EpisodeSetup(playpen.parse(playpen.dump(Playpen.load("obstacles")) + PAIR, "pair"))
     genes = np.random.default_rng(2).normal(size=(3, 2, NETWORK.n_genes))
     results = rollout(setup, NETWORK, range(3), 0.4, genes=genes, compiled=False)
     assert results.poses.shape == (3, 2, 3)

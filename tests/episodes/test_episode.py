@@ -39,7 +39,7 @@ flicker = 0.4
 
 def arena(more: str = "", **robot: object) -> Playpen:
     """The shipped obstacles, with more."""
-    text = playpen.dump(playpen.load("obstacles")) + more
+    text = playpen.dump(Playpen.load("obstacles")) + more
     found = playpen.parse(text, "arena")
     return found.model_copy(update={"robots": (found.robots[0].model_copy(update=robot),)})
 
@@ -71,8 +71,8 @@ def episode_of(scene: Playpen, seconds: float, compiled: bool, driver: Any = Non
         pytest.param(arena(SHADOWS), {"noise": False}, id="without noise"),
         pytest.param(arena(model="khepera2", calibration="khepera2", rom="khepera2"), {}, id="khepera2"),
         pytest.param(arena(battery_used_min=41.3), {"seed": 3}, id="cells that run out"),
-        pytest.param(playpen.load("two-lamps"), {"seed": 4}, id="two lamps"),
-        pytest.param(playpen.load("light-seeking"), {"seed": 5}, id="light seeking"),
+        pytest.param(Playpen.load("two-lamps"), {"seed": 4}, id="two lamps"),
+        pytest.param(Playpen.load("light-seeking"), {"seed": 5}, id="light seeking"),
     ],
 )
 def test_a_episode_is_the_worlds_bit_for_bit(scene: Playpen, options: dict[str, Any], compiled: bool) -> None:
@@ -178,7 +178,7 @@ def test_coarser_steps_go_about_the_same_way() -> None:
     ends: list[tuple[float, float, float]] = []
     for step_ns in (2_500_000, 5_000_000, 10_000_000):
         episode = Episode(
-            EpisodeSetup(playpen.load("default"), step_ns=step_ns), ConstantSpeed(8, 6), compiled=False
+            EpisodeSetup(Playpen.load("default"), step_ns=step_ns), ConstantSpeed(8, 6), compiled=False
         )
         episode.begin(noise=False)
         episode.run(6.0)
@@ -265,7 +265,7 @@ def test_episode_ends_its_homing_with_its_charge(compiled: bool) -> None:
 @pytest.mark.parametrize("compiled", KINDS)
 def test_the_distance_forwards_has_a_sign_and_the_distance_has_none(compiled: bool) -> None:
     def ways(left: int, right: int) -> tuple[float, float]:
-        free = playpen.load("default")
+        free = Playpen.load("default")
         episode = episode_of(
             free, 1.0, compiled, ConstantSpeed(left, right), noise=False, start=(300.0, 250.0, 130.0)
         )
@@ -282,7 +282,7 @@ def test_the_distance_forwards_has_a_sign_and_the_distance_has_none(compiled: bo
 
 @pytest.mark.parametrize(("left", "right", "effort"), [(10, 10, 0.25), (-20, 0, 0.5), (40, 0, 0.5)])
 def test_the_control_effort_is_the_mean_square_of_the_speeds(left: int, right: int, effort: float) -> None:
-    episode = episode_of(playpen.load("default"), 0.2, False, ConstantSpeed(left, right))
+    episode = episode_of(Playpen.load("default"), 0.2, False, ConstantSpeed(left, right))
     assert episode.metrics()["effort"] == effort
 
 
@@ -297,7 +297,7 @@ def test_what_episodes_cannot_have_is_refused_in_one_line(change: dict[str, Any]
     with pytest.raises(PlaypenError, match=message):
         EpisodeSetup(arena().model_copy(update=change), planar=True)
     with pytest.raises(PlaypenError, match=r"turrets = \['gripper'\]; expected none"):
-        EpisodeSetup(playpen.load("gripper"), planar=True)
+        EpisodeSetup(Playpen.load("gripper"), planar=True)
 
 
 def test_without_numba_episodes_are_plain_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -351,8 +351,8 @@ heading_deg = -20
     ("scene", "faults"),
     [
         pytest.param(playpen.parse(playpen.dump(arena()) + OTHERS, "three"), (), id="three robots"),
-        pytest.param(playpen.load("two-lamps"), (), id="lamps by turns"),
-        pytest.param(playpen.load("gripper"), (), id="a turret"),
+        pytest.param(Playpen.load("two-lamps"), (), id="lamps by turns"),
+        pytest.param(Playpen.load("gripper"), (), id="a turret"),
         pytest.param(arena(), ("stuck:2@0.4", "dead:left@1.003", "brown-out@1.7"), id="faults"),
         pytest.param(arena(), ("dead:3", "slip:left:0.1@0.4-1", "blocked:right@1.2-1.5"), id="wheels"),
     ],

@@ -8,7 +8,7 @@ import pytest
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_batch import EpisodeBatch
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.playpen import Playpen, load
+from khep_twin.playpen import Playpen
 
 PERIOD_NS = 50_000_000
 COMPILED = [
@@ -56,18 +56,18 @@ def assert_alone_the_same(setup: EpisodeSetup, batch: EpisodeBatch, n_steps: int
 @pytest.mark.parametrize("compiled", COMPILED)
 @pytest.mark.parametrize("planar", [False, True])
 def test_episodes_side_by_side_are_the_same_as_alone(planar: bool, compiled: bool, threads: int) -> None:
-    setup = EpisodeSetup(load("obstacles"), period_ns=PERIOD_NS, planar=planar)
+    setup = EpisodeSetup(Playpen.load("obstacles"), period_ns=PERIOD_NS, planar=planar)
     assert_alone_the_same(setup, together(setup, 4, 6, threads, compiled), 6)
 
 
 def blinking() -> Playpen:
-    scene = load("two-lamps")
+    scene = Playpen.load("two-lamps")
     first, *others = scene.lamps
     return scene.model_copy(update={"lamps": (first.model_copy(update={"blink_period_s": 0.1}), *others)})
 
 
 def nearly_empty() -> Playpen:
-    scene = load("default")
+    scene = Playpen.load("default")
     robot = scene.robots[0].model_copy(update={"battery_used_min": 40.9705})
     return scene.model_copy(update={"robots": (robot,)})
 
@@ -83,7 +83,7 @@ def test_lamps_that_blink_and_a_processor_that_stops_are_the_same_side_by_side(
 
 @pytest.mark.parametrize("compiled", COMPILED)
 def test_a_speed_that_is_no_number_is_the_failure_of_one_episode(compiled: bool) -> None:
-    setup = EpisodeSetup(load("obstacles"), period_ns=PERIOD_NS, planar=True)
+    setup = EpisodeSetup(Playpen.load("obstacles"), period_ns=PERIOD_NS, planar=True)
     batch = EpisodeBatch([Episode(setup, compiled=compiled) for _ in range(3)], 1)
     for index in range(3):
         batch.begin(index, index)

@@ -36,7 +36,7 @@ PARTS = (
 
 
 def test_the_lens_is_where_the_turret_has_it() -> None:
-    world = World(playpens.load("stripes"), noise=False)
+    world = World(Playpen.load("stripes"), noise=False)
     mujoco.mj_kinematics(world.model, world.data)
     mujoco.mj_camlight(world.model, world.data)
     x, _, height = world.data.cam_xpos[world.model.camera("khepera0/k213/eye").id].tolist()

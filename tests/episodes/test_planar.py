@@ -63,7 +63,7 @@ height_mm = 12
 
 def arena() -> Playpen:
     """The shipped obstacles, with a second lamp, a dark cylinder and a block lower than sensors look."""
-    return playpen.parse(playpen.dump(playpen.load("obstacles")) + THINGS, "arena")
+    return playpen.parse(playpen.dump(Playpen.load("obstacles")) + THINGS, "arena")
 
 
 def put(scene: Playpen, step_ns: int, x_mm: float, y_mm: float, heading_deg: float) -> PlanarForms:
@@ -191,7 +191,7 @@ def test_a_robot_slides_along_a_wall_as_in_mujoco() -> None:
     ends: list[tuple[float, float, float]] = []
     for planar in (False, True):
         episode = Episode(
-            EpisodeSetup(playpen.load("default"), planar=planar), ConstantSpeed(10, 10), compiled=False
+            EpisodeSetup(Playpen.load("default"), planar=planar), ConstantSpeed(10, 10), compiled=False
         )
         episode.begin(noise=False, start=(150.0, 40.0, -20.0))
         episode.run(0.8)
@@ -206,7 +206,7 @@ def test_a_robot_slides_along_a_wall_as_in_mujoco() -> None:
 def test_a_robot_that_drives_into_a_wall_turns_to_it_as_in_mujoco(heading_deg: float) -> None:
     ends: list[tuple[float, float, float]] = []
     for planar in (False, True):
-        episode = Episode(EpisodeSetup(playpen.load("default"), planar=planar), compiled=False)
+        episode = Episode(EpisodeSetup(Playpen.load("default"), planar=planar), compiled=False)
         episode.begin(noise=False, start=(560.0, 200.0, heading_deg))
         episode.drive(5, 5)
         episode.run(2.0)
@@ -217,7 +217,7 @@ def test_a_robot_that_drives_into_a_wall_turns_to_it_as_in_mujoco(heading_deg: f
 
 
 def test_wheels_stand_before_a_wall_and_spin_when_they_are_driven_harder() -> None:
-    backend = put(playpen.load("default"), units.TICK_NS, 100, 28, -90)
+    backend = put(Playpen.load("default"), units.TICK_NS, 100, 28, -90)
     drive(backend, 0.6, 0.6, 60)
     x, y, heading = backend.pose
     assert (x, y) == pytest.approx((0.1, units.BODY_RADIUS), abs=1e-4)
@@ -231,7 +231,7 @@ def test_wheels_stand_before_a_wall_and_spin_when_they_are_driven_harder() -> No
 
 @pytest.mark.parametrize("name", ["arena", "looping-maze", "two-lamps"])
 def test_counts_are_mujocos_at_the_same_pose(name: str) -> None:
-    scene = arena() if name == "arena" else playpen.load(name)
+    scene = arena() if name == "arena" else Playpen.load(name)
     true, plane = (Episode(EpisodeSetup(scene, planar=planar), compiled=False) for planar in (False, True))
     rng = np.random.default_rng(3)
     floor, tried, seen, apart = scene.arena, 0, 0, []
@@ -259,7 +259,7 @@ def test_counts_are_mujocos_at_the_same_pose(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["arena", "looping-maze"])
 def test_leaving_out_what_is_not_near_changes_no_count(name: str) -> None:
-    scene = arena() if name == "arena" else playpen.load(name)
+    scene = arena() if name == "arena" else Playpen.load(name)
     setup = EpisodeSetup(scene, planar=True)
     assert setup.planar_scene is not None
     sensors = PlanarWorld(setup.scene_model, setup.planar_scene).simulation.plain.robots[0].sensors
@@ -306,7 +306,7 @@ def test_a_episode_in_a_plane_goes_about_mujocos_way() -> None:
     ends = []
     for planar in (False, True):
         episode = Episode(
-            EpisodeSetup(playpen.load("default"), planar=planar), ConstantSpeed(8, 6), compiled=False
+            EpisodeSetup(Playpen.load("default"), planar=planar), ConstantSpeed(8, 6), compiled=False
         )
         episode.begin(noise=False)
         episode.run(3.0)

@@ -17,10 +17,10 @@ from khep_twin.files.atomic import write_whole
 from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.series_files import read_series
 from khep_twin.lab.sensor_test import sensor_files
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 from khep_twin.log.recover import recover
 from khep_twin.log.tail import GrowingLog
-from khep_twin.playpen import bitmap_files
+from khep_twin.playpen import Playpen, bitmap_files
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.sensing import calibration
 from khep_twin.sweep import study
@@ -60,12 +60,12 @@ def _log(path: Path) -> None:
 
 
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
-    "playpen": ("arena.toml", playpen.load),
+    "playpen": ("arena.toml", Playpen.load),
     "calibration": ("robot.toml", lambda path: calibration.read(str(path))),
     "bitmap": ("scan.mat", bitmap_files.read),
     "picture": ("scan.png", bitmap_files.read),
     "sensor test": ("run.csv", sensor_files.load),
-    "log": ("run.mcap", read),
+    "log": ("run.mcap", read_log),
     "interrupted log": ("run.mcap.part", recover),
     "growing log": ("run.mcap.part", GrowingLog),
     "part of a new log": ("run.mcap.part", _log),

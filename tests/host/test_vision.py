@@ -5,18 +5,18 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from khep_twin import playpen as playpens
 from khep_twin.board.k213 import PIXELS, K213Register
 from khep_twin.errors import ProtocolError
 from khep_twin.host import Khepera, Vision, commands
 from khep_twin.host.vision import read_image, read_light, read_region
+from khep_twin.playpen import Playpen
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
 
 @pytest.fixture
 def pair() -> Iterator[tuple[Khepera, Twin]]:
-    twin = open_twin(playpens.load("stripes"), TwinOptions(noise=False))
+    twin = open_twin(Playpen.load("stripes"), TwinOptions(noise=False))
     with Khepera(Serial.of(twin, timeout=1)) as robot:
         robot.sleep(0.3)
         yield robot, twin
@@ -103,7 +103,7 @@ def test_reads_may_be_sent_again_and_orders_may_not() -> None:
 @pytest.mark.parametrize("mode", [1, 2, 3])
 def test_a_long_reply_takes_the_time_of_its_bytes_on_the_line(mode: int) -> None:
     baud = {1: 9600, 2: 19200, 3: 38400}[mode]
-    mine = playpens.load("stripes")
+    mine = Playpen.load("stripes")
     robots = (mine.robots[0].model_copy(update={"mode": mode}),)
     twin = open_twin(mine.model_copy(update={"robots": robots}), TwinOptions(noise=False))
     with Khepera(Serial.of(twin, timeout=1), baudrate=baud) as robot:

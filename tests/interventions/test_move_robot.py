@@ -11,7 +11,7 @@ from khep_twin.host import Khepera
 from khep_twin.interventions.move_robot import as_it_stands, put
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import repeat
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 from khep_twin.log.recorded import read_recorded
 from khep_twin.playpen import Playpen, parse
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -93,5 +93,5 @@ def test_a_log_repeats_where_a_robot_was_put(tmp_path: Path) -> None:
                 braitenberg(robot)
             robot.sleep(0.2)
     assert repeat(read_recorded(tmp_path / "run.mcap")) is None
-    texts = [line.text for line in read(tmp_path / "run.mcap").events]
+    texts = [line.text for line in read_log(tmp_path / "run.mcap").events]
     assert "put to (500, 100), 135 degrees" in texts

@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 from khep_twin import playpen as playpens
 from khep_twin.log.decoding import read_transforms
 from khep_twin.log.foxglove_scene import descriptors, scene_update
+from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from tools.foxglove_schema import published
@@ -86,14 +87,14 @@ def test_the_definition_is_the_published_one() -> None:
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_what_is_written_is_what_protobuf_itself_would_write(name: str) -> None:
-    model = to_spec(playpens.load(name)).compile()
+    model = to_spec(Playpen.load(name)).compile()
     data = scene_update(model)
     read = SceneUpdate.FromString(data)
     read.DiscardUnknownFields()
     assert read.SerializeToString(deterministic=True) == data
     names = [each.id for each in read.entities]
     assert len(set(names)) == len(names)
-    assert scene_update(to_spec(playpens.load(name)).compile()) == data
+    assert scene_update(to_spec(Playpen.load(name)).compile()) == data
 
 
 def test_every_entity_holds_for_ever_and_follows_its_frame(scene: SceneUpdate) -> None:

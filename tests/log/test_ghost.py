@@ -13,20 +13,20 @@ import rerun as rr
 from rerun.chunk import Chunk, RrdReader
 from shadow_updates import MS, updates
 
-from khep_twin import playpen as playpens
 from khep_twin.log.reader import read_label, read_series
 from khep_twin.log.shadow_channels import read_shadow
 from khep_twin.log.tail import GrowingLog
 from khep_twin.log.viewer.ghost import Ghost
 from khep_twin.log.viewer.live import follow
 from khep_twin.log.viewer.replay import view
+from khep_twin.playpen import Playpen
 from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.shadow.shadow_log import ShadowLog
 from khep_twin.shadow.shadow_viewer import ShadowViewer
 
 
 def written(path: Path, parent: Path | None = None) -> Path:
-    log = ShadowLog(path, playpens.load("obstacles"), ShadowSettings(), parent=parent)
+    log = ShadowLog(path, Playpen.load("obstacles"), ShadowSettings(), parent=parent)
     for update in updates():
         log.write(update)
     log.close()
@@ -89,7 +89,7 @@ def test_a_ray_ends_where_a_facing_wall_would_give_the_reading(tmp_path: Path) -
 
 def test_a_shadow_is_shown_while_it_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "shadow.mcap"
-    log = ShadowLog(path, playpens.load("obstacles"), ShadowSettings(), flush_ns=500 * MS)
+    log = ShadowLog(path, Playpen.load("obstacles"), ShadowSettings(), flush_ns=500 * MS)
     with GrowingLog(path) as growing:
         for update in updates():
             log.write(update)
@@ -109,7 +109,7 @@ def test_a_viewer_that_cannot_open_is_told_and_leaves_nothing(
     monkeypatch.setattr("tempfile.tempdir", None)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with ShadowViewer(playpens.load("obstacles"), ShadowSettings()) as viewer:
+    with ShadowViewer(Playpen.load("obstacles"), ShadowSettings()) as viewer:
         for update in updates():
             viewer.show(update)
         viewer.wait(lambda: False)
@@ -119,7 +119,7 @@ def test_a_viewer_that_cannot_open_is_told_and_leaves_nothing(
 
 def test_a_viewer_of_a_log_that_is_written_anyway_writes_none(tmp_path: Path) -> None:
     path = written(tmp_path / "shadow.mcap")
-    with ShadowViewer(playpens.load("obstacles"), ShadowSettings(), path) as viewer:
+    with ShadowViewer(Playpen.load("obstacles"), ShadowSettings(), path) as viewer:
         for update in updates():
             viewer.show(update)
     assert len(read_shadow(path).times_ns) == 61

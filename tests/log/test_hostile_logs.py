@@ -33,7 +33,7 @@ from khep_twin.log.channels import (
 )
 from khep_twin.log.decoding import read_line
 from khep_twin.log.host_events import events_message
-from khep_twin.log.reader import Recording, read, read_arrays, read_end_ns, read_label, read_series
+from khep_twin.log.reader import Recording, read_arrays, read_end_ns, read_label, read_log, read_series
 from khep_twin.log.recorded import read_recorded
 from khep_twin.log.recover import recover as rescue
 from khep_twin.log.viewer.replay import view
@@ -139,7 +139,7 @@ def test_messages_of_a_wrong_shape_are_refused_with_their_position(
     small: Path, tmp_path: Path, topic: str
 ) -> None:
     path = rewritten(small, tmp_path / "x.mcap", instead(topic, MESSAGES[topic]))
-    use = again if topic in ("/khepera0/host_events", "/state") else read
+    use = again if topic in ("/khepera0/host_events", "/state") else read_log
     if topic == "/events":
         with open_twin("obstacles", TwinOptions(log=str(tmp_path / "event.mcap"))) as twin:
             twin.world.log_event(0, "taken away")
@@ -149,7 +149,7 @@ def test_messages_of_a_wrong_shape_are_refused_with_their_position(
     assert "; expected " in line
 
 
-@pytest.mark.parametrize("use", [read, read_series, read_recorded, read_arrays])
+@pytest.mark.parametrize("use", [read_log, read_series, read_recorded, read_arrays])
 @pytest.mark.parametrize("data", [b"", b"\0", CDR_HEADER, bytes(3), b"\xff" * 40, CDR_HEADER + b"\xff" * 40])
 def test_empty_and_foreign_messages_everywhere_are_one_line(
     small: Path, tmp_path: Path, use: Callable[[Path], object], data: bytes
@@ -171,7 +171,7 @@ NAMES = {
 @pytest.mark.parametrize("names", NAMES)
 def test_robots_that_are_not_there_are_refused(small: Path, tmp_path: Path, names: str) -> None:
     path = rewritten(small, tmp_path / "x.mcap", facts={"robots": names})
-    for use in (read, read_series):
+    for use in (read_log, read_series):
         assert re.search(NAMES[names], told(use, path))
     assert "robots = " in told(again, path)
 
@@ -276,7 +276,7 @@ def test_a_host_that_set_its_line_is_still_believed(small: Path, tmp_path: Path)
 
 def test_times_beyond_all_bounds_are_one_line(small: Path, tmp_path: Path) -> None:
     late = rewritten(small, tmp_path / "late.mcap", time=lambda topic, time_ns: 2**64 - 1)
-    for use in (read, read_series, read_recorded, read_arrays, read_end_ns):
+    for use in (read_log, read_series, read_recorded, read_arrays, read_end_ns):
         assert "expected at most" in told(use, late)
     line = line_message(TextLine(2**31 * SECOND - SECOND, Level.INFO, "host", "N"))
     path = rewritten(small, tmp_path / "line.mcap", instead("/khepera0/serial", line))
@@ -351,7 +351,7 @@ def test_a_view_of_types_that_no_viewer_can_read_is_one_line(small: Path, tmp_pa
 def test_types_with_names_of_zero_bytes_are_refused(small: Path, tmp_path: Path) -> None:
     path = with_schemas(small, tmp_path / "x.mcap", b"rcl_interfaces", b"\0cl_interfaces")
     assert "printable names" in told(lambda path: view([path], tmp_path / "x.rrd"), path)
-    assert read(rescue(path).path).robots
+    assert read_log(rescue(path).path).robots
 
 
 def test_what_is_not_attached_is_one_line_or_not_needed(small: Path, tmp_path: Path) -> None:
@@ -428,5 +428,5 @@ def test_topics_of_any_form_are_read_over(small: Path, tmp_path: Path, topic: st
     path = rewritten(
         small, tmp_path / "x.mcap", rename=lambda each: topic if each == "/khepera0/leds" else each
     )
-    for use in (read, read_series, read_recorded, read_arrays):
+    for use in (read_log, read_series, read_recorded, read_arrays):
         use(path)

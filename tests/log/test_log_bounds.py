@@ -17,7 +17,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from checks.fuzz.log_mutations import HEAD, Record, bytes_of, put_together, taken_apart, with_packed
 from khep_twin.errors import LogError
-from khep_twin.log.reader import read, read_end_ns, read_label, read_series
+from khep_twin.log.reader import read_end_ns, read_label, read_log, read_series
 from khep_twin.log.record_bytes import LARGEST_CHUNK
 from khep_twin.log.recover import recover
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -29,7 +29,7 @@ CHILD = f"""
 import resource, sys
 from pathlib import Path
 from khep_twin.errors import LogError
-from khep_twin.log.reader import read, read_label, read_series
+from khep_twin.log.reader import read_log, read_label, read_series
 from khep_twin.log.recover import recover
 pages = int(Path("/proc/self/statm").read_text().split()[0])
 limit = pages * resource.getpagesize() + {SPARE}
@@ -74,7 +74,7 @@ def said(path: Path) -> list[str]:
 def test_a_log_put_together_again_is_the_log(parts: list[Record], tmp_path: Path) -> None:
     path = tmp_path / "again.mcap"
     path.write_bytes(put_together(parts))
-    assert len(read(path).robots["khepera0"].times_ns) == 6
+    assert len(read_log(path).robots["khepera0"].times_ns) == 6
     assert read_end_ns(path) == SECOND // 10
     assert said(path) == []
 
@@ -101,7 +101,7 @@ def test_many_chunks_that_unpack_to_much_are_refused_in_time(parts: list[Record]
     path.write_bytes(put_together([*parts, *chunks]))
     began = time.process_time()
     with pytest.raises(LogError, match=r"chunks? .* expected"):
-        read(path)
+        read_log(path)
     assert time.process_time() - began < 20
 
 
@@ -154,7 +154,7 @@ def test_an_index_that_names_records_across_each_other_is_refused(
     path = tmp_path / "across.mcap"
     path.write_bytes(index(put_together(parts), longer))
     with pytest.raises(LogError, match=r"no whole log: record .* expected"):
-        read(path)
+        read_log(path)
 
 
 @pytest.mark.parametrize("size", [2**20, 2**31, 2**62, 2**64 - 1])
@@ -168,7 +168,7 @@ def test_lengths_of_records_are_not_believed(parts: list[Record], tmp_path: Path
         path = tmp_path / f"{place}.mcap"
         path.write_bytes(data[: place + 1] + struct.pack("<Q", size) + data[place + 9 :])
         with pytest.raises(LogError, match=r"no whole log: .* expected"):
-            read(path)
+            read_log(path)
 
 
 def test_lengths_of_texts_and_counts_are_not_believed(parts: list[Record], tmp_path: Path) -> None:
@@ -193,4 +193,4 @@ def test_what_is_recovered_of_a_bomb_can_be_read(parts: list[Record], bomb: byte
     path.write_bytes(put_together(with_packed(parts, bomb, 1 << 31)))
     found = recover(path)
     assert found.damaged == 1
-    read(found.path)
+    read_log(found.path)

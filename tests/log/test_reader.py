@@ -17,7 +17,7 @@ from khep_twin.log.channels import ArrayFrame
 from khep_twin.log.content import Content
 from khep_twin.log.decoding import read_line
 from khep_twin.log.log_file import LogFile
-from khep_twin.log.reader import read, read_heads, read_label, read_raw, read_series, read_since
+from khep_twin.log.reader import read_heads, read_label, read_log, read_raw, read_series, read_since
 from khep_twin.log.recover import recover
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -25,7 +25,7 @@ SCAN_NS = 20_000_000
 
 
 def test_a_run_comes_back_as_arrays(log: Path) -> None:
-    track = read(log).robots["khepera0"]
+    track = read_log(log).robots["khepera0"]
     assert np.array_equal(track.times_ns, np.arange(101) * SCAN_NS)
     assert track.pose.shape == (101, 3)
     assert track.proximity.shape == track.ambient.shape == (101, 8)
@@ -43,7 +43,7 @@ def test_values_are_those_of_the_world(tmp_path: Path) -> None:
         twin.advance_to(500_000_000)
         end = (*robot.pose, robot.registers[PROXIMITY].tolist(), robot.registers[AMBIENT].tolist())
         registers = robot.registers.copy()
-    track = read(path).robots["khepera0"]
+    track = read_log(path).robots["khepera0"]
     for row, (x, y, heading, proximity, ambient) in ((0, start), (-1, end)):
         assert track.pose[row] == pytest.approx([x, y, heading], abs=1e-8)  # the robot leans by 1e-5
         assert track.proximity[row].tolist() == proximity
@@ -53,7 +53,7 @@ def test_values_are_those_of_the_world(tmp_path: Path) -> None:
 
 
 def test_each_channel_comes_back_at_its_own_times(log: Path) -> None:
-    run, recording = read(log), read_series(log)
+    run, recording = read_log(log), read_series(log)
     track, series = run.robots["khepera0"], recording.series
     for name in ("pose", "proximity", "ambient", "speed", "duty", "registers"):
         found = series[f"/khepera0/{name}"]
@@ -65,7 +65,7 @@ def test_each_channel_comes_back_at_its_own_times(log: Path) -> None:
 
 
 def test_the_transcript_has_both_sides_at_the_time_of_their_last_byte(log: Path) -> None:
-    lines = read(log).robots["khepera0"].serial
+    lines = read_log(log).robots["khepera0"].serial
     assert [line.text for line in lines[:3]] == ["D,8,5", "d", "N"]
     assert [line.name for line in lines[:3]] == ["host", "robot", "host"]
     # Six bytes of eleven bits at 9600 baud, then the three of "d\r\n" or its first two.
@@ -93,7 +93,7 @@ def test_a_late_reply_alone_in_a_chunk_keeps_its_place(tmp_path: Path) -> None:
 
 
 def test_events_carry_who_and_when(log: Path) -> None:
-    (event,) = read(log).events
+    (event,) = read_log(log).events
     assert (event.time_ns, event.name, event.text) == (2_000_000_000, "khepera0", "taken away")
 
 
@@ -113,7 +113,7 @@ def test_what_is_no_log_is_one_line(tmp_path: Path, content: bytes) -> None:
     with pytest.raises(
         LogError, match=r"x\.mcap: no whole log: no MCAP file; expected one that begins and ends as such$"
     ):
-        read(path)
+        read_log(path)
 
 
 def test_a_foreign_mcap_file_is_distinguished(tmp_path: Path) -> None:
@@ -122,20 +122,20 @@ def test_a_foreign_mcap_file_is_distinguished(tmp_path: Path) -> None:
     writer.start()
     writer.finish()
     with pytest.raises(LogError, match=r"foreign\.mcap: an MCAP file, but no log of khep_twin"):
-        read(path)
+        read_log(path)
 
 
 def test_a_missing_log_and_a_directory_are_one_line(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"none\.mcap: cannot be read: No such file"):
-        read(tmp_path / "none.mcap")
+        read_log(tmp_path / "none.mcap")
     with pytest.raises(LogError, match="cannot be read: Is a directory"):
-        read(tmp_path)
+        read_log(tmp_path)
 
 
 def reading(path: Path) -> str | None:
     """What is wrong with a log, None if nothing is."""
     try:
-        read(path)
+        read_log(path)
         read_series(path)
     except LogError as error:
         return str(error)
@@ -157,7 +157,10 @@ def test_a_log_packed_with_lz4_is_read_and_recovered(log: Path, tmp_path: Path) 
     (tmp_path / "torn.mcap").write_bytes(copy.read_bytes()[:-9])
     found = recover(tmp_path / "torn.mcap")
     assert found.messages == recover(copy).messages > 300
-    assert read(found.path).robots["khepera0"].pose.tolist() == read(log).robots["khepera0"].pose.tolist()
+    assert (
+        read_log(found.path).robots["khepera0"].pose.tolist()
+        == read_log(log).robots["khepera0"].pose.tolist()
+    )
 
 
 def test_channels_of_others_may_have_names_like_a_robots(log: Path, tmp_path: Path) -> None:
@@ -170,7 +173,7 @@ def test_channels_of_others_may_have_names_like_a_robots(log: Path, tmp_path: Pa
             "khepera0/serial", "gps/serial"
         ),
     )
-    assert len(read(copy).robots["khepera0"].speed) == len(read(log).robots["khepera0"].speed)
+    assert len(read_log(copy).robots["khepera0"].speed) == len(read_log(log).robots["khepera0"].speed)
     assert read_series(copy).series["/lidar/speed"].values[0] == 1.5
 
 

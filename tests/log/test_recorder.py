@@ -23,8 +23,9 @@ from khep_twin import playpen
 from khep_twin.errors import LogError
 from khep_twin.interventions.switching import set_lamps, switch
 from khep_twin.log.decoding import read_array
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 from khep_twin.log.recorder import Recorder
+from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from khep_twin.world import SAMPLE_NS, World
 
@@ -54,7 +55,7 @@ def test_the_same_run_gives_the_same_bytes_under_any_name(tmp_path: Path, start:
 
 @pytest.mark.parametrize("line", range(12))
 def test_a_log_can_be_completed_by_another_thread_at_any_line_of_a_sample(line: int, tmp_path: Path) -> None:
-    world = World(playpen.load("two-lamps"))
+    world = World(Playpen.load("two-lamps"))
     recorder = Recorder(tmp_path / "run.mcap", world, {})
     switch(world, 0, on=False)
     for _ in range(3):
@@ -77,11 +78,11 @@ def test_a_log_can_be_completed_by_another_thread_at_any_line_of_a_sample(line: 
     finally:
         sys.settrace(None)
     recorder.close()
-    assert len(read(tmp_path / "run.mcap").robots["khepera0"].times_ns) in (3, 4)
+    assert len(read_log(tmp_path / "run.mcap").robots["khepera0"].times_ns) in (3, 4)
 
 
 def test_lamps_that_change_are_recorded_and_others_are_not(tmp_path: Path) -> None:
-    text = playpen.dump(playpen.load("two-lamps"))
+    text = playpen.dump(Playpen.load("two-lamps"))
     for name, mode in (("turns", "sequenced"), ("still", "all")):
         lit = playpen.parse(text.replace('mode = "all"', f'mode = "{mode}"'), name)
         with open_twin(lit, TwinOptions(log=str(tmp_path / f"{name}.mcap"))) as twin:
@@ -96,7 +97,7 @@ def test_lamps_that_change_are_recorded_and_others_are_not(tmp_path: Path) -> No
     assert powers[0] == (7, 0)
     assert len(powers) == 201
     assert powers[-1] == (0, 2)
-    assert [event.text for event in read(tmp_path / "turns.mcap").events] == ["in-the-open is on"]
+    assert [event.text for event in read_log(tmp_path / "turns.mcap").events] == ["in-the-open is on"]
     with (tmp_path / "still.mcap").open("rb") as file:
         assert not list(make_reader(file).iter_messages(["/lamps"]))
 
@@ -135,7 +136,7 @@ def test_what_describes_the_run_comes_before_its_first_message(log: Path) -> Non
 
 
 def test_the_attached_scene_compiles_to_the_recorded_one(log: Path) -> None:
-    model = mujoco.MjModel.from_xml_string(read(log).attachments["scene.xml"])
+    model = mujoco.MjModel.from_xml_string(read_log(log).attachments["scene.xml"])
     assert model.body("khepera0/base").id > 0
 
 
@@ -171,7 +172,7 @@ def test_lines_are_whole_however_their_bytes_arrive(tmp_path: Path, start: Start
         for time_ns, data in ((1, b"D,"), (2, b"5,"), (3, b"5\r"), (4, b"\nN\nO"), (5, b"\n\n")):
             twin.recorder.on_bytes(time_ns, 0, True, data)
         twin.recorder.on_bytes(6, 0, True, b"E")
-    lines = read(tmp_path / "run.mcap").robots["khepera0"].serial
+    lines = read_log(tmp_path / "run.mcap").robots["khepera0"].serial
     assert [(line.time_ns, line.text) for line in lines] == [(0, "E"), (3, "D,5,5"), (4, "N"), (5, "O")]
 
 
@@ -180,7 +181,7 @@ def test_noise_on_the_line_is_written_as_escapes(tmp_path: Path, start: Start) -
         assert twin.recorder is not None
         twin.recorder.on_bytes(1, 0, True, b"N\x00\xff\x1b\\\n")
         twin.recorder.on_bytes(2, 0, True, b"\xaa" * 5000)
-    first, *others = read(tmp_path / "run.mcap").robots["khepera0"].serial
+    first, *others = read_log(tmp_path / "run.mcap").robots["khepera0"].serial
     assert first.time_ns in (0, 1)
     assert r"N\x00\xff\x1b\\" in {first.text, *(line.text for line in others)}
 
@@ -193,7 +194,7 @@ def test_a_run_ended_by_an_error_is_a_whole_log(tmp_path: Path, start: Start) ->
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
-    assert len(read(tmp_path / "run.mcap").robots["khepera0"].times_ns) == 101
+    assert len(read_log(tmp_path / "run.mcap").robots["khepera0"].times_ns) == 101
     assert os.listdir(tmp_path) == ["run.mcap"]
 
 
@@ -226,7 +227,7 @@ def test_ctrl_c_in_the_middle_of_a_write_waits_for_its_end(
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)
-    assert [event.text for event in read(tmp_path / "run.mcap").events] == ["halfway"]
+    assert [event.text for event in read_log(tmp_path / "run.mcap").events] == ["halfway"]
 
 
 def test_a_finished_log_is_replaced_only_by_a_finished_one(tmp_path: Path, start: Start) -> None:
@@ -235,7 +236,7 @@ def test_a_finished_log_is_replaced_only_by_a_finished_one(tmp_path: Path, start
     with start(path) as twin:
         drive(twin)
         assert path.read_bytes() == MCAP0_MAGIC + b"an older log"
-    assert len(read(path).events) == 0
+    assert len(read_log(path).events) == 0
 
 
 @pytest.mark.parametrize("kind", ["source", "pipe", "directory"])
@@ -263,7 +264,7 @@ def test_what_a_crash_left_behind_is_kept(tmp_path: Path, start: Start) -> None:
         assert twin.recorder.kept == tmp_path / "run.mcap.part.2"
     assert (tmp_path / "run.mcap.part.1").read_text() == "crashed before"
     assert (tmp_path / "run.mcap.part.2").read_bytes() == MCAP0_MAGIC + b"crashed"
-    read(path)
+    read_log(path)
 
 
 def test_a_log_that_another_run_is_writing_is_left_alone(tmp_path: Path, start: Start) -> None:
@@ -272,7 +273,7 @@ def test_a_log_that_another_run_is_writing_is_left_alone(tmp_path: Path, start: 
         with pytest.raises(LogError, match=r"run\.mcap\.part: another run is writing it"):
             start(path)
         drive(twin)
-    assert len(read(path).robots["khepera0"].times_ns) == 101
+    assert len(read_log(path).robots["khepera0"].times_ns) == 101
 
 
 def test_places_where_no_log_can_be_are_one_line_before_anything_is_written(tmp_path: Path) -> None:
@@ -408,7 +409,7 @@ def test_several_robots_and_movable_objects_are_all_recorded(tmp_path: Path) -> 
     with open_twin(playpen.parse(crowd, "crowd"), TwinOptions(robot=1, log=str(path))) as twin:
         twin.robot.send(b"D,5,5\n")
         twin.advance_to(SECOND)
-    run = read(path)
+    run = read_log(path)
     assert list(run.robots) == ["khepera0", "khepera1"]
     still, driven = run.robots["khepera0"].pose, run.robots["khepera1"].pose
     assert np.ptp(still[:, 0]) < 0.001 < 0.02 < np.ptp(driven[:, 0])

@@ -23,7 +23,7 @@ from khep_twin.errors import LogError
 from khep_twin.log.channels import CDR_HEADER
 from khep_twin.log.mcap_recovery import WholeRecords
 from khep_twin.log.part_file import PartFile
-from khep_twin.log.reader import read, read_series
+from khep_twin.log.reader import read_log, read_series
 from khep_twin.log.recover import Recovery, recover, summary
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -78,8 +78,8 @@ def test_a_finished_log_is_copied_message_by_message(tmp_path: Path, long_log: P
     assert [(topic, each.log_time, each.data) for topic, each in before] == [
         (topic, each.log_time, each.data) for topic, each in after
     ]
-    assert read(found.path).attachments == read(path).attachments
-    assert read(found.path).metadata == read(path).metadata
+    assert read_log(found.path).attachments == read_log(path).attachments
+    assert read_log(found.path).metadata == read_log(path).metadata
     assert recover(path).path == tmp_path / "run.recovered.2.mcap"
 
 
@@ -103,7 +103,7 @@ def test_more_bytes_never_give_fewer_messages(tmp_path: Path, long_log: Path) ->
         kept = contents(found.path)
         assert {(topic, each.log_time, each.data) for topic, each in kept} <= known
         if found.messages:
-            run = read(found.path)
+            run = read_log(found.path)
             assert list(run.attachments) == ATTACHMENTS
             assert run.metadata["playpen"] == "obstacles"
     assert opened > 40
@@ -147,7 +147,7 @@ def test_a_damaged_attachment_does_not_pass_for_a_good_one(tmp_path: Path, long_
     found = rescued(tmp_path, data[:place] + b"0bstacles" + data[place + 9 :])
     assert found is not None
     assert found.damaged == 1
-    assert list(read(found.path).attachments) == ["damaged/playpen.toml", *ATTACHMENTS[1:]]
+    assert list(read_log(found.path).attachments) == ["damaged/playpen.toml", *ATTACHMENTS[1:]]
 
 
 def test_messages_outside_of_chunks_are_kept(tmp_path: Path) -> None:
@@ -237,7 +237,7 @@ def test_a_killed_run_is_rescued_and_the_next_one_says_how(tmp_path: Path) -> No
     assert remedy[1] == f"{log}.part.1"
     done = khep_twin("recover", remedy[1])
     assert (done.returncode, done.stderr) == (0, "")
-    run = read(tmp_path / "run.recovered.mcap")
+    run = read_log(tmp_path / "run.recovered.mcap")
     assert list(run.attachments) == [*ATTACHMENTS, "controller/controllers.py"]
     # In lock-step what was written up to every fifth simulated second is there.
     assert run.robots["khepera0"].times_ns[-1] >= 4 * SECOND
@@ -267,13 +267,13 @@ def test_what_reads_no_log_is_left_out_and_said(tmp_path: Path, long_log: Path) 
 
     path = rewritten(long_log, tmp_path / "wrong.mcap", change)
     with pytest.raises(LogError, match=r"/khepera0/proximity at 1\.0000 s"):
-        read(path)
+        read_log(path)
     found = recover(path)
     assert (found.refused, found.damaged, found.whole) == (1, 0, False)
     assert "1 left out" in summary(path, found)
     assert (
-        len(read(found.path).robots["khepera0"].proximity)
-        == len(read(long_log).robots["khepera0"].proximity) - 1
+        len(read_log(found.path).robots["khepera0"].proximity)
+        == len(read_log(long_log).robots["khepera0"].proximity) - 1
     )
 
 
@@ -288,7 +288,7 @@ def test_what_is_rescued_of_random_damage_can_be_read(tmp_path: Path, long_log: 
         if (found := rescued(tmp_path, bytes(damaged))) is None:
             continue
         try:
-            read(found.path)
+            read_log(found.path)
             read_series(found.path)
             opened += 1
         except LogError as error:

@@ -140,20 +140,20 @@ def test_the_shipped_playpens_are_listed() -> None:
 
 @pytest.mark.parametrize("name", playpens.names())
 def test_a_shipped_playpen_bears_its_file_s_name_and_has_robots(name: str) -> None:
-    playpen = playpens.load(name)
+    playpen = Playpen.load(name)
     assert playpen.name == name
     assert len(playpen.robots) == (20 if name == "swarm" else 1)
 
 
 def test_the_default_is_four_walls_and_one_robot_in_the_middle() -> None:
-    playpen = playpens.load("default")
+    playpen = Playpen.load("default")
     assert (playpen.arena.width_mm, playpen.arena.height_mm) == (600, 500)
     assert (playpen.robots[0].x_mm, playpen.robots[0].y_mm, playpen.robots[0].heading_deg) == (300, 250, 90)
     assert (playpen.blocks, playpen.cylinders, playpen.lamps) == ((), (), ())
 
 
 def test_no_lane_between_the_obstacles_is_narrower_than_90_mm() -> None:
-    playpen = playpens.load("obstacles")
+    playpen = Playpen.load("obstacles")
     inner = [block for block in playpen.blocks if not (block.name or "").startswith("corner")]
     things = [item.footprint for item in (*inner, *playpen.cylinders)]
     # A disc as wide as a lane, anywhere in the arena, meets at most one thing or wall.
@@ -536,13 +536,13 @@ def test_a_robot_may_start_below_a_lamp_that_hangs_high() -> None:
 def test_a_playpen_loads_by_path(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(HEAD + ARENA)
-    assert playpens.load(file) == playpens.load(str(file)) == parse()
+    assert Playpen.load(file) == Playpen.load(str(file)) == parse()
 
 
 def test_a_missing_file_is_reported_with_what_ships(tmp_path: Path) -> None:
     choices = r"did you mean 'default'\? \(choices: deceptive-maze, default,"
     with pytest.raises(PlaypenError, match=rf"^defualt: no such file; .*{choices}"):
-        playpens.load("defualt")
+        Playpen.load("defualt")
 
 
 @pytest.mark.parametrize(
@@ -556,15 +556,15 @@ def test_what_is_no_text_of_a_sensible_size_is_refused(tmp_path: Path, content: 
     file = tmp_path / "bad.toml"
     file.write_bytes(content)
     with pytest.raises(PlaypenError) as caught:
-        playpens.load(file)
+        Playpen.load(file)
     assert str(caught.value) == f"{file}: {line}"
 
 
 def test_a_folder_and_an_impossible_path_are_refused(tmp_path: Path) -> None:
     with pytest.raises(PlaypenError, match="cannot be read: Is a directory"):
-        playpens.load(tmp_path)
+        Playpen.load(tmp_path)
     with pytest.raises(PlaypenError, match="cannot be read"):
-        playpens.load("a\0b")
+        Playpen.load("a\0b")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read every file")
@@ -572,7 +572,7 @@ def test_an_unreadable_file_is_refused(tmp_path: Path) -> None:
     locked = tmp_path / "locked.toml"
     locked.touch(mode=0)
     with pytest.raises(PlaypenError, match="cannot be read: Permission denied"):
-        playpens.load(locked)
+        Playpen.load(locked)
 
 
 # There and back ------------------------------------------------------------------------------------------
@@ -580,7 +580,7 @@ def test_an_unreadable_file_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", playpens.names())
 def test_a_shipped_playpen_survives_its_dump(name: str) -> None:
-    playpen = playpens.load(name)
+    playpen = Playpen.load(name)
     text = playpens.dump(playpen)
     assert playpens.parse(text, "dump") == playpen
     assert playpens.dump(playpens.parse(text, "dump")) == text

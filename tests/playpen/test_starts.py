@@ -5,10 +5,11 @@ import pytest
 
 from khep_twin import playpen
 from khep_twin.lab.experiment.start_poses import starts
+from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import anywhere, at_spots, at_start, free_pose, no_room, starts_rng
 from khep_twin.world import World
 
-ARENA = playpen.load("obstacles")
+ARENA = Playpen.load("obstacles")
 
 
 def test_runs_and_trials_draw_the_same_pose_by_the_same_seed() -> None:
@@ -41,7 +42,7 @@ def test_a_full_floor_has_no_free_pose() -> None:
 def test_a_world_takes_the_spot_that_the_seed_draws() -> None:
     spots = [playpen.Spot(name=f"s{x}", x_mm=x, y_mm=250, heading_deg=0) for x in (100, 300, 500)]
     robot = ARENA.robots[0].model_copy(update={"spots": tuple(spot.name for spot in spots)})
-    scene = playpen.load("default").model_copy(update={"spots": tuple(spots), "robots": (robot,)})
+    scene = Playpen.load("default").model_copy(update={"spots": tuple(spots), "robots": (robot,)})
     for seed in range(3):
         entry = at_spots(scene, seed).robots[0]
         assert World(scene, seed=seed, noise=False).robots[0].pose[0] == pytest.approx(

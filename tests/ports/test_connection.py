@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from khep_twin import playpen
 from khep_twin.board.uart import QUEUE_LIMIT, LineSettings
 from khep_twin.clock import NEVER_NS
+from khep_twin.playpen import Playpen
 from khep_twin.ports import serve as serving
 from khep_twin.ports.connection import Connection
 from khep_twin.ports.host_port import NOTHING, Received
@@ -104,7 +104,7 @@ def test_a_host_that_has_not_woken_the_loop_is_looked_after_regularly_alone(
     look_ns: int, answered: list[bytes], cable: Cable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serving, "LOOK_NS", look_ns)
-    scene = playpen.load("swarm")
+    scene = Playpen.load("swarm")
     scene = scene.model_copy(update={"robots": scene.robots[:2]})
     twin = open_twin(scene, TwinOptions(robot=None))
     reader, writer = os.pipe()

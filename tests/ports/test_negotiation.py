@@ -11,7 +11,7 @@ from served_twin import served, stop
 from checks.fuzz.libfuzzer import run_libfuzzer
 from checks.fuzz.rfc2217 import BEGIN, END, ODD, WELL_FORMED, check, seeds
 from khep_twin.board.uart import LineSettings
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 from khep_twin.ports.negotiation import HIGHEST_BAUD, LONGEST, LOWEST_BAUD, Negotiator
 
 SHARE = 2_000
@@ -149,7 +149,7 @@ def test_no_negotiation_ends_a_server_or_its_log(tmp_path: Path) -> None:
             assert all_of(host) == GREETING + answers + b"b,5.02,5.01\r\n"
         code, errors = stop(process)
     assert code == 0
-    told = [line.text for line in read(log).events if "cut off" in line.text]
+    told = [line.text for line in read_log(log).events if "cut off" in line.text]
     assert len(told) == len(TOO_SHORT)
     for wrong, line in zip(TOO_SHORT, told, strict=True):
         assert line.startswith(

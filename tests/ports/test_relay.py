@@ -17,7 +17,7 @@ import serial
 from served_twin import served, stop
 
 from checks.pyserial_suite import plug
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 from khep_twin.log.viewer.replay import view
 from khep_twin.ports import idle_polls
 from khep_twin.ports import relay as relaying
@@ -41,7 +41,7 @@ def test_both_directions_are_passed_on_and_logged_as_a_twins_are(tmp_path: Path)
     assert code == 0
     assert "s served" in errors
     assert replies[0] == b"b,5.02,5.01\r\n"
-    run = read(log)
+    run = read_log(log)
     assert run.metadata["relay"] == robot
     track = run.robots["khepera0"]
     said = [(line.name, line.text.encode()) for line in track.serial]
@@ -75,7 +75,7 @@ def test_the_line_follows_the_speed_that_the_host_sets(tmp_path: Path) -> None:
             assert port.readline() == b"b,5.02,5.01\r\n"
         _, errors = stop(process)
     assert "the line is at 38400 baud with 2 stop bits" in errors
-    assert ["38400" in line.text for line in read(log).events] == [True]
+    assert ["38400" in line.text for line in read_log(log).events] == [True]
 
 
 def test_a_host_that_left_leaves_nothing_to_the_next() -> None:
@@ -205,7 +205,7 @@ def test_a_robot_that_goes_is_reported_and_the_log_is_whole(tmp_path: Path) -> N
     begun, failed = errors.splitlines()
     assert begun.startswith(f"khep-twin: serving a robot at {robot}; ")
     assert failed.startswith(f"khep-twin: {robot}: the robot's port failed")
-    assert [line.text for line in read(log).robots["khepera0"].serial] == ["B", "b,5.02,5.01"]
+    assert [line.text for line in read_log(log).robots["khepera0"].serial] == ["B", "b,5.02,5.01"]
 
 
 def test_noise_from_the_robot_is_logged_and_harms_nothing(tmp_path: Path) -> None:
@@ -216,7 +216,7 @@ def test_noise_from_the_robot_is_logged_and_harms_nothing(tmp_path: Path) -> Non
             port.write(sent)
             assert port.read(len(sent)) == sent
         assert stop(process)[0] == 0
-    track = read(log).robots["khepera0"]
+    track = read_log(log).robots["khepera0"]
     assert track.proximity.tolist() == [[1, 2, 3, 4, 5, 6, 7, 8]]
     assert {line.text for line in track.serial} >= {"n,1,2", "\\xff\\xfe", "D,1", ","}
 
@@ -229,7 +229,7 @@ def test_it_ends_at_once_and_removes_its_link(tmp_path: Path, how: signal.Signal
         assert stop(process, how)[0] == 0
         assert time.monotonic() - start < 10  # it waits for no host
     assert not link.is_symlink()
-    assert read(log).robots["khepera0"].serial == []
+    assert read_log(log).robots["khepera0"].serial == []
 
 
 def test_a_host_that_leaves_amid_a_reply_of_several_lines_leaves_none_to_the_next() -> None:

@@ -22,7 +22,8 @@ from khep_twin import playpen
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
 from khep_twin.invocation import command
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
+from khep_twin.playpen import Playpen
 
 PATIENCE = 20.0
 """Wait for what must come, on machines of any load [s]."""
@@ -207,7 +208,7 @@ def test_a_signal_finishes_the_log_and_removes_the_link(how: signal.Signals, tmp
     assert "s served" in ended
     assert where == f"log      {log}      look at it: {command('view', log)}"
     assert not os.path.lexists(link)
-    transcript = [line.text for line in read(log).robots["khepera0"].serial]
+    transcript = [line.text for line in read_log(log).robots["khepera0"].serial]
     assert transcript == ["B", "b,5.02,5.01"]
 
 
@@ -296,7 +297,7 @@ def test_a_link_in_the_current_directory_lies_where_it_says(
     if several:
         second = "[[robot]]\nx_mm = 100\ny_mm = 100\nheading_deg = 0\n"
         name = "two.toml"
-        Path(name).write_text(playpen.dump(playpen.load("default")) + second)
+        Path(name).write_text(playpen.dump(Playpen.load("default")) + second)
     with served(name, "--link", "./khepera") as (_, path):
         found = tmp_path / ("khepera0" if several else "khepera")
         assert path == str(found)

@@ -5,7 +5,7 @@ import pytest
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
-from khep_twin.playpen import load, parse
+from khep_twin.playpen import Playpen, parse
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, equipped, open_twin
 
@@ -54,7 +54,7 @@ def test_only_the_robot_on_the_line_changes() -> None:
 
 
 def test_a_larger_body_that_has_no_room_is_refused_with_what_is_in_its_way() -> None:
-    near = load("default")
+    near = Playpen.load("default")
     robots = (near.robots[0].model_copy(update={"x_mm": 30.0}),)
     with pytest.raises(PortError, match=r"with model = 'khepera2': robot 1 .* overlaps the left"):
         equipped(near.model_copy(update={"robots": robots}), TwinOptions(model="khepera2"))

@@ -9,7 +9,7 @@ import serial
 from forked import run
 from served_twin import served
 
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "01_braitenberg.py"
 CYCLES = 150
@@ -25,7 +25,7 @@ def test_an_unmodified_host_takes_the_time_of_its_bytes_and_twice_the_same(tmp_p
     logs = [tmp_path / "one.mcap", tmp_path / "two.mcap"]
     for log in logs:
         drive(log)
-    one, two = (read(log).robots["khepera0"] for log in logs)
+    one, two = (read_log(log).robots["khepera0"] for log in logs)
     assert one.serial == two.serial
     assert one.pose.tobytes() == two.pose.tobytes()
     assert len(one.serial) == 4 * CYCLES + 2
@@ -46,7 +46,7 @@ def test_time_stands_still_while_no_host_sends(tmp_path: Path) -> None:
         time.sleep(0.2)
         port.write(b"B\n")
         assert port.readline() == b"b,5.02,5.01\r\n"
-    times_ns = [line.time_ns for line in read(log).robots["khepera0"].serial]
+    times_ns = [line.time_ns for line in read_log(log).robots["khepera0"].serial]
     # Two bytes there and thirteen back, eleven bits each, twice.
     byte = 11 * 10**9 / 9600
     assert [round(time_ns / byte) for time_ns in times_ns] == [2, 15, 17, 30]

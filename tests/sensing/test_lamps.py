@@ -9,6 +9,7 @@ from notes import Notes
 
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
+from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.light import Bulb, Light, LightLaw
@@ -75,7 +76,7 @@ def test_all_lamps_that_flicker_have_one_phase_which_the_seed_draws() -> None:
 
 
 def test_the_mains_go_on_when_the_lamps_of_a_world_are_changed() -> None:
-    scene = playpen.load("two-lamps")
+    scene = Playpen.load("two-lamps")
     flickering = [each.model_copy(update={"flicker": 0.5}) for each in scene.lamps]
     world = World(scene, seed=3)
     world.set_lamps(flickering)

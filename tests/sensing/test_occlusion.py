@@ -8,6 +8,7 @@ import pytest
 
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
+from khep_twin.playpen import Playpen
 from khep_twin.sensing import light as lamp_light
 from khep_twin.sensing.ambient import light_of
 from khep_twin.sensing.mujoco_scene import points_of_a_bulb
@@ -44,7 +45,7 @@ def share_of_clear(text: str, n: int = 400) -> float:
 
 @pytest.mark.parametrize("name", ["default", "obstacles", "two-lamps", "light-seeking", "t-maze"])
 def test_where_a_line_is_clear_rays_reach_all_of_the_bulb(name: str) -> None:
-    text = playpen.dump(playpen.load(name))
+    text = playpen.dump(Playpen.load(name))
     if "[[lamp]]" not in text:
         text += "[[lamp]]\nx_mm = 100\ny_mm = 100\npower_w = 1\n"
     # The sign of the T-maze hangs right at a wall, which may hide it from anywhere.
@@ -75,7 +76,7 @@ def test_things_in_all_directions_and_sizes_are_seen() -> None:
     ],
 )
 def test_where_something_may_move_nothing_is_known(other: str) -> None:
-    text = playpen.dump(playpen.load("default")) + "[[lamp]]\nx_mm = 100\ny_mm = 100\npower_w = 1\n"
+    text = playpen.dump(Playpen.load("default")) + "[[lamp]]\nx_mm = 100\ny_mm = 100\npower_w = 1\n"
     assert share_of_clear(text, 50) == 1
     assert share_of_clear(text + other, 50) == 0
 
@@ -91,7 +92,7 @@ def test_where_something_may_move_nothing_is_known(other: str) -> None:
 def test_corners_of_the_gripper_beside_a_sensor_stop_light(
     channel: int, way: tuple[float, float, float]
 ) -> None:
-    world = World(playpen.load("gripper"), noise=False, compiled=False)
+    world = World(Playpen.load("gripper"), noise=False, compiled=False)
     world.advance_to(100_000_000)
     model, data = world.model, world.data
     scene, sensors = world.simulation.plain.scene, world.simulation.plain.robots[0].sensors

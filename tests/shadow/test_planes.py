@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from twins import AT_THE_CRATE, Pose, light_of, planes_at, readings, setup_of
 
-from khep_twin import playpen as playpens
 from khep_twin import shadow, units
 from khep_twin.episodes.controllers import ConstantSpeed
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.errors import MissingNumbaError
+from khep_twin.playpen import Playpen
 from khep_twin.shadow.hypotheses import things_of
 from khep_twin.shadow.planes import AWAY, Planes
 from khep_twin.shadow.wheel_commands import SPEED
@@ -178,7 +178,7 @@ def test_put_twins_are_at_rest_and_keep_their_counters() -> None:
 
 def test_what_no_twins_can_be_made_of_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="expected EpisodeSetup"):
-        Planes(EpisodeSetup(playpens.load("workshop")), 1)
+        Planes(EpisodeSetup(Playpen.load("workshop")), 1)
     monkeypatch.delattr(shadow, "compiled", raising=False)
     monkeypatch.setitem(sys.modules, "khep_twin.shadow.compiled", None)
     with pytest.raises(MissingNumbaError, match="numba is not installed"):

@@ -22,10 +22,11 @@ from khep_twin.log.shadow_channels import (
     Alarm,
     read_shadow,
 )
+from khep_twin.playpen import Playpen
 from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.shadow.shadow_log import ShadowLog
 
-PLAYPEN = playpens.load("workshop")
+PLAYPEN = Playpen.load("workshop")
 
 
 def written(path: Path, parent: Path | None = None) -> Path:

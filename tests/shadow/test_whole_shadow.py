@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from twins import EXACT, SECOND
 
-from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
+from khep_twin.playpen import Playpen
 from khep_twin.shadow.alarms import AlarmChange
 from khep_twin.shadow.following import Follower
 from khep_twin.shadow.learned import LEARNED, Learned, learned
@@ -78,7 +78,7 @@ def conversation(shadow: Shadow, *exchanges: tuple[int, bytes, bytes]) -> list[U
 def beside(**settings: object) -> Shadow:
     """The shadow of a robot in the workshop, 50 particles of a known start."""
     pytest.importorskip("numba", reason="numba is not installed")
-    return Shadow(playpens.load("workshop"), ShadowSettings(**{"particles": 50, **settings}))  # type: ignore
+    return Shadow(Playpen.load("workshop"), ShadowSettings(**{"particles": 50, **settings}))  # type: ignore
 
 
 def test_a_robot_is_followed_within_millimetres_and_better_than_by_dead_reckoning(followed: Followed) -> None:
@@ -157,7 +157,7 @@ def test_a_reply_that_comes_late_is_told() -> None:
 def test_commands_alone_move_dead_reckoning_and_the_twins_with_it() -> None:
     (update,) = conversation(beside(spread=EXACT), (0, b"D,5,5\n", b"d\r\n"), (2000, b"N\n", QUIET))
     x, y, heading = update.reckoned
-    start = playpens.load("workshop").robots[0]
+    start = Playpen.load("workshop").robots[0]
     off = x - start.x_mm / 1e3, y - start.y_mm / 1e3
     assert math.hypot(*off) == pytest.approx(0.08, abs=0.005)  # 2 s at 40 mm/s
     assert heading == pytest.approx(math.radians(start.heading_deg), abs=1e-3)
@@ -203,7 +203,7 @@ def test_an_unknown_start_is_looked_for_everywhere_and_replies_narrow_it() -> No
 
 def test_playpens_that_a_plane_does_not_have_are_refused() -> None:
     with pytest.raises(PlaypenError, match="expected none in the plane"):
-        Shadow(playpens.load("gripper"), ShadowSettings())
+        Shadow(Playpen.load("gripper"), ShadowSettings())
 
 
 def test_a_follower_steps_through_silence_and_tells_when_alarms_begin_and_end() -> None:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from khep_twin import playpen as playpens
 from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.playpen import Playpen
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import Planes
 from khep_twin.shadow.start import Spread, begun
@@ -31,7 +31,7 @@ EXACT = Spread(0, 0, 0, 0, 0, 0)
 def setup_of(name: str) -> EpisodeSetup:
     """A shipped playpen, prepared for the plane."""
     pytest.importorskip("numba", reason="numba is not installed")
-    return EpisodeSetup(playpens.load(name), planar=True)
+    return EpisodeSetup(Playpen.load(name), planar=True)
 
 
 def metric(pose: Pose) -> Pose:

@@ -5,13 +5,13 @@ import ctypes
 import mujoco
 import numpy as np
 
-from khep_twin import playpen
+from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.simulation import addresses
 
 
 def test_a_step_by_address_is_a_step() -> None:
-    model = to_spec(playpen.load("obstacles")).compile()
+    model = to_spec(Playpen.load("obstacles")).compile()
     by_module, by_address = mujoco.MjData(model), mujoco.MjData(model)
     step = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(addresses.function_address("mj_step"))
     for data in (by_module, by_address):

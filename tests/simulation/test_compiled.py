@@ -6,7 +6,6 @@ import pytest
 from notes import Events
 
 from checks.branches import LAMPS, ROBOTS, arena
-from khep_twin import playpen
 from khep_twin.board.fault_injection import parse
 from khep_twin.playpen import Playpen
 from khep_twin.world import World
@@ -45,10 +44,10 @@ CASES = {
     "another robot of the same make": (arena(), {"vary": True}),
     "no noise, no line": (arena(), {"noise": False, "unpaced": True}),
     "a lamp that blinks and fades": (arena(LAMPS), {}),
-    "lamps by turns": (playpen.load("two-lamps"), {}),
+    "lamps by turns": (Playpen.load("two-lamps"), {}),
     "three robots": (arena(ROBOTS), {}),
     "three other robots of the same make": (arena(ROBOTS), {"vary": True}),
-    "a gripper": (playpen.load("gripper"), {}),
+    "a gripper": (Playpen.load("gripper"), {}),
     "faults": (
         arena(ROBOTS),
         {"faults": [*map(parse, ("stuck:2@0.4", "dead:left@1.003", "brown-out@1.7", "garble:0.01"))]},

@@ -36,7 +36,7 @@ LEFT_OUT = {"meansize", "actuator_biasprm"}
 
 
 def two() -> Playpen:
-    return playpen.parse(playpen.dump(playpen.load("default")) + SECOND, "two")
+    return playpen.parse(playpen.dump(Playpen.load("default")) + SECOND, "two")
 
 
 def another(seed: int = 0) -> Calibration:
@@ -81,7 +81,7 @@ def same(one: mujoco.MjModel, other: mujoco.MjModel) -> bool:
 def test_a_fitted_scene_is_the_one_compiled_of_that_calibration_and_can_be_undone(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene = two() if name == "two" else playpen.load(name)
+    scene = two() if name == "two" else Playpen.load(name)
     model = SceneModel.of(scene).model
     before, drawn = copy.copy(model), another()
     robots = [RobotIndices.of(model, f"khepera{index}") for index in range(len(scene.robots))]
@@ -122,7 +122,7 @@ def test_a_restart_with_vary_is_a_new_world_with_vary() -> None:
 def test_an_episode_that_varies_leaves_the_shared_model_as_it_is(compiled: bool, planar: bool) -> None:
     if compiled:
         pytest.importorskip("numba")
-    setup = EpisodeSetup(playpen.load("default"), planar=planar)
+    setup = EpisodeSetup(Playpen.load("default"), planar=planar)
     before = copy.copy(setup.scene_model.model)
     episode = Episode(setup, compiled=compiled)
     ends: list[bytes] = []
@@ -139,7 +139,7 @@ def test_an_episode_that_varies_leaves_the_shared_model_as_it_is(compiled: bool,
 def test_another_robot_of_the_same_make_sees_the_same_in_the_plane(seed: int) -> None:
     seen: list[list[list[int]]] = []
     for planar, vary in ((False, True), (True, True), (False, False)):
-        episode = Episode(EpisodeSetup(playpen.load("two-lamps"), planar=planar), compiled=False)
+        episode = Episode(EpisodeSetup(Playpen.load("two-lamps"), planar=planar), compiled=False)
         episode.begin(seed, start=(45.0, 300.0, 170.0), noise=False, vary=vary)
         seen.append(list(episode.readings()))
     assert np.abs(np.subtract(seen[0], seen[1])).max() <= 1

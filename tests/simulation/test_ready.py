@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from khep_twin import playpen
+from khep_twin.playpen import Playpen
 from khep_twin.simulation import ready
 from khep_twin.step import DONE
 from khep_twin.world import World
@@ -78,7 +78,7 @@ def test_where_no_code_can_be_kept_nothing_is_compiled_beside_a_run(
 def test_a_world_looks_for_compiled_code_only_in_a_long_run(monkeypatch: pytest.MonkeyPatch) -> None:
     looks: list[str] = []
     monkeypatch.setattr("khep_twin.world.when_ready", looks.append)
-    world = World(playpen.load("default"))
+    world = World(Playpen.load("default"))
     assert world.change_over_at == 30_000
     world.change_over_at = 100
     world.advance_to(99 * world.timing.step_ns)
@@ -102,7 +102,7 @@ def test_compiled_code_is_loaded_when_a_world_changes_over_not_at_its_next_step(
         return DONE
 
     monkeypatch.setattr("khep_twin.world.when_ready", lambda part: advance)
-    world = World(playpen.load("default"))
+    world = World(Playpen.load("default"))
     world.advance_to(3 * world.timing.step_ns)
     world.change_over()
     assert calls == [3]
@@ -110,7 +110,7 @@ def test_compiled_code_is_loaded_when_a_world_changes_over_not_at_its_next_step(
 
 
 def test_a_playpen_without_robots_has_nothing_to_compile() -> None:
-    empty = playpen.load("default").model_copy(update={"robots": ()})
+    empty = Playpen.load("default").model_copy(update={"robots": ()})
     world = World(empty, compiled=True)
     world.advance_to(10**8)
     assert not world.simulation.is_compiled

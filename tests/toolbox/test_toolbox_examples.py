@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from khep_twin.host import Khepera
-from khep_twin.toolbox import khepbase, serial_commands, simulator
+from khep_twin.toolbox import robot_view, serial_commands, simulator
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "toolbox"
 
@@ -44,7 +44,7 @@ def test_the_braitenberg_vehicle_wanders_until_it_is_interrupted(name: str, robo
             runpy.run_path(str(EXAMPLES / f"{name}.py"))
     finally:
         serial_commands.ports({})
-        khepbase._views.clear()
+        robot_view._views.clear()
     x, y, heading = robot.port.twin.robot.pose
     assert robot.left == 0
     assert abs(x - start[0]) + abs(y - start[1]) > 0.05
@@ -76,4 +76,4 @@ def test_the_simulators_second_example_shows_khepbase(
     assert names["btmap1"].time == 1
     assert Path("khepbase.png").exists()
     simulator.close_playpen()
-    khepbase._views.clear()
+    robot_view._views.clear()

@@ -11,6 +11,7 @@ from scipy.io import savemat
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
 from khep_twin.errors import PlaypenError
+from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.world import World
 
@@ -73,5 +74,5 @@ def test_a_scanned_playpen_comes_out_the_right_way_up(tmp_path: Path) -> None:
     savemat(tmp_path / "scan.mat", {"btmap1": np.flipud(drawn)})
     command = ["playpen", "import", str(tmp_path / "scan.mat"), "-o", str(tmp_path / "scan.toml")]
     subprocess.run([sys.executable, "-m", "khep_twin", *command], check=True, capture_output=True, timeout=60)
-    (one,) = playpen.load(tmp_path / "scan.toml").blocks
+    (one,) = Playpen.load(tmp_path / "scan.toml").blocks
     assert (one.x_mm, one.y_mm, one.length_mm, one.width_mm) == (80, 450, 60, 20)

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from khep_twin import toolbox
 from khep_twin.errors import KhepTwinError, SensorTestError
-from khep_twin.toolbox import figures, khepbase, names
+from khep_twin.toolbox import figures, robot_view
 
 
 @pytest.fixture(autouse=True)
@@ -18,7 +19,7 @@ def no_screen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
     matplotlib.use("agg")
     yield
     figures._graphs.clear()
-    khepbase._views.clear()
+    robot_view._views.clear()
 
 
 def rows(left: int, right: int) -> np.ndarray:
@@ -28,7 +29,7 @@ def rows(left: int, right: int) -> np.ndarray:
     return np.column_stack([*counters, *(ramp + 10 * sensor for sensor in range(8))])
 
 
-@pytest.mark.parametrize(("draw", "grid"), [(names.ddl, False), (names.ddlg, True)])
+@pytest.mark.parametrize(("draw", "grid"), [(toolbox.ddl, False), (toolbox.ddlg, True)])
 def test_a_straight_path_counts_down_to_0_cm(draw: object, grid: bool) -> None:
     figure = draw(rows(1500, 1500), 1500)  # type: ignore[operator]
     axes = [each for each in figure.axes if each.lines]
@@ -39,7 +40,7 @@ def test_a_straight_path_counts_down_to_0_cm(draw: object, grid: bool) -> None:
     assert any(line.get_visible() for line in axes[0].get_xgridlines()) == grid
 
 
-@pytest.mark.parametrize(("draw", "grid"), [(names.ddr, False), (names.ddrg, True)])
+@pytest.mark.parametrize(("draw", "grid"), [(toolbox.ddr, False), (toolbox.ddrg, True)])
 def test_a_turn_is_in_degrees(draw: object, grid: bool) -> None:
     # 85 pulses are 14.98 degrees, as near to 15 as pulses come.
     figure = draw(rows(-85, 85), 85, "light")  # type: ignore[operator]
@@ -56,53 +57,53 @@ def description(figure: object) -> str:
 
 
 def test_the_speed_that_was_driven_is_named_or_none() -> None:
-    assert "speed" not in description(names.ddl(rows(1500, 1500), 1500))
-    assert "speed 4" in description(names.ddlg(rows(1500, 1500), 1500, speed=4))
-    assert "speed" not in names.disonel(rows(1500, 1500), 1500, 3).axes[0].get_title(loc="left")
-    assert "speed 7" in names.disonel(rows(1500, 1500), 1500, 3, speed=7).axes[0].get_title(loc="left")
-    names.open_default(noise=False)
-    dv, khep_pos = names.simsense("light", rotate_deg=30, max_speed=9)
+    assert "speed" not in description(toolbox.ddl(rows(1500, 1500), 1500))
+    assert "speed 4" in description(toolbox.ddlg(rows(1500, 1500), 1500, speed=4))
+    assert "speed" not in toolbox.disonel(rows(1500, 1500), 1500, 3).axes[0].get_title(loc="left")
+    assert "speed 7" in toolbox.disonel(rows(1500, 1500), 1500, 3, speed=7).axes[0].get_title(loc="left")
+    toolbox.open_default(noise=False)
+    dv, khep_pos = toolbox.simsense("light", rotate_deg=30, max_speed=9)
     # Of the test itself kind and speed are known.
-    told = description(names.ddr(dv, khep_pos))
+    told = description(toolbox.ddr(dv, khep_pos))
     assert "light" in told
     assert "speed 9" in told
-    assert "speed" not in description(names.ddr(dv.copy(), khep_pos))
-    names.close_playpen()
+    assert "speed" not in description(toolbox.ddr(dv.copy(), khep_pos))
+    toolbox.close_playpen()
 
 
 @pytest.mark.parametrize("which_one", [3, "left 10"])
 def test_one_sensor_is_drawn_alone(which_one: int | str) -> None:
-    straight = names.disonel(rows(-625, -625), 625, which_one, y_min=10, grid=True)
+    straight = toolbox.disonel(rows(-625, -625), 625, which_one, y_min=10, grid=True)
     (axes,) = straight.axes
     assert axes.lines[0].get_ydata()[0] == 20
     assert axes.get_ylim()[0] == pytest.approx(10, abs=25)
     assert "[cm]" in axes.get_xlabel()
-    turn = names.disonel(rows(2042, -2042), 2042, which_one)
+    turn = toolbox.disonel(rows(2042, -2042), 2042, which_one)
     assert "degrees" in turn.axes[0].get_xlabel()
     assert turn.axes[0].lines[0].get_xdata()[-1] == pytest.approx(-360, abs=0.1)
 
 
 def test_the_latest_graph_goes_to_paper_and_into_a_text() -> None:
-    names.ddl(rows(1500, 1500), 1500)
-    names.disonel(rows(1500, 1500), 1500, 1)
-    assert names.dataprnt() == Path("graph_data.pdf")
+    toolbox.ddl(rows(1500, 1500), 1500)
+    toolbox.disonel(rows(1500, 1500), 1500, 1)
+    assert toolbox.dataprnt() == Path("graph_data.pdf")
     assert Path("graph_data.pdf").read_bytes().startswith(b"%PDF")
-    assert names.datameta() == Path("graph_data.svg")
+    assert toolbox.datameta() == Path("graph_data.svg")
     assert "left 90" in Path("graph_data.svg").read_text()
-    names.dataprnt("one.png")
+    toolbox.dataprnt("one.png")
     assert Path("one.png").exists()
 
 
 @pytest.mark.parametrize(
     ("draw", "message"),
     [
-        (lambda: names.ddl(np.ones((3, 9)), 1500), "dv: is 3 x 9; expected rows of 10"),
-        (lambda: names.ddl(np.ones((0, 10)), 1500), "dv: is 0 x 10"),
-        (lambda: names.ddl(rows(9, 9) + 0.5, 1500), "not all are integers"),
-        (lambda: names.ddl(rows(9, 9), 8000), "linear = 64 cm; expected 5 to 60"),
-        (lambda: names.ddr(rows(-9, 9), 40), "rotate = .* degrees; expected 15 to 360"),
-        (lambda: names.disonel(rows(9, 9), 1500, 9), "which_one = 9: no such sensor"),
-        (lambda: names.dataprnt(), "there is no graph yet"),
+        (lambda: toolbox.ddl(np.ones((3, 9)), 1500), "dv: is 3 x 9; expected rows of 10"),
+        (lambda: toolbox.ddl(np.ones((0, 10)), 1500), "dv: is 0 x 10"),
+        (lambda: toolbox.ddl(rows(9, 9) + 0.5, 1500), "not all are integers"),
+        (lambda: toolbox.ddl(rows(9, 9), 8000), "linear = 64 cm; expected 5 to 60"),
+        (lambda: toolbox.ddr(rows(-9, 9), 40), "rotate = .* degrees; expected 15 to 360"),
+        (lambda: toolbox.disonel(rows(9, 9), 1500, 9), "which_one = 9: no such sensor"),
+        (lambda: toolbox.dataprnt(), "there is no graph yet"),
     ],
 )
 def test_what_cannot_be_drawn_is_one_line(draw: object, message: str) -> None:
@@ -123,11 +124,11 @@ def test_khepbase_shows_each_cycle_what_the_robot_senses_and_does() -> None:
     full = [1023] * 8, [500] * 8, [20, 20]
     pictures = {}
     for name, part in (("empty", 0.0), ("half", 0.5), ("full", 1.0)):
-        names.khepbase(picture=f"{name}.png")
+        toolbox.khepbase(picture=f"{name}.png")
         prox, light, speed = ([part * value for value in values] for values in full)
-        assert names.khepbase(prox, light, speed) == Path(f"{name}.png")
+        assert toolbox.khepbase(prox, light, speed) == Path(f"{name}.png")
         pictures[name] = [
-            coloured(Path(f"{name}.png"), getattr(khepbase, colour))
+            coloured(Path(f"{name}.png"), getattr(robot_view, colour))
             for colour in ("_PROXIMITY", "_LIGHT", "_SPEED")
         ]
     # What the legend has of each colour is there in any case.
@@ -137,24 +138,24 @@ def test_khepbase_shows_each_cycle_what_the_robot_senses_and_does() -> None:
 
 
 def test_a_bar_of_speed_points_back_when_the_robot_backs() -> None:
-    names.khepbase()
-    names.khepbase([0] * 8, [0] * 8, [10, -40])
-    left, right = khepbase._views[-1]._speed
-    assert left.get_height() == pytest.approx(khepbase._BAR / 2)
-    assert right.get_height() == pytest.approx(-khepbase._BAR)
+    toolbox.khepbase()
+    toolbox.khepbase([0] * 8, [0] * 8, [10, -40])
+    left, right = robot_view._views[-1]._speed
+    assert left.get_height() == pytest.approx(robot_view._BAR / 2)
+    assert right.get_height() == pytest.approx(-robot_view._BAR)
 
 
 def test_without_a_screen_khepbase_writes_a_picture() -> None:
-    assert names.khepbase() == Path("khepbase.png")
+    assert toolbox.khepbase() == Path("khepbase.png")
     with Image.open("khepbase.png") as picture:
         assert picture.size[0] > 300
 
 
 def test_khepbase_is_opened_first_and_takes_whole_rows() -> None:
     with pytest.raises(KhepTwinError, match="khepbase: it is not open"):
-        names.khepbase([0] * 8, [0] * 8, [0, 0])
-    names.khepbase()
+        toolbox.khepbase([0] * 8, [0] * 8, [0, 0])
+    toolbox.khepbase()
     with pytest.raises(ValueError, match="light_data has 7 values; expected 8"):
-        names.khepbase([0] * 8, [0] * 7, [0, 0])
+        toolbox.khepbase([0] * 8, [0] * 7, [0, 0])
     with pytest.raises(ValueError, match="or nothing to open it"):
-        names.khepbase([0] * 8)
+        toolbox.khepbase([0] * 8)

@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from khep_twin import playpen as playpens
+from khep_twin import toolbox
 from khep_twin.cli.app import app
-from khep_twin.toolbox import figures, khepbase, roborunner
-from khep_twin.toolbox import names as toolbox
+from khep_twin.toolbox import figures, roborunner, robot_view
 from khep_twin.toolbox import serial_commands as host
 
 TESTS = Path(__file__).parents[1]
@@ -71,7 +71,7 @@ def test_the_programs_on_the_page_run(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(khepbase, "show", lambda figure, title: False)
+    monkeypatch.setattr(robot_view, "show", lambda figure, title: False)
     monkeypatch.setattr(figures, "show", lambda figure, title: False)
     monkeypatch.setattr(roborunner, "show", lambda figure, title: False)
     program = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[number]
@@ -81,7 +81,7 @@ def test_the_programs_on_the_page_run(
     finally:
         host.ports({})
         toolbox.close_playpen()
-        khepbase._views.clear()
+        robot_view._views.clear()
         figures._graphs.clear()
     if number == 1:
         # It came to the upper wall, 250 mm ahead, and has turned there.

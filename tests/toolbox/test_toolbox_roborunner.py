@@ -13,11 +13,11 @@ import matplotlib
 import pytest
 from scipy.io import loadmat
 
+from khep_twin import toolbox
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError
 from khep_twin.lab.experiment.series_run import SeriesRun
-from khep_twin.toolbox import names, roborunner
+from khep_twin.toolbox import roborunner, rps, sim_rps, sim_sms, sms
 from khep_twin.toolbox import serial_commands as host
-from khep_twin.toolbox.names import kheprom, rps, sim_rps, sim_sms, sms
 
 seen = 0
 
@@ -57,7 +57,7 @@ def closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     matplotlib.use("agg")
     seen = 0
     yield
-    names.close_playpen()
+    toolbox.close_playpen()
     host.ports({})
     roborunner._runs.clear()
 
@@ -70,7 +70,7 @@ def test_a_function_is_run_at_a_port_and_its_variables_are_kept_and_handed_on(
     def user2(near: int, speeds: Any) -> None:
         handed.append((near, speeds.tolist()))
 
-    runs = names.roborun2(
+    runs = toolbox.roborun2(
         brait,
         port_id="khep://obstacles?seed=1",
         cycles_per_run=60,
@@ -92,9 +92,9 @@ def test_a_function_is_run_at_a_port_and_its_variables_are_kept_and_handed_on(
 
 
 def test_a_function_for_the_simulator_is_run_in_the_playpen_that_is_open() -> None:
-    btmap1 = names.open_default(seed=1)
-    names.putkhep(300, 440, 90)
-    (run,) = names.roborun2(simsamp, cycles_per_run=100)
+    btmap1 = toolbox.open_default(seed=1)
+    toolbox.putkhep(300, 440, 90)
+    (run,) = toolbox.roborun2(simsamp, cycles_per_run=100)
     assert btmap1.time == run.duration == 5
     assert run.cycles == 100
     assert run.metrics["proximity_max"] > 900
@@ -104,27 +104,27 @@ def test_a_function_for_the_simulator_is_run_in_the_playpen_that_is_open() -> No
 def test_the_statistics_of_the_latest_runs_are_printed_drawn_and_saved(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    names.open_default(seed=1)
-    names.roborun2(simsamp, cycles_per_run=20, runs=3, save="kept", user=names.user1)
-    found = names.getstat()
+    toolbox.open_default(seed=1)
+    toolbox.roborun2(simsamp, cycles_per_run=20, runs=3, save="kept", user=toolbox.user1)
+    found = toolbox.getstat()
     assert found["fitness"].count == 3
-    assert found == names.getstat(runs="kept")
+    assert found == toolbox.getstat(runs="kept")
     assert "fitness" in capsys.readouterr().out
-    figure = names.plotrun("fitness", picture="runs.png")
+    figure = toolbox.plotrun("fitness", picture="runs.png")
     assert figure.axes[0].get_ylabel() == "fitness"
     assert Path("runs.png").exists()
-    names.user1(save="runs.mat")
+    toolbox.user1(save="runs.mat")
     assert loadmat("runs.mat")["fitness"].shape == (3, 1)
     with pytest.raises(KhepTwinError, match=r"save = 'runs.txt': expected a name that ends in \.csv"):
-        names.user1(save="runs.txt")
+        toolbox.user1(save="runs.txt")
 
 
 def test_the_template_is_run_as_it_stands() -> None:
-    assert names.template("mine.py") == Path("mine.py")
-    (run,) = names.roborun2("mine.py", port_id="khep://default", cycles_per_run=30)
+    assert toolbox.template("mine.py") == Path("mine.py")
+    (run,) = toolbox.roborun2("mine.py", port_id="khep://default", cycles_per_run=30)
     assert run.variables["motors"].shape == (2,)
     with pytest.raises(ControllerError, match="is there already"):
-        names.template("mine.py")
+        toolbox.template("mine.py")
 
 
 def failing(port_id: int, cycles_per_run: int, runs: int, pause_stat: float) -> None:
@@ -142,21 +142,21 @@ def waiting(port_id: int, cycles_per_run: int, runs: int, pause_stat: float) -> 
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
-        (lambda: names.roborun2(brait), ControllerError, "no port_id is given; expected 1 to 4"),
-        (lambda: names.roborun2(simsamp), PlaypenError, "no playpen is open"),
-        (lambda: names.roborun2("none.py"), ControllerError, "none.py: no such file"),
+        (lambda: toolbox.roborun2(brait), ControllerError, "no port_id is given; expected 1 to 4"),
+        (lambda: toolbox.roborun2(simsamp), PlaypenError, "no playpen is open"),
+        (lambda: toolbox.roborun2("none.py"), ControllerError, "none.py: no such file"),
         (
-            lambda: names.roborun2(failing, port_id="khep://default"),
+            lambda: toolbox.roborun2(failing, port_id="khep://default"),
             ControllerError,
             r"test_toolbox_roborunner.py:\d+: ZeroDivisionError: in its middle",
         ),
         (
-            lambda: (names.open_default(), names.roborun2(waiting, cycles_per_run=2)),
+            lambda: (toolbox.open_default(), toolbox.roborun2(waiting, cycles_per_run=2)),
             ControllerError,
             r"waiting: a cycle lets no time pass; expected kheprom\(btmap1\)",
         ),
-        (names.getstat, ControllerError, "there are no runs yet; expected roborun2 before"),
-        (lambda: names.template("mine.m"), ControllerError, "expected a name that ends in .py"),
+        (toolbox.getstat, ControllerError, "there are no runs yet; expected roborun2 before"),
+        (lambda: toolbox.template("mine.m"), ControllerError, "expected a name that ends in .py"),
     ],
 )
 def test_what_cannot_be_run_is_one_line(call: Callable[[], object], error: type, message: str) -> None:
@@ -173,8 +173,8 @@ def test_an_interrupt_stops_the_motors_and_leaves_the_runs_before_it() -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        names.roborun2(brait, port_id=2, cycles_per_run=20, runs=9, user=interrupt)
-    assert names.getstat()["fitness"].count == 2
+        toolbox.roborun2(brait, port_id=2, cycles_per_run=20, runs=9, user=interrupt)
+    assert toolbox.getstat()["fitness"].count == 2
     host.robot_at(2).sleep(1)
     assert host.robot_at(2).speed() == (0, 0)
 
@@ -182,12 +182,12 @@ def test_an_interrupt_stops_the_motors_and_leaves_the_runs_before_it() -> None:
 def test_without_an_algorithm_its_window_is_the_page_of_play_pen(monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
     monkeypatch.setattr(roborunner, "play_pen", lambda: opened.append("page"))
-    assert names.roborun2() == []
+    assert toolbox.roborun2() == []
     assert opened == ["page"]
 
 
 def test_play_pen_is_the_designers_page_until_it_is_interrupted(tmp_path: Path) -> None:
-    program = "from khep_twin.toolbox.names import play_pen\nplay_pen('new.toml')\nprint('on with it')"
+    program = "from khep_twin.toolbox import play_pen\nplay_pen('new.toml')\nprint('on with it')"
     environment = os.environ | {"BROWSER": "true"}
     with subprocess.Popen(
         [sys.executable, "-c", program], stdout=subprocess.PIPE, cwd=tmp_path, env=environment, text=True

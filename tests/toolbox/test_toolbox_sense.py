@@ -7,25 +7,25 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
+from khep_twin import toolbox
 from khep_twin.errors import PlaypenError, PortError, SensorTestError
 from khep_twin.host import Khepera
 from khep_twin.host.results import SensorCounts
 from khep_twin.lab.sensor_test.sensor_test import BrokenOffError
-from khep_twin.toolbox import names
 from khep_twin.toolbox import serial_commands as host
 
 
 @pytest.fixture(autouse=True)
 def closed() -> Iterator[None]:
     yield
-    names.close_playpen()
+    toolbox.close_playpen()
     host.ports({})
 
 
 def test_the_simulated_robot_is_tested_where_it_was_put() -> None:
-    btmap1 = names.open_default(noise=False)
-    names.putkhep(300, 400, 90)
-    dv, khep_pos = names.simsense(linear_cm=7, max_speed=8)
+    btmap1 = toolbox.open_default(noise=False)
+    toolbox.putkhep(300, 400, 90)
+    dv, khep_pos = toolbox.simsense(linear_cm=7, max_speed=8)
     assert khep_pos == 875
     assert dv[0, :2].tolist() == [0, 0]
     assert dv[-1, :2] == pytest.approx([875, 875], abs=2)
@@ -33,12 +33,12 @@ def test_the_simulated_robot_is_tested_where_it_was_put() -> None:
     assert dv[-1, 4:6].min() > 900
     assert dv[:, 8:].max() < 30
     assert btmap1.twin.robot.pose[1] == pytest.approx(0.47, abs=1e-3)
-    assert names.sim_rms(1).tolist() == [0, 0]
+    assert toolbox.sim_rms(1).tolist() == [0, 0]
 
 
 def test_a_turn_is_driven_back() -> None:
-    btmap1 = names.open_default(noise=False)
-    dv, khep_pos = names.simsense("light", rotate_deg=-90, return_to_zero=True)
+    btmap1 = toolbox.open_default(noise=False)
+    dv, khep_pos = toolbox.simsense("light", rotate_deg=-90, return_to_zero=True)
     assert khep_pos == 511
     assert dv[-1, :2] == pytest.approx([511, -511], abs=2)
     assert np.unique(dv[:, 2:]).tolist() == [485]
@@ -49,7 +49,7 @@ def test_a_turn_is_driven_back() -> None:
 def test_a_robot_at_a_port_is_tested_and_its_data_saved(tmp_path: Path) -> None:
     file = tmp_path / "light.mat"
     host.ports({2: "khep://two-lamps?noise=off"})
-    dv, khep_pos = names.tstsense(2, "light", rotate_deg=45, save=file, dlgstr="two lamps")
+    dv, khep_pos = toolbox.tstsense(2, "light", rotate_deg=45, save=file, dlgstr="two lamps")
     saved = loadmat(file)
     assert saved["dv"].tolist() == dv.tolist()
     assert saved["dlgstr"].tolist() == ["two lamps"]
@@ -74,9 +74,9 @@ def test_an_interrupted_test_keeps_what_it_has(failure: BaseException, tmp_path:
     robot = Interrupted("khep://default?noise=off")
     robot.failure = failure  # type: ignore[assignment]
     with pytest.raises((KeyboardInterrupt, BrokenOffError)) as caught:
-        names.tstsense(robot, linear_cm=15, save=tmp_path / "so_far.mat")
+        toolbox.tstsense(robot, linear_cm=15, save=tmp_path / "so_far.mat")
     assert len(loadmat(tmp_path / "so_far.mat")["dv"]) == 11
-    dv, khep_pos = names.lasttest()
+    dv, khep_pos = toolbox.lasttest()
     assert (len(dv), khep_pos) == (11, 1875)
     assert caught.value.run.dv is dv  # type: ignore[union-attr]
     robot.sleep(1)
@@ -85,10 +85,10 @@ def test_an_interrupted_test_keeps_what_it_has(failure: BaseException, tmp_path:
 
 def test_what_is_no_test_moves_nothing() -> None:
     with pytest.raises(PlaypenError, match="no playpen is open"):
-        names.simsense(linear_cm=10)
-    btmap1 = names.open_default()
+        toolbox.simsense(linear_cm=10)
+    btmap1 = toolbox.open_default()
     with pytest.raises(SensorTestError, match="linear = 70 cm"):
-        names.simsense(linear_cm=70)
+        toolbox.simsense(linear_cm=70)
     with pytest.raises(SensorTestError, match=r"expected a name that ends in \.csv"):
-        names.simsense(linear_cm=10, save="data.txt")
+        toolbox.simsense(linear_cm=10, save="data.txt")
     assert btmap1.time == 0

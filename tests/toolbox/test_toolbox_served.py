@@ -7,7 +7,7 @@ from pathlib import Path
 
 from served_twin import served
 
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "toolbox" / "simsamp1.py"
 
@@ -29,7 +29,7 @@ def test_without_sim_and_kheprom_it_drives_a_robot_behind_a_terminal(tmp_path: P
         environment = {**os.environ, "KHEP_PORT_2": path}
         command = [sys.executable, "samp1.py"]
         subprocess.run(command, check=True, timeout=120, cwd=tmp_path, env=environment)
-    track = read(log).robots["khepera0"]
+    track = read_log(log).robots["khepera0"]
     spoken = [line.text for line in track.serial]
     assert spoken[:3] == ["D,1,1", "d", "N"]
     # A thousand cycles, its own stop, and the one with which the host closes the port.

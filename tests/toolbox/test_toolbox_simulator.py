@@ -9,10 +9,10 @@ import pytest
 from scipy.io import savemat
 
 from khep_twin import playpen as playpens
+from khep_twin import toolbox
 from khep_twin.errors import BitmapError, PlaypenError, PortError
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 from khep_twin.playpen import Playpen
-from khep_twin.toolbox import names
 from khep_twin.toolbox.simulator import OpenPlaypen
 
 PULSE = 80e-6
@@ -38,62 +38,62 @@ heading_deg = 90
 @pytest.fixture(autouse=True)
 def closed() -> Iterator[None]:
     yield
-    names.close_playpen()
+    toolbox.close_playpen()
 
 
 @pytest.fixture
 def btmap1(field: Playpen) -> OpenPlaypen:
-    return names.open_custom(field, noise=False)
+    return toolbox.open_custom(field, noise=False)
 
 
 def cycles(btmap1: OpenPlaypen, count: int) -> None:
     for _ in range(count):
-        names.kheprom(btmap1)
+        toolbox.kheprom(btmap1)
 
 
 def until_there(btmap1: OpenPlaypen) -> None:
     cycles(btmap1, 1)
-    while not names.sim_rmc(2)[[0, 3]].all():
+    while not toolbox.sim_rmc(2)[[0, 3]].all():
         cycles(btmap1, 1)
         assert btmap1.time < 100
 
 
 def test_a_simulated_command_takes_no_time_and_kheprom_takes_a_cycle(btmap1: OpenPlaypen) -> None:
-    names.sim_spc(2, 5, 6)
-    names.sim_sms(2, 3, 3)
-    assert names.sim_rpc(2).tolist() == [5, 6]
-    for command in (names.sim_rms, names.sim_rmc, names.sim_rps, names.sim_rls):
+    toolbox.sim_spc(2, 5, 6)
+    toolbox.sim_sms(2, 3, 3)
+    assert toolbox.sim_rpc(2).tolist() == [5, 6]
+    for command in (toolbox.sim_rms, toolbox.sim_rmc, toolbox.sim_rps, toolbox.sim_rls):
         command(2)
-    names.sim_skp(2, 100, 100)
+    toolbox.sim_skp(2, 100, 100)
     assert btmap1.time == 0
-    names.kheprom(btmap1)
+    toolbox.kheprom(btmap1)
     assert btmap1.time == 0.05
-    names.kheprom(btmap1, 0.02)
+    toolbox.kheprom(btmap1, 0.02)
     assert btmap1.time == 0.07
 
 
 def test_a_speed_of_1_moves(btmap1: OpenPlaypen) -> None:
-    names.sim_sms(2, 1, 1)
+    toolbox.sim_sms(2, 1, 1)
     cycles(btmap1, 40)
     # 8 mm/s for 2 s, less the 0.2 s in which the controller's sum overcomes the gears' friction.
     assert btmap1.twin.robot.pose[0] == pytest.approx(1.5144, abs=1e-3)
-    assert np.abs(names.sim_rpc(2) - 182).max() <= 3
+    assert np.abs(toolbox.sim_rpc(2) - 182).max() <= 3
 
 
 def test_speeds_have_sizes(btmap1: OpenPlaypen) -> None:
     ways = []
     for speed in (2, 20, -10):
-        names.sim_sms(2, speed, speed)
+        toolbox.sim_sms(2, speed, speed)
         cycles(btmap1, 10)
         before = btmap1.twin.robot.pose[0]
         cycles(btmap1, 20)
         ways.append(btmap1.twin.robot.pose[0] - before)
-        assert np.abs(names.sim_rms(2) - speed).max() <= 1
+        assert np.abs(toolbox.sim_rms(2) - speed).max() <= 1
     assert ways == pytest.approx([0.016, 0.16, -0.08], rel=0.03)
 
 
 def test_unequal_speeds_drive_an_arc(btmap1: OpenPlaypen) -> None:
-    names.sim_sms(2, 5, 10)
+    toolbox.sim_sms(2, 5, 10)
     cycles(btmap1, 10)
     x, y, heading = btmap1.twin.robot.pose
     cycles(btmap1, 40)
@@ -107,9 +107,9 @@ def test_unequal_speeds_drive_an_arc(btmap1: OpenPlaypen) -> None:
 
 def test_distance_and_turn_are_combined_and_the_counters_stay_right(btmap1: OpenPlaypen) -> None:
     for target in ((1000, 1000), (490, 1510), (1490, 2010), (0, 0)):
-        names.sim_skp(2, *target)
+        toolbox.sim_skp(2, *target)
         until_there(btmap1)
-        left, right = names.sim_rpc(2)
+        left, right = toolbox.sim_rpc(2)
         assert np.abs(np.array([left, right]) - target).max() <= 2
         turned = (right - left) * PULSE / WHEEL_BASE
         heading = btmap1.twin.robot.pose[2]
@@ -117,40 +117,40 @@ def test_distance_and_turn_are_combined_and_the_counters_stay_right(btmap1: Open
 
 
 def test_counters_set_in_mid_course_count_on(btmap1: OpenPlaypen) -> None:
-    names.sim_sms(2, 10, 10)
+    toolbox.sim_sms(2, 10, 10)
     cycles(btmap1, 20)
-    names.sim_spc(2, -1000, 1000)
+    toolbox.sim_spc(2, -1000, 1000)
     cycles(btmap1, 20)
-    assert names.sim_rpc(2) == pytest.approx([0, 2000], abs=15)
+    assert toolbox.sim_rpc(2) == pytest.approx([0, 2000], abs=15)
 
 
 def test_a_newer_command_supersedes(btmap1: OpenPlaypen) -> None:
-    names.sim_skp(2, 5000, 5000)
+    toolbox.sim_skp(2, 5000, 5000)
     cycles(btmap1, 10)
-    names.sim_sms(2, 0, 0)
+    toolbox.sim_sms(2, 0, 0)
     cycles(btmap1, 20)
-    assert names.sim_rmc(2)[1] == 0
-    assert names.sim_rms(2).tolist() == [0, 0]
-    assert names.sim_rpc(2)[0] < 1000
+    assert toolbox.sim_rmc(2)[1] == 0
+    assert toolbox.sim_rms(2).tolist() == [0, 0]
+    assert toolbox.sim_rpc(2)[0] < 1000
 
 
 def test_the_speed_is_read_in_position_mode_too(btmap1: OpenPlaypen) -> None:
-    names.sim_skp(2, 5000, 5000)
+    toolbox.sim_skp(2, 5000, 5000)
     cycles(btmap1, 40)
-    assert names.sim_rms(2) == pytest.approx([20, 20], abs=2)
+    assert toolbox.sim_rms(2) == pytest.approx([20, 20], abs=2)
 
 
 def test_the_controllers_error_is_reported(btmap1: OpenPlaypen) -> None:
-    names.sim_sms(2, 40, -40)
-    names.kheprom(btmap1, 0.01)
-    left, right = names.sim_rmc(2)[[2, 5]]
+    toolbox.sim_sms(2, 40, -40)
+    toolbox.kheprom(btmap1, 0.01)
+    left, right = toolbox.sim_rmc(2)[[2, 5]]
     assert left > 10
     assert right < -10
     cycles(btmap1, 20)
-    assert np.abs(names.sim_rmc(2)[[2, 5]]).max() <= 2
-    names.sim_skp(2, 9000, 9000)
+    assert np.abs(toolbox.sim_rmc(2)[[2, 5]]).max() <= 2
+    toolbox.sim_skp(2, 9000, 9000)
     cycles(btmap1, 20)
-    on_the_way = names.sim_rmc(2)
+    on_the_way = toolbox.sim_rmc(2)
     assert on_the_way[[0, 3]].tolist() == [0, 0]
     assert (on_the_way[[2, 5]] != 0).all()
 
@@ -158,52 +158,52 @@ def test_the_controllers_error_is_reported(btmap1: OpenPlaypen) -> None:
 def test_modes_are_counted_as_the_rom_says(field: Playpen) -> None:
     modes = {}
     for rom in ("5.02", "4.06"):
-        names.open_custom(field, rom=rom)
-        names.sim_sms(2, 1, 1)
-        speed = names.sim_rmc(2)[1]
-        names.sim_skp(2, 9, 9)
-        modes[rom] = (speed, names.sim_rmc(2)[1])
+        toolbox.open_custom(field, rom=rom)
+        toolbox.sim_sms(2, 1, 1)
+        speed = toolbox.sim_rmc(2)[1]
+        toolbox.sim_skp(2, 9, 9)
+        modes[rom] = (speed, toolbox.sim_rmc(2)[1])
     assert modes == {"5.02": (0, 1), "4.06": (1, 0)}
 
 
 def test_several_robots_are_distinguished_by_their_number() -> None:
-    btmap1 = names.open_custom(playpens.parse(TWO, "two"), noise=False)
-    names.sim_sms(1, 5, 5)
-    names.sim_sms(2, -3, 3)
+    btmap1 = toolbox.open_custom(playpens.parse(TWO, "two"), noise=False)
+    toolbox.sim_sms(1, 5, 5)
+    toolbox.sim_sms(2, -3, 3)
     cycles(btmap1, 20)
     one, two = (robot.pose for robot in btmap1.twin.robots)
     assert one[0] > 0.18
     assert one[2] == pytest.approx(0, abs=0.02)
     assert two[:2] == pytest.approx((0.45, 0.25), abs=2e-3)
     assert two[2] > math.pi / 2 + 0.5
-    assert names.userdata(btmap1, 2)[:2] == pytest.approx([450, 250], abs=2)
+    assert toolbox.userdata(btmap1, 2)[:2] == pytest.approx([450, 250], abs=2)
     with pytest.raises(PortError, match="port_id = 3: no such robot"):
-        names.sim_rps(3)
+        toolbox.sim_rps(3)
 
 
 def test_the_same_seed_and_commands_give_the_same_run() -> None:
     runs = []
     for seed in (1, 1, 2):
-        btmap1 = names.open_custom("obstacles", seed=seed)
+        btmap1 = toolbox.open_custom("obstacles", seed=seed)
         seen = []
         for _ in range(40):
-            names.sim_sms(2, 6, 4)
-            seen.append([*names.sim_rps(2), *names.sim_rls(2)])
-            names.kheprom(btmap1)
+            toolbox.sim_sms(2, 6, 4)
+            seen.append([*toolbox.sim_rps(2), *toolbox.sim_rls(2)])
+            toolbox.kheprom(btmap1)
         runs.append((seen, btmap1.twin.robot.pose))
     assert runs[0] == runs[1] != runs[2]
 
 
 def test_userdata_has_the_toolboxs_31_columns(btmap1: OpenPlaypen) -> None:
-    names.sim_spc(2, 7, 8)
-    names.sim_skp(2, 11, 12)
-    names.sim_sms(2, 3, 4)
-    row = names.userdata(btmap1)
+    toolbox.sim_spc(2, 7, 8)
+    toolbox.sim_skp(2, 11, 12)
+    toolbox.sim_sms(2, 3, 4)
+    row = toolbox.userdata(btmap1)
     assert row.shape == (31,)
     assert row[:3] == pytest.approx([1500, 2500, 0], abs=0.1)
-    assert row[3:19].tolist() == [*names.sim_rps(2), *names.sim_rls(2)]
+    assert row[3:19].tolist() == [*toolbox.sim_rps(2), *toolbox.sim_rls(2)]
     assert row[19:21].tolist() == [3, 4]
-    assert row[21:27].tolist() == names.sim_rmc(2).tolist()
+    assert row[21:27].tolist() == toolbox.sim_rmc(2).tolist()
     assert row[27:31].tolist() == [7, 8, 11, 12]
 
 
@@ -214,29 +214,29 @@ def test_a_scanned_playpen_is_opened_the_right_way_up(tmp_path: Path, kind: str)
     drawn[40:60, 50:110] = 44
     scan = np.flipud(drawn)
     savemat(tmp_path / "defmap.mat", {"btmap1": scan})
-    btmap1 = names.open_custom(scan if kind == "array" else tmp_path / "defmap.mat")
+    btmap1 = toolbox.open_custom(scan if kind == "array" else tmp_path / "defmap.mat")
     (block,) = btmap1.twin.world.playpen.blocks
     assert (block.x_mm, block.y_mm) == (80, 450)
-    names.kheprom(btmap1)
+    toolbox.kheprom(btmap1)
 
 
 def test_a_run_in_the_simulator_is_recorded(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    btmap1 = names.open_custom("default", log=str(log))
-    names.sim_sms(2, 5, 5)
+    btmap1 = toolbox.open_custom("default", log=str(log))
+    toolbox.sim_sms(2, 5, 5)
     cycles(btmap1, 10)
-    names.close_playpen()
-    track = read(log).robots["khepera0"]
+    toolbox.close_playpen()
+    track = read_log(log).robots["khepera0"]
     assert track.times_ns[-1] == 500_000_000
     assert [line.text for line in track.serial][:2] == ["D,5,5", "d"]
 
 
 def test_without_a_playpen_the_error_says_how_to_open_one(btmap1: OpenPlaypen) -> None:
-    other = names.open_default()
+    other = toolbox.open_default()
     with pytest.raises(PlaypenError, match="btmap1 is not the playpen that is open"):
-        names.kheprom(btmap1)
-    names.close_playpen()
-    for command in (lambda: names.sim_rps(2), lambda: names.kheprom(other)):
+        toolbox.kheprom(btmap1)
+    toolbox.close_playpen()
+    for command in (lambda: toolbox.sim_rps(2), lambda: toolbox.kheprom(other)):
         with pytest.raises(PlaypenError, match="no playpen is open; expected btmap1 = "):
             command()
 
@@ -250,5 +250,5 @@ def test_what_cannot_be_opened_leaves_open_what_is(btmap1: OpenPlaypen) -> None:
         (np.full((500, 600), 44), BitmapError, "every pixel is solid"),
     ):
         with pytest.raises(error, match=message):
-            names.open_custom(wrong)
-    names.kheprom(btmap1)
+            toolbox.open_custom(wrong)
+    toolbox.kheprom(btmap1)

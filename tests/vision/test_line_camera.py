@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from khep_twin import playpen as playpens
 from khep_twin.board.k213 import PIXELS, K213Register
+from khep_twin.playpen import Playpen
 from khep_twin.simulation.ready import function_of
 from khep_twin.vision.camera import LineCamera, eye_of
 from khep_twin.world import World
@@ -127,6 +127,6 @@ def test_lamps_that_are_switched_are_seen_so() -> None:
 
 
 def test_the_shipped_playpen_shows_its_stripes() -> None:
-    scene = World(playpens.load("stripes"), noise=False)
+    scene = World(Playpen.load("stripes"), noise=False)
     found = image(scene)
     assert np.count_nonzero(np.diff(found > 100)) > 4

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
-from khep_twin import playpen as playpens
+from khep_twin.playpen import Playpen
 from khep_twin.playpen.parts import Block
 from khep_twin.web.server import Server
 from tests.drawn_bitmap import drawn
@@ -78,7 +78,7 @@ def test_a_playpen_is_built_by_keys_alone(visit: Visit, tmp_path: Path) -> None:
     page.fill("#dialog input", "keys")
     page.keyboard.press("Enter")
     visit.wait("document.querySelector('#file').textContent === 'keys.toml'")
-    made = playpens.load(tmp_path / "keys.toml")
+    made = Playpen.load(tmp_path / "keys.toml")
     for default in ("mass_g", "movable", "[lighting]", "surface", "calibration", "mode"):
         assert default not in (tmp_path / "keys.toml").read_text()
     assert (made.blocks[0].x_mm, made.blocks[0].angle_deg) == (245, 15)
@@ -153,7 +153,7 @@ def test_turrets_are_boxes_and_the_gripper_is_drawn(visit: Visit, tmp_path: Path
     assert page.is_checked(box)
     visit.picture("16-turrets")
     visit.save_as("grippers.toml")
-    saved = playpens.load(tmp_path / "grippers.toml")
+    saved = Playpen.load(tmp_path / "grippers.toml")
     assert [robot.turrets for robot in saved.robots] == [("gripper",), ("gripper",)]
 
 
@@ -165,7 +165,7 @@ def test_a_turret_that_is_checked_later_goes_below_those_that_stand_on_it(
         visit.page.check(f"#field-robot-turrets input[value={turret}]")
     visit.page.wait_for_selector("#problems.none")
     visit.save_as("stack.toml")
-    assert playpens.load(tmp_path / "stack.toml").robots[-1].turrets == ("gripper", "k213")
+    assert Playpen.load(tmp_path / "stack.toml").robots[-1].turrets == ("gripper", "k213")
 
 
 def test_what_was_not_saved_is_offered_again(visit: Visit, tmp_path: Path) -> None:
@@ -218,7 +218,7 @@ def test_a_draft_is_offered_for_its_own_playpen_only_and_outlives_another(
     page.click("#redo")
     visit.save_as("other.toml")
     assert drafts(tmp_path) == []
-    assert len(playpens.load(tmp_path / "other.toml").blocks) == 1
+    assert len(Playpen.load(tmp_path / "other.toml").blocks) == 1
 
 
 def test_a_draft_is_thrown_away_only_when_the_person_says_so(visit: Visit, tmp_path: Path) -> None:
@@ -272,8 +272,8 @@ def test_a_new_file_of_any_name_is_drawn_and_saved(browser: Any, tmp_path: Path)
         visit.save_as("größe 2.toml")
         context.close()
     assert visit.trouble == []
-    assert playpens.load(tmp_path / "my pen.toml").name == "my-pen"
-    assert playpens.load(tmp_path / "größe 2.toml").name == "gro-e-2"
+    assert Playpen.load(tmp_path / "my pen.toml").name == "my-pen"
+    assert Playpen.load(tmp_path / "größe 2.toml").name == "gro-e-2"
 
 
 def test_an_error_of_the_first_request_is_shown(browser: Any, asker: Asker) -> None:
@@ -562,7 +562,7 @@ def wait_for(happens: Callable[[], bool]) -> None:
 
 
 def saved_blocks(folder: Path) -> tuple[Block, ...]:
-    return playpens.load(folder / "maze.toml").blocks
+    return Playpen.load(folder / "maze.toml").blocks
 
 
 def view(visit: Visit) -> list[float]:
@@ -698,7 +698,7 @@ def test_undo_brings_back_the_former_playpen_with_its_file_and_what_was_not_save
     page.click("#undo")
     page.click("#save")
     visit.wait("document.querySelector('#file').textContent === 'first.toml'")
-    assert len(playpens.load(tmp_path / "first.toml").blocks) == 2
+    assert len(Playpen.load(tmp_path / "first.toml").blocks) == 2
     # The history goes on before it: the second block, then the first one.
     page.click("#undo")
     assert (page.text_content("#file"), visit.count(".drawn")) == ("first.toml *", 1)

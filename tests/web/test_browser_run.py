@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from khep_twin import playpen as playpens
 from khep_twin.board.uart import HostEventKind
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.recorded import read_recorded
+from khep_twin.playpen import Playpen
 from tests.served_twin import served
 from tests.web.conftest import Asker
 from tests.web.visit import BROWSED, Visit, need_a_browser
@@ -45,7 +45,7 @@ def test_ten_objects_are_drawn_saved_run_lifted_and_stopped(visit: Visit, tmp_pa
     page.wait_for_selector("#problems.none")
     visit.picture("1-drawn")
     visit.save_as("ten.toml")
-    saved = playpens.load(tmp_path / "ten.toml")
+    saved = Playpen.load(tmp_path / "ten.toml")
     assert (len(saved.blocks), len(saved.cylinders), len(saved.lamps), len(saved.walls)) == (2, 2, 2, 1)
     assert (len(saved.robots), len(saved.patches), len(saved.spots)) == (1, 1, 1)
     assert (saved.blocks[0].x_mm, saved.blocks[0].y_mm, saved.blocks[0].angle_deg) == (140, 330, 90)

@@ -14,6 +14,7 @@ from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUn
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError, PlaypenError
+from khep_twin.playpen import Playpen
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.drafts import blank, draft_of, problems_of
 from khep_twin.web.server import Server
@@ -96,7 +97,7 @@ def test_of_two_pages_that_save_at_once_one_is_told_of_the_other(
     save("first")
     other.join()
     assert ends == {"first": "saved", "second": "conflict"}
-    assert playpens.load(tmp_path / "mine.toml").name == "first"
+    assert Playpen.load(tmp_path / "mine.toml").name == "first"
 
 
 def test_a_file_that_changes_while_its_new_text_is_made_is_not_written_over(
@@ -219,7 +220,7 @@ def test_any_name_of_a_file_will_do(tmp_path: Path, file: str, name: str) -> Non
         # As when a playpen of another name is saved under this one.
         renamed = {**hello["draft"], "name": "other"}
         wanted = {"file": file, "draft": renamed, "version": saved[1]["version"], "base": {}, "rename": True}
-        assert asker.do("save", **wanted)[1]["name"] == playpens.load(tmp_path / file).name == name
+        assert asker.do("save", **wanted)[1]["name"] == Playpen.load(tmp_path / file).name == name
     finally:
         ended.set()
         thread.join(60)
@@ -331,7 +332,7 @@ def test_a_name_that_is_no_utf_8_hides_no_other_file(asker: Asker, tmp_path: Pat
 def test_a_file_that_was_broken_meanwhile_can_be_replaced_or_left_for_another(
     asker: Asker, tmp_path: Path
 ) -> None:
-    draft = draft_of(playpens.load("two-lamps"))
+    draft = draft_of(Playpen.load("two-lamps"))
     _, saved = asker.do("save", file="mine.toml", draft=draft)
     (tmp_path / "mine.toml").write_text("version = [1\n")  # by an editor
     wanted = {"draft": draft, "version": saved["version"], "base": {"file": "mine.toml"}}
@@ -339,4 +340,4 @@ def test_a_file_that_was_broken_meanwhile_can_be_replaced_or_left_for_another(
     assert asker.do("save", file="other.toml", **{**wanted, "version": None})[0] == 200
     assert asker.do("save", file="mine.toml", overwrite=True, **wanted)[0] == 200
     for name in ("mine.toml", "other.toml"):
-        assert draft_of(playpens.load(tmp_path / name)) == draft
+        assert draft_of(Playpen.load(tmp_path / name)) == draft

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError
+from khep_twin.playpen import Playpen
 from khep_twin.web.documents import Documents, OutsideError, version_of
 from khep_twin.web.drafts import draft_of
 from khep_twin.web.programs import TEMPLATE, Programs
@@ -82,7 +82,7 @@ def test_one_program_at_a_time_is_read_that_one_without_an_end_takes_no_more_thr
         "(folder / 'begun').touch()\n"
         "while not (folder / 'go').exists():\n    time.sleep(0.02)\n"
     )
-    assert asker.do("start", draft=draft_of(playpens.load("two-lamps")))[0] == 200
+    assert asker.do("start", draft=draft_of(Playpen.load("two-lamps")))[0] == 200
     first = threading.Thread(target=asker.do, args=["run"], kwargs={"controller": "endless.py"})
     first.start()
     try:

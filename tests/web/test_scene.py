@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from khep_twin import playpen
+from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.web.scene import DrawnScene, compiled
 from khep_twin.world import World
@@ -15,13 +15,13 @@ from tests.web.test_guard import DRAFT
 
 
 def described(name: str) -> Any:
-    return compiled(to_spec(playpen.load(name))).described()
+    return compiled(to_spec(Playpen.load(name))).described()
 
 
 def test_shapes_that_stand_still_are_where_the_model_has_them() -> None:
     shapes = {shape["name"]: shape for shape in described("obstacles")["shapes"]}
     block = shapes["block4"]
-    drawn = playpen.load("obstacles").blocks[4]
+    drawn = Playpen.load("obstacles").blocks[4]
     assert (block["kind"], block["body"]) == ("box", None)
     assert block["size"][:2] == [drawn.length_mm / 2000, drawn.width_mm / 2000]
     assert block["pose"][:2] == [drawn.x_mm / 1000, drawn.y_mm / 1000]
@@ -43,13 +43,13 @@ def test_bodies_that_move_have_their_shapes_in_their_own_frames() -> None:
     assert len(scene["poses"]) == len(scene["bodies"])
     loose = next(shape for shape in scene["shapes"] if shape["body"] == scene["bodies"].index("cylinder0"))
     assert loose["pose"] == [0, 0, 0, 1, 0, 0, 0]
-    drawn = playpen.load("gripper").cylinders[0]
+    drawn = Playpen.load("gripper").cylinders[0]
     at = scene["poses"][scene["bodies"].index("cylinder0")]
     assert at[:2] == [drawn.x_mm / 1000, drawn.y_mm / 1000]
 
 
 def test_the_poses_follow_the_physics() -> None:
-    world = World(playpen.load("default"))
+    world = World(Playpen.load("default"))
     scene = DrawnScene(world.model, world.data)
     before = scene.poses()
     world.data.qpos[world.robots[0].indices.pose] += 0.1

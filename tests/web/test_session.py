@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 
-from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import braitenberg
@@ -22,6 +21,7 @@ from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.lab.experiment.series_run import Plan
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest
 from khep_twin.log.recorded import read_recorded
+from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.jobs import Sensing, SeriesJob
@@ -61,7 +61,7 @@ def ear() -> Ear:
 @pytest.fixture
 def actor(ear: Ear, tmp_path: Path) -> Iterator[TwinActor]:
     """A twin among two lamps, as fast as it goes, recorded."""
-    actor = TwinActor(playpens.load("two-lamps"), TwinOptions(seed=3), tmp_path / "run.mcap", ear)
+    actor = TwinActor(Playpen.load("two-lamps"), TwinOptions(seed=3), tmp_path / "run.mcap", ear)
     actor.set_pace(math.inf, False)
     actor.begin()
     yield actor
@@ -268,7 +268,7 @@ def test_a_robot_at_a_port_shows_its_readings_and_stops(actor: TwinActor, ear: E
 
 def test_the_page_has_the_line_images_of_a_twin_and_of_a_robot_at_a_port(ear: Ear) -> None:
     """The robot's port is the twin's, too."""
-    twin = TwinActor(playpens.load("stripes"), TwinOptions(), None, ear)
+    twin = TwinActor(Playpen.load("stripes"), TwinOptions(), None, ear)
     twin.begin()
     port = ear.wait("twin")["robots"][0]["port"]
     first = ear.wait("picture", lambda told: told["time"] > 0.5)["robots"][0]["vision"]
@@ -335,7 +335,7 @@ def test_a_program_that_does_not_end_is_left_and_the_next_twin_comes_up_beside_i
         inside.set()
         go_on.wait(60)
 
-    first, second = (TwinActor(playpens.load("default"), TwinOptions(), None, ear) for _ in range(2))
+    first, second = (TwinActor(Playpen.load("default"), TwinOptions(), None, ear) for _ in range(2))
     first.begin()
     ear.wait("twin")
     first.start(SeriesJob("hangs", hangs, Plan(1, cycles=1), None))

@@ -6,7 +6,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull  # pyright: ignore[reportMissingTypeStubs]
 
-from khep_twin.playpen import load
+from khep_twin.playpen import Playpen
 from khep_twin.web.turret_outlines import TurretParts, _hull, _points, at_start
 from khep_twin.world import World
 
@@ -27,7 +27,7 @@ def test_a_gripper_at_start_is_up_with_its_fingers_open() -> None:
 
 
 def test_the_parts_of_a_robot_in_a_world_are_where_its_joints_have_them() -> None:
-    world = World(load("gripper"))
+    world = World(Playpen.load("gripper"))
     parts = TurretParts(world, 0)
     start = [part["points_mm"] for part in at_start("gripper")]
     assert spans(parts.corners()) == pytest.approx(spans(start), abs=0.05)
@@ -36,7 +36,7 @@ def test_the_parts_of_a_robot_in_a_world_are_where_its_joints_have_them() -> Non
     mujoco.mj_kinematics(world.model, world.data)
     # Shoulder 10 mm behind the centre, fingers 62 mm before it, of 33 mm.
     assert spans(parts.corners())[1, 0] == pytest.approx(-10 + 62 + 16.5, abs=0.1)
-    assert TurretParts(World(load("obstacles")), 0).corners() == []
+    assert TurretParts(World(Playpen.load("obstacles")), 0).corners() == []
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Grips the cylinder ahead, drives back, turns to the goal and puts it down there."""
 
-from khep_twin.host import Gripper
+from khep_twin import Gripper
 
 NEAR_COUNTS = 400  # of the front sensors, about a centimetre from a bright object
 TURN_PULSES = 511  # a quarter of a circle of the wheels, 52 mm apart

@@ -2,7 +2,7 @@
 
 from itertools import groupby
 
-from khep_twin.host import Vision
+from khep_twin import Vision
 
 DARK = 100  # greys: a white wall has some 180, a black stripe 10
 GAP = 14  # pixels between two dark stripes of the same thing, at most

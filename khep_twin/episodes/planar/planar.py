@@ -1,6 +1,6 @@
 """Plane of a playpen: the robot's constants and the obstacles around it, taken from MuJoCo's scene.
 
-    setup = EpisodeSetup(playpen.load("looping-maze"), planar=True)
+    setup = EpisodeSetup(Playpen.load("looping-maze"), planar=True)
 
 Nothing here is fitted: masses, inertias, friction, motors, positions and heights are those of that scene.
 """

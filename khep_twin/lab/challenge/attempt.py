@@ -63,7 +63,7 @@ class Attempt:
         return f"{many}, the last: {self.last_line}" if self.last_line else many
 
 
-def attempt(
+def score_file(
     file: ChallengeFile,
     controller: str,
     *,

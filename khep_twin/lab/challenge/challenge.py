@@ -195,7 +195,7 @@ def load(name: str) -> ChallengeFile:
         missing = f'playpen = "{challenge.playpen}": no such file'
         wanted = f"the path of a file or a shipped name; {choices(challenge.playpen, playpens.names())}"
         raise problem(("playpen",), missing, wanted, challenge.playpen)
-    playpen = playpens.load(given)
+    playpen = Playpen.load(given)
     if not playpen.robots:
         raise problem(("playpen",), f"{challenge.playpen} has no robot", "one", challenge.playpen)
     movable = tuple(each.name for each in movable_objects(playpen) if each.name)

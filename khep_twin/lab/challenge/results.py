@@ -8,7 +8,7 @@ from io import StringIO
 from pathlib import Path
 
 from khep_twin.errors import ChallengeError
-from khep_twin.lab.challenge.attempt import REAL_SECONDS, Attempt, attempt
+from khep_twin.lab.challenge.attempt import REAL_SECONDS, Attempt, score_file
 from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile
 from khep_twin.lab.experiment.controllers import readable
 
@@ -59,7 +59,7 @@ def attempts(
         return ended.is_set() or (stop is not None and stop())
 
     def one(path: Path) -> Attempt:
-        return attempt(file, str(path), runs=runs, seed=seed, real_seconds=real_seconds, stop=is_over)
+        return score_file(file, str(path), runs=runs, seed=seed, real_seconds=real_seconds, stop=is_over)
 
     with ThreadPoolExecutor(jobs) as pool:
         waiting = [pool.submit(one, path) for path in files]

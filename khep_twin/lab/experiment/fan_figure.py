@@ -15,7 +15,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.drawing.map import STYLE, draw
 from khep_twin.drawing.symbols import INK
 from khep_twin.lab.experiment.branch import BranchPlan, Trajectory
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 from khep_twin.log.recorded import changes_of
 from khep_twin.ports.replay import Setup
 
@@ -31,7 +31,7 @@ _MOMENTS = 4
 
 def draw_fan(plan: BranchPlan, trajectories: Sequence[Trajectory]) -> Figure:
     """Draw branches of one run: a dark line up to the moment, then each run, and how far they spread."""
-    run = read(plan.log)
+    run = read_log(plan.log)
     at_s = plan.change.at_ns / NS_PER_S
     setup = Setup.of(plan.log)
     playpen = setup.playpen((*changes_of(plan.log, setup.label), plan.change))

@@ -23,7 +23,7 @@ from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
 from khep_twin.lab.fit.least_squares import Floats, Parameter, least_squares
 from khep_twin.log.channels import TextLine
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 from khep_twin.sensing.calibration import Calibration, MotorCalibration
 from khep_twin.units import PULSES_PER_TURN, TICK_NS
 from khep_twin.world import World
@@ -110,7 +110,7 @@ def read_drive(log: Path) -> DutyDrive:
         LogError: There is no log.
         FitError: It holds no steps of duty, or too few replies.
     """
-    robots = read(log).robots
+    robots = read_log(log).robots
     if len(robots) != 1:
         raise FitError(f"{log}: {len(robots)} robots; expected a log of one")
     (track,) = robots.values()

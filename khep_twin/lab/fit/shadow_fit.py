@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from khep_twin import playpen as playpens
 from khep_twin.errors import CalibrationError, FitError
 from khep_twin.files import toml_files
 from khep_twin.lab.fit.least_squares import CONFIDENCE, DETERMINED
 from khep_twin.lab.fit.robot_fit import FittedValue, RobotFit
 from khep_twin.log.reader import read_arrays
 from khep_twin.log.shadow_channels import is_shadow
+from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.shadow.following import Follower
@@ -66,7 +66,7 @@ def follow_all(
         LogError: The log cannot be read.
         PlaypenError: The playpen cannot be used.
     """
-    line, found = recorded(path), playpens.load(playpen)
+    line, found = recorded(path), Playpen.load(playpen)
     settings = ShadowSettings() if line.baud is None else ShadowSettings(baud=line.baud)
     follower = Follower(shadow := Shadow(found, settings))
     for number, heard in enumerate(line.heard):

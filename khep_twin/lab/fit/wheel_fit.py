@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from khep_twin.errors import FitError
 from khep_twin.lab.fit.least_squares import CONFIDENCE
 from khep_twin.lab.fit.placement import Ruler
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 from khep_twin.sensing.calibration import WheelCalibration
 from khep_twin.units import PULSES_PER_TURN, WHEEL_BASE, WHEEL_RADIUS
 
@@ -126,7 +126,7 @@ def pulses(log: Path) -> tuple[int, int]:
         LogError: There is no log.
         FitError: The host has not sent H twice, or has set the counters between.
     """
-    robots = read(log).robots
+    robots = read_log(log).robots
     if len(robots) != 1:
         raise FitError(f"{log}: {len(robots)} robots; expected a log of one")
     (track,) = robots.values()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from checks.fuzz.libfuzzer import run_libfuzzer
 from checks.fuzz.logs import STEP, base, check, cooked, seeds
-from khep_twin.log.reader import read, read_series
+from khep_twin.log.reader import read_log, read_series
 
 SHARE = 2_000
 
@@ -32,5 +32,5 @@ def test_the_log_to_begin_with_is_read_to_its_end(tmp_path: Path) -> None:
     path = tmp_path / "base.mcap"
     path.write_bytes(cooked(b""))
     assert len(base()) > 5
-    assert len(read(path).robots["khepera0"].proximity) == 2
+    assert len(read_log(path).robots["khepera0"].proximity) == 2
     assert read_series(path).lines["/events"][0].text == "x"

@@ -13,7 +13,7 @@ from command_line import khep_twin
 from PIL import Image
 
 from khep_twin.errors import ChallengeError, ControllerError, StoppedError
-from khep_twin.lab.challenge.attempt import Attempt, attempt
+from khep_twin.lab.challenge.attempt import Attempt, score_file
 from khep_twin.lab.challenge.challenge import load, names
 from khep_twin.lab.challenge.results import attempts, table, to_csv
 from khep_twin.lab.challenge.scoring import score
@@ -270,7 +270,7 @@ def test_a_table_has_a_line_for_every_file_whatever_it_does(short: Path, tmp_pat
 )
 def test_a_file_that_hangs_is_ended_and_has_a_line(short: Path, tmp_path: Path, text: str) -> None:
     (tmp_path / "hangs.py").write_text(text)
-    found = attempt(load(str(short)), str(tmp_path / "hangs.py"), real_seconds=4)
+    found = score_file(load(str(short)), str(tmp_path / "hangs.py"), real_seconds=4)
     assert found.score is None
     assert "hangs.py: not finished after 4 s of real time; expected cycles that end" in found.reason
 
@@ -282,7 +282,7 @@ def test_what_a_file_starts_is_ended_with_it(short: Path, tmp_path: Path) -> Non
         "Path(__file__).with_suffix('.pid').write_text(str(child.pid))\n"
         "def controller(robot):\n    robot.proximity()\n"
     )
-    assert attempt(load(str(short)), str(tmp_path / "starts.py"), runs=1).score is not None
+    assert score_file(load(str(short)), str(tmp_path / "starts.py"), runs=1).score is not None
     status = Path(f"/proc/{int((tmp_path / 'starts.pid').read_text())}/stat")
     deadline = time.monotonic() + 60
     while status.exists() and status.read_text().rpartition(")")[2].split()[0] != "Z":

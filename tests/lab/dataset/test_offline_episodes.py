@@ -15,7 +15,7 @@ from khep_twin.errors import LogError
 from khep_twin.interventions.move_robot import put
 from khep_twin.lab.dataset.episodes import OfflineEpisode, episodes_of
 from khep_twin.log.line_recorder import LineRecorder
-from khep_twin.playpen import load
+from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
 MS = 1_000_000
@@ -116,7 +116,7 @@ def test_an_empty_charge_terminates_an_episode_and_the_time_limit_truncates_it(t
 def test_each_robot_has_its_episodes_without_the_periods_in_which_it_was_carried_or_sought_a_position(
     tmp_path: Path,
 ) -> None:
-    one_robot = load("obstacles")
+    one_robot = Playpen.load("obstacles")
     (robot,) = one_robot.robots
     both = (robot, robot.model_copy(update={"x_mm": 300.0, "y_mm": 300.0}))
     path = tmp_path / "run.mcap"

@@ -14,7 +14,7 @@ from khep_twin.interventions.switching import switch
 from khep_twin.lab.experiment.branch import BranchPlan, branch, calibrations
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import repeat
-from khep_twin.log.reader import read, read_label
+from khep_twin.log.reader import read_label, read_log
 from khep_twin.log.recorded import BranchPoint, read_recorded
 from khep_twin.log.snapshots import read_snapshot
 from khep_twin.ports.protocol_khep import Serial
@@ -94,7 +94,7 @@ def test_a_change_changes_what_follows_and_the_new_log_can_be_repeated(
     assert messages(path) != messages(parent)
     assert run_end_ns(path) == run_end_ns(parent)
     assert repeat(read_recorded(path)) is None
-    assert any(line.text.startswith("branched off, with ") for line in read(path).events)
+    assert any(line.text.startswith("branched off, with ") for line in read_log(path).events)
 
 
 def test_what_is_put_elsewhere_is_there_and_all_else_goes_on(parent: Path) -> None:

@@ -16,7 +16,7 @@ from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import repeat
-from khep_twin.log.reader import read, read_label
+from khep_twin.log.reader import read_label, read_log
 from khep_twin.log.recorded import read_recorded
 
 TEXT = "def controller(robot):\r\n    robot.set_speed(3, 4)  # für beide Räder"
@@ -46,7 +46,7 @@ def test_a_users_file_is_attached_as_it_was_read_and_the_run_repeats(tmp_path: P
     data = logs[0].read_bytes()
     assert data == logs[1].read_bytes()
     assert str(tmp_path).encode() not in data
-    assert [line.text for line in read(logs[0]).robots["khepera0"].serial][:2] == ["D,3,4", "d"]
+    assert [line.text for line in read_log(logs[0]).robots["khepera0"].serial][:2] == ["D,3,4", "d"]
     done = subprocess.run(
         [sys.executable, "-m", "khep_twin", "repeat", str(logs[0])],
         capture_output=True,

@@ -12,7 +12,7 @@ from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.experiment import run
-from khep_twin.log.reader import read
+from khep_twin.log.reader import read_log
 
 
 def test_a_run_ends_after_its_cycles_or_its_time() -> None:
@@ -52,7 +52,7 @@ def test_the_vehicle_wanders_for_two_minutes_and_never_stands_for_five_seconds(
     log = tmp_path / "run.mcap"
     with Khepera(f"khep://obstacles?seed={seed}&log={log}") as robot:
         run(braitenberg, robot, seconds=120)
-    track = read(log).robots["khepera0"]
+    track = read_log(log).robots["khepera0"]
     five_seconds = 250
     extents = np.hypot(
         *(np.ptp(sliding_window_view(track.pose[:, axis], five_seconds), axis=1) for axis in (0, 1))

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from khep_twin import playpen as playpens
 from khep_twin.episodes.fitness import obstacle_avoidance
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.measures import GroundTruthMetrics, HostMetrics, coverage
@@ -64,7 +63,7 @@ def test_a_garbled_reply_counts_for_nothing(reply: str) -> None:
 
 def test_coverage_counts_cells_that_the_robot_can_stand_in() -> None:
     # 600 x 500 mm: 12 x 10 cells, of which the outermost are too near to the walls for 27.5 mm.
-    playpen = playpens.load("default")
+    playpen = Playpen.load("default")
     places = np.array([[0.301, 0.301], [0.31, 0.31], [0.36, 0.301], [0.01, 0.01]])
     assert coverage(places, playpen, 0.0275) == pytest.approx(2 / (10 * 8))
 

@@ -26,6 +26,7 @@ from khep_twin.log.host_events import events_message, read_events
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.recorded import read_recorded
 from khep_twin.log.recover import recover
+from khep_twin.playpen import Playpen
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.sensing import calibration
@@ -54,7 +55,7 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_what_another_robot_was_asked_before_all_sensors_were_converted_is_repeated(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    with open_twin(playpen.load("swarm"), TwinOptions(unpaced=True, log=str(path))) as twin:
+    with open_twin(Playpen.load("swarm"), TwinOptions(unpaced=True, log=str(path))) as twin:
         twin.world.advance_to(SECOND)
         twin.world.robots[1].send(b"N\n")
         scan(twin.world)
@@ -138,7 +139,7 @@ def test_a_gripper_repeats(tmp_path: Path) -> None:
 
 
 def test_two_robots_repeat(tmp_path: Path) -> None:
-    text = playpen.dump(playpen.load("default"))
+    text = playpen.dump(Playpen.load("default"))
     second = "\n[[robot]]\nx_mm = 100\ny_mm = 100\nheading_deg = 45\n"
     both = playpen.parse(text + second, "both")
 
@@ -259,7 +260,7 @@ def test_an_altered_byte_of_a_host_is_found(tmp_path: Path, driven: Path) -> Non
 def test_a_calibration_by_path_comes_from_the_log(tmp_path: Path) -> None:
     own = tmp_path / "own.toml"
     own.write_text(calibration.read("khepera1")[1])
-    text = playpen.dump(playpen.load("obstacles"))
+    text = playpen.dump(Playpen.load("obstacles"))
     assert "[[robot]]\n" in text
     found = playpen.parse(text, "own")
     robots = tuple(each.model_copy(update={"calibration": str(own)}) for each in found.robots)

@@ -9,7 +9,7 @@ import pytest
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.lab.experiment.wire_statistics import wire
 from khep_twin.log.channels import TextLine
-from khep_twin.log.reader import LoggedRun, read
+from khep_twin.log.reader import LoggedRun, read_log
 from khep_twin.playpen import Playpen, parse
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.units import BODY_RADIUS, PULSE_LENGTH, WHEEL_BASE
@@ -61,7 +61,7 @@ def drive(playpen: Playpen, path: Path, command: bytes, seconds: int) -> LoggedR
     with open_twin(playpen, TwinOptions(noise=False, log=str(path))) as twin:
         twin.robot.send(command)
         twin.advance_to(seconds * SECOND)
-    return read(path)
+    return read_log(path)
 
 
 def ramp(end: float, count: int = 101) -> np.ndarray:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from khep_twin import playpen as playpens
 from khep_twin.board.kernel import SETPOINTS
 from khep_twin.errors import ControllerError
 from khep_twin.host import Khepera
@@ -13,9 +12,10 @@ from khep_twin.lab.experiment.controllers import Controller, braitenberg
 from khep_twin.lab.experiment.series import FreshTwins, OneRobot, run_series
 from khep_twin.lab.experiment.series_run import Plan, SeriesRun, numbered
 from khep_twin.lab.experiment.start_poses import StartPose
+from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions
 
-DEFAULT, OBSTACLES = playpens.load("default"), playpens.load("obstacles")
+DEFAULT, OBSTACLES = Playpen.load("default"), Playpen.load("obstacles")
 
 
 class Places(Controller):

@@ -12,9 +12,10 @@ from khep_twin.lab.experiment.start_poses import (
     starts,
     without_nearest_lamp,
 )
+from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_start
 
-DEFAULT, OBSTACLES, TWO_LAMPS = (playpens.load(name) for name in ("default", "obstacles", "two-lamps"))
+DEFAULT, OBSTACLES, TWO_LAMPS = (Playpen.load(name) for name in ("default", "obstacles", "two-lamps"))
 
 
 def test_starts_are_listed_in_their_order() -> None:

@@ -18,8 +18,8 @@ from khep_twin.lab.report.export import SUFFIXES
 from khep_twin.log import reader
 from khep_twin.log.channels import FLOATS, SCHEMAS, ArrayFrame
 from khep_twin.log.line_recorder import LineRecorder
-from khep_twin.log.reader import read
-from khep_twin.playpen import load
+from khep_twin.log.reader import read_log
+from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 SECOND = 1_000_000_000
@@ -29,7 +29,7 @@ SECOND = 1_000_000_000
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished log of one second of two robots, the second of which turns, and an event."""
     path = tmp_path_factory.mktemp("export") / "run.mcap"
-    one = load("gripper")
+    one = Playpen.load("gripper")
     other = one.robots[0].model_copy(update={"x_mm": 80.0, "y_mm": 80.0, "turrets": ()})
     both = one.model_copy(update={"robots": (*one.robots, other)})
     with open_twin(both, TwinOptions(seed=3, robot=None, log=str(path))) as twin:
@@ -90,7 +90,7 @@ def refusal(*words: object) -> str:
 def test_a_csv_comes_back(run: Path, tmp_path: Path) -> None:
     said = export(run, "-o", tmp_path / "run.csv")
     assert "khepera0: pose, proximity, ambient, speed, duty, leds, gripper; 51 rows" in said
-    track = read(run).robots["khepera0"]
+    track = read_log(run).robots["khepera0"]
     table: Any = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True)
     assert table["time_s"].tolist() == (track.times_ns / 1e9).tolist()
     assert np.column_stack([table[name] for name in ("x_m", "y_m", "heading_rad")]).tolist() == (
@@ -106,7 +106,7 @@ def test_a_csv_comes_back(run: Path, tmp_path: Path) -> None:
 
 def test_a_parquet_file_comes_back_with_units(run: Path, tmp_path: Path) -> None:
     export(run, "-o", tmp_path / "run.parquet", "--robot", "khepera1")
-    track = read(run).robots["khepera1"]
+    track = read_log(run).robots["khepera1"]
     table: Any = parquet.read_table(tmp_path / "run.parquet")  # pyright: ignore[reportUnknownMemberType]
     assert table["x_m"].to_pylist() == track.pose[:, 0].tolist()
     assert table["speed_left"].to_pylist() == track.speed[:, 0].tolist()
@@ -117,7 +117,7 @@ def test_a_parquet_file_comes_back_with_units(run: Path, tmp_path: Path) -> None
 
 def test_a_mat_file_comes_back(run: Path, tmp_path: Path) -> None:
     export(run, "-o", tmp_path / "run.mat")
-    track = read(run).robots["khepera0"]
+    track = read_log(run).robots["khepera0"]
     values: dict[str, Any] = loadmat(tmp_path / "run.mat")
     assert values["proximity"].tolist() == track.proximity.tolist()
     assert values["proximity_time_s"][:, 0].tolist() == (track.times_ns / 1e9).tolist()
@@ -130,7 +130,7 @@ def test_a_mat_file_comes_back(run: Path, tmp_path: Path) -> None:
 
 def test_registers_have_their_names(run: Path, tmp_path: Path) -> None:
     export(run, "-o", tmp_path / "run.csv", "--channels", "registers")
-    track = read(run).robots["khepera0"]
+    track = read_log(run).robots["khepera0"]
     table: Any = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True)
     assert len(table.dtype.names) == 1 + track.registers.shape[1]
     assert table["register_right_speed_setpoint"].tolist() == track.speed[:, 3].tolist()
@@ -139,7 +139,7 @@ def test_registers_have_their_names(run: Path, tmp_path: Path) -> None:
 
 
 def test_lamps_that_change_are_columns(tmp_path: Path) -> None:
-    lamps = load("two-lamps")
+    lamps = Playpen.load("two-lamps")
     blinking = lamps.lamps[0].model_copy(update={"blink_period_s": 0.4})
     changing = lamps.model_copy(update={"lamps": (blinking, *lamps.lamps[1:])})
     with open_twin(changing, TwinOptions(log=str(tmp_path / "run.mcap"))) as twin:
@@ -233,7 +233,7 @@ def write_speeds(path: Path, rows: list[list[float]], number_told: int | None = 
 
 def test_the_transcript_is_a_table(run: Path, tmp_path: Path) -> None:
     said = export(run, "--transcript", tmp_path / "said.csv")
-    lines = read(run).robots["khepera0"].serial
+    lines = read_log(run).robots["khepera0"].serial
     assert f"{len(lines)} lines" in said
     head, *rows = csv.reader((tmp_path / "said.csv").read_text().splitlines())
     assert head == ["time_s", "from", "text"]

@@ -18,7 +18,7 @@ from khep_twin.lab.report.rows import DEFINITIONS
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.reader import read_series
 from khep_twin.log.shadow_channels import read_shadow
-from khep_twin.playpen import load
+from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.shadow.shadow_log import ShadowLog
@@ -31,7 +31,7 @@ HEADINGS = ["Faults and events", "Versions and settings", "What the numbers mean
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished log of three seconds of two robots: one runs into the other's wall, one turns."""
     path = tmp_path_factory.mktemp("report") / "run.mcap"
-    one = load("two-lamps")
+    one = Playpen.load("two-lamps")
     other = one.robots[0].model_copy(update={"x_mm": 500.0, "y_mm": 450.0, "heading_deg": 0.0})
     both = one.model_copy(update={"robots": (*one.robots, other), "name": "both"})
     options = TwinOptions(seed=3, robot=None, faults=("dead:left@1",), log=str(path))
@@ -224,7 +224,7 @@ def test_matplotlibs_own_settings_change_nothing(log: Path, tmp_path: Path) -> N
 def shadow(tmp_path: Path) -> Path:
     """The log of a shadow with an alarm, of a host that does not ask for light."""
     path = tmp_path / "shadow.mcap"
-    log = ShadowLog(path, load("workshop"), ShadowSettings())
+    log = ShadowLog(path, Playpen.load("workshop"), ShadowSettings())
     for update in updates():
         log.write(update)
     log.close()
@@ -251,6 +251,6 @@ def test_a_report_on_a_shadow_is_the_same_each_time_as_pdf(shadow: Path) -> None
 
 def test_a_report_on_a_shadow_without_updates_says_so(tmp_path: Path) -> None:
     path = tmp_path / "empty.mcap"
-    ShadowLog(path, load("workshop"), ShadowSettings()).close()
+    ShadowLog(path, Playpen.load("workshop"), ShadowSettings()).close()
     text = html(report(read_series(path), "empty", read_shadow(path))).decode()
     assert "none: no reply had values" in text
