@@ -125,7 +125,7 @@ class World:
             self.change_over_at = _WORTH // len(self._base.robots)
         elif compiled:
             self.compile()
-        if isinstance(playpen, Playpen):
+        if not isinstance(playpen, SceneModel):
             self.reset(seed, noise=noise, vary=vary)
 
     def reset(

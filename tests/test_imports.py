@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "khep_twin"
 
 ORDER = [
-    ["compilable"],
+    ["compilable", "lazy"],
     ["errors", "clock", "machine", "units"],
     ["randomness"],
     ["signals", "status_line", "invocation"],

@@ -81,7 +81,7 @@ def test_a_twin_is_driven_in_lock_step_and_its_log_is_read_recovered_and_repeate
         "    print(robot.proximity())\n"
         "part = log.with_suffix('.mcap.part')\n"
         "part.write_bytes(log.read_bytes()[:-200])\n"
-        "print(recover(part).path.name, len(read(log).robots), repeat(read_recorded(log)))",
+        "print(recover(part).path.name, len(read_log(log).robots), repeat(read_recorded(log)))",
         str(log),
     )
     assert done.returncode == 0, done.stderr

@@ -157,12 +157,13 @@ def draw(
     return figure
 
 
-def save(figure: Figure, file: Path) -> None:
+def save(figure: Figure, file: str | Path) -> None:
     """Write a drawing as PNG, SVG or PDF, by the file's suffix.
 
     Raises:
         KhepTwinError: The suffix is another one, or the file cannot be written.
     """
+    file = Path(file)
     kind = file.suffix.lower().removeprefix(".")
     if kind not in METADATA:
         raise KhepTwinError(f"{file}: expected a name that ends in .png, .svg or .pdf")

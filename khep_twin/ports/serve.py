@@ -45,7 +45,7 @@ def serve(
 ) -> Pacer:
     """Connect hosts to the twin until `stop` returns True, or until the process is interrupted.
 
-        with open_twin("obstacles") as twin, PtyPort("khepera") as port:
+        with open_twin("obstacles") as twin, PtyPort("./khepera") as port:
             serve(twin, [port])  # hosts open ./khepera
 
     Args:

@@ -3,10 +3,10 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from khep_twin.lab.conformance.conformance import ConformanceReport as ConformanceReport
-    from khep_twin.lab.conformance.conformance import conform as conform
-    from khep_twin.lab.conformance.recording import RecordingReport as RecordingReport
-    from khep_twin.lab.conformance.recording import conform_recording as conform_recording
+    from khep_twin.lab.conformance.port.conform import ConformanceReport as ConformanceReport
+    from khep_twin.lab.conformance.port.conform import conform as conform
+    from khep_twin.lab.conformance.recording.conform import RecordingReport as RecordingReport
+    from khep_twin.lab.conformance.recording.conform import conform_recording as conform_recording
 else:
     from khep_twin import lazy
 
