@@ -44,10 +44,14 @@ SIMULATORS = {"mujoco", "dm_control", "rerun", "matplotlib", "numpy", "mcap"}
 """What `khep_twin.host` must do without, to run on a laptop beside the robot."""
 
 
+NAMES_OF_PACKAGES = {PACKAGE / "__init__.py", PACKAGE / "lab" / "__init__.py"}
+"""What names the packages below it, for type checkers and when a name is used."""
+
+
 def modules() -> list[Path]:
     """All that the package imports: templates, in assets, are programs of their users."""
     found = (path for path in PACKAGE.rglob("*.py") if PACKAGE / "assets" not in path.parents)
-    return sorted(path for path in found if path.parent != PACKAGE or path.stem != "__init__")
+    return sorted(path for path in found if path not in NAMES_OF_PACKAGES)
 
 
 def part_of(name: str) -> str:
