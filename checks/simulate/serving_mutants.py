@@ -9,9 +9,10 @@ from unittest.mock import patch
 
 from checks.simulate.mutants import Mutant
 from khep_twin.ports import pty, terminal_hosts
+from khep_twin.ports.host_writes import Change
 from khep_twin.ports.link import Link
 from khep_twin.ports.pty import PtyPort
-from khep_twin.ports.terminal_hosts import Change, TerminalHosts
+from khep_twin.ports.terminal_hosts import TerminalHosts
 from khep_twin.robot import Robot
 
 

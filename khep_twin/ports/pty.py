@@ -10,7 +10,6 @@ import errno
 import fcntl
 import math
 import os
-import re
 import select
 import struct
 import sys
@@ -29,6 +28,7 @@ from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
 from khep_twin.ports.event_sources import open_events
 from khep_twin.ports.host_port import NOTHING, Received
+from khep_twin.ports.host_writes import Change, Reading, divide_at_leaving
 from khep_twin.ports.link import Link
 from khep_twin.ports.terminal_hosts import TerminalHosts
 
@@ -44,15 +44,6 @@ _INPUT, _OUTPUT, _CONTROL, _LOCAL, _IN_SPEED, _OUT_SPEED = range(6)
 
 _MOST_KEPT = 65536
 """Most bytes that are read of a host that has left; the kernel keeps some 20 kB at most."""
-
-_LINE = re.compile(rb"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
-"""Line with its end, or what there is of it."""
-
-_TEXT = re.compile(rb"[\t\r\n -~]*")
-"""Bytes that the robot's protocol consists of."""
-
-_UNFINISHED = re.compile(rb"[^\r\n]*?[^,\r\n](?=[A-Z])")
-"""Line that another one follows without an end between: commands begin with a capital letter."""
 
 _CROWDED_S = 0.1
 """Time that several hosts must be there before it is reported, as tools such as stty come and go [s]."""
@@ -104,8 +95,7 @@ class PtyPort:
         self._crowded_since: float | None = None
         self._left_s: float | None = None  # when the last host left, until its settings are restored
         self._given_s: float | None = None  # when bytes were written that may be unread
-        self._early = False  # bytes were read before the event that reports them
-        self._rest = False  # bytes that were reported found no room here, or were underway
+        self._reading = Reading.EVEN
         self._seen: tuple[object, object] | None = None
         self._settings: LineSettings | None = None
         self._link = None
@@ -148,48 +138,46 @@ class PtyPort:
 
     def receive(self, limit: int, answered: bool = False) -> Received:
         """Take what hosts have sent, at most `limit` bytes unless they have left, and news about them."""
-        # Bytes before events: the opening by their sender is then known.
         if self._left_s is not None:
             self._restore(self._left_s)
-        data, given_s = self._read(limit), self._given_s
-        if given_s is not None and time.monotonic() - given_s >= _TRANSIT_S and not self._unread():
-            self._given_s = None
-        rest = self._is_full(data, limit)
+        # Bytes before events: the opening by their sender is then known.
+        data, had_given = self._read(limit), self._given_s is not None
+        self._forget_read_replies()
+        is_full = self._is_full(data, limit)
         change = self._hosts.poll(bool(data))
-        early, is_new = self._early, bool(data) and not self._rest
-        self._early = (early or is_new) and not change.writes_before
-        if not change.left:
-            # The writes that were just reported are counted with this call, so their bytes come with it, too.
-            if change.writes_before and not rest and self._readable.poll(0):
-                data += self._read(limit - len(data))
-                rest = self._is_full(data, limit)
-            self._rest = rest or (change.writes_before > 0 and not data)
-            notices = self._crowd()
-            return Received(data, notices=notices) if data or notices else NOTHING
-        self._crowded_since, self._early = None, False
-        n_before, self._rest = change.writes_before - early + self._rest, False
-        read, data = data, self._read_all()
-        later = self._hosts.poll(False)
-        if later.left:
-            # Whoever wrote what was read first has left, too, and with it that run of writes, unless cut off.
-            n_before += change.writes + later.writes_before - (0 < len(read) < limit)
-            n_writes = later.writes
-        else:
-            read, data = b"", read + data
-            n_writes = change.writes + later.writes_before
+        if change.left:
+            return self._receive_at_leaving(data, 0 < len(data) < limit, change, had_given)
+        # The writes that were just reported are counted with this call, so their bytes come with it, too.
+        if change.writes_before and not is_full and self._readable.poll(0):
+            data += self._read(limit - len(data))
+            is_full = self._is_full(data, limit)
+        self._reading = self._reading.after(bool(data), change.writes_before, is_full)
+        notices = self._crowd()
+        return Received(data, notices=notices) if data or notices else NOTHING
+
+    def _receive_at_leaving(self, first: bytes, is_whole: bool, change: Change, had_given: bool) -> Received:
+        """Take the rest of what hosts that have left have sent, and what others have sent since.
+
+        Args:
+            first: Bytes that were read already.
+            is_whole: True if these are some and no limit has cut them off.
+            change: Change after which hosts have left.
+            had_given: True if bytes were written here that may have been unread.
+        """
+        self._crowded_since = None
+        reading, self._reading = self._reading, Reading.EVEN
+        rest = self._read_all()
+        last, data = divide_at_leaving(reading, first, is_whole, rest, change, self._hosts.poll(False))
         if not self.occupied:
             self._clear()
             # One that came since that poll may have read them before they were flushed.
-            crossed = given_s is not None and not self._hosts.is_quiet()
-            return Received(left=True, last=read + data, notices=[_IN_A_MOMENT] if crossed else ())
+            crossed = had_given and not self._hosts.is_quiet()
+            return Received(left=True, last=first + rest, notices=[_IN_A_MOMENT] if crossed else ())
         # The next host is already connected, and may have received unread replies.
         unread = self._drop_replies()
-        last, data = _divided(data, n_before, n_writes)
-        last = read + last
         # Writes that were read early may have been reported with later ones, in one run.
-        crossed = unread or given_s is not None or ((last or early) and data)
-        notices = [_IN_A_MOMENT] if crossed else []
-        return Received(data, left=True, last=last, notices=notices)
+        crossed = unread or had_given or (data and (last or reading.is_ahead))
+        return Received(data, left=True, last=last, notices=[_IN_A_MOMENT] if crossed else [])
 
     def write(self, data: bytes) -> None:
         """Send to the host; drop and count what a host that never reads leaves no room for."""
@@ -256,6 +244,15 @@ class PtyPort:
         self._given_s = None
         return unread
 
+    def _forget_read_replies(self) -> None:
+        """Note that the host has read all that was written, once it can be seen."""
+        if (
+            self._given_s is not None
+            and time.monotonic() - self._given_s >= _TRANSIT_S
+            and not self._unread()
+        ):
+            self._given_s = None
+
     def _unread(self) -> int:
         """Return the number of bytes that have reached the host's side, and that no host has read."""
         return struct.unpack("i", fcntl.ioctl(self._hosts.host_side, termios.FIONREAD, bytes(4)))[0]
@@ -286,26 +283,3 @@ class PtyPort:
         flags[_IN_SPEED] = flags[_OUT_SPEED] = speed
         termios.tcsetattr(host_side, termios.TCSANOW, flags)
         return termios.tcgetattr(host_side)
-
-
-def _divided(data: bytes, n_before: int, n_writes: int) -> tuple[bytes, bytes]:
-    """Divide bytes into those of hosts that have left and those of hosts that are here.
-
-    The kernel keeps no boundary between them. Where both have written, a new host is assumed to have written
-    a line at a time. Bytes that are not text have no lines; all of them count as that host's, whose write
-    may not have been reported yet.
-
-    Args:
-        data: Bytes of both.
-        n_before: Runs of writes of hosts that have left.
-        n_writes: Runs of writes of hosts that are here.
-    """
-    if n_before <= 0 or not _TEXT.fullmatch(data):
-        return b"", data
-    if n_writes <= 0:
-        return data, b""
-    lines = _LINE.findall(data)
-    last, rest = b"".join(lines[:-n_writes]), b"".join(lines[-n_writes:])
-    if unfinished := _UNFINISHED.match(rest):
-        last, rest = last + unfinished[0], rest[unfinished.end() :]
-    return last, rest

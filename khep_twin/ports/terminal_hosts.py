@@ -15,9 +15,9 @@ import sys
 import termios
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from khep_twin.ports.event_sources import ONE_WRITE, Event, OpenEvents
+from khep_twin.ports.host_writes import Change
 from khep_twin.ports.port_users import count_descriptors
 
 if sys.platform == "win32":
@@ -31,21 +31,6 @@ _CLOSING_S = 1.0
 
 _TIOCGEXCL = getattr(termios, "TIOCGEXCL", 0x80045440)
 """Request for the state of a terminal's lock, which Python 3.11 does not name; the number is Linux's."""
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """Changes among the hosts since the last poll.
-
-    Attributes:
-        left: All hosts that were here have left, even if others came since.
-        writes_before: Runs of writes of the hosts that have left; of those that are here, if none has.
-        writes: Runs of writes of the hosts that came after the others left.
-    """
-
-    left: bool = False
-    writes_before: int = 0
-    writes: int = 0
 
 
 _NONE, _ONE_WRITE = Change(), Change(writes_before=1)

@@ -12,8 +12,9 @@ import pytest
 from forked import Forked
 
 from khep_twin.ports import pty as pty_module
+from khep_twin.ports.host_writes import Change
 from khep_twin.ports.pty import PtyPort
-from khep_twin.ports.terminal_hosts import Change, TerminalHosts
+from khep_twin.ports.terminal_hosts import TerminalHosts
 
 
 @pytest.fixture(params=["inotify", "no inotify"])
