@@ -25,6 +25,8 @@ from urllib.request import Request, urlopen
 
 from websockets.sync.client import connect
 
+from benchmarks.line import processor_s
+
 PLAYPEN = "obstacles"
 ROUNDS = 7
 SECONDS = 2.0
@@ -80,7 +82,7 @@ class Twin:
             while True:
                 said = json.loads(socket.recv())
                 if said["kind"] == "picture":
-                    return said["time"], time.perf_counter(), self._processor()
+                    return said["time"], time.perf_counter(), processor_s(self.process.pid)
 
     def turn(self, watch: Callable[[], AbstractContextManager[Any]]) -> Turn:
         """Run the twin for a turn, watched."""
@@ -95,11 +97,6 @@ class Twin:
             after = self.look()
         simulated, wall, processor = (now - then for now, then in zip(after, before, strict=True))
         return Turn(simulated / wall, processor / simulated)
-
-    def _processor(self) -> float:
-        with open(f"/proc/{self.process.pid}/stat", encoding="ascii") as file:
-            fields = file.read().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def main() -> None:

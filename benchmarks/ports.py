@@ -10,19 +10,20 @@ import statistics
 import subprocess
 import sys
 import time
-import tty
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
+from benchmarks.line import late_s, opened, trip_s
 from benchmarks.table import LEGEND, Row, Taken, measure, text, timed
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.experiment import run
+from stand_ins.echoes import echoes
+from stand_ins.served import served
 
 ROUNDS = 5
 TRIPS = 1000
-REPLY = b"b,5.02,5.01\r\n"
 EXAMPLE = Path(__file__).parents[1] / "examples" / "01_braitenberg.py"
 
 
@@ -46,15 +47,9 @@ def line_row(
 @contextmanager
 def trip_rows(trips: int) -> Generator[list[Row]]:
     """Measure round trips over pseudo-terminals, while their processes run, by a round's median trip."""
-    echo, path = _echo()
-    with _served("--unpaced") as twin:
-        try:
-            ends = {"bare pty echo (floor)": path, "served twin, unpaced": _path_of(twin)}
-            yield [_trip_row(name, end, trips) for name, end in ends.items()]
-        finally:
-            twin.terminate()
-            echo.kill()
-            echo.wait()
+    with echoes(paced=False) as (_, [echo]), served("serve", "default", "--unpaced") as (_, twin):
+        ends = {"bare pty echo (floor)": echo, "served twin, unpaced": twin}
+        yield [_trip_row(name, end, trips) for name, end in ends.items()]
 
 
 def _trip_row(name: str, path: str, trips: int) -> Row:
@@ -71,8 +66,8 @@ def main() -> None:
         print(text([measure("B over a pty", rows, ROUNDS, unit="round trips per s")]))
     print(LEGEND)
     print_lateness()
-    with _served("--clock", "wire", playpen="obstacles") as twin:
-        name, start = _path_of(twin), time.perf_counter()
+    with served("serve", "obstacles", "--clock", "wire") as (twin, name):
+        start = time.perf_counter()
         subprocess.run([sys.executable, str(EXAMPLE), name, "1000"], check=True)
         took = time.perf_counter() - start
         twin.terminate()
@@ -84,20 +79,15 @@ def main() -> None:
 
 def print_lateness(queries: int = 400) -> None:
     """Print the delays of replies to N at 9600 baud, of a served twin and of a bare loop in turn."""
-    echo, path = _echo(_PACED_ECHO)
-    with _served() as twin:
-        try:
-            ends = {"bare paced echo (floor)": path, "served twin": _path_of(twin)}
-            ports = {name: os.open(end, os.O_RDWR | os.O_NOCTTY) for name, end in ends.items()}
-            late: dict[str, list[float]] = {name: [] for name in ports}
-            for number in range(queries):
-                for name, port in ports.items():
-                    late[name].append(_late(port) * 1e3)
-                    time.sleep(0.001 * (number % 7))
-        finally:
-            twin.terminate()
-            echo.kill()
-            echo.wait()
+    with echoes() as (_, [echo]), served("serve", "default") as (_, twin):
+        ports = {"bare paced echo (floor)": opened(echo), "served twin": opened(twin)}
+        late: dict[str, list[float]] = {name: [] for name in ports}
+        for number in range(queries):
+            for name, port in ports.items():
+                late[name].append(late_s(port, b"N\n") * 1e3)
+                time.sleep(0.001 * (number % 7))
+        for port in ports.values():
+            os.close(port)
     print(f"N at 9600 baud, {queries} times each: beside the line's time the reply ends")
     for name, values in late.items():
         p99 = statistics.quantiles(values, n=100)[98]
@@ -107,67 +97,14 @@ def print_lateness(queries: int = 400) -> None:
         )
 
 
-_ECHO = """
-import os, sys
-master = int(sys.argv[1])
-while True:
-    if b"\\n" in os.read(master, 100):
-        os.write(master, b"b,5.02,5.01\\r\\n")
-"""
-
-_PACED_ECHO = """
-import os, sys, time
-master, byte = int(sys.argv[1]), 11 / 9600
-while True:
-    if b"\\n" in os.read(master, 100):
-        end = time.perf_counter() + 2 * byte
-        for value in b"n,0,0,0,0,0,0,0,0\\r\\n":
-            end += byte
-            time.sleep(max(end - time.perf_counter(), 0))
-            os.write(master, bytes([value]))
-"""
-
-
-def _echo(program: str = _ECHO) -> tuple[subprocess.Popen[bytes], str]:
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    command = [sys.executable, "-c", program, str(master)]
-    return subprocess.Popen(command, pass_fds=[master]), os.ttyname(slave)
-
-
-def _served(*options: str, playpen: str = "default") -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "khep_twin", "serve", playpen, *options]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def _path_of(process: subprocess.Popen[str]) -> str:
-    assert process.stdout is not None
-    return process.stdout.readline().strip()
-
-
 def _trips(path: str, trips: int) -> list[float]:
-    port = os.open(path, os.O_RDWR | os.O_NOCTTY)
-    taken: list[float] = []
+    port = opened(path)
     try:
-        for _ in range(trips):
-            start, reply = time.perf_counter(), b""
-            os.write(port, b"B\n")
-            while len(reply) < len(REPLY):
-                reply += os.read(port, 100)
-            taken.append(time.perf_counter() - start)
+        taken = [trip_s(port, b"B\n")[0] for _ in range(trips)]
     finally:
         os.close(port)
     time.sleep(0.1)
     return taken
-
-
-def _late(port: int) -> float:
-    """Return the delay of a reply to N beyond the line's time [s]."""
-    start, reply = time.perf_counter(), b""
-    os.write(port, b"N\n")
-    while not reply.endswith(b"\n"):
-        reply += os.read(port, 100)
-    return time.perf_counter() - start - (2 + len(reply)) * 11 / 9600
 
 
 if __name__ == "__main__":

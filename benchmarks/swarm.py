@@ -10,22 +10,25 @@ import os
 import select
 import statistics
 import subprocess
-import sys
 import time
-import tty
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
+from benchmarks.line import opened, processor_s
 from benchmarks.table import LEGEND, Row, Taken, measure, text
+<<<<<<< HEAD
 from khep_twin.playpen import Playpen
+=======
+from khep_twin import playpen
+from stand_ins.echoes import BYTE_S, echoes
+from stand_ins.served import served
+>>>>>>> 4c45782 (stand_ins has what tests, checks and benchmarks did alike: served commands, answering terminals, the robot of ready answers; round trips on a line are measured in one place)
 
 ROUNDS = 3
 SECONDS = 10.0
-
-BYTE = 11 / 9600
-"""Duration of a byte on the line [s]."""
 
 REQUESTS = (b"N\n", b"D,5,4\n")
 
@@ -41,7 +44,7 @@ def swarm_rows(name: str, seconds: float) -> Generator[list[Row]]:
     count = len(Playpen.load(name).robots)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
-        rows = [Polled(*stack.enter_context(_echoes(count)), seconds).row("bare paced echoes (floor)")]
+        rows = [Polled(*stack.enter_context(echoes(count)), seconds).row("bare paced echoes (floor)")]
         for title, options in (("served", ()), ("served, logged", ("--log", str(folder / "swarm.mcap")))):
             process, paths = stack.enter_context(_served(name, count, *options))
             rows.append(Polled(process, paths, seconds).row(f"{name} {title}"))
@@ -60,7 +63,7 @@ class Polled:
         late: Delays of the replies of the last run beyond the line's time [s].
     """
 
-    def __init__(self, process: subprocess.Popen[str], paths: Sequence[str], seconds: float) -> None:
+    def __init__(self, process: subprocess.Popen[Any], paths: Sequence[str], seconds: float) -> None:
         self.late: list[float] = []
         self._process, self._paths, self._seconds = process, paths, seconds
 
@@ -71,13 +74,13 @@ class Polled:
     def run(self) -> Taken:
         """Poll all lines for the duration; return the times for one second on each line."""
         self.late = []
-        ports = [os.open(path, os.O_RDWR | os.O_NOCTTY) for path in self._paths]
+        ports = [opened(path) for path in self._paths]
         poll, busy = select.epoll(), 0.0
         heard = {port: b"" for port in ports}
         asked = dict.fromkeys(ports, 0)
         sent: dict[int, float] = {}
         try:
-            cpu, start = _processor_time(self._process.pid), time.perf_counter()
+            cpu, start = processor_s(self._process.pid), time.perf_counter()
             for port in ports:
                 poll.register(port, select.EPOLLIN)
                 sent[port] = time.perf_counter()
@@ -88,13 +91,13 @@ class Polled:
                     heard[port] += os.read(port, 4096)
                     if heard[port].endswith(b"\n"):
                         now = time.perf_counter()
-                        line = (len(REQUESTS[asked[port]]) + len(heard[port])) * BYTE
+                        line = (len(REQUESTS[asked[port]]) + len(heard[port])) * BYTE_S
                         self.late.append(now - sent[port] - line)
                         busy += line / len(ports)
                         heard[port], asked[port] = b"", (asked[port] + 1) % len(REQUESTS)
                         sent[port] = now
                         os.write(port, REQUESTS[asked[port]])
-            cpu, wall = _processor_time(self._process.pid) - cpu, now - start
+            cpu, wall = processor_s(self._process.pid) - cpu, now - start
         finally:
             poll.close()
             for port in ports:
@@ -107,61 +110,11 @@ class Polled:
         return f"late {statistics.median(self.late) * 1e3:.2f} ms p50, {p99 * 1e3:.2f} ms p99"
 
 
-_ECHOES = f"""
-import os, select, sys, time
-masters = [int(each) for each in sys.argv[1:]]
-due = {{}}
-while True:
-    now = time.perf_counter()
-    for master, (at, reply) in list(due.items()):
-        while reply and at <= now:
-            os.write(master, reply[:1])
-            at, reply = at + {BYTE}, reply[1:]
-        due[master] = at, reply
-        if not reply:
-            del due[master]
-    wait = min((at for at, _ in due.values()), default=now + 1) - time.perf_counter()
-    for master in select.select(masters, [], [], max(wait, 0))[0]:
-        request = os.read(master, 100)
-        reply = b"n,0,0,0,0,0,0,0,0\\r\\n" if request[:1] == b"N" else b"d\\r\\n"
-        due[master] = time.perf_counter() + (len(request) + 1) * {BYTE}, reply
-"""
-
-
 @contextmanager
-def _echoes(count: int) -> Generator[tuple[subprocess.Popen[str], list[str]]]:
-    pairs = [os.openpty() for _ in range(count)]
-    for _, host_side in pairs:
-        tty.setraw(host_side)
-    masters = [master for master, _ in pairs]
-    command = [sys.executable, "-c", _ECHOES, *map(str, masters)]
-    process = subprocess.Popen(command, pass_fds=masters, text=True)
-    try:
-        yield process, [os.ttyname(host_side) for _, host_side in pairs]
-    finally:
-        process.kill()
-        process.wait()
-        for end in (*masters, *(host_side for _, host_side in pairs)):
-            os.close(end)
-
-
-@contextmanager
-def _served(name: str, count: int, *options: str) -> Generator[tuple[subprocess.Popen[str], list[str]]]:
-    command = [sys.executable, "-m", "khep_twin", "serve", name, *options]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    assert process.stdout is not None
-    try:
-        yield process, [process.stdout.readline().strip() for _ in range(count)]
-    finally:
-        process.terminate()
-        process.wait()
-        process.stdout.close()
-
-
-def _processor_time(pid: int) -> float:
-    """Return the processor time of a process, as Linux shows it [s]."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+def _served(name: str, count: int, *options: str) -> Generator[tuple["subprocess.Popen[Any]", list[str]]]:
+    with served("serve", name, *options) as (process, first):
+        assert process.stdout is not None
+        yield process, [first, *(process.stdout.readline().strip() for _ in range(count - 1))]
 
 
 def main() -> None:

@@ -29,6 +29,7 @@ from mcap.reader import make_reader
 from khep_twin.clock import NS_PER_S
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import read_line
+from stand_ins.served import served
 
 MOST_LOST = {"serve": 1.0, "run": 5.0}
 """Largest loss of a log: wall time for `serve`, simulated time for `run` [s]."""
@@ -76,17 +77,11 @@ class Recovered:
 def kill_serve(folder: Path, after: float) -> Kill:
     """Serve a twin, poll it and kill it after so many seconds."""
     log = folder / "run.mcap"
-    command = [sys.executable, "-m", "khep_twin", "serve", "obstacles", "--log", str(log)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
-        assert server.stdout is not None
-        try:
-            assert select.select([server.stdout], [], [], PATIENCE)[0], "nothing was served"
-            path = server.stdout.readline().strip()
-            start = time.monotonic()
-            heard = _poll(path, start + after)
-            killed = time.monotonic()
-        finally:
-            server.kill()
+    with served("serve", "obstacles", "--log", str(log)) as (server, path):
+        start = time.monotonic()
+        heard = _poll(path, start + after)
+        killed = time.monotonic()
+        server.kill()
     found = _recover(log)
     times = [start, *(at for at, _ in heard)]
     recorded = [line.text for line in found.replies]

@@ -10,18 +10,15 @@ of one in KNOWN.
 """
 
 import importlib.util
-import os
 import subprocess
 import sys
 import tarfile
 import tempfile
-import threading
-import time
-import tty
 import unittest
-from collections.abc import Generator
-from contextlib import contextmanager
 from pathlib import Path
+
+from stand_ins.echoes import looped_back
+from stand_ins.served import served
 
 SOURCE = "pyserial==3.5 --hash=sha256:3c77e014170dfffbd816e6ffc205e9842efb10be9f58ec16d3e8675b4925cddb\n"
 
@@ -72,38 +69,17 @@ def run(script: Path, port: str) -> tuple[int, set[str]]:
     return result.testsRun, {name.removeprefix("pyserial_") for name in bad}
 
 
-@contextmanager
-def plug() -> Generator[str]:
-    """Yield the path of a terminal that echoes its input, after about a byte's time each way."""
-    far_end, near_end = os.openpty()
-    tty.setraw(near_end)
-
-    def echo() -> None:
-        while data := os.read(far_end, 4096):
-            time.sleep(0.002)
-            os.write(far_end, data)
-
-    threading.Thread(target=echo, daemon=True).start()
-    yield os.ttyname(near_end)
-
-
 def main() -> int:
     """Run all scripts; return 0 if only known tests fail."""
     count, failed = 0, set[str]()
-    with tempfile.TemporaryDirectory() as folder, plug() as device:
+    with tempfile.TemporaryDirectory() as folder, looped_back() as device:
         scripts = unpack(Path(folder))
-        command = [sys.executable, "-m", "khep_twin", "serve", "--relay", device]
-        with subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-        ) as server:
-            assert server.stdout is not None
-            port = server.stdout.readline().strip()
+        with served("serve", "--relay", device) as (_, port):
             for name in SCRIPTS:
                 tests, bad = run(scripts / f"{name}.py", port)
                 count += tests
                 failed |= bad
                 print(f"{name:16} {tests} tests, {len(bad)} failed", flush=True)
-            server.terminate()
     for name in sorted(failed - set(KNOWN)):
         print(f"FAILED  {name}")
     for name in sorted(set(KNOWN) - failed):

@@ -1,13 +1,14 @@
 """`khep-twin serve`, and other commands that serve, in their own processes."""
 
-import select
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 
 from forked import Forked
+
+import stand_ins.served
 
 LISTS_PORTS = (
     *(sys.executable, "-c"),
@@ -18,28 +19,14 @@ LISTS_PORTS = (
 """`khep-twin ports` on a machine without serial ports, whatever is plugged into this one."""
 
 
-@contextmanager
 def served(
     *arguments: str,
     command: str = "serve",
     program: Sequence[str] = ("-m", "khep_twin"),
     pass_fds: tuple[int, ...] = (),
-) -> Iterator[tuple["subprocess.Popen[str]", str]]:
+) -> AbstractContextManager[tuple["subprocess.Popen[str]", str]]:
     """`khep-twin serve`, or another one, and what a host opens, its first line."""
-    process = Forked(
-        [sys.executable, *program, command, *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        pass_fds=pass_fds,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        assert select.select([process.stdout], [], [], 120)[0], "nothing was served"
-        yield process, process.stdout.readline().strip()
-    finally:
-        process.terminate()
-        process.communicate(timeout=60)
+    return stand_ins.served.served(command, *arguments, program=program, start=Forked, pass_fds=pass_fds)
 
 
 def stop(process: "subprocess.Popen[str]", how: signal.Signals = signal.SIGTERM) -> tuple[int, str]:

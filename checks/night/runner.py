@@ -301,7 +301,12 @@ def main() -> int:
     parser.add_argument("what", choices=["run", "list", "page"])
     names = [part.name for part in PARTS]
     parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(names))
-    parser.add_argument("--share", type=float, default=1.0, help="share of a whole night, above 0 to 1")
+    parser.add_argument(
+        "--share",
+        type=float,
+        default=1.0,
+        help="share of a whole night, above 0 to 1; below 1 what runs only as a whole is left out",
+    )
     parser.add_argument("--jobs", type=int, default=CORES, help="processes at once")
     parser.add_argument("--folder", type=Path, default=OUT)
     wish = parser.parse_args()
@@ -311,7 +316,8 @@ def main() -> int:
         parser.error(f"--share {wish.share:g} --jobs {wish.jobs}: expected above 0 to 1, and at least 1")
     if wish.what == "run":
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # its processes would go on
-        parts = [part for part in PARTS if not wish.parts or part.name in wish.parts]
+        asked = wish.parts or [part.name for part in PARTS if wish.share == 1 or part.wanted > part.share]
+        parts = [part for part in PARTS if part.name in asked]
         return Night(parts, wish.share, wish.folder, wish.jobs).run()
     wish.folder.mkdir(parents=True, exist_ok=True)
     if wish.what == "list":

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 import serial
-from fake_robot import FakeRobot
 from served_twin import served
 
 from khep_twin.errors import PortError, PortTimeout, ProtocolError
 from khep_twin.host import Khepera, commands
+from stand_ins.fake_robot import FakeRobot
 
 # pyserial forgets to close a socket whose other end has gone.
 pytestmark = pytest.mark.filterwarnings(

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 
 import pytest
-from fake_robot import FakeRobot
 
 from khep_twin.errors import ProtocolError
 from khep_twin.host import Gripper, Khepera, Radio
+from stand_ins.fake_robot import FakeRobot
 
 REPLIES: dict[str, tuple[Callable[[Khepera], Callable[[], object]], str, str]] = {
     "a byte above 255": (lambda robot: Radio(robot).receive, "t,4,r,2,2,300,1" + ",0" * 14, "of 0 to 255"),

@@ -1,7 +1,6 @@
 """Driving by hand: the dead-man's switch, what is sent, and what is to be seen."""
 
 import pytest
-from fake_robot import FakeRobot
 
 from khep_twin.errors import PortError, PortTimeout
 from khep_twin.host import Khepera, SensorCounts, Speeds
@@ -15,6 +14,7 @@ from khep_twin.lab.experiment.teleoperation import (
     DriveView,
     Teleoperation,
 )
+from stand_ins.fake_robot import FakeRobot
 
 
 def test_a_press_drives_for_a_moment_and_a_key_that_is_held_drives_on() -> None:
