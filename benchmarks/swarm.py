@@ -19,13 +19,9 @@ from typing import Any
 
 from benchmarks.line import opened, processor_s
 from benchmarks.table import LEGEND, Row, Taken, measure, text
-<<<<<<< HEAD
 from khep_twin.playpen import Playpen
-=======
-from khep_twin import playpen
 from stand_ins.echoes import BYTE_S, echoes
 from stand_ins.served import served
->>>>>>> 4c45782 (stand_ins has what tests, checks and benchmarks did alike: served commands, answering terminals, the robot of ready answers; round trips on a line are measured in one place)
 
 ROUNDS = 3
 SECONDS = 10.0

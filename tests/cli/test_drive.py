@@ -18,12 +18,8 @@ import pytest
 from lateness import Lateness
 
 from khep_twin.lab.experiment.teleoperation import FIRST_HOLD
-<<<<<<< HEAD
 from khep_twin.log.reader import read_log
-=======
-from khep_twin.log.reader import read
 from stand_ins.fake_robot import FakeRobot
->>>>>>> 4c45782 (stand_ins has what tests, checks and benchmarks did alike: served commands, answering terminals, the robot of ready answers; round trips on a line are measured in one place)
 
 LONG = 60.0
 """Far more than anything here takes [s]."""

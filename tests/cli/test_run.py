@@ -15,14 +15,9 @@ import pytest
 from command_line import khep_twin
 from scipy.io import loadmat
 
-<<<<<<< HEAD
 from khep_twin.log.reader import read_log
 from khep_twin.playpen import Playpen, dump
-=======
-from khep_twin.log.reader import read
-from khep_twin.playpen import dump, load
 from stand_ins.fake_robot import FakeRobot
->>>>>>> 4c45782 (stand_ins has what tests, checks and benchmarks did alike: served commands, answering terminals, the robot of ready answers; round trips on a line are measured in one place)
 
 PROGRAM = (sys.executable, "-m", "khep_twin")
 # Slow enough for a signal to come in between, and its own chance as the robot's.

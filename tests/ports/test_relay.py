@@ -16,11 +16,7 @@ import pytest
 import serial
 from served_twin import served, stop
 
-<<<<<<< HEAD
 from khep_twin.log.reader import read_log
-=======
-from khep_twin.log.reader import read
->>>>>>> 4c45782 (stand_ins has what tests, checks and benchmarks did alike: served commands, answering terminals, the robot of ready answers; round trips on a line are measured in one place)
 from khep_twin.log.viewer.replay import view
 from khep_twin.ports import idle_polls
 from khep_twin.ports import relay as relaying
