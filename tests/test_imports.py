@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "khep_twin"
 ORDER = [
     ["compilable", "lazy"],
     ["errors", "clock", "machine", "units"],
-    ["randomness"],
+    ["randomness", "shutdown"],
     ["signals", "status_line", "invocation"],
     ["files"],
     ["board"],

@@ -26,7 +26,8 @@ from khep_twin.errors import KhepTwinError, StoppedError
 from khep_twin.files.atomic import write_whole
 from khep_twin.lab.challenge.challenge import ChallengeFile, load
 from khep_twin.lab.challenge.scoring import Score, score
-from khep_twin.signals import LAST, PATIENCE, answered
+from khep_twin.shutdown import EXIT_S, INTERRUPTION_S
+from khep_twin.signals import answered
 from khep_twin.simulation.ready import when_ready
 
 REAL_SECONDS = 60.0
@@ -200,7 +201,7 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
     if not _has_ended(process):
         with suppress(ProcessLookupError):
             os.kill(process.pid, signal.SIGTERM)
-        deadline = time.monotonic() + PATIENCE + 2 * LAST
+        deadline = time.monotonic() + INTERRUPTION_S + 2 * EXIT_S
         while time.monotonic() < deadline:
             if _has_ended(process):
                 break
@@ -235,7 +236,7 @@ def _main(settings: dict[str, Any]) -> None:
     result = Path(settings["result"])
     # Should the process be orphaned, this ends it.
     if sys.platform != "win32":
-        signal.alarm(math.ceil(settings["real_seconds"] + PATIENCE + 2 * LAST))
+        signal.alarm(math.ceil(settings["real_seconds"] + INTERRUPTION_S + 2 * EXIT_S))
     try:
         with answered():
             with redirect_stderr(StringIO()):  # that numba compiles is nothing that the file prints
