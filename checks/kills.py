@@ -37,7 +37,7 @@ MOST_LOST = {"serve": 1.0, "run": 5.0}
 LATEST_KILL = 3.0
 """Latest wall time of a kill after the first output [s]."""
 
-PATIENCE = 60.0
+TIMEOUT_S = 60.0
 """Timeout on a busy machine [s]."""
 
 CONTROLLER = """import os
@@ -127,7 +127,7 @@ def kill_run(folder: Path, after: float) -> Kill:
         assert process.stdout is not None
         told = b""
         try:
-            assert select.select([process.stdout], [], [], PATIENCE)[0], "nothing was run"
+            assert select.select([process.stdout], [], [], TIMEOUT_S)[0], "nothing was run"
             until = time.monotonic() + after
             while (rest := until - time.monotonic()) > 0:
                 if select.select([process.stdout], [], [], rest)[0]:

@@ -30,7 +30,7 @@ LONGEST = 4.0
 LATEST = 2.5
 """Longest time from the start, or from the first output, to the signal [s]."""
 
-PATIENCE = 600.0
+TIMEOUT_S = 600.0
 """Timeout of the first output on a busy machine [s]."""
 
 HANGS = """import time
@@ -141,7 +141,7 @@ def end(name: str, seed: int, *, begun: bool | None = None) -> End:
                 time.sleep(after)
                 process.send_signal(number)
                 sent = time.monotonic()
-                _, errors = process.communicate(timeout=PATIENCE)
+                _, errors = process.communicate(timeout=TIMEOUT_S)
                 took = time.monotonic() - sent
             finally:
                 process.kill()
@@ -170,7 +170,7 @@ def _hear() -> None:
 
 def _await(process: "subprocess.Popen[bytes]", folder: Path, life: str) -> None:
     """Wait for the first output."""
-    until = time.monotonic() + PATIENCE
+    until = time.monotonic() + TIMEOUT_S
     if not life:
         assert process.stdout is not None
         process.stdout.read(1)

@@ -36,7 +36,7 @@ drawn = 4
 LOOPBACK = {"0100007F", "0000000000000000FFFF00000100007F"}
 """Forms of 127.0.0.1 in /proc/net/tcp and in tcp6."""
 
-PATIENCE = 120.0
+TIMEOUT_S = 120.0
 """Timeout without progress on a busy machine [s]."""
 
 
@@ -101,7 +101,7 @@ def kill_workers(sweep: "subprocess.Popen[bytes]", parts: Path, tasks: int, kill
     # The last tasks are left out: they may be done before a kill.
     for threshold in sorted(rng.choices(range(max(tasks - 4, 1)), k=kills)):
         while True:
-            assert time.monotonic() - last < PATIENCE, f"nothing happened after {len(killed)} kills"
+            assert time.monotonic() - last < TIMEOUT_S, f"nothing happened after {len(killed)} kills"
             if sweep.poll() is not None:
                 return len(killed)
             there = len(list(parts.glob("task-*.parquet")))
@@ -113,7 +113,7 @@ def kill_workers(sweep: "subprocess.Popen[bytes]", parts: Path, tasks: int, kill
         while not (alive := [pid for pid in workers_of(sweep.pid) if pid not in killed]):
             if sweep.poll() is not None:
                 return len(killed)
-            assert time.monotonic() - last < PATIENCE, f"no worker after {len(killed)} kills"
+            assert time.monotonic() - last < TIMEOUT_S, f"no worker after {len(killed)} kills"
             time.sleep(0.05)
         victim = rng.choice(alive)
         os.kill(victim, signal.SIGKILL)

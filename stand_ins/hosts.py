@@ -14,7 +14,7 @@ Host = Callable[[Sequence[int]], Speeds]
 
 _NEAR = 350
 """Counts of a thing to turn away from, some 25 mm ahead (assumed)."""
-_PATIENCE = 45
+_LONGEST_TURN = 45
 """Decisions after which a turn is given up; half a turn at 3 pulses takes about 30."""
 _MEMORY = 25
 """Decisions for which a host remembers to which side it has turned last."""
@@ -120,7 +120,7 @@ class _Turn:
             return 4, 4
         # Soon after another turn it goes the same way: in corners, sides alternate.
         side = self._side = self._side if self._ago < _MEMORY else side
-        self._speeds, self._least, self._most = (-side * speed, side * speed), decisions, _PATIENCE
+        self._speeds, self._least, self._most = (-side * speed, side * speed), decisions, _LONGEST_TURN
         return self._speeds
 
     def go_on(self, counts: Sequence[int]) -> Speeds | None:

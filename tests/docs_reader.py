@@ -31,7 +31,7 @@ from command_line import khep_twin
 ROOT = Path(__file__).parents[1]
 ALL = os.environ.get("KHEP_DOCS") == "all"
 ROBOT = "/dev/ttyUSB0"
-PATIENCE_S = 120.0
+TIMEOUT_S = 120.0
 
 BLOCK = re.compile(r"((?:^<!--[^\n]*-->\n\n?)*)^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 MARK = re.compile(r"<!-- (first|file|exits|long|not run): (.*?) -->")
@@ -103,7 +103,7 @@ class Server:
             AssertionError: It did not end well.
         """
         self.process.send_signal(signal.SIGINT)
-        code = self.process.wait(PATIENCE_S)
+        code = self.process.wait(TIMEOUT_S)
         told = self.output.read_text()
         assert code in (0, 130), f"{self.command}: {code}\n{told}"
         assert "Traceback" not in told, f"{self.command}\n{told}"
@@ -220,7 +220,7 @@ class Reader:
             )
         links, logs = _values(words, "--link"), _values(words, "--log") + _values(words, "-o")
         self._servers.append(Server(command, process, output, taken, {*logs}))
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + TIMEOUT_S
         made = [self.folder / link for link in links if "/" in link]
         while "\n" not in output.read_text() or not all(link.is_symlink() for link in made):
             assert process.poll() is None, f"{command}: ended\n{output.read_text()}"

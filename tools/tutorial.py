@@ -198,8 +198,8 @@ def reader(folder: Path, exact: bool = False) -> Iterator[Reader]:
     path = os.environ["PATH"]
     os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{path}"
     # A reader's machine is idle; a busy one that runs the tests may answer later than a robot would.
-    patience = patch.object(Khepera.__init__, "__defaults__", (60.0, 9600))
-    with contextlib.chdir(folder), patience:
+    longer_timeout = patch.object(Khepera.__init__, "__defaults__", (60.0, 9600))
+    with contextlib.chdir(folder), longer_timeout:
         person = Reader(folder, exact)
         try:
             yield person

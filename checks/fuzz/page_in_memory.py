@@ -26,7 +26,7 @@ from khep_twin.web.guard import Guard
 
 HOST, TOKEN = recipes.HOST.decode(), recipes.TOKEN.decode()
 
-PATIENCE = 10.0
+TIMEOUT_S = 10.0
 """Longest time for an answer [s]."""
 
 ANSWER = re.compile(rb"HTTP/1\.[01] (\d{3}) [^\r\n]*\r\n((?:[^\r\n]+\r\n)*)\r\n")
@@ -204,7 +204,7 @@ class Browser:
 
     def say(self, pieces: list[bytes]) -> bytes:
         """Send bytes over a new connection, and close it; return all that was answered."""
-        return self._loop.run_until_complete(asyncio.wait_for(self._said(pieces), PATIENCE))
+        return self._loop.run_until_complete(asyncio.wait_for(self._said(pieces), TIMEOUT_S))
 
     async def _said(self, pieces: list[bytes]) -> bytes:
         transport = Transport()

@@ -123,7 +123,7 @@ class Designer:
         """True if it answers."""
         return self.group.alive and self.page is not None
 
-    def ask(self, asked: Asked, body: bytes, headers: Mapping[str, str], patience_s: float | None) -> Asked:
+    def ask(self, asked: Asked, body: bytes, headers: Mapping[str, str], timeout_s: float | None) -> Asked:
         """Send a request and wait for its answer, in the page's process.
 
         Raises:
@@ -135,7 +135,7 @@ class Designer:
             raise UnreachedError
         self._open.append(asked)
         self.loop.call_soon_threadsafe(self._begin, asked, body, headers)
-        deadline_ns = None if patience_s is None else simulated.now_ns + round(patience_s * NS_PER_S)
+        deadline_ns = None if timeout_s is None else simulated.now_ns + round(timeout_s * NS_PER_S)
         simulated.wait([asked.file], lambda: asked.done or not self.group.alive, deadline_ns)
         asked.left = True
         self._open.remove(asked)

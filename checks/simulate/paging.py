@@ -31,7 +31,7 @@ MOST_FULL = 0.1
 
 NAMES = "first.toml", "second.toml", "third.toml"
 
-PATIENCE_S = 60.0
+REPLY_TIMEOUT_S = 60.0
 """Time within which a request must be answered [s] (assumed)."""
 
 
@@ -251,15 +251,15 @@ class Browser:
     def _ask_once(self, action: str, wanted: dict[str, Any]) -> Asked:
         told_wanted = {**wanted, "tab": self._tab}
         asked = Asked(self._simulation, action, copy.deepcopy(told_wanted))
-        patience = PATIENCE_S
+        timeout_s = REPLY_TIMEOUT_S
         if self._faults.happens("page-left-amid", "pages", 0.05):
-            patience = self._faults.drawn("page-left-amid", "pages").uniform(0, 0.01)
+            timeout_s = self._faults.drawn("page-left-amid", "pages").uniform(0, 0.01)
         before_ns = self._simulation.kernel.now_ns
         try:
-            self._designer.ask(asked, json.dumps(told_wanted).encode(), {}, patience)
+            self._designer.ask(asked, json.dumps(told_wanted).encode(), {}, timeout_s)
         except UnreachedError:
-            if self._simulation.kernel.now_ns - before_ns > 0.9 * PATIENCE_S * NS_PER_S:
-                self._simulation.violate("errors", f"{action} was not answered in {PATIENCE_S:g} s")
+            if self._simulation.kernel.now_ns - before_ns > 0.9 * REPLY_TIMEOUT_S * NS_PER_S:
+                self._simulation.violate("errors", f"{action} was not answered in {REPLY_TIMEOUT_S:g} s")
             raise
         return asked
 
@@ -392,7 +392,7 @@ class Browser:
 
         def save() -> None:
             try:
-                designer.ask(asked, json.dumps(wanted).encode(), {}, PATIENCE_S)
+                designer.ask(asked, json.dumps(wanted).encode(), {}, REPLY_TIMEOUT_S)
             except UnreachedError:
                 return
             if found := self._read(asked):
@@ -481,7 +481,7 @@ class Browser:
             [{}, {}, {"origin": "http://evil"}, {"host": "evil"}, {"content-length": "9" * 8}]
         )
         asked = Asked(self._simulation, action, {})
-        self._designer.ask(asked, body, headers, PATIENCE_S)
+        self._designer.ask(asked, body, headers, REPLY_TIMEOUT_S)
         self._read(asked)
 
 

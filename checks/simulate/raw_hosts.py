@@ -13,14 +13,14 @@ from checks.simulate.kernel import NS_PER_S
 from checks.simulate.simulation import Simulation
 from checks.simulate.truth import BROWSERS, REFUSED, Truth, tag
 
-PATIENCE_S = 60.0
+REPLY_TIMEOUT_S = 60.0
 """Time within which a reply comes, whatever stalls and delays there are [s]."""
 
 ORDERS = ("N", "O", "H", "E", "B", "K", "I,1", "hello", "T,9,X", "R,3", "Q", "G,5,6", "D,3,4", "D,0,0")
 """Lines that a host without the library sends."""
 
 _PASSING = frozenset({"stall", "accept"})
-"""Kinds of faults that delay a host by less than its patience."""
+"""Kinds of faults that delay a host by less than its timeout."""
 
 _BURST_LINES = 300
 """Lines of a burst: their answers are more than waits for a host that does not read."""
@@ -69,7 +69,7 @@ class Raw:
         asked, got, has_finished, since = 0, b"", False, len(faults.happened)
         try:
             with self.connect() as host:
-                host.settimeout(PATIENCE_S)
+                host.settimeout(REPLY_TIMEOUT_S)
                 lines = [tag(self.number)]
                 if faults.happens(BURST, "hosts", 1.0):
                     lines += ["N"] * _BURST_LINES
@@ -94,7 +94,7 @@ class Raw:
         except TimeoutError:
             if truth is self.truth() and self.is_exact() and faults.disturbing(since) <= _PASSING:
                 kind = "leftovers" if has_finished else "answers"
-                self.simulation.violate(kind, f"raw host {self.number} waited for {PATIENCE_S} s")
+                self.simulation.violate(kind, f"raw host {self.number} waited for {REPLY_TIMEOUT_S} s")
         except OSError as error:
             if not self.may_fail():
                 self.simulation.violate("answers", f"raw host {self.number} on a sound line got {error!r}")
@@ -147,7 +147,7 @@ class Raw:
         got = b""
         try:
             with self.connect() as host:
-                host.settimeout(PATIENCE_S)
+                host.settimeout(REPLY_TIMEOUT_S)
                 host.sendall(f"{tag(session)}\n".encode())
                 got = host.recv(4096)
                 while got and not _TELNET.sub(b"", got) and (more := host.recv(4096)):
@@ -170,7 +170,7 @@ class Raw:
         count = self.rng.randint(1, 30)
         truth, got = self.truth(), b""
         with self.connect() as host:
-            host.settimeout(PATIENCE_S)
+            host.settimeout(REPLY_TIMEOUT_S)
             host.sendall(f"{tag(self.number)}\n".encode() + b"B\n" * count)
             host.shutdown(real_socket.SHUT_WR)
             try:

@@ -21,7 +21,7 @@ from khep_twin.ports.serve import WIRE
 from khep_twin.ports.service_registry import registered
 
 DISTURBING = "stall", "suspend", "kill", "server-stop", "slow transit", "slow closing"
-"""Kinds of faults that may delay a reply beyond the patience of the host library."""
+"""Kinds of faults that may delay a reply beyond the timeout of the host library."""
 
 _MOMENT_NS = NS_PER_S // 10
 """Time before its opening in which a host may cross another [ns]."""

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any, Protocol
 
 from checks.simulate.kernel import NS_PER_S
-from checks.simulate.raw_hosts import ORDERS, PATIENCE_S, half_line
+from checks.simulate.raw_hosts import ORDERS, REPLY_TIMEOUT_S, half_line
 from checks.simulate.simulation import Simulation
 from checks.simulate.truth import Truth, tag
 from khep_twin.errors import PortError, PortInUse
@@ -104,7 +104,7 @@ class TerminalHost:
     def _replies(self, descriptor: int, count: int, truth: Truth) -> bytes:
         """Read so many lines."""
         kernel, select = self.simulation.kernel, self.simulation.system.modules["select"]
-        end_ns, got = kernel.now_ns + round(PATIENCE_S * NS_PER_S), b""
+        end_ns, got = kernel.now_ns + round(REPLY_TIMEOUT_S * NS_PER_S), b""
         while got.count(b"\n") < count:
             left_s = (end_ns - kernel.now_ns) / NS_PER_S
             if left_s <= 0 or not select.select([descriptor], [], [], left_s)[0]:
@@ -127,7 +127,7 @@ class TerminalHost:
         if site.is_serving(truth) and site.is_private():
             n_got = got.count(b"\n")
             self.simulation.violate(
-                "answers", f"host {self.number} has got {n_got} of {count} replies in {PATIENCE_S:.0f} s"
+                "answers", f"host {self.number} has got {n_got} of {count} replies in {REPLY_TIMEOUT_S:.0f} s"
             )
 
     def _expect_life(self, descriptor: int, truth: Truth) -> None:
@@ -137,7 +137,7 @@ class TerminalHost:
         if before[1] or not site.is_serving(truth):
             return
         self._write(descriptor, b"\nB\n")
-        heard = select.select([descriptor], [], [], PATIENCE_S)[0]
+        heard = select.select([descriptor], [], [], REPLY_TIMEOUT_S)[0]
         if not heard and site.is_serving(truth) and site.others() == before:
             self.simulation.violate("answers", f"the line is deaf to host {self.number}, alone there")
         self.simulation.count("lines asked again")

@@ -25,7 +25,7 @@ TASK_S = 0.05, 2.0
 MOST_KILLED, MOST_LATE, MOST_KILLERS, MOST_AWAY = 0.4, 0.3, 0.02, 0.2
 """Highest probabilities: a worker dies or is late, a task kills all its workers, a cluster is away."""
 
-PATIENCE_S = 5.0
+REASSIGNED_S = 5.0
 """Time after which a pool gives a task to another worker, too [s] (assumed)."""
 
 
@@ -222,7 +222,7 @@ def pool(simulation: Simulation, clusters: dict[Process, Cluster]) -> Executor:
                 late = [
                     each
                     for each in missing
-                    if kernel.now_ns - since[each] > PATIENCE_S * len(tasks) * NS_PER_S
+                    if kernel.now_ns - since[each] > REASSIGNED_S * len(tasks) * NS_PER_S
                 ]
                 for index in late:
                     give(missing[index])

@@ -29,8 +29,8 @@ FRAME_NS = NS_PER_S // 30
 _LONGEST_NAP = 0.05
 """Longest sleep at once [s], so that a closed window is noticed."""
 
-_PATIENCE = 10.0
-"""Longest wait for the window to close [s]."""
+_CLOSING_S = 10.0
+"""Longest wait for the window to close (assumed) [s]."""
 
 _WITHOUT = "without one, give --log FILE.mcap and look at it with khep-twin view"
 
@@ -75,7 +75,7 @@ class MujocoViewer(Observer):
         if self._handle is not None:
             self._handle.close()
         for thread in self._threads:
-            thread.join(_PATIENCE)
+            thread.join(_CLOSING_S)
 
     def sample(self, world: World) -> None:
         """Refresh the picture if it is due, and wait for the wall clock in real time."""

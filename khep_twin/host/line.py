@@ -31,8 +31,8 @@ STOP_WAIT = 0.5
 _STOP = "D,0,0"
 """Request that stops the motors."""
 
-_PATIENCE = 1.0
-"""Wait for what comes where a port has no timeout [s]."""
+_REPLY_TIMEOUT_S = 1.0
+"""Wait for a reply where a port has no timeout; the robot replies within 10 ms [s]."""
 
 LONGEST_OUTPUT = 10.0
 """Longest wait for the end of a tool's output [s]; `list` takes 2 s at 9600 baud."""
@@ -217,7 +217,7 @@ class Line:
         self._write(f"\n{probe}\n".encode("ascii"), probe)
         lines: list[str] = []
         before: list[str] | None = None
-        end = self.time + (self.port.timeout or _PATIENCE)
+        end = self.time + (self.port.timeout or _REPLY_TIMEOUT_S)
         while self.time <= end:
             line = self._read_line(probe)
             if not line.endswith(b"\n"):

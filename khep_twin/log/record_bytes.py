@@ -38,7 +38,7 @@ _LZ4 = b"\x04\x22\x4d\x18"
 _FRAME = 18
 """Largest header of a zstandard frame [bytes]."""
 
-_PATIENCE = 20
+_EXAMINED_PER_BYTE = 20
 """Most bytes that are examined for each byte of a file to verify records."""
 
 LARGEST_CHUNK = 64 << 20
@@ -82,7 +82,7 @@ class RecordBytes:
 
     def next_record(self, offset: int) -> int | None:
         """Return the offset of the next verified record, None if the search limit is reached."""
-        limit = LARGEST_CHUNK + _PATIENCE * len(self._data)
+        limit = LARGEST_CHUNK + _EXAMINED_PER_BYTE * len(self._data)
         for match in _START.finditer(self._data, offset):
             if self._spent > limit:
                 return None

@@ -35,7 +35,7 @@ LOOPBACK = "127.0.0.1"
 _HERE = {"RAY_AUTH_MODE": "token", "RAY_USAGE_STATS_ENABLED": "0"}
 """Environment variables of Ray that are set unless the user has set them."""
 
-PATIENCE = 5.0
+CLUSTER_TIMEOUT_S = 5.0
 """Timeout for a cluster's answer [s] (assumed); Ray itself would try for minutes."""
 
 _ALONE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
@@ -105,7 +105,7 @@ def _join(ray: ModuleType, address: str | None, workers: int | None) -> None:
         if address is not None:
             if address != "auto":
                 host, port = host_and_port(address)
-                socket.create_connection((host, port), PATIENCE).close()
+                socket.create_connection((host, port), CLUSTER_TIMEOUT_S).close()
             ray.init(address=address, **quiet)
             return
         count = workers or n_cores()

@@ -26,8 +26,8 @@ SWEEP_DEG, SWEEP_STEP_DEG = 50, 5
 CLEARANCE_MM = 1.5
 """Range of `checkobj` from the robot's edge [mm]: 29 mm from the centre of a Khepera (toolbox)."""
 
-_PATIENCE = 5.0
-"""Time after which a move has failed [s]."""
+_MOVE_SLACK_S = 5.0
+"""Time beyond 1 ms a pulse after which a move has failed [s]."""
 
 _LOOK = 0.01
 """Time between two looks at a move [s]."""
@@ -119,7 +119,7 @@ def _go(scene: OpenPlaypen, port_id: int, left: float, right: float) -> None:
         scene.pass_time(_LOOK)
         if all(wheel.on_target for wheel in robot.status()):
             return
-        if scene.time > start + _PATIENCE + (abs(left) + abs(right)) / 1000:
+        if scene.time > start + _MOVE_SLACK_S + (abs(left) + abs(right)) / 1000:
             raise PlaypenError(
                 f"the robot is still on its way after {scene.time - start:.1f} s, at {robot.position()} "
                 f"pulses; expected a free path"

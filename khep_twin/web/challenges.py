@@ -24,7 +24,7 @@ from khep_twin.web import requests
 from khep_twin.web.documents import Documents
 from khep_twin.web.jobs import Publish
 
-_PATIENCE = 5.0
+_ENDING_S = 5.0
 """Longest time for a process to end with the designer [s]; a file that hangs takes 3.5."""
 
 _UNWATCHED = 10.0
@@ -72,7 +72,7 @@ class Challenges:
         """End the scoring and its process."""
         self._stop.set()
         if self._thread is not None:
-            self._thread.join(_PATIENCE)
+            self._thread.join(_ENDING_S)
 
     def _list(self, asked: requests.Request) -> dict[str, object]:
         """Return the challenges by name, and the message of what is being scored."""

@@ -20,7 +20,7 @@ from khep_twin.machine import open_files_limit
 if TYPE_CHECKING:
     from uvicorn.server import Protocols
 
-PATIENCE: Mapping[str, float] = {"head": 10.0, "body": 60.0, "answer": 30.0, "end": 5.0}
+LONGEST_S: Mapping[str, float] = {"head": 10.0, "body": 60.0, "answer": 30.0, "end": 5.0}
 """Longest time in one state [s]: the head of a request, which begins with the connection or the last answer;
 the rest of a request; an answer of which the peer accepts nothing; the last bytes of one, likewise. Work on
 an answer, and a websocket that answers pings, may take any time."""
@@ -82,7 +82,7 @@ class Watch:
             stands_at = _stands_at(connection)
             before, since = self._seen.get(connection, (None, now))
             seen[connection] = stands_at, since if stands_at == before else now
-            if now - seen[connection][1] > PATIENCE.get(stands_at[0], float("inf")):
+            if now - seen[connection][1] > LONGEST_S.get(stands_at[0], float("inf")):
                 connection.transport.abort()
         self._seen = seen
 

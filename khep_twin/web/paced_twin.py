@@ -28,7 +28,7 @@ STEP_NS = 10 * TICK_NS
 _LISTENING_INTERVAL = 0.002
 """Wall time between two polls of the hosts while a program runs: each costs system calls [s]."""
 
-_PATIENCE = 1.0
+_LAST_CYCLE_S = 1.0
 """Longest time for a stopped controller to finish its cycle [s of wall time]."""
 
 
@@ -84,7 +84,7 @@ class PacedTwin:
 
     def stop_program(self, wanted: bool = True) -> None:
         """Request the end of the program in lock-step, or allow the next one to begin."""
-        self._stop_at = time.monotonic() + _PATIENCE if wanted else None
+        self._stop_at = time.monotonic() + _LAST_CYCLE_S if wanted else None
         self._broken_off = False
 
     def stopping(self) -> bool:

@@ -35,8 +35,8 @@ from khep_twin.web.printed import taken_by
 from khep_twin.web.scene import DrawnScene
 from khep_twin.web.turret_outlines import TurretParts
 
-_PATIENCE = 5.0
-"""Longest time for a session to end [s]."""
+_ENDING_S = 5.0
+"""Longest time for a session to end: its controller has a second for its cycle [s]."""
 
 _PRINT_LIMIT = 20_000
 """Longest output of a controller that is sent at once [characters]."""
@@ -91,7 +91,7 @@ class WebSession:
     def end(self) -> None:
         """End the session; abandon a thread that does not end in time, and drop its messages."""
         self._ended.set()
-        self._thread.join(_PATIENCE)
+        self._thread.join(_ENDING_S)
         if self.alive:
             self.publish({"kind": "error", "text": "the program does not end; it is left to itself"})
             self.publish({"kind": "ended"})

@@ -20,7 +20,7 @@ LEAVINGS = int(os.environ.get("KHEP_LEAVINGS", "25"))
 MOST_S = 0.5 if "KHEP_LEAVINGS" in os.environ else 10.0
 """Longest that a next host may wait: in the suite the machine is busy; on the line 20 kB take 22 s."""
 
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 GREETING = {"--tcp": b"", "--rfc2217": bytes.fromhex("fffb01 fffb03 fffd00 fffb2c")}
 SPEED = bytes.fromhex("fffa2c 01 00002580 fff0")
 
@@ -31,7 +31,7 @@ Address = tuple[str, int]
 
 
 def connect(address: Address) -> socket.socket:
-    return socket.create_connection(address, timeout=PATIENCE_S)
+    return socket.create_connection(address, timeout=TIMEOUT_S)
 
 
 def flood(host: socket.socket, data: bytes, size: int) -> None:

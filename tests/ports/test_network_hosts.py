@@ -16,7 +16,7 @@ from khep_twin.ports.network import TcpPort
 from khep_twin.ports.network_host import ANSWERS_LIMIT, LAST_LIMIT, QUEUE_LIMIT, WAITING_LIMIT, NetworkHost
 from khep_twin.ports.notice_limit import NoticeLimit
 
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 
 
 @pytest.fixture
@@ -33,14 +33,14 @@ def negotiating() -> Iterator[TcpPort]:
 
 def connect(port: TcpPort) -> socket.socket:
     number = int(port.path.rpartition(":")[2])
-    return socket.create_connection(("127.0.0.1", number), timeout=PATIENCE_S)
+    return socket.create_connection(("127.0.0.1", number), timeout=TIMEOUT_S)
 
 
 def until(
     port: TcpPort, wanted: Callable[[Received], object], limit: int = 0, answered: bool = False
 ) -> Received:
     """Ask the port for news until it has what is wanted."""
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + TIMEOUT_S
     while not wanted(received := port.receive(limit, answered)):
         assert time.monotonic() < end, "this did not come"
         time.sleep(0.001)
@@ -215,7 +215,7 @@ def test_a_host_that_negotiates_on_and_never_reads_is_cut_off(negotiating: TcpPo
         host.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         host.connect(("127.0.0.1", number))
         host.setblocking(False)
-        end, received = time.monotonic() + PATIENCE_S, Received()
+        end, received = time.monotonic() + TIMEOUT_S, Received()
         while not received.left and time.monotonic() < end:
             try:
                 host.send(question * 100)
@@ -240,7 +240,7 @@ def test_a_browser_is_cut_off_before_a_command_in_its_request_is_taken(
     with connect(served) as page:
         page.sendall(beginning + b"\r\nHost: 127.0.0.1\r\n\r\nD,10,10\nD,10,10\n")
         taken, received = b"", Received()
-        end = time.monotonic() + PATIENCE_S
+        end = time.monotonic() + TIMEOUT_S
         while not received.left and time.monotonic() < end:
             received = served.receive(limit)
             taken += received.data + received.last

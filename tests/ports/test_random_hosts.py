@@ -22,7 +22,7 @@ from khep_twin.ports.port_users import count_descriptors
 
 OPENINGS = int(os.environ.get("KHEP_OPENINGS", "50"))
 SEED = int(os.environ.get("KHEP_FIRST", "7"))
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 """Longest wait for a reply; a machine may be busy, a line that is deaf stays so [s]."""
 
 BYSTANDER = """
@@ -81,7 +81,7 @@ def bystanders(path: str, count: int) -> Iterator[list[Bystander]]:
 def answer(host: int, request: bytes, expected: bytes) -> bytes:
     """What a host gets for its request: as much as it expects, or less if nothing more comes."""
     os.write(host, request)
-    reply, end = b"", time.monotonic() + PATIENCE_S
+    reply, end = b"", time.monotonic() + TIMEOUT_S
     while len(reply) < len(expected) and select.select([host], [], [], max(end - time.monotonic(), 0))[0]:
         reply += os.read(host, 4096)
     return reply
@@ -104,7 +104,7 @@ def cat_and_printf(path: str) -> None:
             while count_descriptors(path) < 2:
                 time.sleep(0.001)
             subprocess.run(["sh", "-c", 'printf "B\\n" > "$0"', path], check=True)
-            assert select.select([cat.stdout], [], [], PATIENCE_S)[0]
+            assert select.select([cat.stdout], [], [], TIMEOUT_S)[0]
             assert cat.stdout.readline() == b"b,5.02,5.01\r\n"
         finally:
             cat.kill()

@@ -11,7 +11,7 @@ from served_twin import served
 KINDS = {"pty": (), "tcp": ("--tcp", ":0"), "rfc2217": ("--rfc2217", ":0")}
 """Options of `khep-twin serve`."""
 
-PATIENCE = 30.0
+TIMEOUT_S = 30.0
 
 # One command of each form, and a burst, whose replies come one after the other.
 EXCHANGES = [
@@ -30,7 +30,7 @@ def url(request: pytest.FixtureRequest) -> Iterator[str]:
 
 
 def test_serialx_has_every_reply(url: str) -> None:
-    with serialx.serial_for_url(url, baudrate=38400, read_timeout=PATIENCE) as port:
+    with serialx.serial_for_url(url, baudrate=38400, read_timeout=TIMEOUT_S) as port:
         for sent, replies in EXCHANGES:
             port.write(sent)
             assert port.readexactly(len(replies)) == replies
@@ -43,7 +43,7 @@ def test_serialx_asyncio_has_every_reply(url: str) -> None:
         reader, writer = await serialx.open_serial_connection(url=url, baudrate=38400)
         await _exchange(reader, writer)
 
-    asyncio.run(asyncio.wait_for(talk(), PATIENCE))
+    asyncio.run(asyncio.wait_for(talk(), TIMEOUT_S))
 
 
 def test_pyserial_asyncio_has_every_reply(url: str) -> None:
@@ -54,7 +54,7 @@ def test_pyserial_asyncio_has_every_reply(url: str) -> None:
         reader, writer = await serial_asyncio.open_serial_connection(url=url, baudrate=38400)
         await _exchange(reader, writer)
 
-    asyncio.run(asyncio.wait_for(talk(), PATIENCE))
+    asyncio.run(asyncio.wait_for(talk(), TIMEOUT_S))
 
 
 async def _exchange(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -25,7 +25,7 @@ from khep_twin.invocation import command
 from khep_twin.log.reader import read_log
 from khep_twin.playpen import Playpen
 
-PATIENCE = 20.0
+TIMEOUT_S = 20.0
 """Wait for what must come, on machines of any load [s]."""
 
 
@@ -37,13 +37,13 @@ def path() -> Iterator[str]:
 
 @pytest.mark.parametrize("ending", [b"\n", b"\r", b"\r\n"])
 def test_a_host_in_pyserial_gets_its_reply(path: str, ending: bytes) -> None:
-    with serial.Serial(path, 9600, stopbits=2, timeout=PATIENCE) as port:
+    with serial.Serial(path, 9600, stopbits=2, timeout=TIMEOUT_S) as port:
         port.write(b"B" + ending)
         assert port.readline() == b"b,5.02,5.01\r\n"
 
 
 def test_the_reply_takes_its_time_on_the_line(path: str) -> None:
-    with lateness() as late, serial.Serial(path, 9600, stopbits=2, timeout=PATIENCE) as port:
+    with lateness() as late, serial.Serial(path, 9600, stopbits=2, timeout=TIMEOUT_S) as port:
         start = time.monotonic()
         port.write(b"N\n")
         reply = port.readline()
@@ -55,13 +55,13 @@ def test_the_reply_takes_its_time_on_the_line(path: str) -> None:
 
 
 def test_a_host_may_set_another_speed_or_one_stop_bit(path: str) -> None:
-    with serial.Serial(path, 57600, stopbits=1, timeout=PATIENCE, rtscts=True) as port:
+    with serial.Serial(path, 57600, stopbits=1, timeout=TIMEOUT_S, rtscts=True) as port:
         port.write(b"B\n")
         assert port.readline() == b"b,5.02,5.01\r\n"
 
 
 def test_single_bytes_and_bursts_are_answered_in_order(path: str) -> None:
-    with serial.Serial(path, 9600, timeout=PATIENCE) as port:
+    with serial.Serial(path, 9600, timeout=TIMEOUT_S) as port:
         for byte in b"G,5,6\n":
             port.write(bytes((byte,)))
             time.sleep(0.002)
@@ -83,7 +83,7 @@ def test_a_host_in_c_style_reads_and_writes_a_descriptor(path: str) -> None:
         os.write(descriptor, b"B\r")
         data = b""
         while not data.endswith(b"\n"):
-            assert select.select([descriptor], [], [], PATIENCE)[0]
+            assert select.select([descriptor], [], [], TIMEOUT_S)[0]
             data += os.read(descriptor, 100)
     finally:
         os.close(descriptor)
@@ -112,7 +112,7 @@ def test_noise_at_full_speed_is_survived(path: str) -> None:
         deadline = time.monotonic() + 10
         while port.read(1000) and time.monotonic() < deadline:
             pass
-        port.timeout = PATIENCE
+        port.timeout = TIMEOUT_S
         port.write(b"\nB\n")
         assert port.read_until(b"5.01\r\n").endswith(b"b,5.02,5.01\r\n")
 
@@ -129,7 +129,7 @@ def reply_of_the_next_host(path: str) -> bytes:
     try:
         os.write(descriptor, b"B\n")
         data = b""
-        while not data.endswith(b"\n") and select.select([descriptor], [], [], PATIENCE)[0]:
+        while not data.endswith(b"\n") and select.select([descriptor], [], [], TIMEOUT_S)[0]:
             data += os.read(descriptor, 100)
         return data
     finally:
@@ -179,7 +179,7 @@ def test_at_full_speed_without_line_time_answers_come_at_once() -> None:
     with (
         lateness() as late,
         served("default", "--speed", "max", "--unpaced") as (_, path),
-        serial.Serial(path, 9600, timeout=PATIENCE) as port,
+        serial.Serial(path, 9600, timeout=TIMEOUT_S) as port,
     ):
         start = time.monotonic()
         for _ in range(100):
@@ -196,7 +196,7 @@ def test_a_signal_finishes_the_log_and_removes_the_link(how: signal.Signals, tmp
     log, link = tmp_path / "run.mcap", tmp_path / "khepera"
     with served("default", "--log", str(log), "--link", str(link)) as (process, path):
         assert path == str(link)
-        with serial.Serial(path, 9600, timeout=PATIENCE) as port:
+        with serial.Serial(path, 9600, timeout=TIMEOUT_S) as port:
             port.write(b"B\n")
             port.readline()
         code, errors = stop(process, how)
@@ -273,7 +273,7 @@ def test_after_a_kill_the_next_start_takes_the_link_again(tmp_path: Path) -> Non
         process.wait()
     assert os.path.lexists(link)
     with served("default", "--link", str(link)) as (_, path):
-        with serial.Serial(path, 9600, stopbits=2, timeout=PATIENCE) as port:
+        with serial.Serial(path, 9600, stopbits=2, timeout=TIMEOUT_S) as port:
             port.write(b"B\n")
             assert port.readline() == b"b,5.02,5.01\r\n"
     assert list(tmp_path.iterdir()) == []
@@ -302,7 +302,7 @@ def test_a_link_in_the_current_directory_lies_where_it_says(
         found = tmp_path / ("khepera0" if several else "khepera")
         assert path == str(found)
         assert found.is_symlink()
-        with serial.Serial(f"./{found.name}", timeout=PATIENCE) as port:
+        with serial.Serial(f"./{found.name}", timeout=TIMEOUT_S) as port:
             port.write(b"B\n")
             assert port.readline() == b"b,5.02,5.01\r\n"
     assert not found.is_symlink()
@@ -373,7 +373,7 @@ def test_miniterm_gets_a_reply(path: str) -> None:
 
 def test_a_khepera_2_is_served_by_its_model_and_its_firmware_alone_is_reported() -> None:
     with served("default", "--model", "khepera2", "--mode", "9") as (process, path):
-        with serial.Serial(path, 115200, stopbits=2, timeout=PATIENCE) as port:
+        with serial.Serial(path, 115200, stopbits=2, timeout=TIMEOUT_S) as port:
             port.write(b"B\n")
             assert port.readline() == b"b,6.01,5.01\r\n"
         _, errors = stop(process)
@@ -386,7 +386,7 @@ def test_a_khepera_2_is_served_by_its_model_and_its_firmware_alone_is_reported()
 def test_the_notice_of_another_speed_names_the_mode_and_one_stop_bit_is_no_reason_for_one() -> None:
     with served("default") as (process, path):
         for speed in (9600, 38400, 57600, 38400):
-            with serial.Serial(path, speed, stopbits=1, timeout=PATIENCE) as port:
+            with serial.Serial(path, speed, stopbits=1, timeout=TIMEOUT_S) as port:
                 port.write(b"B\n")
                 assert port.readline() == b"b,5.02,5.01\r\n"
         _, errors = stop(process)
@@ -400,7 +400,7 @@ def test_the_notice_of_another_speed_names_the_mode_and_one_stop_bit_is_no_reaso
 def test_a_speed_without_a_constant_is_reported_as_it_is() -> None:
     with (
         served("default") as (process, path),
-        serial.Serial(path, 31250, stopbits=2, timeout=PATIENCE) as port,
+        serial.Serial(path, 31250, stopbits=2, timeout=TIMEOUT_S) as port,
     ):
         port.write(b"B\n")
         assert port.readline() == b"b,5.02,5.01\r\n"

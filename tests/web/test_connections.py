@@ -30,7 +30,7 @@ HANDSHAKE = {
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A server that waits for 0.3 s only; asked for before the server itself."""
-    monkeypatch.setattr(connections, "PATIENCE", dict.fromkeys(connections.PATIENCE, 0.3))
+    monkeypatch.setattr(connections, "LONGEST_S", dict.fromkeys(connections.LONGEST_S, 0.3))
 
 
 @pytest.fixture
@@ -237,7 +237,7 @@ def test_a_websocket_stays_open_as_long_as_its_page_answers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
     monkeypatch.setattr("khep_twin.web.server.PING", 0.2)
-    monkeypatch.setattr(connections, "PATIENCE", dict.fromkeys(connections.PATIENCE, 0.3))
+    monkeypatch.setattr(connections, "LONGEST_S", dict.fromkeys(connections.LONGEST_S, 0.3))
     asker: Asker = request.getfixturevalue("asker")
     host, _, port = asker.host.rpartition(":")
     origin = Origin(f"http://{asker.host}")

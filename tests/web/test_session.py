@@ -328,7 +328,7 @@ def test_pictures_come_at_most_25_times_a_second(actor: TwinActor, ear: Ear) -> 
 def test_a_program_that_does_not_end_is_left_and_the_next_twin_comes_up_beside_it(
     ear: Ear, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("khep_twin.web.session._PATIENCE", 0.2)
+    monkeypatch.setattr("khep_twin.web.session._ENDING_S", 0.2)
     inside, go_on = threading.Event(), threading.Event()
 
     def hangs(robot: Khepera) -> None:

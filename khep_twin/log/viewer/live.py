@@ -52,7 +52,9 @@ LAST_S = 60.0
 
 _TEXTS = ("rcl_interfaces/msg/Log", "std_msgs/msg/String")
 _UNSEEN = re.compile("|".join(UNSEEN))
-_PATIENCE = 10.0
+_LOG_TIMEOUT_S = 10.0
+"""Longest wait for the log of a run that is started together with the viewer (assumed) [s]."""
+
 _CHUNK_ID = b"rerun:id"
 
 
@@ -134,7 +136,7 @@ def follow(
 
 def _opened(path: Path, stop: Callable[[], bool]) -> GrowingLog | None:
     """Open the log as soon as its run has begun it, as both may be started together; None if stopped."""
-    deadline = time.monotonic() + _PATIENCE
+    deadline = time.monotonic() + _LOG_TIMEOUT_S
     while not stop():
         try:
             return GrowingLog(path)

@@ -22,8 +22,8 @@ from khep_twin.signals import clear_at_end, undisturbed
 HERE = "127.0.0.1"
 """Address for data and pages; by default, rerun listens on all of a machine's addresses."""
 
-_PATIENCE = 30.0
-"""Longest wait for the viewer to listen [s]."""
+_START_TIMEOUT_S = 30.0
+"""Longest wait for the viewer to listen: a cold start takes seconds (assumed) [s]."""
 
 _TURN = 0.05
 """Interval of checks of the viewer's process [s]."""
@@ -78,12 +78,14 @@ class Viewer:
 
     def wait_for(self, port: int, stop: Callable[[], bool]) -> None:
         """Wait until it listens at a port, or `stop` returns True."""
-        deadline = time.monotonic() + _PATIENCE
+        deadline = time.monotonic() + _START_TIMEOUT_S
         while not stop() and self.open():
             with suppress(OSError), socket.create_connection((HERE, port), timeout=1.0):
                 return
             if time.monotonic() > deadline:
-                raise LogError(f"{self._subject}: rerun's viewer does not listen after {_PATIENCE:.0f} s")
+                raise LogError(
+                    f"{self._subject}: rerun's viewer does not listen after {_START_TIMEOUT_S:.0f} s"
+                )
             time.sleep(_TURN)
 
 

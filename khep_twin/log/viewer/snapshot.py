@@ -17,8 +17,8 @@ from khep_twin.files.atomic import write_whole
 from khep_twin.log.viewer.gathered import TIMELINE
 from khep_twin.log.viewer.process import free_ports
 
-_PATIENCE = 30.0
-"""Longest wait for the viewer to have opened a recording [s]."""
+_OPENING_TIMEOUT_S = 30.0
+"""Longest wait for the viewer to have opened a recording (assumed) [s]."""
 
 _PAINTING = 1.0
 """Time after that until its pictures are stable [s]."""
@@ -66,7 +66,7 @@ def still(recording: Path, at_s: float, target: Path) -> None:
 def _show(viewer: rx.ViewerClient, recording: Path, at_s: float) -> None:
     """Open a recording and wait until a time of it is shown."""
     viewer.open(str(recording.resolve()))
-    deadline = time.monotonic() + _PATIENCE
+    deadline = time.monotonic() + _OPENING_TIMEOUT_S
     while True:
         try:
             viewer.set_time(TIMELINE, duration=at_s, play_state="paused")
