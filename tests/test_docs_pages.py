@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import typer
 
+from khep_twin import playpen
 from khep_twin.cli.app import app
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -104,3 +105,8 @@ def test_the_program_of_branches_goes_on_from_a_log(
     (program,) = (text for page, text in blocks("python") if page.name == "branch.md")
     exec(compile(program, "branch.md", "exec"), {})
     assert capsys.readouterr().out.startswith("12.5 ")
+
+
+def test_the_playpen_of_the_page_about_them_is_right() -> None:
+    (shown,) = [text for page, text in blocks("toml") if page.name == "playpens.md"]
+    assert playpen.parse(shown, "playpens.md").name == "mine"

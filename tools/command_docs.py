@@ -2,15 +2,71 @@
 
     python -m tools commands [FILE]
 
-Typer's own writer, without its limit of 45 characters to the sentence about a command in a list.
+Typer's own writer, without its limit of 45 characters to the sentence about a command in a list, and with the
+page that is about the command.
 """
 
 import argparse
+import re
 import sys
+from pathlib import Path
 from unittest.mock import patch
 
 import typer.cli
 from typer.cli import Command
+
+INTRODUCTION = """
+No command replaces a finished log, playpen, calibration or table, unless you give `--force`; `run --resume`
+does with the log of a run that it repeats. Pictures, pages and rerun recordings are replaced without asking.
+`khep-twin --install-completion` lets the shell complete playpens, controllers, calibrations and ports.
+"""
+
+PAGES = {
+    "run": "experiments.md",
+    "rollout": "scale.md",
+    "series": "experiments.md#statistics",
+    "sweep": "sweep.md",
+    "new": "experiments.md",
+    "design": "designer.md",
+    "serve": "serving.md",
+    "shadow": "twin.md",
+    "ports": "host.md#ports",
+    "drive": "host.md#manual-driving",
+    "view": "logs.md#viewing",
+    "report": "report.md",
+    "export": "report.md#tables",
+    "recover": "logs.md",
+    "repeat": "logs.md",
+    "branch": "branch.md",
+    "sense": "sense.md",
+    "fit": "senses.md#calibrating-your-robot",
+    "calibrate": "senses.md#calibrating-your-robot",
+    "compile": "scale.md#compilation",
+    "conform": "protocol.md#checking-a-robot-an-emulator-or-a-recording",
+    "playpen": "playpens.md",
+    "challenge": "challenges.md",
+}
+"""Page about each command."""
+
+
+def main() -> None:
+    """Write the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", nargs="?", default="docs/commands.md")
+    file = Path(parser.parse_args().file)
+    words = ["--name", "khep-twin", "--title", "Commands", "--output", str(file)]
+    with (
+        patch.object(sys, "argv", ["typer", "khep_twin.cli.app", "utils", "docs", *words]),
+        patch.object(Command, "get_short_help_str", _sentence),
+    ):
+        typer.cli.app(standalone_mode=False)
+    head, lists, rest = re.split(
+        r"(?<=\n)(?=\*\*Commands\*\*:\n|## )", file.read_text(encoding="utf-8"), maxsplit=2
+    )
+    head = head.replace("\n**Usage**", f"{INTRODUCTION}\n**Usage**", 1)
+    file.write_text(
+        head + re.sub(r"^\* `(\w+)`: .*", _linked, lists, flags=re.MULTILINE) + rest, encoding="utf-8"
+    )
 
 
 def _sentence(command: Command, limit: int = 0) -> str:
@@ -18,13 +74,7 @@ def _sentence(command: Command, limit: int = 0) -> str:
     return " ".join((command.help or "").partition("\n\n")[0].split())
 
 
-def main() -> None:
-    """Write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("file", nargs="?", default="docs/commands.md")
-    words = ["--name", "khep-twin", "--title", "Commands", "--output", parser.parse_args().file]
-    with (
-        patch.object(sys, "argv", ["typer", "khep_twin.cli.app", "utils", "docs", *words]),
-        patch.object(Command, "get_short_help_str", _sentence),
-    ):
-        typer.cli.main()
+def _linked(line: re.Match[str]) -> str:
+    """Return the line about a command with a link to its page, if there is one."""
+    page = PAGES.get(line[1])
+    return line[0] if page is None else f"{line[0]} [{page.partition('#')[0]}]({page})"

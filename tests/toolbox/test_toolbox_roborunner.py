@@ -16,7 +16,7 @@ from scipy.io import loadmat
 from khep_twin import toolbox
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError
 from khep_twin.lab.experiment.series_run import SeriesRun
-from khep_twin.toolbox import roborunner, rps, sim_rps, sim_sms, sms
+from khep_twin.toolbox import kheprom, roborunner, rps, sim_rps, sim_sms, sms
 from khep_twin.toolbox import serial_commands as host
 
 seen = 0
