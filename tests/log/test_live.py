@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import rerun as rr
 from driving import SECOND, drive
+from forked import Forked
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 from rerun.chunk import Chunk, RrdReader
@@ -184,7 +185,7 @@ def page(log: Path, tmp_path: Path) -> "Generator[subprocess.Popen[str], None, N
     """`khep-twin view --web` of a log."""
     shutil.copy(log, tmp_path / "run.mcap")
     command = [sys.executable, "-m", "khep_twin", "view", "--web", "--no-browser", str(tmp_path / "run.mcap")]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    process = Forked(command, stdout=subprocess.PIPE, text=True)
     yield process
     process.kill()
     process.communicate()

@@ -2,7 +2,6 @@
 
 import re
 import struct
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -11,6 +10,7 @@ from pathlib import Path
 import pytest
 import zstandard
 from driving import SECOND
+from forked import run_python
 from mcap.opcode import Opcode
 from mcap.records import Footer
 from mcap.writer import MCAP0_MAGIC
@@ -62,9 +62,7 @@ def bomb() -> bytes:
 
 def said(path: Path) -> list[str]:
     """The lines that come of using a log in little memory."""
-    done = subprocess.run(
-        [sys.executable, "-c", CHILD, str(path)], capture_output=True, text=True, check=False, timeout=300
-    )
+    done = run_python([sys.executable, "-c", CHILD, str(path)], timeout=300)
     assert (done.returncode, done.stderr) == (0, ""), done.stderr[-2000:]
     lines = done.stdout.splitlines()
     assert all(line.startswith(str(path.parent)) for line in lines), lines

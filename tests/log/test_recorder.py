@@ -1,9 +1,7 @@
 """Recording: the same run gives the same bytes, and nothing that was written is lost."""
 
 import os
-import resource
 import signal
-import subprocess
 import sys
 import threading
 from collections.abc import Callable
@@ -14,6 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 from driving import SECOND, drive
+from forked import run_python
 from mcap.reader import make_reader
 from mcap.records import Attachment, Header, Message, Metadata
 from mcap.stream_reader import StreamReader
@@ -350,17 +349,12 @@ def test_a_disk_that_is_full_at_the_end_leaves_the_unfinished_file(
 
 def test_a_limit_on_file_sizes_is_a_full_disk_too(tmp_path: Path) -> None:
     program = (
-        "import sys; from khep_twin.ports.twin import *\n"
+        "import resource, sys; from khep_twin.ports.twin import *\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))\n"
         "with open_twin('default', TwinOptions(log=sys.argv[1])) as twin:\n"
         "    twin.advance_to(60 * 10**9)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program, str(tmp_path / "run.mcap")],
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000)),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run_python([sys.executable, "-c", program, tmp_path / "run.mcap"])
     assert "LogError: " in done.stderr.splitlines()[-1]
     assert "File too large" in done.stderr.splitlines()[-1]
     (part,) = tmp_path.iterdir()
@@ -375,7 +369,7 @@ def test_a_killed_run_keeps_what_was_flushed(tmp_path: Path) -> None:
         "twin.advance_to(2 * 10**9); twin.recorder.flush(); twin.advance_to(3 * 10**9)\n"
         "os.kill(os.getpid(), 9)\n"
     )
-    subprocess.run([sys.executable, "-c", program, str(tmp_path / "run.mcap")], check=False)
+    run_python([sys.executable, "-c", program, tmp_path / "run.mcap"])
     times = [record.log_time for record in records(tmp_path / "run.mcap.part") if isinstance(record, Message)]
     assert max(times) == 2 * SECOND
 

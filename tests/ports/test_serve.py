@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import serial
 from command_line import khep_twin
-from forked import Forked, run
+from forked import Forked, run_python
 from lateness import lateness
 from served_twin import served, stop
 
@@ -119,7 +119,7 @@ def test_noise_at_full_speed_is_survived(path: str) -> None:
 
 def test_the_example_runs_unchanged_on_a_pty(path: str) -> None:
     example = Path(__file__).parents[2] / "examples" / "01_braitenberg.py"
-    assert run([sys.executable, str(example), path, "20"], timeout=300).returncode == 0
+    assert run_python([sys.executable, str(example), path, "20"], timeout=300).returncode == 0
 
 
 def reply_of_the_next_host(path: str) -> bytes:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import serial
-from forked import run
+from forked import run_python
 from served_twin import served
 
 from khep_twin.log.reader import read_log
@@ -18,7 +18,7 @@ CYCLES = 150
 def drive(log: Path) -> None:
     """Runs the example's host on a twin by the wire clock."""
     with served("obstacles", "--clock", "wire", "--seed", "3", "--log", str(log)) as (_, path):
-        assert run([sys.executable, str(EXAMPLE), path, str(CYCLES)], timeout=600).returncode == 0
+        assert run_python([sys.executable, str(EXAMPLE), path, str(CYCLES)], timeout=600).returncode == 0
 
 
 def test_an_unmodified_host_takes_the_time_of_its_bytes_and_twice_the_same(tmp_path: Path) -> None:
