@@ -97,7 +97,7 @@ def run_python(words: list[object], **settings: Any) -> "subprocess.CompletedPro
     given = settings.pop("input", None)
     timeout = settings.pop("timeout", None)
     ways = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | settings
-    with Forked(words, text=True, **ways) as process:
+    with Forked(words, **{"text": True, **ways}) as process:
         try:
             out, errors = process.communicate(given, timeout)
         except BaseException:

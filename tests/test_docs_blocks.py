@@ -1,13 +1,14 @@
 """docs/*.md: who copies the blocks of a page into a folder, in order, has no error.
 
-`make long LONG=docs-blocks` also runs the long ones, and lists what cannot run in a test.
+Runs are shortened here; `make long LONG=docs-blocks` takes them as they are written, runs the long ones, too,
+and lists what cannot run in a test.
 """
 
 import sys
 from pathlib import Path
 
 import pytest
-from docs_reader import ROOT, Reader, blocks, commands
+from docs_reader import ROOT, Reader, blocks, commands, shortened
 
 FOLLOWED = {
     "tutorial.md": "test_tutorial.py",
@@ -68,3 +69,9 @@ def test_a_block_that_is_not_run_is_listed_with_its_reason(tmp_path: Path) -> No
     reader = Reader(tmp_path)
     reader.read("<!-- not run: no robot -->\n\n```sh\nfalse\n```\n\n```sh\nmake long\n```\n", {"sh"})
     assert reader.left == ["line 3, a block of sh: no robot", "make long: a target of the Makefile"]
+
+
+def test_runs_are_shortened_in_the_suite() -> None:
+    assert shortened("khep-twin run --seconds 60 --runs 5 --cycles 200") == (
+        "khep-twin run --seconds 40 --runs 5 --cycles 30"
+    )
