@@ -33,7 +33,7 @@ from typer.testing import CliRunner
 
 from khep_twin.cli.app import app
 from khep_twin.host import Khepera
-from khep_twin.log.recorder import versions
+from khep_twin.log.run_description import versions
 
 PAGE = Path(__file__).parents[1] / "docs" / "tutorial.md"
 PICTURES = PAGE.parent / "pictures"

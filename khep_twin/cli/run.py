@@ -231,7 +231,7 @@ def _twins(
     from khep_twin.host import Khepera
     from khep_twin.lab.experiment.series import FreshTwins, OneRobot
     from khep_twin.lab.experiment.start_poses import starts
-    from khep_twin.log.recorder import versions
+    from khep_twin.log.run_description import versions
     from khep_twin.playpen import dump
     from khep_twin.ports.protocol_khep import Serial
     from khep_twin.ports.twin import equipped, open_twin

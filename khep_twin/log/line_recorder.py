@@ -19,7 +19,7 @@ from khep_twin.errors import LogError
 from khep_twin.log.channels import FLOATS, IMAGE, INTEGERS, ArrayFrame, ImageFrame
 from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import LogFile
-from khep_twin.log.recorder import SAMPLED, channel_names
+from khep_twin.log.sample_layout import SAMPLED, channel_names
 from khep_twin.log.transcript import Transcript
 from khep_twin.units import K213_NUMBER, K213_PIXELS
 

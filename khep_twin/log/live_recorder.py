@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from khep_twin.clock import Pacer
 from khep_twin.log.output import Output, Writer
 from khep_twin.log.recorder import WorldRecorder
+from khep_twin.log.run_description import RunDescription
 from khep_twin.world import World
 
 
@@ -32,7 +33,7 @@ class LiveRecorder(WorldRecorder):
         self._interval_ns = interval_ns
         self._pacer = Pacer(1.0, world.time_ns) if real_time else None
         self._sent_ns = 0
-        super().__init__(Output(view), world, settings)
+        super().__init__(Output(view), world, RunDescription(settings))
 
     def sample(self, world: World) -> None:
         """Take a sample; pass on all so far if it is time to, and wait for the wall clock in real time."""

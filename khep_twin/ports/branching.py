@@ -11,7 +11,7 @@ from khep_twin.files.atomic import is_same
 from khep_twin.log.label import Label
 from khep_twin.log.reader import hash_of, read_end_ns
 from khep_twin.log.recorded import BRANCH, BranchPoint, changes_of, changes_text
-from khep_twin.log.recorder import Beginning, versions
+from khep_twin.log.run_description import Beginning, versions
 from khep_twin.ports.resume import ResumedRun, resume_run
 from khep_twin.ports.twin import Twin
 from khep_twin.units import STEP_NS

@@ -16,7 +16,8 @@ from khep_twin.log.entries import Entry
 from khep_twin.log.label import Label
 from khep_twin.log.reader import read_label, read_since, read_until
 from khep_twin.log.recorded import BranchPoint, changes_of, check_line, events_in
-from khep_twin.log.recorder import Beginning, WorldRecorder
+from khep_twin.log.recorder import WorldRecorder
+from khep_twin.log.run_description import Beginning
 from khep_twin.log.snapshots import TOPIC, LoggedState, read_snapshot
 from khep_twin.log.state_hashes import read_states
 from khep_twin.ports.changed_scene import take_over_state

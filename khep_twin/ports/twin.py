@@ -14,7 +14,8 @@ from khep_twin.board.fault_injection import parse
 from khep_twin.board.rom import ROMS
 from khep_twin.clock import TimeSource
 from khep_twin.errors import PortError
-from khep_twin.log.recorder import Beginning, Recorder, WorldRecorder
+from khep_twin.log.recorder import Recorder, WorldRecorder
+from khep_twin.log.run_description import Beginning, RunDescription
 from khep_twin.playpen import Playpen, PlaypenLike
 from khep_twin.playpen.checks import playpen_problems
 from khep_twin.playpen.parts import MODELS
@@ -144,15 +145,8 @@ class Twin:
         """
         # The log's own name is no part of the run: the same run gives the same bytes under any name.
         settings = {key: value for key, value in asdict(self.options).items() if key != "log"}
-        self.recorder = Recorder(
-            path,
-            self.world,
-            settings,
-            facts=facts or {},
-            attachments=attachments or {},
-            beginning=beginning,
-            on_failure=on_failure,
-        )
+        run = RunDescription(settings, facts or {}, attachments or {}, beginning)
+        self.recorder = Recorder(path, self.world, run, on_failure)
         self.world.add_observer(self.recorder, at_once=beginning is None or beginning.state is None)
 
     def watch(self, view: WorldRecorder) -> None:

@@ -25,7 +25,8 @@ from khep_twin.log.channels import FLOATS, POSE, UNSURE_POSE, ArrayFrame, Transf
 from khep_twin.log.description import body_name, urdf
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.reader import hash_of
-from khep_twin.log.recorder import FLUSH_NS, versions
+from khep_twin.log.recorder import FLUSH_NS
+from khep_twin.log.run_description import versions
 from khep_twin.log.shadow_channels import PARTICLES, RESIDUALS, begin_line, end_line
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec

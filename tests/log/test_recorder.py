@@ -24,6 +24,7 @@ from khep_twin.interventions.switching import set_lamps, switch
 from khep_twin.log.decoding import read_array
 from khep_twin.log.reader import read_log
 from khep_twin.log.recorder import Recorder
+from khep_twin.log.run_description import RunDescription
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from khep_twin.world import SAMPLE_NS, World
@@ -55,7 +56,7 @@ def test_the_same_run_gives_the_same_bytes_under_any_name(tmp_path: Path, start:
 @pytest.mark.parametrize("line", range(12))
 def test_a_log_can_be_completed_by_another_thread_at_any_line_of_a_sample(line: int, tmp_path: Path) -> None:
     world = World(Playpen.load("two-lamps"))
-    recorder = Recorder(tmp_path / "run.mcap", world, {})
+    recorder = Recorder(tmp_path / "run.mcap", world, RunDescription({}))
     switch(world, 0, on=False)
     for _ in range(3):
         world.advance_to(world.time_ns + SAMPLE_NS)
@@ -282,7 +283,7 @@ def test_places_where_no_log_can_be_are_one_line_before_anything_is_written(tmp_
         (tmp_path / "no" / "run.mcap", "there is no directory"),
     ):
         with pytest.raises(LogError, match=reason):
-            Recorder(path, twin.world, {})
+            Recorder(path, twin.world, RunDescription({}))
     assert os.listdir(tmp_path) == []
 
 

@@ -1,0 +1,150 @@
+"""Layout of a sample, and the channels whose numbers lie in it.
+
+A sample is a copy of all that a world changes, eight bytes a number, so that it costs next to nothing; what
+follows from it is computed for many samples at once. Its columns:
+
+    | qpos | qvel | robot 0: board, turrets | robot 1 ... | xpos | xquat |
+    |<------------------- state ------------------------>|<-- bodies -->|
+
+The state is what the hashes are of. Positions and rotations of the bodies follow from it.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.board.kernel import AMBIENT, DUTIES, PROXIMITY, SETPOINTS, SPEEDS, Board
+from khep_twin.log.channels import (
+    FLOATS,
+    IMAGE,
+    INTEGERS,
+    ArrayFrame,
+    ImageFrame,
+    TransformFrame,
+    text_message,
+)
+from khep_twin.log.description import body_name
+from khep_twin.log.state_hashes import boards
+from khep_twin.robot import Robot
+from khep_twin.units import SENSOR_LABELS
+from khep_twin.world import World
+
+_FINENESS = 2.0**30
+"""Steps of positions in a log per metre, and of rotations per 1: about a nanometre each.
+
+Finer digits are noise of contacts, which does not compress: a seventh of the file. The hashes of the state
+include them."""
+
+_SENSORS = ", ".join(SENSOR_LABELS)
+
+_WHEELS = "left, right, setpoint left, setpoint right"
+
+SAMPLED: list[tuple[str, str, str, str, list[int]]] = [
+    ("proximity", FLOATS, "f8", f"{_SENSORS} [counts]", list(PROXIMITY)),
+    ("ambient", FLOATS, "f8", f"{_SENSORS} [counts]", list(AMBIENT)),
+    ("speed", FLOATS, "f8", f"{_WHEELS} [pulses/10 ms]", [*SPEEDS, *SETPOINTS]),
+    ("duty", FLOATS, "f8", "left, right [-255 to 255]", list(DUTIES)),
+    ("leds", FLOATS, "f8", "lateral, frontal [1 is lit]", [int(Board.LED_0), int(Board.LED_1)]),
+]
+"""Channels of every robot: topic, message type, format of numbers, label, and registers."""
+
+
+@dataclass(frozen=True, slots=True)
+class SampledChannel:
+    """Channel of registers, of the board or of a turret.
+
+    Attributes:
+        topic: Topic.
+        schema: Message type.
+        frame: Its messages.
+        columns: Columns of the registers in a sample.
+    """
+
+    topic: str
+    schema: str
+    frame: ArrayFrame | ImageFrame
+    columns: list[int] | slice
+
+    def messages(self, times_ns: NDArray[np.int64], samples: NDArray[np.int64]) -> NDArray[np.void]:
+        """Return a message for each sample (n,)."""
+        found, frame = samples[:, self.columns], self.frame
+        return frame.messages(times_ns, found) if isinstance(frame, ImageFrame) else frame.messages(found)
+
+
+class SampleLayout:
+    """Layout of the samples of one world.
+
+    Attributes:
+        channels: Channels of all robots' registers.
+    """
+
+    def __init__(self, world: World) -> None:
+        model, data = world.model, world.data
+        registers = [board for robot in world.robots for board in boards(robot)]
+        sources = [data.qpos, data.qvel, *registers, data.xpos, data.xquat]
+        *starts, self._size = accumulate((source.size for source in sources), initial=0)
+        self._memories = [source.data for source in sources]
+        columns = iter(starts[2:-2])
+        self.channels = [channel for robot in world.robots for channel in _channels_of(robot, columns)]
+        # Moving bodies are shown at every sample, fixed ones are part of the description.
+        moving: NDArray[np.intp] = np.flatnonzero(model.body_weldid != 0)
+        self._transforms = TransformFrame([body_name(model, body) for body in moving])
+        self._state_size, turns = starts[-2:]
+        places = np.add.outer(self._state_size + 3 * moving, [0, 1, 2])
+        self._poses = np.hstack([places, np.add.outer(turns + 4 * moving, [1, 2, 3, 0])])
+
+    def take(self) -> bytes:
+        """Return a sample of the present."""
+        return b"".join(self._memories)
+
+    def table(self, samples: Sequence[bytes]) -> NDArray[np.int64]:
+        """Return samples as a row each (n, columns); floats are seen as integers."""
+        return np.frombuffer(b"".join(samples), np.int64).reshape(-1, self._size)
+
+    def states(self, table: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the states in samples (n, state)."""
+        return table[:, : self._state_size]
+
+    def transforms(self, times_ns: NDArray[np.int64], table: NDArray[np.int64]) -> NDArray[np.void]:
+        """Return a message of /tf for each sample (n,)."""
+        poses = np.rint(table.view(np.float64)[:, self._poses] * _FINENESS) / _FINENESS
+        return self._transforms.messages(times_ns, poses)
+
+
+def channel_names() -> bytes:
+    """Return a message that names the numbers of each channel, for viewers that only index them."""
+    topics: dict[str, list[str]] = {}
+    for topic, _, _, label, _ in SAMPLED:
+        topics.setdefault(label, []).append(topic)
+    lines = ["Numbers of each robot's channels:"]
+    for label, found in topics.items():
+        names, _, unit = label.removesuffix("]").partition(" [")
+        lines += ["", f"{', '.join(found)} [{unit}]"]
+        lines += [f"  [{index}]  {name}" for index, name in enumerate(names.split(", "))]
+    return text_message("\n".join(lines))
+
+
+def _channels_of(robot: Robot, starts: Iterator[int]) -> Iterator[SampledChannel]:
+    """Yield the channels of a robot, whose boards begin at these columns."""
+    kinds = [None, *robot.firmware.turrets]
+    # The kinds end first, so that the next robot has its own columns.
+    for kind, board, start in zip(kinds, boards(robot), starts, strict=False):
+        if kind is None:
+            for name, schema, numbers, label, registers in SAMPLED:
+                frame, columns = (
+                    ArrayFrame(len(registers), numbers, label),
+                    [start + each for each in registers],
+                )
+                yield SampledChannel(f"/{robot.name}/{name}", schema, frame, columns)
+        name = "registers" if kind is None else kind.name
+        label = ", ".join(kind.names) if kind and kind.names else "registers"
+        own = range(start, start + len(board))
+        frame = ArrayFrame(len(board), "i8", label)
+        yield SampledChannel(f"/{robot.name}/{name}", INTEGERS, frame, slice(own.start, own.stop))
+        if kind and kind.image:
+            pixels = own[kind.image]
+            image = ImageFrame(len(pixels), f"{robot.name}/{kind.name}")
+            yield SampledChannel(f"/{robot.name}/vision", IMAGE, image, slice(pixels.start, pixels.stop))
