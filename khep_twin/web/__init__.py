@@ -11,10 +11,13 @@ small enough to be read. The page loads nothing from outside, so it works withou
     scene       compiled scenes for the 3-D view
     drafts      playpens as the page sends them, with their problems
     paced_twin  a twin that can be watched, paused, and shared with an outside host
-    session     the running twin, or the robot, of the page, in its own thread
+    session     the running twin (twin_session), or the robot (robot_session), in its own thread
     jobs        jobs of the robot: controllers and sensor tests
     challenges  programs scored in challenges
-    broadcaster messages to the open pages
-    routes      actions and files that the page requests
+    messages    kinds of messages to the pages
+    broadcaster sends messages to the open pages
+    answers     turns requests into actions and answers
+    file_actions, session_actions   what the page asks, by subject
+    routes      the page's files, actions and messages
     server      socket, token, guard and page
 """

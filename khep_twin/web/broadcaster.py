@@ -7,10 +7,11 @@ more often than pictures, and no pictures without an open page.
 import asyncio
 import json
 from collections import deque
-from collections.abc import Mapping
 from contextlib import suppress
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from khep_twin.web.messages import FromPage, Message
 
 _WAITING = 500
 """Largest number of messages that wait for a slow page."""
@@ -29,9 +30,9 @@ class Broadcaster:
         """True if a page is open."""
         return bool(self._watchers)
 
-    def publish(self, message: Mapping[str, object]) -> None:
+    def publish(self, message: Message) -> None:
         """Send a message to all pages; from any thread."""
-        kind = str(message.get("kind"))
+        kind = message["kind"]
         if kind == "picture" and not self._watchers:
             return
         text = json.dumps(message, allow_nan=False, separators=(",", ":"))
@@ -56,7 +57,8 @@ class Broadcaster:
             while True:
                 # A page reports its file to the others.
                 said = await socket.receive_text()
-                self._broadcast("page", json.dumps({"kind": "page", "said": said[:1000]}), but=watcher)
+                message: FromPage = {"kind": "page", "said": said[:1000]}
+                self._broadcast("page", json.dumps(message), but=watcher)
         except (WebSocketDisconnect, KeyError):
             pass
         finally:

@@ -7,10 +7,9 @@ designer ends, and when no page is open any more.
 import codecs
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from starlette.responses import FileResponse, Response
 
@@ -21,8 +20,9 @@ from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile, load, na
 from khep_twin.lab.challenge.results import attempts, participants, ranked, to_csv
 from khep_twin.machine import n_cores
 from khep_twin.web import requests
+from khep_twin.web.answers import Actions, on
 from khep_twin.web.documents import Documents
-from khep_twin.web.jobs import Publish
+from khep_twin.web.messages import Publish, Scored, Scoring
 
 _ENDING_S = 5.0
 """Longest time for a process to end with the designer [s]; a file that hangs takes 3.5."""
@@ -53,19 +53,21 @@ class Challenges:
         self._documents, self._publish, self._watched = documents, publish, watched
         self._stop, self._starting = threading.Event(), threading.Lock()
         self._thread: threading.Thread | None = None
-        self._now: Mapping[str, object] | None = None
+        self._now: Scoring | None = None
         self._table: tuple[Challenge, list[Attempt]] | None = None
 
     @property
-    def actions(self) -> Mapping[str, tuple[type[requests.Request], Callable[[Any], object]]]:
-        """Actions of the page by name: the request's class and the function."""
+    def actions(self) -> Actions:
+        """Actions by name."""
         return {
-            "challenges": (requests.Request, self._list),
-            "challenge-picture": (requests.Library, lambda asked: FileResponse(_shipped(asked.name).picture)),
-            "score": (requests.ScoreRequest, self._score),
-            "score-table": (requests.ScoreTableRequest, self._score_table),
-            "score-csv": (requests.Request, self._csv),
-            "score-stop": (requests.Request, lambda asked: self._stop.set()),
+            "challenges": on(requests.Request, self._list),
+            "challenge-picture": on(
+                requests.Library, lambda asked: FileResponse(_shipped(asked.name).picture)
+            ),
+            "score": on(requests.ScoreRequest, self._score),
+            "score-table": on(requests.ScoreTableRequest, self._score_table),
+            "score-csv": on(requests.Request, self._csv),
+            "score-stop": on(requests.Request, lambda asked: self._stop.set()),
         }
 
     def close(self) -> None:
@@ -91,8 +93,7 @@ class Challenges:
 
             found = score_file(file, str(path), show=printed.add, stop=stop)
             printed.tell(at_once=True)
-            told = _told(file.challenge, self._named(found))
-            self._publish({"kind": "scored", "program": name, **told})
+            self._publish(_told(file.challenge, name, self._named(found)))
 
         self._begin({"kind": "scoring", "challenge": asked.challenge, "program": name}, work)
 
@@ -131,7 +132,7 @@ class Challenges:
         above = f"{self._documents.root}/"
         return replace(found, file=found.file.removeprefix(above), reason=found.reason.replace(above, ""))
 
-    def _begin(self, message: Mapping[str, object], work: Callable[[Over], None]) -> None:
+    def _begin(self, message: Scoring, work: Callable[[Over], None]) -> None:
         """Start a thread that scores.
 
         Raises:
@@ -139,7 +140,7 @@ class Challenges:
         """
         with self._starting:
             if self._now is not None:
-                what = self._now.get("program") or f"the folder {self._now['folder']}"
+                what = self._now.get("program") or f"the folder {self._now.get('folder')}"
                 raise ChallengeError(f"{what} is being scored; expected to wait for it, or to stop it")
             self._stop.clear()
             self._now = message
@@ -218,11 +219,13 @@ def _described(file: ChallengeFile) -> dict[str, object]:
     }
 
 
-def _told(challenge: Challenge, found: Attempt) -> dict[str, object]:
+def _told(challenge: Challenge, program: str, found: Attempt) -> Scored:
     """Return the result of a program as the page shows it."""
     if found.score is None:
-        return {"score": None, "reason": found.reason}
+        return {"kind": "scored", "program": program, "score": None, "reason": found.reason}
     return {
+        "kind": "scored",
+        "program": program,
         "score": challenge.value(found.score.value),
         "runs": [challenge.value(each) for each in found.score.runs],
         "passes": challenge.passes(found.score.value),

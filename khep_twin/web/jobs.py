@@ -4,7 +4,7 @@
 # pyright: reportUnknownMemberType=false
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
@@ -22,10 +22,8 @@ from khep_twin.lab.experiment.series_run import SeriesRun as DoneRun
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, sense
 from khep_twin.toolbox.form import as_toolbox_form
 from khep_twin.web.documents import Documents
+from khep_twin.web.messages import Publish
 from khep_twin.web.requests import RunRequest, SenseRequest
-
-Publish = Callable[[Mapping[str, object]], None]
-"""Function that takes a message for the page."""
 
 Progress = Callable[[float], None]
 """Function that takes the completed part of a job, 0 to 1."""
@@ -64,8 +62,16 @@ class SeriesJob:
 
         def row(run: DoneRun, stopped: bool = False) -> None:
             metrics = {name: value for name, value in run.metrics.items() if math.isfinite(value)}
-            told = {"number": run.number, "stopped": stopped, "cycles": run.cycles, "seconds": run.duration}
-            publish({"kind": "run", **told, "metrics": metrics})
+            publish(
+                {
+                    "kind": "run",
+                    "number": run.number,
+                    "stopped": stopped,
+                    "cycles": run.cycles,
+                    "seconds": run.duration,
+                    "metrics": metrics,
+                }
+            )
 
         broken_off = partial(row, stopped=True)
         source = OneRobot(robot)
@@ -95,7 +101,7 @@ class Sensing:
         """Run the test."""
         run = sense(robot, self.test, text=self.text, progress=progress, stop=stop)
         self.keep(run)
-        publish({"kind": "sensed", "rows": len(run.times), "warning": run.warning})
+        publish({"kind": "sensed", "warning": run.warning})
 
 
 def series(asked: RunRequest, documents: Documents) -> SeriesJob:

@@ -1,0 +1,233 @@
+"""Messages from the designer to its open pages: the kinds, each with its keys.
+
+The page has one function for each kind, in a table `hears` of `main.js`, `run.js` or `challenges.js`; a test
+holds both to the same kinds. A message with a `tab` answers one page, which alone takes it.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal, NotRequired, TypedDict, get_args, get_type_hints
+
+# The twin or the robot ------------------------------------------------------------------------------------
+
+
+class RobotShape(TypedDict):
+    """Radius of a robot [mm], and the position [mm] and heading [deg] of each sensor."""
+
+    radius_mm: float
+    sensors: Sequence[Sequence[float]]
+
+
+class PresentRobot(RobotShape):
+    """Robot of a session; a robot at a port lacks what only a playpen knows."""
+
+    name: str
+    port: str
+    baud: NotRequired[int]
+    sensor_height_mm: NotRequired[float]
+    turrets: NotRequired[Sequence[str]]
+
+
+class TwinBegins(TypedDict):
+    """A twin has begun, in a playpen of this name; `log` is the name of its log."""
+
+    kind: Literal["twin"]
+    playpen: str
+    robots: Sequence[PresentRobot]
+    log: str | None
+
+
+class RobotBegins(TypedDict):
+    """A robot at a port is connected."""
+
+    kind: Literal["robot"]
+    robots: Sequence[PresentRobot]
+
+
+class Readings(TypedDict):
+    """Readings of a robot; what follows `vision` is known of a twin only.
+
+    `vision` is missing where the image was not read, and None without a camera.
+    """
+
+    proximity: Sequence[int]
+    ambient: Sequence[int]
+    speed: Sequence[int]
+    leds: Sequence[int]
+    vision: NotRequired[Sequence[int] | None]
+    x_mm: NotRequired[float]
+    y_mm: NotRequired[float]
+    heading_deg: NotRequired[float]
+    turrets: NotRequired[object]
+    host: NotRequired[bool]
+    host_commands: NotRequired[int]
+
+
+class Picture(TypedDict):
+    """Present state; what follows `robots` is known of a twin only.
+
+    `part` is the completed part of the job; `objects` has x, y [mm] and angle [deg] of each movable object by
+    its table and index; `bodies` has the poses of the 3-D view's moving bodies.
+    """
+
+    kind: Literal["picture"]
+    time: float
+    busy: bool
+    part: float
+    robots: Sequence[Readings]
+    paused: NotRequired[bool]
+    speed: NotRequired[float]
+    lamps: NotRequired[Sequence[Mapping[str, object]]]
+    bodies: NotRequired[Sequence[Sequence[float]]]
+    objects: NotRequired[Mapping[str, Mapping[int, Sequence[float]]]]
+
+
+class Ended(TypedDict):
+    """The session has ended."""
+
+    kind: Literal["ended"]
+
+
+class Room(TypedDict):
+    """Why a held robot has no room at its position; with room, the reason is empty."""
+
+    kind: Literal["room"]
+    robot: int
+    reason: str
+    tab: str
+
+
+class Refused(TypedDict):
+    """A move by hand was refused."""
+
+    kind: Literal["refused"]
+    text: str
+    tab: str
+
+
+class Line(TypedDict):
+    """A line for the user: an error of the session, or a note."""
+
+    kind: Literal["error", "note"]
+    text: str
+
+
+# Jobs -----------------------------------------------------------------------------------------------------
+
+
+class RunDone(TypedDict):
+    """A run of a series is over."""
+
+    kind: Literal["run"]
+    number: int
+    stopped: bool
+    cycles: int
+    seconds: float
+    metrics: Mapping[str, float]
+
+
+class Sensed(TypedDict):
+    """A sensor test is over."""
+
+    kind: Literal["sensed"]
+    warning: str
+
+
+class Printed(TypedDict):
+    """A program of a job, or one that is scored, has printed this."""
+
+    kind: Literal["printed", "score-printed"]
+    text: str
+
+
+class JobDone(TypedDict):
+    """The job is over."""
+
+    kind: Literal["done"]
+
+
+# Challenges -----------------------------------------------------------------------------------------------
+
+
+class Scoring(TypedDict):
+    """A program, or all of a folder, is being scored."""
+
+    kind: Literal["scoring"]
+    challenge: str
+    program: NotRequired[str]
+    folder: NotRequired[str]
+
+
+class Scored(TypedDict):
+    """Result of a program: a score and what it is compared with, or the reason why there is none."""
+
+    kind: Literal["scored"]
+    program: str
+    score: str | None
+    reason: NotRequired[str]
+    runs: NotRequired[Sequence[str]]
+    passes: NotRequired[bool | None]
+    threshold: NotRequired[str]
+    reference: NotRequired[str | None]
+
+
+class ScoreRows(TypedDict):
+    """Table of a folder's programs so far, and the part of them that is scored."""
+
+    kind: Literal["score-rows"]
+    part: float
+    rows: Sequence[Mapping[str, object]]
+
+
+class ScoreEnded(TypedDict):
+    """Nothing is being scored any more; the text says why if it is no success."""
+
+    kind: Literal["score-ended"]
+    text: str
+
+
+# Other pages ----------------------------------------------------------------------------------------------
+
+
+class Saved(TypedDict):
+    """A page has saved a file."""
+
+    kind: Literal["saved"]
+    file: str
+    version: str
+    tab: str
+
+
+class FromPage(TypedDict):
+    """Another page's own message, as JSON: its file and its identifier."""
+
+    kind: Literal["page"]
+    said: str
+
+
+Message = (
+    TwinBegins
+    | RobotBegins
+    | Picture
+    | Ended
+    | Room
+    | Refused
+    | Line
+    | RunDone
+    | Sensed
+    | Printed
+    | JobDone
+    | Scoring
+    | Scored
+    | ScoreRows
+    | ScoreEnded
+    | Saved
+    | FromPage
+)
+
+KINDS: frozenset[str] = frozenset(
+    kind for message in get_args(Message) for kind in get_args(get_type_hints(message)["kind"])
+)
+"""All kinds of messages."""
+
+Publish = Callable[[Message], None]
+"""Function that takes a message for the page."""

@@ -1,0 +1,224 @@
+"""Session of a twin in its playpen, with a pseudo-terminal for an outside host at each robot."""
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing, suppress
+from dataclasses import replace
+from pathlib import Path
+
+from khep_twin.board.kernel import AMBIENT, PROXIMITY, SPEEDS, Board
+from khep_twin.errors import KhepTwinError, PortError
+from khep_twin.host import Khepera
+from khep_twin.interventions.move_robot import as_it_stands, put
+from khep_twin.interventions.switching import switch
+from khep_twin.playpen import Playpen
+from khep_twin.playpen.starts import no_room
+from khep_twin.ports.endpoints import open_any
+from khep_twin.ports.event_sources import exact_timeouts
+from khep_twin.ports.host_port import HostPort
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.service_registry import registered
+from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.units import BODIES
+from khep_twin.web import messages
+from khep_twin.web.messages import Publish
+from khep_twin.web.outside_host import OutsideHost
+from khep_twin.web.paced_twin import PacedTwin
+from khep_twin.web.scene import DrawnScene
+from khep_twin.web.session import WebSession, shape
+from khep_twin.web.turret_outlines import TurretParts
+
+_NOT_YET = "the twin is not there yet; expected a started twin"
+
+
+class TwinActor(WebSession):
+    """A twin in a playpen, with a pseudo-terminal for an outside host at each robot.
+
+    Args:
+        playpen: Playpen to simulate.
+        options: Options of the twin.
+        log: File of the log; None for none.
+        publish: Function that takes messages for the page.
+    """
+
+    def __init__(self, playpen: Playpen, options: TwinOptions, log: Path | None, publish: Publish) -> None:
+        super().__init__(publish)
+        self.playpen, self._options, self._log = playpen, options, log
+        self._paced: PacedTwin | None = None
+        self._turrets: list[TurretParts] = []
+        self._scene: DrawnScene | None = None
+        self.speed, self.paused = 1.0, False
+
+    @property
+    def log(self) -> Path | None:
+        """File of the log; None for none."""
+        return self._log
+
+    def set_pace(self, speed: float, paused: bool) -> None:
+        """Set the speed of time, and whether it is paused."""
+        self.speed, self.paused = speed, paused
+        if self._paced is not None:
+            self._paced.speed, self._paced.paused = speed, paused
+
+    def step(self) -> None:
+        """Advance one step."""
+        if self._paced is not None:
+            self._paced.step()
+
+    def put(self, robot: int, x_mm: float, y_mm: float, heading_deg: float, page: str = "") -> None:
+        """Move a robot for a page; report to it if there is no room."""
+        self._request(lambda twin: put(twin.world, robot, x_mm, y_mm, heading_deg), page)
+
+    def room(self, robot: int, x_mm: float, y_mm: float, page: str = "") -> None:
+        """Report to a page why a held robot has no room at a position; with room, the reason is empty."""
+
+        def report(twin: PacedTwin) -> None:
+            reason = no_room(as_it_stands(twin.world), robot, x_mm, y_mm)
+            self.publish({"kind": "room", "robot": robot, "reason": reason, "tab": page})
+
+        self._request(report, page)
+
+    def switch(self, lamp: int, on: bool, page: str = "") -> None:
+        """Switch a lamp for a page."""
+        self._request(lambda twin: switch(twin.world, lamp, on), page)
+
+    def scene(self) -> DrawnScene:
+        """Return the scene of the world, with the poses of its moving bodies in each picture's "bodies".
+
+        Raises:
+            PortError: The twin has not started yet.
+        """
+        if self._scene is None:
+            raise PortError(_NOT_YET)
+        return self._scene
+
+    def stop(self) -> None:
+        """End the job; without one, stop the motors."""
+        if self.job is not None and self._paced is not None:
+            self._paced.stop_program()
+        else:
+            self._request(lambda twin: twin.robot.send(b"D,0,0\n"))
+
+    def end(self) -> None:
+        """End the twin and complete its log."""
+        if self._paced is not None:
+            self._paced.ended = True
+        super().end()
+
+    def _request(self, action: Callable[[PacedTwin], None], page: str = "") -> None:
+        """Have something done to the twin, for a page or for all."""
+        twin = self._paced
+        if twin is None:
+            raise PortError(_NOT_YET)
+
+        def safely() -> None:
+            try:
+                action(twin)
+            except (KhepTwinError, IndexError) as error:
+                text = error.plain if isinstance(error, KhepTwinError) else str(error)
+                self.publish({"kind": "refused", "text": text, "tab": page})
+
+        twin.request(safely)
+
+    def _live(self) -> None:
+        options = replace(self._options, robot=None)
+        with ExitStack() as stack:
+            twin = stack.enter_context(open_twin(self.playpen, options))
+            bauds = [robot.firmware.baud for robot in twin.robots]
+            ports = [stack.enter_context(closing(open_any(baud))) for baud in bauds]
+            pairs = zip(twin.robots, ports, strict=True)
+            hosts = [OutsideHost(twin, robot, port, self._note) for robot, port in pairs]
+            if self._log is not None:
+                twin.record(self._log)
+            with suppress(PortError):
+                what = f"twin in {self.playpen.name}, in a page"
+                stack.enter_context(registered([port.path for port in ports], what))
+
+            def show() -> None:
+                self._tell_printed()
+                self.publish(self._picture(paced, hosts))
+
+            exact_timeouts()
+            paced = PacedTwin(twin, hosts, show)
+            stack.callback(paced.end)
+            paced.speed, paced.paused = self.speed, self.paused
+            self._turrets = [TurretParts(twin.world, index) for index in range(len(twin.robots))]
+            self._scene = DrawnScene(twin.world.model, twin.world.data)
+            self._paced = paced
+            self.publish(self._cast(paced, ports))
+            while not (paced.ended or self._ended.is_set()):
+                if self.job is None:
+                    paced.idle()
+                    continue
+                paced.busy = True
+                paced.stop_program(False)
+                try:
+                    with Khepera(Serial.of(paced.view, timeout=1.0)) as robot:
+                        self._do(robot, paced.stopping)
+                finally:
+                    paced.busy = False
+                    paced.stop_program(False)
+
+    def _cast(self, twin: PacedTwin, ports: Sequence[HostPort]) -> messages.TwinBegins:
+        """Return the first message: the robots and the log."""
+        return {
+            "kind": "twin",
+            "playpen": twin.world.playpen.name,
+            "robots": [
+                {
+                    "name": robot.name,
+                    "port": port.path,
+                    "baud": robot.firmware.baud,
+                    **shape(entry.model, entry.calibration),
+                    "sensor_height_mm": BODIES[entry.model].sensor_height * 1e3,
+                    "turrets": entry.turrets,
+                }
+                for robot, port, entry in zip(twin.robots, ports, twin.world.playpen.robots, strict=True)
+            ],
+            "log": None if self._log is None else self._log.name,
+        }
+
+    def _picture(self, twin: PacedTwin, hosts: list[OutsideHost]) -> messages.Picture:
+        """Return the present state of the world."""
+        world = twin.world
+        robots: list[messages.Readings] = []
+        now = as_it_stands(world)
+        for index, (robot, host, entry) in enumerate(zip(twin.robots, hosts, now.robots, strict=True)):
+            registers, image = robot.registers, robot.line_image
+            robots.append(
+                {
+                    "x_mm": round(entry.x_mm, 2),
+                    "y_mm": round(entry.y_mm, 2),
+                    "heading_deg": round(entry.heading_deg, 2),
+                    "proximity": registers[PROXIMITY].tolist(),
+                    "ambient": registers[AMBIENT].tolist(),
+                    "speed": registers[SPEEDS].tolist(),
+                    "vision": None if image is None else image.tolist(),
+                    "turrets": self._turrets[index].corners(),
+                    "leds": registers[[Board.LED_0, Board.LED_1]].tolist(),
+                    "host": host.port.occupied,
+                    "host_commands": host.commands,
+                }
+            )
+        lamps = [
+            {"power_w": round(power, 3), "off": world.lamps.turned_off(index)}
+            for index, power in enumerate(world.lamps.powers)
+        ]
+        return {
+            "kind": "picture",
+            "time": world.time_ns / 1e9,
+            "busy": twin.busy,
+            "paused": twin.paused,
+            "speed": twin.speed if math.isfinite(twin.speed) else 0,
+            "part": self._part,
+            "robots": robots,
+            "lamps": lamps,
+            "bodies": [] if self._scene is None else self._scene.poses(),
+            "objects": {
+                kind: {i: [it.x_mm, it.y_mm, it.angle_deg] for i, it in enumerate(items) if it.movable}
+                for kind, items in now.objects.items()
+            },
+        }
+
+    def _note(self, text: str) -> None:
+        self.publish({"kind": "note", "text": text})
