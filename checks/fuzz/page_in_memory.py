@@ -20,7 +20,17 @@ from uvicorn.server import ServerState
 from checks.fuzz import page_recipes as recipes
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest
 from khep_twin.ports.twin import open_twin
-from khep_twin.web import challenges, connections, routes, server, session
+from khep_twin.web import answers as page_answers
+from khep_twin.web import (
+    challenges,
+    connections,
+    file_actions,
+    robot_session,
+    routes,
+    server,
+    session_actions,
+    twin_session,
+)
 from khep_twin.web.documents import Documents
 from khep_twin.web.guard import Guard
 
@@ -77,7 +87,7 @@ class Transport(asyncio.Transport):
     pause_reading = resume_reading = lambda self: None
 
 
-class Session(session.TwinActor):
+class Session(twin_session.TwinActor):
     """Session with a world whose time stands still; it does what is requested at once."""
 
     def begin(self) -> None:
@@ -119,7 +129,7 @@ class Requests:
         """End no job."""
 
 
-class Unopened(session.RobotActor):
+class Unopened(robot_session.RobotActor):
     """Robot at a port that is never opened."""
 
     def begin(self) -> None:
@@ -171,10 +181,10 @@ class Designer:
         async def at_once(function: Callable[..., Any], *words: Any) -> Any:
             return function(*words)
 
-        routes.run_in_threadpool = at_once
-        routes.TwinActor, routes.RobotActor = Session, Unopened  # pyright: ignore
+        page_answers.run_in_threadpool = at_once
+        session_actions.TwinActor, session_actions.RobotActor = Session, Unopened  # pyright: ignore
         routes.Challenges = Waiting  # pyright: ignore
-        routes.render = lambda playpen, path: b"\x89PNG" + repr(playpen.name).encode()  # pyright: ignore
+        file_actions.render = lambda playpen, path: b"\x89PNG" + repr(playpen.name).encode()  # pyright: ignore
 
     def opened(self) -> "Browser":
         """Return a browser at a new page."""
@@ -188,7 +198,7 @@ class Browser:
         self._loop, self._state = designer.loop, ServerState()
         self.page = routes.Page(Documents(designer.folder), None)
         test = SensorTest("proximity", 10.0, None, 10, 64, False)
-        self.page._sensed.append(SensorRun(test, np.ones((2, 10), np.int64), np.arange(2.0)))  # pyright: ignore
+        self.page._session._sensed.append(SensorRun(test, np.ones((2, 10), np.int64), np.arange(2.0)))  # pyright: ignore
         self._config = uvicorn.Config(
             Guard(self.page.app(), TOKEN, {HOST, HOST.replace("127.0.0.1", "localhost")}),
             log_config=None,

@@ -30,7 +30,6 @@ ACTIONS: dict[str, dict[str, Any]] = {
     "library": {"name": "obstacles"},
     "thumbnail": {"name": "default"},
     "left": {"file": "a.toml"},
-    "version": {"file": "sub/b.toml"},
     "check": {"draft": DRAFT},
     "save": {"file": "new.toml", "draft": DRAFT, "version": None, "base": {"file": "a.toml"}, "rename": True},
     "keep": {"file": "a.toml", "draft": DRAFT, "version": "x", "base": {"library": "default"}, "page": "T1"},

@@ -19,7 +19,7 @@ from checks.simulate.simulation import Simulation, Violation
 from khep_twin import signals
 from khep_twin.ports import service_registry
 from khep_twin.ports.host_port import NOTHING
-from khep_twin.web import routes, session
+from khep_twin.web import answers, file_actions, session_actions, twin_session
 from khep_twin.web.documents import Documents
 from khep_twin.web.guard import Guard
 from khep_twin.web.routes import Page
@@ -266,10 +266,11 @@ def installed(simulation: Simulation, present: Callable[[], Designer], private: 
 
     with ExitStack() as stack:
         for place, name, value in (
-            (routes, "run_in_threadpool", run_in_threadpool),
-            (routes, "found_ports", list),
-            (session, "open_any", QuietPort),
-            (session, "exact_timeouts", lambda: None),
+            (answers, "run_in_threadpool", run_in_threadpool),
+            (file_actions, "found_ports", list),
+            (session_actions, "found_ports", list),
+            (twin_session, "open_any", QuietPort),
+            (twin_session, "exact_timeouts", lambda: None),
             (service_registry, "private_folder", lambda: private),
             (kernel, "MOST_STALLED", MOST_STALLED),
             (signals, "_writing", simulation.system.modules["threading"].RLock()),

@@ -8,9 +8,9 @@ from unittest.mock import patch
 
 from checks.simulate.mutants import Mutant
 from khep_twin.errors import KhepTwinError
-from khep_twin.web import documents, routes, session
+from khep_twin.web import answers, documents, session
 from khep_twin.web.documents import Documents
-from khep_twin.web.routes import Page
+from khep_twin.web.session_actions import SessionActions
 
 _save, _keep, _left = Documents.save, Documents.keep, Documents.left
 
@@ -77,18 +77,18 @@ def _left_part() -> AbstractContextManager[object]:
 
 
 def _unended() -> AbstractContextManager[object]:
-    def end(self: Page, asked: object) -> None:
+    def end(self: SessionActions, asked: object) -> None:
         self._actor = None
 
-    return patch.object(Page, "_end", end)
+    return patch.object(SessionActions, "_end", end)
 
 
 def _failing() -> AbstractContextManager[object]:
     def answered(action: Any) -> Any:
         found = action()
-        return found if isinstance(found, routes.Response) else routes.JSONResponse(found or {})
+        return found if isinstance(found, answers.Response) else answers.JSONResponse(found or {})
 
-    return patch.object(routes, "_answered", answered)
+    return patch.object(answers, "answered", answered)
 
 
 def _oldest_first() -> AbstractContextManager[object]:
@@ -101,9 +101,9 @@ def _oldest_first() -> AbstractContextManager[object]:
 def _mute() -> AbstractContextManager[object]:
     def refused(text: str, status: int = 400, **more: bool) -> Any:
         content: Mapping[str, object] = {"error": "", **more}
-        return routes.JSONResponse(content, status)
+        return answers.JSONResponse(content, status)
 
-    return patch.object(routes, "_refused", refused)
+    return patch.object(answers, "refused", refused)
 
 
 MUTANTS: dict[str, Mutant] = {

@@ -145,7 +145,7 @@ class Office:
             self.simulation.violate("leftovers", f"no request is carried out, and {parts[0]} is there")
         stages = [each for each in designer.group.threads if " stage " in each.name]
         notes = sorted(self._private.iterdir())
-        ended = designer.page is not None and designer.page._actor is None and not designer.group.requests
+        ended = designer.page is not None and designer.page._session._actor is None and not designer.group.requests
         if not ended or not (stages or notes) or not designer.alive:
             self._ended_ns = None
         elif self._ended_ns is None:
@@ -457,7 +457,7 @@ class Browser:
             self._simulation.count("twins")
 
     def _ask(self) -> None:
-        action = self._rng.choice(["left", "version", "check"])
+        action = self._rng.choice(["left", "left", "check"])
         wanted = {"draft": self._draft} if action == "check" else {"file": self._file or NAMES[0]}
         self._post(action, wanted)
 

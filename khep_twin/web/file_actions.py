@@ -52,7 +52,6 @@ class FileActions:
             "library": on(requests.Library, lambda asked: documents.library(asked.name)),
             "thumbnail": on(requests.Library, self._thumbnail),
             "left": on(requests.MaybeNamed, lambda asked: {"left": documents.left(asked.file)}),
-            "version": on(requests.Named, lambda asked: {"version": documents.version(asked.file)}),
             "check": on(requests.Drafted, lambda asked: {"problems": drafts.problems_of(asked.draft)}),
             "save": on(requests.Saved, self._save),
             "keep": on(requests.Kept, self._keep),
@@ -92,7 +91,7 @@ class FileActions:
             page=asked.tab,
         )
         self.file = name
-        self._publish({"kind": "saved", "file": name, "version": version, "tab": asked.tab})
+        self._publish({"kind": "saved", "file": name, "version": version, "by": asked.tab})
         return {"file": name, "version": version, "name": draft.get("name")}
 
     def _keep(self, asked: requests.Kept) -> None:

@@ -189,12 +189,12 @@ class ScoreEnded(TypedDict):
 
 
 class Saved(TypedDict):
-    """A page has saved a file."""
+    """The page `by` has saved a file."""
 
     kind: Literal["saved"]
     file: str
     version: str
-    tab: str
+    by: str
 
 
 class FromPage(TypedDict):

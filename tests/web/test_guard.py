@@ -167,7 +167,6 @@ def test_files_outside_the_folder_are_refused(asker: Asker, name: str) -> None:
     _, hello = asker.do("hello")
     if name:
         assert asker.do("open", file=name)[0] == 403
-        assert asker.do("version", file=name)[0] == 403
         assert asker.do("keep", file=name, draft={})[0] == 403
         assert asker.do("save", file=name, draft=hello["draft"])[0] == 403
     assert asker.do("start", draft={**hello["draft"], "robot": []}, log=name)[0] in (400, 403)
@@ -263,7 +262,6 @@ def test_a_name_that_is_too_long_is_reported(asker: Asker) -> None:
     for action, more in (
         ("open", {}),
         ("save", {"draft": DRAFT}),
-        ("version", {}),
         ("keep", {"draft": DRAFT}),
     ):
         status, told = asker.do(action, file="x" * 300 + ".toml", **more)
@@ -273,7 +271,7 @@ def test_a_name_that_is_too_long_is_reported(asker: Asker) -> None:
 def test_a_pipe_is_no_file_and_holds_nobody_up(asker: Asker, tmp_path: Path) -> None:
     for name in ("pipe.toml", "pipe.mcap", ".mine.toml.draft"):
         os.mkfifo(tmp_path / name)
-    for action, more in (("open", {}), ("save", {"draft": DRAFT}), ("version", {})):
+    for action, more in (("open", {}), ("save", {"draft": DRAFT})):
         status, told = asker.do(action, file="pipe.toml", **more)
         assert (status, "no regular file" in told["error"]) == (400, True), action
     assert "no regular file" in asker.do("start", draft=DRAFT, log="pipe.mcap")[1]["error"]

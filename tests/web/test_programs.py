@@ -67,7 +67,7 @@ def test_what_is_no_text_is_refused_in_a_line(tmp_path: Path) -> None:
 def test_a_page_for_other_machines_writes_no_programs(tmp_path: Path) -> None:
     server = Server(tmp_path, None, "0.0.0.0:0", allow_remote=True)
     server.listener.close()
-    programs = server._page._programs  # pyright: ignore[reportPrivateUsage]
+    programs = server._page._files._programs  # pyright: ignore[reportPrivateUsage]
     with pytest.raises(OutsideError, match="writes no programs"):
         programs.save("mine.py", TEXT, None, False)
     assert not list(tmp_path.iterdir())

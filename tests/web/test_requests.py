@@ -96,7 +96,7 @@ def answer(asker: Asker, action: str, body: bytes) -> tuple[int, str]:
 @pytest.fixture
 def twin(asker: Asker, monkeypatch: pytest.MonkeyPatch) -> Iterator[Asker]:
     """A server with a twin that stands still; pictures are not made."""
-    monkeypatch.setattr("khep_twin.web.routes.render", lambda playpen, path: b"")
+    monkeypatch.setattr("khep_twin.web.file_actions.render", lambda playpen, path: b"")
     assert asker.do("start", draft=VALID["draft"], paused=True)[0] == 200
     yield asker
     asker.do("end")

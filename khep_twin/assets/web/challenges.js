@@ -24,7 +24,6 @@ export class Challenges {
     press("#score", () => this.#score());
     press("#score-table", () => this.#table());
     press("#score-csv", async () => keep(await post("score-csv"), `${this.named}.csv`));
-    for (const button of document.querySelectorAll(".score-stop")) button.addEventListener("click", () => attempt(() => post("score-stop"), "challenge"));
     document.addEventListener("keydown", (event) => {
       if (event.key === "Escape" && this.#busy && this.shown && !$("#dialog").open) attempt(() => post("score-stop"), "challenge");
     });
@@ -81,16 +80,14 @@ export class Challenges {
     return post("score-table", { challenge: $("#challenge").value, folder: $("#score-folder").value });
   }
 
-  hear(message) {
-    const hears = {
-      scoring: () => this.#begun(message),
-      "score-printed": () => this.#printed(message.text),
-      scored: () => this.#scored(message),
-      "score-rows": () => this.#rows(message),
-      "score-ended": () => this.#ended(message.text),
-    };
-    hears[message.kind]?.();
-  }
+  // What it does about each kind of message (khep_twin/web/messages.py).
+  hears = {
+    scoring: (message) => this.#begun(message),
+    "score-printed": ({ text }) => this.#printed(text),
+    scored: (message) => this.#scored(message),
+    "score-rows": (message) => this.#rows(message),
+    "score-ended": ({ text }) => this.#ended(text),
+  };
 
   #begun({ challenge, program, folder }) {
     this.#busy = true;

@@ -441,6 +441,8 @@ press("zoom-in", () => stage.zoom("+") || drawing.zoom(0.8));
 press("zoom-out", () => stage.zoom("-") || drawing.zoom(1.25));
 press("zoom-fit", () => stage.zoom("0") || drawing.fit());
 press("help", help);
+// A button that only asks the designer for an action needs no more than this name of it.
+for (const button of document.querySelectorAll("[data-post]")) button.addEventListener("click", () => attempt(() => post(button.dataset.post), button.dataset.about ?? button.id));
 $("#figure").addEventListener("click", () => {
   const picture = Object.assign(document.createElement("img"), { src: $("#figure").src, alt: $("#figure").alt });
   ask("Sensor test", picture, "Close");
@@ -525,21 +527,30 @@ function decodedHash() {
 
 // Other pages --------------------------------------------------------------------------------------------
 
-function hear(message) {
-  if (message.kind === "saved" && message.tab !== tab && message.file === model.file && message.version !== model.document.version)
-    banner(`${message.file} was saved by another page.`, "error", {
-      "Load it anew": () => loadAnew(message.file),
+// What the page does about each kind of message (khep_twin/web/messages.py).
+const hears = {
+  ...running.hears,
+  ...challenges.hears,
+  saved({ by, file, version }) {
+    if (by === tab || file !== model.file || version === model.document.version) return;
+    banner(`${file} was saved by another page.`, "error", {
+      "Load it anew": () => loadAnew(file),
       "Keep mine": () => {},
     }, "conflict");
-  else if (message.kind === "page") {
-    const other = JSON.parse(message.said);
+  },
+  page({ said }) {
+    const other = JSON.parse(said);
     if (other.tab === tab || other.file !== model.file) return;
     // The other page still uses a draft that was considered abandoned.
     if (other.tab === offered?.page) offered.close();
     banner(`Another page has ${model.file ?? "a new playpen"} open, too: the second page to save must confirm.`, "", {}, "others");
     if (other.ask) say({ file: model.file, tab });
-  } else if (message.kind.startsWith("scor")) challenges.hear(message);
-  else running.hear(message);
+  },
+};
+
+function hear(message) {
+  if (message.tab && message.tab !== tab) return; // an answer to another page
+  hears[message.kind](message);
 }
 
 // Without the designer, everything that needs it is disabled.
@@ -557,8 +568,8 @@ function lost(away, ended) {
   }
   const twin = running.active && !running.real ? ", and the twin with it" : "";
   why = ended ? `The designer has ended${twin}. To continue, start it again and use the page that it opens.` : "The designer cannot be reached.";
-  running.hear({ kind: "ended" });
-  challenges.hear({ kind: "score-ended", text: "" });
+  hear({ kind: "ended" });
+  hear({ kind: "score-ended", text: "" });
   tellGone();
 }
 

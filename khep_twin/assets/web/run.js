@@ -1,6 +1,6 @@
 // The running twin in the drawing, or the robot at a port, and moves of robots and lamps by the user.
 
-import { keep, post, tab } from "./api.js";
+import { keep, post } from "./api.js";
 import { Curves } from "./curves.js";
 import { closed, make, place } from "./drawing.js";
 import { Hands } from "./hands.js";
@@ -9,6 +9,15 @@ import { Panel, SENSORS, Strip, write } from "./panel.js";
 
 const $ = (selector) => document.querySelector(selector);
 const number = (selector) => ($(selector).value === "" ? null : $(selector).valueAsNumber);
+
+// When a button can be pressed, by its data-when.
+const WHEN = {
+  ended: ({ active }) => !active,
+  running: ({ active }) => active,
+  twin: ({ twin }) => twin,
+  "no-twin": ({ twin }) => !twin,
+  idle: ({ busy }) => !busy,
+};
 
 // Path of a robot so far: of many short paths only the last is drawn anew.
 class Trail {
@@ -54,11 +63,9 @@ export class Running {
     const press = (selector, act, about = selector) => $(selector).addEventListener("click", () => attempt(act, about));
     press("#start", () => this.start(), "run");
     press("#reset", () => this.start(), "run");
-    press("#end", () => post("end"));
     press("#pause", () => this.pause());
     press("#step", () => this.step());
     press("#run", () => this.#run(), "run");
-    press("#stop", () => post("stop"));
     press("#gather", () => this.#gather(), "run");
     press("#display", () => this.#figure(), "figure");
     press("#save-sensed", async () => {
@@ -153,38 +160,35 @@ export class Running {
     return this.active && starts === this.#starts;
   }
 
-  hear(message) {
-    if (message.tab && message.tab !== tab) return; // an answer to another page
-    const hears = {
-      twin: () => this.#cast(message, false),
-      robot: () => this.#cast(message, true),
-      picture: () => this.#picture(message),
-      run: () => this.#ran(message),
-      printed: () => this.#printed(message.text),
-      sensed: () => {
-        const box = $("#sensed-warning");
-        box.textContent = message.warning;
-        box.hidden = !message.warning;
-        return this.attempt(() => this.#figure(), "figure");
-      },
-      done: () => {
-        this.busy = false;
-        this.#buttons();
-      },
-      error: () => {
-        this.banner(message.text, "error", {}, "run");
-        this.failed?.(message.text);
-      },
-      refused: () => {
-        this.hands.refused();
-        this.banner(message.text, "error", {}, "hand");
-      },
-      note: () => this.banner(message.text),
-      room: () => this.#room(message),
-      ended: () => this.#ended(),
-    };
-    hears[message.kind]?.();
-  }
+  // What it does about each kind of message (khep_twin/web/messages.py).
+  hears = {
+    twin: (message) => this.#cast(message, false),
+    robot: (message) => this.#cast(message, true),
+    picture: (message) => this.#picture(message),
+    run: (message) => this.#ran(message),
+    printed: ({ text }) => this.#printed(text),
+    sensed: ({ warning }) => {
+      const box = $("#sensed-warning");
+      box.textContent = warning;
+      box.hidden = !warning;
+      return this.attempt(() => this.#figure(), "figure");
+    },
+    done: () => {
+      this.busy = false;
+      this.#buttons();
+    },
+    error: ({ text }) => {
+      this.banner(text, "error", {}, "run");
+      this.failed?.(text);
+    },
+    refused: ({ text }) => {
+      this.hands.refused();
+      this.banner(text, "error", {}, "hand");
+    },
+    note: ({ text }) => this.banner(text),
+    room: (message) => this.#room(message),
+    ended: () => this.#ended(),
+  };
 
   #cast(message, real) {
     Object.assign(this, { active: true, real, busy: false, robots: message.robots, last: null });
@@ -272,7 +276,7 @@ export class Running {
       if (box && box !== document.activeElement) box.checked = !message.lamps[index].off;
     });
     for (const kind of Object.keys(OBJECTS))
-      for (const [index, [x_mm, y_mm, angle_deg]] of Object.entries(message[kind])) {
+      for (const [index, [x_mm, y_mm, angle_deg]] of Object.entries(message.objects[kind])) {
         const node = this.drawing.nodes.get(`${kind}:${index}`);
         if (node) place(node, { x_mm, y_mm, angle_deg });
       }
@@ -311,15 +315,9 @@ export class Running {
   }
 
   #buttons() {
-    const { active, real, busy } = this;
-    $("#start").disabled = active;
-    for (const id of ["#reset", "#pause", "#step", "#put"]) $(id).disabled = !active || real;
-    $("#end").disabled = !active;
-    $("#stop").disabled = !active;
-    $("#run").disabled = $("#gather").disabled = busy;
+    for (const button of document.querySelectorAll("[data-when]")) button.disabled = !WHEN[button.dataset.when](this);
     $("#pause").textContent = this.paused ? "Resume" : "Pause";
-    $("#connect").disabled = active && !real;
-    document.body.classList.toggle("running", active);
+    document.body.classList.toggle("running", this.active);
     // The twin was made from the drawing, which does not change.
     for (const id of ["#tools", "#tab-object", "#tab-playpen"]) $(id).inert = this.twin;
     if (this.stage?.shown) $("#tools").inert = true;
@@ -415,7 +413,7 @@ export class Running {
     if (back !== null && !this.real) return this.attempt(() => (back ? this.hands.undo() : this.hands.redo()), "hand"), true;
     if (event.key === " " && !this.real) return this.attempt(() => this.pause(), "pace"), true;
     if (event.key === "." && !this.real) return this.attempt(() => this.step(), "pace"), true;
-    if (event.key === "Escape") return this.attempt(() => post("stop"), "#stop"), true;
+    if (event.key === "Escape") return this.attempt(() => post("stop"), "stop"), true;
     return false;
   }
 }

@@ -11,7 +11,7 @@ from checks.fuzz.libfuzzer import run_libfuzzer
 from checks.fuzz.page import check, designer, seeds
 from checks.fuzz.page_recipes import ACTIONS, HEADERS, ODD, RUNS
 from khep_twin.errors import KhepTwinError
-from khep_twin.web import routes
+from khep_twin.web import answers, file_actions, routes, session_actions
 from khep_twin.web.documents import Documents
 from khep_twin.web.guard import Guard
 
@@ -21,8 +21,14 @@ SHARE = 1_000
 @pytest.fixture(name="page_alone")
 def _page_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the designer in memory replaces is put back after the test."""
-    for name in ("run_in_threadpool", "TwinActor", "RobotActor", "Challenges", "render"):
-        monkeypatch.setattr(routes, name, getattr(routes, name))
+    for place, name in (
+        (answers, "run_in_threadpool"),
+        (session_actions, "TwinActor"),
+        (session_actions, "RobotActor"),
+        (routes, "Challenges"),
+        (file_actions, "render"),
+    ):
+        monkeypatch.setattr(place, name, getattr(place, name))
     designer()[2].take_over()
 
 
@@ -69,12 +75,12 @@ def links_followed(patch: pytest.MonkeyPatch) -> bytes:
 
 def parents_followed(patch: pytest.MonkeyPatch) -> bytes:
     patch.setattr(Documents, "path", lambda self, name, *_: self.root / name)
-    return action("version", set_to("/etc/passwd"))
+    return action("program", set_to("/etc/passwd"))
 
 
 def failure(patch: pytest.MonkeyPatch) -> bytes:
-    patch.setattr(Documents, "version", lambda *_: 1 // 0)
-    return action("version")
+    patch.setattr(Documents, "names", lambda *_: 1 // 0)
+    return action("list")
 
 
 def refused_after_writing(patch: pytest.MonkeyPatch) -> bytes:
@@ -87,11 +93,11 @@ def refused_after_writing(patch: pytest.MonkeyPatch) -> bytes:
 
 
 def unclear(patch: pytest.MonkeyPatch) -> bytes:
-    def version(*_: Any) -> str:
+    def names(*_: Any) -> list[str]:
         raise KhepTwinError("")
 
-    patch.setattr(Documents, "version", version)
-    return action("version")
+    patch.setattr(Documents, "names", names)
+    return action("list")
 
 
 @pytest.mark.parametrize(
@@ -100,7 +106,7 @@ def unclear(patch: pytest.MonkeyPatch) -> bytes:
 def test_a_broken_page_is_a_finding(
     page_alone: None, monkeypatch: pytest.MonkeyPatch, broken: Callable[[pytest.MonkeyPatch], bytes]
 ) -> None:
-    check(action("version"))
+    check(action("list"))
     data = broken(monkeypatch)
     with pytest.raises((AssertionError, ZeroDivisionError)):
         check(data)

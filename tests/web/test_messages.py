@@ -1,0 +1,43 @@
+"""The designer and its page have the same kinds of messages and the same actions."""
+
+import re
+from pathlib import Path
+
+from khep_twin.web.documents import Documents
+from khep_twin.web.messages import KINDS
+from khep_twin.web.routes import ASSETS, Page
+
+SCRIPTS = {path.name: path.read_text() for path in ASSETS.glob("*.js") if not path.name.startswith("three.")}
+ACTIONS = set(Page(Documents(Path()), None).actions)
+
+
+def heard(script: str) -> list[str]:
+    """The kinds of messages in a script's table `hears`."""
+    table = re.search(r"^( *)(?:const )?hears = \{\n(.*?)^\1\};", script, re.DOTALL | re.MULTILINE)
+    assert table is not None
+    indent = re.escape(f"{table[1]}  ")
+    return re.findall(rf'^{indent}"?([\w-]+)"?[:(]', table[2], re.MULTILINE)
+
+
+def test_the_page_has_one_function_for_each_kind_of_message() -> None:
+    kinds = [kind for name in ("main.js", "run.js", "challenges.js") for kind in heard(SCRIPTS[name])]
+    assert sorted(kinds) == sorted(KINDS)
+
+
+def test_each_button_that_asks_for_an_action_has_one_and_is_enabled_by_a_state_that_there_is() -> None:
+    page = (ASSETS / "index.html").read_text()
+    posts = re.findall(r'data-post="([\w-]+)"', page)
+    assert posts
+    assert set(posts) <= ACTIONS
+    states = re.search(r"const WHEN = \{\n(.*?)^\};", SCRIPTS["run.js"], re.DOTALL | re.MULTILINE)
+    assert states is not None
+    known = re.findall(r'^  "?([\w-]+)"?:', states[1], re.MULTILINE)
+    assert set(re.findall(r'data-when="([\w-]+)"', page)) == set(known)
+
+
+def test_the_page_asks_for_all_actions_and_for_no_other() -> None:
+    page = (ASSETS / "index.html").read_text()
+    asked = set(re.findall(r'post\("([\w-]+)"', "".join(SCRIPTS.values())))
+    # A move by hand and its undo are asked for by name (hands.js).
+    asked |= set(re.findall(r'\["(put|switch)", ', SCRIPTS["run.js"]))
+    assert asked | set(re.findall(r'data-post="([\w-]+)"', page)) == ACTIONS
