@@ -145,7 +145,11 @@ class Office:
             self.simulation.violate("leftovers", f"no request is carried out, and {parts[0]} is there")
         stages = [each for each in designer.group.threads if " stage " in each.name]
         notes = sorted(self._private.iterdir())
-        ended = designer.page is not None and designer.page._session._actor is None and not designer.group.requests
+        ended = (
+            designer.page is not None
+            and designer.page._session._actor is None
+            and not designer.group.requests
+        )
         if not ended or not (stages or notes) or not designer.alive:
             self._ended_ns = None
         elif self._ended_ns is None:
