@@ -9,7 +9,6 @@ another order; if one with a change differs in anything before the moment; or if
 in that one.
 """
 
-import argparse
 import tempfile
 from collections import Counter
 from contextlib import suppress
@@ -34,6 +33,7 @@ from khep_twin.playpen import Lamp, Lighting, Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.units import STEP_NS
 from khep_twin.world import SAMPLE_NS, World
+from tools.command_table import command_line
 
 WORDS = "D,9,4 N O D,-3,8 L,0,2 H D,10,10 K C,900,500 B D,20,19 E P,60,-40 J,20,64,20,64 G,0,0".split()
 ARM = "T,1,E,255 T,1,D,1 T,1,E,152 T,1,D,0 T,1,G T,1,H,1 T,1,F".split()
@@ -229,7 +229,7 @@ def open_playpen(path: Path) -> Playpen:
 
 def main() -> int:
     """Check as many logs as were asked for; return the number of findings, at most 1."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("count", type=int, nargs="?", default=200, help="number of logs")
     parser.add_argument("--first", type=int, default=0, help="number of the first one")
     typed = parser.parse_args()

@@ -8,7 +8,6 @@ second, as `serve` does each half second of wall time, so that it has as many pi
 exit status is 1 if the server's memory has grown beyond the limit.
 """
 
-import argparse
 import os
 import subprocess
 import sys
@@ -23,6 +22,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.ports import serve
 from khep_twin.ports.pty import PtyPort
 from khep_twin.ports.twin import TwinOptions, open_twin
+from tools.command_table import command_line
 
 MOST_GROWTH = 5.0
 """Limit of the growth in a day, after the first minute [MB]; proportional for a shorter run."""
@@ -87,7 +87,7 @@ def day(hours: float, log: Path, seed: int) -> float:
 
 def main() -> int:
     """Run a day; return 1 if memory has grown beyond the limit."""
-    parser = argparse.ArgumentParser(description="Serve a twin for simulated hours and measure its memory.")
+    parser = command_line(__doc__)
     parser.add_argument("hours", type=float, nargs="?", default=24.0)
     parser.add_argument("--log", type=Path)
     parser.add_argument("--seed", type=int, default=1)

@@ -13,6 +13,7 @@ import gymnasium
 import numpy as np
 
 import khep_twin.envs.gymnasium  # noqa: F401
+from tools.command_table import command_line
 
 STEPS = 100_000
 MANY = 4
@@ -43,30 +44,26 @@ def together(task: str, seed: int, threads: int) -> str:
     return digest.hexdigest()
 
 
-RUNS = (("single", 0), ("single", 0), ("together", 1), ("together", 2))
-"""Runs, each in its own process, and their numbers of threads."""
+RUNS = (0, 0, 1, 2)
+"""Threads of the runs, each in its own process; 0: one environment alone."""
 
 
-def run(job: tuple[str, int]) -> str:
+def run(threads: int) -> str:
     """Return the hash of a run in another process."""
-    kind, threads = job
-    command = [sys.executable, "-m", "checks", "determinism", kind, str(threads)]
+    command = [sys.executable, "-m", "checks", "determinism", "--threads", str(threads)]
     digest = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    print(f"{STEPS} steps, {kind}{f' by {threads} threads' if threads else ''}: {digest}", flush=True)
+    print(f"{STEPS} steps, {f'together by {threads} threads' if threads else 'single'}: {digest}", flush=True)
     return digest
 
 
 def main() -> int:
     """Compare the runs; return 0 if they are the same."""
-    match sys.argv[1:]:
-        case ["single", _]:
-            print(single("Homing", 1))
-            return 0
-        case ["together", threads]:
-            print(together("ObstacleAvoidance", 1, int(threads)))
-            return 0
-        case _:
-            pass
+    parser = command_line(__doc__)
+    parser.add_argument("--threads", type=int, help="only the hash by so many threads; 0: of one environment")
+    threads = parser.parse_args().threads
+    if threads is not None:
+        print(together("ObstacleAvoidance", 1, threads) if threads else single("Homing", 1))
+        return 0
     with ThreadPoolExecutor(2) as pool:
         one, other, few, more = pool.map(run, RUNS)
     same = one == other and few == more

@@ -9,7 +9,6 @@ robot with a gripper is top-heavy and has an arm that pushes: if it falls over, 
 finding; nor is it one where there are movable objects, as a robot may climb on a loose board.
 """
 
-import argparse
 import math
 import random
 from collections.abc import Iterator
@@ -20,6 +19,7 @@ from khep_twin.errors import DivergedError, PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.polygon import contains, distance
 from khep_twin.world import World
+from tools.command_table import command_line
 
 FASTEST = 1.1
 """Highest speed of a robot [m/s]."""
@@ -183,7 +183,7 @@ def _place(rng: random.Random, width: float, height: float) -> list[str]:
 
 def main() -> int:
     """Search the requested number of playpens; return 1 if there are findings."""
-    parser = argparse.ArgumentParser(description="random playpens at the edge, driven through at full speed")
+    parser = command_line(__doc__)
     parser.add_argument("count", type=int, nargs="?", default=2000, help="playpens that pass the check")
     parser.add_argument("--first", type=int, default=0, help="number to begin at")
     given = parser.parse_args()

@@ -10,7 +10,6 @@ Each log must be recovered by `khep-twin recover`, be opened by mcap's own reade
 that the host has seen. The exit status is 1 if one did not, or lost more than the limit.
 """
 
-import argparse
 import os
 import random
 import select
@@ -30,6 +29,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import read_line
 from stand_ins.served import served
+from tools.command_table import command_line
 
 MOST_LOST = {"serve": 1.0, "run": 5.0}
 """Largest loss of a log: wall time for `serve`, simulated time for `run` [s]."""
@@ -169,7 +169,7 @@ def kill(what: str, seed: int, latest: float = LATEST_KILL) -> Kill:
 
 def main() -> int:
     """Kill the requested number of runs and print the losses."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = command_line(__doc__)
     parser.add_argument("what", choices=sorted(KILLS), nargs="?", default="serve")
     parser.add_argument("count", type=int, nargs="?", default=200)
     parser.add_argument("--jobs", type=int, default=2)

@@ -19,6 +19,7 @@ from pathlib import Path
 
 from stand_ins.echoes import looped_back
 from stand_ins.served import served
+from tools.command_table import command_line
 
 SOURCE = "pyserial==3.5 --hash=sha256:3c77e014170dfffbd816e6ffc205e9842efb10be9f58ec16d3e8675b4925cddb\n"
 
@@ -71,6 +72,7 @@ def run(script: Path, port: str) -> tuple[int, set[str]]:
 
 def main() -> int:
     """Run all scripts; return 0 if only known tests fail."""
+    command_line(__doc__).parse_args()
     count, failed = 0, set[str]()
     with tempfile.TemporaryDirectory() as folder, looped_back() as device:
         scripts = unpack(Path(folder))

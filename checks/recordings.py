@@ -6,7 +6,6 @@ have recorded it.
     python -m checks recordings 300 --first 0
 """
 
-import argparse
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -26,6 +25,7 @@ from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from khep_twin.units import BITS_PER_BYTE, STEP_NS
 from khep_twin.world import Observer
+from tools.command_table import command_line
 
 MS = 1_000_000
 
@@ -286,7 +286,7 @@ def findings(seed: int, folder: Path, seconds: float = 30.0) -> list[str]:
 
 def main() -> int:
     """Check as many logs as wanted; return 1 if there is a finding."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("count", type=int, nargs="?", default=300, help="number of logs")
     parser.add_argument("--first", type=int, default=0, help="number of the first one")
     wish, found = parser.parse_args(), 0

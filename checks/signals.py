@@ -8,7 +8,6 @@ signal, with the corresponding exit status, without a traceback; a log has to be
 file, link, note of a server, temporary file or process may be left. Otherwise the exit status is 1.
 """
 
-import argparse
 import os
 import random
 import signal
@@ -23,6 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.reader import make_reader
+
+from tools.command_table import command_line
 
 LONGEST = 4.0
 """Longest time from the signal to the end [s]."""
@@ -221,7 +222,7 @@ def _processes(session: int) -> list[str]:
 
 def main() -> int:
     """Run the requested number of cases and print the results."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = command_line(__doc__)
     parser.add_argument("count", type=int, nargs="?", default=1000)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)

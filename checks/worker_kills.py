@@ -6,7 +6,6 @@ The table must be the same, byte for byte, as that of an undisturbed sweep in th
 status is 1. Only processes that the sweep itself has started are killed.
 """
 
-import argparse
 import os
 import random
 import signal
@@ -17,6 +16,8 @@ import time
 from pathlib import Path
 
 import pyarrow.parquet as pq
+
+from tools.command_table import command_line
 
 STUDY = """version = 1
 name = "kills"
@@ -149,7 +150,7 @@ def trial(folder: Path, tasks: int, kills: int, seconds: int, seed: int) -> int:
 
 def main() -> int:
     """Kill the requested number of workers and print the result."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = command_line(__doc__)
     parser.add_argument("--tasks", type=int, default=200)
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seconds", type=int, default=30)

@@ -92,7 +92,7 @@ def record(
         playpen: Playpen of one robot, as the twin is told it.
         seed: Seed of the robot, the host and all that is drawn.
         seconds: Length of the recording [s].
-        host: Name of the host in `stand_in_hosts.HOSTS`.
+        host: Name of the host in `stand_ins.hosts.HOSTS`.
         asks_counters: Ask H in each cycle, too.
         asks_light: Ask O in each cycle, too.
         vary: Draw another robot of the same make.

@@ -7,7 +7,6 @@ tells what is not due to its sensors. Beside them are worlds with the responses 
 tables are found as in `studies.infrared_fits`; the twin is the calibration `khepera1`.
 """
 
-import argparse
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -23,6 +22,7 @@ from studies.infrared_picture import PEERS
 from studies.lamp_fits import sampled_lamp
 from studies.one_object import CYLINDER, LAMP, WALL, Floats, Readings, Thing, Track, TwinWorld, run
 from studies.sampled_world import Kinematics, SampledWorld, Samples, along_axes, one_sense, table_readings
+from tools.command_table import command_line
 
 EVOROBOT = "nearest sample (evorobot)"
 """Name of the world that reads the table as evorobot's simulator does."""
@@ -168,7 +168,7 @@ def _both(deviations: Floats) -> tuple[float, float]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("--seed", type=int, default=0, help="seed of all noise")
     parser.add_argument("--odometry", action="store_true", help="move by the twin's own pulse and wheel base")
     given = parser.parse_args(arguments)

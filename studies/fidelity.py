@@ -4,7 +4,7 @@ The measured tables are found as in `studies.infrared_fits`. A comparison belong
 `SECTIONS`; the page follows that list, and a test checks that it does.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -19,6 +19,7 @@ from studies import (
 )
 from studies.fidelity_comparison import Comparison, Outcome, short
 from studies.infrared_fits import reference
+from tools.command_table import command_line
 
 PAGE = Path(__file__).parents[1] / "docs" / "fidelity.md"
 PICTURE = PAGE.parent / "pictures" / "fidelity.png"
@@ -153,8 +154,9 @@ def _wrapped(paragraph: str, width: int = 125) -> str:
     return "\n".join(lines)
 
 
-def main(_: Sequence[str] = ()) -> None:
+def main() -> None:
     """Make all comparisons; write the page and its picture."""
+    command_line(__doc__).parse_args()
     folder = reference()
     outcomes: dict[str, Outcome] = {}
     for comparisons in SECTIONS.values():

@@ -6,7 +6,6 @@ how often the fitted 95 % intervals contain the robot's own values. With `--sess
 that go through `khep-twin calibrate`, motors included, with all that the planar models leave out.
 """
 
-import argparse
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -36,6 +35,7 @@ from khep_twin.randomness import stream
 from khep_twin.sensing import calibration
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.units import BULB_RADIUS, N_SENSORS, PULSES_PER_TURN, SENSOR_HEIGHT
+from tools.command_table import command_line
 
 ROBOTS = 40
 STRAIGHT_MM, TURNS = 800.0, 5
@@ -203,7 +203,7 @@ def errors(values: Sequence[tuple[FittedValue, float]]) -> Iterator[tuple[str, f
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("--robots", type=int, default=ROBOTS, help="number of hidden robots")
     parser.add_argument("--start", default="khepera1", help="calibration that they are drawn around")
     parser.add_argument("--seed", type=int, default=0, help="seed of the robots")

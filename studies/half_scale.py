@@ -12,6 +12,7 @@ from khep_twin import playpen
 from khep_twin.board.kernel import PROXIMITY
 from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, Sensor
 from khep_twin.world import World
+from tools.command_table import command_line
 
 ROBOTS = range(1, 101)
 DISTANCES_MM = tuple(range(60, -1, -1))
@@ -41,6 +42,7 @@ def half_scale(seed: int, world: World) -> float:
 
 
 def main() -> None:
+    command_line(__doc__).parse_args()
     world = World(playpen.parse(_SCENE, "wall"), compiled=True)
     print(f"nominal robot: {half_scale(0, world):.1f} mm")
     found: NDArray[np.float64] = np.array([half_scale(seed, world) for seed in ROBOTS])

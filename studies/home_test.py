@@ -9,7 +9,6 @@ the nominal robot, and for three robots on ten paths each.
 """
 
 import math
-import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from khep_twin.host import Khepera
 from khep_twin.randomness import stream
 from khep_twin.units import PULSE_LENGTH, WHEEL_BASE
+from tools.command_table import command_line
 
 ROBOTS = range(1, 101)
 HOME_MM = 100.0
@@ -172,11 +172,14 @@ def draw(missed: NDArray[np.float64], target: Path) -> None:
 
 
 def main() -> None:
+    options = command_line(__doc__)
+    options.add_argument("picture", type=Path, nargs="?", help="file for a picture")
+    given = options.parse_args()
     nominal = misses(range(1), range(1, 11))
     print(told("the nominal robot, 10 paths", nominal), flush=True)
     for seed in (1, 2, 3):
         print(told(f"robot {seed}, 10 paths", misses(range(seed, seed + 1), range(1, 11))), flush=True)
     missed = misses(ROBOTS, ROBOTS)
     print(told(f"{len(ROBOTS)} robots, a path each", missed))
-    if len(sys.argv) > 1:
-        draw(missed, Path(sys.argv[1]))
+    if given.picture is not None:
+        draw(missed, given.picture)

@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from khep_twin.lab.fit.infrared import Bench, MeasuredTable, Optics, View, level, proximity
 from khep_twin.units import BODIES, COUNTS_LIMIT, N_SENSORS, SENSOR_HEADINGS
+from tools.command_table import command_line
 
 Floats = NDArray[np.float64]
 
@@ -290,6 +291,7 @@ def fit_khepera2(
 
 def main() -> None:
     """Fit the three robots and print the values of their calibrations, and what is left."""
+    command_line(__doc__).parse_args()
     folder = reference()
     tables = sampled(folder)
     fits = [fit_sampled(tables, sensor, SENSOR_HEADINGS[sensor]) for sensor in range(N_SENSORS)]

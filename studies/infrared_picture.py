@@ -4,7 +4,6 @@ Means on axis per distance, and the responses published by other simulators of t
 found as in `studies.infrared_fits`.
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from khep_twin.lab.fit.infrared import Optics, proximity
 from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
 from studies.infrared_fits import on_axis, reference, rms, sampled
+from tools.command_table import command_line
 
 PEERS = {
     "Webots": ([0, 50], [1023, 0]),
@@ -73,6 +73,6 @@ def draw(target: Path) -> None:
 
 def main() -> None:
     """Draw the picture into a file."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("file", type=Path)
     draw(parser.parse_args().file)

@@ -15,6 +15,7 @@ from khep_twin.sensing import calibration
 from khep_twin.sensing.calibration import AmbientCalibration
 from khep_twin.units import BULB_RADIUS, N_SENSORS
 from studies.infrared_fits import reference
+from tools.command_table import command_line
 
 Floats = NDArray[np.float64]
 
@@ -62,6 +63,7 @@ def left_over(test: Readings, ambient: AmbientCalibration) -> Floats:
 
 def main() -> None:
     """Fit with several heights of the filament, and print the values of the calibration."""
+    command_line(__doc__).parse_args()
     start = calibration.read("khepera1")[0]
     for height in (FILAMENT_HEIGHT, 0.03, 0.0468, 0.06):
         distances, test = sampled_lamp(reference(), height)

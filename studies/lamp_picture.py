@@ -4,7 +4,6 @@ Readings of a lamp of 2 W over its distance, means within 10 degrees of the rece
 bearing, 213 mm away. The tables are found as in `studies.infrared_fits`.
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
 from studies.infrared_fits import reference
 from studies.lamp_fits import sampled_lamp
+from tools.command_table import command_line
 
 _INK, _RED, _GREY = "#1b4965", "#e4572e", "#9a9a9a"
 _AWAY = 0.213
@@ -70,6 +70,6 @@ def draw(target: Path) -> None:
 
 def main() -> None:
     """Draw the picture into a file."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("file", type=Path)
     draw(parser.parse_args().file)

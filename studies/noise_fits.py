@@ -21,6 +21,7 @@ from khep_twin.playpen import Lamp, Playpen, parse
 from khep_twin.sensing.optics import convert
 from khep_twin.sensing.scene import step
 from studies.infrared_fits import CYLINDER_RADIUS, reference
+from tools.command_table import command_line
 
 Floats = NDArray[np.float64]
 
@@ -161,6 +162,7 @@ def sampled() -> dict[str, Floats]:
 
 def main() -> None:
     """Print the figures of robot and twin side by side."""
+    command_line(__doc__).parse_args()
     print(f"{'':22} differences of order {ORDERS} [counts]   period, amplitude, lead, coherence")
     for target, counts in sampled().items():
         for name, readings in (("robot", counts), ("twin", twin(target))):

@@ -7,7 +7,6 @@ metric over random networks between both, and, as an upper bound, between MuJoCo
 seeds.
 """
 
-import argparse
 from collections.abc import Sequence
 
 import mujoco
@@ -21,6 +20,7 @@ from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Driver, N
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Arena, Playpen, RobotEntry
+from tools.command_table import command_line
 
 GENOMES, SEEDS, EPISODE_S, ELITE = 200, 3, 30.0, 20
 TIMES_S = (1.0, 6.0, 60.0)
@@ -109,7 +109,7 @@ def _best_first(metrics: np.ndarray) -> np.ndarray:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("table", nargs="?", choices=["paths", "ranks"], help="print one table; default both")
     wanted = parser.parse_args(arguments).table or "paths and ranks"
     print(f"mujoco {mujoco.__version__}")

@@ -5,7 +5,6 @@ often the robot's own values lie in the 95 % intervals that `khep-twin fit --fro
 standard deviations of these. The robots are sound, and faults are not looked for.
 """
 
-import argparse
 from collections import defaultdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,10 +22,11 @@ from khep_twin.shadow.learned import learned
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from stand_ins.recordings import record
+from tools.command_table import command_line
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    options = command_line(__doc__)
     options.add_argument("folder", type=Path, nargs="?", help="folder of the recordings, kept")
     options.add_argument("--robots", type=int, default=10, help="number of robots")
     options.add_argument("--playpen", default="obstacles", help="name or path of the playpen")

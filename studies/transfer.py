@@ -4,11 +4,12 @@ Proximal policy optimisation, as in `examples/03_learn_to_avoid.py`, learns each
 MuJoCo for the same time of one core, and is evaluated in both, in new episodes. Needs stable-baselines3.
 """
 
-import argparse
 import importlib
 from typing import Any
 
 import numpy as np
+
+from tools.command_table import command_line
 
 TASKS = ("ObstacleAvoidance", "LoopingMaze", "LightSeeking")
 PLACES = {"the plane": True, "MuJoCo": False}
@@ -33,7 +34,7 @@ def row(example: Any, task: str, place: str, seconds: float, seeds: list[int]) -
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies transfer", description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("--seconds", type=float, default=60, help="time of one core for each policy")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--tasks", nargs="+", default=list(TASKS))

@@ -9,7 +9,6 @@ Each robot is another of the same make, steps in MuJoCo and talks at 9600 baud; 
 speeds. The same options give the same tables, but for CPU times.
 """
 
-import argparse
 import sys
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -29,6 +28,7 @@ from khep_twin.shadow.shadow import ShadowSettings
 from stand_ins.hosts import HOSTS
 from studies.fault_trials import FAULTS, Outcome, run_trial
 from studies.twin_runs import Floats, Recording, follow
+from tools.command_table import command_line
 
 POSE = "obstacles", "looping-maze", "workshop"
 
@@ -292,11 +292,7 @@ def _jobs(count: int) -> Generator[Map]:
 
 def main() -> None:
     """Run the trials that are wanted."""
-    options = argparse.ArgumentParser(
-        "python -m studies twin-trials",
-        description=__doc__,
-        formatter_class=argparse.RawTextHelpFormatter,
-    )
+    options = command_line(__doc__)
     options.add_argument("trials", nargs="?", choices=SECTIONS, help="which trials; all without it")
     options.add_argument("--runs", type=int, default=20, help="number of runs of each kind")
     options.add_argument("--seconds", type=float, default=300.0, help="length of a run of pose [s]")

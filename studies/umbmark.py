@@ -27,6 +27,7 @@ from khep_twin.randomness import stream
 from khep_twin.sensing import calibration
 from khep_twin.units import WHEEL_BASE
 from studies.home_test import Odometry, open_arena, true_pose, twin
+from tools.command_table import command_line
 
 SIDE = 0.5
 """Side of the square [m]."""
@@ -97,6 +98,7 @@ def _square(robot: Khepera, side: int) -> tuple[float, float]:
 
 
 def main() -> None:
+    command_line(__doc__).parse_args()
     print("robot   E_max [mm]  scatter [mm]       E_d   drawn        E_b   drawn")
     found: list[Umbmark] = []
     with TemporaryDirectory() as folder:

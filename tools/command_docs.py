@@ -6,7 +6,6 @@ Typer's own writer, without its limit of 45 characters to the sentence about a c
 page that is about the command.
 """
 
-import argparse
 import re
 import sys
 from pathlib import Path
@@ -14,6 +13,8 @@ from unittest.mock import patch
 
 import typer.cli
 from typer.cli import Command
+
+from tools.command_table import command_line
 
 INTRODUCTION = """
 No command replaces a finished log, playpen, calibration or table, unless you give `--force`; `run --resume`
@@ -51,7 +52,7 @@ PAGES = {
 
 def main() -> None:
     """Write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("file", nargs="?", default="docs/commands.md")
     file = Path(parser.parse_args().file)
     words = ["--name", "khep-twin", "--title", "Commands", "--output", str(file)]

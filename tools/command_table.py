@@ -1,5 +1,6 @@
 """The one way into `checks`, `studies` and `tools`: `python -m PACKAGE NAME`, the list without a name."""
 
+import argparse
 import ast
 import sys
 from collections.abc import Mapping
@@ -41,3 +42,10 @@ def run(package: str, modules: Mapping[str, str]) -> int:
     if not is_asked:
         print(f"\n{name}: no such name in {package}; expected one of those above", file=sys.stderr)
     return 0 if is_asked else 2
+
+
+def command_line(description: str | None) -> argparse.ArgumentParser:
+    """Return a parser of what follows the name, with the docstring of its module as the description."""
+    return argparse.ArgumentParser(
+        sys.argv[0], description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )

@@ -5,12 +5,13 @@
 writes it, with its dependencies, as a google.protobuf.FileDescriptorSet.
 """
 
-import argparse
 from pathlib import Path
 
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+from tools.command_table import command_line
 
 
 def published() -> FileDescriptorSet:
@@ -29,6 +30,6 @@ def published() -> FileDescriptorSet:
 
 def main() -> None:
     """Write the definition into a file."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("file", nargs="?", type=Path, default="khep_twin/assets/foxglove_scene_update.bin")
     parser.parse_args().file.write_bytes(published().SerializeToString(deterministic=True))

@@ -6,7 +6,6 @@
 The pictures need OpenGL: EGL or libOSMesa.
 """
 
-import argparse
 import io
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from khep_twin.files.atomic import write_whole
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_spots
 from khep_twin.playpen_to_mjcf import to_mjcf
+from tools.command_table import command_line
 
 FOLDER = Path(__file__).parents[1] / "mjcf"
 
@@ -43,7 +43,7 @@ motors; the viewer's control sliders do. [docs/playpens.md](../docs/playpens.md)
 
 def main() -> None:
     """Write the folder."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = command_line(__doc__)
     parser.add_argument("folder", nargs="?", type=Path, default=FOLDER)
     parser.add_argument("--without-pictures", action="store_true", help="only the scenes and the list")
     options = parser.parse_args()

@@ -9,7 +9,6 @@ The pictures of the tutorial and the README: tutorial.py.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 # pyright: reportAttributeAccessIssue=false, reportPrivateUsage=false
 
-import argparse
 import contextlib
 import copy
 import runpy
@@ -32,6 +31,7 @@ from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.shadow_log import ShadowLog
 from khep_twin.world import World
 from tools import library_picture, tutorial
+from tools.command_table import command_line
 
 _LEFT_COLUMN = (0, 30, 800, 876)
 """Arena, robot and serial line in a still of `khep-twin view` [pixels]."""
@@ -174,7 +174,7 @@ def _keep(picture: Image.Image, name: str) -> None:
 
 def main() -> None:
     """Draw all pictures anew."""
-    argparse.ArgumentParser(description=__doc__).parse_args()
+    command_line(__doc__).parse_args()
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         library_picture.draw(tutorial.PICTURES / "library.png")
         draw_gripper()

@@ -9,7 +9,6 @@ as MJCF. Names of channels and of files are left out. The record is valid for th
 machine that it names.
 """
 
-import argparse
 import hashlib
 import json
 import os
@@ -31,6 +30,7 @@ from khep_twin.episodes.controllers import Braitenberg, Network
 from khep_twin.errors import KhepTwinError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_mjcf
+from tools.command_table import command_line
 
 RECORD = Path(__file__).with_suffix(".json")
 SEEDS = (1, 2)
@@ -116,7 +116,7 @@ def record() -> Iterator[tuple[str, list[str]]]:
 
 def main() -> int:
     """Compare with the record, or write it; return 1 if something differs."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = command_line(__doc__)
     parser.add_argument("--write", action="store_true", help="rewrite the record")
     write = parser.parse_args().write
     made_with = {"machine": platform.machine(), **{name: version(name) for name in PACKAGES}}

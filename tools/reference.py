@@ -4,13 +4,14 @@ They are generated, not kept in the repository: each edit of a docstring would c
 search index. A test generates them with every warning an error.
 """
 
-import argparse
 from pathlib import Path
 
 # Imported before pdoc, which forbids modules to start programs on import, as mujoco's window library does.
 import mujoco as mujoco
 import pdoc
 import pdoc.render
+
+from tools.command_table import command_line
 
 MODULES = (
     "khep_twin.host",
@@ -50,7 +51,7 @@ def write(folder: Path) -> None:
 
 def main() -> None:
     """Write the pages where the command line says."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("folder", nargs="?", type=Path, default="docs/reference")
     folder = parser.parse_args().folder
     write(folder)

@@ -6,11 +6,11 @@ The front page is the head of the README, the gallery every picture of the pages
 `python -m tools reference`. Links between pages stay as they are; those to the README lead to its page.
 """
 
-import argparse
 import re
 import shutil
 from pathlib import Path
 
+from tools.command_table import command_line
 from tools.reference import write as write_reference
 
 ROOT = Path(__file__).parents[1]
@@ -50,7 +50,7 @@ PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)]+\.(?:png|svg))\)")
 
 def main() -> None:
     """Write the source where the command line says."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("folder", nargs="?", type=Path, default="out/site-source")
     write(parser.parse_args().folder)
 

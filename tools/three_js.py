@@ -5,13 +5,14 @@
 writes its files, its licence, and the SHA-256 of each into a folder; `npm` fetches the package.
 """
 
-import argparse
 import subprocess
 import sys
 import tarfile
 from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+from tools.command_table import command_line
 
 PACKAGE = "three@0.187.0"
 
@@ -45,6 +46,6 @@ def fetch(folder: Path) -> None:
 
 def main() -> None:
     """Fetch the files into a folder."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("folder", nargs="?", type=Path, default="khep_twin/assets/web")
     fetch(parser.parse_args().folder)

@@ -10,7 +10,6 @@ in the page names those of its own numbers; where they are the same, every numbe
     python -m tools tutorial    # remakes the pictures and numbers of the tutorial and the README
 """
 
-import argparse
 import ast
 import contextlib
 import io
@@ -34,6 +33,7 @@ from typer.testing import CliRunner
 from khep_twin.cli.app import app
 from khep_twin.host import Khepera
 from khep_twin.log.run_description import versions
+from tools.command_table import command_line
 
 PAGE = Path(__file__).parents[1] / "docs" / "tutorial.md"
 PICTURES = PAGE.parent / "pictures"
@@ -256,6 +256,6 @@ def shrunk(file: Path, width: int) -> Image.Image:
 
 def main() -> None:
     """Make numbers and pictures anew."""
-    argparse.ArgumentParser(description=__doc__).parse_args()
+    command_line(__doc__).parse_args()
     draw_readme()
     draw_pictures()

@@ -6,7 +6,6 @@ pip is run for x86_64 Linux with glibc 2.28, whatever the interpreter. A wheel c
 lock. The exit status is 1 if a package has none.
 """
 
-import argparse
 import json
 import re
 import subprocess
@@ -16,6 +15,8 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+from tools.command_table import command_line
 
 ROOT = Path(__file__).parents[1]
 VERSIONS = ["3.11", "3.12", "3.13", "3.14"]
@@ -77,7 +78,7 @@ def wheels(version: str, pins: dict[str, str]) -> dict[str, tuple[str, str]]:
 
 def main() -> int:
     """Print a table for each version; return 1 if a package has none."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("versions", nargs="*", default=VERSIONS, metavar="VERSION")
     without = 0
     for version in parser.parse_args().versions:

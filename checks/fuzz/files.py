@@ -7,7 +7,6 @@ Each input depends on the files of `data/corpus` and its number alone, so that a
 finding, and 10 s end the job.
 """
 
-import argparse
 import random
 import re
 import resource
@@ -19,7 +18,7 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
-from tools.command_table import ROOT
+from tools.command_table import ROOT, command_line
 
 CORPUS = ROOT / "tests" / "data" / "corpus"
 SECONDS, MEMORY = 2.0, 2**29
@@ -154,7 +153,7 @@ def run(kind: str, runs: int, first: int) -> None:
 
 def main() -> int:
     """Distribute the inputs over jobs; return 1 if there is a finding."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = command_line(__doc__)
     parser.add_argument("kind", choices=list(TARGETS))
     parser.add_argument("runs", type=int, nargs="?", default=200_000)
     parser.add_argument("--first", type=int, default=0)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.command_table import ROOT
+from tools.command_table import ROOT, command_line
 
 RUNS = 1_000_000
 """Inputs, where the command line does not say `-runs=N`."""
@@ -27,6 +27,8 @@ def fuzz(
         modules: Imported modules, whose branches libFuzzer looks for, with their submodules.
         options: Options of libFuzzer for this target.
     """
+    about = f"{sys.modules[check.__module__].__doc__}\nAn option -help=1 lists those of libFuzzer."
+    command_line(about).parse_known_args()
     with tempfile.TemporaryDirectory(prefix="khep-twin-fuzz-") as corpus:
         # libFuzzer ends its process without clean-up: another one does it.
         if child := os.fork():

@@ -12,7 +12,6 @@ part; its output and the command that shows it again are kept, the others go on,
 The next call tries that share again.
 """
 
-import argparse
 import json
 import os
 import shlex
@@ -29,6 +28,7 @@ from typing import Any
 
 from checks.night.page import markdown, number
 from checks.night.parts import CORES, PARTS, Part, Share
+from tools.command_table import command_line
 
 OUT = Path("out/night")
 
@@ -295,9 +295,7 @@ def write_page(folder: Path) -> None:
 
 def main() -> int:
     """Run the command; return 1 if there is a finding."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("what", choices=["run", "list", "page"])
     names = [part.name for part in PARTS]
     parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(names))

@@ -26,6 +26,7 @@ from checks.simulate.case import SECONDS, Case
 from checks.simulate.catalogue import mutants, scenarios
 from checks.simulate.many import caught, in_processes, timed
 from checks.simulate.shrink import shrunk
+from tools.command_table import command_line
 
 FOUND = Path("out/simulate")
 """Folder of the cases that violate an invariant."""
@@ -51,11 +52,7 @@ LEFT_OUT = "khep_twin/log/viewer"
 
 def main() -> int:
     """Run the command; return the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m checks simulate",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_line(__doc__)
     parsers = parser.add_subparsers(required=True)
     for name, function in {"run": run, "one": one, "mutants": run_mutants, "coverage": coverage}.items():
         sub = parsers.add_parser(name, help=function.__doc__)

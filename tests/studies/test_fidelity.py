@@ -1,6 +1,7 @@
 """The page of fidelity: its rows are the comparisons that there are, and its parts measure what they say."""
 
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -70,6 +71,7 @@ def test_the_picture_is_drawn(tmp_path: Path) -> None:
 
 def test_without_the_tables_the_command_refuses_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("KHEP_TWIN_REFERENCE_DATA", raising=False)
+    monkeypatch.setattr(sys, "argv", ["fidelity"])
     with pytest.raises(
         SystemExit, match="KHEP_TWIN_REFERENCE_DATA is not set; expected the folder"
     ) as refusal:
