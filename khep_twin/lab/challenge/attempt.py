@@ -25,7 +25,7 @@ from typing import Any
 from khep_twin.errors import KhepTwinError, StoppedError
 from khep_twin.files.atomic import write_whole
 from khep_twin.lab.challenge.challenge import ChallengeFile, load
-from khep_twin.lab.challenge.scoring import Score, score
+from khep_twin.lab.challenge.scoring import Score, is_worth_compiling, score
 from khep_twin.shutdown import EXIT_S, INTERRUPTION_S
 from khep_twin.signals import answered
 from khep_twin.simulation.ready import when_ready
@@ -239,10 +239,11 @@ def _main(settings: dict[str, Any]) -> None:
         signal.alarm(math.ceil(settings["real_seconds"] + INTERRUPTION_S + 2 * EXIT_S))
     try:
         with answered():
-            with redirect_stderr(StringIO()):  # that numba compiles is nothing that the file prints
-                when_ready("world")
-                when_ready("vision")
             challenge = load(settings["challenge"])
+            if is_worth_compiling(challenge.challenge, settings["runs"]):
+                with redirect_stderr(StringIO()):  # that numba compiles is nothing that the file prints
+                    when_ready("world")
+                    when_ready("vision")
             found = score(challenge, settings["controller"], settings["runs"], settings["seed"], log)
             told: dict[str, Any] = {"score": asdict(found)}
     except KhepTwinError as error:

@@ -1,14 +1,11 @@
 """What docs/experiments.md shows runs as it stands."""
 
 import re
-import shlex
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from khep_twin.cli.app import main
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import Controller
 from khep_twin.lab.experiment.experiment import run
@@ -16,7 +13,6 @@ from khep_twin.lab.experiment.measures import UNITS
 
 PAGE = (Path(__file__).parents[3] / "docs" / "experiments.md").read_text()
 PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-COMMANDS = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)).splitlines()
 
 
 @pytest.mark.parametrize("number", range(4))
@@ -33,24 +29,6 @@ def test_a_program_on_the_page_runs(number: int) -> None:
 
 def test_there_are_as_many() -> None:
     assert len(PROGRAMS) == 4
-    assert len(COMMANDS) == 10
-
-
-def test_the_commands_on_the_page_run_in_their_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    for command in COMMANDS:
-        if "/dev/ttyUSB0" in command:
-            continue
-        monkeypatch.setattr(sys, "argv", shlex.split(command))
-        with pytest.raises(SystemExit) as end:
-            main()
-        assert end.value.code == 0, command
-    assert capsys.readouterr().err == ""
-    assert (tmp_path / "series.png").stat().st_size > 20_000
-    assert len((tmp_path / "wander" / "runs.csv").read_text().splitlines()) == 9
 
 
 def test_every_number_is_on_the_page_with_its_unit() -> None:
