@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from shares import share
 from twins import SECOND, metric, planes_at, readings, setup_of
 
 from khep_twin.episodes.planar import plane as flat
@@ -24,11 +25,11 @@ TICKS = 6
 class Driven:
     """A robot in a plane that turns away from what it sees, its diagnosis, and the alarms so far."""
 
-    def __init__(self, seed: int, counters: bool = False) -> None:
+    def __init__(self, seed: int, counters: bool = False, particles: int = 300) -> None:
         setup = setup_of("workshop")
         self.robot = planes_at((START[0] + 5, START[1] - 4, START[2] + 3))
-        start = begun(setup, metric(START), PUBLISHED, 1000, stream(seed, "start"))
-        tracker = ParticleFilter(setup, start, stream(seed, "filter"), 1000)
+        start = begun(setup, metric(START), PUBLISHED, particles, stream(seed, "start"))
+        tracker = ParticleFilter(setup, start, stream(seed, "filter"), particles)
         self.diagnosis = Diagnosis(setup, tracker, stream(seed, "hypotheses"))
         self._rng, self._counters = stream(seed, "robot"), counters
         self._turning, self._side = 0, 1
@@ -75,17 +76,19 @@ class Driven:
         return 7, 6
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_sound_robot_has_no_alarms(seed: int) -> None:
-    driven = Driven(seed)
-    driven.drive(20)
+@pytest.mark.parametrize(
+    ("seed", "seconds", "particles"), share([(0, 10, 300), *((seed, 20, 1000) for seed in range(4))], 5)
+)
+def test_a_sound_robot_has_no_alarms(seed: int, seconds: int, particles: int) -> None:
+    driven = Driven(seed, particles=particles)
+    driven.drive(seconds)
     assert driven.names == []
     assert driven.off_mm < 10
 
 
-@pytest.mark.parametrize("counters", [False, True])
-def test_a_motor_that_dies_is_named_until_it_runs_again(counters: bool) -> None:
-    driven, dead = Driven(2, counters), "dead motor or blocked wheel left"
+@pytest.mark.parametrize(("counters", "particles"), share([(True, 300), (False, 1000), (True, 1000)], 3))
+def test_a_motor_that_dies_is_named_until_it_runs_again(counters: bool, particles: int) -> None:
+    driven, dead = Driven(2, counters, particles), "dead motor or blocked wheel left"
     driven.drive(4)
     driven.robot.strength[:, 0] = 0
     driven.drive(4)

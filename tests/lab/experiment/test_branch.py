@@ -6,6 +6,7 @@ import pytest
 from command_line import khep_twin
 from log_rewriting import rewritten
 from served_twin import served
+from shares import share
 
 from checks.branches import before, check, messages
 from khep_twin.errors import KhepTwinError, LogError, PlaypenError
@@ -52,7 +53,7 @@ def made(parent: Path, tmp_path: Path, **changes: object) -> Path:
     return path
 
 
-@pytest.mark.parametrize("number", SHARE)
+@pytest.mark.parametrize("number", share(SHARE, 3))
 def test_a_share_of_the_search_finds_nothing(number: int, tmp_path: Path) -> None:
     assert check(number, tmp_path) == []
 
@@ -76,14 +77,21 @@ def test_without_a_change_the_parents_run_goes_on(parent: Path, tmp_path: Path) 
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {"seed": 9},
-        {"faults": ("stuck:2", "dead:left@12")},
-        {"edits": ("block.1.height_mm=5", "lamp.1.power_w=2")},
-        {"edits": ("block.9.x_mm=500", "robot.1.heading_deg=0")},
-        {"edits": ("lamp.1.dim=0.1",)},
-        {"calibrations": {"khepera0": Path("khep_twin/assets/calibration/khepera1-manual.toml").read_text()}},
-    ],
+    share(
+        [
+            {"seed": 9},
+            {"faults": ("stuck:2", "dead:left@12")},
+            {"edits": ("block.1.height_mm=5", "lamp.1.power_w=2")},
+            {"edits": ("block.9.x_mm=500", "robot.1.heading_deg=0")},
+            {"edits": ("lamp.1.dim=0.1",)},
+            {
+                "calibrations": {
+                    "khepera0": Path("khep_twin/assets/calibration/khepera1-manual.toml").read_text()
+                }
+            },
+        ],
+        2,
+    ),
     ids=["seed", "faults", "playpen", "things put elsewhere", "what no scene holds", "calibration"],
 )
 def test_a_change_changes_what_follows_and_the_new_log_can_be_repeated(

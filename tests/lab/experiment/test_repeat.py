@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from command_line import khep_twin
 from log_rewriting import rewritten
+from served_twin import served
+from shares import share
 
 from khep_twin import playpen
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
@@ -34,12 +36,6 @@ from khep_twin.sensing import calibration
 SECOND = 1_000_000_000
 
 
-def process(*words: object, seed: int = 1) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "khep_twin", *map(str, words)]
-    environment = {**os.environ, "PYTHONHASHSEED": str(seed)}
-    return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-
-
 def again(path: Path) -> Divergence | None:
     return repeat(read_recorded(path))
 
@@ -48,7 +44,7 @@ def again(path: Path) -> Divergence | None:
 def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log of ten seconds of a Braitenberg vehicle."""
     path = tmp_path_factory.mktemp("logs") / "run.mcap"
-    done = process("run", "--playpen", "obstacles", "--seconds", 10, "--seed", 5, "--log", path)
+    done = khep_twin("run", "--playpen", "obstacles", "--seconds", 10, "--seed", 5, "--log", path)
     assert done.returncode == 0, done.stderr
     return path
 
@@ -63,9 +59,12 @@ def test_what_another_robot_was_asked_before_all_sensors_were_converted_is_repea
     assert again(path) is None
 
 
-def test_a_minute_with_noise_spread_and_faults_is_the_same_in_another_process(tmp_path: Path) -> None:
+@pytest.mark.parametrize("seconds", share([15, 60], 2))
+def test_a_run_with_noise_spread_and_faults_is_the_same_in_another_process(
+    seconds: int, tmp_path: Path
+) -> None:
     path = tmp_path / "run.mcap"
-    faults = ("drop:0.001", "garble:0.001", "late:0.1:60", "stuck:2@5", "dead:left@30")
+    faults = ("drop:0.001", "garble:0.001", "late:0.1:60", "stuck:2@5", f"dead:left@{seconds // 2}")
     words = [word for fault in faults for word in ("--fault", fault)]
     program = tmp_path / "patient.py"
     program.write_text(
@@ -77,11 +76,13 @@ def test_a_minute_with_noise_spread_and_faults_is_the_same_in_another_process(tm
         "        robot.sleep(0.1)\n"
     )
     options = ("--playpen", "obstacles", "--seed", 9, "--vary", "on", "--battery-used-min", 20)
-    done = process("run", program, *options, "--seconds", 60, "--log", path, *words, seed=11)
+    done = khep_twin("run", program, *options, "--seconds", seconds, "--log", path, *words)
     assert done.returncode == 0, done.stderr
-    done = process("repeat", path, seed=12)
+    command = [sys.executable, "-m", "khep_twin", "repeat", str(path)]
+    environment = {**os.environ, "PYTHONHASHSEED": "12"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     assert (done.returncode, done.stderr) == (0, ""), done
-    assert done.stdout.startswith("identical: 60.")
+    assert done.stdout.startswith(f"identical: {seconds}.")
 
 
 @pytest.mark.parametrize(
@@ -181,24 +182,14 @@ def test_a_host_that_takes_back_changes_its_speed_and_hangs_up_repeats(tmp_path:
 
 
 def test_a_run_served_by_the_clock_on_the_wall_repeats(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "khep_twin", "serve", "--link", str(tmp_path / "link")]
-    server = subprocess.Popen(
-        [*command, "--log", str(tmp_path / "run.mcap")], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-    )
-    try:
-        assert server.stdout is not None
-        server.stdout.readline()
+    with served("--log", str(tmp_path / "run.mcap")) as (_, port):
         for _ in range(2):
-            with Khepera(str(tmp_path / "link")) as robot:
+            with Khepera(port) as robot:
                 robot.set_speed(4, 5)
-                start = time.monotonic()
-                while time.monotonic() < start + 1:
+                for _ in range(10):
                     robot.proximity()
                 robot.port.write(b"N\nO\nD,0,0\nE")
             time.sleep(1)  # until the twin knows that its host has gone
-    finally:
-        server.terminate()
-        server.communicate()
     recorded = read_recorded(tmp_path / "run.mcap")
     assert HostEventKind.DISCONNECT in {event.kind for _, _, event in recorded.events}
     assert repeat(recorded) is None

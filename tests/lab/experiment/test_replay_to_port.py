@@ -1,10 +1,9 @@
 """Sending a log's bytes to another port: the same twin answers the same, another one differs in numbers."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from served_twin import served
 
 from khep_twin.errors import LogError, PortError
 from khep_twin.host import Khepera
@@ -77,17 +76,9 @@ def test_what_was_sent_to_a_real_robot_can_be_sent_to_a_twin(tmp_path: Path) -> 
     assert found.letters["h"].differences.shape == (1, 2)
 
 
-def test_a_served_twin_answers_over_its_terminal(tmp_path: Path, driven: Path) -> None:
-    link = tmp_path / "link"
-    command = [sys.executable, "-m", "khep_twin", "serve", "obstacles", "--seed", "5", "--link", str(link)]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-    try:
-        assert server.stdout is not None
-        server.stdout.readline()
-        found = replay_to_port(read_recorded(driven), str(link))
-    finally:
-        server.terminate()
-        server.communicate()
+def test_a_served_twin_answers_over_its_terminal(driven: Path) -> None:
+    with served("obstacles", "--seed", "5") as (_, port):
+        found = replay_to_port(read_recorded(driven), port)
     assert (found.missing, found.more) == (0, 0)
     # Of 1500 pulses on the left; on a busy machine the first command may be late by half a second.
     assert abs(found.letters["h"].differences).max() < 250
