@@ -7,9 +7,9 @@ def main() -> None:
     """Run the command line."""
     # Until the commands are imported, Ctrl-C ends the process without a traceback.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from khep_twin.cli.streams import check_descriptors, guard
+    from khep_twin.cli.streams import check_descriptors, guard_streams
 
-    guard()
+    guard_streams()
     check_descriptors()
     from khep_twin.cli.app import main as run
 

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from newcomer import CHECKOUT, CREATE, ROOT, Newcomer
+from page_follower import CHECKOUT, CREATE, ROOT, PageFollower
 
 PAGE = (ROOT / "CONTRIBUTING.md").read_text()
 RECIPES = re.findall(r"^## (Add .*)$", PAGE, re.MULTILINE)
@@ -18,21 +18,21 @@ def test_there_are_three_recipes_on_a_short_page() -> None:
 @CHECKOUT
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_a_newcomer_who_follows_a_recipe_sees_what_it_shows(recipe: str, tmp_path: Path) -> None:
-    newcomer = Newcomer(PAGE, tmp_path)
-    newcomer.follow(recipe)
-    assert newcomer.shown
+    follower = PageFollower(PAGE, tmp_path)
+    follower.follow(recipe)
+    assert follower.shown
 
 
 @CHECKOUT
 def test_all_recipes_together_pass_the_check(tmp_path: Path) -> None:
-    newcomer = Newcomer(PAGE, tmp_path, typing=False)
+    follower = PageFollower(PAGE, tmp_path, typing=False)
     for recipe in RECIPES:
-        newcomer.follow(recipe)
-    python = sorted({name for name in newcomer.touched if name.endswith(".py")})
-    newcomer.run(".venv/bin/ruff check -q --fix khep_twin; .venv/bin/ruff format -q khep_twin")
-    newcomer.run(f".venv/bin/ruff check {' '.join(python)}")
-    newcomer.run(f".venv/bin/ruff format --check {' '.join(python)}")
-    newcomer.run(f".venv/bin/pyright {' '.join(name for name in python if name.startswith('khep_twin'))}")
+        follower.follow(recipe)
+    python = sorted({name for name in follower.touched if name.endswith(".py")})
+    follower.run(".venv/bin/ruff check -q --fix khep_twin; .venv/bin/ruff format -q khep_twin")
+    follower.run(f".venv/bin/ruff check {' '.join(python)}")
+    follower.run(f".venv/bin/ruff format --check {' '.join(python)}")
+    follower.run(f".venv/bin/pyright {' '.join(name for name in python if name.startswith('khep_twin'))}")
 
 
 def test_the_page_names_all_targets_of_the_makefile() -> None:

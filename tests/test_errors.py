@@ -16,7 +16,7 @@ from khep_twin.errors import (
     Problem,
     StudyError,
 )
-from khep_twin.log.decoding import Misfit
+from khep_twin.log.decoding import DecodeError
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.sensing.calibration import read
@@ -94,7 +94,7 @@ def test_an_argument_has_its_name_and_value() -> None:
 
 
 def test_a_misfit_of_a_log_has_its_file_and_channel() -> None:
-    error = Misfit("length 3", "8 values").at(Path("run.mcap"), "/proximity", 20_000_000)
+    error = DecodeError("length 3", "8 values").at(Path("run.mcap"), "/proximity", 20_000_000)
     assert isinstance(error, LogError)
     assert str(error) == "run.mcap: /proximity at 0.0200 s: length 3; expected 8 values"
     assert (error.file, error.key) == ("run.mcap", "/proximity")

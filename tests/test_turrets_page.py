@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from newcomer import CHECKOUT, ROOT, Newcomer
+from page_follower import CHECKOUT, ROOT, PageFollower
 
 from khep_twin.board.turrets import installed
 
@@ -11,14 +11,14 @@ PAGE = (ROOT / "docs" / "turrets.md").read_text()
 
 @CHECKOUT
 def test_the_package_on_the_page_works_and_the_turret_with_a_body_is_added_to_it(tmp_path: Path) -> None:
-    newcomer = Newcomer(PAGE, tmp_path)
+    follower = PageFollower(PAGE, tmp_path)
     for recipe in ("A turret of your own", "A turret with a body"):
-        newcomer.follow(recipe)
-        assert newcomer.shown
-    python = [name for name in newcomer.touched if name.endswith(".py")]
+        follower.follow(recipe)
+        assert follower.shown
+    python = [name for name in follower.touched if name.endswith(".py")]
     assert len(python) == 4
-    newcomer.run(f".venv/bin/ruff check --ignore D103 {' '.join(python)}")
-    newcomer.run(f".venv/bin/ruff format --check {' '.join(python)}")
+    follower.run(f".venv/bin/ruff check --ignore D103 {' '.join(python)}")
+    follower.run(f".venv/bin/ruff format --check {' '.join(python)}")
 
 
 def test_the_page_names_each_turret_of_the_twin() -> None:

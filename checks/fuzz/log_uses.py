@@ -24,7 +24,7 @@ from checks.fuzz.logs import DAMAGED, ODD, STEP, cooked, folder, said
 
 MODULES = (
     "khep_twin.log.viewer.replay",
-    "khep_twin.log.viewer.gathered",
+    "khep_twin.log.viewer.collected",
     "khep_twin.log.viewer.ghost",
     "khep_twin.log.viewer.thinning",
     "khep_twin.log.attached",

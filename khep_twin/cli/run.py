@@ -35,7 +35,7 @@ from khep_twin.cli.options import (
 )
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.cli.run_logs import RunLogs
-from khep_twin.cli.streams import unread
+from khep_twin.cli.streams import has_no_reader
 from khep_twin.errors import ControllerError, StoppedError
 from khep_twin.invocation import command
 from khep_twin.signals import answered, stopping
@@ -212,7 +212,7 @@ def _run_series(
                     typer.echo(each.line(plan.runs) + ("" if is_new else "  as before"))
                     if user_function is not None and is_new:
                         call_on_run_end(user_function, each)
-                    if unread():
+                    if has_no_reader():
                         break
                 return asked() and last < plan.runs
             except (KeyboardInterrupt, StoppedError):

@@ -13,7 +13,6 @@ import typer
 
 from khep_twin.cli.completion import logs, ports
 from khep_twin.cli.endpoints import EndpointOptions
-from khep_twin.cli.followed import ALARM_CODE, Followed
 from khep_twin.cli.option_groups import LogOptions, grouped, option_names
 from khep_twin.cli.options import (
     check_apart,
@@ -28,6 +27,7 @@ from khep_twin.cli.playpen import PlaypenName
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.cli.relayed import line_baud, relay_robot
 from khep_twin.cli.shadow_options import ShadowOptions
+from khep_twin.cli.shadow_run import ALARM_CODE, ShadowRun
 from khep_twin.clock import NS_PER_S
 from khep_twin.machine import lower_priority
 from khep_twin.signals import stopping
@@ -115,8 +115,8 @@ def shadow(
         return
     found = options.load(playpen, robot)
     if line_fd is not None:
-        followed = Followed(found, settings, exit_on is not None, output)
-        _follow_line(line_fd, followed, followed.viewed(web=web) if view else nullcontext())
+        run = ShadowRun(found, settings, exit_on is not None, output)
+        _follow_line(line_fd, run, run.show_in_viewer(web=web) if view else nullcontext())
         return
     if ignored := given(context) & _OF_A_ROBOT:
         raise usage(f"--{min(ignored).replace('_', '-')} is for a robot at --relay, not for a log")
@@ -143,17 +143,17 @@ def _follow_log(
     end_ns = line.heard[-1].time_ns
     if until is not None and until * NS_PER_S < end_ns:
         end_ns = int(until * NS_PER_S)
-    with stopping() as stop, closing(Followed(playpen, settings, ends_on_alarm, output, path)) as followed:
+    with stopping() as stop, closing(ShadowRun(playpen, settings, ends_on_alarm, output, path)) as run:
         begun = time.monotonic()
         with progress_bar() as show:
-            code = followed.follow(_until(line.heard, end_ns, show), stop)
+            code = run.follow(_until(line.heard, end_ns, show), stop)
         took_s = time.monotonic() - begun
-    followed.tell(took_s)
+    run.print_summary(took_s)
     if code:
         raise typer.Exit(code)
 
 
-def _follow_line(descriptor: int, followed: Followed, viewer: AbstractContextManager[None]) -> None:
+def _follow_line(descriptor: int, run: ShadowRun, viewer: AbstractContextManager[None]) -> None:
     """Follow a relay's line, as the process of `cli.shadow_process`."""
     from khep_twin.cli.shadow_process import READY
     from khep_twin.shadow.line_pipe import LineReceiver
@@ -161,11 +161,11 @@ def _follow_line(descriptor: int, followed: Followed, viewer: AbstractContextMan
     # Where cores are few, the relay and the host come first.
     lower_priority(by=_NICE)
     with viewer, stopping(None) as stop:
-        with closing(followed), status_line() as status:
+        with closing(run), status_line() as status:
             os.write(descriptor, READY)
             line = LineReceiver(descriptor, stop)
-            code = followed.follow(_on_time(line), stop, None if status is None else status.show)
-        followed.tell()
+            code = run.follow(_on_time(line), stop, None if status is None else status.show)
+        run.print_summary()
         os.write(descriptor, bytes([code]))
         os.close(descriptor)
     if code:

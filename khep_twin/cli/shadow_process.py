@@ -9,8 +9,8 @@ from select import select
 
 import typer
 
-from khep_twin.cli.followed import ALARM_CODE
 from khep_twin.cli.options import complain
+from khep_twin.cli.shadow_run import ALARM_CODE
 from khep_twin.errors import KhepTwinError
 from khep_twin.shadow.line_pipe import LineSender
 from khep_twin.signals import clear_at_end, undisturbed

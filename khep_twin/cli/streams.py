@@ -20,7 +20,7 @@ LEAST_OPEN = 64
 browser (measured); the rest is room for hosts, browsers and files of a controller's own."""
 
 
-class Told(io.FileIO):
+class GuardedOutput(io.FileIO):
     """Output of descriptor 1 or 2 as bytes; `trouble` is why nothing can be written any more, or None."""
 
     def __init__(self, descriptor: int) -> None:
@@ -42,7 +42,7 @@ class Told(io.FileIO):
         return memoryview(data).nbytes
 
 
-class Open(io.TextIOWrapper):
+class UnclosableStream(io.TextIOWrapper):
     """A standard stream that stays open when a controller closes it."""
 
     def close(self) -> None:
@@ -53,11 +53,11 @@ class Open(io.TextIOWrapper):
 _SIGPIPE = 13
 """Number of the signal that a program without a reader gets, also where there are none."""
 
-_streams: list[Told] = []
-_guards: list[Open] = []
+_streams: list[GuardedOutput] = []
+_guards: list[UnclosableStream] = []
 
 
-def guard() -> None:
+def guard_streams() -> None:
     """Replace the standard streams by guarded ones."""
     for descriptor in range(3):
         try:
@@ -79,7 +79,7 @@ def check_descriptors() -> None:
         sys.exit(1)
 
 
-def unread() -> bool:
+def has_no_reader() -> bool:
     """Return whether standard output has no reader any more."""
     return any(each.fileno() == 1 and each.trouble and each.trouble.errno == errno.EPIPE for each in _streams)
 
@@ -98,10 +98,10 @@ def exit_code(code: int) -> int:
     return 128 + _SIGPIPE if all(each.errno == errno.EPIPE for each in troubles) else 1
 
 
-def _guarded(descriptor: int, stream: io.TextIOWrapper | Any) -> Open:
-    raw = Told(descriptor)
+def _guarded(descriptor: int, stream: io.TextIOWrapper | Any) -> UnclosableStream:
+    raw = GuardedOutput(descriptor)
     _streams.append(raw)
-    guarded = Open(
+    guarded = UnclosableStream(
         io.BufferedWriter(raw),
         encoding=getattr(stream, "encoding", "utf-8"),
         errors=getattr(stream, "errors", "backslashreplace"),

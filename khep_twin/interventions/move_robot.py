@@ -40,7 +40,7 @@ def put(
         raise PlaypenError(
             f"a robot cannot be put to ({x_mm}, {y_mm}), {heading_deg} degrees; expected finite numbers"
         )
-    if reason := no_room(as_it_stands(world), index, x_mm, y_mm):
+    if reason := no_room(current_playpen(world), index, x_mm, y_mm):
         raise PlaypenError(reason)
     position = _PLACE.pack(x_mm, y_mm, heading_deg) + (_AFRESH if afresh else b"")
     world.on_host_event(index, HostEvent(HostEventKind.PUT, world.time_ns, None, position))
@@ -69,7 +69,7 @@ def scan(world: World) -> None:
     world.scan()
 
 
-def as_it_stands(world: World) -> Playpen:
+def current_playpen(world: World) -> Playpen:
     """Return the playpen with the current poses of its robots and movable objects, all taken as upright."""
 
     def moved(items: Iterable[Block | Cylinder], kind: str) -> tuple[Block | Cylinder, ...]:

@@ -17,7 +17,7 @@ import mujoco
 from khep_twin import playpen as playpens
 from khep_twin.errors import CalibrationError, KhepTwinError, LogError
 from khep_twin.files.toml_files import SIZE_LIMIT, validate
-from khep_twin.log.decoding import Misfit, first_line, shown
+from khep_twin.log.decoding import DecodeError, first_line, shown
 from khep_twin.playpen import Playpen
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.units import Sensor
@@ -83,7 +83,7 @@ def shapes_of(attachments: Mapping[str, str], robots: Sequence[str], source: obj
         for robot in robots:
             for name in ("base", *(sensor.key for sensor in Sensor)):
                 if f"{robot}/{name}" not in there:
-                    raise Misfit(f"no {robot}/{name}", "it, as the log's robots have it")
+                    raise DecodeError(f"no {robot}/{name}", "it, as the log's robots have it")
         return model
 
 
@@ -92,8 +92,8 @@ def _named(source: object, name: str) -> Generator[None]:
     """Turn a problem of an attachment into one line that names the log."""
     try:
         yield
-    except Misfit as misfit:
-        raise LogError(f"{source}: {name}: {misfit}") from None
+    except DecodeError as error:
+        raise LogError(f"{source}: {name}: {error}") from None
     except KhepTwinError as error:
         raise LogError(f"{source}: {first_line(error)}") from None
 
@@ -101,9 +101,9 @@ def _named(source: object, name: str) -> Generator[None]:
 def _text(attachments: Mapping[str, str], name: str) -> str:
     text = attachments.get(name)
     if text is None:
-        raise Misfit("missing", "it among the attachments")
+        raise DecodeError("missing", "it among the attachments")
     if len(text) > SIZE_LIMIT:
-        raise Misfit(f"{len(text)} characters", f"at most {SIZE_LIMIT}")
+        raise DecodeError(f"{len(text)} characters", f"at most {SIZE_LIMIT}")
     return text
 
 
@@ -113,21 +113,21 @@ def _model(text: str) -> mujoco.MjModel:
         for event, element in ElementTree.iterparse(BytesIO(text.encode("utf-8")), ("start", "end")):
             depth += 1 if event == "start" else -1
             if depth > DEEPEST:
-                raise Misfit(f"elements {depth} deep", f"at most {DEEPEST}")
+                raise DecodeError(f"elements {depth} deep", f"at most {DEEPEST}")
             root = element
     except (ElementTree.ParseError, UnicodeEncodeError, ValueError) as error:
-        if isinstance(error, Misfit):
+        if isinstance(error, DecodeError):
             raise
-        raise Misfit(shown(error), "XML") from None
+        raise DecodeError(shown(error), "XML") from None
     if root is None or root.tag != "mujoco":
-        raise Misfit("no element mujoco", "a scene in MJCF")
+        raise DecodeError("no element mujoco", "a scene in MJCF")
     for part in list(root):
         if part.tag not in _KEPT:
             root.remove(part)
     for element in root.iter():
         if element is not root and element.tag not in _ELEMENTS:
-            raise Misfit(f"element {shown(element.tag)}", f"one of {', '.join(sorted(_ELEMENTS))}")
+            raise DecodeError(f"element {shown(element.tag)}", f"one of {', '.join(sorted(_ELEMENTS))}")
     try:
         return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, "unicode"))
     except (ValueError, mujoco.FatalError) as error:
-        raise Misfit(shown(error), "a scene that MuJoCo compiles") from None
+        raise DecodeError(shown(error), "a scene that MuJoCo compiles") from None

@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from khep_twin.log.decoding import LATEST_NS, Misfit
+from khep_twin.log.decoding import LATEST_NS, DecodeError
 from khep_twin.log.entries import Entry, EntryReader
 from khep_twin.log.record_bytes import (
     HEAD,
@@ -44,7 +44,7 @@ class Content:
         file: Open file.
 
     Raises:
-        Misfit: Here and in each method: it is no whole MCAP file, or exceeds a limit.
+        DecodeError: Here and in each method: it is no whole MCAP file, or exceeds a limit.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -111,7 +111,7 @@ class Content:
                 count += 1
                 held.append(entry)
         if self._count is not None and count != self._count:
-            raise Misfit(f"{count} messages", f"{self._count}, as its statistics say")
+            raise DecodeError(f"{count} messages", f"{self._count}, as its statistics say")
         yield 1.0, held
 
     def attachments(self) -> Iterator[Attachment]:
@@ -120,7 +120,7 @@ class Content:
             found = parsed(Opcode.ATTACHMENT, content)
             crc = int.from_bytes(content[-4:], "little")
             if not isinstance(found, Attachment) or (crc and zlib.crc32(content[:-4]) != crc):
-                raise Misfit(f"attachment at byte {offset}", "one that holds what its checksum says")
+                raise DecodeError(f"attachment at byte {offset}", "one that holds what its checksum says")
             yield found
 
     def metadata(self) -> Iterator[Metadata]:
@@ -128,32 +128,32 @@ class Content:
         for offset, content in self._records(Opcode.METADATA):
             found = parsed(Opcode.METADATA, content)
             if not isinstance(found, Metadata):
-                raise Misfit(f"metadata at byte {offset}", "texts of the lengths that they say")
+                raise DecodeError(f"metadata at byte {offset}", "texts of the lengths that they say")
             yield found
 
     def end_ns(self) -> int:
         """Return the time of the last message by the index [ns]."""
         if self._end_ns is None:
-            raise Misfit("no statistics", "them in the index")
+            raise DecodeError("no statistics", "them in the index")
         if self._end_ns > LATEST_NS:
-            raise Misfit(f"message_end_time = {self._end_ns} in the statistics", f"at most {LATEST_NS}")
+            raise DecodeError(f"message_end_time = {self._end_ns} in the statistics", f"at most {LATEST_NS}")
         return self._end_ns
 
     def _read_summary(self) -> bool:
         """Read the index; return whether it lists chunks."""
         magic = len(MCAP0_MAGIC)
         if self._end < magic or self._bytes(0, magic) != MCAP0_MAGIC:
-            raise Misfit("no MCAP file", "one that begins and ends as such")
+            raise DecodeError("no MCAP file", "one that begins and ends as such")
         if self._bytes(self._size - magic, magic) != MCAP0_MAGIC:
-            raise Misfit("no end", "a finished .mcap file")
+            raise DecodeError("no end", "a finished .mcap file")
         opcode, length = HEAD.unpack(self._bytes(self._end, HEAD.size))
         if (opcode, length) != (Opcode.FOOTER, _FOOTER.size):
-            raise Misfit(f"record {opcode} of {length} bytes at the end", "a footer")
+            raise DecodeError(f"record {opcode} of {length} bytes at the end", "a footer")
         start, _, _ = _FOOTER.unpack(self._bytes(self._end + HEAD.size, _FOOTER.size))
         if start == 0:
             return False
         if not magic <= start <= self._end:
-            raise Misfit(f"index at byte {start}", f"it between {magic} and {self._end}")
+            raise DecodeError(f"index at byte {start}", f"it between {magic} and {self._end}")
         lengths: dict[int, int] = {}
         for opcode, offset, size in self._walk(start, self._end):
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -162,7 +162,7 @@ class Content:
             if opcode == Opcode.STATISTICS:
                 statistics = parsed(opcode, self._content(offset, size))
                 if not isinstance(statistics, Statistics):
-                    raise Misfit(f"definition at byte {offset}", "texts of the lengths that they say")
+                    raise DecodeError(f"definition at byte {offset}", "texts of the lengths that they say")
                 self._end_ns, self._count = statistics.message_end_time, statistics.message_count
                 continue
             if opcode == Opcode.CHUNK_INDEX:
@@ -170,7 +170,9 @@ class Content:
                 start_ns, _, *named, channels = _numbers(_CHUNK_PLACE, content, offset)
                 self._chunks.append(chunk := (start_ns, named[0], named[1]))
                 if channels % _CHANNEL_PLACE.size or channels > len(content) - _CHUNK_PLACE.size:
-                    raise Misfit(f"{channels} bytes of channels at byte {offset}", "those that are there")
+                    raise DecodeError(
+                        f"{channels} bytes of channels at byte {offset}", "those that are there"
+                    )
                 ids = _CHANNEL_PLACE.iter_unpack(content[_CHUNK_PLACE.size :][:channels])
                 for (number,) in ids:
                     self._first[number] = min(chunk, self._first.get(number, chunk))
@@ -181,13 +183,13 @@ class Content:
             else:
                 continue
             if named[0] in lengths:
-                raise Misfit(f"record at byte {named[0]} named twice in the index", "each once")
+                raise DecodeError(f"record at byte {named[0]} named twice in the index", "each once")
             lengths[named[0]] = named[1]
         free = magic
         for offset, length in sorted(lengths.items()):
             if offset < free or offset + length > start:
                 found = f"record at byte {offset} of {length} bytes in the index"
-                raise Misfit(found, f"it between {free} and {start}")
+                raise DecodeError(found, f"it between {free} and {start}")
             free = offset + length
         self._chunks.sort(key=lambda chunk: chunk[1])
         return bool(self._chunks)
@@ -220,16 +222,16 @@ class Content:
         packed = self._bytes(offset, length)
         found = RecordBytes(packed).chunk_head(0)
         if found is None:
-            raise Misfit(f"chunk at byte {offset}", "one that is packed with zstd or lz4, or not at all")
+            raise DecodeError(f"chunk at byte {offset}", "one that is packed with zstd or lz4, or not at all")
         size, crc, compression, start, end = found
         if size > LARGEST_CHUNK:
-            raise Misfit(f"chunk at byte {offset} unpacks to {size} bytes", f"at most {LARGEST_CHUNK}")
+            raise DecodeError(f"chunk at byte {offset} unpacks to {size} bytes", f"at most {LARGEST_CHUNK}")
         self._unpacked += size
         if self._unpacked > (limit := SLACK + LARGEST_RATIO * self._size):
-            raise Misfit(f"chunks unpack to {self._unpacked} bytes and more", f"at most {limit}")
+            raise DecodeError(f"chunks unpack to {self._unpacked} bytes and more", f"at most {limit}")
         records = unpacked(compression, packed[start:end], size)
         if end != len(packed) or len(records) != size or (crc and zlib.crc32(records) != crc):
-            raise Misfit(f"chunk at byte {offset}", "one that holds what its size and checksum say")
+            raise DecodeError(f"chunk at byte {offset}", "one that holds what its size and checksum say")
         return records
 
     def _records(self, wanted: Opcode) -> Iterator[tuple[int, bytes]]:
@@ -249,7 +251,7 @@ class Content:
         opcode, size = HEAD.unpack(self._bytes(offset, HEAD.size))
         if opcode != wanted or HEAD.size + size != length:
             found = f"record {opcode} of {HEAD.size + size} bytes at byte {offset}"
-            raise Misfit(found, f"{name} of {length}, as the index says")
+            raise DecodeError(found, f"{name} of {length}, as the index says")
 
     def _walk(self, offset: int, end: int) -> Iterator[tuple[int, int, int]]:
         """Yield opcode, offset and length of the content of consecutive records."""
@@ -257,7 +259,9 @@ class Content:
             opcode, size = HEAD.unpack(self._bytes(offset, HEAD.size))
             if size > end - offset - HEAD.size:
                 found = f"record {opcode} of {size} bytes at byte {offset}"
-                raise Misfit(found, f"at most the {max(end - offset - HEAD.size, 0)} bytes that are there")
+                raise DecodeError(
+                    found, f"at most the {max(end - offset - HEAD.size, 0)} bytes that are there"
+                )
             yield opcode, offset, size
             offset += HEAD.size + size
 
@@ -267,11 +271,11 @@ class Content:
     def _bytes(self, offset: int, size: int) -> bytes:
         """Return `size` bytes of the file."""
         if size > LARGEST_RECORD:
-            raise Misfit(f"record of {size} bytes at byte {offset}", f"at most {LARGEST_RECORD}")
+            raise DecodeError(f"record of {size} bytes at byte {offset}", f"at most {LARGEST_RECORD}")
         self._file.seek(offset)
         data = self._file.read(size)
         if len(data) < size:
-            raise Misfit(f"end of the file at byte {offset + len(data)}", f"{size} bytes at {offset}")
+            raise DecodeError(f"end of the file at byte {offset + len(data)}", f"{size} bytes at {offset}")
         return data
 
 
@@ -283,5 +287,5 @@ def _last(entries: Sequence[Entry], topic: str, time_ns: int) -> int | None:
 
 def _numbers(layout: struct.Struct, content: bytes, offset: int) -> tuple[int, ...]:
     if len(content) < layout.size:
-        raise Misfit(f"record of {len(content)} bytes at byte {offset}", f"at least {layout.size}")
+        raise DecodeError(f"record of {len(content)} bytes at byte {offset}", f"at least {layout.size}")
     return layout.unpack_from(content)

@@ -1,6 +1,6 @@
 """Decoding of a log's messages to typed values, with all checks of untrusted bytes.
 
-A log may come from anyone. A decoded value is in the message, in range and finite, or else a `Misfit` is
+A log may come from anyone. A decoded value is in the message, in range and finite, or else a `DecodeError` is
 raised with what was found and what was expected; the caller that reads a file adds the file and the position.
 """
 
@@ -25,7 +25,7 @@ SHOWN = 60
 _T = TypeVar("_T")
 
 
-class Misfit(ValueError):
+class DecodeError(ValueError):
     """Invalid content of a log.
 
     Args:
@@ -60,13 +60,13 @@ def decoded(
     """Yield times [ns] and contents of a channel's messages, of those found in a log by topic.
 
     Raises:
-        LogError: `decode` has raised a `Misfit`.
+        LogError: `decode` has raised a `DecodeError`.
     """
     for time_ns, data in found.get(topic, ()):
         try:
             yield time_ns, decode(data)
-        except Misfit as misfit:
-            raise misfit.at(path, topic, time_ns) from None
+        except DecodeError as error:
+            raise error.at(path, topic, time_ns) from None
 
 
 def shown(text: object) -> str:
@@ -89,13 +89,13 @@ class Decoder:
         message: Message in CDR.
 
     Raises:
-        Misfit: Here and in each method: it is no such message, or ends before the value.
+        DecodeError: Here and in each method: it is no such message, or ends before the value.
     """
 
     def __init__(self, message: bytes) -> None:
         if message[: len(CDR_HEADER)] != CDR_HEADER:
             found = message[: len(CDR_HEADER)].hex() or "nothing"
-            raise Misfit(f"header {found}", f"{CDR_HEADER.hex()}, CDR in little-endian")
+            raise DecodeError(f"header {found}", f"{CDR_HEADER.hex()}, CDR in little-endian")
         self._data = message[len(CDR_HEADER) :]
         self._place = 0
 
@@ -121,33 +121,33 @@ class Decoder:
         try:
             return data.decode("utf-8")
         except UnicodeDecodeError as error:
-            raise Misfit(f"text with byte {data[error.start]:#04x}", "UTF-8") from None
+            raise DecodeError(f"text with byte {data[error.start]:#04x}", "UTF-8") from None
 
     def time(self) -> int:
         """Return a time [ns]."""
         seconds, rest_ns = self.get("i")[0], self.number()
         if seconds < 0 or rest_ns >= NS_PER_S:
             found = f"time of {seconds} s and {rest_ns} ns"
-            raise Misfit(found, f"0 s and later, with less than {NS_PER_S} ns")
+            raise DecodeError(found, f"0 s and later, with less than {NS_PER_S} ns")
         return seconds * NS_PER_S + rest_ns
 
     def end(self) -> None:
         """Refuse bytes after the decoded values."""
         if self._place != len(self._data):
-            raise Misfit(f"{len(self._data)} bytes", f"{self._place}, as its lengths say")
+            raise DecodeError(f"{len(self._data)} bytes", f"{self._place}, as its lengths say")
 
     def _check(self, count: int, size: int) -> None:
         # Check before allocating memory of this size.
         if count * size > len(self._data) - self._place:
             there = max(len(self._data) - self._place, 0)
-            raise Misfit(f"{count} values of {size} bytes", f"at most the {there} bytes that are there")
+            raise DecodeError(f"{count} values of {size} bytes", f"at most the {there} bytes that are there")
 
 
 def read_array(message: bytes, kind: str) -> tuple[Any, ...]:
     """Return the values of a Float64MultiArray ("d"), Int64MultiArray ("q") or UInt8MultiArray ("B").
 
     Raises:
-        Misfit: It is none.
+        DecodeError: It is none.
     """
     decoder = Decoder(message)
     for _ in range(decoder.number()):
@@ -163,14 +163,14 @@ def read_each(read: Callable[[bytes], _T], messages: Iterable[bytes]) -> list[_T
     """Return the content of several messages.
 
     Raises:
-        Misfit: One, at its `row`, is no such message.
+        DecodeError: One, at its `row`, is no such message.
     """
     found: list[_T] = []
     for message in messages:
         try:
             found.append(read(message))
-        except Misfit as misfit:
-            raise misfit.in_row(len(found)) from None
+        except DecodeError as error:
+            raise error.in_row(len(found)) from None
     return found
 
 
@@ -182,14 +182,14 @@ def read_arrays_of(
     The width is that of the first message if it is 0; `wanted` gives its reason in messages of errors.
 
     Raises:
-        Misfit: One, at its `row`, is no such message, or has another length.
+        DecodeError: One, at its `row`, is no such message, or has another length.
     """
     width = width or len(read_array(messages[0], kind))
 
     def of_width(message: bytes) -> tuple[Any, ...]:
         values = read_array(message, kind)
         if len(values) != width:
-            raise Misfit(f"{len(values)} values", f"{width}{wanted}")
+            raise DecodeError(f"{len(values)} values", f"{width}{wanted}")
         return values
 
     of_width(messages[0])
@@ -206,13 +206,15 @@ def read_images_of(messages: Sequence[bytes]) -> NDArray[np.int64]:
     """Return the greys of the line images of a channel, from the left to the right (n, width).
 
     Raises:
-        Misfit: One, at its `row`, is no grey sensor_msgs/Image of one row, or of another width.
+        DecodeError: One, at its `row`, is no grey sensor_msgs/Image of one row, or of another width.
     """
     found = read_each(_read_image, messages)
     width = len(found[0]) if found else 0
     for row, image in enumerate(found):
         if len(image) != width:
-            raise Misfit(f"{len(image)} pixels", f"{width}, as in the channel's first message").in_row(row)
+            raise DecodeError(f"{len(image)} pixels", f"{width}, as in the channel's first message").in_row(
+                row
+            )
     return np.frombuffer(b"".join(found), np.uint8).reshape(len(found), width).astype(np.int64)
 
 
@@ -227,7 +229,7 @@ def _read_image(message: bytes) -> bytes:
     step, size = decoder.get("I", 2)
     if (height, encoding) != (1, "mono8") or not width == step == size:
         found = f"an image of {width} x {height} pixels {shown(encoding)} in {size} bytes"
-        raise Misfit(found, "one row of mono8, with a byte for each pixel")
+        raise DecodeError(found, "one row of mono8, with a byte for each pixel")
     pixels = bytes(decoder.get("B", size))
     decoder.end()
     return pixels
@@ -237,7 +239,7 @@ def read_transforms(message: bytes) -> dict[str, tuple[float, ...]]:
     """Return the poses of a TFMessage by frame: x, y, z [m] and quaternion x, y, z, w.
 
     Raises:
-        Misfit: It is none.
+        DecodeError: It is none.
     """
     decoder = Decoder(message)
     poses: dict[str, tuple[float, ...]] = {}
@@ -254,7 +256,7 @@ def read_line(message: bytes) -> TextLine:
     """Return a line of the transcript or of the events.
 
     Raises:
-        Misfit: It is none.
+        DecodeError: It is none.
     """
     decoder = Decoder(message)
     time_ns = decoder.time()

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from khep_twin.log.decoding import Misfit
+from khep_twin.log.decoding import DecodeError
 from khep_twin.log.record_bytes import MESSAGE, parsed, records_in
 
 
@@ -32,7 +32,7 @@ class EntryReader:
     """Reader of messages, after the schemas and channels that define them.
 
     Raises:
-        Misfit: In each method: a record is invalid; `offset` is its place in the file, for the message.
+        DecodeError: In each method: a record is invalid; `offset` is its place in the file, for the message.
     """
 
     def __init__(self) -> None:
@@ -48,11 +48,13 @@ class EntryReader:
                 schema = self._schemas.get(channel.schema_id)
                 if channel.schema_id and schema is None:
                     found = f"channel {channel.id} of schema {channel.schema_id} at byte {offset}"
-                    raise Misfit(found, "a schema that is defined")
+                    raise DecodeError(found, "a schema that is defined")
                 name, definition = ("", None) if schema is None else (schema.name, _definition(schema))
                 self._channels.setdefault(channel.id, (channel.topic, name, definition))
             case _:
-                raise Misfit(f"definition at byte {offset}", "printable names, of the lengths that they say")
+                raise DecodeError(
+                    f"definition at byte {offset}", "printable names, of the lengths that they say"
+                )
 
     def knows(self, topic: str) -> bool:
         """Return whether a channel of a topic is defined."""
@@ -61,11 +63,11 @@ class EntryReader:
     def entry(self, records: bytes, start: int, end: int, offset: int) -> Entry:
         """Return the message between two places of `records`."""
         if end - start < MESSAGE.size:
-            raise Misfit(f"message of {end - start} bytes at byte {offset}", f"at least {MESSAGE.size}")
+            raise DecodeError(f"message of {end - start} bytes at byte {offset}", f"at least {MESSAGE.size}")
         number, _, time_ns, _ = MESSAGE.unpack_from(records, start)
         known = self._channels.get(number)
         if known is None:
-            raise Misfit(f"message of channel {number} at byte {offset}", "a channel that is defined")
+            raise DecodeError(f"message of channel {number} at byte {offset}", "a channel that is defined")
         return Entry(*known, time_ns, records[start + MESSAGE.size : end])
 
     def entries(self, records: bytes, offset: int, start_ns: int = 0) -> Iterator[Entry]:
@@ -77,15 +79,15 @@ class EntryReader:
                 entry = self.entry(records, start, end, offset)
                 if entry.time_ns < start_ns:
                     found = f"message at {entry.time_ns} ns in the chunk at byte {offset}"
-                    raise Misfit(found, f"none before {start_ns} ns, as the index says")
+                    raise DecodeError(found, f"none before {start_ns} ns, as the index says")
                 yield entry
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self.define(opcode, records[start:end], offset)
             else:
                 found = f"record {opcode} in the chunk at byte {offset}"
-                raise Misfit(found, "schemas, channels and messages")
+                raise DecodeError(found, "schemas, channels and messages")
         if last != len(records):
-            raise Misfit(f"chunk at byte {offset} with half a record", "whole ones")
+            raise DecodeError(f"chunk at byte {offset} with half a record", "whole ones")
 
 
 def _definition(schema: Schema) -> str | bytes | None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings
 from khep_twin.log.channels import array_message
-from khep_twin.log.decoding import LATEST_NS, Misfit, read_array
+from khep_twin.log.decoding import LATEST_NS, DecodeError, read_array
 
 _LABEL = "known at [ns], act, from [ns], baud, stop bits, size, bytes"
 
@@ -34,14 +34,14 @@ def read_events(message: bytes) -> Iterator[tuple[int, HostEvent]]:
     """Yield the host events of a message with their times [ns].
 
     Raises:
-        Misfit: It is no such message.
+        DecodeError: It is no such message.
     """
     numbers: tuple[int, ...] = read_array(message, "q")
     place = 0
     while place < len(numbers):
         head = numbers[place : place + _HEAD]
         if len(head) < _HEAD:
-            raise Misfit(f"{len(head)} numbers at {place}", f"{_HEAD} that begin an event")
+            raise DecodeError(f"{len(head)} numbers at {place}", f"{_HEAD} that begin an event")
         time_ns, kind, at_ns, baud, stop_bits, size = head
         place += _HEAD
         for name, value, lowest, highest in (
@@ -54,14 +54,14 @@ def read_events(message: bytes) -> Iterator[tuple[int, HostEvent]]:
         ):
             if not lowest <= value <= highest:
                 found = f"{name} = {value} at number {place - _HEAD}"
-                raise Misfit(found, f"{lowest} to {highest}")
+                raise DecodeError(found, f"{lowest} to {highest}")
         values = numbers[place : place + size]
         if wrong := next((each for each in values if not 0 <= each <= 255), None):
-            raise Misfit(f"byte = {wrong} after number {place - 1}", "0 to 255")
+            raise DecodeError(f"byte = {wrong} after number {place - 1}", "0 to 255")
         sizes = _SIZES.get(HostEventKind(kind))
         if sizes is not None and size not in sizes:
             wanted = " or ".join(map(str, sizes))
-            raise Misfit(f"size = {size} of kind {kind} at number {place - _HEAD}", f"{wanted} bytes")
+            raise DecodeError(f"size = {size} of kind {kind} at number {place - _HEAD}", f"{wanted} bytes")
         place += size
         host = None if baud < 0 else LineSettings(baud, stop_bits)
         yield time_ns, HostEvent(HostEventKind(kind), at_ns, host, bytes(values))

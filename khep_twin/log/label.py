@@ -8,7 +8,7 @@ from pathlib import Path
 from mcap.records import Metadata
 
 from khep_twin.files.toml_files import NAME_WISH
-from khep_twin.log.decoding import Misfit, shown
+from khep_twin.log.decoding import DecodeError, shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +34,8 @@ def label_of(path: Path, metadata: Mapping[str, str], attachments: Mapping[str, 
     """
     try:
         return Label(metadata, attachments, robot_names(metadata["robots"]))
-    except Misfit as misfit:
-        raise misfit.at(path, "metadata") from None
+    except DecodeError as error:
+        raise error.at(path, "metadata") from None
 
 
 def run_facts(records: Iterable[Metadata]) -> dict[str, str]:
@@ -47,13 +47,13 @@ def robot_names(text: str) -> tuple[str, ...]:
     """Return the names of a log's robots from its metadata.
 
     Raises:
-        Misfit: They are no valid names.
+        DecodeError: They are no valid names.
     """
     if not _NAMES.fullmatch(text):
-        raise Misfit(f"robots = {shown(text)}", f"names with commas between, each {NAME_WISH}")
+        raise DecodeError(f"robots = {shown(text)}", f"names with commas between, each {NAME_WISH}")
     names = tuple(text.split(","))
     if len(set(names)) < len(names):
-        raise Misfit(f"robots = {shown(text)}", "each name once")
+        raise DecodeError(f"robots = {shown(text)}", "each name once")
     return names
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from khep_twin.log.channels import INTEGERS
-from khep_twin.log.decoding import LATEST_NS, Misfit, read_line, read_transforms
+from khep_twin.log.decoding import LATEST_NS, DecodeError, read_line, read_transforms
 from khep_twin.log.host_events import read_events
 from khep_twin.log.messages import FOR_REPEAT, READERS, WIDTHS, line_topics, read_samples
 from khep_twin.log.state_hashes import read_states
@@ -26,7 +26,7 @@ class MessageFilter:
         """Return whether the reader accepts a message after those passed before."""
         try:
             return time_ns <= LATEST_NS and self._fits(topic, schema, message)
-        except Misfit:
+        except DecodeError:
             return False
 
     def _fits(self, topic: str, schema: str, message: bytes) -> bool:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from khep_twin.log.channels import FLOATS, IMAGE, INTEGERS, TextLine
 from khep_twin.log.decoding import (
     LATEST_NS,
-    Misfit,
+    DecodeError,
     read_arrays_of,
     read_each,
     read_images_of,
@@ -107,7 +107,7 @@ class Messages:
             rows = [bodies[base] for bodies in frames if base in bodies]
             if len(rows) != len(frames):
                 found = f"{base} in {len(rows)} of {len(frames)} messages"
-                raise Misfit(found, "it in each").at(self._path, "/tf")
+                raise DecodeError(found, "it in each").at(self._path, "/tf")
             values = np.array(rows, np.float64).reshape(-1, 7)
             x, y, z, w = values[:, 3:].T
             heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
@@ -125,14 +125,14 @@ class Messages:
         order = np.argsort(times_ns, kind="stable")
         try:
             return times_ns[order], read([messages[row] for row in order.tolist()])
-        except Misfit as misfit:
-            raise misfit.at(self._path, topic, int(times_ns[order][misfit.row])) from None
+        except DecodeError as error:
+            raise error.at(self._path, topic, int(times_ns[order][error.row])) from None
 
 
 def check_time(path: Path, topic: str, time_ns: int) -> None:
     """Raise a `LogError` if a message is later than any run."""
     if time_ns > LATEST_NS:
-        raise Misfit(f"time = {time_ns} ns", f"at most {LATEST_NS} ns").at(path, topic)
+        raise DecodeError(f"time = {time_ns} ns", f"at most {LATEST_NS} ns").at(path, topic)
 
 
 def line_topics(robots: Iterable[str]) -> set[str]:
@@ -144,7 +144,7 @@ def read_samples(messages: Sequence[bytes], name: str) -> _Values:
     """Return the values of messages of a robot's sampled channel (n, width).
 
     Raises:
-        Misfit: One, at its `row`, is no such message.
+        DecodeError: One, at its `row`, is no such message.
     """
     if not messages:
         return np.zeros((0, WIDTHS[name]))
@@ -155,5 +155,5 @@ def read_samples(messages: Sequence[bytes], name: str) -> _Values:
     if not small.all():
         row = int(np.argmin(small))
         found = f"values {shown(tuple(values[row].tolist()))}"
-        raise Misfit(found, f"numbers from -{_LARGEST} to {_LARGEST}").in_row(row)
+        raise DecodeError(found, f"numbers from -{_LARGEST} to {_LARGEST}").in_row(row)
     return values

@@ -17,7 +17,7 @@ from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
 from khep_twin.log.channels import FLOATS, IMAGE, TextLine
 from khep_twin.log.content import Content
-from khep_twin.log.decoding import Misfit
+from khep_twin.log.decoding import DecodeError
 from khep_twin.log.entries import Entry
 from khep_twin.log.label import Label, label_of, run_facts
 from khep_twin.log.messages import FOR_REPEAT, WIDTHS, Messages, TimeSeries, check_time
@@ -236,8 +236,8 @@ def _opened(path: Path) -> Generator[Content, None, None]:
     with file:
         try:
             yield Content(file)
-        except Misfit as misfit:
-            raise LogError(f"{path}: no whole log: {misfit}") from None
+        except DecodeError as error:
+            raise LogError(f"{path}: no whole log: {error}") from None
         except OSError as error:
             raise LogError(f"{path}: cannot be read: {error.strerror}") from error
 
@@ -253,6 +253,6 @@ def _label(path: Path, content: Content) -> Label:
             damaged = each.name.startswith("damaged/")
             attachments[each.name] = each.data.decode("utf-8", "replace" if damaged else "strict")
         except UnicodeDecodeError as error:
-            misfit = Misfit(f"byte {each.data[error.start]:#04x} at {error.start}", "UTF-8")
-            raise misfit.at(path, each.name) from None
+            invalid = DecodeError(f"byte {each.data[error.start]:#04x} at {error.start}", "UTF-8")
+            raise invalid.at(path, each.name) from None
     return label_of(path, metadata, attachments)

@@ -14,7 +14,7 @@ from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.log.channels import TextLine
-from khep_twin.log.decoding import LATEST_NS, Misfit, decoded, read_line, shown
+from khep_twin.log.decoding import LATEST_NS, DecodeError, decoded, read_line, shown
 from khep_twin.log.entries import Entry
 from khep_twin.log.host_events import PIECE_ENDS, read_events
 from khep_twin.log.label import Label
@@ -116,7 +116,7 @@ def read_recorded(path: Path) -> Recorded:
         if time_ns > last_ns:
             wish = f"at most {last_ns / NS_PER_S:.2f} s, {_OVERTIME_NS // NS_PER_S} s after the last state"
             what = f"something at {time_ns / NS_PER_S:.2f} s"
-            raise Misfit(what, wish).at(path, "/host_events and /serial")
+            raise DecodeError(what, wish).at(path, "/host_events and /serial")
     changes, end_ns = changes_of(path, label), (len(states) - 1) * SAMPLE_NS
     # Replies may still be on their way at the end, which the last snapshot has.
     ended_ns = [time_ns for time_ns, _ in found.get(TOPIC, ()) if time_ns >= end_ns] or [
@@ -151,9 +151,9 @@ def changes_of(path: Path, label: Label) -> tuple[BranchPoint, ...]:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(map(str, first["loc"]))
-        raise Misfit(f"{place} = {shown(first['input'])}", first["msg"]).at(path, BRANCH) from None
+        raise DecodeError(f"{place} = {shown(first['input'])}", first["msg"]).at(path, BRANCH) from None
     if list(changes) != sorted(changes, key=lambda each: each.at_ns):
-        raise Misfit("changes out of order", "them in order of time").at(path, BRANCH)
+        raise DecodeError("changes out of order", "them in order of time").at(path, BRANCH)
     return changes
 
 
@@ -181,8 +181,8 @@ def events_in(
             if (index := topics.get(entry.topic)) is not None:
                 try:
                     events = [(at_ns, index, event) for at_ns, event in read_events(entry.data)]
-                except Misfit as misfit:
-                    raise misfit.at(path, entry.topic, entry.time_ns) from None
+                except DecodeError as error:
+                    raise error.at(path, entry.topic, entry.time_ns) from None
                 held += events
                 if events and events[-1][2].kind in PIECE_ENDS:
                     last = events[-1]

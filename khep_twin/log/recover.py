@@ -15,7 +15,7 @@ from khep_twin import __version__
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular, unusable
-from khep_twin.log.decoding import Misfit
+from khep_twin.log.decoding import DecodeError
 from khep_twin.log.label import robot_names, run_facts
 from khep_twin.log.mcap_recovery import Progress, WholeRecords
 from khep_twin.log.message_filter import MessageFilter
@@ -161,7 +161,7 @@ def _message_filter(records: WholeRecords) -> MessageFilter | None:
     """Return the filter of messages that our reader accepts; None if this is no log of khep_twin."""
     try:
         return MessageFilter(robot_names(run_facts(records.metadata)["robots"]))
-    except (KeyError, Misfit):
+    except (KeyError, DecodeError):
         return None
 
 

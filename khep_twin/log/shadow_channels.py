@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.errors import LogError
 from khep_twin.log.channels import PLANAR, Level, TextLine
-from khep_twin.log.decoding import Decoder, Misfit, read_arrays_of, read_each, read_line
+from khep_twin.log.decoding import DecodeError, Decoder, read_arrays_of, read_each, read_line
 from khep_twin.log.label import Label
 from khep_twin.log.reader import read_raw
 from khep_twin.units import SENSOR_LABELS
@@ -161,8 +161,8 @@ def read_shadow(path: Path) -> ShadowTrack:
         times_ns = np.array([time_ns for time_ns, _ in messages], np.int64)
         try:
             return times_ns, read([data for _, data in messages])
-        except Misfit as misfit:
-            raise misfit.at(path, TOPICS + name, int(times_ns[misfit.row])) from None
+        except DecodeError as error:
+            raise error.at(path, TOPICS + name, int(times_ns[error.row])) from None
 
     times_ns, poses = channel("pose", partial(_poses, width=_DOUBLES["pose"]))
 
@@ -170,7 +170,7 @@ def read_shadow(path: Path) -> ShadowTrack:
         own_ns, values = channel(name, read)
         if not np.array_equal(own_ns, times_ns):
             found = f"{len(own_ns)} messages"
-            raise Misfit(found, f"{len(times_ns)}, at the times of {TOPICS}pose").at(path, TOPICS + name)
+            raise DecodeError(found, f"{len(times_ns)}, at the times of {TOPICS}pose").at(path, TOPICS + name)
         return values
 
     covariances = poses[:, 7:].reshape(-1, 6, 6)[:, PLANAR][:, :, PLANAR]

@@ -60,7 +60,7 @@ def read_snapshot(message: bytes, scene: str | None) -> LoggedState:
         scene: Fingerprint of the scene that it has to be of; None for any.
 
     Raises:
-        Misfit: It is no such message.
+        DecodeError: It is no such message.
         SnapshotError: It is no snapshot, or of another version or scene.
     """
     return unpack(bytes(read_array(message, "B")), LoggedState, scene)

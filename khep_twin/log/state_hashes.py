@@ -23,7 +23,7 @@ def read_states(message: bytes) -> list[int]:
     """Return hashes of consecutive samples from their message.
 
     Raises:
-        Misfit: It is no such message.
+        DecodeError: It is no such message.
     """
     return list(read_array(message, "q"))
 

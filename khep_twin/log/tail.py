@@ -16,7 +16,7 @@ from mcap.writer import MCAP0_MAGIC
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
 from khep_twin.invocation import command
-from khep_twin.log.decoding import Misfit
+from khep_twin.log.decoding import DecodeError
 from khep_twin.log.entries import Entry, EntryReader
 from khep_twin.log.label import Label, label_of, run_facts
 from khep_twin.log.reader import read_label
@@ -104,8 +104,8 @@ class GrowingLog:
         self._rest += block
         try:
             return list(self._take())
-        except Misfit as misfit:
-            raise LogError(f"{self.part}: {misfit}") from None
+        except DecodeError as error:
+            raise LogError(f"{self.part}: {error}") from None
 
     def _take(self) -> Generator[Entry, None, None]:
         """Read the whole records; a partial one stays for the next time."""

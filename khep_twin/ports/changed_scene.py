@@ -5,12 +5,12 @@ import math
 import mujoco
 
 from khep_twin.errors import PlaypenError
-from khep_twin.interventions.move_robot import as_it_stands
+from khep_twin.interventions.move_robot import current_playpen
 from khep_twin.log.recorded import BranchPoint
 from khep_twin.playpen import Block, Cylinder, Playpen, RobotEntry
 from khep_twin.playpen.changes import changed_tables, no_room_for, posed, set_values
-from khep_twin.simulation.carrying_over import carry_over, place
 from khep_twin.simulation.physics_state import physics_state
+from khep_twin.simulation.scene_transfer import place, transfer_state
 from khep_twin.units import metres
 from khep_twin.world import World
 
@@ -27,7 +27,7 @@ def take_over_state(new: World, old: World, before: Playpen, change: BranchPoint
     Raises:
         PlaypenError: What was changed has no room.
     """
-    stands = as_it_stands(old)
+    stands = current_playpen(old)
     # The poses of now may be outside the arena, where no file may put a thing.
     edited = posed(set_values(old.playpen, change.edits), stands, change.edits)
     if problem := no_room_for(edited, stands):
@@ -43,7 +43,7 @@ def take_over_state(new: World, old: World, before: Playpen, change: BranchPoint
             if (entry := edited.objects[kind][index]).movable:
                 placed[f"{kind}{index}"] = _pose(entry)
     mujoco.mj_resetData(new.model, new.data)
-    carry_over((old.model, old.data), scene, list(placed))
+    transfer_state((old.model, old.data), scene, list(placed))
     for body, (x_mm, y_mm, heading_deg) in placed.items():
         place(scene, body, metres(x_mm), metres(y_mm), math.radians(heading_deg))
     state = old.state()._replace(physics=physics_state(*scene))

@@ -15,7 +15,7 @@ from khep_twin.errors import KhepTwinError, LogError, PlaypenError
 from khep_twin.interventions.move_robot import repeat_move, scan
 from khep_twin.interventions.switching import repeat_set_lamps, repeat_switch
 from khep_twin.log.attached import playpen_of
-from khep_twin.log.decoding import Misfit, first_line, shown
+from khep_twin.log.decoding import DecodeError, first_line, shown
 from khep_twin.log.label import Label
 from khep_twin.log.reader import read_label
 from khep_twin.log.recorded import BranchPoint, RecordedEvent
@@ -61,7 +61,7 @@ class Setup(NamedTuple):
         there = tuple(robot.name for robot in twin.world.robots)
         if there != self.label.robots:
             found = f"robots = {shown(','.join(self.label.robots))}"
-            raise Misfit(found, f"{','.join(there)}, those of its playpen.toml").at(path, "metadata")
+            raise DecodeError(found, f"{','.join(there)}, those of its playpen.toml").at(path, "metadata")
         return twin
 
     @property
@@ -170,24 +170,26 @@ def _options(path: Path, text: str) -> TwinOptions:
     try:
         settings: object = json.loads(text)
         if not isinstance(settings, dict):
-            raise Misfit(f"{type(settings).__name__}", f"an object with {', '.join(known)}")
+            raise DecodeError(f"{type(settings).__name__}", f"an object with {', '.join(known)}")
         if unknown := [key for key in cast(dict[str, object], settings) if key not in known]:
-            raise Misfit(f"key {shown(unknown[0])}", f"one of {', '.join(known)}")
+            raise DecodeError(f"key {shown(unknown[0])}", f"one of {', '.join(known)}")
         # A repeated run must not write the log named in the options.
         wanted: Mapping[str, object] = {**cast(dict[str, object], settings), "log": None}
         return _OPTIONS.validate_json(json.dumps(wanted), strict=True)
-    except Misfit as misfit:
-        raise misfit.at(path, "configuration.json") from None
+    except DecodeError as error:
+        raise error.at(path, "configuration.json") from None
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))
-        misfit = Misfit(f"{key} = {shown(first['input'])}", first["msg"].removeprefix("Input should be "))
-        raise misfit.at(path, "configuration.json") from None
+        invalid = DecodeError(
+            f"{key} = {shown(first['input'])}", first["msg"].removeprefix("Input should be ")
+        )
+        raise invalid.at(path, "configuration.json") from None
     except KhepTwinError as error:
         raise LogError(f"{path}: configuration.json: {error}") from None
     except (ValueError, RecursionError) as error:
-        misfit = Misfit(f"{shown(text)} ({shown(error)})", "JSON")
-        raise misfit.at(path, "configuration.json") from None
+        invalid = DecodeError(f"{shown(text)} ({shown(error)})", "JSON")
+        raise invalid.at(path, "configuration.json") from None
 
 
 _OPTIONS = TypeAdapter(TwinOptions)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, LogError, SnapshotError
-from khep_twin.log.decoding import LATEST_NS, Misfit, first_line
+from khep_twin.log.decoding import LATEST_NS, DecodeError, first_line
 from khep_twin.log.entries import Entry
 from khep_twin.log.label import Label
 from khep_twin.log.reader import read_label, read_since, read_until
@@ -124,7 +124,7 @@ def resume_run(
         state = None if last is None else _logged(path, last, None)
         from_ns = 0 if state is None else state.world.time_ns
         if last is not None and last.time_ns != from_ns:
-            raise Misfit(f"a state at {from_ns} ns", "its message's time").at(path, TOPIC, last.time_ns)
+            raise DecodeError(f"a state at {from_ns} ns", "its message's time").at(path, TOPIC, last.time_ns)
         done = tuple(change for change in changes if last is not None and change.at_ns < from_ns)
         twin = setup.open(done)
         if state is not None and last is not None:
@@ -154,8 +154,8 @@ def run_end_ns(path: Path) -> int:
         for entry in chain(*rest):
             if entry.topic == "/state":
                 end_ns = max(end_ns, entry.time_ns + (len(read_states(entry.data)) - 1) * SAMPLE_NS)
-    except Misfit as misfit:
-        raise misfit.at(path, "/state") from None
+    except DecodeError as error:
+        raise error.at(path, "/state") from None
     events = events_in(path, rest, read_label(path).robots)
     return max([end_ns, *(time_ns for time_ns, _, _ in events)])
 
@@ -164,7 +164,7 @@ def _logged(path: Path, entry: Entry, scene: str | None) -> LoggedState:
     """Return the state of a message."""
     try:
         return read_snapshot(entry.data, scene)
-    except Misfit as misfit:
-        raise misfit.at(path, entry.topic, entry.time_ns) from None
+    except DecodeError as error:
+        raise error.at(path, entry.topic, entry.time_ns) from None
     except SnapshotError as error:
         raise LogError(f"{path}: {entry.topic} at {entry.time_ns / NS_PER_S:.4f} s: {error}") from None

@@ -32,7 +32,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.sensing import calibration
 from khep_twin.shadow.alarms import LastingAlarms
-from khep_twin.shadow.learned import LEARNED, Learned
+from khep_twin.shadow.learned_values import VALUE_NAMES, LearnedValues
 from khep_twin.shadow.shadow import ShadowSettings, Update
 from khep_twin.units import SENSOR_LABELS
 
@@ -89,7 +89,7 @@ class ShadowLog:
         label = f"{', '.join(SENSOR_LABELS)} [counts]"
         self._proximity = ArrayFrame(len(SENSOR_LABELS), "f8", label)
         self._residuals = ArrayFrame(len(RESIDUALS), "f8", ", ".join(RESIDUALS))
-        self._learned = ArrayFrame(len(LEARNED), "f8", ", ".join(LEARNED))
+        self._learned = ArrayFrame(len(VALUE_NAMES), "f8", ", ".join(VALUE_NAMES))
         self._particles = ArrayFrame(3 * PARTICLES, "f8", "x, y [m], heading [rad] of each particle")
         self._log = LogFile(path, lambda: self._time_ns)
         self.kept = self._log.kept
@@ -129,7 +129,7 @@ class ShadowLog:
             self._flushed_ns = time_ns
             self._log.flush()
 
-    def write_learned(self, found: Learned) -> None:
+    def write_learned(self, found: LearnedValues) -> None:
         """Write what was learned of the robot, at the time of the last update."""
         if self._log.open:
             self._add("learned", self._learned, found.row)

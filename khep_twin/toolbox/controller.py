@@ -56,7 +56,7 @@ class ToolboxController(LoopingController):
         run = _Run(robot, function.__code__, end_cycle, stop)
         run.heard_by = robot.listen(run.on_reply)
         try:
-            with simulator.lent(robot) as btmap1, host.lent(robot, self.port_id) as port_id:
+            with simulator.opened_for(robot) as btmap1, host.assigned_port(robot, self.port_id) as port_id:
                 if self.unpaced and btmap1 is None:
                     raise ControllerError(
                         f"{function.__name__}: drives by sim_ commands, not through {robot.name}; "

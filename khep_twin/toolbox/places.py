@@ -8,7 +8,7 @@ import math
 from typing import SupportsFloat
 
 from khep_twin.errors import PlaypenError
-from khep_twin.interventions.move_robot import as_it_stands, put, scan
+from khep_twin.interventions.move_robot import current_playpen, put, scan
 from khep_twin.lab.sensor_test.sensor_test import PULSES_PER_DEGREE
 from khep_twin.playpen.footprint import Circle
 from khep_twin.playpen.overlap import Thing, placement_problems
@@ -50,7 +50,7 @@ def checkobj(btmap1: OpenPlaypen, port_id: int = 1) -> tuple[int, int]:
         angle = math.radians(heading_deg + angle_deg)
         point = Circle(x + way * math.cos(angle), y + way * math.sin(angle), 1e-3)
         probes.append(Thing("probe", number, None, point, 0, BODY_HEIGHT * 1e3, True))
-    others = near(as_it_stands(scene.twin.world), robot.index, Circle(x, y, way))
+    others = near(current_playpen(scene.twin.world), robot.index, Circle(x, y, way))
     found = placement_problems([*others, *probes], scene.twin.world.playpen.arena)
     met = {problem.location[1] for problem in found if problem.location[0] == "probe"}
     front = any(number in met for number in range(len(angles)))

@@ -91,7 +91,7 @@ def robot_at(port_id: Port) -> Khepera:
 
 
 @contextmanager
-def lent(robot: Khepera, port_id: int | None = None) -> Generator[int]:
+def assigned_port(robot: Khepera, port_id: int | None = None) -> Generator[int]:
     """Let `port_id`, and the numbers that have no port yet, stand for an open robot within the context.
 
     Returns:

@@ -147,7 +147,7 @@ def opened(btmap1: object = None) -> OpenPlaypen:
 
 
 @contextmanager
-def lent(robot: Khepera) -> Generator[OpenPlaypen | None]:
+def opened_for(robot: Khepera) -> Generator[OpenPlaypen | None]:
     """Let the twin in this process behind a robot be the playpen that is open, within the context.
 
     Returns:

@@ -13,9 +13,9 @@ from khep_twin.host import Khepera
 from khep_twin.machine import n_forks
 from khep_twin.sensing import calibration
 from khep_twin.units import BODIES
+from khep_twin.web.captured_output import captured_by
 from khep_twin.web.jobs import Job
 from khep_twin.web.messages import Message, Publish, RobotShape
-from khep_twin.web.printed import taken_by
 
 _ENDING_S = 5.0
 """Longest time for a session to end: its controller has a second for its cycle [s]."""
@@ -119,7 +119,7 @@ class WebSession:
         if (job := self.job) is None:
             return
         try:
-            with taken_by(self.take_printed):
+            with captured_by(self.take_printed):
                 job.do(robot, self.publish, self._progress, stop)
         except KhepTwinError as error:
             if not stop():

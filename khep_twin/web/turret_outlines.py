@@ -85,9 +85,9 @@ def _hull(points: list[list[float]]) -> list[list[float]]:
     """
     points = sorted(points)
     hull: list[list[float]] = []
-    for way in (points, points[::-1]):
+    for ordered in (points, points[::-1]):
         half: list[list[float]] = []
-        for x, y in way:
+        for x, y in ordered:
             while len(half) > 1:
                 (x0, y0), (x1, y1) = half[-2:]
                 if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):

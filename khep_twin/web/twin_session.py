@@ -9,7 +9,7 @@ from pathlib import Path
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SPEEDS, Board
 from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera
-from khep_twin.interventions.move_robot import as_it_stands, put
+from khep_twin.interventions.move_robot import current_playpen, put
 from khep_twin.interventions.switching import switch
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import no_room
@@ -73,7 +73,7 @@ class TwinActor(WebSession):
         """Report to a page why a held robot has no room at a position; with room, the reason is empty."""
 
         def report(twin: PacedTwin) -> None:
-            reason = no_room(as_it_stands(twin.world), robot, x_mm, y_mm)
+            reason = no_room(current_playpen(twin.world), robot, x_mm, y_mm)
             self.publish({"kind": "room", "robot": robot, "reason": reason, "tab": page})
 
         self._request(report, page)
@@ -182,7 +182,7 @@ class TwinActor(WebSession):
         """Return the present state of the world."""
         world = twin.world
         robots: list[messages.Readings] = []
-        now = as_it_stands(world)
+        now = current_playpen(world)
         for index, (robot, host, entry) in enumerate(zip(twin.robots, hosts, now.robots, strict=True)):
             registers, image = robot.registers, robot.line_image
             robots.append(

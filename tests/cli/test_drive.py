@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from lateness import Lateness
+from scheduling_delay import SchedulingDelay
 
 from khep_twin.lab.experiment.teleoperation import FIRST_HOLD
 from khep_twin.log.reader import read_log
@@ -26,7 +26,7 @@ LONG = 60.0
 
 
 MOST_LATE = 0.05
-"""Lateness of the machine with which keys are still seen as held or released [s]."""
+"""Scheduling delay with which keys are still seen as held or released [s]."""
 
 
 class Terminal:
@@ -37,7 +37,7 @@ class Terminal:
         fcntl.ioctl(self._own, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
         self.before = termios.tcgetattr(self._own)
         self.text = ""
-        self.late = Lateness()
+        self.late = SchedulingDelay()
         self.process = subprocess.Popen(
             [sys.executable, "-m", "khep_twin", "drive", *arguments],
             stdin=self._own,

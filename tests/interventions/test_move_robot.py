@@ -8,7 +8,7 @@ import pytest
 from khep_twin.board.kernel import Wheel
 from khep_twin.errors import PlaypenError
 from khep_twin.host import Khepera
-from khep_twin.interventions.move_robot import as_it_stands, put
+from khep_twin.interventions.move_robot import current_playpen, put
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.reader import read_log
@@ -80,7 +80,7 @@ def test_what_was_pushed_away_leaves_room() -> None:
             put(twin.world, 0, 300, 200, 0)
         twin.robot.send(b"D,10,10\n")
         twin.advance_to(4 * SECOND)
-        (moved,) = as_it_stands(twin.world).cylinders
+        (moved,) = current_playpen(twin.world).cylinders
         assert moved.x_mm > 350
         put(twin.world, 0, 300, 200, 0)
 

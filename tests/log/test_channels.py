@@ -140,12 +140,12 @@ def test_a_line_image_decodes_by_the_rules_of_cdr() -> None:
 def test_another_image_is_refused(old: bytes, new: bytes, found: str) -> None:
     whole, second = rows(ImageFrame(3, "khepera0/k213").messages(np.array([0, 1]), IMAGES))
     assert whole.count(old) == 1
-    with pytest.raises(decoding.Misfit, match=found) as caught:
+    with pytest.raises(decoding.DecodeError, match=found) as caught:
         decoding.read_images_of([second, whole.replace(old, new)])
     assert caught.value.row == 1
 
 
 def test_images_of_two_widths_are_refused() -> None:
     narrow, wide = (rows(ImageFrame(n, "a").messages(np.array([0]), np.zeros((1, n))))[0] for n in (3, 4))
-    with pytest.raises(decoding.Misfit, match="4 pixels; expected 3, as in the channel's first message"):
+    with pytest.raises(decoding.DecodeError, match="4 pixels; expected 3, as in the channel's first message"):
         decoding.read_images_of([narrow, wide])

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from khep_twin.cli.app import app
 from khep_twin.log.reader import read_with_messages
 from khep_twin.log.viewer import thinning
-from khep_twin.log.viewer.gathered import TIMELINE, Gatherer
+from khep_twin.log.viewer.collected import TIMELINE, Collector
 from khep_twin.log.viewer.thinning import Copy, interval_ns
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -33,9 +33,9 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def gathered(log: Path, step_ns: int, folder: Path) -> tuple[Gatherer, list[int], list[str]]:
+def collected(log: Path, step_ns: int, folder: Path) -> tuple[Collector, list[int], list[str]]:
     """What views are made of, times of the transcript [ns] and its texts, in a copy."""
-    gatherer, times_ns, texts = Gatherer(), list[int](), list[str]()
+    collector, times_ns, texts = Collector(), list[int](), list[str]()
     copy = folder / f"{step_ns}.mcap"
     with copy.open("wb") as file:
         writer = Copy(file, step_ns, ["^/state$"])
@@ -43,14 +43,14 @@ def gathered(log: Path, step_ns: int, folder: Path) -> tuple[Gatherer, list[int]
             writer.add(messages)
             label = recording.label
         writer.finish(label)
-    for chunk in gatherer.passing(copy, log):
+    for chunk in collector.passing(copy, log):
         assert chunk.entity_path != "/state"
         if chunk.entity_path == "/khepera0/serial" and not chunk.is_static:
             batch: Any = chunk.to_record_batch()
             names = batch.schema.names
             times_ns += batch.column(names.index(TIMELINE)).to_numpy(zero_copy_only=False).tolist()
             texts += batch.column(names.index("TextLog:text")).flatten().to_pylist()
-    return gatherer, [int(each) for each in times_ns], texts
+    return collector, [int(each) for each in times_ns], texts
 
 
 def test_an_hour_is_shown_whole_and_a_day_is_thinned() -> None:
@@ -60,7 +60,7 @@ def test_an_hour_is_shown_whole_and_a_day_is_thinned() -> None:
 
 
 def test_of_each_interval_the_first_sample_is_kept_in_every_channel(log: Path, tmp_path: Path) -> None:
-    whole, thin = gathered(log, 0, tmp_path)[0], gathered(log, SECOND, tmp_path)[0]
+    whole, thin = collected(log, 0, tmp_path)[0], collected(log, SECOND, tmp_path)[0]
     all_samples, samples, poses = whole.samples("khepera0"), thin.samples("khepera0"), thin.poses()
     assert all_samples is not None
     assert samples is not None
@@ -74,7 +74,7 @@ def test_of_each_interval_the_first_sample_is_kept_in_every_channel(log: Path, t
 
 
 def test_of_the_transcript_a_command_and_its_reply_are_kept(log: Path, tmp_path: Path) -> None:
-    _, times_ns, texts = gathered(log, SECOND, tmp_path)
+    _, times_ns, texts = collected(log, SECOND, tmp_path)
     assert len({time_ns // SECOND for time_ns in times_ns}) == 6
     assert texts[0] == "[host] N"
     assert texts[1].startswith("[robot] n,")

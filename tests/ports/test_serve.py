@@ -15,7 +15,7 @@ import pytest
 import serial
 from command_line import khep_twin
 from forked import Forked, run_python
-from lateness import lateness
+from scheduling_delay import scheduling_delay
 from served_twin import served, stop
 
 from khep_twin import playpen
@@ -43,7 +43,7 @@ def test_a_host_in_pyserial_gets_its_reply(path: str, ending: bytes) -> None:
 
 
 def test_the_reply_takes_its_time_on_the_line(path: str) -> None:
-    with lateness() as late, serial.Serial(path, 9600, stopbits=2, timeout=TIMEOUT_S) as port:
+    with scheduling_delay() as late, serial.Serial(path, 9600, stopbits=2, timeout=TIMEOUT_S) as port:
         start = time.monotonic()
         port.write(b"N\n")
         reply = port.readline()
@@ -91,7 +91,7 @@ def test_a_host_in_c_style_reads_and_writes_a_descriptor(path: str) -> None:
 
 
 def test_our_own_host_drives_it_in_real_time(path: str) -> None:
-    with lateness() as late, Khepera(path) as robot:
+    with scheduling_delay() as late, Khepera(path) as robot:
         robot.set_position(0, 0)
         robot.set_speed(5, 5)
         start = time.monotonic()
@@ -177,7 +177,7 @@ def test_the_last_command_of_a_host_that_closes_at_once_is_carried_out(path: str
 
 def test_at_full_speed_without_line_time_answers_come_at_once() -> None:
     with (
-        lateness() as late,
+        scheduling_delay() as late,
         served("default", "--speed", "max", "--unpaced") as (_, path),
         serial.Serial(path, 9600, timeout=TIMEOUT_S) as port,
     ):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from khep_twin.log.viewer import robot_panel
-from khep_twin.log.viewer.gathered import Samples
+from khep_twin.log.viewer.collected import Samples
 from khep_twin.log.viewer.robot_panel import panel_chunks
 from khep_twin.sensing.bars import BARS
 

@@ -12,7 +12,7 @@ from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.alarms import AlarmChange
 from khep_twin.shadow.following import Follower
-from khep_twin.shadow.learned import LEARNED, Learned, learned
+from khep_twin.shadow.learned_values import VALUE_NAMES, LearnedValues, values_learned
 from khep_twin.shadow.recording import Heard, recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings, Update
 from studies.twin_runs import Followed, Recording, follow, told_playpen
@@ -233,16 +233,16 @@ def test_a_follower_steps_through_silence_and_tells_when_alarms_begin_and_end() 
 
 def test_a_shadow_learns_its_robots_wheels_and_gains(log: Path, followed: Followed) -> None:
     shadow = Shadow(told_playpen("workshop", followed.truth), SETTINGS)
-    before = learned(shadow)
+    before = values_learned(shadow)
     assert before.wheels == pytest.approx(np.ones(3), abs=0.01)
     assert before.gains == pytest.approx(np.ones(8), abs=0.1)
     for heard in recorded(log).heard:
         if heard.time_ns < 7 * SECOND:
             shadow.feed(*heard)
-    after = learned(shadow)
+    after = values_learned(shadow)
     # What has looked at something is known better.
     assert (after.gain_deviations < 0.7 * before.gain_deviations).any()
     assert (after.wheel_deviations > 0).all()
-    assert len(after.row) == len(LEARNED)
-    again = Learned.of_row(after.row)
+    assert len(after.row) == len(VALUE_NAMES)
+    again = LearnedValues.of_row(after.row)
     assert all(np.array_equal(one, two) for one, two in zip(again, after, strict=True))

@@ -20,7 +20,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PORT_FAILURES, LogError, PortError
 from khep_twin.host import Khepera
 from khep_twin.log.channels import TextLine
-from khep_twin.log.decoding import Misfit, shown
+from khep_twin.log.decoding import DecodeError, shown
 from khep_twin.log.recorded import Recorded
 from khep_twin.log.transcript import text_of
 
@@ -126,7 +126,7 @@ def _baud(recorded: Recorded, events: Sequence[HostEvent]) -> int:
         return known[0]
     text = recorded.label.metadata.get("baud", "9600")
     if not re.fullmatch("[1-9][0-9]{0,8}", text):
-        raise Misfit(f"baud = {shown(text)}", "an integer").at(recorded.path, "metadata")
+        raise DecodeError(f"baud = {shown(text)}", "an integer").at(recorded.path, "metadata")
     return int(text)
 
 

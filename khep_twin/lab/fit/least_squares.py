@@ -179,11 +179,11 @@ class _Problem:
         x = (values - self._start) / self._scales
         bends, _ = self._normal(x, self._scaled(x), np.ones(1))
         free = np.flatnonzero(~held)
-        strengths, ways = np.linalg.eigh(bends[np.ix_(free, free)])
+        strengths, directions = np.linalg.eigh(bends[np.ix_(free, free)])
         if not strengths[0] > _UNTOLD * strengths[-1]:
-            worst = self._parameters[int(free[np.abs(ways[:, 0]).argmax()])]
+            worst = self._parameters[int(free[np.abs(directions[:, 0]).argmax()])]
             raise FitError(f"{worst.name}: cannot be determined; expected {wanted}")
-        covariance = (ways / strengths) @ ways.T
+        covariance = (directions / strengths) @ directions.T
         # A deviation of a held parameter moves the others' best values.
         moved = covariance @ bends[np.ix_(free, np.flatnonzero(held))] / self._pulls[held]
         variances = np.zeros(len(values))
@@ -193,14 +193,14 @@ class _Problem:
 
     def _normal(self, x: Floats, left: Floats, weights: Floats) -> tuple[Floats, Floats]:
         """Return the matrix of the normal equations (n, n) and their right side (n,), priors included."""
-        n, ways = len(x), np.diag(self._pulls**2)
+        n, penalty = len(x), np.diag(self._pulls**2)
         if self._owners is None:
-            slopes = np.column_stack([self._slope(x, way) for way in np.eye(n) * self._step])
+            slopes = np.column_stack([self._slope(x, direction) for direction in np.eye(n) * self._step])
             weighted = slopes * weights[:, None]
-            return weighted.T @ slopes + ways, -(weighted.T @ left + self._pulls**2 * x)
+            return weighted.T @ slopes + penalty, -(weighted.T @ left + self._pulls**2 * x)
         steps = np.full(n, self._step)
         slopes = [self._slope(x, np.where(np.isin(np.arange(n), own), steps, 0)) for own in self._owners.T]
-        bends, downhill = ways.ravel(), -(self._pulls**2) * x
+        bends, downhill = penalty.ravel(), -(self._pulls**2) * x
         for own, slope in zip(self._owners.T, slopes, strict=True):
             downhill -= np.bincount(own, slope * weights * left, n)
             for other, across in zip(self._owners.T, slopes, strict=True):

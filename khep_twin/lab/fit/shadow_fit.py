@@ -20,7 +20,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.shadow.following import Follower
-from khep_twin.shadow.learned import LEARNED, Learned, learned
+from khep_twin.shadow.learned_values import VALUE_NAMES, LearnedValues, values_learned
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.start import PUBLISHED
@@ -34,7 +34,7 @@ _TOLD = {
 }
 
 
-def read_learned(path: Path) -> tuple[Learned, Calibration] | None:
+def read_learned(path: Path) -> tuple[LearnedValues, Calibration] | None:
     """Return what the shadow of a log had learned at its end, and its calibration; None of another log.
 
     Raises:
@@ -45,16 +45,16 @@ def read_learned(path: Path) -> tuple[Learned, Calibration] | None:
     if not is_shadow(label):
         return None
     values = arrays.get("/shadow/learned", (None, np.empty((0, 0))))[1]
-    if not len(values) or values.shape[1] != len(LEARNED):
+    if not len(values) or values.shape[1] != len(VALUE_NAMES):
         raise FitError(f"{path}: this shadow has learned nothing; expected replies to N in its log")
     text = next((text for name, text in label.attachments.items() if name.startswith("calibration/")), "")
     start = toml_files.validate(Calibration, text, f"{path}: calibration", CalibrationError)
-    return Learned.of_row(values[-1]), start
+    return LearnedValues.of_row(values[-1]), start
 
 
 def follow_all(
     path: Path, playpen: str, progress: Callable[[float], None] | None
-) -> tuple[Learned, Calibration]:
+) -> tuple[LearnedValues, Calibration]:
     """Follow the line of a relay's log; return what a shadow learns from it, and its calibration.
 
     Args:
@@ -76,10 +76,10 @@ def follow_all(
             progress(number / len(line.heard))
     if not follower.replies:
         raise FitError(f"{path}: no reply with values; expected replies to N")
-    return learned(shadow), calibration.read(found.robots[0].calibration)[0]
+    return values_learned(shadow), calibration.read(found.robots[0].calibration)[0]
 
 
-def fit_learned(found: Learned, start: Calibration) -> RobotFit:
+def fit_learned(found: LearnedValues, start: Calibration) -> RobotFit:
     """Return the calibration of a robot that a shadow has followed with `start`."""
     values, lines, kept = list[FittedValue](), list[str](), list[str]()
     wheels, gains = dict[str, float](), list(start.proximity.gain_counts_mm2)
@@ -104,7 +104,7 @@ def fit_learned(found: Learned, start: Calibration) -> RobotFit:
     )
 
 
-def learned_values(found: Learned, start: Calibration) -> Iterator[tuple[FittedValue, float]]:
+def learned_values(found: LearnedValues, start: Calibration) -> Iterator[tuple[FittedValue, float]]:
     """Yield all values with their intervals, and the intervals in which they were known before."""
     known = PUBLISHED.radius, PUBLISHED.ratio, PUBLISHED.base
     parts, deviations = found.wheels.tolist(), found.wheel_deviations.tolist()

@@ -22,7 +22,7 @@ from khep_twin.drawing.light_map import illumination
 from khep_twin.errors import LogError
 from khep_twin.log.attached import playpen_of, shapes_of
 from khep_twin.log.reader import Label
-from khep_twin.log.viewer.gathered import Gatherer, Poses, Samples, time_column
+from khep_twin.log.viewer.collected import Collector, Poses, Samples, time_column
 from khep_twin.units import COUNTS_LIMIT, Sensor, metres
 
 Floats = NDArray[np.float64]
@@ -187,17 +187,17 @@ EVENTS = "/event_marks"
 
 
 def event_chunks(
-    label: Label, gathered: Gatherer, poses: Poses | None, before: Mapping[str, Floats]
+    label: Label, collected: Collector, poses: Poses | None, before: Mapping[str, Floats]
 ) -> list[Chunk]:
     """Return marks of events: in the arena at the robot's position, in the curves at 0.
 
     Args:
         label: Label of the log.
-        gathered: Data of the log, or of a piece of it.
+        collected: Data of the log, or of a piece of it.
         poses: Poses in it; None without.
         before: Last pose of each robot in the pieces before, of a log that comes in pieces.
     """
-    times_ns, texts = gathered.events()
+    times_ns, texts = collected.events()
     if not len(texts):
         return []
     times = time_column(times_ns)
@@ -242,9 +242,9 @@ class FloorLight:
         self._steady = not any((lamp.on_s or lamp.blink_period_s) for lamp in self._playpen.lamps)
         self._steady &= self._playpen.lighting.mode == "all"
 
-    def chunks(self, gathered: Gatherer) -> Iterator[Chunk]:
+    def chunks(self, collected: Collector) -> Iterator[Chunk]:
         """Yield the floor for each new combination of lamps, and the times at which each is shown."""
-        times_ns, powers = gathered.lamps()
+        times_ns, powers = collected.lamps()
         if not self._full.any() or (powers is None and (self._states or not self._steady)):
             return
         if powers is not None and powers.shape[1] != len(self._full):

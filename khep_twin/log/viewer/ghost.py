@@ -24,7 +24,7 @@ from khep_twin.log.label import Label
 from khep_twin.log.reader import hash_of, read_series
 from khep_twin.log.shadow_channels import LIGHT, PARTICLES, PROXIMITY, TIMING, WHEELS, is_shadow, planar
 from khep_twin.log.viewer.arena import REACH, in_frame, path_chunks, trail
-from khep_twin.log.viewer.gathered import Floats, Gatherer, time_column
+from khep_twin.log.viewer.collected import Collector, Floats, time_column
 
 RESIDUALS = {
     "residual_proximity": PROXIMITY,
@@ -83,14 +83,14 @@ class Ghost:
         self._before: dict[str, Floats] = {}
         self._truth = _truth(label, source)
 
-    def chunks(self, gathered: Gatherer) -> Iterator[Chunk]:
+    def chunks(self, collected: Collector) -> Iterator[Chunk]:
         """Yield the additions of a piece."""
         if self._truth is not None:
             times_ns, poses = self._truth
             yield from self._outline(TRUTH, times_ns[::2], poses[::2])
             yield from self._path(TRUTH, times_ns, poses)
             self._truth = None
-        found = gathered.shadow()
+        found = collected.shadow()
         if found is None:
             return
         times_ns, residuals = found.times_ns, found.residuals

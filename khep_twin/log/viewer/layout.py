@@ -13,7 +13,7 @@ from khep_twin.log.attached import playpen_of
 from khep_twin.log.reader import Label
 from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.log.viewer.arena import EVENTS, trail
-from khep_twin.log.viewer.gathered import TIMELINE
+from khep_twin.log.viewer.collected import TIMELINE
 from khep_twin.log.viewer.ghost import RECKONED, TRUTH
 from khep_twin.log.viewer.robot_panel import panel
 from khep_twin.log.viewer.vision import seeing, strip

@@ -30,7 +30,7 @@ from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.entries import Entry
 from khep_twin.log.reader import Label
 from khep_twin.log.tail import GrowingLog
-from khep_twin.log.viewer.gathered import Gatherer, times_of
+from khep_twin.log.viewer.collected import Collector, times_of
 from khep_twin.log.viewer.layout import Shown, layout
 from khep_twin.log.viewer.process import Web, open_viewer
 from khep_twin.log.viewer.replay import UNSEEN, Additions, standing_chunks
@@ -178,15 +178,15 @@ class Translator:
             writer.add_lines(channel, [each.time_ns for each in found], [each.data for each in found])
         writer.finish()
         self._piece.write_bytes(piece.getvalue())
-        gatherer = Gatherer()
-        chunks = list(gatherer.passing(self._piece, self._source))
+        collector = Collector()
+        chunks = list(collector.passing(self._piece, self._source))
         passing = [chunk for chunk in chunks if not chunk.is_static]
         # Each piece describes its channels; once is enough.
         standing = [chunk for chunk in chunks if chunk.is_static and chunk.entity_path not in self._described]
         self._described |= {chunk.entity_path for chunk in standing}
         if self._additions is None:
             self._additions = Additions(label, self._source)
-        added = list(self._additions.chunks(gatherer, lambda samples: samples))
+        added = list(self._additions.chunks(collector, lambda samples: samples))
         standing += [chunk for chunk in added if chunk.is_static]
         passing += [chunk for chunk in added if not chunk.is_static]
         return standing, passing

@@ -26,7 +26,7 @@ from khep_twin.log.attached import playpen_of, shapes_of
 from khep_twin.log.reader import Label, read_end_ns, read_with_messages
 from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.log.viewer.arena import FloorLight, Rays, event_chunks, trail_chunks
-from khep_twin.log.viewer.gathered import Floats, Gatherer, Samples, times_of
+from khep_twin.log.viewer.collected import Collector, Floats, Samples, times_of
 from khep_twin.log.viewer.ghost import Ghost
 from khep_twin.log.viewer.layout import Shown, layout
 from khep_twin.log.viewer.process import Web, open_viewer
@@ -197,14 +197,14 @@ def _recording(
 
 def _chunks(path: Path, copy: Path, label: Label, progress: Progress) -> Generator[Chunk, None, None]:
     """Yield all shown chunks of a log."""
-    gatherer, end_ns = Gatherer(), read_end_ns(path)
-    for chunk in gatherer.passing(copy, path):
+    collector, end_ns = Collector(), read_end_ns(path)
+    for chunk in collector.passing(copy, path):
         yield chunk
         if progress is not None and not chunk.is_static and end_ns:
             progress(min(times_of(chunk.to_record_batch()).max(initial=0) / end_ns, 1.0))
     yield from standing_chunks(label)
     additions = Additions(label, path, max(INTERVAL_NS, end_ns // PICTURES))
-    yield from additions.chunks(gatherer, _few)
+    yield from additions.chunks(collector, _few)
 
 
 def _few(samples: Samples) -> Samples:
@@ -229,16 +229,16 @@ class Additions:
         self._last: dict[str, Floats] = {}
         self._ghost = Ghost(label, source) if is_shadow(label) else None
 
-    def chunks(self, gathered: Gatherer, thinned: Callable[[Samples], Samples]) -> Iterator[Chunk]:
+    def chunks(self, collected: Collector, thinned: Callable[[Samples], Samples]) -> Iterator[Chunk]:
         """Yield those of a piece; `thinned` returns the samples that have a picture."""
-        poses = gathered.poses()
-        yield from event_chunks(self._label, gathered, poses, self._last)
+        poses = collected.poses()
+        yield from event_chunks(self._label, collected, poses, self._last)
         if poses is not None and self._rays is None:
             self._rays, self._light = Rays(self._label, self._source), FloorLight(self._label, self._source)
         for robot in self._label.robots:
-            if (images := gathered.images(robot)) is not None:
+            if (images := collected.images(robot)) is not None:
                 yield from self._strips.chunks(robot, *images)
-            if (samples := gathered.samples(robot)) is not None:
+            if (samples := collected.samples(robot)) is not None:
                 few = thinned(samples)
                 yield from panel_chunks(robot, few)
                 if poses is not None and self._rays is not None:
@@ -247,9 +247,9 @@ class Additions:
                 yield from trail_chunks(robot, poses, self._last.get(robot))
                 self._last[robot] = poses.bodies[f"{robot}/base"][-1]
         if self._light is not None:
-            yield from self._light.chunks(gathered)
+            yield from self._light.chunks(collected)
         if self._ghost is not None:
-            yield from self._ghost.chunks(gathered)
+            yield from self._ghost.chunks(collected)
 
 
 def _moved(chunks: Iterable[Chunk], log: Shown) -> Generator[Chunk, None, None]:

@@ -15,7 +15,7 @@ import numpy as np
 import rerun as rr
 from rerun.chunk import Chunk
 
-from khep_twin.log.viewer.gathered import Floats, Samples, time_column
+from khep_twin.log.viewer.collected import Floats, Samples, time_column
 from khep_twin.sensing.bars import BARS
 from khep_twin.units import BODIES, WHEEL_BASE, WHEEL_RADIUS
 

@@ -14,7 +14,7 @@ import rerun.experimental as rx
 
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import write_whole
-from khep_twin.log.viewer.gathered import TIMELINE
+from khep_twin.log.viewer.collected import TIMELINE
 from khep_twin.log.viewer.process import free_ports
 
 _OPENING_TIMEOUT_S = 30.0

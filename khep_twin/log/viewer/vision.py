@@ -11,7 +11,7 @@ from rerun.chunk import Chunk
 from khep_twin.board.turrets import installed
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.reader import Label
-from khep_twin.log.viewer.gathered import Floats, time_column
+from khep_twin.log.viewer.collected import Floats, time_column
 
 ROWS = 100
 """Rows of a strip, of one image each."""

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import pytest
-from lateness import lateness
+from scheduling_delay import scheduling_delay
 from served_twin import served
 
 from khep_twin.host import Khepera
@@ -11,7 +11,7 @@ from khep_twin.lab.conformance.port.check import Check, CheckedPort
 from khep_twin.lab.conformance.port.conform import checks, run_check
 
 MOST_LATE = 0.003
-"""Lateness of the machine that the checks of pace bear [s]."""
+"""Scheduling delay that the checks of pace bear [s]."""
 
 TWINS = [f"{kind}-{baudrate}" for kind in ("khep", "pty") for baudrate in (9600, 19200, 38400)]
 SHARE = {"khep-9600": lambda check: True, "pty-38400": lambda check: not check.moves}
@@ -56,7 +56,7 @@ def test_the_port_conforms(line: CheckedPort, check: Check) -> None:
         return
     # In real time a busy machine delays replies, which is no deviation of the port's.
     for _ in range(5):
-        with lateness() as late:
+        with scheduling_delay() as late:
             deviation = run_check(check, line).deviation
         if not deviation or late.worst < MOST_LATE:
             break

@@ -5,24 +5,24 @@ import pytest
 
 from khep_twin.lab.fit.shadow_fit import fit_learned
 from khep_twin.sensing import calibration
-from khep_twin.shadow.learned import LEARNED, Learned
+from khep_twin.shadow.learned_values import VALUE_NAMES, LearnedValues
 
 START = calibration.read("khepera1")[0]
 
 
 def test_a_row_has_all_that_was_learned() -> None:
-    row = np.arange(len(LEARNED), dtype=np.float64)
-    found = Learned.of_row(row)
+    row = np.arange(len(VALUE_NAMES), dtype=np.float64)
+    found = LearnedValues.of_row(row)
     assert [len(part) for part in found] == [3, 3, 8, 8]
     assert np.array_equal(found.row, row)
-    assert LEARNED[4] == "deviation of right over left"
-    assert len(set(LEARNED)) == len(LEARNED)
+    assert VALUE_NAMES[4] == "deviation of right over left"
+    assert len(set(VALUE_NAMES)) == len(VALUE_NAMES)
 
 
 def test_what_the_drive_has_determined_is_taken_and_the_rest_stays() -> None:
     gains, deviations = np.full(8, 1.2), np.full(8, 0.05)
     deviations[3] = 0.3
-    found = fit_learned(Learned(np.full(3, 1.01), np.full(3, 1.0), gains, deviations), START)
+    found = fit_learned(LearnedValues(np.full(3, 1.01), np.full(3, 1.0), gains, deviations), START)
     near, before = found.calibration.proximity.gain_counts_mm2, START.proximity.gain_counts_mm2
     assert near[0] == pytest.approx(1.2 * before[0])
     assert near[3] == before[3]

@@ -29,7 +29,7 @@ def _drive_to(line: CheckedPort, left: int, right: int) -> float:
     return line.time() - start
 
 
-def _ways(line: CheckedPort, command: str, left: int, right: int, duration: float) -> list[int]:
+def _travelled(line: CheckedPort, command: str, left: int, right: int, duration: float) -> list[int]:
     """Apply D or P for a duration [s] and stop; return the change of the counters [pulses]."""
     before = line.numbers("H", 2)
     line.order(f"{command},{left},{right}", pause=duration)
@@ -38,7 +38,7 @@ def _ways(line: CheckedPort, command: str, left: int, right: int, duration: floa
     return [now - then for then, now in zip(before, after, strict=True)]
 
 
-def _took_its_time(took: float) -> None:
+def _expect_profile_time(took: float) -> None:
     # From rest over 1000 pulses at 0.25 pulses per tick^2: 2 sqrt(1000 / 0.25) ticks are 1.26 s.
     if not 1.1 < took < 2.0:
         raise Deviation(f"1000 pulses took {took:.2f} s; expected 1.26 s and some settling")
@@ -74,7 +74,7 @@ def status_of_each_wheel(line: CheckedPort) -> None:
     line.order("J,20,64,20,64", "G,0,0", "C,1000,0", pause=0.6)
     status = line.numbers("K", 6)
     if status[:5:3] != [0, 1]:
-        raise Deviation(f"with only the left wheel on its way K gave {status}; expected T 0 and 1")
+        raise Deviation(f"with only the left wheel moving K gave {status}; expected T 0 and 1")
     line.sleep(1.5)
     _drive_to(line, 0, 0)
     for target, sign in ((1000, 1), (0, -1)):
@@ -141,9 +141,9 @@ def restart_in_motion(line: CheckedPort) -> None:
 def wheel_order(line: CheckedPort) -> None:
     line.order("G,0,0")
     for left, right in ((5, -5), (-5, 5)):
-        ways = _ways(line, "D", left, right, 0.7)
-        if ways[0] * left <= 100 or ways[1] * right <= 100:
-            raise Deviation(f"D,{left},{right} moved the counters by {ways}")
+        pulses = _travelled(line, "D", left, right, 0.7)
+        if pulses[0] * left <= 100 or pulses[1] * right <= 100:
+            raise Deviation(f"D,{left},{right} moved the counters by {pulses}")
 
 
 @check("C goes to a position along the profile and reports arrival", "A, commands C and J", FORWARD)
@@ -151,7 +151,7 @@ def position(line: CheckedPort) -> None:
     line.order("J,20,64,20,64", "G,0,0")
     for target in (1000, 0):
         took = _drive_to(line, target, target)
-        _took_its_time(took)
+        _expect_profile_time(took)
         expect_range("H", [count - target for count in line.numbers("H", 2)], -3, 3)
         expect_range("K", line.numbers("K", 6)[2::3], -3, 3)
 
@@ -162,7 +162,7 @@ def profile_after_restart(line: CheckedPort) -> None:
     line.send("restart\n")
     line.read_until_quiet(SETTLE)
     for target in (1000, 0):
-        _took_its_time(_drive_to(line, target, target))
+        _expect_profile_time(_drive_to(line, target, target))
 
 
 @check("the sensors come in the manual's order, clockwise from the left", "A, command N", TO_A_WALL)
@@ -197,9 +197,9 @@ def sensor_order(line: CheckedPort) -> None:
 def open_loop(line: CheckedPort) -> None:
     line.order("G,0,0")
     for duty in (40, -40):
-        ways = _ways(line, "P", duty, duty, 0.4)
-        if min(way * duty for way in ways) <= 0:
-            raise Deviation(f"P,{duty},{duty} moved the counters by {ways}")
+        pulses = _travelled(line, "P", duty, duty, 0.4)
+        if min(each * duty for each in pulses) <= 0:
+            raise Deviation(f"P,{duty},{duty} moved the counters by {pulses}")
     line.order("D,0,0")
 
 

@@ -33,7 +33,7 @@ def _status(line: CheckedPort) -> RadioStatus:
     return RadioStatus(status)
 
 
-def _sent(line: CheckedPort) -> RadioStatus:
+def _wait_until_sent(line: CheckedPort) -> RadioStatus:
     """Return the status once the radio is ready to send."""
     end = line.time() + MESSAGE_TIME
     while not (status := _status(line)) & RadioStatus.READY:
@@ -46,7 +46,7 @@ def _sent(line: CheckedPort) -> RadioStatus:
 @check("a radio reports its version, its status and received messages", "simulators", turret=RADIO_NUMBER)
 def reports(line: CheckedPort) -> None:
     ask_turret(line, RADIO_NUMBER, "B", 2)
-    _sent(line)
+    _wait_until_sent(line)
     for _ in range(_MOST_READS):
         waits = _status(line) & RadioStatus.RECEIVED
         sender, length, *data = ask_turret(line, RADIO_NUMBER, "R", 2 + RADIO_BYTES)
@@ -60,13 +60,13 @@ def reports(line: CheckedPort) -> None:
 
 @check("a radio refuses orders and messages that do not exist", "assumed", turret=RADIO_NUMBER)
 def refusals(line: CheckedPort) -> None:
-    _sent(line)
+    _wait_until_sent(line)
     ask_turret(line, RADIO_NUMBER, _order(RADIO_ALL, 0), 0)
-    _sent(line)
+    _wait_until_sent(line)
     rubbish = ["S", f"S,{NOBODY},1,2", _order(NOBODY, 1) + ",0", _order(NOBODY, RADIO_BYTES + 1)]
     rubbish += [_order(NOBODY, -1), _order(NOBODY, 1, 256), _order(NOBODY + 1, 1), _order(RADIO_ALL - 1, 1)]
     expect_refusals(line, *(f"T,{RADIO_NUMBER},{message}" for message in (*rubbish, "F,1", "R,1", "Q")))
-    if _sent(line) & RadioStatus.FAILED:
+    if _wait_until_sent(line) & RadioStatus.FAILED:
         raise Deviation("a radio has sent a message that it has refused")
 
 
@@ -76,15 +76,15 @@ def refusals(line: CheckedPort) -> None:
     turret=RADIO_NUMBER,
 )
 def broadcast(line: CheckedPort) -> None:
-    _sent(line)
+    _wait_until_sent(line)
     ask_turret(line, RADIO_NUMBER, _order(RADIO_ALL, 5, *b"hello"), 0)
-    if (status := _sent(line)) & RadioStatus.FAILED:
+    if (status := _wait_until_sent(line)) & RadioStatus.FAILED:
         raise Deviation(f"a message to all failed: status {status:d}")
 
 
 @check("a radio is not ready while it sends, and takes no second message", "assumed", turret=RADIO_NUMBER)
 def one_at_a_time(line: CheckedPort) -> None:
-    _sent(line)
+    _wait_until_sent(line)
     message = f"T,{RADIO_NUMBER},{_order(NOBODY, 1, 7)}"
     status_request = f"T,{RADIO_NUMBER},F"
     line.send(f"{message}\n{status_request}\n{message}\n")
@@ -95,7 +95,7 @@ def one_at_a_time(line: CheckedPort) -> None:
         raise Deviation(f"a radio that sends has the status {status}; expected one without the first bit")
     if not second.startswith("z,"):
         raise Deviation(f"a second message was answered {second!r} while the first was sent; expected 'z,…'")
-    _sent(line)
+    _wait_until_sent(line)
 
 
 @check(
@@ -104,19 +104,19 @@ def one_at_a_time(line: CheckedPort) -> None:
     turret=RADIO_NUMBER,
 )
 def failure(line: CheckedPort) -> None:
-    _sent(line)
+    _wait_until_sent(line)
     ask_turret(line, RADIO_NUMBER, _order(NOBODY, RADIO_BYTES, *range(RADIO_BYTES)), 0)
     for _ in range(2):
-        if not (status := _sent(line)) & RadioStatus.FAILED:
+        if not (status := _wait_until_sent(line)) & RadioStatus.FAILED:
             raise Deviation(f"a message to nobody did not fail: status {status:d}")
     ask_turret(line, RADIO_NUMBER, _order(RADIO_ALL, 0), 0)
-    if (status := _sent(line)) & RadioStatus.FAILED:
+    if (status := _wait_until_sent(line)) & RadioStatus.FAILED:
         raise Deviation(f"a radio reports the failure of an earlier message: status {status:d}")
 
 
 @check("a restart drops the message that a radio sends", "assumed", turret=RADIO_NUMBER)
 def restart(line: CheckedPort) -> None:
-    _sent(line)
+    _wait_until_sent(line)
     ask_turret(line, RADIO_NUMBER, _order(NOBODY, 1, 7), 0)
     line.send("restart\n")
     line.read_until_quiet(SETTLE)

@@ -125,9 +125,11 @@ def turning(line: CheckedPort) -> None:
     line.order("D,0,0")
     if max(before) - min(before) < _CONTRAST or max(after) - min(after) < _CONTRAST:
         return  # nothing to tell a turn by
-    way = min(range(-24, 25), key=lambda way: (_difference(before, after, way), abs(way)))
-    if not 4 <= way <= 18:
-        raise Deviation(f"a turn to the left by 6 degrees moved the image by {way} pixels; expected about 10")
+    shift = min(range(-24, 25), key=lambda shift: (_difference(before, after, shift), abs(shift)))
+    if not 4 <= shift <= 18:
+        raise Deviation(
+            f"a turn to the left by 6 degrees moved the image by {shift} pixels; expected about 10"
+        )
 
 
 def _turn(line: CheckedPort, pulses: int) -> None:
@@ -138,9 +140,11 @@ def _turn(line: CheckedPort, pulses: int) -> None:
     line.sleep(_SCAN)
 
 
-def _difference(before: list[int], after: list[int], way: int) -> float:
+def _difference(before: list[int], after: list[int], shift: int) -> float:
     """Return the mean difference of two images of which one is moved to the right by some pixels."""
     pairs = [
-        (before[pixel - way], after[pixel]) for pixel in range(K213_PIXELS) if 0 <= pixel - way < K213_PIXELS
+        (before[pixel - shift], after[pixel])
+        for pixel in range(K213_PIXELS)
+        if 0 <= pixel - shift < K213_PIXELS
     ]
     return sum(abs(one - other) for one, other in pairs) / len(pairs)

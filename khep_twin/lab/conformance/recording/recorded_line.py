@@ -25,7 +25,7 @@ from khep_twin.lab.conformance.recording.board_model import (
     wrong_modes,
 )
 from khep_twin.log.channels import TextLine
-from khep_twin.log.decoding import Misfit, decoded, read_line
+from khep_twin.log.decoding import DecodeError, decoded, read_line
 from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
 from khep_twin.log.host_events import read_events
 from khep_twin.log.label import Label
@@ -113,7 +113,7 @@ def _robots_of(label: Label, path: Path) -> list[KnownRobot]:
 
     entries = playpen_of(label.attachments, path).robots
     if len(entries) != len(label.robots):
-        raise Misfit(f"{len(label.robots)} robots", f"{len(entries)}, those of its playpen.toml").at(
+        raise DecodeError(f"{len(label.robots)} robots", f"{len(entries)}, those of its playpen.toml").at(
             path, "metadata"
         )
     return [KnownRobot(entry.rom, entry.mode, tuple(find(entry.turrets))) for entry in entries]

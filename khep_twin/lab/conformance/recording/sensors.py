@@ -26,8 +26,8 @@ _DIFFERENT = 50
 _DARK = 10
 """Proximity below which nothing is near [counts] (assumed)."""
 
-_FAR = 1000
-"""Way of a wheel in which the readings of a robot change [pulses] (assumed)."""
+_FAR_PULSES = 1000
+"""Travel of a wheel in which the readings of a robot change [pulses] (assumed)."""
 
 
 def _readings(line: RecordedLine, letter: str) -> list[tuple[RecordedStep, tuple[int, ...]]]:
@@ -112,11 +112,11 @@ def _windows(line: RecordedLine, letter: str) -> Iterator[tuple[list[RecordedSte
 @check("readings change while the robot drives", "3.1.5")
 def frozen_readings(line: RecordedLine) -> Verdict:
     seen, findings = 0, list[Finding]()
-    ways = _ways(line)
+    distances = _travelled(line)
     for letter in "NO":
         for steps, values in _windows(line, letter):
-            driven = _way_between(ways, steps[0].arrived_ns, steps[-1].arrived_ns)
-            if driven < _FAR or (letter == "N" and values.max() <= _DARK):
+            driven = _travel_between(distances, steps[0].arrived_ns, steps[-1].arrived_ns)
+            if driven < _FAR_PULSES or (letter == "N" and values.max() <= _DARK):
                 continue
             seen += 1
             if not np.diff(values, axis=0).any():
@@ -125,7 +125,7 @@ def frozen_readings(line: RecordedLine) -> Verdict:
     return Verdict(seen, findings)
 
 
-def _ways(line: RecordedLine) -> NDArray[np.int64]:
+def _travelled(line: RecordedLine) -> NDArray[np.int64]:
     """Return times [ns] and counters of the replies to H (n, 3), or else those that D's speeds would give."""
     counters = [
         (step.arrived_ns, *values)
@@ -143,7 +143,7 @@ def _ways(line: RecordedLine) -> NDArray[np.int64]:
     return np.array(rows, np.int64).reshape(-1, 3)
 
 
-def _way_between(ways: NDArray[np.int64], from_ns: int, until_ns: int) -> int:
-    """Return the larger of the wheels' ways between two times [pulses]."""
-    within = ways[(ways[:, 0] >= from_ns) & (ways[:, 0] <= until_ns), 1:]
+def _travel_between(distances: NDArray[np.int64], from_ns: int, until_ns: int) -> int:
+    """Return the larger of the wheels' distances between two times [pulses]."""
+    within = distances[(distances[:, 0] >= from_ns) & (distances[:, 0] <= until_ns), 1:]
     return int(np.abs(np.diff(within, axis=0)).sum(axis=0).max()) if len(within) > 1 else 0

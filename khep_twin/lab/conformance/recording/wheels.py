@@ -27,23 +27,23 @@ SIDES = ("left", "right")
 _SLOWEST = 3
 """Slowest speed that is compared: E has whole pulses/10 ms."""
 
-_WAY = 2000
-"""Way after which two measures of it are compared [pulses], 160 mm."""
+_DISTANCE = 2000
+"""Distance after which two measures of it are compared [pulses], 160 mm."""
 
-_APART = 0.5
-"""Largest deviation of two measures of a way, as a share of it (assumed; bumps and starts lie between)."""
+_LARGEST_DEVIATION = 0.5
+"""Largest deviation of two measures of a distance, as a share of it (assumed; bumps lie between)."""
 
 _SETTLED_NS = NS_PER_S // 2
 """Time after a change of D until a wheel has its speed [ns] (docs/protocol.md: 120 ms on the floor)."""
 
 _STEADY = 0.2
-"""Largest difference of the speeds around a way, as a share of them (assumed)."""
+"""Largest difference of the speeds around a distance, as a share of them (assumed)."""
 
 _LONGEST_NS = NS_PER_S // 5
 """Longest time between two counters over which the speeds at its ends say what was between [ns] (assumed)."""
 
 _UNSURE_NS = 30_000_000
-"""Longest time within which a value was read at some moment, of those that are compared over ways [ns]."""
+"""Longest time within which a value was read at some moment, for comparisons over distances [ns]."""
 
 
 class _Counter(NamedTuple):
@@ -112,16 +112,16 @@ def counters_after_restart(line: RecordedLine) -> Verdict:
     return _jumps(line, "restart", "")
 
 
-# Ways ----------------------------------------------------------------------------------------------------
+# Distances -----------------------------------------------------------------------------------------------
 
 
 @dataclass(slots=True)
-class _Ways:
-    """Sums of the ways of one wheel by two measures, and what they say after each `_WAY`.
+class _Distances:
+    """Sums of the distances of one wheel by two measures, and what they say after each `_DISTANCE`.
 
     Attributes:
         wheel: Name of the wheel.
-        first: What is compared, of `expected` ways.
+        first: What is compared, of `expected` distances.
         given: What it is compared with.
     """
 
@@ -135,14 +135,14 @@ class _Ways:
     _since: RecordedStep | None = None
 
     def add(self, step: RecordedStep, expected: float, found: float) -> None:
-        """Add a way by both measures [pulses]."""
+        """Add a distance by both measures [pulses]."""
         self._since = self._since or step
         self.seen += 1
         self._expected += abs(expected)
         self._found += found if expected > 0 else -found
-        if self._expected < _WAY:
+        if self._expected < _DISTANCE:
             return
-        if abs(self._found - self._expected) > _APART * self._expected:
+        if abs(self._found - self._expected) > _LARGEST_DEVIATION * self._expected:
             words = f"{self.first} of the {self.wheel} wheel {self._found:+.0f} pulses from here on"
             self.findings.append(finding(self._since, words, f"about {self._expected:+.0f} by {self.given}"))
         self._expected = self._found = 0.0
@@ -154,19 +154,21 @@ def _is_sure(step: RecordedStep) -> bool:
     return step.read_ns - step.arrived_ns < _UNSURE_NS
 
 
-def _is_way(known: _Counter, step: RecordedStep) -> bool:
+def _is_distance(known: _Counter, step: RecordedStep) -> bool:
     """Return whether two counters have been counted by the wheel, at times that are known well enough."""
     return known.source == "H" and known.until_ns - known.from_ns < _UNSURE_NS and _is_sure(step)
 
 
-def _verdict(ways: list[_Ways]) -> Verdict:
-    findings = [each for way in ways for each in way.findings]
-    return Verdict(sum(way.seen for way in ways), sorted(findings, key=lambda each: each.time_s))
+def _verdict(distances: list[_Distances]) -> Verdict:
+    findings = [each for distance in distances for each in distance.findings]
+    return Verdict(
+        sum(distance.seen for distance in distances), sorted(findings, key=lambda each: each.time_s)
+    )
 
 
 @check("counters go as far as the speeds of E say", "A, commands E and H")
 def counters_by_measured_speeds(line: RecordedLine) -> Verdict:
-    ways = [_Ways(side, "by H a way", "E") for side in SIDES]
+    distances = [_Distances(side, "by H a distance", "E") for side in SIDES]
     speeds = [(step.arrived_ns, *values) for step, values in read(line, "E") if _is_sure(step)]
     if len(speeds) < 2:
         return Verdict(0)
@@ -174,20 +176,20 @@ def counters_by_measured_speeds(line: RecordedLine) -> Verdict:
     times_ns, of_wheels = columns[0], columns[1:]
     for known, step, values in _counted(line):
         first, last = np.searchsorted(times_ns, [known.from_ns, step.arrived_ns]).tolist()
-        if not _is_way(known, step) or not 0 < first or last >= len(times_ns):
+        if not _is_distance(known, step) or not 0 < first or last >= len(times_ns):
             continue
         if times_ns[last] - times_ns[first - 1] > _LONGEST_NS:
             continue
         inside_ns: list[float] = times_ns[first:last].tolist()
         ends_ns: NDArray[np.float64] = np.array([known.from_ns, *inside_ns, step.arrived_ns])
-        for wheel, way in enumerate(ways):
+        for wheel, distance in enumerate(distances):
             speeds_around = of_wheels[wheel][first - 1 : last + 1]
             least = float(np.abs(speeds_around).min())
             if least >= _SLOWEST and np.ptp(speeds_around) <= max(_STEADY * least, 2):
                 between = np.interp(ends_ns, times_ns, of_wheels[wheel])
                 by_speeds = float(np.trapezoid(between, ends_ns / TICK_NS))
-                way.add(step, by_speeds, wrap(values[wheel] - known.values[wheel]))
-    return _verdict(ways)
+                distance.add(step, by_speeds, wrap(values[wheel] - known.values[wheel]))
+    return _verdict(distances)
 
 
 def _steady(line: RecordedLine) -> Iterator[tuple[RecordedStep, tuple[int, int], int]]:
@@ -207,28 +209,28 @@ def _steady(line: RecordedLine) -> Iterator[tuple[RecordedStep, tuple[int, int],
 
 @check("counters go as far as the speeds of D say", "A, commands D and H")
 def counters_by_setpoints(line: RecordedLine) -> Verdict:
-    ways = [_Ways(side, "by H a way", "D") for side in SIDES]
+    distances = [_Distances(side, "by H a distance", "D") for side in SIDES]
     since = {id(step): (speeds, since_ns) for step, speeds, since_ns in _steady(line)}
     for known, step, values in _counted(line):
         speeds, since_ns = since[id(step)]
-        if not _is_way(known, step) or known.from_ns < since_ns + _SETTLED_NS:
+        if not _is_distance(known, step) or known.from_ns < since_ns + _SETTLED_NS:
             continue
-        for wheel, way in enumerate(ways):
+        for wheel, distance in enumerate(distances):
             if abs(speeds[wheel]) >= _SLOWEST:
                 ticks = (step.arrived_ns - known.from_ns) / TICK_NS
-                way.add(step, speeds[wheel] * ticks, wrap(values[wheel] - known.values[wheel]))
-    return _verdict(ways)
+                distance.add(step, speeds[wheel] * ticks, wrap(values[wheel] - known.values[wheel]))
+    return _verdict(distances)
 
 
 @check("speeds of E are those of D", "A, commands D and E")
 def speeds_by_setpoints(line: RecordedLine) -> Verdict:
-    ways = [_Ways(side, "by E speeds, times 10,", "D") for side in SIDES]
+    distances = [_Distances(side, "by E speeds, times 10,", "D") for side in SIDES]
     for step, speeds, since_ns in _steady(line):
         values = step.exchange.values if step.exchange.letter == "E" else None
         if values is None or len(values) != 2 or step.arrived_ns < since_ns + _SETTLED_NS:
             continue
-        for wheel, way in enumerate(ways):
+        for wheel, distance in enumerate(distances):
             if abs(speeds[wheel]) >= _SLOWEST:
                 # Ten readings at a speed of 20 are compared at once.
-                way.add(step, 10 * speeds[wheel], 10 * values[wheel])
-    return _verdict(ways)
+                distance.add(step, 10 * speeds[wheel], 10 * values[wheel])
+    return _verdict(distances)

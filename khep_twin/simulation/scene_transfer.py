@@ -1,4 +1,4 @@
-"""State of the physics carried over to another scene: what both have by name goes on as it was.
+"""Transfer of the physical state to another scene: what both have by name goes on as it was.
 
 Bodies, joints and motors go on with their positions, speeds and warm starts; the new scene's other things
 stand as it has them. Everything is awake, as what slept may have lost what it leant on.
@@ -22,7 +22,7 @@ _SPEEDS = {0: 6, 1: 3, 2: 1, 3: 1}
 """Number of values of each type of joint: free, ball, slide, hinge."""
 
 
-def carry_over(old: Scene, new: Scene, placed: Sequence[str]) -> None:
+def transfer_state(old: Scene, new: Scene, placed: Sequence[str]) -> None:
     """Set the state of a new scene to that of an old one, for all that both have.
 
     Args:
@@ -44,7 +44,7 @@ def carry_over(old: Scene, new: Scene, placed: Sequence[str]) -> None:
     for motor in range(into.nu):
         if (source := names.get(into.actuator(motor).name)) is not None:
             fresh.ctrl[motor] = data.ctrl[source]
-    _carry_sensors(old, new)
+    _transfer_sensors(old, new)
     fresh.time = data.time
 
 
@@ -72,8 +72,8 @@ def _copy(into: NDArray[np.float64], start: int, source: NDArray[np.float64], at
     into[start : start + count] = source[at : at + count]
 
 
-def _carry_sensors(old: Scene, new: Scene) -> None:
-    """Carry over readings of MuJoCo's own sensors, with those that are on their way."""
+def _transfer_sensors(old: Scene, new: Scene) -> None:
+    """Transfer readings of MuJoCo's own sensors, with those that are on their way."""
     (model, data), (into, fresh) = old, new
     names = {model.sensor(index).name: index for index in range(model.nsensor)}
     for sensor in range(into.nsensor):

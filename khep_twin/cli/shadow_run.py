@@ -15,7 +15,7 @@ from khep_twin.clock import NS_PER_S
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
     from khep_twin.shadow.alarms import AlarmChange
-    from khep_twin.shadow.learned import Learned
+    from khep_twin.shadow.learned_values import LearnedValues
     from khep_twin.shadow.recording import Heard
     from khep_twin.shadow.shadow import ShadowSettings, Update
     from khep_twin.shadow.shadow_log import ShadowLog
@@ -32,8 +32,8 @@ _LEARNED_NS = 10 * NS_PER_S
 _WARM_UP = (b"D,1,1\n", b"d\r\n"), (b"N\n", b"n,0,0,0,0,0,0,0,0\r\n"), (b"H\n", b"h,0,0\r\n")
 
 
-class Followed:
-    """A robot that is followed.
+class ShadowRun:
+    """Run of a shadow that follows a robot.
 
     Args:
         playpen: Playpen with the robot.
@@ -96,13 +96,13 @@ class Followed:
                 if self._ends_on_alarm and update.alarms:
                     return ALARM_CODE
                 if show is not None:
-                    show(_told(update))
+                    show(_status(update))
             if stop():
                 return 130
         return 0
 
     @contextmanager
-    def viewed(self, *, web: bool) -> Generator[None]:
+    def show_in_viewer(self, *, web: bool) -> Generator[None]:
         """Show all updates in rerun, in a window or in a browser."""
         from khep_twin.shadow.shadow_viewer import ShadowViewer
 
@@ -116,7 +116,7 @@ class Followed:
             self._log.write_learned(self._learned())
             self._log.close()
 
-    def tell(self, took_s: float | None = None) -> None:
+    def print_summary(self, took_s: float | None = None) -> None:
         """Print where the robot is, what was learned of it, how fast, and where the log is.
 
         Args:
@@ -140,10 +140,10 @@ class Followed:
             self._learned_ns = update.time_ns
             log.write_learned(self._learned())
 
-    def _learned(self) -> "Learned":
-        from khep_twin.shadow.learned import learned
+    def _learned(self) -> "LearnedValues":
+        from khep_twin.shadow.learned_values import values_learned
 
-        return learned(self._shadow)
+        return values_learned(self._shadow)
 
     @staticmethod
     def _warm_up(playpen: "Playpen", settings: "ShadowSettings") -> None:
@@ -178,7 +178,7 @@ class Followed:
         )
 
 
-def _told(update: "Update") -> str:
+def _status(update: "Update") -> str:
     (x, y, heading), covariance = update.estimate.pose, update.estimate.covariance
     place = 1e3 * math.sqrt((covariance[0, 0] + covariance[1, 1]) / 2)
     faults = ", ".join(alarm.fault for alarm in update.alarms) or "no alarm"

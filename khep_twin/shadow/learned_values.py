@@ -12,14 +12,14 @@ from khep_twin.units import N_SENSORS, SENSOR_LABELS
 Floats = NDArray[np.float64]
 
 
-LEARNED = [
+VALUE_NAMES = [
     *(f"{part}{name}" for part in ("", "deviation of ") for name in ("radius", "right over left", "base")),
     *(f"{part}gain {name}" for part in ("", "deviation of log ") for name in SENSOR_LABELS),
 ]
 """Numbers of a row, in this order, as parts of the calibration's values."""
 
 
-class Learned(NamedTuple):
+class LearnedValues(NamedTuple):
     """Wheels and gains as parts of those of the calibration, with standard deviations.
 
     Attributes:
@@ -36,7 +36,7 @@ class Learned(NamedTuple):
 
     @property
     def row(self) -> Floats:
-        """Row of all values (22,), as `LEARNED` names them."""
+        """Row of all values (22,), as `VALUE_NAMES` names them."""
         return np.concatenate(self)
 
     @classmethod
@@ -45,12 +45,12 @@ class Learned(NamedTuple):
         return cls(*np.split(row, np.cumsum([3, 3, N_SENSORS])))
 
 
-def learned(shadow: Shadow) -> Learned:
+def values_learned(shadow: Shadow) -> LearnedValues:
     """Return what a shadow has learned so far."""
     return of_particles(shadow._diagnosis.filter.particles)  # pyright: ignore[reportPrivateUsage]
 
 
-def of_particles(particles: Particles) -> Learned:
+def of_particles(particles: Particles) -> LearnedValues:
     """Return what particles have learned: means by their weights, and what is left of their spread."""
     weights = np.exp(particles.logs)
     wheels = weights @ particles.wheels
@@ -59,4 +59,4 @@ def of_particles(particles: Particles) -> Learned:
     apart = weights @ (particles.wheels - wheels) ** 2
     # A gain's variance: that within each particle, and that between them.
     gain_apart = weights @ (particles.covariances[:, :, 0, 0] + (gains - logs) ** 2)
-    return Learned(wheels, np.sqrt(apart), np.exp(logs), np.sqrt(gain_apart))
+    return LearnedValues(wheels, np.sqrt(apart), np.exp(logs), np.sqrt(gain_apart))

@@ -1,4 +1,4 @@
-"""Newcomer: follows the recipes of a page literally, in a copy of the tree."""
+"""PageFollower: follows the recipes of a page literally, in a copy of the tree."""
 
 import os
 import re
@@ -41,7 +41,7 @@ LIST = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
 CHECKOUT = pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no checkout whose files git could list")
 
 
-class Newcomer:
+class PageFollower:
     """Follows recipes in a copy of the tree, with the environment that runs the suite.
 
     Attributes:

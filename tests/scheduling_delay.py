@@ -1,4 +1,4 @@
-"""How late this machine wakes its sleepers, for tests of real time: a busy machine is no mistake of ours."""
+"""Delay of the scheduler, for tests in real time: a busy machine is no mistake of theirs."""
 
 import threading
 import time
@@ -10,13 +10,13 @@ import pytest
 _NAP = 0.002
 
 
-class Lateness:
+class SchedulingDelay:
     """The longest that a sleeper overslept [s], measured while it is open."""
 
     def __init__(self) -> None:
         self.worst = 0.0
         self._ends = threading.Event()
-        self._thread = threading.Thread(target=self._sleep, name="lateness", daemon=True)
+        self._thread = threading.Thread(target=self._sleep, name="scheduling_delay", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
@@ -39,9 +39,9 @@ class Lateness:
 
 
 @contextmanager
-def lateness() -> Iterator[Lateness]:
-    """Measure the machine's lateness."""
-    late = Lateness()
+def scheduling_delay() -> Iterator[SchedulingDelay]:
+    """Measure the delay of the scheduler."""
+    late = SchedulingDelay()
     try:
         yield late
     finally:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TextIO
 
-_TAKES: ContextVar[Callable[[str], object] | None] = ContextVar("_TAKES", default=None)
+_CAPTURE: ContextVar[Callable[[str], object] | None] = ContextVar("_CAPTURE", default=None)
 
 
 class _Split(io.TextIOBase):
@@ -17,7 +17,7 @@ class _Split(io.TextIOBase):
         self._before = before
 
     def write(self, text: str, /) -> int:
-        take = _TAKES.get()
+        take = _CAPTURE.get()
         if take is None:
             return self._before.write(text)
         take(text)
@@ -31,12 +31,12 @@ class _Split(io.TextIOBase):
 
 
 @contextmanager
-def taken_by(take: Callable[[str], object]) -> Generator[None]:
+def captured_by(take: Callable[[str], object]) -> Generator[None]:
     """Pass the output of this thread to a function; other threads print as before."""
     if not isinstance(sys.stdout, _Split):
         sys.stdout = _Split(sys.stdout)
-    token = _TAKES.set(take)
+    token = _CAPTURE.set(take)
     try:
         yield
     finally:
-        _TAKES.reset(token)
+        _CAPTURE.reset(token)

@@ -98,7 +98,7 @@ _TEXTS = ("/events", "/shadow/alarms")
 _SHADOW = ("pose", "reckoned", "expected", "measured", "residuals")
 
 
-class Gatherer:
+class Collector:
     """Collector of samples, poses and events from a log while rerun reads it; reading twice takes longer."""
 
     def __init__(self) -> None:
