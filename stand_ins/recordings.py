@@ -116,7 +116,7 @@ def record(
         fewer = [fault for number, fault in enumerate(faults) if number != index]
         without = _without(run.made, index - len(faults))
         seen_ns.append(noticeable(exchanges, Run(actual, seed, vary, fewer, without)))
-    parsed = [fault_injection.parse(fault) for fault in faults]
+    parsed = [fault_injection.parse_fault(fault) for fault in faults]
     starts_ns = [fault.start_ns for fault in parsed]
     ends_ns = [fault.end_ns if fault.ends else -1 for fault in parsed]
     truth = Truth(

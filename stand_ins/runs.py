@@ -83,7 +83,7 @@ class Run:
             with_added(playpen, wanted),
             seed=seed,
             vary=vary,
-            faults=[fault_injection.parse(fault) for fault in faults],
+            faults=[fault_injection.parse_fault(fault) for fault in faults],
             compiled=True,
         )
         self.robot = self.world.robots[0]

@@ -6,7 +6,7 @@ import pytest
 from radio_scene import playpen_with_radios
 
 from khep_twin import playpen
-from khep_twin.board.fault_injection import parse
+from khep_twin.board.fault_injection import parse_fault
 from khep_twin.board.radio import RadioPhase, RadioRegister
 from khep_twin.errors import PlaypenError, PortTimeout, ProtocolError
 from khep_twin.host import Khepera, Radio, RadioMessage, RadioStatus
@@ -168,7 +168,7 @@ def test_a_restart_drops_a_message_in_the_air() -> None:
 
 
 def test_a_brown_out_at_the_receiver_drops_what_it_has_received() -> None:
-    world = World(PAIR, faults=[parse("brown-out@0.5")])
+    world = World(PAIR, faults=[parse_fault("brown-out@0.5")])
     world.robots[1].send(line(1, b"?"))
     world.advance_to(400 * MS)
     assert register(world, 0, RadioRegister.RECEIVED) == 1

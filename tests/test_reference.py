@@ -6,8 +6,11 @@ import subprocess
 import sys
 from html import unescape
 from pathlib import Path
+from types import FunctionType
 
 import pytest
+
+import khep_twin
 
 ROOT = Path(__file__).parents[1]
 
@@ -29,7 +32,7 @@ def shown(page: Path) -> str:
 
 
 def test_a_page_has_methods_with_their_units_and_arguments(folder: Path) -> None:
-    page = shown(folder / "khep_twin" / "host" / "khepera.html")
+    page = shown(folder / "khep_twin" / "host.html")
     assert "Drive the wheels at these speeds [pulses/10 ms = 8 mm/s]" in page
     assert re.search(r"wheel_base:\s+Distance of the wheels", page)
 
@@ -37,18 +40,26 @@ def test_a_page_has_methods_with_their_units_and_arguments(folder: Path) -> None
 @pytest.mark.parametrize(
     ("module", "name"),
     [
-        ("host/results", "SensorCounts"),
+        ("host", "SensorCounts"),
         ("playpen", "Playpen"),
-        ("lab/experiment/controllers", "Controller"),
-        ("lab/experiment/controller_files", "find_controller"),
-        ("lab/experiment/series", "run_series"),
+        ("lab/experiment", "Controller"),
+        ("lab/experiment", "find_controller"),
+        ("lab/experiment", "run_series"),
         ("lab/experiment/run_statistics", "collisions"),
-        ("log/reader", "read"),
-        ("ports/protocol_khep", "Serial"),
+        ("log", "read_log"),
+        ("ports", "Serial"),
     ],
 )
 def test_what_programs_use_has_a_place(folder: Path, module: str, name: str) -> None:
     assert f'id="{name}"' in (folder / "khep_twin" / f"{module}.html").read_text()
+
+
+def test_the_names_of_the_front_door_come_first(folder: Path) -> None:
+    assert "url=./khep_twin.html" in (folder / "index.html").read_text()
+    page = (folder / "khep_twin.html").read_text()
+    given = [name for name in khep_twin.__all__ if isinstance(getattr(khep_twin, name), type | FunctionType)]
+    assert len(given) > 25
+    assert not [name for name in given if f'id="{name}"' not in page]
 
 
 def test_the_pages_need_no_network(folder: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from notes import Events
 
 from checks.branches import LAMPS, PUSHED, ROBOTS, arena, drive
-from khep_twin.board.fault_injection import Fault, parse
+from khep_twin.board.fault_injection import Fault, parse_fault
 from khep_twin.errors import DivergedError, SnapshotError
 from khep_twin.playpen import Lighting, Playpen
 from khep_twin.world import World
@@ -22,7 +22,7 @@ def drawn_faults(seed: int) -> list[Fault]:
     begin_s, last_s = rng.uniform(0, 2, len(kinds)), rng.uniform(0.1, 2, len(kinds))
     times = (f"@{start:.4f}-{start + length:.4f}" for start, length in zip(begin_s, last_s, strict=True))
     texts = [kind + time for kind, time in zip(kinds, times, strict=True)]
-    return [parse(text) for text in (*texts, f"brown-out@{rng.uniform(0.5, 3):.4f}")]
+    return [parse_fault(text) for text in (*texts, f"brown-out@{rng.uniform(0.5, 3):.4f}")]
 
 
 Case = tuple[Callable[[], Playpen], dict[str, object]]
@@ -45,7 +45,7 @@ CASES: dict[str, Case] = {
         lambda: arena(ROBOTS),
         {
             "faults": [
-                parse(text)
+                parse_fault(text)
                 for text in ("stuck:2@0.4", "dead:left@1.003", "brown-out@1.7", "garble:0.01", "late:0.2:40")
             ]
         },

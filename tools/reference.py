@@ -4,6 +4,8 @@ They are generated, not kept in the repository: each edit of a docstring would c
 search index. A test generates them with every warning an error.
 """
 
+import re
+from importlib import import_module
 from pathlib import Path
 
 # Imported before pdoc, which forbids modules to start programs on import, as mujoco's window library does.
@@ -13,28 +15,37 @@ import pdoc.render
 
 from tools.command_table import command_line
 
-MODULES = (
+ROOTS = (
+    "khep_twin",
     "khep_twin.host",
     "khep_twin.playpen",
-    "khep_twin.lab.experiment.controllers",
-    "khep_twin.lab.experiment.experiment",
-    "khep_twin.lab.experiment.controller_files",
-    "khep_twin.lab.experiment.series",
-    "khep_twin.lab.experiment.series_run",
-    "khep_twin.lab.experiment.series_files",
-    "khep_twin.lab.experiment.series_statistics",
-    "khep_twin.lab.experiment.run_statistics",
+    "khep_twin.ports",
+    "khep_twin.log",
+    "khep_twin.episodes",
+    "khep_twin.envs",
+    "khep_twin.drawing",
+    "khep_twin.shadow",
+    "khep_twin.sensing",
+    "khep_twin.board",
+    "khep_twin.sweep",
+    "khep_twin.lab.experiment",
+    "khep_twin.lab.sensor_test",
+    "khep_twin.lab.fit",
+    "khep_twin.lab.challenge",
+    "khep_twin.lab.conformance",
+    "khep_twin.lab.dataset",
+)
+"""Packages that give their public names at the root."""
+
+MODULES = (
+    "khep_twin.host.commands",
     "khep_twin.lab.experiment.measures",
-    "khep_twin.lab.experiment.start_poses",
-    "khep_twin.log.reader",
-    "khep_twin.ports.protocol_khep",
-    "khep_twin.ports.twin",
-    "khep_twin.envs.tasks",
-    "khep_twin.envs.task_episode",
+    "khep_twin.lab.experiment.run_statistics",
+    "khep_twin.lab.experiment.series_statistics",
     "khep_twin.errors",
     "khep_twin.units",
 )
-"""Public modules; all modules of a package."""
+"""Public modules besides."""
 
 
 def write(folder: Path) -> None:
@@ -46,7 +57,12 @@ def write(folder: Path) -> None:
     pdoc.render.configure(
         docformat="google", show_source=False, include_undocumented=False, footer_text="khep_twin"
     )
-    pdoc.pdoc(*MODULES, output_directory=folder)
+    for root in ROOTS:
+        package = import_module(root)
+        for name in package.__all__:
+            getattr(package, name)  # pdoc sees only what is loaded
+    roots = (spec for root in ROOTS for spec in (root, rf"!{re.escape(root)}\..+"))
+    pdoc.pdoc(*roots, *MODULES, output_directory=folder)
 
 
 def main() -> None:

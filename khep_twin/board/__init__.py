@@ -3,6 +3,8 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from khep_twin.board.fault_injection import Fault as Fault
+    from khep_twin.board.fault_injection import parse_fault as parse_fault
     from khep_twin.board.kernel import AMBIENT as AMBIENT
     from khep_twin.board.kernel import DEMO_DIVISOR as DEMO_DIVISOR
     from khep_twin.board.kernel import DEMO_SPEED_PULSES as DEMO_SPEED_PULSES

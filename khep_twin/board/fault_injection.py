@@ -69,7 +69,7 @@ class Fault:
         return self.end_ns < NEVER_NS
 
 
-def parse(text: str) -> Fault:
+def parse_fault(text: str) -> Fault:
     """Parse a fault such as "drop:0.01@5".
 
     Raises:

@@ -69,7 +69,7 @@ def rollout(
 
     With several robots, print those of each.
     """
-    from khep_twin.board.fault_injection import parse
+    from khep_twin.board.fault_injection import parse_fault
     from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed
     from khep_twin.episodes.episode import Episode
     from khep_twin.episodes.episode_setup import EpisodeSetup
@@ -100,7 +100,7 @@ def rollout(
             setup,
             Braitenberg() if is_built_in else ConstantSpeed(),
             compiled=None if is_compiled() else False,
-            faults=[parse(text) for text in options.faults],
+            faults=[parse_fault(text) for text in options.faults],
             observed=log is not None,
         )
     except ValueError as error:

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from khep_twin.envs.gymnasium import make_vec as make_vec
     from khep_twin.envs.gymnasium_vector import KheperaVectorEnvironment as KheperaVectorEnvironment
     from khep_twin.envs.pettingzoo import ParallelEnvironment as ParallelEnvironment
+    from khep_twin.envs.task_episode import TaskEpisode as TaskEpisode
     from khep_twin.envs.task_setup import TaskSetup as TaskSetup
     from khep_twin.envs.tasks import TASKS as TASKS
     from khep_twin.envs.tasks import TERMS as TERMS

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Self
 
-from khep_twin.board.fault_injection import parse
+from khep_twin.board.fault_injection import parse_fault
 from khep_twin.board.rom import ROMS
 from khep_twin.clock import TimeSource
 from khep_twin.errors import PortError
@@ -199,7 +199,7 @@ def open_twin(playpen: PlaypenLike, options: TwinOptions | None = None) -> Twin:
     """
     options = options or TwinOptions()
     chosen, on_the_line = equipped(playpen, options)
-    faults = tuple(parse(fault) for fault in options.faults)
+    faults = tuple(parse_fault(fault) for fault in options.faults)
     world = World(
         chosen,
         seed=options.seed,

@@ -7,7 +7,7 @@ import serial
 from notes import Notes
 
 import khep_twin  # noqa: F401  (teaches pyserial khep://)
-from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, parse
+from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, parse_fault
 from khep_twin.errors import FaultError
 from khep_twin.interventions.move_robot import put
 
@@ -25,13 +25,13 @@ def ask(port: Any, line: bytes) -> bytes:
 
 
 def test_a_fault_is_read_from_its_words() -> None:
-    fault = parse("late:0.1:60@2.5")
+    fault = parse_fault("late:0.1:60@2.5")
     assert (fault.kind, fault.probability, fault.delay_ns) == ("late", 0.1, 60_000_000)
     assert fault.start_ns == 2_500_000_000
-    assert parse("dead:right").which == 1
-    fault = parse("slip:right:0.25@1-2.5")
+    assert parse_fault("dead:right").which == 1
+    fault = parse_fault("slip:right:0.25@1-2.5")
     assert (fault.device, fault.which, fault.part, fault.end_ns) == (WHEEL, 1, 0.25, 2_500_000_000)
-    assert (parse("dead:1").device, parse("dead:right").device) == (SENSOR, MOTOR)
+    assert (parse_fault("dead:1").device, parse_fault("dead:right").device) == (SENSOR, MOTOR)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_a_fault_is_read_from_its_words() -> None:
 )
 def test_a_fault_that_there_is_not_is_refused(text: str, line: str) -> None:
     with pytest.raises(FaultError) as caught:
-        parse(text)
+        parse_fault(text)
     assert str(caught.value).startswith(line)
 
 

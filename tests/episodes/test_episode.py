@@ -10,7 +10,7 @@ import pytest
 
 from khep_twin import playpen, rollout
 from khep_twin.board import kernel
-from khep_twin.board.fault_injection import parse
+from khep_twin.board.fault_injection import parse_fault
 from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, SETPOINTS, Board, Wheel
 from khep_twin.episodes import episode as episodes
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Function, Network
@@ -360,7 +360,7 @@ heading_deg = -20
 def test_robots_turrets_lamps_and_faults_are_the_worlds(
     scene: Playpen, faults: tuple[str, ...], compiled: bool
 ) -> None:
-    found = tuple(map(parse, faults))
+    found = tuple(map(parse_fault, faults))
     world = World(scene, seed=6, unpaced=True, faults=found)
     episode = Episode(EpisodeSetup(scene), Braitenberg(), compiled=compiled, faults=found)
     episode.begin(6)

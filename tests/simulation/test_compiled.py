@@ -6,7 +6,7 @@ import pytest
 from notes import Events
 
 from checks.branches import LAMPS, ROBOTS, arena
-from khep_twin.board.fault_injection import parse
+from khep_twin.board.fault_injection import parse_fault
 from khep_twin.playpen import Playpen
 from khep_twin.world import World
 
@@ -50,14 +50,14 @@ CASES = {
     "a gripper": (Playpen.load("gripper"), {}),
     "faults": (
         arena(ROBOTS),
-        {"faults": [*map(parse, ("stuck:2@0.4", "dead:left@1.003", "brown-out@1.7", "garble:0.01"))]},
+        {"faults": [*map(parse_fault, ("stuck:2@0.4", "dead:left@1.003", "brown-out@1.7", "garble:0.01"))]},
     ),
     "faults that end": (
         arena(),
         {
             "faults": [
-                *map(parse, ("dead:3@0.1-0.8", "weak:left:0.5@0.3-0.9", "weak:right:0.7")),
-                *map(parse, ("slip:left:0.1@0.501-1.2", "blocked:right@1.3-1.6", "drop:0.01@0.2-1")),
+                *map(parse_fault, ("dead:3@0.1-0.8", "weak:left:0.5@0.3-0.9", "weak:right:0.7")),
+                *map(parse_fault, ("slip:left:0.1@0.501-1.2", "blocked:right@1.3-1.6", "drop:0.01@0.2-1")),
             ],
             "vary": True,
         },

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from khep_twin import playpen, units
-from khep_twin.board.fault_injection import parse
+from khep_twin.board.fault_injection import parse_fault
 from khep_twin.board.kernel import RIGHT, Wheel, set_duty
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed
 from khep_twin.episodes.episode import Episode
@@ -27,7 +27,7 @@ MOTORS = MotorCalibration()
 
 def episode(*faults: str, x_mm: float = 500, seconds: float = 0.0, duty: int = 0) -> Episode:
     """A robot on a floor of a square metre, without noise, with this duty for this time."""
-    found = Episode(SETUP, ConstantSpeed(), compiled=False, faults=tuple(map(parse, faults)))
+    found = Episode(SETUP, ConstantSpeed(), compiled=False, faults=tuple(map(parse_fault, faults)))
     found.begin(noise=False, start=(x_mm, 500, 0))
     for wheel in (0, RIGHT) if duty else ():
         set_duty(found.boards[0].data, wheel, duty)
@@ -116,7 +116,10 @@ def test_wheels_are_sound_to_the_last_bit_when_their_faults_end() -> None:
 def test_faulty_wheels_are_of_one_episode_alone() -> None:
     """The next episode begins with sound ones, and others of the setup never have them."""
     faulty = Episode(
-        SETUP, Braitenberg(), compiled=False, faults=[parse("blocked:left@0.3"), parse("slip:right:0@0.1")]
+        SETUP,
+        Braitenberg(),
+        compiled=False,
+        faults=[parse_fault("blocked:left@0.3"), parse_fault("slip:right:0@0.1")],
     )
     sound = Episode(SETUP, Braitenberg(), compiled=False)
     found = []
