@@ -14,14 +14,16 @@ calls it. Cases that the manual leaves open are decided to be safe for a host:
 docs/protocol.md lists all such decisions.
 """
 
+import inspect
 from collections.abc import Callable, Mapping
-from typing import Annotated, NamedTuple
+from functools import lru_cache
+from typing import Annotated, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Base64UrlBytes, Field
 
-from khep_twin.board import bios, kernel
+from khep_twin.board import bios, kernel, protocol
 from khep_twin.board.kernel import LEFT, RIGHT, Board, Mode, Wheel
 from khep_twin.board.protocol import (
     END,
@@ -33,12 +35,13 @@ from khep_twin.board.protocol import (
     Request,
     Tool,
     TurretMessage,
-    parse,
     reply,
 )
 from khep_twin.board.rom import DEMO, ROMS, SELF_TEST, Rom
 from khep_twin.board.turrets import Turret, TurretKind
 from khep_twin.units import DUTY_LIMIT, N_SENSORS
+
+Execute = TypeVar("Execute", bound=Callable[..., bytes])
 
 SPEED_LIMIT_PULSES = 127
 """Fastest speed of command D [pulses/10 ms] (manual, appendix A)."""
@@ -54,6 +57,20 @@ ACCELERATION_LIMIT = 65535
 
 N_CONVERTER_CHANNELS = 7
 """Channels of command I (manual II, appendix A; the manual names none)."""
+
+
+_COMMANDS: dict[str, Callable[..., bytes]] = {}
+"""Method of each command's letter; `_command` adds to them."""
+
+
+def _command(letter: str) -> Callable[[Execute], Execute]:
+    """Return a decorator that makes a method the command of a letter, with the method's own arguments."""
+
+    def add(execute: Execute) -> Execute:
+        _COMMANDS[letter] = execute
+        return execute
+
+    return add
 
 
 class FirmwareState(NamedTuple):
@@ -202,7 +219,7 @@ class Firmware:
             case Malformed():
                 return request.reply
             case Command():
-                return _HANDLERS[request.letter](self, *request.arguments)
+                return _COMMANDS[request.letter](self, *request.arguments)
             case TurretMessage():
                 turret = self._by_number.get(request.turret)
                 return TURRET_REFUSAL if turret is None else turret.receive(request.message)
@@ -237,39 +254,48 @@ class Firmware:
         for offset, gain in enumerate(gains):
             self.register_view[first + offset] = min(max(gain, 0), GAIN_LIMIT)
 
-    def _a_configure_speed_pid(self, kp: int, ki: int, kd: int) -> bytes:
+    @_command("A")
+    def _configure_speed_pid(self, kp: int, ki: int, kd: int) -> bytes:
         self._set_gains(Board.SPEED_KP, (kp, ki, kd))
         return reply("A")
 
-    def _b_versions(self) -> bytes:
+    @_command("B")
+    def _versions(self) -> bytes:
         return reply("B", self._rom.bios, self._rom.protocol)
 
-    def _c_go_to_position(self, left: int, right: int) -> bytes:
+    @_command("C")
+    def _go_to_position(self, left: int, right: int) -> bytes:
         kernel.set_target(self.register_view, LEFT, kernel.clip(left, TARGET_LIMIT_PULSES))
         kernel.set_target(self.register_view, RIGHT, kernel.clip(right, TARGET_LIMIT_PULSES))
         return reply("C")
 
-    def _d_set_speed(self, left: int, right: int) -> bytes:
+    @_command("D")
+    def _set_speed(self, left: int, right: int) -> bytes:
         kernel.set_speed(self.register_view, LEFT, kernel.clip(left, SPEED_LIMIT_PULSES))
         kernel.set_speed(self.register_view, RIGHT, kernel.clip(right, SPEED_LIMIT_PULSES))
         return reply("D")
 
-    def _e_read_speed(self) -> bytes:
+    @_command("E")
+    def _read_speed(self) -> bytes:
         return reply("E", *self._both(Wheel.SPEED))
 
-    def _f_configure_position_pid(self, kp: int, ki: int, kd: int) -> bytes:
+    @_command("F")
+    def _configure_position_pid(self, kp: int, ki: int, kd: int) -> bytes:
         self._set_gains(Board.POSITION_KP, (kp, ki, kd))
         return reply("F")
 
-    def _g_set_position(self, left: int, right: int) -> bytes:
+    @_command("G")
+    def _set_position(self, left: int, right: int) -> bytes:
         kernel.set_position(self.register_view, LEFT, kernel.wrap(left))
         kernel.set_position(self.register_view, RIGHT, kernel.wrap(right))
         return reply("G")
 
-    def _h_read_position(self) -> bytes:
+    @_command("H")
+    def _read_position(self) -> bytes:
         return reply("H", *self._both(Wheel.POSITION))
 
-    def _i_read_converter(self, channel: int) -> bytes:
+    @_command("I")
+    def _read_converter(self, channel: int) -> bytes:
         if not 0 <= channel < N_CONVERTER_CHANNELS:
             return PROTOCOL_ERROR
         # Channels 1 and 2 follow the sensor that was converted last; nothing is wired to 3, 4 and 5.
@@ -277,7 +303,8 @@ class Firmware:
         sources = {0: Board.SUPPLY, 1: Board.PROXIMITY + last, 2: Board.AMBIENT + last, 6: Board.CURRENT}
         return reply("I", self.register_view[sources[channel]] if channel in sources else 0)
 
-    def _j_configure_profile(
+    @_command("J")
+    def _configure_profile(
         self, left_speed: int, left_acceleration: int, right_speed: int, right_acceleration: int
     ) -> bytes:
         profiles = ((LEFT, left_speed, left_acceleration), (RIGHT, right_speed, right_acceleration))
@@ -286,7 +313,8 @@ class Firmware:
             self.register_view[wheel + Wheel.ACCELERATION] = min(max(acceleration, 1), ACCELERATION_LIMIT)
         return reply("J")
 
-    def _k_read_status(self) -> bytes:
+    @_command("K")
+    def _read_status(self) -> bytes:
         status: list[int] = []
         for wheel in (LEFT, RIGHT):
             mode = self.register_view[wheel + Wheel.MODE]
@@ -294,36 +322,47 @@ class Firmware:
             status += [on_target, self._rom.mode_codes[mode], self.register_view[wheel + Wheel.ERROR]]
         return reply("K", *status)
 
-    def _l_set_led(self, led: int, action: int) -> bytes:
+    @_command("L")
+    def _set_led(self, led: int, action: int) -> bytes:
         if led not in (0, 1) or action not in (0, 1, 2):
             return PROTOCOL_ERROR
         register = Board.LED_0 + led
         self.register_view[register] = 1 - self.register_view[register] if action == 2 else action
         return reply("L")
 
-    def _n_read_proximity(self) -> bytes:
+    @_command("N")
+    def _read_proximity(self) -> bytes:
         return reply("N", *self.register_view[_PROXIMITY])
 
-    def _o_read_ambient(self) -> bytes:
+    @_command("O")
+    def _read_ambient(self) -> bytes:
         return reply("O", *self.register_view[_AMBIENT])
 
-    def _p_set_duty(self, left: int, right: int) -> bytes:
+    @_command("P")
+    def _set_duty(self, left: int, right: int) -> bytes:
         kernel.set_duty(self.register_view, LEFT, kernel.clip(left, DUTY_LIMIT))
         kernel.set_duty(self.register_view, RIGHT, kernel.clip(right, DUTY_LIMIT))
         return reply("P")
 
-    def _r_read_bus(self, address: int) -> bytes:
+    @_command("R")
+    def _read_bus(self, address: int) -> bytes:
         return reply("R", 255) if 0 <= address < 64 else PROTOCOL_ERROR
 
-    def _w_write_bus(self, data: int, address: int) -> bytes:
+    @_command("W")
+    def _write_bus(self, data: int, address: int) -> bytes:
         return reply("W") if 0 <= data < 256 and 0 <= address < 64 else PROTOCOL_ERROR
 
 
 _PROXIMITY = slice(kernel.PROXIMITY[0], kernel.PROXIMITY[-1] + 1)
 _AMBIENT = slice(kernel.AMBIENT[0], kernel.AMBIENT[-1] + 1)
 
-_HANDLERS: Mapping[str, Callable[..., bytes]] = {
-    name[1].upper(): handler
-    for name, handler in vars(Firmware).items()
-    if len(name) > 3 and name[0] == name[2] == "_" and name[1].islower()
+ARGUMENT_COUNTS: Mapping[str, int] = {
+    letter: len(inspect.signature(execute).parameters) - 1 for letter, execute in _COMMANDS.items()
 }
+"""Number of arguments of each command. The eighteenth command, T, passes its arguments to a turret."""
+
+
+@lru_cache(maxsize=1024)
+def parse(line: bytes) -> Request:
+    """Parse a line without its ending, as `protocol.parse` does."""
+    return protocol.parse(line, ARGUMENT_COUNTS)

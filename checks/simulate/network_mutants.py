@@ -104,13 +104,13 @@ def _no_negotiation() -> AbstractContextManager[object]:
 
 
 def _counters_ahead() -> AbstractContextManager[object]:
-    sound = firmware._HANDLERS["H"]
+    sound = firmware._COMMANDS["H"]
 
     def read_position(robot: firmware.Firmware) -> bytes:
         left, right = _numbers(sound(robot).decode())
         return reply("H", left, right + 20)
 
-    return patch.dict(firmware._HANDLERS, H=read_position)
+    return patch.dict(firmware._COMMANDS, H=read_position)
 
 
 def _one_wheel() -> AbstractContextManager[object]:
@@ -118,7 +118,7 @@ def _one_wheel() -> AbstractContextManager[object]:
         set_speed(robot.register_view, LEFT, left)
         return reply("D")
 
-    return patch.dict(firmware._HANDLERS, D=drive)
+    return patch.dict(firmware._COMMANDS, D=drive)
 
 
 MUTANTS: dict[str, Mutant] = {

@@ -8,7 +8,6 @@ values, separated by commas, ended by CR LF (manual, 3.2 and appendix A).
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 LINE_LIMIT = 128
 """Longest command line [bytes] (assumed; the manual gives none). Longer ones are truncated."""
@@ -24,27 +23,6 @@ COMMAND_NOT_FOUND = b"Command not found" + END
 PROTOCOL_ERROR = b"z,Protocol error" + END
 TURRET_REFUSAL = b"z,Turret order not supported" + END
 """Reply for an order that a turret does not know, and for a missing turret."""
-
-ARGUMENT_COUNTS: dict[str, int] = {
-    "A": 3,
-    "B": 0,
-    "C": 2,
-    "D": 2,
-    "E": 0,
-    "F": 3,
-    "G": 2,
-    "H": 0,
-    "I": 1,
-    "J": 4,
-    "K": 0,
-    "L": 2,
-    "N": 0,
-    "O": 0,
-    "P": 2,
-    "R": 1,
-    "W": 2,
-}
-"""Number of arguments of each command. The eighteenth command, T, passes its arguments to a turret."""
 
 _NUMBER = re.compile(rb"[+-]?[0-9]{1,10}")
 _TOOL = re.compile(rb"[a-z][a-z-]*")
@@ -115,22 +93,25 @@ class LineReader:
         self.begun = b""
 
 
-@lru_cache(maxsize=1024)
-def parse(line: bytes) -> Request:
+def parse(line: bytes, argument_counts: Mapping[str, int]) -> Request:
     """Parse a line without its ending.
 
     Blanks count only within tools: around a command's letter and numbers they are skipped, as the manual
     itself prints `D, 5, 5`.
+
+    Args:
+        line: Line.
+        argument_counts: Number of arguments of each command but T.
     """
     text = line.strip(_BLANKS)
     head, *rest = text.split(b",")
     letter = head.strip(_BLANKS).decode("latin-1")
     if len(line) > LINE_LIMIT:
-        return Malformed(PROTOCOL_ERROR if letter in ARGUMENT_COUNTS or letter == "T" else COMMAND_NOT_FOUND)
+        return Malformed(PROTOCOL_ERROR if letter in argument_counts or letter == "T" else COMMAND_NOT_FOUND)
     if letter == "T":
         return _parse_turret_message(rest)
-    if letter in ARGUMENT_COUNTS:
-        return _parse_order(letter, rest, ARGUMENT_COUNTS[letter])
+    if letter in argument_counts:
+        return _parse_order(letter, rest, argument_counts[letter])
     words = text.split()
     if words and _TOOL.fullmatch(words[0]):
         return Tool(words[0], tuple(words[1:]))

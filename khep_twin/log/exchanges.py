@@ -11,8 +11,9 @@ from collections import deque
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from khep_twin.board.protocol import ARGUMENT_COUNTS, COMMAND_NOT_FOUND, LINE_END
+from khep_twin.board.protocol import COMMAND_NOT_FOUND, LINE_END
 from khep_twin.clock import NS_PER_S
+from khep_twin.firmware import ARGUMENT_COUNTS
 from khep_twin.units import BITS_PER_BYTE
 
 BANNER = b"ROM of minirobot"

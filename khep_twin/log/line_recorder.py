@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from khep_twin import __version__
-from khep_twin.board.protocol import Command, LineReader, parse
+from khep_twin.board.protocol import Command, LineReader
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import LogError
+from khep_twin.firmware import parse
 from khep_twin.log.channels import FLOATS, IMAGE, INTEGERS, ArrayFrame, ImageFrame
 from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import LogFile

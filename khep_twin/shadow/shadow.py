@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from khep_twin import firmware, units
 from khep_twin.board import kernel
-from khep_twin.board.protocol import Command, parse
+from khep_twin.board.protocol import Command
 from khep_twin.board.rom import ROMS
 from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.firmware import Firmware
+from khep_twin.firmware import Firmware, parse
 from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream

@@ -4,11 +4,11 @@ import pytest
 
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT, DEMO_SPEED_PULSES, LEFT, PROXIMITY, SETPOINTS
-from khep_twin.board.protocol import Tool, parse
+from khep_twin.board.protocol import Tool
 from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
 from khep_twin.clock import NS_PER_S
-from khep_twin.firmware import Firmware
+from khep_twin.firmware import Firmware, parse
 from khep_twin.host import Khepera
 from khep_twin.playpen import Playpen
 from khep_twin.world import World

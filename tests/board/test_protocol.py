@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from khep_twin.board.protocol import (
-    ARGUMENT_COUNTS,
     COMMAND_NOT_FOUND,
     LINE_LIMIT,
     PROTOCOL_ERROR,
@@ -16,10 +15,10 @@ from khep_twin.board.protocol import (
     Malformed,
     Tool,
     TurretMessage,
-    parse,
     refusal,
     reply,
 )
+from khep_twin.firmware import ARGUMENT_COUNTS, parse
 
 
 @pytest.mark.parametrize(

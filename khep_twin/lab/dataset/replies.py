@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
-from khep_twin.board.protocol import Command, parse
+from khep_twin.board.protocol import Command
 from khep_twin.envs.tasks import Task
 from khep_twin.errors import LogError
+from khep_twin.firmware import parse
 from khep_twin.lab.dataset.periods import Periods
 from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import TimeSeries, read_series

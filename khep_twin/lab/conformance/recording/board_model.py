@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 from khep_twin.board import kernel
 from khep_twin.board.kernel import LEFT, RESET_VALUES, RIGHT, Board, Mode, Wheel
-from khep_twin.board.protocol import COMMAND_NOT_FOUND, Request, Tool, parse
+from khep_twin.board.protocol import COMMAND_NOT_FOUND, Request, Tool
 from khep_twin.board.rom import Rom
 from khep_twin.board.turrets import Turret, TurretKind, installed
 from khep_twin.clock import NS_PER_S
-from khep_twin.firmware import Firmware
+from khep_twin.firmware import Firmware, parse
 from khep_twin.log.exchanges import BANNER, Exchange
 from khep_twin.units import BITS_PER_BYTE
 
