@@ -60,14 +60,15 @@ N_CONVERTER_CHANNELS = 7
 
 
 _COMMANDS: dict[str, Callable[..., bytes]] = {}
-"""Method of each command's letter; `_command` adds to them."""
+_DESCRIPTIONS = {"T": "send a message to a turret"}
+"""Method of each command's letter, and its description for `help`; `_command` adds to them."""
 
 
-def _command(letter: str) -> Callable[[Execute], Execute]:
+def _command(letter: str, description: str) -> Callable[[Execute], Execute]:
     """Return a decorator that makes a method the command of a letter, with the method's own arguments."""
 
     def add(execute: Execute) -> Execute:
-        _COMMANDS[letter] = execute
+        _COMMANDS[letter], _DESCRIPTIONS[letter] = execute, description
         return execute
 
     return add
@@ -227,7 +228,7 @@ class Firmware:
                 return self._use(request)
 
     def _use(self, tool: Tool) -> bytes:
-        outcome = bios.use(tool, bios.BoardState(self._rom, self.running, tuple(self.turrets)))
+        outcome = bios.use(tool, bios.BoardState(self._rom, self.running, tuple(self.turrets), DESCRIPTIONS))
         if outcome.restart:
             return self.reset()
         self.baud = outcome.baud or self.baud
@@ -254,47 +255,47 @@ class Firmware:
         for offset, gain in enumerate(gains):
             self.register_view[first + offset] = min(max(gain, 0), GAIN_LIMIT)
 
-    @_command("A")
+    @_command("A", "configure the speed controller")
     def _configure_speed_pid(self, kp: int, ki: int, kd: int) -> bytes:
         self._set_gains(Board.SPEED_KP, (kp, ki, kd))
         return reply("A")
 
-    @_command("B")
+    @_command("B", "read the software versions")
     def _versions(self) -> bytes:
         return reply("B", self._rom.bios, self._rom.protocol)
 
-    @_command("C")
+    @_command("C", "set a position to be reached")
     def _go_to_position(self, left: int, right: int) -> bytes:
         kernel.set_target(self.register_view, LEFT, kernel.clip(left, TARGET_LIMIT_PULSES))
         kernel.set_target(self.register_view, RIGHT, kernel.clip(right, TARGET_LIMIT_PULSES))
         return reply("C")
 
-    @_command("D")
+    @_command("D", "set the speed")
     def _set_speed(self, left: int, right: int) -> bytes:
         kernel.set_speed(self.register_view, LEFT, kernel.clip(left, SPEED_LIMIT_PULSES))
         kernel.set_speed(self.register_view, RIGHT, kernel.clip(right, SPEED_LIMIT_PULSES))
         return reply("D")
 
-    @_command("E")
+    @_command("E", "read the speed")
     def _read_speed(self) -> bytes:
         return reply("E", *self._both(Wheel.SPEED))
 
-    @_command("F")
+    @_command("F", "configure the position controller")
     def _configure_position_pid(self, kp: int, ki: int, kd: int) -> bytes:
         self._set_gains(Board.POSITION_KP, (kp, ki, kd))
         return reply("F")
 
-    @_command("G")
+    @_command("G", "set the position counters")
     def _set_position(self, left: int, right: int) -> bytes:
         kernel.set_position(self.register_view, LEFT, kernel.wrap(left))
         kernel.set_position(self.register_view, RIGHT, kernel.wrap(right))
         return reply("G")
 
-    @_command("H")
+    @_command("H", "read the position counters")
     def _read_position(self) -> bytes:
         return reply("H", *self._both(Wheel.POSITION))
 
-    @_command("I")
+    @_command("I", "read an A/D input")
     def _read_converter(self, channel: int) -> bytes:
         if not 0 <= channel < N_CONVERTER_CHANNELS:
             return PROTOCOL_ERROR
@@ -303,7 +304,7 @@ class Firmware:
         sources = {0: Board.SUPPLY, 1: Board.PROXIMITY + last, 2: Board.AMBIENT + last, 6: Board.CURRENT}
         return reply("I", self.register_view[sources[channel]] if channel in sources else 0)
 
-    @_command("J")
+    @_command("J", "configure the speed profile")
     def _configure_profile(
         self, left_speed: int, left_acceleration: int, right_speed: int, right_acceleration: int
     ) -> bytes:
@@ -313,7 +314,7 @@ class Firmware:
             self.register_view[wheel + Wheel.ACCELERATION] = min(max(acceleration, 1), ACCELERATION_LIMIT)
         return reply("J")
 
-    @_command("K")
+    @_command("K", "read the status of the motion controller")
     def _read_status(self) -> bytes:
         status: list[int] = []
         for wheel in (LEFT, RIGHT):
@@ -322,7 +323,7 @@ class Firmware:
             status += [on_target, self._rom.mode_codes[mode], self.register_view[wheel + Wheel.ERROR]]
         return reply("K", *status)
 
-    @_command("L")
+    @_command("L", "change the LED state")
     def _set_led(self, led: int, action: int) -> bytes:
         if led not in (0, 1) or action not in (0, 1, 2):
             return PROTOCOL_ERROR
@@ -330,25 +331,25 @@ class Firmware:
         self.register_view[register] = 1 - self.register_view[register] if action == 2 else action
         return reply("L")
 
-    @_command("N")
+    @_command("N", "read the proximity sensors")
     def _read_proximity(self) -> bytes:
         return reply("N", *self.register_view[_PROXIMITY])
 
-    @_command("O")
+    @_command("O", "read the ambient light sensors")
     def _read_ambient(self) -> bytes:
         return reply("O", *self.register_view[_AMBIENT])
 
-    @_command("P")
+    @_command("P", "set the PWM")
     def _set_duty(self, left: int, right: int) -> bytes:
         kernel.set_duty(self.register_view, LEFT, kernel.clip(left, DUTY_LIMIT))
         kernel.set_duty(self.register_view, RIGHT, kernel.clip(right, DUTY_LIMIT))
         return reply("P")
 
-    @_command("R")
+    @_command("R", "read a byte on the extension bus")
     def _read_bus(self, address: int) -> bytes:
         return reply("R", 255) if 0 <= address < 64 else PROTOCOL_ERROR
 
-    @_command("W")
+    @_command("W", "write a byte on the extension bus")
     def _write_bus(self, data: int, address: int) -> bytes:
         return reply("W") if 0 <= data < 256 and 0 <= address < 64 else PROTOCOL_ERROR
 
@@ -360,6 +361,9 @@ ARGUMENT_COUNTS: Mapping[str, int] = {
     letter: len(inspect.signature(execute).parameters) - 1 for letter, execute in _COMMANDS.items()
 }
 """Number of arguments of each command. The eighteenth command, T, passes its arguments to a turret."""
+
+DESCRIPTIONS: Mapping[str, str] = dict(sorted(_DESCRIPTIONS.items()))
+"""Descriptions of all commands, by letter, as the tools of the ROM print them."""
 
 
 @lru_cache(maxsize=1024)

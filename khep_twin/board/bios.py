@@ -19,11 +19,13 @@ class BoardState:
         rom: Version of the firmware.
         running: ROM function that runs; empty for none.
         turrets: Turrets that are plugged on top.
+        commands: Descriptions of the protocol's commands, as `help` and `list` print them.
     """
 
     rom: Rom
     running: str
     turrets: tuple[TurretKind, ...]
+    commands: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,29 +43,6 @@ class ToolResult:
     restart: bool = False
     baud: int = 0
     function: str = ""
-
-
-COMMANDS: Mapping[str, str] = {
-    "A": "configure the speed controller",
-    "B": "read the software versions",
-    "C": "set a position to be reached",
-    "D": "set the speed",
-    "E": "read the speed",
-    "F": "configure the position controller",
-    "G": "set the position counters",
-    "H": "read the position counters",
-    "I": "read an A/D input",
-    "J": "configure the speed profile",
-    "K": "read the status of the motion controller",
-    "L": "change the LED state",
-    "N": "read the proximity sensors",
-    "O": "read the ambient light sensors",
-    "P": "set the PWM",
-    "R": "read a byte on the extension bus",
-    "T": "send a message to a turret",
-    "W": "write a byte on the extension bus",
-}
-"""The protocol's commands and their descriptions, as `help` and `list` print them."""
 
 
 def use(tool: Tool, board: BoardState) -> ToolResult:
@@ -95,18 +74,18 @@ def _help(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
             _lines(
                 "help NAME tells more of a tool or command",
                 f"tools     {' '.join(_TOOLS)}",
-                f"commands  {' '.join(COMMANDS)}",
+                f"commands  {' '.join(board.commands)}",
             )
         )
     name = arguments[0]
-    text = COMMANDS.get(name) or (_TOOLS[name][0] if name in _TOOLS else "")
+    text = board.commands.get(name) or (_TOOLS[name][0] if name in _TOOLS else "")
     return ToolResult(_lines(f"{name}  {text}") if text else refusal("No such item"))
 
 
 def _list(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
     tools = [f"TO  {name:8}  {text}  {board.rom.bios}" for name, (text, _) in _TOOLS.items()]
     functions = [f"FU  {name:8}  ROM function  {board.rom.bios}" for name in (DEMO, SELF_TEST)]
-    commands = [f"PR  {name:8}  {text}  {board.rom.protocol}" for name, text in COMMANDS.items()]
+    commands = [f"PR  {name:8}  {text}  {board.rom.protocol}" for name, text in board.commands.items()]
     return ToolResult(_lines(*tools, *functions, *commands))
 
 

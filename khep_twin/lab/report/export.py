@@ -15,7 +15,7 @@ The same log gives the same bytes.
 
 import csv
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from io import StringIO
@@ -32,8 +32,6 @@ from khep_twin.files.mat_bytes import mat_bytes
 from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import Recording, TimeSeries, read_pieces
 from khep_twin.units import K213_PIXELS, SENSOR_LABELS
-
-SUFFIXES = (".csv", ".parquet", ".mat")
 
 MAT_BYTES = 512 << 20
 """Largest size of numbers and text in a MAT file [bytes]; it is built in memory, in several times as much."""
@@ -94,7 +92,8 @@ def checked_suffix(path: Path) -> str:
         LogError: The suffix is not in `SUFFIXES`.
     """
     if path.suffix.lower() not in SUFFIXES:
-        raise LogError(f"{path}; expected a name that ends in .csv, .parquet or .mat")
+        *others, last = SUFFIXES
+        raise LogError(f"{path}; expected a name that ends in {', '.join(others)} or {last}")
     return path.suffix.lower()
 
 
@@ -150,7 +149,7 @@ def write_table(
     Args:
         log: Path of the log.
         channels: Columns of the table, as `chosen_channels` found them; their series are not used.
-        kind: Suffix ".csv" or ".parquet".
+        kind: Suffix, one of `TABLES`.
         file: File that is written, open for reading, too.
         progress: Called with the completed part, 0 to 1.
 
@@ -162,7 +161,7 @@ def write_table(
     while True:
         file.seek(0)
         file.truncate()
-        writer = (_Csv if kind == ".csv" else _Parquet)(file, channels, fractional)
+        writer = TABLES[kind](file, channels, fractional)
         n_rows, found = 0, set[str]()
         with closing(writer):
             for piece in read_pieces(log, progress):
@@ -330,6 +329,13 @@ class _Parquet:
     def close(self) -> None:
         """End the file."""
         self._writer.close()
+
+
+TABLES: Mapping[str, type[_Csv] | type[_Parquet]] = {".csv": _Csv, ".parquet": _Parquet}
+"""Class of each kind of table by its suffix; a new kind is a class such as `_Csv`, and a line here."""
+
+SUFFIXES = (*TABLES, ".mat")
+"""Suffixes of all exports."""
 
 
 def _numbers(channel: Channel, fractional: Collection[str]) -> NDArray[np.generic]:
