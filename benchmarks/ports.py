@@ -36,7 +36,7 @@ def line_row(
     def drive() -> None:
         with Khepera(url) as robot:
             world = robot.port.twin.world
-            world.change_over_at = None
+            world.code.switch_at = None
             if compiled:
                 world.compile()
             run(braitenberg, robot, seconds=seconds)

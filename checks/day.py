@@ -54,7 +54,7 @@ def day(hours: float, log: Path, seed: int) -> float:
     with ExitStack() as stack:
         compile_all(["world"])
         twin = stack.enter_context(open_twin("obstacles", TwinOptions(seed=seed, log=str(log))))
-        twin.world.change_over()  # as `serve --clock wire` does
+        twin.world.code.switch_if_ready()  # as `serve --clock wire` does
         port = stack.enter_context(closing(PtyPort(None, twin.robot.firmware.baud)))
         command = [sys.executable, "-m", "checks", "day", "--host", port.path]
         host = stack.enter_context(subprocess.Popen(command))

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,12 @@ from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, Fault, Injecto
 from khep_twin.board.kernel import LEFT, RIGHT, Board, Wheel
 from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
-from khep_twin.board.uart import LineSettings
 from khep_twin.firmware import Firmware
-from khep_twin.randomness import position, resume
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.faulty_wheels import FaultyWheels
 from khep_twin.simulation.turret_place import TurretPlace, TurretWorld
 from khep_twin.simulation.wired_board import LineWorld, WiredBoard
-from khep_twin.simulation.world_state import HostState, RobotSnapshot
+from khep_twin.simulation.world_state import BoardState, RobotSnapshot
 
 
 class WorldContext(TurretWorld, LineWorld, Protocol):
@@ -58,6 +56,7 @@ class Robot(WiredBoard):
         indices: Indices in the scene.
         firmware: Command interpreter.
         uart: Serial line.
+        faults: Its faults.
         registers: State of the board (N_REGISTERS,).
         turret_bodies: Bodies of its turrets, by their names.
     """
@@ -107,18 +106,12 @@ class Robot(WiredBoard):
 
     def state(self, since_ns: int = -1) -> RobotSnapshot:
         """Return the state, with the replies that reach the host after a time [ns]."""
-        settings = None if self._host is None else (self._host.baud, self._host.stop_bits)
+        recorded: dict[str, Any] = {name: self._state[name].tobytes() for name in _RECORDED}
         return RobotSnapshot(
-            self.firmware.state(),
-            *(self._state[name].tobytes() for name in _RECORDED),
+            **self.board_state(since_ns)._asdict(),
+            **recorded,
             stopped=self._has_stopped,
-            baud=self._baud,
-            rx=self.uart.rx.state(),
-            tx=self.uart.tx.state(since_ns),
-            host=HostState(settings, tuple(sorted(self._warned))),
             leds=(self._shown[0], self._shown[1]),
-            faults=self._faults.state(),
-            line_noise=None if self._line_noise is None else position(self._line_noise),
         )
 
     def set_state(self, state: RobotSnapshot) -> None:
@@ -132,27 +125,10 @@ class Robot(WiredBoard):
             if len(data) != field.nbytes:
                 raise ValueError(f"{len(data)} bytes of {name}; expected {field.nbytes}")
             field[:] = np.frombuffer(data, field.dtype)
-        if (state.line_noise is None) != (self._line_noise is None):
-            raise ValueError(
-                f"strict_line = {self._line_noise is None}; expected {self._line_noise is not None}"
-            )
-        if self._line_noise is not None and state.line_noise is not None:
-            resume(self._line_noise, state.line_noise)
-        self.firmware.set_state(state.firmware)
-        self.uart.rx.set_state(state.rx)
-        self.uart.tx.set_state(state.tx)
-        self._faults.set_state(state.faults)
-        self._has_stopped, self._baud = state.stopped, state.baud
-        self._host = None if state.host.settings is None else LineSettings(*state.host.settings)
-        self._warned = set(state.host.warned)
+        self.set_board_state(BoardState(*(getattr(state, name) for name in BoardState._fields)))
+        self._has_stopped = state.stopped
         self._show(state.leds)
         self.apply_faults()
-
-    def reseed(self, rng: Callable[..., np.random.Generator]) -> None:
-        """Draw from other random streams of line and faults from now on."""
-        if self._line_noise is not None:
-            self._line_noise = rng("line")
-        self._faults.reseed(partial(rng, "fault"))
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -181,15 +157,14 @@ class Robot(WiredBoard):
                 STOPPED to complete the stop of a processor whose supply is too low.
         """
         if reason == step.STEPPED:
-            if self._faults.update((SENSOR,), self._context.time_ns):
+            if self.faults.update((SENSOR,), self._context.time_ns):
                 self.apply_faults()
         elif reason == step.TICKED:
             self._run_turrets()
             self._fail()
         elif reason == step.STOPPED and not self.firmware.powered and not self._has_stopped:
             self._has_stopped = True
-            self.firmware.forget()
-            self.uart.tx.flush(self._context.time_ns)
+            self.stop_processor()
             text = (
                 f"the supply fell to {self._state['voltage'][0]:.2f} V: the processor stands still, "
                 "the motors keep their duty"
@@ -199,7 +174,7 @@ class Robot(WiredBoard):
     @property
     def next_faults_ns(self) -> list[int]:
         """Times at which faults begin or end by themselves [ns]."""
-        return self._faults.next_changes_ns
+        return self.faults.next_changes_ns
 
     def apply_faults(self) -> None:
         """Make sensors, motors and wheels as the present faults have them; sound without any."""
@@ -207,7 +182,7 @@ class Robot(WiredBoard):
         sensors[:], strengths[:] = step.SOUND, 1
         if wheels is not None:
             wheels.mend()
-        for fault in self._faults.active:
+        for fault in self.faults.active:
             if fault.device == SENSOR:
                 state = step.DEAD if fault.kind == "dead" else step.STUCK
                 sensors[fault.which] = max(sensors[fault.which], state)
@@ -254,7 +229,7 @@ class Robot(WiredBoard):
     def _fail(self) -> None:
         """Begin and end the faults of a control period."""
         time_ns, data, state = self._context.time_ns, self._context.data, self._state
-        changed = self._faults.update((MOTOR, WHEEL, ""), time_ns)
+        changed = self.faults.update((MOTOR, WHEEL, ""), time_ns)
         if changed:
             self.apply_faults()
         for which in {fault.which for fault in changed if fault.device == MOTOR}:
@@ -265,10 +240,8 @@ class Robot(WiredBoard):
                 constant = float(state["motor_constant"])
                 voltage = step.weak_voltage(state["strengths"][which], voltage, constant, speed)
             data.ctrl[self.indices.motors[which]] = voltage
-        brown_out = any(fault.kind == "brown-out" for fault in changed)
-        if brown_out and (banner := self.firmware.reset()):
-            self._take_speed(self.firmware.reply_baud)
-            self._reply(banner, time_ns)
+        if any(fault.kind == "brown-out" for fault in changed):
+            self.reset_processor()
 
 
 _LEDS = (int(Board.LED_0), int(Board.LED_1))

@@ -5,7 +5,7 @@ fall between them. Only `World.advance_to` advances time.
 """
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache, partial
 from typing import Protocol
 
@@ -17,26 +17,23 @@ from khep_twin import step, units
 from khep_twin.board.fault_injection import WHEEL, Fault
 from khep_twin.board.turrets import TurretBody
 from khep_twin.board.uart import HostEvent, HostEventKind
-from khep_twin.clock import NEVER_NS, to_ns
-from khep_twin.errors import DivergedError, MissingNumbaError, SnapshotError
+from khep_twin.clock import to_ns
+from khep_twin.errors import DivergedError, SnapshotError
 from khep_twin.playpen import Lamp, Lighting, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import position, resume, stream
 from khep_twin.robot import Robot, RobotSettings
 from khep_twin.sensing.lamps import Lamps
-from khep_twin.simulation import faulty_wheels
 from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel
-from khep_twin.simulation.physics_state import fingerprint, physics_state, set_physics_state
-from khep_twin.simulation.ready import function_of, when_ready
-from khep_twin.simulation.simulation import Advance, Simulation
+from khep_twin.simulation.physics_state import physics_state, set_physics_state
+from khep_twin.simulation.simulation import Simulation
 from khep_twin.simulation.snapshot_format import pack, unpack
+from khep_twin.simulation.stepping_code import SteppingCode
 from khep_twin.simulation.world_state import WorldState
+from khep_twin.stepper import Stepper
 
 SAMPLE_NS = units.SCAN_NS
 """Sampling period of the observers [ns]."""
-
-_WORTH = 30_000
-"""Steps of one robot from which on compiled code saves more time than its loading takes."""
 
 
 class Observer(Protocol):
@@ -62,7 +59,7 @@ class World:
 
     Args:
         playpen: Playpen, or the name or path of one; robots with spots start at a random one. A `SceneModel`
-            is compiled already, and may have another step; its world begins with `reset`.
+            is compiled already, and may have another step.
         seed: Seed of every random stream.
         noise: True for noisy sensors.
         unpaced: True for lines without delay.
@@ -75,12 +72,10 @@ class World:
             not shown then, and there are no observers. With faults of wheels it has a model of its own.
 
     Attributes:
-        time_ns: Current time [ns].
         playpen: Playpen with the robots' starts.
         timing: Divisions of time.
         simulation: State that the stepping core works on.
-        change_over_at: Number of steps from which on to look for compiled code; None for never. Loading it
-            takes half a second, so a run in real time does without.
+        code: Code that steps it.
         model: Compiled scene.
         data: State of the scene.
         lamps: Lamps of the world.
@@ -107,26 +102,21 @@ class World:
         if not isinstance(made, SceneModel):
             made = SceneModel.of(at_spots(Playpen.load(made), seed))
         self._base, self.spec, self.timing = made.playpen, made.spec, made.timing
-        self._has_turrets = any(entry.turrets for entry in self._base.robots)
         # LEDs and faulty wheels change the model.
         self._shares_model = shared = shared and not any(fault.device == WHEEL for fault in faults)
-        own = isinstance(playpen, SceneModel) and not shared
-        self.model: mujoco.MjModel = copy.copy(made.model) if own else made.model
+        if isinstance(playpen, SceneModel) and not shared:
+            made = made._replace(model=copy.copy(made.model))
+        self.model: mujoco.MjModel = made.model
         self.data = mujoco.MjData(self.model)
-        self._forms = MujocoForms(self._base, self.model, self.data, shared)
-        self._compiled: dict[str, NDArray[np.float64]] = {
-            name: getattr(self.model, name).copy() for name in ("body_pos", *faulty_wheels.FIELDS)
-        }
+        self._forms = MujocoForms(made, self.data, shared)
         self._robot_settings = RobotSettings(unpaced, strict_line, tuple(faults))
-        self.robots: tuple[Robot, ...] = ()
         self.simulation = Simulation(self._forms, self.timing)
-        self.change_over_at = None
-        if compiled is None and self._base.robots:
-            self.change_over_at = _WORTH // len(self._base.robots)
-        elif compiled:
-            self.compile()
-        if not isinstance(playpen, SceneModel):
-            self.reset(seed, noise=noise, vary=vary)
+        self.code = SteppingCode(self.simulation, compiled)
+        has_turrets = any(entry.turrets for entry in self._base.robots)
+        self._stepper = Stepper(
+            self, self.simulation, self.code, has_turrets=has_turrets, shows_leds=not shared
+        )
+        self.reset(seed, noise=noise, vary=vary)
 
     def reset(
         self,
@@ -152,30 +142,27 @@ class World:
         forms, simulation = self._forms, self.simulation
         self.observers: list[Observer] = []
         self._untold: list[tuple[int | None, str]] = []
-        self._failure: DivergedError | None = None
-        self.time_ns = 0
-        self._scene = ""
-        if not self._shares_model:
-            for name, array in self._compiled.items():
-                getattr(self.model, name)[:] = array
+        self._stepper.rewind()
+        forms.restore_model()
         simulation.reset(seed, noise=noise, vary=vary)
         self.model = forms.model
-        mujoco.mj_resetData(self.model, self.data)
         playpen = at_spots(self._base, seed) if starts is None else forms.started(starts)
-        forms.put(playpen)
+        forms.reset(playpen)
         if lamps is not None:
             playpen = playpen.model_copy(update={"lamps": tuple(lamps)})
         self.playpen = playpen
-        self._lamp_stream = cache(partial(stream, seed, "lamps"))
-        self.lamps = Lamps(playpen, self._lamp_stream)
-        self.robots = tuple(
+        self.lamps = Lamps(playpen, cache(partial(stream, seed, "lamps")))
+        self.robots: tuple[Robot, ...] = tuple(
             Robot(self, index, at, state, partial(stream, seed, "robot", index), self._robot_settings)
             for index, (at, state) in enumerate(zip(forms.indices, simulation.records, strict=True))
         )
-        self._find_faults()
-        simulation.on_switch = self._on_switch
         simulation.set_lamps(self.lamps, playpen.lighting)
-        self._run(simulation.switch_on)
+        self._stepper.begin(self.robots)
+
+    @property
+    def time_ns(self) -> int:
+        """Current time [ns]."""
+        return self._stepper.time_ns
 
     @property
     def poses(self) -> list[tuple[float, float, float]]:
@@ -186,26 +173,6 @@ class World:
     def objects(self) -> NDArray[np.float64]:
         """Positions x, y [m] and headings [rad] of the movable objects, in the playpen's order (n, 3)."""
         return self._forms.objects
-
-    @property
-    def powers(self) -> Sequence[float]:
-        """Present powers of the lamps, without their flicker (n,) [W]."""
-        return self.simulation.powers
-
-    @property
-    def is_noisy(self) -> bool:
-        """True if sensors are noisy."""
-        return self.simulation.is_noisy
-
-    @property
-    def is_compiled(self) -> bool:
-        """True if compiled code steps the world."""
-        return self.simulation.is_compiled
-
-    @property
-    def joints(self) -> NDArray[np.float64]:
-        """Copy of the positions of all joints."""
-        return self.data.qpos.copy()
 
     def turret_bodies(self, name: str) -> list[TurretBody | None]:
         """Return the bodies of all turrets of a kind, by the index of their robot; None for one without."""
@@ -246,18 +213,7 @@ class World:
             ValueError: `time_ns` is in the past.
             DivergedError: The physics left its bounds, now or before.
         """
-        if self._failure is not None:
-            raise self._failure
-        if time_ns < self.time_ns:
-            raise ValueError(f"time cannot go back from {self.time_ns} to {time_ns} ns")
-        simulation, step_ns = self.simulation, self.timing.step_ns
-        steps, last = simulation.steps, time_ns // step_ns
-        while steps < last:
-            steps = self._step_to(steps, last, self._exchange((steps + 1) * step_ns))
-        self._exchange(time_ns)
-        self.time_ns = time_ns
-        if self.change_over_at is not None and simulation.steps >= self.change_over_at:
-            self.change_over()
+        self._stepper.advance_to(time_ns)
 
     def advance(self, seconds: float) -> None:
         """Advance the world by a time [s], to the nearest ns; errors are those of `advance_to`."""
@@ -273,15 +229,12 @@ class World:
         Raises:
             DivergedError: The physics left its bounds.
         """
-        returned = self._run(lambda: self.simulation.checked(reason))
-        while returned != step.DONE:
-            returned = self._run(self.simulation.advance, until)
+        self._stepper.finish_steps(reason, until)
 
     @property
     def is_self_contained(self) -> bool:
-        """True if nothing outside the stepping core acts amid a run: no turret, fault to come or observer."""
-        idle = self._shares_model and not self._has_turrets and not self.observers
-        return idle and self._fault_ns == NEVER_NS
+        """True if nothing outside the stepping core acts amid a run: no turret, LED, fault or observer."""
+        return self._stepper.is_self_contained
 
     def scan(self) -> None:
         """Convert all sensors of all robots now, without advancing time."""
@@ -312,9 +265,7 @@ class World:
     @property
     def scene(self) -> str:
         """Fingerprint of the compiled scene with its robots, in hexadecimal digits."""
-        if not self._scene:
-            self._scene = fingerprint(self.model, self.timing, self._forms.calibrations)
-        return self._scene
+        return self._forms.fingerprint
 
     @property
     def is_between_steps(self) -> bool:
@@ -327,7 +278,7 @@ class World:
         Raises:
             ValueError: A step has begun and not ended.
         """
-        if not self.is_between_steps and self._failure is None:
+        if not self.is_between_steps and self._stepper.failure is None:
             raise ValueError("no state amid a step; expected it between steps, as observers sample them")
         return WorldState(
             self.time_ns,
@@ -337,9 +288,9 @@ class World:
             self.playpen.lamps,
             self.playpen.lighting,
             self.lamps.state(),
-            position(self._lamp_stream()),
+            position(self.lamps.rng()),
             tuple(self._untold),
-            "" if self._failure is None else str(self._failure),
+            "" if self._stepper.failure is None else str(self._stepper.failure),
         )
 
     def set_state(self, state: WorldState) -> None:
@@ -349,38 +300,25 @@ class World:
             SnapshotError: It does not fit the world, which then needs a `reset`.
         """
         try:
-            self._set_state(state)
+            self._stepper.set_state(state)
+            # After the robots: faulty wheels change the model, and the motion when they begin.
+            set_physics_state(self.model, self.data, state.physics)
+            self.playpen = self.playpen.model_copy(update={"lamps": state.lamps, "lighting": state.lighting})
+            self.lamps = Lamps(self.playpen, self.lamps.rng, self.time_ns)
+            self.lamps.set_state(state.lamps_state)
+            resume(self.lamps.rng(), state.lamps_stream)
         except ValueError as error:
-            self._failure = DivergedError(f"the world could not be restored: {error}")
+            self._stepper.failure = DivergedError(f"the world could not be restored: {error}")
             raise SnapshotError(f"the snapshot does not fit the world: {error}") from None
+        self.simulation.set_lamps(self.lamps, self.playpen.lighting)
+        self._untold = list(state.untold)
 
     def reseed(self, seed: int) -> None:
         """Draw from the random streams of another seed from now on."""
         self.simulation.reseed(seed)
-        self._lamp_stream = cache(partial(stream, seed, "lamps"))
-        self.lamps.rng = self._lamp_stream
+        self.lamps.rng = cache(partial(stream, seed, "lamps"))
         for index, robot in enumerate(self.robots):
-            robot.reseed(partial(stream, seed, "robot", index))
-
-    def _set_state(self, state: WorldState) -> None:
-        steps = state.time_ns // self.timing.step_ns
-        if state.simulation.steps != steps or len(state.robots) != len(self.robots):
-            found = f"{state.simulation.steps} steps of {len(state.robots)} robots at {state.time_ns} ns"
-            raise ValueError(f"{found}; expected {steps} of {len(self.robots)}")
-        self.simulation.set_state(state.simulation)
-        self.time_ns = state.time_ns
-        for robot, of_robot in zip(self.robots, state.robots, strict=True):
-            robot.set_state(of_robot)
-        # Faulty wheels change the model, and the motion when they begin.
-        set_physics_state(self.model, self.data, state.physics)
-        self._find_faults()
-        self.playpen = self.playpen.model_copy(update={"lamps": state.lamps, "lighting": state.lighting})
-        self.lamps = Lamps(self.playpen, self._lamp_stream, self.time_ns)
-        self.lamps.set_state(state.lamps_state)
-        resume(self._lamp_stream(), state.lamps_stream)
-        self.simulation.set_lamps(self.lamps, self.playpen.lighting)
-        self._untold = list(state.untold)
-        self._failure = DivergedError(state.failure) if state.failure else None
+            robot.reseed_line(partial(stream, seed, "robot", index))
 
     def set_lamps(
         self, lamps: Sequence[Lamp], lighting: Lighting | None = None, *, keep_switched: bool = False
@@ -394,7 +332,7 @@ class World:
         """
         lit = {"lamps": tuple(lamps), "lighting": lighting or self.playpen.lighting}
         self.playpen, before = self.playpen.model_copy(update=lit), self.lamps
-        self.lamps = Lamps(self.playpen, self._lamp_stream, self.time_ns, before.phase)
+        self.lamps = Lamps(self.playpen, before.rng, self.time_ns, before.phase)
         if keep_switched:
             self.lamps.take_over(before)
         self.simulation.set_lamps(self.lamps, self.playpen.lighting)
@@ -408,33 +346,8 @@ class World:
         self.simulation.set_lamps(self.lamps, self.playpen.lighting)
 
     def compile(self) -> None:
-        """Step by compiled code from now on, with the same results; the first time may take some seconds.
-
-        Raises:
-            MissingNumbaError: numba is not installed.
-        """
-        try:
-            self._use_compiled(function_of("world"))
-        except ImportError as error:
-            raise MissingNumbaError() from error
-
-    def change_over(self) -> None:
-        """Step by compiled code from now on if it is ready; if not, have it compiled, and look later."""
-        if (advance := when_ready("world")) is None:
-            self.change_over_at = self.simulation.steps + _WORTH // 10
-        else:
-            self._use_compiled(advance)
-
-    def set_stepper(self, advance: Advance, compiled: bool) -> None:
-        """Step by another function from now on, plain or compiled, such as one with controllers in it."""
-        self.simulation.set_stepper(advance, compiled)
-
-    def _use_compiled(self, advance: Advance) -> None:
-        self.change_over_at = None
-        if self._base.robots:  # without any there is nothing to compile
-            self.set_stepper(advance, compiled=True)
-            # The code is loaded by its first call: now, and not when a host waits for a reply.
-            self.simulation.advance(self.simulation.steps)
+        """Step by compiled code from now on, with the same results: see `SteppingCode.compile`."""
+        self.code.compile()
 
     def log_event(self, robot: int | None, text: str) -> None:
         """Log an event that does not follow from the state, such as an action of yours; logs repeat it.
@@ -465,72 +378,8 @@ class World:
         for observer in self.observers:
             observer.on_host_event(self.time_ns, robot, event)
 
-    def _exchange(self, time_ns: int) -> int:
-        """Exchange what is due by a time [ns] on all lines; return when something is due next [ns]."""
-        earliest_ns = NEVER_NS
-        for robot in self.robots:
-            next_ns = robot.next_exchange_ns()
-            if next_ns is not None and next_ns <= time_ns:
-                robot.exchange(time_ns)
-                next_ns = robot.next_exchange_ns()
-            if next_ns is not None and next_ns < earliest_ns:
-                earliest_ns = next_ns
-        return earliest_ns
-
-    def _step_to(self, steps: int, last: int, event_ns: int) -> int:
-        """Run one span, in which nothing outside the stepping core can happen; return the steps done.
-
-        Args:
-            steps: Steps done so far.
-            last: Steps after which the span must end.
-            event_ns: Time when something is due on a line [ns].
-        """
-        simulation, per_sample, step_ns = self.simulation, self.timing.steps_per_supply, self.timing.step_ns
-        end = min(last, (min(event_ns, self._fault_ns) - 1) // step_ns)
-        boundary = (steps // per_sample + 1) * per_sample
-        if end > boundary and not self._shares_model:
-            if self.observers or any(robot.leds_differ for robot in self.robots):
-                end = boundary
-        end = max(end, steps + 1)
-        stops = step.TICKED if self._has_turrets else 0
-        if self._fault_ns <= end * step_ns:
-            stops = step.STEPPED | step.TICKED
-        while self._run(simulation.advance, end, stops) != step.DONE:
-            pass
-        if end >= boundary:
-            for robot in self.robots:
-                if robot.leds_differ and not self._shares_model:
-                    robot.show_leds()
-            if end % per_sample == 0:
-                self._show()
-        return end
-
-    def _find_faults(self) -> None:
-        """Note when the next fault begins or ends by itself."""
-        changes_ns = [fault_ns for robot in self.robots for fault_ns in robot.next_faults_ns]
-        self._fault_ns = min(changes_ns, default=NEVER_NS)
-
-    def _run(self, run: Callable[..., int], *arguments: int) -> int:
-        """Run the stepping core and do what it returns for; return the reason."""
-        try:
-            reason = run(*arguments)
-        except DivergedError as error:
-            self.time_ns = self.simulation.steps * self.timing.step_ns
-            self._failure = error
-            self.on_event(None, str(error))
-            raise
-        self.time_ns = self.simulation.steps * self.timing.step_ns
-        if reason != step.DONE:
-            for robot in self.robots:
-                robot.act_after(reason)
-            self._find_faults()
-        return reason
-
-    def _on_switch(self) -> None:
-        self.time_ns = self.simulation.steps * self.timing.step_ns
-        self.on_event(None, f"{self.lamps.names[self.lamps.lit or 0]} is on")
-
-    def _show(self) -> None:
+    def sample(self) -> None:
+        """Let the observers sample the world."""
         if self.observers:
             # A step leaves the bodies' positions as of its start; the observers sample them as of its end.
             mujoco.mj_kinematics(self.model, self.data)

@@ -23,6 +23,7 @@ ORDER = [
     ["simulation"],
     ["vision"],
     ["robot"],
+    ["stepper"],
     ["world"],
     ["interventions", "drawing"],
     ["log"],

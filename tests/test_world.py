@@ -13,6 +13,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import DivergedError, PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.robot import Robot
+from khep_twin.simulation.mujoco_forms import SceneModel
 from khep_twin.world import World
 
 
@@ -266,3 +267,12 @@ def test_a_scan_sees_lamps_as_they_are_now() -> None:
         found.append(world.robots[0].registers[AMBIENT].tolist())
     assert min(found[0]) < 200
     assert min(found[1]) > 450
+
+
+def test_a_world_of_a_compiled_scene_is_whole_at_once_and_the_same_as_that_of_the_playpen() -> None:
+    found = playpen.load("two-lamps")
+    world, other = World(SceneModel.of(found), seed=2), World(found, seed=2)
+    assert (world.time_ns, len(world.robots), world.observers) == (0, 1, [])
+    for each in (world, other):
+        each.advance(0.1)
+    assert world.snapshot() == other.snapshot()

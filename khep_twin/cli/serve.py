@@ -223,7 +223,7 @@ def _serve_twin(
             twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
         if factor > 1 or factor == WIRE or len(twin.world.robots) >= MANY:
             # Before the first host, as loading compiled code takes half a second.
-            twin.world.change_over()
+            twin.world.code.switch_if_ready()
         with endpoint.announced(ports, f"twin in {name}"):
             pacer = serve_twin(twin, ports, factor, stop=stop, notify=complain)
         dropped = sum(port.dropped for port in ports)

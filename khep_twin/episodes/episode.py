@@ -106,7 +106,7 @@ class Episode:
         else:
             self._world = PlanarWorld(setup.scene_model, setup.planar_scene)
         self._simulation = self._world.simulation
-        self._world.set_stepper(self._advance, self._compiled)
+        self._simulation.step_with(self._advance, self._compiled)
         self.boards: NDArray[np.int64] = self._simulation.records["registers"]
         self.registers: NDArray[np.int64] = self.boards[0]
         self._begun = False
@@ -195,7 +195,7 @@ class Episode:
     @property
     def joints(self) -> Floats:
         """Copy of all joint positions, MuJoCo's qpos or `plane.N_JOINTS` numbers."""
-        return self._world.joints
+        return self._world.joints if isinstance(self._world, PlanarWorld) else self.data.qpos.copy()
 
     def readings(self, robot: int = 0) -> tuple[list[int], list[int]]:
         """Return proximity and ambient counts of a robot's registers, each (8,)."""
@@ -274,7 +274,7 @@ class Episode:
             self._next_look = self.steps + _LOOK
             return False
         self._run, self._compiled, self._next_look = run, True, None
-        self._world.set_stepper(self._advance, compiled=True)
+        self._simulation.step_with(self._advance, compiled=True)
         return True
 
     def _new_controllers(self) -> stepping.Controllers:

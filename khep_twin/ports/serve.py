@@ -63,7 +63,7 @@ def serve(
         Connection(twin, robot, port, notify) for robot, port in zip(twin.robots, ports, strict=True)
     ]
     # Loading compiled code takes half a second, for which no host should have to wait.
-    twin.world.change_over_at = None
+    twin.world.code.switch_at = None
     pacer = Pacer(speed if 0 < speed < math.inf else 1.0, twin.world.time_ns)
     if speed == WIRE:
         _serve_by_wire(twin, connections, stop)

@@ -26,8 +26,11 @@ from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensors import proximity_optics
 from khep_twin.simulation.fitted_robots import FittedRobots
+from khep_twin.simulation.physics_state import IN_A_RUN, fingerprint
 from khep_twin.simulation.simulation import NO_LIGHT
 from khep_twin.step import WARNED, RobotState, Timing
+
+Floats = NDArray[np.float64]
 
 Joints = tuple[int, int, int, int, int, int, int]
 """Indices of both wheels' positions and speeds, of both motors, and of the pose."""
@@ -65,8 +68,7 @@ class MujocoForms:
     """Scene of a playpen in MuJoCo.
 
     Args:
-        playpen: Playpen.
-        model: Compiled scene.
+        scene_model: Compiled scene.
         data: State of the scene.
         shared: Whether others use the model, too.
 
@@ -75,13 +77,14 @@ class MujocoForms:
         indices: Indices of each robot.
     """
 
-    def __init__(
-        self, playpen: Playpen, model: mujoco.MjModel, data: mujoco.MjData, shared: bool = False
-    ) -> None:
+    def __init__(self, scene_model: SceneModel, data: mujoco.MjData, shared: bool = False) -> None:
+        playpen, _, model, self._timing = scene_model
         self._playpen, self.model, self._data, self._shared = playpen, model, data, shared
         self._calibrations = [calibration.read(entry.calibration)[0] for entry in playpen.robots]
         self._drawn = self._calibrations
         self._fitted: FittedRobots | None = None
+        self._fingerprint = ""
+        self._first_fields: dict[str, Floats] = {name: getattr(model, name).copy() for name in IN_A_RUN}
         count = len(self._playpen.robots)
         self.indices = [RobotIndices.of(self.model, f"khepera{index}") for index in range(count)]
         bodies = [self.model.body(name).id for name in movable_names(playpen)]
@@ -89,7 +92,7 @@ class MujocoForms:
         self.refresh()
 
     @property
-    def objects(self) -> NDArray[np.float64]:
+    def objects(self) -> Floats:
         """Positions x, y [m] and headings [rad] of the movable objects (n, 3)."""
         rows: list[tuple[float, float, float]] = []
         for first in self._free_joints:
@@ -105,9 +108,11 @@ class MujocoForms:
         self._lights = [LightSource(self.model, robot) for robot in self.indices[:1]]
 
     @property
-    def calibrations(self) -> list[Calibration]:
-        """Calibration of each robot, as drawn."""
-        return self._drawn
+    def fingerprint(self) -> str:
+        """Hash of the scene with its robots as drawn, in hexadecimal digits."""
+        if not self._fingerprint:
+            self._fingerprint = fingerprint(self.model, self._timing, self._drawn)
+        return self._fingerprint
 
     def plain(self) -> MujocoScene:
         """Return the scene for plain code."""
@@ -169,8 +174,16 @@ class MujocoForms:
         )
         return self._playpen.model_copy(update={"robots": robots})
 
-    def put(self, playpen: Playpen) -> None:
-        """Put the robots to their starts in a playpen that differs from the compiled one in nothing else."""
+    def restore_model(self) -> None:
+        """Restore what LEDs and faults of a run have changed in the model, if it is not shared."""
+        self._fingerprint = ""
+        if not self._shared:
+            for name, array in self._first_fields.items():
+                getattr(self.model, name)[:] = array
+
+    def reset(self, playpen: Playpen) -> None:
+        """Reset the state, with the robots at their starts in a playpen that differs in nothing else."""
+        mujoco.mj_resetData(self.model, self._data)
         for at, entry, own in zip(self.indices, playpen.robots, self._playpen.robots, strict=True):
             start = entry.x_mm, entry.y_mm, entry.heading_deg
             if start != (own.x_mm, own.y_mm, own.heading_deg):
@@ -187,7 +200,7 @@ def movable_names(playpen: Playpen) -> list[str]:
     ]
 
 
-def _free_joint(start: Start) -> NDArray[np.float64]:
+def _free_joint(start: Start) -> Floats:
     """Return the qpos of a robot's free joint at a start (7,), as MuJoCo computes it."""
     x_mm, y_mm, heading_deg = start
     heading = units.radians(heading_deg)

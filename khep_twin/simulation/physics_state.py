@@ -19,6 +19,9 @@ from pydantic import Base64UrlBytes, Field
 
 from khep_twin.simulation.faulty_wheels import FIELDS
 
+IN_A_RUN = ("body_pos", *FIELDS)
+"""Arrays of a model that a run changes: LEDs are moved in it, and faults change the wheels."""
+
 _INTEGRATION = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _AWAKE = -(1 + mujoco.mjMINAWAKE)
 """Lowest value of `tree_asleep`: that of a tree that has just moved."""
@@ -79,8 +82,7 @@ def fingerprint(model: mujoco.MjModel, *more: object) -> str:
     digest = hashlib.sha256(repr(more).encode("utf-8"))
     digest.update(model.names)
     for name in sorted(vars(type(model))):
-        # LEDs are moved in the model, and faults change it.
-        if not name.startswith("_") and name not in ("body_pos", *FIELDS):
+        if not name.startswith("_") and name not in IN_A_RUN:
             value = getattr(model, name)
             if isinstance(value, np.ndarray):
                 array: NDArray[np.generic] = value

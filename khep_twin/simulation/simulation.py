@@ -140,7 +140,7 @@ class Simulation:
         steady = self.lamps is None or self.lamps.steady
         return self._arguments if self._compiled and steady else None
 
-    def set_stepper(self, advance: Advance, compiled: bool) -> None:
+    def step_with(self, advance: Advance, compiled: bool) -> None:
         """Step by another function from now on."""
         self._run, self._compiled = advance, compiled
         if compiled:

@@ -1,6 +1,6 @@
 """Places of turrets in a world."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Protocol
 
 import mujoco
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from khep_twin.board.turrets import TurretBody, TurretKind
 from khep_twin.playpen import Playpen
 from khep_twin.sensing.lamps import Lamps
+from khep_twin.simulation.simulation import Simulation
 
 _TURRET_KEY = 0x85EBCA6B
 """Factor that turns the number of a turret into a word of its key: any odd one."""
@@ -21,22 +22,12 @@ class TurretWorld(Protocol):
     playpen: Playpen
     model: mujoco.MjModel
     data: mujoco.MjData
-    time_ns: int
+    simulation: Simulation
     lamps: Lamps
 
     @property
-    def powers(self) -> Sequence[float]:
-        """Present powers of the lamps, without their flicker (n,) [W]."""
-        ...
-
-    @property
-    def is_noisy(self) -> bool:
-        """True if sensors are noisy."""
-        ...
-
-    @property
-    def is_compiled(self) -> bool:
-        """True if compiled code steps the world."""
+    def time_ns(self) -> int:
+        """Current time [ns]."""
         ...
 
     def turret_bodies(self, name: str) -> list[TurretBody | None]:
@@ -75,7 +66,7 @@ class TurretPlace:
     @property
     def lamps(self) -> list[tuple[float, float, float, float]]:
         """Positions [m] and present power [W] of the lamps: x, y, z, power."""
-        lamps = zip(self._world.lamps.positions, self._world.powers, strict=True)
+        lamps = zip(self._world.lamps.positions, self._world.simulation.powers, strict=True)
         return [(*at, power) for at, power in lamps]
 
     @property
@@ -92,7 +83,7 @@ class TurretPlace:
     @property
     def is_noisy(self) -> bool:
         """True if sensors are noisy."""
-        return self._world.is_noisy
+        return self._world.simulation.is_noisy
 
     @property
     def settings(self) -> Mapping[str, float]:
@@ -102,7 +93,7 @@ class TurretPlace:
     @property
     def is_compiled(self) -> bool:
         """True if the world is stepped by compiled code, so that a body may use such code, too."""
-        return self._world.is_compiled
+        return self._world.simulation.is_compiled
 
     @property
     def peers(self) -> list[TurretBody | None]:

@@ -1,5 +1,7 @@
 """The board of a robot at its serial line."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -9,6 +11,8 @@ from khep_twin.board.fault_injection import Injector
 from khep_twin.board.protocol import LINE_END
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
 from khep_twin.firmware import Firmware
+from khep_twin.randomness import position, resume
+from khep_twin.simulation.world_state import BoardState, HostState
 
 REPLY_LIMIT = 256
 """Bytes of replies queued before the firmware takes no more commands (assumed)."""
@@ -20,7 +24,10 @@ _MOST_WARNINGS = 100
 class LineWorld(Protocol):
     """Interface of the world to the serial lines."""
 
-    time_ns: int
+    @property
+    def time_ns(self) -> int:
+        """Current time [ns]."""
+        ...
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
         """Log bytes on a line, the last of them at `time_ns`."""
@@ -46,6 +53,7 @@ class WiredBoard:
         index: Index among the playpen's robots.
         firmware: Command interpreter.
         uart: Serial line.
+        faults: Faults of the robot.
     """
 
     def __init__(
@@ -59,7 +67,8 @@ class WiredBoard:
     ) -> None:
         self.index, self.firmware = index, firmware
         self.uart = Uart(0 if unpaced else firmware.baud)
-        self._world, self._faults, self._unpaced = world, faults, unpaced
+        self.faults = faults
+        self._world, self._unpaced = world, unpaced
         self._line_noise: np.random.Generator | None = noise
         self._baud = firmware.baud
         self._host: LineSettings | None = None
@@ -139,7 +148,7 @@ class WiredBoard:
         A command causes a reply, and a brown-out fault the banner.
         """
         command_ns = self.next_command_ns()
-        brown_out_ns = self._faults.next_brown_out_ns()
+        brown_out_ns = self.faults.next_brown_out_ns()
         if brown_out_ns is None or not self.firmware.powered:
             return command_ns
         # Faults happen in control ticks, the next of them for a fault added to a run that was past its time.
@@ -167,6 +176,56 @@ class WiredBoard:
             self._world.on_bytes(arrival_ns, self.index, True, begun)
             self.firmware.receive(begun)
 
+    def reset_processor(self) -> None:
+        """Reset the firmware as a short loss of supply does: its banner follows at its first speed."""
+        if banner := self.firmware.reset():
+            self._take_speed(self.firmware.reply_baud)
+            self._reply(banner, self._world.time_ns)
+
+    def stop_processor(self) -> None:
+        """Stop the firmware for want of supply: what it has begun to do or say is lost."""
+        self.firmware.forget()
+        self.uart.tx.flush(self._world.time_ns)
+
+    def board_state(self, since_ns: int = -1) -> BoardState:
+        """Return the state, with the replies that reach the host after a time [ns]."""
+        settings = None if self._host is None else (self._host.baud, self._host.stop_bits)
+        return BoardState(
+            self.firmware.state(),
+            self._baud,
+            self.uart.rx.state(),
+            self.uart.tx.state(since_ns),
+            HostState(settings, tuple(sorted(self._warned))),
+            self.faults.state(),
+            None if self._line_noise is None else position(self._line_noise),
+        )
+
+    def set_board_state(self, state: BoardState) -> None:
+        """Take over a state.
+
+        Raises:
+            ValueError: It is of another robot, or another line.
+        """
+        if (state.line_noise is None) != (self._line_noise is None):
+            raise ValueError(
+                f"strict_line = {self._line_noise is None}; expected {self._line_noise is not None}"
+            )
+        if self._line_noise is not None and state.line_noise is not None:
+            resume(self._line_noise, state.line_noise)
+        self.firmware.set_state(state.firmware)
+        self.uart.rx.set_state(state.rx)
+        self.uart.tx.set_state(state.tx)
+        self.faults.set_state(state.faults)
+        self._baud = state.baud
+        self._host = None if state.host.settings is None else LineSettings(*state.host.settings)
+        self._warned = set(state.host.warned)
+
+    def reseed_line(self, rng: Callable[..., np.random.Generator]) -> None:
+        """Draw from other random streams of line and faults from now on."""
+        if self._line_noise is not None:
+            self._line_noise = rng("line")
+        self.faults.reseed(partial(rng, "fault"))
+
     def _next_command(self) -> tuple[int, int] | None:
         """Return the length of the next whole command on the line and when it is taken [ns]; None without."""
         rx, tx = self.uart.rx, self.uart.tx
@@ -177,7 +236,7 @@ class WiredBoard:
 
     def _reply(self, answer: bytes, time_ns: int) -> None:
         """Send a reply."""
-        time_ns += self._faults.delay_ns(time_ns)
+        time_ns += self.faults.delay_ns(time_ns)
         answer = self._over_the_line(answer, time_ns)
         self._world.on_bytes(self.uart.tx.put(answer, time_ns), self.index, False, answer)
 
@@ -193,4 +252,4 @@ class WiredBoard:
         if mismatched and self._line_noise is not None:
             errors = self._line_noise.integers(1, 256, len(data)).tolist()
             data = bytes(byte ^ error for byte, error in zip(data, errors, strict=True))
-        return self._faults.over_the_line(data, time_ns)
+        return self.faults.over_the_line(data, time_ns)

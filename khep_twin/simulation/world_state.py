@@ -26,6 +26,18 @@ class HostState(NamedTuple):
     warned: tuple[tuple[int, int], ...]
 
 
+class BoardState(NamedTuple):
+    """State of a board at its serial line; the fields are those of `RobotSnapshot`."""
+
+    firmware: FirmwareState
+    baud: int
+    rx: LineState
+    tx: LineState
+    host: HostState
+    faults: InjectorState
+    line_noise: StreamState | None
+
+
 class RobotSnapshot(NamedTuple):
     """State of a robot besides its body in the physics.
 

@@ -60,7 +60,7 @@ class PacedTwin:
         self.view = Twin(twin.world, twin.robots, twin.options, self)
         self._twin = twin
         # Loading compiled code would stop the picture for a moment.
-        twin.world.change_over_at = None
+        twin.world.code.switch_at = None
         self.speed = 1.0
         self.paused = False
         self.ended = False

@@ -21,7 +21,7 @@ def driven(
     """What can be seen of a world whose robots are told something every 130 ms."""
     world = World(scene, seed=3, compiled=compiled, **options)  # type: ignore[arg-type]
     if compiled is None:
-        world.change_over_at = 300
+        world.code.switch_at = 300
     events = Events()
     if observed:
         world.add_observer(events)

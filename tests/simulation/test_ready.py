@@ -77,16 +77,16 @@ def test_where_no_code_can_be_kept_nothing_is_compiled_beside_a_run(
 
 def test_a_world_looks_for_compiled_code_only_in_a_long_run(monkeypatch: pytest.MonkeyPatch) -> None:
     looks: list[str] = []
-    monkeypatch.setattr("khep_twin.world.when_ready", looks.append)
+    monkeypatch.setattr("khep_twin.simulation.stepping_code.when_ready", looks.append)
     world = World(Playpen.load("default"))
-    assert world.change_over_at == 30_000
-    world.change_over_at = 100
+    assert world.code.switch_at == 30_000
+    world.code.switch_at = 100
     world.advance_to(99 * world.timing.step_ns)
     assert not looks
     world.advance_to(200 * world.timing.step_ns)
     assert looks == ["world"]
-    assert world.change_over_at == 3200
-    world.change_over_at = None
+    assert world.code.switch_at == 3200
+    world.code.switch_at = None
     world.advance_to(300 * world.timing.step_ns)
     assert looks == ["world"]
 
@@ -101,10 +101,10 @@ def test_compiled_code_is_loaded_when_a_world_changes_over_not_at_its_next_step(
         calls.append(int(str(until)))
         return DONE
 
-    monkeypatch.setattr("khep_twin.world.when_ready", lambda part: advance)
+    monkeypatch.setattr("khep_twin.simulation.stepping_code.when_ready", lambda part: advance)
     world = World(Playpen.load("default"))
     world.advance_to(3 * world.timing.step_ns)
-    world.change_over()
+    world.code.switch_if_ready()
     assert calls == [3]
     assert world.time_ns == 3 * world.timing.step_ns
 

@@ -30,7 +30,7 @@ from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.sensing.scene import FEW, MANY
 from khep_twin.simulation.fitted_robots import FittedRobots
 from khep_twin.simulation.mujoco_forms import SceneModel, robot_state
-from khep_twin.simulation.simulation import Advance, Simulation
+from khep_twin.simulation.simulation import Simulation
 from khep_twin.step import DONE, RobotState
 
 N_CONTACTS = 8
@@ -204,6 +204,7 @@ class PlanarWorld:
         self.playpen, self.timing = scene_model.playpen, scene_model.timing
         self.forms = PlanarForms(scene_model, planar_scene)
         self.simulation = Simulation(self.forms, self.timing)
+        self.reset()
 
     def reset(
         self,
@@ -247,10 +248,6 @@ class PlanarWorld:
     def is_self_contained(self) -> bool:
         """True, as nothing acts amid a run."""
         return True
-
-    def set_stepper(self, advance: Advance, compiled: bool) -> None:
-        """Step by another function from now on, plain or compiled."""
-        self.simulation.set_stepper(advance, compiled)
 
     @property
     def poses(self) -> list[tuple[float, float, float]]:

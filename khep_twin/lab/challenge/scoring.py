@@ -132,8 +132,8 @@ def _run(
     twin = open_twin(at_start(file.playpen, 0, start), TwinOptions(seed))
     time = LimitedTime(twin.world, to_ns(challenge.seconds))
     twin.time_source = time
-    if twin.world.change_over_at is not None and is_worth_compiling(challenge, runs):
-        twin.world.change_over_at = 0
+    if twin.world.code.switch_at is not None and is_worth_compiling(challenge, runs):
+        twin.world.code.switch_at = 0
     names = [item.name for item in movable_objects(file.playpen)]
     goals = _goals(challenge, twin.world.lamps)
     movable = None if challenge.object is None else names.index(challenge.object)
