@@ -270,7 +270,7 @@ def test_a_scan_sees_lamps_as_they_are_now() -> None:
 
 
 def test_a_world_of_a_compiled_scene_is_whole_at_once_and_the_same_as_that_of_the_playpen() -> None:
-    found = playpen.load("two-lamps")
+    found = Playpen.load("two-lamps")
     world, other = World(SceneModel.of(found), seed=2), World(found, seed=2)
     assert (world.time_ns, len(world.robots), world.observers) == (0, 1, [])
     for each in (world, other):

@@ -200,7 +200,7 @@ def driven(drive: DutyDrive, robot: Calibration) -> Floats:
         world = World(playpen.parse(_FIELD + position, "field"), noise=False, unpaced=True)
     # Proximity is not needed here and takes half of the time.
     world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
-    world.change_over()
+    world.code.switch_if_ready()
     axles = list(world.robots[0].indices.wheel_angles)
     waiting = deque(drive.sent)
     angles: list[Floats] = []
