@@ -68,9 +68,10 @@ def assigned(
         del taken[n_fixed + len(left) - 1 :]
         for spot in left[-1] if steps < _ASSIGNMENT_LIMIT else ():
             robot = at_spot(robots[index], spot)
-            if not any(overlap(other, robot.footprint) for other in taken):
+            footprint = robot.footprint
+            if not any(overlap(other, footprint) for other in taken):
                 robots[index] = robot
-                taken.append(robot.footprint)
+                taken.append(footprint)
                 break
         else:
             left.pop()

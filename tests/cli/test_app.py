@@ -1,7 +1,6 @@
 """The command line, as a user types it."""
 
 import json
-import os
 import re
 import resource
 import shlex
@@ -16,6 +15,7 @@ from pathlib import Path
 import mujoco
 import pytest
 from command_line import khep_twin
+from forked import Forked, run_python
 from typer.testing import CliRunner
 
 from khep_twin import __version__, invocation
@@ -95,16 +95,8 @@ def test_the_list_of_commands_has_whole_sentences(group: list[str]) -> None:
 def test_two_runs_with_one_seed_give_the_same_file_under_any_name(tmp_path: Path) -> None:
     logs = [tmp_path / "one.mcap", tmp_path / "sub" / "other-name.mcap", tmp_path / "third.mcap"]
     logs[1].parent.mkdir()
-    for log, seed, salt in zip(logs, (7, 7, 8), ("1", "2", "1"), strict=True):
-        result = subprocess.run(
-            [
-                *(sys.executable, "-m", "khep_twin", "run", "--playpen", "obstacles"),
-                *("--seconds", "7", "--seed", str(seed), "--log", str(log)),
-            ],
-            env={**os.environ, "PYTHONHASHSEED": salt},
-            capture_output=True,
-            text=True,
-        )
+    for log, seed, command in zip(logs, (7, 7, 8), (khep_twin, process, khep_twin), strict=True):
+        result = command("run", "--playpen", "obstacles", "--seconds", "3", "--seed", str(seed), "--log", log)
         assert result.returncode == 0, result.stderr
         assert f"look at it: {invocation.command('view', log)}" in result.stdout
     first, second, third = (log.read_bytes() for log in logs)
@@ -283,7 +275,7 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_written(tmp_path: Path) -> 
 def test_a_run_that_is_asked_to_end_ends_with_its_log_whole(how: signal.Signals, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     command = [sys.executable, "-m", "khep_twin", "run", "--seconds", "5000", "--log", str(log)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with Forked(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         part = tmp_path / "run.mcap.part"
         end = time.monotonic() + 60
         while not part.exists() or part.stat().st_size < 150_000:
@@ -346,11 +338,6 @@ def test_unknown_options_are_refused_with_help() -> None:
 
 
 def test_a_warning_about_a_port_is_one_line() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "khep_twin", "conform", "khep://default?mode=2"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    done = run_python([sys.executable, "-m", "khep_twin", "conform", "khep://default?mode=2"], timeout=60)
     assert len(done.stderr.splitlines()) == 1
     assert done.stderr.startswith("khep-twin: khep://default?mode=2: the host has its line at 9600 baud")

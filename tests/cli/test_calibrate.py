@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from command_line import khep_twin
+from forked import Forked, run_python
 from served_twin import served
 
 from khep_twin.files.toml_files import dump
@@ -62,7 +63,7 @@ def test_a_person_at_a_served_twin_reads_answers_and_interrupts(tmp_path: Path) 
     command = [sys.executable, "-m", "khep_twin", "calibrate", "", "-o", "mine.toml", "--walls", "12"]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with served(str(tmp_path / "bench.toml")) as (_, command[4]):
-        with subprocess.Popen(command, **pipes, cwd=tmp_path, text=True) as process:
+        with Forked(command, **pipes, cwd=tmp_path, text=True) as process:
             assert process.stdin is not None
             assert process.stdout is not None
             process.stdin.write("s\ns\n\n")
@@ -72,9 +73,7 @@ def test_a_person_at_a_served_twin_reads_answers_and_interrupts(tmp_path: Path) 
             assert process.wait(60) == 130
             assert process.stderr is not None
             assert "the same command goes on with what is in mine-session" in process.stderr.read()
-        ended = subprocess.run(
-            command, input="s\ns\n", capture_output=True, text=True, cwd=tmp_path, check=False
-        )
+        ended = run_python(command, input="s\ns\n", cwd=tmp_path)
     assert "step 2 of 4: skipped\n" in shown
     assert "step 3 of 4: duty.mcap=duty\n" in shown
     assert (tmp_path / "mine-session" / "tests.txt").read_text() == "duty.mcap=duty\n"

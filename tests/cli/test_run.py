@@ -13,7 +13,10 @@ from pathlib import Path
 
 import pytest
 from command_line import khep_twin
+from forked import Forked, run_python
 from scipy.io import loadmat
+from served_twin import served
+from shares import share
 
 from khep_twin.log.reader import read_log
 from khep_twin.playpen import Playpen, dump
@@ -64,27 +67,10 @@ def rows(folder: Path) -> list[dict[str, str]]:
 
 
 @contextmanager
-def served(folder: Path, *words: str) -> "Iterator[tuple[subprocess.Popen[str], str]]":
-    command = [*PROGRAM, "serve", *words]
-    with subprocess.Popen(
-        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            assert process.stdout is not None
-            yield process, process.stdout.readline().strip()
-        finally:
-            if process.poll() is None:
-                process.terminate()
-            process.communicate(timeout=60)
-
-
-@contextmanager
 def begun(folder: Path, *words: object) -> "Iterator[subprocess.Popen[str]]":
     """`khep-twin run`, of which a run has ended."""
     command = [*PROGRAM, "run", *map(str, words)]
-    with subprocess.Popen(
-        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    with Forked(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             end = time.monotonic() + 120
             while not (folder / "series" / "runs.csv").exists():
@@ -121,7 +107,7 @@ def test_a_script_comes_out_the_same_in_this_process_and_behind_a_terminal(tmp_p
     )
     url = "khep://obstacles?noise=off"
     good("run", "learns.py", "--port", url, *length, "--save", "b", folder=tmp_path)
-    with served(tmp_path, "obstacles", "--noise", "off", "--clock", "wire") as (_, path):
+    with served("obstacles", "--noise", "off", "--clock", "wire") as (_, path):
         good("run", "learns.py", "--port", path, *length, "--save", "c", folder=tmp_path)
     assert heard(tmp_path / "a") == heard(tmp_path / "b") == heard(tmp_path / "c")
     assert [row["speed"] for row in rows(tmp_path / "c")] == ["4", "5", "6", "7"]
@@ -134,7 +120,7 @@ def test_in_real_time_it_comes_out_the_same_up_to_timing(tmp_path: Path) -> None
     (tmp_path / "learns.py").write_text(LEARNS)
     words = ("run", "learns.py", "--cycles", "12", "--runs", "2", "--save")
     good(*words, "a", "--noise", "off", folder=tmp_path)
-    with served(tmp_path, "default", "--noise", "off") as (_, path):
+    with served("default", "--noise", "off") as (_, path):
         good(*words, "b", "--port", path, folder=tmp_path)
     one, other = rows(tmp_path / "a"), rows(tmp_path / "b")
     for name in ("run", "cycles", "speed", "fitness", "speed_mean", "proximity_max", "ambient_mean"):
@@ -145,13 +131,20 @@ def test_in_real_time_it_comes_out_the_same_up_to_timing(tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     ("script", "more"),
-    [(LEARNS, ()), (LEARNS, ("--start", "random")), (PLAIN, ("--start", "grid:3x1", "--start", "playpen"))],
+    share(
+        [
+            (PLAIN, ("--start", "grid:3x1", "--start", "playpen")),
+            (LEARNS, ()),
+            (LEARNS, ("--start", "random")),
+        ],
+        3,
+    ),
 )
 def test_a_series_that_was_stopped_goes_on_to_the_very_same_table(
     script: str, more: Sequence[str], tmp_path: Path
 ) -> None:
     (tmp_path / "mine.py").write_text(script)
-    words = ("mine.py", "--playpen", "obstacles", "--cycles", "150", *more)
+    words = ("mine.py", "--playpen", "obstacles", "--cycles", "40", *more)
     with begun(tmp_path, *words, "--runs", "40", "--save", "series", "--log", "run.mcap") as process:
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate(timeout=60)
@@ -267,12 +260,10 @@ def test_a_place_that_fails_is_one_line(place: str, tmp_path: Path) -> None:
 
 def test_before_each_run_a_person_is_waited_for(tmp_path: Path) -> None:
     command = [*PROGRAM, "run", "--confirm", "--cycles", "1", "--runs", "2"]
-    result = subprocess.run(
-        command, cwd=tmp_path, input="\nready\n", capture_output=True, text=True, timeout=60
-    )
+    result = run_python(command, cwd=tmp_path, input="\nready\n", timeout=60)
     assert result.returncode == 0
     assert result.stderr.count("put the robot right, then press Enter") == 2
-    ended = subprocess.run(command, cwd=tmp_path, input="\n", capture_output=True, text=True, timeout=60)
+    ended = run_python(command, cwd=tmp_path, input="\n", timeout=60)
     assert ended.returncode == 1
     assert "--confirm: the input ended before run 2; expected a terminal" in ended.stderr
 
@@ -280,7 +271,7 @@ def test_before_each_run_a_person_is_waited_for(tmp_path: Path) -> None:
 def test_ctrl_c_ends_the_wait_for_a_person(tmp_path: Path) -> None:
     host, terminal = pty.openpty()
     command = [*PROGRAM, "run", "--confirm", "--cycles", "1", "--save", "s"]
-    with subprocess.Popen(
+    with Forked(
         command, cwd=tmp_path, stdin=terminal, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
     ) as process:
         assert process.stderr is not None
@@ -295,8 +286,8 @@ def test_ctrl_c_ends_the_wait_for_a_person(tmp_path: Path) -> None:
 
 def test_a_twin_that_is_killed_in_mid_run_is_one_error_and_nothing_is_lost(tmp_path: Path) -> None:
     link = tmp_path / "link"
-    options = ("obstacles", "--clock", "wire", "--log", "served.mcap", "--link", str(link))
-    with served(tmp_path, *options) as (twin, _):
+    options = ("obstacles", "--clock", "wire", "--log", str(tmp_path / "served.mcap"), "--link", str(link))
+    with served(*options) as (twin, _):
         words = ("--port", link, "--cycles", "20", "--runs", "100000", "--save", "series")
         with begun(tmp_path, *words) as process:
             twin.kill()
@@ -322,7 +313,7 @@ def test_a_terminal_that_closes_and_a_peer_that_goes_are_one_error(tmp_path: Pat
     assert "the motors may still run" in errors
     host, terminal = pty.openpty()
     path = os.ttyname(terminal)
-    with subprocess.Popen(
+    with Forked(
         [*PROGRAM, "run", "--port", path], cwd=tmp_path, stderr=subprocess.PIPE, text=True
     ) as process:
         assert os.read(host, 1)

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 from command_line import khep_twin
+from forked import Forked
+from served_twin import served
 
 from khep_twin.errors import LogError
 from khep_twin.lab.sensor_test.sensor_files import load
@@ -102,24 +104,18 @@ def drives(part: Path) -> bool:
 
 
 def test_a_test_that_is_asked_to_end_keeps_its_data(folder: Path) -> None:
-    serve = [sys.executable, "-m", "khep_twin", "serve", "bench.toml", "--tcp", "127.0.0.1:0"]
-    serve += ["--log", "twin.mcap"]
-    with subprocess.Popen(serve, stdout=subprocess.PIPE, text=True, cwd=folder) as served:
-        try:
-            assert served.stdout is not None
-            port = served.stdout.readline().strip()
-            command = [sys.executable, "-m", "khep_twin", "sense", port, "--linear", "-60", "-o", "run.csv"]
-            command += ["--speed", "5"]  # 15 s, so that it goes on by then on slow machines, too
-            with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=folder) as sensing:
-                end = time.monotonic() + 60
-                while not (folder / "twin.mcap.part").exists() or not drives(folder / "twin.mcap.part"):
-                    assert time.monotonic() < end, "it does not drive"
-                    time.sleep(0.1)
-                time.sleep(1)
-                sensing.send_signal(signal.SIGINT)
-                _, complaint = sensing.communicate(timeout=60)
-        finally:
-            served.terminate()
+    log = folder / "twin.mcap"
+    with served(str(folder / "bench.toml"), "--tcp", "127.0.0.1:0", "--log", str(log)) as (_, port):
+        command = [sys.executable, "-m", "khep_twin", "sense", port, "--linear", "-60", "-o", "run.csv"]
+        command += ["--speed", "5"]  # 15 s, so that it goes on by then on slow machines, too
+        with Forked(command, stderr=subprocess.PIPE, text=True, cwd=folder) as sensing:
+            part, end = log.with_suffix(".mcap.part"), time.monotonic() + 60
+            while not part.exists() or not drives(part):
+                assert time.monotonic() < end, "it does not drive"
+                time.sleep(0.1)
+            time.sleep(1)
+            sensing.send_signal(signal.SIGINT)
+            _, complaint = sensing.communicate(timeout=60)
     assert sensing.returncode == 130
     assert complaint.endswith("khep-twin: stopped before its end\n")
     assert -60 < load(folder / "run.csv").travelled[-1] < 0

@@ -98,6 +98,7 @@ def test_a_khepera_2_never_reads_0_without_a_line_plain_and_compiled(planar: boo
     assert min(lowest[0]) == 4
 
 
+@pytest.mark.long
 @with_numba
 def test_compiled_and_plain_code_find_the_same_surfaces_to_the_last_bit() -> None:
     import numba

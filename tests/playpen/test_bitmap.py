@@ -22,7 +22,7 @@ def field(rows: int = 200, columns: int = 300) -> NDArray[np.bool_]:
     return np.zeros((rows, columns), dtype=np.bool_)
 
 
-@settings(max_examples=300, derandomize=True, database=None)
+@settings(max_examples=100, derandomize=True, database=None)
 @given(arrays.arrays(np.bool_, arrays.array_shapes(min_dims=2, max_dims=2, max_side=24)))
 def test_rectangles_cover_exactly_the_solid_pixels_without_overlap(solid: NDArray[np.bool_]) -> None:
     covered = np.zeros(solid.shape, dtype=np.int64)
@@ -33,7 +33,7 @@ def test_rectangles_cover_exactly_the_solid_pixels_without_overlap(solid: NDArra
     np.testing.assert_array_equal(covered, solid)
 
 
-@settings(max_examples=100, derandomize=True, database=None)
+@settings(max_examples=50, derandomize=True, database=None)
 @given(arrays.arrays(np.bool_, arrays.array_shapes(min_dims=2, max_dims=2, max_side=12)), st.booleans())
 def test_any_bitmap_becomes_its_playpen_or_is_reported_to_be_solid(
     solid: NDArray[np.bool_], walled: bool
@@ -130,6 +130,7 @@ def test_without_a_free_place_there_is_no_robot_and_the_playpen_is_right() -> No
     assert playpen.parse(playpen.dump(made.playpen), "x") == made.playpen
 
 
+@pytest.mark.long
 def test_as_many_blocks_as_a_playpen_may_hold_are_written_so_that_they_load() -> None:
     solid = np.zeros((200, 200), dtype=np.bool_)
     solid.reshape(-1)[np.arange(4999) * 2 + np.arange(4999) * 2 // 200 % 2] = True

@@ -15,6 +15,7 @@ from drawn_bitmap import drawn
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
+from shares import share
 
 from khep_twin.errors import BitmapError
 from khep_twin.playpen import bitmap_files
@@ -227,7 +228,7 @@ print(time.process_time() - begun)
 """
 
 
-@pytest.mark.parametrize("kind", ["grey", "colours", "deep", "scan"])
+@pytest.mark.parametrize("kind", share(["grey", "colours", "deep", "scan"], 4))
 def test_the_largest_bitmaps_take_less_than_two_seconds_and_512_mb(kind: str, tmp_path: Path) -> None:
     checkers = (np.indices((4096, 4096), dtype=np.uint16).sum(axis=0) % 2).astype(np.uint8)
     path = tmp_path / "file"

@@ -620,7 +620,7 @@ robots = st.builds(
 )
 
 
-@settings(derandomize=True, database=None, max_examples=60, deadline=None)
+@settings(derandomize=True, database=None, max_examples=20, deadline=None)
 @given(
     st.lists(blocks, max_size=3).map(tuple),
     st.lists(cylinders, max_size=3).map(tuple),
@@ -667,7 +667,7 @@ lines = st.one_of(
 )
 
 
-@settings(derandomize=True, database=None, max_examples=300, deadline=None)
+@settings(derandomize=True, database=None, max_examples=100, deadline=None)
 @given(st.lists(lines, max_size=8).map("\n".join))
 def test_any_text_is_a_playpen_or_is_refused_as_one(text: str) -> None:
     told: list[str] = []

@@ -1,5 +1,9 @@
 """Tests of random start poses: every user of a seed draws the same ones."""
 
+import inspect
+import sys
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -51,13 +55,15 @@ def test_a_world_takes_the_spot_that_the_seed_draws() -> None:
     assert at_start(scene, 0, (1.0, 2.0, 3.0)).robots[0].spots == ()
 
 
-def test_more_robots_than_python_has_calls_find_their_spots() -> None:
+def test_more_robots_than_python_has_calls_find_their_spots(request: pytest.FixtureRequest) -> None:
+    request.addfinalizer(partial(sys.setrecursionlimit, sys.getrecursionlimit()))
+    sys.setrecursionlimit(len(inspect.stack(0)) + 200)
     head = 'version = 1\nname = "many"\n[arena]\nwidth_mm = 10000\nheight_mm = 10000\n'
-    places = [(100 + 65 * (number % 40), 100 + 65 * (number // 40)) for number in range(1100)]
+    places = [(100 + 65 * (number % 40), 100 + 65 * (number // 40)) for number in range(250)]
     spots = "".join(
         f'[[spot]]\nname = "s{number}"\nx_mm = {x}\ny_mm = {y}\nheading_deg = 0\n'
         for number, (x, y) in enumerate(places)
     )
-    robots = "".join(f'[[robot]]\nspots = ["s{number}"]\n' for number in range(1100))
+    robots = "".join(f'[[robot]]\nspots = ["s{number}"]\n' for number in range(250))
     placed = at_spots(playpen.parse(head + spots + robots, "many"), 1)
     assert [(robot.x_mm, robot.y_mm) for robot in placed.robots] == places

@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from shares import share
 
 from khep_twin.sensing.noise import draws, key_words, no_noise, philox, quantiles
 from studies.noise_fits import ORDERS, PERIOD, differences, ripple, twin
@@ -31,7 +32,7 @@ def test_what_a_robot_without_any_noise_reads_is_smooth(target: str) -> None:
     assert max(differences(quiet, order) for order in ORDERS) < 5
 
 
-@pytest.mark.parametrize("target", ["wall", "cylinder"])
+@pytest.mark.parametrize("target", share(["wall", "cylinder"], 2))
 def test_the_rooms_light_runs_through_the_sensors_in_the_order_of_the_scan(target: str) -> None:
     found = ripple(in_the_room(target))
     assert found.period == pytest.approx(PERIOD, rel=0.03)

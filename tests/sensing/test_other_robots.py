@@ -1,5 +1,7 @@
 """Robots see each other by infrared and stand in each other's light, as they pass."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -27,6 +29,7 @@ calibration = "khepera1-manual"
 """
 
 
+@cache
 def passed(y_mm: float, lamp: str = "") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Let the second robot pass the first; return its places, and what both see, every 10 ms.
 
@@ -72,9 +75,9 @@ def test_it_sees_the_one_that_it_passes_as_that_one_sees_it() -> None:
 
 
 def test_a_robot_is_seen_the_more_the_nearer_it_passes() -> None:
-    peaks = [passed(250 + 55 + gap_mm)[1][:, 0, 0].max() for gap_mm in (4, 6, 8, 12, 40)]
+    peaks = [passed(250 + 55 + gap_mm)[1][:, 0, 0].max() for gap_mm in (4, 8, 40)]
     assert peaks == sorted(peaks, reverse=True)
-    assert peaks[0] > 2 * peaks[2] or peaks[0] == 1023
+    assert peaks[0] > 2 * peaks[1] or peaks[0] == 1023
     assert peaks[-1] == 0
 
 

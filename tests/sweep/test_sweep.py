@@ -373,6 +373,7 @@ def test_a_worker_with_other_versions_does_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not HAS_RAY, reason="ray, the extra [ray], is not installed")
+@pytest.mark.long
 def test_rays_workers_may_be_killed_and_each_result_is_there_once(tmp_path: Path) -> None:
     # A quick machine may be done before the second one.
     assert trial(tmp_path, tasks=8, kills=2, seconds=40, seed=0) >= 1

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shares import share
 
 from khep_twin.board.k213 import PIXELS, K213Register
 from khep_twin.playpen import Playpen
@@ -34,7 +35,7 @@ def camera_of(scene: World, robot: int) -> LineCamera:
 
 
 @COMPILED
-@pytest.mark.parametrize("noise", [False, True])
+@pytest.mark.parametrize("noise", share([True, False], 2))
 def test_plain_and_compiled_code_take_the_same_image(noise: bool) -> None:
     scene = world(CROWD, arena=ARENA, noise=noise, compiled=False)
     see = function_of("vision")
