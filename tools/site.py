@@ -2,8 +2,8 @@
 
     python -m tools site [FOLDER]
 
-The front page is the head of the README, the gallery every picture of the pages, and the reference is that of
-`python -m tools reference`. Links between pages stay as they are; those to the README lead to its page.
+The front page is the head of the README with ways in by task, the gallery every picture of the pages, and the
+reference is that of `python -m tools reference`. Links between pages stay as they are; those to the README lead to its page.
 """
 
 import re
@@ -44,6 +44,25 @@ STYLE = """
 .md-typeset .md-button { margin: .2rem 0; }
 .md-typeset h1 .headerlink, .md-typeset h2 .headerlink { margin-left: .2rem; }
 """
+
+TASKS = {
+    "I have a robot": """Change the name of the port, and [your program](docs/host.md) drives the robot or its
+    twin. [Calibrate](docs/senses.md#calibrating-your-robot) the twin to your robot, let it run
+    [beside the robot](docs/twin.md), and [log](docs/logs.md) the line.""",
+    "I have none": """The [tutorial](docs/tutorial.md) needs no robot: drive one on your screen,
+    [draw its world](docs/designer.md) in the browser, look at [runs in rerun](docs/logs.md#viewing), and
+    repeat [classic experiments](docs/classics.md).""",
+    "I teach": """Eight [lessons](docs/lessons/README.md) with a check each, [challenges](docs/challenges.md)
+    that score the programs of a class, [notebooks](docs/notebooks.md), [reports](docs/report.md) of runs, and the
+    [Khepera Toolbox](docs/toolbox.md) in Python.""",
+    "I evolve or train": """[Many episodes at once](docs/scale.md), in MuJoCo or in a plane;
+    [environments](docs/environments.md) for Gymnasium, PettingZoo and dm_control;
+    [studies](docs/sweep.md) on [clusters](docs/cluster.md); [datasets](docs/datasets.md).""",
+    "I test host code": """[Serve a twin](docs/serving.md) on a terminal or a network port, with faults, in
+    [real or simulated time](docs/time.md), and check a robot, an emulator or a recording
+    [against the protocol](docs/protocol.md#checking-a-robot-an-emulator-or-a-recording).""",
+}
+"""Ways into the pages, by what a reader wants."""
 
 PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)]+\.(?:png|svg))\)")
 
@@ -87,12 +106,14 @@ def _copy(path: Path, to: Path) -> None:
 
 
 def _front(readme: str) -> str:
-    """Return the front page: one picture, one sentence, two commands, and where to go on."""
+    """Return the front page: one sentence, where to go on by task, two commands, one picture."""
     title, sentence, picture = readme.split("\n\n")[:3]
     (commands, *_) = re.findall(r"```sh\n.*?```", readme, re.DOTALL)
+    cards = "".join(f"-   **{task}**\n\n    {text}\n\n" for task, text in TASKS.items())
     return (
         f"---\ntitle: Khepera on MuJoCo\nhide: [navigation, toc]\n---\n{title}\n\n{sentence}\n\n"
-        f"{picture}{{ width=560 }}\n\n{commands}\n\n"
+        f'<div class="grid cards" markdown>\n\n{cards}</div>\n\n'
+        f"{commands}\n\n{picture}{{ width=560 }}\n\n"
         "[Tutorial](docs/tutorial.md){ .md-button .md-button--primary } "
         "[All that it does](about.md){ .md-button } [Gallery](gallery.md){ .md-button }\n"
     )
