@@ -3,7 +3,8 @@
     python -m tools site [FOLDER]
 
 The front page is the head of the README with ways in by task, the gallery every picture of the pages, and the
-reference is that of `python -m tools reference`. Links between pages stay as they are; those to the README lead to its page.
+reference is that of `python -m tools reference`. Links between pages stay as they are; those to the README
+lead to its page.
 """
 
 import re
@@ -53,8 +54,8 @@ TASKS = {
     [draw its world](docs/designer.md) in the browser, look at [runs in rerun](docs/logs.md#viewing), and
     repeat [classic experiments](docs/classics.md).""",
     "I teach": """Eight [lessons](docs/lessons/README.md) with a check each, [challenges](docs/challenges.md)
-    that score the programs of a class, [notebooks](docs/notebooks.md), [reports](docs/report.md) of runs, and the
-    [Khepera Toolbox](docs/toolbox.md) in Python.""",
+    that score the programs of a class, [notebooks](docs/notebooks.md), [reports](docs/report.md) of runs, and
+    the [Khepera Toolbox](docs/toolbox.md) in Python.""",
     "I evolve or train": """[Many episodes at once](docs/scale.md), in MuJoCo or in a plane;
     [environments](docs/environments.md) for Gymnasium, PettingZoo and dm_control;
     [studies](docs/sweep.md) on [clusters](docs/cluster.md); [datasets](docs/datasets.md).""",
