@@ -29,59 +29,12 @@ from tools.command_table import command_line
 
 MS = 1_000_000
 
-READS = [
-    "E",
-    "H",
-    "N",
-    "O",
-    "K",
-    "B",
-    "I,0",
-    "I,1",
-    "I,2",
-    "I,6",
-    "R,5",
-    "T,1,B",
-    "T,1,H,1",
-    "T,1,G",
-    "T,2,B",
-    "T,2,N",
-    "T,2,L",
-    "T,2,Q,20",
-    "T,2,O",
-    "T,2,U,1",
-]
-WRONG = [
-    "D",
-    "D,1",
-    "D,1,2,3",
-    "D,a,b",
-    "C,1",
-    "I",
-    "I,9",
-    "L,0",
-    "L,5,0",
-    "R",
-    "R,99",
-    "W,1",
-    "N,1",
-    "T",
-    "T,1",
-]
+READS = "E;H;N;O;K;B;I,0;I,1;I,2;I,6;R,5;T,1,B;T,1,H,1;T,1,G;T,2,B;T,2,N;T,2,L;T,2,Q,20;T,2,O;T,2,U,1".split(
+    ";"
+)
+WRONG = "D;D,1;D,1,2,3;D,a,b;C,1;I;I,9;L,0;L,5,0;R;R,99;W,1;N,1;T;T,1".split(";")
 WORDS = ["hello", "d,5,5", " ", "?", "XY", "x" * 200, "D," + "1" * 200, "Q", "\x01\x02", "a\\b"]
-TOOLS = [
-    "help",
-    "list",
-    "net",
-    "k-team",
-    "memory",
-    "process",
-    "sfill",
-    "help D",
-    "run test",
-    "restart",
-    "restart",
-]
+TOOLS = "help;list;net;k-team;memory;process;sfill;help D;run test;restart;restart".split(";")
 
 
 class Host:

@@ -71,12 +71,7 @@ class Run:
     """
 
     def __init__(
-        self,
-        playpen: Playpen,
-        seed: int,
-        vary: bool,
-        faults: Sequence[str],
-        changes: Sequence[Change | None],
+        self, playpen: Playpen, seed: int, vary: bool, faults: Sequence[str], changes: Sequence[Change | None]
     ) -> None:
         wanted = [change for change in changes if change is not None]
         self.world = World(

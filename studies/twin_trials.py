@@ -32,16 +32,7 @@ from tools.command_table import command_line
 
 POSE = "obstacles", "looping-maze", "workshop"
 
-ALL = (
-    "workshop",
-    "obstacles",
-    "looping-maze",
-    "default",
-    "homing",
-    "light-seeking",
-    "t-maze",
-    "two-lamps",
-)
+ALL = ("workshop", "obstacles", "looping-maze", "default", "homing", "light-seeking", "t-maze", "two-lamps")
 """Playpens of one robot without movable things, which a shadow supports."""
 
 HEALTHY_S = 300.0

@@ -55,13 +55,7 @@ class Touched:
         self.found: list[str] = []
         self._inside = str(inside)
         self.registry = ""
-        ours = (
-            Path(sys.prefix),
-            Path(sys.base_prefix),
-            ROOT,
-            Path("/usr"),
-            Path("/sys"),
-        )
+        ours = (Path(sys.prefix), Path(sys.base_prefix), ROOT, Path("/usr"), Path("/sys"))
         self._known = tuple(str(each.resolve()) for each in ours)
         self._searched = {os.path.realpath(each) for each in sys.path}  # for modules
         self.on = False

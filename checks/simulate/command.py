@@ -73,7 +73,6 @@ def main() -> int:
             sub.add_argument(
                 "--jobs", type=int, default=os.cpu_count(), help="number of processes; 0: this one"
             )
-            sub.add_argument("--json", type=Path, help="file for the figures")
         if name == "run":
             sub.add_argument("--no-shrink", dest="shrink", action="store_false", help="name violations only")
         own = {"mutants": None, "coverage": SECONDS_COVERED}.get(name, SECONDS)
@@ -97,21 +96,12 @@ def run(options: argparse.Namespace) -> int:
             print(f"{case.scenario} seed {case.seed}: {outcome.violation}", flush=True)
             found.append(_kept(shrunk(case, outcome)) if options.shrink else case)
         _tell(f"{hours.total():.1f} of {options.hours:g} h, {seeds.total()} seeds, {len(found)} violations")
-    figures = {
-        "hours": round(hours.total(), 3),
-        "seeds": dict(seeds),
-        "wall_s": round(time.monotonic() - begun, 1),
-        "counts": dict(sorted(counts.items())),
-        "violations": [each.command() for each in found],
-        "commit": _commit(),
-    }
-    _write(options.json, figures)
     for name in seeds:
         speed = f"{3600 * hours[name] / spent_s[name]:.0f} simulated s per s of processor time"
         print(f"{name}: {hours[name]:.1f} h, {seeds[name]} seeds, {speed}")
-    for name, number in figures["counts"].items():
+    for name, number in sorted(counts.items()):
         print(f"  {name}: {number}")
-    print(f"{hours.total():.1f} simulated hours in {figures['wall_s']:.0f} s, {len(found)} violations")
+    print(f"{hours.total():.1f} simulated hours in {time.monotonic() - begun:.0f} s, {len(found)} violations")
     return 1 if found else 0
 
 
@@ -130,7 +120,7 @@ def one(options: argparse.Namespace) -> int:
 def run_mutants(options: argparse.Namespace) -> int:
     """Run mutants until they are caught, and shrink what catches them."""
     names = options.names or [*mutants()]
-    missed, rows = 0, list[dict[str, object]]()
+    missed = 0
     searches = [(name, options.first, options.seconds) for name in names]
     for name, case, simulated_s in in_processes(caught, searches, options.jobs):
         n_faults = None if case is None else len(case.faults or ())
@@ -144,9 +134,6 @@ def run_mutants(options: argparse.Namespace) -> int:
                 f"{name}: {case.invariant}, seed {case.seed}, {simulated_s:.0f} s, {n_faults} faults",
                 flush=True,
             )
-        seed = None if case is None else case.seed
-        rows.append({"mutant": name, "seed": seed, "simulated_s": simulated_s, "faults": n_faults})
-    _write(options.json, {"mutants": rows, "commit": _commit()})
     print(f"{len(names) - missed} of {len(names)} mutants caught, with {MOST_FAULTS} faults or fewer")
     return 1 if missed else 0
 
@@ -193,16 +180,3 @@ def _kept(case: Case) -> Case:
 def _tell(text: str) -> None:
     if sys.stderr.isatty():
         print(f"\r{text}", end="", file=sys.stderr, flush=True)
-
-
-def _write(path: Path | None, figures: dict[str, object]) -> None:
-    if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-
-
-def _commit() -> str:
-    done = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
-    )
-    return done.stdout.strip()

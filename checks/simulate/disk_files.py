@@ -181,12 +181,7 @@ def opened_buffered(
     return buffered if "b" in mode else io.TextIOWrapper(buffered, encoding, errors, newline)
 
 
-_FLAGS = {
-    "r": 0,
-    "w": os.O_CREAT | os.O_TRUNC,
-    "x": os.O_CREAT | os.O_EXCL,
-    "a": os.O_CREAT | os.O_APPEND,
-}
+_FLAGS = {"r": 0, "w": os.O_CREAT | os.O_TRUNC, "x": os.O_CREAT | os.O_EXCL, "a": os.O_CREAT | os.O_APPEND}
 """Flags of `os.open` for the modes of `io.open`."""
 
 

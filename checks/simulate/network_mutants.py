@@ -16,14 +16,6 @@ from khep_twin.ports import network, network_host
 from khep_twin.ports.network_host import NetworkHost
 
 
-def _no_stop() -> AbstractContextManager[object]:
-    return patch.object(Line, "_stop", lambda line: None)
-
-
-def _no_stop_from_outside() -> AbstractContextManager[object]:
-    return patch.object(Line, "_end", lambda line: None)
-
-
 def _moves_repeated() -> AbstractContextManager[object]:
     sound = commands.set_position
     return patch.object(
@@ -51,10 +43,6 @@ def _numbers(text: str) -> list[int]:
     return [int(each) for each in text.split(",")[1:]]
 
 
-def _nameless_errors() -> AbstractContextManager[object]:
-    return patch.object(Line, "_silence", lambda line, request, data: PortTimeout(f"no reply to {request!r}"))
-
-
 def _refused_bytes_taken() -> AbstractContextManager[object]:
     sound = network.TcpPort._accept
 
@@ -71,14 +59,6 @@ def _refused_bytes_taken() -> AbstractContextManager[object]:
     return patch.object(network.TcpPort, "_accept", accept)
 
 
-def _never_let_go() -> AbstractContextManager[object]:
-    return patch.object(NetworkHost, "done", PropertyMock(return_value=False))
-
-
-def _browsers() -> AbstractContextManager[object]:
-    return patch.object(NetworkHost, "_refuse_browsers", lambda host: None)
-
-
 def _connections_kept() -> AbstractContextManager[object]:
     kept: list[object] = []
     return patch.object(NetworkHost, "close", lambda host: kept.append(host._client))
@@ -93,14 +73,6 @@ def _bursts_cut() -> AbstractContextManager[object]:
         host._flush()
 
     return patch.object(NetworkHost, "_release", release)
-
-
-def _vanished_hosts_stay() -> AbstractContextManager[object]:
-    return patch.multiple(network_host, _retransmissions=lambda client: 0)
-
-
-def _no_negotiation() -> AbstractContextManager[object]:
-    return patch.object(network_host.Negotiator, "write", lambda negotiator, data: None)
 
 
 def _counters_ahead() -> AbstractContextManager[object]:
@@ -122,19 +94,39 @@ def _one_wheel() -> AbstractContextManager[object]:
 
 
 MUTANTS: dict[str, Mutant] = {
-    "leaving does not stop the motors": Mutant("tcp", "motors", _no_stop),
-    "a host ended from outside does not stop the motors": Mutant("tcp", "motors", _no_stop_from_outside),
+    "leaving does not stop the motors": Mutant(
+        "tcp", "motors", lambda: patch.object(Line, "_stop", lambda line: None)
+    ),
+    "a host ended from outside does not stop the motors": Mutant(
+        "tcp", "motors", lambda: patch.object(Line, "_end", lambda line: None)
+    ),
     "a command that sets counters is repeated": Mutant("lockstep", "counters", _moves_repeated),
     "an old reply is taken for a new one": Mutant("lockstep", "replies", _old_replies),
     "left and right are swapped": Mutant("lockstep", "replies", _swapped_values),
-    "an error does not name its port": Mutant("tcp", "errors", _nameless_errors),
+    "an error does not name its port": Mutant(
+        "tcp",
+        "errors",
+        lambda: patch.object(
+            Line, "_silence", lambda line, request, data: PortTimeout(f"no reply to {request!r}")
+        ),
+    ),
     "a refused host's bytes are taken": Mutant("tcp", "replies", _refused_bytes_taken),
-    "a host that has finished is never let go": Mutant("tcp", "leftovers", _never_let_go),
-    "a browser is let in": Mutant("tcp", "replies", _browsers),
+    "a host that has finished is never let go": Mutant(
+        "tcp", "leftovers", lambda: patch.object(NetworkHost, "done", PropertyMock(return_value=False))
+    ),
+    "a browser is let in": Mutant(
+        "tcp", "replies", lambda: patch.object(NetworkHost, "_refuse_browsers", lambda host: None)
+    ),
     "connections are never closed": Mutant("tcp", "leftovers", _connections_kept),
-    "a host that has vanished keeps the port": Mutant("tcp", "answers", _vanished_hosts_stay, 600),
+    "a host that has vanished keeps the port": Mutant(
+        "tcp", "answers", lambda: patch.multiple(network_host, _retransmissions=lambda client: 0), 600
+    ),
     "answers to a burst are cut": Mutant("tcp", "answers", _bursts_cut),
-    "negotiation is not answered": Mutant("rfc2217", "answers", _no_negotiation),
+    "negotiation is not answered": Mutant(
+        "rfc2217",
+        "answers",
+        lambda: patch.object(network_host.Negotiator, "write", lambda negotiator, data: None),
+    ),
     "counters are ahead of the wheels": Mutant("tcp", "counters", _counters_ahead),
     "a speed sets one wheel": Mutant("lockstep", "speeds", _one_wheel),
 }

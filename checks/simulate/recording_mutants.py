@@ -99,10 +99,7 @@ def _remove(part: Path) -> Path | None:
 _broken: dict[str, tuple[str, Broken]] = {
     "a short write is taken for whole": ("recovery", _replaced(PartFile, "write", _write_once)),
     "a failed write is not taken back": ("recovery", _replaced(PartFile, "write", _write_without_truncation)),
-    "the next run overwrites the remains": (
-        "leftovers",
-        _replaced(log_file, "set_aside", _remove),
-    ),
+    "the next run overwrites the remains": ("leftovers", _replaced(log_file, "set_aside", _remove)),
     "logs are renamed before the summary": ("recovery", _replaced(LogFile, "finish", _finish_early)),
     "logs are renamed before they are on the disk": (
         "recovery",

@@ -58,14 +58,12 @@ def _polls_passed() -> AbstractContextManager[object]:
     return patch.object(IdlePolls, "passed", passed)
 
 
-def _never_flushed() -> AbstractContextManager[object]:
-    return patch.object(LineRecorder, "flush", lambda recorder: None)
-
-
 MUTANTS: dict[str, Mutant] = {
     "replies to a host that has left reach the next": Mutant("relay", "replies", _next_host_at_once),
     "the log of a line misses replies": Mutant("relay", "recovery", _replies_not_logged),
     "a relay goes on without its cable": Mutant("relay", "errors", _lost_cables),
     "replies to the relay's own questions reach hosts": Mutant("relay", "replies", _polls_passed),
-    "the log of a line is never flushed": Mutant("relay", "recovery", _never_flushed),
+    "the log of a line is never flushed": Mutant(
+        "relay", "recovery", lambda: patch.object(LineRecorder, "flush", lambda recorder: None)
+    ),
 }

@@ -28,14 +28,6 @@ def _deaf_line() -> AbstractContextManager[object]:
     return patch.object(TerminalHosts, "poll", poll)
 
 
-def _unread_replies() -> AbstractContextManager[object]:
-    return patch.object(PtyPort, "_drop_replies", lambda port: 0)
-
-
-def _line_kept() -> AbstractContextManager[object]:
-    return patch.object(Robot, "disconnect", lambda robot: None)
-
-
 def _no_room() -> AbstractContextManager[object]:
     def write(port: PtyPort, data: bytes) -> None:
         pty.os.write(port.descriptor, data)
@@ -52,15 +44,17 @@ def _link_left() -> AbstractContextManager[object]:
     return patch.object(Link, "close", close)
 
 
-def _host_side_left() -> AbstractContextManager[object]:
-    return patch.object(TerminalHosts, "close", lambda hosts: None)
-
-
 MUTANTS: dict[str, Mutant] = {
     "a line is deaf after hosts came together": Mutant("serve", "answers", _deaf_line),
-    "unread replies reach the next host": Mutant("serve", "replies", _unread_replies),
-    "what a host has begun to write stays on the line": Mutant("serve", "replies", _line_kept),
+    "unread replies reach the next host": Mutant(
+        "serve", "replies", lambda: patch.object(PtyPort, "_drop_replies", lambda port: 0)
+    ),
+    "what a host has begun to write stays on the line": Mutant(
+        "serve", "replies", lambda: patch.object(Robot, "disconnect", lambda robot: None)
+    ),
     "a host that never reads ends the server": Mutant("serve", "errors", _no_room),
     "a server leaves its link": Mutant("serve", "leftovers", _link_left),
-    "a server leaves its terminal open": Mutant("serve", "leftovers", _host_side_left),
+    "a server leaves its terminal open": Mutant(
+        "serve", "leftovers", lambda: patch.object(TerminalHosts, "close", lambda hosts: None)
+    ),
 }

@@ -140,11 +140,7 @@ def simulate(
         Exception: The simulation itself is at fault.
     """
     # What the product keeps in temporary folders goes, too.
-    with (
-        _folder() as folder,
-        patch.object(tempfile, "tempdir", str(folder)),
-        _collected_by_hand(),
-    ):
+    with _folder() as folder, patch.object(tempfile, "tempdir", str(folder)), _collected_by_hand():
         simulation = Simulation(seed, folder, kept)
         violation: Violation | None = None
         with simulation.system.installed():

@@ -79,14 +79,6 @@ def _torn() -> AbstractContextManager[object]:
     return _patched((SweepFolder, "_holds", holds), (SweepFolder, "_read", taken))
 
 
-def _all_missing() -> AbstractContextManager[object]:
-    return _patched((SweepFolder, "missing", lambda self: [*self._work.tasks]))
-
-
-def _unlocked() -> AbstractContextManager[object]:
-    return _patched((SweepFolder, "_lock", lambda self, descriptor: None))
-
-
 def _left() -> AbstractContextManager[object]:
     def write(path: Path, data: bytes) -> None:
         scratch = path.with_name(f".{path.name}.part")
@@ -114,8 +106,12 @@ MUTANTS: dict[str, Mutant] = {
     "sweep-late-result-added": Mutant("sweep", "results", _twice),
     "sweep-task-of-a-dead-worker-dropped": Mutant("sweep", "results", _dropped),
     "sweep-torn-part-taken-as-whole": Mutant("sweep", "results", _torn),
-    "sweep-resumed-from-nothing": Mutant("sweep", "results", _all_missing),
-    "sweep-without-a-lock": Mutant("sweep", "errors", _unlocked),
+    "sweep-resumed-from-nothing": Mutant(
+        "sweep", "results", lambda: _patched((SweepFolder, "missing", lambda self: [*self._work.tasks]))
+    ),
+    "sweep-without-a-lock": Mutant(
+        "sweep", "errors", lambda: _patched((SweepFolder, "_lock", lambda self, descriptor: None))
+    ),
     "sweep-leaves-a-part-on-a-full-disk": Mutant("sweep", "leftovers", _left),
     "sweep-table-written-in-place": Mutant("sweep", "errors", _in_place),
 }
