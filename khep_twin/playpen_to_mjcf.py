@@ -17,44 +17,29 @@ with everything by MuJoCo's own filter.
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import mujoco
 
 from khep_twin import units
-from khep_twin.board.turrets import find, raised_by
-from khep_twin.playpen import Arena, Block, Cylinder, Patch, Playpen, RobotEntry, Wall
+from khep_twin.playpen import Arena, Block, Cylinder, Patch, Playpen, Wall
 from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
 from khep_twin.playpen.merge import merged
 from khep_twin.playpen.polygon import walls_around
 from khep_twin.playpen.stripes import Panel, panels, panels_within
 from khep_twin.playpen.surfaces import Surface
-from khep_twin.sensing import calibration
+from khep_twin.robot_to_mjcf import SOLIMP, SOLREF, add_contact, add_robot
 from khep_twin.sensing.line_faces import STRIPE
-
-ROBOT_FILE = Path(str(files("khep_twin"))) / "assets" / "khepera.xml"
-
-SHELL_FRICTION = 0.3
-"""Friction of the plastic body on walls and objects (assumed)."""
 
 STEPS_NS = (units.STEP_NS, 2 * units.STEP_NS, 4 * units.STEP_NS)
 """Valid steps of a scene [ns]: the robot's own, of one conversion, and coarser ones for many runs."""
 
-_SOLREF = [2.5 * units.STEP_NS * 1e-9, 1.0]
-"""Stiffest contact that is stable at this step: time constant 2.5 steps, critically damped (measured)."""
-
-_SOLIMP = [0.95, 0.99, 0.0005, 0.5, 2]
-"""Impedance above MuJoCo's default, so that weights press contacts in by micrometres only."""
+SHELL_FRICTION = 0.3
+"""Friction of the plastic body on walls and objects (assumed)."""
 
 _FRICTION_RATIO = 5e4
 """Ratio of frictional to normal impedance: under the tyres' soft springs, friction stays hard (creep below
 1 mm/s before a tyre slips)."""
-
-_TYRE_SOLIMP = [0.002, 0.002, 0.0005, 0.5, 2]
-"""Impedance of the tyres, which makes them springs with dampers. MuJoCo's friction lifts a contact that slips
-at a speed by impedance x friction x speed x time constant: a stiff one leaves the floor, again and again."""
 
 _PATCH_HEIGHT = 0.0002
 """Height of patches on the floor [m]: as thin as paint."""
@@ -107,12 +92,12 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     controls: list[float] = []
     for index, robot in enumerate(playpen.robots):
         prefix = f"khepera{index}/"
-        names, held = _add_robot(spec, prefix, robot)
+        names, held = add_robot(spec, prefix, robot)
         hands.append(names)
         controls += held
         shell = prefix + "shell"
         for obstacle in [*obstacles, *shells]:
-            _add_contact(spec, shell, obstacle, SHELL_FRICTION)
+            add_contact(spec, shell, obstacle, SHELL_FRICTION)
         shells.append(shell)
     if any(hands):
         # A gripped object must not slip: 0.01 mm lost in a minute, instead of 31 mm (measured).
@@ -120,7 +105,7 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     for owner, names in enumerate(hands):
         for name in names:
             for shell in [*shells[:owner], *shells[owner + 1 :]]:
-                _add_contact(spec, name, shell, SHELL_FRICTION)
+                add_contact(spec, name, shell, SHELL_FRICTION)
     if controls:
         spec.add_key(name="home", ctrl=controls)
     return spec
@@ -142,7 +127,7 @@ def set_step(spec: mujoco.MjSpec, step_ns: int) -> None:
     coarser = step / spec.option.timestep
     spec.option.timestep = step
     for stiff in (*spec.geoms, *spec.pairs):
-        if stiff.solref[0] == _SOLREF[0]:
+        if stiff.solref[0] == SOLREF[0]:
             stiff.solref = [2.5 * step, 1.0]
     for pair in spec.pairs:
         pair.solreffriction = [pair.solreffriction[0] * coarser, pair.solreffriction[1]]
@@ -200,8 +185,8 @@ def _add_arena(spec: mujoco.MjSpec, playpen: Playpen) -> list[str]:
         rgba=_FLOOR_COLOUR,
         contype=0,
         conaffinity=1,
-        solref=_SOLREF,
-        solimp=_SOLIMP,
+        solref=SOLREF,
+        solimp=SOLIMP,
         userdata=[playpen.surface("white").reflectance, 0],
     )
     if arena.outline_mm:
@@ -293,8 +278,8 @@ def _paint(
     geom.userdata = [reflectance, surface.conductance]
     geom.contype = 1 if movable else 0
     geom.conaffinity = 1
-    geom.solref = _SOLREF
-    geom.solimp = _SOLIMP
+    geom.solref = SOLREF
+    geom.solimp = SOLIMP
 
 
 def _colour(surface: Surface) -> list[float]:
@@ -330,127 +315,3 @@ def _add_stripes(
             size=[units.metres(panel.width_mm) / 2, _PANEL_GAP / 2, height / 2],
             rgba=_colour(playpen.surface(panel.surface)),
         )
-
-
-def _add_robot(spec: mujoco.MjSpec, prefix: str, robot: RobotEntry) -> tuple[list[str], list[float]]:
-    """Add a robot with its turrets to the scene.
-
-    Returns:
-        Names of the turrets' colliding geoms, and the initial controls of all its motors.
-    """
-    child = mujoco.MjSpec.from_file(str(ROBOT_FILE))
-    controls = _take_home(child)
-    measured = calibration.read(robot.calibration)[0]
-    _fit_body(child, units.BODIES[robot.model])
-    _fit_wheels(child, measured.wheels)
-    _fit_motors(child, measured.motors)
-    for sensor, heading_deg in zip(units.Sensor, measured.heading_deg, strict=True):
-        heading = units.radians(heading_deg)
-        camera = child.camera(sensor.key)
-        camera.alt.xyaxes = [math.sin(heading), -math.cos(heading), 0, 0, 0, 1]
-    hands: list[str] = []
-    kinds = find(robot.turrets)
-    for kind, raised in zip(kinds, raised_by(kinds), strict=True):
-        if kind.scene is not None:
-            turret = mujoco.MjSpec.from_file(str(kind.scene))
-            hands += [f"{prefix}{kind.name}/{geom.name}" for geom in turret.geoms if geom.contype]
-            controls += _take_home(turret)
-            frame = child.body("base").add_frame(pos=[0, 0, raised])
-            child.attach(turret, prefix=f"{kind.name}/", frame=frame)
-    sag = _tyre_sag(child)
-    heading = units.radians(robot.heading_deg)
-    frame = spec.worldbody.add_frame(
-        pos=[units.metres(robot.x_mm), units.metres(robot.y_mm), 0],
-        quat=[math.cos(heading / 2), 0, 0, math.sin(heading / 2)],
-    )
-    spec.attach(child, prefix=prefix, frame=frame)
-    for tyre in ("left_tyre", "right_tyre"):
-        pair = _add_contact(spec, prefix + tyre, "floor", measured.wheels.friction)
-        pair.solimp = _TYRE_SOLIMP
-        # MuJoCo divides it by the impedance: friction acts as fast as that of a stiff contact.
-        pair.solreffriction = [_SOLREF[0] / _TYRE_SOLIMP[0], 1]
-        # The spring begins above the floor, so that the loaded tyre just touches it.
-        pair.margin = sag
-    for support in ("front_support", "back_support"):
-        # Polished balls: without friction, which also keeps odometry clean.
-        _add_contact(spec, prefix + support, "floor", 0.0)
-    return hands, controls
-
-
-def _take_home(part: mujoco.MjSpec) -> list[float]:
-    """Remove a part's keyframes, which the scene's own replaces; return the controls of its "home"."""
-    controls = [0.0] * len(part.actuators)
-    for key in list(part.keys):
-        if key.name == "home" and len(key.ctrl):
-            controls = list(key.ctrl)
-        part.delete(key)
-    return controls
-
-
-def _fit_body(robot: mujoco.MjSpec, body: units.Body) -> None:
-    """Set the body of the robot's model; assets/khepera.xml has the Khepera's."""
-    if body is units.BODIES["khepera1"]:
-        return
-    for name, rim in (("base", 0.0), ("board", 0.001), ("shell", 0.0)):
-        geom = robot.geom(name)
-        geom.size = [body.radius - rim, *geom.size[1:]]
-    for name, side in (("front_support", 1), ("back_support", -1)):
-        support = robot.geom(name)
-        support.pos = [side * body.support_position, 0, support.pos[2]]
-    for sensor, (x, y) in zip(units.Sensor, body.sensor_positions, strict=True):
-        robot.camera(sensor.key).pos = [x, y, body.sensor_height]
-    base, mass = robot.body("base"), body.mass - 2 * units.WHEEL_MASS
-    base.mass = mass
-    across = mass * (3 * body.radius**2 + units.BODY_HEIGHT**2) / 12
-    base.inertia = [across, across, mass * body.radius**2 / 2]
-
-
-def _fit_wheels(robot: mujoco.MjSpec, wheels: calibration.WheelCalibration) -> None:
-    """Set the size and position of the robot's wheels."""
-    half_base = units.metres(wheels.base_mm) / 2
-    for side, y, radius in zip(("left", "right"), (half_base, -half_base), wheels.radii, strict=True):
-        wheel, tyre, rim = robot.body(f"{side}_wheel"), robot.geom(f"{side}_tyre"), robot.geom(f"{side}_rim")
-        wheel.inertia = wheel_inertia(wheel.mass, radius)
-        tyre.size = [radius, *tyre.size[1:]]
-        rim.size = [radius, *rim.size[1:]]
-        wheel.pos = rim.pos = [0, y, radius]
-
-
-def wheel_inertia(mass: float, radius: float) -> list[float]:
-    """Return the principal inertias of a wheel, a cylinder [kg m^2], about its axle last."""
-    across = mass * (3 * radius**2 + units.WHEEL_WIDTH**2) / 12
-    return [across, across, mass * radius**2 / 2]
-
-
-def _fit_motors(robot: mujoco.MjSpec, motors: calibration.MotorCalibration) -> None:
-    """Set the constants of the robot's motors and gears."""
-    for side in ("left", "right"):
-        robot.joint(f"{side}_axle").frictionloss = motors.friction_torque_n_m
-        robot.actuator(f"{side}_motor").set_to_dcmotor(
-            motorconst=[motors.constant, motors.constant], resistance=motors.resistance
-        )
-
-
-def _add_contact(spec: mujoco.MjSpec, geom: str, other: str, friction: float) -> mujoco.MjsPair:
-    return spec.add_pair(
-        geomname1=geom,
-        geomname2=other,
-        condim=3 if friction else 1,
-        friction=[friction, friction, 0.005, 0.0001, 0.0001],
-        solref=_SOLREF,
-        solimp=_SOLIMP,
-    )
-
-
-def _tyre_sag(robot: mujoco.MjSpec) -> float:
-    """Return how far the robot's weight presses in the springs of its tyres [m].
-
-    MuJoCo's contact in equilibrium: (1 - impedance) (time constant)^2 x load x inverse mass of the wheel.
-    """
-    model = robot.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    base, wheel, support = model.body("base"), model.body("left_wheel"), model.geom("front_support")
-    on_wheels = 1 - abs(data.subtree_com[base.id, 0] / support.pos[0])
-    load = base.subtreemass[0] * units.GRAVITY / 2 * on_wheels
-    return float((1 - _TYRE_SOLIMP[0]) * _SOLREF[0] ** 2 * load * wheel.invweight0[0])

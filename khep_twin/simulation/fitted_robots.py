@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.playpen_to_mjcf import wheel_inertia
+from khep_twin.robot_to_mjcf import wheel_inertia
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.robot_indices import RobotIndices
 
@@ -84,7 +84,7 @@ class FittedRobots:
 
 
 def _fit(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -> None:
-    """Set what `playpen_to_mjcf` takes from a robot's calibration, but for contacts."""
+    """Set what `robot_to_mjcf` takes from a robot's calibration, but for contacts."""
     half_base = units.metres(calibration.wheels.base_mm) / 2
     for side, (y, radius) in enumerate(zip((half_base, -half_base), calibration.wheels.radii, strict=True)):
         wheel, tyre, rim = robot.wheels[side], robot.tyres[side], robot.rims[side]

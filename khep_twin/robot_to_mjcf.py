@@ -1,0 +1,152 @@
+"""Robot of a playpen as a part of its scene: khepera.xml fitted to body and calibration, with its turrets.
+
+Contacts of robots are explicit pairs, as stiff as the step allows but for the tyres, which are springs.
+"""
+
+import math
+from importlib.resources import files
+from pathlib import Path
+
+import mujoco
+
+from khep_twin import units
+from khep_twin.board.turrets import find, raised_by
+from khep_twin.playpen import RobotEntry
+from khep_twin.sensing import calibration
+
+ROBOT_FILE = Path(str(files("khep_twin"))) / "assets" / "khepera.xml"
+
+SOLREF = [2.5 * units.STEP_NS * 1e-9, 1.0]
+"""Stiffest contact that is stable at this step: time constant 2.5 steps, critically damped (measured)."""
+
+SOLIMP = [0.95, 0.99, 0.0005, 0.5, 2]
+"""Impedance above MuJoCo's default, so that weights press contacts in by micrometres only."""
+
+_TYRE_SOLIMP = [0.002, 0.002, 0.0005, 0.5, 2]
+"""Impedance of the tyres, which makes them springs with dampers. MuJoCo's friction lifts a contact that slips
+at a speed by impedance x friction x speed x time constant: a stiff one leaves the floor, again and again."""
+
+
+def add_robot(spec: mujoco.MjSpec, prefix: str, robot: RobotEntry) -> tuple[list[str], list[float]]:
+    """Add a robot with its turrets to the scene.
+
+    Returns:
+        Names of the turrets' colliding geoms, and the initial controls of all its motors.
+    """
+    child = mujoco.MjSpec.from_file(str(ROBOT_FILE))
+    controls = _take_home(child)
+    measured = calibration.read(robot.calibration)[0]
+    _fit_body(child, units.BODIES[robot.model])
+    _fit_wheels(child, measured.wheels)
+    _fit_motors(child, measured.motors)
+    for sensor, heading_deg in zip(units.Sensor, measured.heading_deg, strict=True):
+        heading = units.radians(heading_deg)
+        camera = child.camera(sensor.key)
+        camera.alt.xyaxes = [math.sin(heading), -math.cos(heading), 0, 0, 0, 1]
+    hands: list[str] = []
+    kinds = find(robot.turrets)
+    for kind, raised in zip(kinds, raised_by(kinds), strict=True):
+        if kind.scene is not None:
+            turret = mujoco.MjSpec.from_file(str(kind.scene))
+            hands += [f"{prefix}{kind.name}/{geom.name}" for geom in turret.geoms if geom.contype]
+            controls += _take_home(turret)
+            frame = child.body("base").add_frame(pos=[0, 0, raised])
+            child.attach(turret, prefix=f"{kind.name}/", frame=frame)
+    sag = _tyre_sag(child)
+    heading = units.radians(robot.heading_deg)
+    frame = spec.worldbody.add_frame(
+        pos=[units.metres(robot.x_mm), units.metres(robot.y_mm), 0],
+        quat=[math.cos(heading / 2), 0, 0, math.sin(heading / 2)],
+    )
+    spec.attach(child, prefix=prefix, frame=frame)
+    for tyre in ("left_tyre", "right_tyre"):
+        pair = add_contact(spec, prefix + tyre, "floor", measured.wheels.friction)
+        pair.solimp = _TYRE_SOLIMP
+        # MuJoCo divides it by the impedance: friction acts as fast as that of a stiff contact.
+        pair.solreffriction = [SOLREF[0] / _TYRE_SOLIMP[0], 1]
+        # The spring begins above the floor, so that the loaded tyre just touches it.
+        pair.margin = sag
+    for support in ("front_support", "back_support"):
+        # Polished balls: without friction, which also keeps odometry clean.
+        add_contact(spec, prefix + support, "floor", 0.0)
+    return hands, controls
+
+
+def add_contact(spec: mujoco.MjSpec, geom: str, other: str, friction: float) -> mujoco.MjsPair:
+    """Add a contact between two geoms, as stiff as the step allows; without friction for 0."""
+    return spec.add_pair(
+        geomname1=geom,
+        geomname2=other,
+        condim=3 if friction else 1,
+        friction=[friction, friction, 0.005, 0.0001, 0.0001],
+        solref=SOLREF,
+        solimp=SOLIMP,
+    )
+
+
+def _take_home(part: mujoco.MjSpec) -> list[float]:
+    """Remove a part's keyframes, which the scene's own replaces; return the controls of its "home"."""
+    controls = [0.0] * len(part.actuators)
+    for key in list(part.keys):
+        if key.name == "home" and len(key.ctrl):
+            controls = list(key.ctrl)
+        part.delete(key)
+    return controls
+
+
+def _fit_body(robot: mujoco.MjSpec, body: units.Body) -> None:
+    """Set the body of the robot's model; assets/khepera.xml has the Khepera's."""
+    if body is units.BODIES["khepera1"]:
+        return
+    for name, rim in (("base", 0.0), ("board", 0.001), ("shell", 0.0)):
+        geom = robot.geom(name)
+        geom.size = [body.radius - rim, *geom.size[1:]]
+    for name, side in (("front_support", 1), ("back_support", -1)):
+        support = robot.geom(name)
+        support.pos = [side * body.support_position, 0, support.pos[2]]
+    for sensor, (x, y) in zip(units.Sensor, body.sensor_positions, strict=True):
+        robot.camera(sensor.key).pos = [x, y, body.sensor_height]
+    base, mass = robot.body("base"), body.mass - 2 * units.WHEEL_MASS
+    base.mass = mass
+    across = mass * (3 * body.radius**2 + units.BODY_HEIGHT**2) / 12
+    base.inertia = [across, across, mass * body.radius**2 / 2]
+
+
+def _fit_wheels(robot: mujoco.MjSpec, wheels: calibration.WheelCalibration) -> None:
+    """Set the size and position of the robot's wheels."""
+    half_base = units.metres(wheels.base_mm) / 2
+    for side, y, radius in zip(("left", "right"), (half_base, -half_base), wheels.radii, strict=True):
+        wheel, tyre, rim = robot.body(f"{side}_wheel"), robot.geom(f"{side}_tyre"), robot.geom(f"{side}_rim")
+        wheel.inertia = wheel_inertia(wheel.mass, radius)
+        tyre.size = [radius, *tyre.size[1:]]
+        rim.size = [radius, *rim.size[1:]]
+        wheel.pos = rim.pos = [0, y, radius]
+
+
+def wheel_inertia(mass: float, radius: float) -> list[float]:
+    """Return the principal inertias of a wheel, a cylinder [kg m^2], about its axle last."""
+    across = mass * (3 * radius**2 + units.WHEEL_WIDTH**2) / 12
+    return [across, across, mass * radius**2 / 2]
+
+
+def _fit_motors(robot: mujoco.MjSpec, motors: calibration.MotorCalibration) -> None:
+    """Set the constants of the robot's motors and gears."""
+    for side in ("left", "right"):
+        robot.joint(f"{side}_axle").frictionloss = motors.friction_torque_n_m
+        robot.actuator(f"{side}_motor").set_to_dcmotor(
+            motorconst=[motors.constant, motors.constant], resistance=motors.resistance
+        )
+
+
+def _tyre_sag(robot: mujoco.MjSpec) -> float:
+    """Return how far the robot's weight presses in the springs of its tyres [m].
+
+    MuJoCo's contact in equilibrium: (1 - impedance) (time constant)^2 x load x inverse mass of the wheel.
+    """
+    model = robot.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    base, wheel, support = model.body("base"), model.body("left_wheel"), model.geom("front_support")
+    on_wheels = 1 - abs(data.subtree_com[base.id, 0] / support.pos[0])
+    load = base.subtreemass[0] * units.GRAVITY / 2 * on_wheels
+    return float((1 - _TYRE_SOLIMP[0]) * SOLREF[0] ** 2 * load * wheel.invweight0[0])
