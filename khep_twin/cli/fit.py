@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.completion import calibrations, logs, playpens
-from khep_twin.cli.options import Force, check_apart, check_new, check_writable, given, usage
+from khep_twin.cli.options import Force, check_apart, check_new, check_picture, check_writable, given, usage
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import FitError
 from khep_twin.files.atomic import is_same, write_whole
@@ -130,8 +130,7 @@ def check_outputs(
     for path in filter(None, (output, picture)):
         if any(is_same(path, each) for each in recorded):
             raise FitError(f"{path}: this is a recorded test; expected a separate file")
-    if picture is not None and picture.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise FitError(f"{picture}: expected a name that ends in .png, .svg or .pdf")
+    check_picture(picture)
     check_apart([start], output, picture)
     check_new(force, output)
 

@@ -12,7 +12,7 @@ import typer
 
 from khep_twin.cli.completion import ports
 from khep_twin.cli.option_groups import grouped
-from khep_twin.cli.options import Force, check_new, check_writable, complain
+from khep_twin.cli.options import Force, check_new, check_picture, check_writable, complain
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import KhepTwinError, SensorTestError
 from khep_twin.signals import stopping
@@ -48,9 +48,8 @@ class DriveOptions:
         int | None, typer.Option(help="Acceleration, 1 to 255 times 3.125 mm/s^2; 64 by default.")
     ] = None
     return_to_zero: Annotated[
-        bool | None,
-        typer.Option("--return/--no-return", help="Wait 5 s at the end and drive back. Between runs always."),
-    ] = None
+        bool, typer.Option("--return", help="Wait 5 s at the end and drive back. Between runs always.")
+    ] = False
     runs: Annotated[
         int | None, typer.Option(help="Number of runs, 1 to 100; files are numbered -1, -2, ...")
     ] = None
@@ -76,7 +75,7 @@ class DriveOptions:
             DEFAULT_ACCELERATION if self.acceleration is None else self.acceleration,
         )
         # Each run begins where the one before began.
-        return [test(True)] * (count - 1) + [test(bool(self.return_to_zero))]
+        return [test(True)] * (count - 1) + [test(self.return_to_zero)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +85,7 @@ class PictureOptions:
     picture: Annotated[Path | None, typer.Option(help="Draw the sensors as PNG, SVG or PDF.")] = None
     sensor: Annotated[str | None, typer.Option(help='Draw only this sensor, such as "left 10".')] = None
     y_min: Annotated[int | None, typer.Option(help="Lower end of the picture's axis of counts.")] = None
-    grid: Annotated[bool | None, typer.Option("--grid/--no-grid", help="Draw a grid.")] = None
+    grid: Annotated[bool, typer.Option("--grid", help="Draw a grid.")] = False
     overlay: Annotated[list[Path] | None, typer.Option(help="Earlier run to draw, too; repeatable.")] = None
 
     def check(self, earlier: "list[SensorRun]", tests: "list[SensorTest]") -> None:
@@ -98,8 +97,7 @@ class PictureOptions:
         from khep_twin.lab.sensor_test import sensor_figure
         from khep_twin.lab.sensor_test.sensor_test import SensorRun
 
-        if self.picture.suffix.lower() not in (".png", ".svg", ".pdf"):
-            raise SensorTestError(f"{self.picture}: expected a name that ends in .png, .svg or .pdf")
+        check_picture(self.picture)
         ends = [np.zeros((2, 2 + len(test.quantity.names)), np.int64) for test in tests]
         for end, test in zip(ends, tests, strict=True):
             end[1, :2] = test.target
@@ -113,7 +111,7 @@ class PictureOptions:
         from khep_twin.drawing import map as drawing
         from khep_twin.lab.sensor_test import sensor_figure
 
-        figure = sensor_figure.draw(runs, sensor=self.sensor, y_min=self.y_min or 0, grid=bool(self.grid))
+        figure = sensor_figure.draw(runs, sensor=self.sensor, y_min=self.y_min or 0, grid=self.grid)
         drawing.save(figure, self.picture)
         typer.echo(f"picture  {self.picture}")
 
@@ -193,7 +191,7 @@ def _check_options(port: str | None, drive: DriveOptions, drawn: PictureOptions)
 
 def _first(options: DriveOptions | PictureOptions) -> str:
     """Return the first option that is given; empty without."""
-    given = (field.name for field in fields(options) if getattr(options, field.name) not in (None, []))
+    given = (field.name for field in fields(options) if getattr(options, field.name) not in (None, False, []))
     name = next(given, "").removesuffix("_to_zero").replace("_", "-")
     return name and f"--{name}"
 

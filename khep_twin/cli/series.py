@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from khep_twin.cli.options import Force, check_new, usage
+from khep_twin.cli.options import Force, check_new, check_picture, usage
 from khep_twin.errors import ControllerError
 from khep_twin.invocation import command
 
@@ -35,8 +35,7 @@ def series(
     from khep_twin.lab.experiment.series_files import read_series
     from khep_twin.lab.experiment.series_statistics import measured, table
 
-    if picture is not None and picture.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise usage(f"--picture {picture}: expected a name that ends in .png, .svg or .pdf")
+    check_picture(picture)
     found = [read_series(folder)[1] for folder in folders]
     for folder, rows in zip(folders, found, strict=True):
         if not rows:

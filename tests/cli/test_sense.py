@@ -139,10 +139,6 @@ def test_a_test_that_is_asked_to_end_keeps_its_data(folder: Path) -> None:
         (["khep://default", "--linear", "5", "-o", "a.txt"], "a.txt; expected a name that ends in .csv"),
         (["khep://default", "--linear", "5", "-o", "no/a.csv"], "no/a.csv: cannot be written: there is no"),
         (["khep://default", "--linear", "5", "-o", "a.csv", "-o", "./a.csv"], "a.csv: is given twice"),
-        (
-            ["khep://default", "--linear", "5", "--picture", "a.gif"],
-            "a.gif: expected a name that ends in .png",
-        ),
         (["khep://default", "--linear", "5", "--sensor", "left 10"], "--sensor is for the picture"),
         (
             ["khep://default", "--linear", "5", "--sensor", "left 11", "--picture", "a.png"],
@@ -161,3 +157,9 @@ def test_a_mistake_is_one_line_before_the_robot_moves(
     assert result.stderr.count("\n") == 1
     assert not result.stdout
     assert not list(tmp_path.iterdir())
+
+
+def test_a_picture_of_a_kind_that_cannot_be_drawn_is_refused_before_the_robot_moves(tmp_path: Path) -> None:
+    result = sense("khep://default", "--linear", "5", "--picture", "a.gif", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "a.gif: expected a name that ends in .png" in result.stderr

@@ -3,7 +3,7 @@
 # matplotlib's own annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -40,28 +40,16 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
         ("proximity", robot.proximity, _PROXIMITY, (0, COUNTS_LIMIT)),
         ("ambient", robot.ambient, _AMBIENT, (0, max(AMBIENT_LIMIT, _highest(robot.ambient)))),
     )
-    grid = within(figure, corner, SENSOR_HEIGHT, left=0.98, right=0.1)
-    cells = figure.add_gridspec(8, 2, hspace=0.22, wspace=0.14, **grid)
-    for column, (name, series, colour, limits) in enumerate(kinds):
-        panels = [figure.add_subplot(cells[sensor, column]) for sensor in range(8)]
-        panels[0].set_title(f"{name} [counts]", fontsize=9, loc="left", color=INK)
+    titles = [f"{name} [counts]" for name, *_ in kinds]
+    columns = sensor_panels(figure, corner, SENSOR_HEIGHT, titles, -0.11)
+    for panels, (name, series, colour, limits) in zip(columns, kinds, strict=True):
         for sensor, axes in enumerate(panels):
             if series is not None:
                 _draw_strip(axes, series, sensor, colour, None if name == "proximity" else robot.dark)
             axes.set(ylim=limits, yticks=limits if sensor == 0 else [], xlim=_times(robot))
-            axes.tick_params(labelsize=7, length=2)
-            axes.spines[["top", "right"]].set_visible(False)
-            axes.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10]))
             _mark_contact(axes, robot)
-            if sensor < 7:
-                axes.tick_params(labelbottom=False)
-            if column == 0:
-                place: Look = {"rotation": 0, "ha": "right", "va": "center", "fontsize": 8}
-                axes.set_ylabel(SENSOR_LABELS[sensor], **place)
-                axes.yaxis.set_label_coords(-0.11, 0.5)
             if series is None and sensor == 3:
                 axes.text(0.5, 0.5, "not in this log", transform=axes.transAxes, ha="center", va="center")
-        panels[-1].set_xlabel("time [s]", fontsize=8)
 
 
 def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float] = (0.0, 0.0)) -> None:
@@ -113,6 +101,42 @@ def draw_vision(figure: Figure, robot: RobotReport, corner: tuple[float, float] 
     axes.set_ylabel("pixel", fontsize=8)
     axes.set_xlabel("time [s]", fontsize=8)
     axes.tick_params(labelsize=7, length=2)
+
+
+def sensor_panels(
+    figure: Figure, corner: tuple[float, float], height: float, titles: Sequence[str], label_x: float
+) -> list[list[Axes]]:
+    """Return axes for each sensor over time, in a column for each title.
+
+    Args:
+        figure: Figure to draw in.
+        corner: Lower left corner [inch].
+        height: Height of all [inch].
+        titles: Titles of both columns.
+        label_x: Abscissa of the sensors' names, in parts of the axes.
+    """
+    grid = within(figure, corner, height, left=0.98, right=0.1)
+    cells = figure.add_gridspec(len(SENSOR_LABELS), 2, hspace=0.22, wspace=0.14, **grid)
+    rows = range(len(SENSOR_LABELS))
+    columns = [[figure.add_subplot(cells[row, column]) for row in rows] for column in range(2)]
+    for panels, title in zip(columns, titles, strict=True):
+        panels[0].set_title(title, fontsize=9, loc="left", color=INK)
+        panels[-1].set_xlabel("time [s]", fontsize=8)
+        for axes in panels:
+            over_time(axes)
+            axes.tick_params(labelbottom=axes is panels[-1])
+    place: Look = {"rotation": 0, "ha": "right", "va": "center", "fontsize": 8}
+    for axes, name in zip(columns[0], SENSOR_LABELS, strict=True):
+        axes.set_ylabel(name, **place)
+        axes.yaxis.set_label_coords(label_x, 0.5)
+    return columns
+
+
+def over_time(axes: Axes) -> None:
+    """Give axes small ticks at round times, and no frame."""
+    axes.tick_params(labelsize=7, length=2)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10]))
 
 
 def within(

@@ -21,11 +21,10 @@ from khep_twin.drawing import map as drawing
 from khep_twin.drawing.map import POINT_LIMIT, STYLE
 from khep_twin.drawing.symbols import INK, Look
 from khep_twin.lab.experiment.run_statistics import Floats
-from khep_twin.lab.report.figure import thinned, within
+from khep_twin.lab.report.figure import over_time, sensor_panels, thinned, within
 from khep_twin.lab.report.rows import Row
 from khep_twin.log.shadow_channels import LIGHT, PROXIMITY, TIMING, WHEELS, ShadowTrack
 from khep_twin.playpen import Playpen
-from khep_twin.units import SENSOR_LABELS
 
 Draw = Callable[[Figure, ShadowTrack, tuple[float, float]], None]
 """Function that draws a picture onto a figure; the corner is the lower left [inch]."""
@@ -129,29 +128,20 @@ def pictures() -> list[tuple[Draw, float, str]]:
 
 def _draw_sensors(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) -> None:
     """Draw the residuals of proximity and light, a strip for each sensor."""
-    grid = within(figure, corner, _SENSORS_HEIGHT, left=0.98, right=0.1)
-    cells = figure.add_gridspec(8, 2, hspace=0.22, wspace=0.14, **grid)
-    for column, (name, columns) in enumerate((("proximity", PROXIMITY), ("light", LIGHT))):
-        times_s, values = _asked(track, columns)
+    kinds = (("proximity", PROXIMITY), ("light", LIGHT))
+    titles = [f"{name}: measured less expected [counts]" for name, _ in kinds]
+    columns = sensor_panels(figure, corner, _SENSORS_HEIGHT, titles, -0.16)
+    for panels, (name, of_kind) in zip(columns, kinds, strict=True):
+        times_s, values = _asked(track, of_kind)
         high = float(np.abs(values).max(initial=1.0))
-        for sensor in range(8):
-            axes = figure.add_subplot(cells[sensor, column])
-            _style(axes, track)
+        for sensor, axes in enumerate(panels):
+            _span(axes, track)
             axes.set(ylim=(-high, high), yticks=(-round(high), 0, round(high)) if sensor == 0 else [0])
             if len(values):
                 axes.plot(*thinned(times_s, values[:, sensor]), color=_RESIDUAL, lw=0.7)
                 _mark(axes, track, name, sensor)
             elif sensor == 3:
                 axes.text(0.5, 0.5, "not asked", transform=axes.transAxes, ha="center", va="center")
-            axes.tick_params(labelbottom=sensor == 7)
-            if sensor == 0:
-                axes.set_title(f"{name}: measured less expected [counts]", fontsize=9, loc="left", color=INK)
-            if column == 0:
-                place: Look = {"rotation": 0, "ha": "right", "va": "center", "fontsize": 8}
-                axes.set_ylabel(SENSOR_LABELS[sensor], **place)
-                axes.yaxis.set_label_coords(-0.16, 0.5)
-            if sensor == 7:
-                axes.set_xlabel("time [s]", fontsize=8)
 
 
 def _draw_rest(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) -> None:
@@ -173,7 +163,8 @@ def _draw_rest(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) 
     ]
     for row, (_, label, channel, curves) in enumerate(panels):
         axes = figure.add_subplot(cells[row, 0])
-        _style(axes, track)
+        over_time(axes)
+        _span(axes, track)
         for (name, at_s, values), colour in zip(curves, (_RESIDUAL, "#b8860b"), strict=False):
             axes.plot(*thinned(at_s, values), color=colour, lw=0.8, label=name)
         if not len(curves[0][1]):
@@ -189,11 +180,8 @@ def _draw_rest(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) 
     figure.axes[-1].set_xlabel("time [s]", fontsize=8)
 
 
-def _style(axes: Axes, track: ShadowTrack) -> None:
+def _span(axes: Axes, track: ShadowTrack) -> None:
     axes.set_xlim(0, float(track.times_ns[-1]) / 1e9 if len(track.times_ns) else 1.0)
-    axes.tick_params(labelsize=7, length=2)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10]))
     axes.axhline(0, color=INK, alpha=0.4, lw=0.5, ls=":")
 
 
