@@ -1,8 +1,10 @@
-"""The designer and its page have the same kinds of messages and the same actions."""
+"""The designer and its page have the same kinds of messages, the same actions and names of the sensors."""
 
+import json
 import re
 from pathlib import Path
 
+from khep_twin.units import SENSOR_LABELS
 from khep_twin.web.documents import Documents
 from khep_twin.web.messages import KINDS
 from khep_twin.web.routes import ASSETS, Page
@@ -41,3 +43,9 @@ def test_the_page_asks_for_all_actions_and_for_no_other() -> None:
     # A move by hand and its undo are asked for by name (hands.js).
     asked |= set(re.findall(r'\["(put|switch)", ', SCRIPTS["run.js"]))
     assert asked | set(re.findall(r'data-post="([\w-]+)"', page)) == ACTIONS
+
+
+def test_the_page_names_the_sensors_as_everything_else_does() -> None:
+    names = re.search(r"^export const SENSORS = (\[.*?\]);$", SCRIPTS["panel.js"], re.MULTILINE)
+    assert names is not None
+    assert tuple(json.loads(names[1])) == SENSOR_LABELS
