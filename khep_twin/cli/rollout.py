@@ -70,9 +70,7 @@ def rollout(
     With several robots, print those of each.
     """
     from khep_twin.board.fault_injection import parse_fault
-    from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed
-    from khep_twin.episodes.episode import Episode
-    from khep_twin.episodes.episode_setup import EpisodeSetup
+    from khep_twin.episodes import Braitenberg, ConstantSpeed, Episode, EpisodeSetup
     from khep_twin.lab.experiment.controller_files import find_function
     from khep_twin.playpen.starts import at_spots
     from khep_twin.ports.twin import Twin, equipped

@@ -43,7 +43,7 @@ class RobotBegins(TypedDict):
     robots: Sequence[PresentRobot]
 
 
-class Readings(TypedDict):
+class RobotReadings(TypedDict):
     """Readings of a robot; what follows `vision` is known of a twin only.
 
     `vision` is missing where the image was not read, and None without a camera.
@@ -73,7 +73,7 @@ class Picture(TypedDict):
     time: float
     busy: bool
     part: float
-    robots: Sequence[Readings]
+    robots: Sequence[RobotReadings]
     paused: NotRequired[bool]
     speed: NotRequired[float]
     lamps: NotRequired[Sequence[Mapping[str, object]]]
@@ -87,8 +87,8 @@ class Ended(TypedDict):
     kind: Literal["ended"]
 
 
-class Room(TypedDict):
-    """Why a held robot has no room at its position; with room, the reason is empty."""
+class RoomFound(TypedDict):
+    """Reason why a held robot has no room at its position; empty if it has."""
 
     kind: Literal["room"]
     robot: int
@@ -104,7 +104,7 @@ class Refused(TypedDict):
     tab: str
 
 
-class Line(TypedDict):
+class Notice(TypedDict):
     """A line for the user: an error of the session, or a note."""
 
     kind: Literal["error", "note"]
@@ -179,7 +179,7 @@ class ScoreRows(TypedDict):
 
 
 class ScoreEnded(TypedDict):
-    """Nothing is being scored any more; the text says why if it is no success."""
+    """The scoring has ended; the text says why if it is no success."""
 
     kind: Literal["score-ended"]
     text: str
@@ -188,7 +188,7 @@ class ScoreEnded(TypedDict):
 # Other pages ----------------------------------------------------------------------------------------------
 
 
-class Saved(TypedDict):
+class FileSaved(TypedDict):
     """The page `by` has saved a file."""
 
     kind: Literal["saved"]
@@ -209,9 +209,9 @@ Message = (
     | RobotBegins
     | Picture
     | Ended
-    | Room
+    | RoomFound
     | Refused
-    | Line
+    | Notice
     | RunDone
     | Sensed
     | Printed
@@ -220,7 +220,7 @@ Message = (
     | Scored
     | ScoreRows
     | ScoreEnded
-    | Saved
+    | FileSaved
     | FromPage
 )
 

@@ -60,7 +60,7 @@ class RobotActor(WebSession):
         self._tell_printed()
         proximity, ambient, speed = robot.burst(commands.proximity(), commands.ambient(), commands.speed())
         self._looked = robot.time
-        reading: messages.Readings = {
+        reading: messages.RobotReadings = {
             "proximity": [*proximity],
             "ambient": [*ambient],
             "speed": [*speed],

@@ -181,7 +181,7 @@ class TwinActor(WebSession):
     def _picture(self, twin: PacedTwin, hosts: list[OutsideHost]) -> messages.Picture:
         """Return the present state of the world."""
         world = twin.world
-        robots: list[messages.Readings] = []
+        robots: list[messages.RobotReadings] = []
         now = current_playpen(world)
         for index, (robot, host, entry) in enumerate(zip(twin.robots, hosts, now.robots, strict=True)):
             registers, image = robot.registers, robot.line_image
