@@ -106,7 +106,7 @@ def test_two_runs_with_one_seed_give_the_same_file_under_any_name(tmp_path: Path
 
 def test_a_run_draws_its_picture_and_leaves_nothing_half_written(tmp_path: Path) -> None:
     log, picture = tmp_path / "run.mcap", tmp_path / "run.png"
-    result = process("run", "--seconds", "2", "--log", log, "--picture", picture)
+    result = khep_twin("run", "--seconds", "2", "--log", log, "--picture", picture)
     assert result.returncode == 0, result.stderr
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.mcap", "run.png"]

@@ -496,7 +496,7 @@ def test_a_function_for_the_toolboxs_simulator_is_run_in_its_own_playpen_or_anot
 
 def test_a_function_in_the_toolboxs_form_is_stopped_in_the_middle_of_its_run(tmp_path: Path) -> None:
     (tmp_path / "tb.py").write_text(TOOLBOX)
-    words = ("tb.py:brait", "--cycles", 800, "--runs", 500, "--save", "series")
+    words = ("tb.py:brait", "--cycles", 100, "--runs", 5000, "--save", "series")
     with begun(tmp_path, *words) as process:
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=60)

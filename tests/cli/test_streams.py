@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from shares import share
 from typer.testing import CliRunner
 
 from khep_twin import playpen
@@ -85,7 +86,9 @@ def run(words: str, folder: Path, output: str, errors: str = "pipe") -> tuple[in
 
 
 @full
-@pytest.mark.parametrize("words", ["playpen list", "--help", "playpen compile default", "run --help"])
+@pytest.mark.parametrize(
+    "words", share(["playpen list", "--help", "playpen compile default", "run --help"], 2)
+)
 def test_output_that_is_full_is_one_line(words: str, tmp_path: Path) -> None:
     assert run(words, tmp_path, "full") == (1, FULL)
 
@@ -94,8 +97,8 @@ def test_output_that_is_full_is_one_line(words: str, tmp_path: Path) -> None:
     ("output", "ends"),
     [
         pytest.param("full", (1, FULL), marks=full),
-        ("closed", (1, CLOSED)),
-        ("unread", (128 + signal.SIGPIPE, "")),
+        pytest.param("closed", (1, CLOSED), marks=pytest.mark.long),
+        pytest.param("unread", (128 + signal.SIGPIPE, ""), marks=pytest.mark.long),
     ],
 )
 def test_a_run_that_cannot_print_keeps_its_log_and_its_picture(
@@ -110,14 +113,7 @@ def test_a_run_that_cannot_print_keeps_its_log_and_its_picture(
     assert not [*tmp_path.glob("*.part")]
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        "sys.stdout.close()",
-        "sys.stdout = None",
-        "sys.stderr = None",
-    ],
-)
+@pytest.mark.parametrize("change", share(["sys.stdout.close()", "sys.stdout = None", "sys.stderr = None"], 3))
 def test_a_program_may_put_anything_in_a_streams_place(change: str, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(f"import sys\n\ndef after(run):\n    {change}\n")
     words = "run braitenberg --cycles 3 --on-run-end mine.py --log run.mcap"
@@ -131,7 +127,7 @@ def test_a_series_whose_reader_has_gone_ends_after_its_run(tmp_path: Path) -> No
     assert len((tmp_path / "series" / "runs.csv").read_text().splitlines()) == 2
 
 
-@pytest.mark.parametrize("errors", [pytest.param("full", marks=full), "closed", "unread"])
+@pytest.mark.parametrize("errors", share(["closed", "full", "unread"], 3))
 def test_trouble_that_cannot_be_reported_is_in_the_exit_code(errors: str, tmp_path: Path) -> None:
     assert run("run nobody.py", tmp_path, "pipe", errors) == (1, "")
     assert run("run --seconds -1", tmp_path, "pipe", errors) == (2, "")
@@ -139,7 +135,7 @@ def test_trouble_that_cannot_be_reported_is_in_the_exit_code(errors: str, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("output", "code"), [pytest.param("full", 1, marks=full), ("closed", 1), ("unread", 128 + signal.SIGPIPE)]
+    ("output", "code"), share([("closed", 1), ("full", 1), ("unread", 128 + signal.SIGPIPE)], 3)
 )
 def test_a_server_that_cannot_print_its_path_serves_all_the_same(
     output: str, code: int, tmp_path: Path
