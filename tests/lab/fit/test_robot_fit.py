@@ -67,7 +67,9 @@ class Bench:
             f"calibration = '{self.folder / 'hidden.toml'}'\n{more}"
         )
         options = TwinOptions(seed=seed, log=str(self.folder / log) if log else None)
-        return Khepera(Serial.of(open_twin(playpen.parse(text, "bench"), options), timeout=1.0))
+        twin = open_twin(playpen.parse(text, "bench"), options)
+        twin.world.code.switch_if_ready()
+        return Khepera(Serial.of(twin, timeout=1.0))
 
     def drive(self, log: str, left: int, right: int) -> tuple[float, float]:
         """By position control; the true way [m] and turning [rad], as a ruler and patience find them."""
