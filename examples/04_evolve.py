@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from khep_twin import Episode, EpisodeSetup, Network, Playpen, rollout
+from khep_twin import Episode, EpisodeOptions, EpisodeSetup, Network, Playpen, rollout
 from khep_twin.drawing import DrawnPath, draw, save
 from khep_twin.errors import pip_install
 from khep_twin.files.atomic import unusable
@@ -89,7 +89,7 @@ tracks = []
 print("start            fitness  forwards    turning     laps  collisions  touching")
 for seed, start in enumerate(starts):
     episode = Episode(EpisodeSetup(maze), NETWORK)
-    episode.begin(seed, start=start, genes=best)
+    episode.begin(seed, EpisodeOptions(start=start, genes=best))
     poses = [episode.pose]
     for _ in range(round(options.check_seconds * 50)):
         episode.run(0.02)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Playpen
 
@@ -78,7 +79,7 @@ def at_rest(scene: Playpen, starts: Floats) -> tuple[Floats, Floats]:
     episode = Episode(EpisodeSetup(scene))
     counts: list[tuple[list[int], list[int]]] = []
     for start in starts.tolist():
-        episode.begin(start=start, noise=False)
+        episode.begin(options=EpisodeOptions(start=start, noise=False))
         counts.append(episode.readings())
     return np.array([each[0] for each in counts], float), np.array([each[1] for each in counts], float)
 

@@ -9,6 +9,7 @@ from khep_twin.board.battery import discharged
 from khep_twin.board.kernel import Board
 from khep_twin.episodes.controllers import ConstantSpeed
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Playpen
 from studies.behaviour import motor_table
@@ -24,7 +25,7 @@ _COURSES = "reports of students' courses, Khepera II, Edinburgh"
 def driven(left: int, right: int) -> tuple[float, float]:
     """Return way [m/s] and turn [rad/s] of the twin at constant speeds, once it has reached them."""
     episode = Episode(EpisodeSetup(Playpen.load("default")), ConstantSpeed(left, right))
-    episode.begin(noise=False, start=(100.0, 150.0, 0.0))
+    episode.begin(options=EpisodeOptions(noise=False, start=(100.0, 150.0, 0.0)))
     episode.run(0.5)
     before = episode.pose
     episode.run(0.5)
@@ -64,7 +65,7 @@ def home(folder: Path) -> Outcome:
 def current(folder: Path) -> Outcome:
     """Compare the mean current while driving with the cells' capacity over the autonomy."""
     episode = Episode(EpisodeSetup(Playpen.load("default")), ConstantSpeed(10, 10))
-    episode.begin(noise=False, start=(100.0, 150.0, 0.0))
+    episode.begin(options=EpisodeOptions(noise=False, start=(100.0, 150.0, 0.0)))
     readings: list[int] = []
     for _ in range(100):
         episode.run(0.02)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Arena, Cylinder, Lamp, Playpen, RobotEntry
 from khep_twin.units import BODY_RADIUS, BULB_RADIUS
@@ -149,7 +150,7 @@ class TwinWorld:
         for number, (episode, (x, y, heading)) in enumerate(zip(self._live, starts, strict=True)):
             at = (np.array([x, y]) + self._origin) * 1e3
             start = float(at[0]), float(at[1]), math.degrees(heading)
-            episode.begin(self._seed + number, start=start, noise=self._noise)
+            episode.begin(self._seed + number, EpisodeOptions(start=start, noise=self._noise))
         self.poses = starts.copy()
 
     def read(self) -> tuple[Floats, Floats]:

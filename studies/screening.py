@@ -18,6 +18,7 @@ from benchmarks.scale import NETWORK, random_genes
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Driver, Network
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Arena, Playpen, RobotEntry
 from tools.command_table import command_line
@@ -52,7 +53,7 @@ def path(setup: EpisodeSetup, index: int, driver: Driver | None) -> list[tuple[f
     genes = random_genes(REPEATS)[index] if isinstance(driver, Network) else ()
     robot = setup.entry
     start = (robot.x_mm, robot.y_mm, robot.heading_deg + 3.0 * index)
-    episode.begin(index, start=start, noise=False, genes=genes)
+    episode.begin(index, EpisodeOptions(start=start, noise=False, genes=genes))
     rng = np.random.default_rng(index)
     poses: list[tuple[float, float, float]] = []
     for half in range(round(2 * TIMES_S[-1])):
@@ -84,10 +85,11 @@ def ranks(name: str, scene: Playpen) -> None:
 
     def judged(first: int, planar: bool) -> dict[str, np.ndarray]:
         seeds = [first + seed for _ in range(GENOMES) for seed in range(SEEDS)]
-        found = rollout(scene, NETWORK, seeds, EPISODE_S, genes=genes, planar=planar)
+        setup = EpisodeSetup(scene, planar=planar)
+        found = rollout(setup, NETWORK, seeds, EPISODE_S, genes=genes)
         numbers = {number: found.metrics[number] for number in ("obstacle_avoidance", "distance_m")}
         if found.objects.size:
-            first = rollout(scene, NETWORK, seeds[:1], 0.0, genes=genes[:1], planar=planar).objects
+            first = rollout(setup, NETWORK, seeds[:1], 0.0, genes=genes[:1]).objects
             numbers["objects moved"] = np.hypot(*(found.objects - first)[..., :2].T).sum(axis=0)
         return {name: values.reshape(GENOMES, SEEDS).mean(axis=1) for name, values in numbers.items()}
 

@@ -17,7 +17,7 @@ NAMES = {
     *("Playpen", "World", "Start", "Sensor"),
     *("Khepera", "Gripper", "Radio", "Vision", "Controller"),
     *("Twin", "TwinOptions", "open_twin", "serve", "Shadow"),
-    *("rollout", "RolloutResult", "Episode", "EpisodeSetup"),
+    *("rollout", "RolloutResult", "Episode", "EpisodeOptions", "EpisodeSetup"),
     *("Braitenberg", "ConstantSpeed", "Function", "Network", "Policy"),
     *("make", "make_vec", "read_log", "LoggedRun"),
     *("KhepTwinError", "MoveError", "PlaypenError", "PortError", "PortTimeout"),

@@ -10,6 +10,7 @@ from khep_twin import playpen, units
 from khep_twin.board.kernel import DUTIES, RIGHT, Board, set_duty
 from khep_twin.episodes.controllers import ConstantSpeed
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.sensing.calibration import MotorCalibration
 from khep_twin.units import TYRE_FRICTION
@@ -26,7 +27,7 @@ def episode(heading_deg: float = 0, x_mm: float = 1000, model: str = "khepera1")
         f'version = 1\nname = "field"\n{arena}[[robot]]\n{place}{MODELS[model]}', "field.toml"
     )
     new = Episode(EpisodeSetup(scene), ConstantSpeed(), compiled=False)
-    new.begin(noise=False)
+    new.begin(options=EpisodeOptions(noise=False))
     return new
 
 
@@ -71,7 +72,7 @@ def test_a_tyre_slips_at_friction_times_its_load_and_not_before(heading_deg: flo
     twin = episode(heading_deg, x_mm=WALL_X_MM - 28)
     if heading_deg:
         # Against the corner of two walls the robot can turn to neither.
-        twin.begin(noise=False, start=(WALL_X_MM - 28, WALL_X_MM - 28, heading_deg))
+        twin.begin(options=EpisodeOptions(noise=False, start=(WALL_X_MM - 28, WALL_X_MM - 28, heading_deg)))
     motors = MotorCalibration()
 
     def drive_torque(duty: int) -> float:

@@ -27,6 +27,7 @@ from mcap.reader import make_reader
 
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Braitenberg, Network
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_mjcf
@@ -94,7 +95,8 @@ def rolled(name: str, planar: bool) -> list[str]:
     hashes: list[str] = []
     for controller, given in ((Braitenberg(), None), (network, genes)):
         try:
-            done = rollout(scene, controller, range(8), float(SECONDS), genes=given, planar=planar)
+            setup = EpisodeSetup(scene, planar=planar)
+            done = rollout(setup, controller, range(8), float(SECONDS), genes=given)
         except (KhepTwinError, ValueError):
             return []
         values = [np.asarray(done.metrics[key]).tobytes() for key in done.metrics]

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from curves import draw_curve
 
-from khep_twin import Episode, EpisodeSetup, Playpen, Sensor
+from khep_twin import Episode, EpisodeOptions, EpisodeSetup, Playpen, Sensor
 from khep_twin.board import AMBIENT, PROXIMITY
 from khep_twin.drawing import DrawnPath, draw, save
 from khep_twin.files.atomic import unusable
@@ -66,7 +66,9 @@ def live(setup: EpisodeSetup, genomes: np.ndarray, first_seed: int) -> Lives:
     episodes = reused[setup][:count]
     for index, episode in enumerate(episodes):
         # Off the walls and the charger.
-        episode.begin(first_seed + index, start=rng.uniform((100, 100, -180), (360, 410, 180)).tolist())
+        episode.begin(
+            first_seed + index, EpisodeOptions(start=rng.uniform((100, 100, -180), (360, 410, 180)).tolist())
+        )
     dark, floor = setup.calibration.ambient.dark_counts, setup.calibration.ambient.floor_counts
     one, hidden, was_home = np.ones((count, 1)), np.zeros((count, N_HIDDEN)), np.ones(count, bool)
     charge, fitness, actions = np.full(count, CHARGE), np.zeros(count), np.zeros(count, int)

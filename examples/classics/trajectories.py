@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import Episode, EpisodeSetup, Start
+from khep_twin import Episode, EpisodeOptions, EpisodeSetup, Start
 from khep_twin.episodes import Driver
 
 
@@ -34,7 +34,7 @@ def trajectories(
     each = np.broadcast_to(genes, (len(starts), np.shape(genes)[-1]))
     poses = np.empty((len(starts), count + 1, 3))
     for index, start in enumerate(starts):
-        episode.begin(first_seed + index, start=start, genes=each[index])
+        episode.begin(first_seed + index, EpisodeOptions(start=start, genes=each[index]))
         poses[index, 0] = episode.pose
         for sample in range(1, count + 1):
             episode.run(sample_s)

@@ -70,7 +70,7 @@ def rollout(
     With several robots, print those of each.
     """
     from khep_twin.board.fault_injection import parse_fault
-    from khep_twin.episodes import Braitenberg, ConstantSpeed, Episode, EpisodeSetup
+    from khep_twin.episodes import Braitenberg, ConstantSpeed, Episode, EpisodeOptions, EpisodeSetup
     from khep_twin.lab.experiment.controller_files import find_function
     from khep_twin.playpen.starts import at_spots
     from khep_twin.ports.twin import Twin, equipped
@@ -91,19 +91,16 @@ def rollout(
     playpen, _ = equipped(at_spots(playpen, options.seed), options)
     check_body(options.rom, playpen.robots)
     try:
-        step_ns = None if step is None else round(step * 1e6)
-        setup = EpisodeSetup(playpen, step_ns=step_ns, period_ns=round(period * 1e6), planar=planar)
+        step_ns, period_ns = None if step is None else round(step * 1e6), round(period * 1e6)
+        faults = map(parse_fault, options.faults)
+        setup = EpisodeSetup(playpen, step_ns=step_ns, period_ns=period_ns, planar=planar, faults=faults)
         periods = length.cycles or setup.periods(60.0 if length.seconds is None else length.seconds)
-        episode = Episode(
-            setup,
-            Braitenberg() if is_built_in else ConstantSpeed(),
-            compiled=None if is_compiled() else False,
-            faults=[parse_fault(text) for text in options.faults],
-            observed=log is not None,
-        )
+        driver = Braitenberg() if is_built_in else ConstantSpeed()
+        compiled = None if is_compiled() else False
+        episode = Episode(setup, driver, compiled=compiled, observed=log is not None)
     except ValueError as error:
         raise usage(str(error)) from None
-    episode.begin(options.seed, noise=options.noise, vary=options.vary)
+    episode.begin(options.seed, EpisodeOptions(noise=options.noise, vary=options.vary))
     recorder = None
     with ExitStack() as stack:
         if log is not None:

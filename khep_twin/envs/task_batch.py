@@ -22,6 +22,7 @@ from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, State
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_batch import EpisodeBatch
+from khep_twin.episodes.episode_options import EpisodeOptions
 
 _ENCODERS = [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]
 
@@ -71,7 +72,7 @@ class TaskBatch:
         for row, seed in zip(rows.tolist(), seeds, strict=True):
             robots = setup.started(seed).robots
             starts = [(robot.x_mm, robot.y_mm, robot.heading_deg) for robot in robots]
-            self._batch.begin(row, seed, start=starts, noise=setup.noise, vary=setup.vary)
+            self._batch.begin(row, seed, EpisodeOptions(start=starts, noise=setup.noise, vary=setup.vary))
             self.seeds[row] = seed
         self.periods[rows], self._charges_ns[rows] = 0, self._charge_ns
         self._pulses[rows] = self._batch.registers[rows][..., _ENCODERS]

@@ -1,8 +1,6 @@
 """Batched rollouts: many episodes at once, on all cores.
 
-    from khep_twin import playpen
-    from khep_twin.episodes.batch import rollout
-    from khep_twin.episodes.controllers import Network
+    from khep_twin import Network, rollout
 
     network = Network(hidden=(5,), recurrent=True)
     genes = numpy.random.default_rng(0).normal(size=(100, network.n_genes))
@@ -17,18 +15,17 @@ with the number of episodes: every thread has memory for one episode and reuses 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import units
-from khep_twin.board.fault_injection import Fault
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.episodes.controllers import Driver, Floats, Network, Policy
 from khep_twin.episodes.episode import Episode, is_compiled
 from khep_twin.episodes.episode_batch import EpisodeBatch
+from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions, check_numbers
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.metrics import METRICS
 from khep_twin.errors import DivergedError
@@ -89,20 +86,15 @@ def rollout(
     genes: Floats | None = None,
     starts: Sequence[Start] | None = None,
     lamps: Sequence[Sequence[Lamp]] | None = None,
-    noise: bool = True,
-    vary: bool = False,
-    home: tuple[float, float, float, float] | None = None,
-    faults: Sequence[Fault] = (),
-    step_ns: int | None = None,
-    period_ns: int = units.SCAN_NS,
-    planar: bool = False,
+    options: EpisodeOptions = DEFAULT_OPTIONS,
     threads: int | None = None,
     compiled: bool | None = None,
 ) -> RolloutResult:
     """Run a batch of episodes.
 
     Args:
-        playpen: Playpen, its name or path, or an `EpisodeSetup`, which has its own step, period and plane.
+        playpen: Playpen, its name or path, or an `EpisodeSetup` with its step, period, plane
+            and faults.
         driver: Controller of all episodes.
         seeds: Seeds of the episodes (n,).
         seconds: Duration of each episode [s], whole control periods.
@@ -110,14 +102,7 @@ def rollout(
         starts: Start poses x, y [mm] and heading [deg] of each episode (n, 3), or of each robot
             (n, n_robots, 3); by default the playpen's.
         lamps: Lamps of each episode; by default the playpen's.
-        noise: Whether sensors are noisy.
-        vary: Whether each episode has another robot of the same make, by its seed.
-        home: Home x, y, radius [mm] and duration of a charge [s], for the metric "homing".
-        faults: Faults of the robots.
-        step_ns: Physics step [ns]: 2.5 ms as on the robot, or 5 or 10 ms; by default 2.5 ms, and 10 ms in a
-            plane.
-        period_ns: Control period [ns].
-        planar: Whether robots move in a plane instead of MuJoCo, for screening.
+        options: Options of all episodes, but for those that each is given its own of.
         threads: Number of threads; by default one per core. Uncompiled episodes use one.
         compiled: Whether to run compiled; None if numba is installed. The first time this waits for
             numba, for some ten seconds.
@@ -128,15 +113,17 @@ def rollout(
         PlaypenError: The playpen has a feature that episodes without a serial line do not support.
     """
     fast = is_compiled(compiled)
-    setup = _setup(playpen, step_ns, period_ns, planar)
+    setup = playpen if isinstance(playpen, EpisodeSetup) else EpisodeSetup(playpen)
     count = len(seeds)
     n_robots = len(setup.playpen.robots)
-    weights = _checked_genes(driver, count, n_robots, genes, starts, lamps, threads)
-    batch = _Batch(setup, seeds, seconds, weights, starts, lamps, noise, vary, _in_metres(home))
+    if threads is not None and threads < 1:
+        raise ValueError(f"{threads} threads; expected 1 or more")
+    batch = _Batch(setup, seeds, seconds, options, genes, starts, lamps)
+    batch.check(driver)
     results = _Results(count, n_robots, len(movable_names(setup.playpen)))
     workers = (threads or n_cores()) if fast else 1
     room = min(BATCH_SIZE if isinstance(driver, Policy) else workers, count)
-    episodes = [Episode(setup, driver, compiled=fast, faults=faults) for _ in range(room)]
+    episodes = [Episode(setup, driver, compiled=fast) for _ in range(room)]
     if isinstance(driver, Policy) and count:
         with closing(EpisodeBatch(episodes, min(workers, room))) as lanes:
             for first in range(0, count, BATCH_SIZE):
@@ -148,101 +135,41 @@ def rollout(
     return results.result()
 
 
-def _setup(
-    playpen: PlaypenLike | EpisodeSetup, step_ns: int | None, period_ns: int, planar: bool
-) -> EpisodeSetup:
-    """Return the setup of a batch, unchanged if one is given."""
-    if not isinstance(playpen, EpisodeSetup):
-        return EpisodeSetup(playpen, step_ns=step_ns, period_ns=period_ns, planar=planar)
-    given = (
-        step_ns not in (None, playpen.step_ns)
-        or period_ns not in (units.SCAN_NS, playpen.period_ns)
-        or (planar and playpen.planar_scene is None)
-    )
-    if given:
-        raise ValueError(
-            "step_ns, period_ns or planar given with an EpisodeSetup, which has its own; expected them as "
-            "arguments of EpisodeSetup"
-        )
-    return playpen
-
-
-def _checked_genes(
-    driver: Driver,
-    count: int,
-    n_robots: int,
-    genes: Floats | None,
-    starts: Sequence[Start] | None,
-    lamps: Sequence[Sequence[Lamp]] | None,
-    threads: int | None,
-) -> Floats:
-    """Return the genes of each episode; raise a `ValueError` unless there is what each episode needs."""
-    for name, given in (("genes", genes), ("starts", starts), ("lamps", lamps)):
-        if given is not None and len(given) != count:
-            raise ValueError(f"{len(given)} {name} for {count} seeds; expected {count}")
-    if isinstance(driver, Network) and genes is None:
-        raise ValueError(f"no genes for {driver}; expected shape ({count}, {driver.n_genes})")
-    weights = np.zeros((count, 0)) if genes is None else np.asarray(genes, np.float64)
-    if weights.ndim not in (2, 3) or not np.isfinite(weights).all():
-        raise ValueError(f"genes of shape {weights.shape}; expected finite numbers (n, n_genes)")
-    if threads is not None and threads < 1:
-        raise ValueError(f"{threads} threads; expected 1 or more")
-    for index, start in enumerate(() if starts is None else starts):
-        shape = (3,) if n_robots == 1 else (n_robots, 3)
-        _check(f"starts[{index}]", start, "x, y [mm] and heading [deg]", shape)
-    for index, each in enumerate(() if lamps is None else lamps):
-        if isinstance(each, Lamp):
-            raise ValueError(f"lamps[{index}] is one lamp; expected a list of lamps for each episode")
-    return weights
-
-
-def _in_metres(home: tuple[float, float, float, float] | None) -> tuple[float, float, float, float]:
-    """Return a home with its lengths in metres, all 0 for none; raise a `ValueError` if it is none."""
-    if home is None:
-        return 0.0, 0.0, 0.0, 0.0
-    _check("home", home, "x, y, radius [mm] and duration of a charge [s]", (4,))
-    if home[2] <= 0 or home[3] <= 0:
-        raise ValueError(f"home = {home}; expected a radius and a charge above 0")
-    return units.metres(home[0]), units.metres(home[1]), units.metres(home[2]), home[3]
-
-
-def _check(name: str, given: object, what: str, shape: tuple[int, ...]) -> None:
-    """Raise a `ValueError` unless these are finite numbers of a shape."""
-    try:
-        numbers = np.asarray(given, np.float64)
-        fits = numbers.shape == shape and bool(np.isfinite(numbers).all())
-    except (TypeError, ValueError):
-        fits = False
-    if not fits:
-        count = " x ".join(map(str, shape))
-        raise ValueError(f"{name} = {given!r}; expected {what}, {count} finite numbers")
-
-
 @dataclass(frozen=True, slots=True)
 class _Batch:
-    """Arguments of `rollout` for each episode, once checked; home in metres."""
+    """Arguments of `rollout` for each episode."""
 
     setup: EpisodeSetup
     seeds: Sequence[int] | range
     seconds: float
-    genes: Floats
+    common: EpisodeOptions
+    genes: Floats | None
     starts: Sequence[Start] | None
     lamps: Sequence[Sequence[Lamp]] | None
-    noise: bool
-    vary: bool
-    home: tuple[float, float, float, float]
 
-    def options(self, index: int) -> dict[str, Any]:
-        """Return the arguments of `Episode.begin` for an episode of the batch."""
-        return dict(
-            seed=int(self.seeds[index]),
-            start=None if self.starts is None else self.starts[index],
-            noise=self.noise,
-            vary=self.vary,
-            lamps=None if self.lamps is None else self.lamps[index],
-            genes=self.genes[index],
-            home=self.home,
-        )
+    def check(self, driver: Driver) -> None:
+        """Raise a `ValueError` unless there is what each episode needs."""
+        count, n_robots = len(self.seeds), len(self.setup.playpen.robots)
+        for name, given in (("genes", self.genes), ("starts", self.starts), ("lamps", self.lamps)):
+            if given is not None and len(given) != count:
+                raise ValueError(f"{len(given)} {name} for {count} seeds; expected {count}")
+        if isinstance(driver, Network) and self.genes is None and not len(self.common.genes):
+            raise ValueError(f"no genes for {driver}; expected shape ({count}, {driver.n_genes})")
+        weights = np.zeros((0, 0)) if self.genes is None else np.asarray(self.genes, np.float64)
+        if weights.ndim not in (2, 3) or not np.isfinite(weights).all():
+            raise ValueError(f"genes of shape {weights.shape}; expected finite numbers (n, n_genes)")
+        for index, start in enumerate(self.starts if self.starts is not None else ()):
+            shape = (3,) if n_robots == 1 else (n_robots, 3)
+            check_numbers(f"starts[{index}]", start, "x, y [mm] and heading [deg]", shape)
+        for index, each in enumerate(self.lamps if self.lamps is not None else ()):
+            if isinstance(each, Lamp):
+                raise ValueError(f"lamps[{index}] is one lamp; expected a list of lamps for each episode")
+
+    def options(self, index: int) -> EpisodeOptions:
+        """Return the options of an episode of the batch."""
+        own = (("genes", self.genes), ("start", self.starts), ("lamps", self.lamps))
+        given: dict[str, Any] = {name: values[index] for name, values in own if values is not None}
+        return replace(self.common, **given)
 
 
 class _Results:
@@ -285,7 +212,7 @@ def _share_out(
         for index in turns:  # one thread at a time gets the next one
             failure = None
             try:
-                episode.begin(**batch.options(index))
+                episode.begin(int(batch.seeds[index]), batch.options(index))
                 episode.run(batch.seconds)
             except DivergedError as error:
                 failure = error
@@ -307,7 +234,7 @@ def _run_together(
     failures: dict[int, DivergedError] = {}
     for lane, index in enumerate(group):
         try:
-            lanes.begin(lane, **batch.options(index))
+            lanes.begin(lane, int(batch.seeds[index]), batch.options(index))
         except DivergedError as error:
             failures[lane] = error
     n_robots = lanes.speeds.shape[1]

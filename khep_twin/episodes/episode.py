@@ -23,14 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board import kernel
-from khep_twin.board.fault_injection import Fault
 from khep_twin.episodes import stepping
 from khep_twin.episodes.controllers import ConstantSpeed, Driver, Floats, controllers_of
+from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.metrics import metrics_of
 from khep_twin.episodes.planar.planar_world import PlanarWorld
 from khep_twin.errors import DivergedError, MissingNumbaError, pip_install_required
-from khep_twin.playpen import Lamp
 from khep_twin.playpen.starts import Start
 from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.world import World
@@ -65,7 +64,6 @@ class Episode:
         setup: Setup of the episodes.
         driver: Controller of the robots; a policy is left to the caller.
         compiled: Whether to run compiled; None if numba is installed, and plain until the code is compiled.
-        faults: Faults of the robots.
         observed: Whether the episode's world may have observers; it has a model of its own then.
 
     Attributes:
@@ -79,7 +77,6 @@ class Episode:
         driver: Driver | None = None,
         *,
         compiled: bool | None = None,
-        faults: Sequence[Fault] = (),
         observed: bool = False,
     ) -> None:
         self._setup, self._driver = setup, driver or ConstantSpeed()
@@ -99,10 +96,8 @@ class Episode:
         self._world: World | PlanarWorld
         if setup.planar_scene is None:
             self._world = World(
-                setup.scene_model, unpaced=True, faults=faults, compiled=False, shared=not observed
+                setup.scene_model, unpaced=True, faults=setup.faults, compiled=False, shared=not observed
             )
-        elif faults:
-            raise ValueError(f"{len(faults)} faults in the plane; expected none")
         else:
             self._world = PlanarWorld(setup.scene_model, setup.planar_scene)
         self._simulation = self._world.simulation
@@ -111,39 +106,25 @@ class Episode:
         self.registers: NDArray[np.int64] = self.boards[0]
         self._begun = False
 
-    def begin(
-        self,
-        seed: int = 0,
-        *,
-        start: Start | Sequence[Start] | None = None,
-        noise: bool = True,
-        vary: bool = False,
-        lamps: Sequence[Lamp] | None = None,
-        genes: Sequence[float] | Floats = (),
-        home: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-    ) -> None:
+    def begin(self, seed: int = 0, options: EpisodeOptions = DEFAULT_OPTIONS) -> None:
         """Start an episode.
 
         Args:
             seed: Seed of every random stream.
-            start: Start x, y [mm] and heading [deg], or one for each robot; None for the playpen's.
-            noise: Whether sensors are noisy.
-            vary: Whether to draw other robots of the same make.
-            lamps: Other lamps than the playpen's.
-            genes: Genes of the controller, or of each robot's (n_robots, n_genes).
-            home: Home x, y, radius [m] and duration of a charge [s]; radius 0 for none.
+            options: Options of the episode.
 
         Raises:
             ControllerError: The genes do not fit the controller.
             DivergedError: The physics leaves its bounds at once.
         """
-        self._genes, self._home = np.asarray(genes, np.float64), np.array(home, np.float64)
+        self._genes = np.asarray(options.genes, np.float64)
+        self._home = np.array(options.home_in_metres, np.float64)
         if self._next_look is not None:
             self._look()
         self._controllers = self._new_controllers()
-        starts = None if start is None else _starts(start, len(self.boards))
+        starts = None if options.start is None else _starts(options.start, len(self.boards))
         self._simulation.title = f"episode of seed {seed}"
-        self._world.reset(seed, noise=noise, vary=vary, starts=starts, lamps=lamps)
+        self._world.reset(seed, noise=options.noise, vary=options.vary, starts=starts, lamps=options.lamps)
         self._begun = True
         if isinstance(self._driver, ConstantSpeed) and (self._driver.left or self._driver.right):
             for robot in range(len(self.boards)):

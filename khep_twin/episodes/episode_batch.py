@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.stepping import JointRun, Run, run
 from khep_twin.errors import DivergedError
 from khep_twin.step import DONE, NO_SPEED
@@ -54,10 +55,10 @@ class EpisodeBatch:
         self._shapes: list[tuple[int, ...]] = []
         self._runs_jointly = np.zeros(count, np.bool_)
 
-    def begin(self, index: int, seed: int, **options: Any) -> None:
-        """Start an episode; options and errors are those of `Episode.begin`."""
+    def begin(self, index: int, seed: int, options: EpisodeOptions = DEFAULT_OPTIONS) -> None:
+        """Start an episode; errors are those of `Episode.begin`."""
         self._runs_jointly[index], self._joint.untils[index] = False, 0
-        self.episodes[index].begin(seed, **options)
+        self.episodes[index].begin(seed, options)
         self._take(index)
 
     def step(self, rows: Rows, steps: int) -> dict[int, DivergedError]:

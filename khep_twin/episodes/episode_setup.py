@@ -1,9 +1,11 @@
 """A playpen prepared for episodes without a serial line: its compiled scene and divisions of time."""
 
 import math
+from collections.abc import Iterable
 from operator import index
 
 from khep_twin import units
+from khep_twin.board.fault_injection import Fault
 from khep_twin.clock import n_steps, to_ns
 from khep_twin.episodes.planar.planar import PlanarScene
 from khep_twin.errors import PlaypenError
@@ -26,6 +28,7 @@ class EpisodeSetup:
             10 ms in a plane.
         period_ns: Control period [ns], whole ticks of 10 ms.
         planar: Whether the robot moves in a plane instead of MuJoCo.
+        faults: Faults of the robots.
 
     Attributes:
         scene_model: Compiled model.
@@ -37,7 +40,7 @@ class EpisodeSetup:
 
     Raises:
         PlaypenError: The playpen has no robot, or a feature that a plane does not support.
-        ValueError: The step or the period does not fit into whole ticks.
+        ValueError: The step or the period does not fit into whole ticks, or there are faults in the plane.
         TypeError: The step or the period is not an integer.
     """
 
@@ -48,6 +51,7 @@ class EpisodeSetup:
         step_ns: int | None = None,
         period_ns: int = units.SCAN_NS,
         planar: bool = False,
+        faults: Iterable[Fault] = (),
     ) -> None:
         playpen = Playpen.load(playpen)
         name, robots = playpen.name, playpen.robots
@@ -58,6 +62,9 @@ class EpisodeSetup:
         if planar and robots[0].turrets:
             turrets = list(robots[0].turrets)
             raise PlaypenError(f"{name}: robot 1: turrets = {turrets}; expected none in the plane")
+        self.faults = tuple(faults)
+        if planar and self.faults:
+            raise ValueError(f"{len(self.faults)} faults in the plane; expected none")
         # `index` rejects floats such as 5e6.
         period_ns, step_ns = index(period_ns), None if step_ns is None else index(step_ns)
         if period_ns <= 0 or period_ns % units.TICK_NS:

@@ -8,6 +8,7 @@ import numpy as np
 from khep_twin import playpen
 from khep_twin.episodes.batch import RolloutResult, rollout
 from khep_twin.episodes.controllers import Floats
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import ControllerError, in_a_line
 from khep_twin.lab.experiment import start_poses
@@ -54,9 +55,11 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
         study.seconds,
         genes=controller.genomes[genomes],
         starts=begins,
-        noise=group.noise,
-        vary=group.vary,
-        home=None if home is None else (home.x_mm, home.y_mm, home.radius_mm, home.charge_s),
+        options=EpisodeOptions(
+            noise=group.noise,
+            vary=group.vary,
+            home=None if home is None else (home.x_mm, home.y_mm, home.radius_mm, home.charge_s),
+        ),
         threads=threads,
     )
     failed = {failure.index: failure for failure in results.failures}

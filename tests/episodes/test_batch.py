@@ -3,16 +3,19 @@
 import importlib.util
 import math
 import tracemalloc
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from khep_twin import playpen
+from khep_twin.board.fault_injection import parse_fault
 from khep_twin.episodes import batch
 from khep_twin.episodes.batch import RolloutResult, rollout
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Function, Network, Policy
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.metrics import METRICS
 from khep_twin.errors import ControllerError, PlaypenError
@@ -36,8 +39,8 @@ LAMPS = [
 
 
 def batch_of(compiled: bool, **options: Any) -> RolloutResult:
-    found = {"genes": GENES, "starts": STARTS, "lamps": LAMPS, "vary": True, "compiled": compiled}
-    return rollout(SCENE, NETWORK, range(N), SECONDS, **(found | options))
+    found = {"genes": GENES, "starts": STARTS, "lamps": LAMPS, "options": EpisodeOptions(vary=True)}
+    return rollout(SCENE, NETWORK, range(N), SECONDS, compiled=compiled, **(found | options))
 
 
 def same(one: RolloutResult, other: RolloutResult) -> bool:
@@ -60,7 +63,8 @@ def test_each_episode_of_a_batch_is_a_single_episode(compiled: bool) -> None:
     setup = EpisodeSetup(SCENE)
     for index in (0, 3):
         episode = Episode(setup, NETWORK, compiled=compiled)
-        episode.begin(index, start=STARTS[index], vary=True, lamps=LAMPS[index], genes=GENES[index])
+        own = EpisodeOptions(start=STARTS[index], vary=True, lamps=LAMPS[index], genes=GENES[index])
+        episode.begin(index, own)
         episode.run(SECONDS)
         assert found.registers[index].tolist() == episode.registers.tolist()
         assert tuple(found.poses[index].tolist()) == episode.pose
@@ -106,8 +110,8 @@ def test_physics_that_fail_in_several_threads_at_once_harm_no_other(
     compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Thrown(Episode):
-        def begin(self, seed: int = 0, **more: Any) -> None:
-            super().begin(seed, **more)
+        def begin(self, seed: int = 0, options: EpisodeOptions = DEFAULT_OPTIONS) -> None:
+            super().begin(seed, options)
             if seed % 2:
                 self.data.qvel[0] = np.nan if seed % 4 == 1 else 1e200
 
@@ -189,14 +193,24 @@ def test_a_function_that_looks_beyond_its_arrays_fails_instead_of_reading_what_l
         ({"starts": [(60.0, 250.0)]}, r"starts\[0\] = \(60.0, 250.0\); expected x, y \[mm\] and heading"),
         ({"starts": [(60.0, math.nan, 0.0)]}, r"starts\[0\] = .*, 3 finite numbers"),
         ({"starts": ["60"]}, r"starts\[0\] = '60'; expected"),
-        ({"home": (60.0, 250.0, 50.0)}, "home = .*, 4 finite numbers"),
-        ({"home": (60.0, 250.0, -50.0, 20.0)}, "home = .*; expected a radius and a charge above 0"),
         ({"lamps": [Lamp(x_mm=60, y_mm=60, power_w=1)]}, r"lamps\[0\] is one lamp"),
     ],
 )
 def test_arguments_of_episodes_are_checked_before_any_of_them_runs(options: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         rollout(SCENE, Braitenberg(), [1], 0.02, compiled=False, **options)
+
+
+@pytest.mark.parametrize(
+    ("home", "message"),
+    [
+        ((60.0, 250.0, 50.0), "home = .*, 4 finite numbers"),
+        ((60.0, 250.0, -50.0, 20.0), "home = .*; expected a radius and a charge above 0"),
+    ],
+)
+def test_what_is_no_home_is_refused(home: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        EpisodeOptions(home=home)
 
 
 @pytest.mark.parametrize("seconds", [-1.0, math.nan, math.inf])
@@ -216,13 +230,19 @@ def test_what_is_no_driver_or_no_playpen_is_refused() -> None:
         rollout(SCENE, Policy(lambda *readings: [["a", "b"]]), [1], 0.02, compiled=False)
 
 
-def test_a_setup_takes_no_other_step_period_or_plane() -> None:
-    setup = EpisodeSetup(SCENE)
-    for options in ({"step_ns": 5_000_000}, {"period_ns": 40_000_000}, {"planar": True}):
-        with pytest.raises(ValueError, match="given with an EpisodeSetup, which has its own"):
-            rollout(setup, Braitenberg(), [1], 0.04, compiled=False, **options)
-    flat = EpisodeSetup(SCENE, planar=True, period_ns=40_000_000)
-    assert not rollout(flat, Braitenberg(), [1], 0.04, compiled=False, planar=True).failures
+def test_the_options_of_all_episodes_hold_where_each_has_none_of_its_own() -> None:
+    common = EpisodeOptions(start=STARTS[1], genes=GENES[1], noise=False)
+    found = rollout(SCENE, NETWORK, [1, 2], 0.1, starts=STARTS[2:4], options=common, compiled=False)
+    for row, seed in enumerate((1, 2)):
+        alone = Episode(EpisodeSetup(SCENE), NETWORK, compiled=False)
+        alone.begin(seed, replace(common, start=STARTS[2 + row]))
+        alone.run(0.1)
+        assert tuple(found.poses[row].tolist()) == alone.pose
+
+
+def test_a_setup_has_a_whole_step_and_no_faults_in_a_plane() -> None:
+    with pytest.raises(ValueError, match="1 faults in the plane; expected none"):
+        EpisodeSetup(SCENE, planar=True, faults=[parse_fault("blocked:left@1")])
     with pytest.raises(TypeError):
         EpisodeSetup(SCENE, step_ns=5e6)  # type: ignore[arg-type]
 
@@ -247,7 +267,7 @@ def test_results_of_several_robots_have_an_axis_of_robots_and_are_those_of_episo
     assert results.poses.shape == (3, 2, 3)
     for index in range(3):
         episode = Episode(setup, NETWORK, compiled=False)
-        episode.begin(index, genes=genes[index])
+        episode.begin(index, EpisodeOptions(genes=genes[index]))
         episode.run(0.4)
         assert results.registers[index].tolist() == episode.boards.tolist()
         for robot in range(2):

@@ -15,6 +15,7 @@ from khep_twin.board.kernel import AMBIENT, LEFT, PROXIMITY, SETPOINTS, Board, W
 from khep_twin.episodes import episode as episodes
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Function, Network
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import DivergedError, MissingNumbaError, PlaypenError
 from khep_twin.playpen import Playpen
@@ -55,9 +56,11 @@ def wandering(scene: Playpen, seconds: float, **options: Any) -> World:
     return world
 
 
-def episode_of(scene: Playpen, seconds: float, compiled: bool, driver: Any = None, **options: Any) -> Episode:
+def episode_of(
+    scene: Playpen, seconds: float, compiled: bool, driver: Any = None, seed: int = 0, **options: Any
+) -> Episode:
     episode = Episode(EpisodeSetup(scene), driver or Braitenberg(), compiled=compiled)
-    episode.begin(**options)
+    episode.begin(seed, EpisodeOptions(**options))
     episode.run(seconds)
     return episode
 
@@ -149,7 +152,7 @@ def test_room_that_was_used_before_leaves_no_trace(compiled: bool) -> None:
     episode = Episode(EpisodeSetup(arena()), Braitenberg(), compiled=compiled)
     found: list[bytes] = []
     for seed in (1, 2, 1):
-        episode.begin(seed, start=(400.0, 290.0, 10.0 * seed))
+        episode.begin(seed, EpisodeOptions(start=(400.0, 290.0, 10.0 * seed)))
         episode.run(1.0)
         found.append(episode.registers.tobytes() + episode.joints.tobytes())
     assert found[0] == found[2] != found[1]
@@ -165,7 +168,7 @@ def test_coarser_steps_convert_in_the_same_order_plain_and_compiled_alike(step_n
     ]
     seen: set[int] = set()
     for episode in both:
-        episode.begin(2, start=(330.0, 300.0, 240.0))
+        episode.begin(2, EpisodeOptions(start=(330.0, 300.0, 240.0)))
     for _ in range(150):
         for episode in both:
             episode.run(0.02)
@@ -181,7 +184,7 @@ def test_coarser_steps_go_about_the_same_way() -> None:
         episode = Episode(
             EpisodeSetup(Playpen.load("default"), step_ns=step_ns), ConstantSpeed(8, 6), compiled=False
         )
-        episode.begin(noise=False)
+        episode.begin(options=EpisodeOptions(noise=False))
         episode.run(6.0)
         ends.append(episode.pose)
     for end, places, turned in zip(ends[1:], (0.002, 0.004), (0.011, 0.015), strict=True):
@@ -230,9 +233,9 @@ def test_a_controller_that_gives_no_number_ends_its_episode(compiled: bool) -> N
         Function(lambda proximity, ambient, memory, genes: (genes[0] / 0.5, 1.0)),
         compiled=compiled,
     )
-    episode.begin(7, genes=[1.0])
+    episode.begin(7, EpisodeOptions(genes=[1.0]))
     episode.run(0.02)
-    episode.begin(7, genes=[np.inf])
+    episode.begin(7, EpisodeOptions(genes=[np.inf]))
     with pytest.raises(DivergedError, match=r"seed 7 failed at 0\.0000 s, step 0: .* no number"):
         episode.run(0.02)
 
@@ -253,14 +256,14 @@ def test_physics_out_of_bounds_end_a_episode_by_step_and_leave_the_next_alone(co
 @pytest.mark.parametrize("compiled", KINDS)
 def test_episode_ends_its_homing_with_its_charge(compiled: bool) -> None:
     # Far from home the charge of 0.1 s is used up in five control periods; at home it is always full.
-    def homing(home: tuple[float, float, float, float]) -> float:
+    def homing(home: tuple[float, float, float, float] | None) -> float:
         return episode_of(arena(), 0.4, compiled, ConstantSpeed(10, 10), noise=False, home=home).metrics()[
             "homing"
         ]
 
-    assert homing((0.7, 0.5, 0.05, 0.1)) == pytest.approx(0.5 * 5 / 20, abs=0.02)
-    assert homing((0.12, 0.29, 0.2, 0.1)) == 0
-    assert np.isnan(homing((0.0, 0.0, 0.0, 0.0)))
+    assert homing((700.0, 500.0, 50.0, 0.1)) == pytest.approx(0.5 * 5 / 20, abs=0.02)
+    assert homing((120.0, 290.0, 200.0, 0.1)) == 0
+    assert np.isnan(homing(None))
 
 
 @pytest.mark.parametrize("compiled", KINDS)
@@ -363,7 +366,7 @@ def test_robots_turrets_lamps_and_faults_are_the_worlds(
 ) -> None:
     found = tuple(map(parse_fault, faults))
     world = World(scene, seed=6, unpaced=True, faults=found)
-    episode = Episode(EpisodeSetup(scene), Braitenberg(), compiled=compiled, faults=found)
+    episode = Episode(EpisodeSetup(scene, faults=found), Braitenberg(), compiled=compiled)
     episode.begin(6)
     for period in range(120):
         for robot in world.robots:
@@ -391,7 +394,7 @@ def test_an_episode_that_changes_over_to_compiled_code_stays_what_it_is(
     ready = episodes.when_ready
     monkeypatch.setattr(episodes, "when_ready", lambda part: next(looks, ready(part)))
     episode = Episode(EpisodeSetup(arena()), network)
-    episode.begin(3, genes=genes)
+    episode.begin(3, EpisodeOptions(genes=genes))
     kinds: list[bool] = []
     for _ in range(20):
         episode.run(0.1)
@@ -406,7 +409,7 @@ def test_an_episode_that_changes_over_to_compiled_code_stays_what_it_is(
 def test_a_start_is_needed_for_each_robot() -> None:
     setup = EpisodeSetup(playpen.parse(playpen.dump(arena()) + OTHERS, "three"))
     with pytest.raises(ValueError, match=r"expected x, y .* of 3 robots"):
-        Episode(setup, compiled=False).begin(start=(300.0, 300.0, 0.0))
+        Episode(setup, compiled=False).begin(options=EpisodeOptions(start=(300.0, 300.0, 0.0)))
 
 
 def test_only_an_observed_episode_has_observers_and_shows_its_leds() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_batch import EpisodeBatch
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Playpen
 
@@ -29,7 +30,7 @@ def together(setup: EpisodeSetup, count: int, n_steps: int, threads: int, compil
     """Return episodes that have run side by side; every other step only some of them."""
     batch = EpisodeBatch([Episode(setup, compiled=compiled) for _ in range(count)], threads)
     for index in range(count):
-        batch.begin(index, index, vary=True)
+        batch.begin(index, index, EpisodeOptions(vary=True))
     for number, each in enumerate(speeds(n_steps, count)):
         rows = np.arange(count)[number % 2 :]
         batch.speeds[:] = each
@@ -41,7 +42,7 @@ def together(setup: EpisodeSetup, count: int, n_steps: int, threads: int, compil
 def assert_alone_the_same(setup: EpisodeSetup, batch: EpisodeBatch, n_steps: int) -> None:
     for index, other in enumerate(batch.episodes):
         alone = Episode(setup, compiled=False)
-        alone.begin(index, vary=True)
+        alone.begin(index, EpisodeOptions(vary=True))
         for number, each in enumerate(speeds(n_steps, len(batch.episodes))):
             if index >= number % 2:
                 alone.drive(*each[index, 0])

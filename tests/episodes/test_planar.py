@@ -12,6 +12,7 @@ from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.episodes.batch import RolloutResult, rollout
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Network
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar.casting import PlaneScene, surfaces
 from khep_twin.episodes.planar.motion import step
@@ -193,7 +194,7 @@ def test_a_robot_slides_along_a_wall_as_in_mujoco() -> None:
         episode = Episode(
             EpisodeSetup(Playpen.load("default"), planar=planar), ConstantSpeed(10, 10), compiled=False
         )
-        episode.begin(noise=False, start=(150.0, 40.0, -20.0))
+        episode.begin(options=EpisodeOptions(noise=False, start=(150.0, 40.0, -20.0)))
         episode.run(0.8)
         ends.append(episode.pose)
     assert ends[1][1] == pytest.approx(units.BODY_RADIUS, abs=1e-9)
@@ -207,7 +208,7 @@ def test_a_robot_that_drives_into_a_wall_turns_to_it_as_in_mujoco(heading_deg: f
     ends: list[tuple[float, float, float]] = []
     for planar in (False, True):
         episode = Episode(EpisodeSetup(Playpen.load("default"), planar=planar), compiled=False)
-        episode.begin(noise=False, start=(560.0, 200.0, heading_deg))
+        episode.begin(options=EpisodeOptions(noise=False, start=(560.0, 200.0, heading_deg)))
         episode.drive(5, 5)
         episode.run(2.0)
         ends.append(episode.pose)
@@ -247,7 +248,7 @@ def test_counts_are_mujocos_at_the_same_pose(name: str) -> None:
         tried += 1
         start = (x, y, float(rng.uniform(-180, 180)))
         for episode in (true, plane):
-            episode.begin(0, start=start, noise=False)
+            episode.begin(0, EpisodeOptions(start=start, noise=False))
         near, far = (episode.registers[[*PROXIMITY, *AMBIENT]] for episode in (true, plane))
         apart.append(np.abs(near - far))
         seen += int((near[:8] > 50).sum())
@@ -308,7 +309,7 @@ def test_a_episode_in_a_plane_goes_about_mujocos_way() -> None:
         episode = Episode(
             EpisodeSetup(Playpen.load("default"), planar=planar), ConstantSpeed(8, 6), compiled=False
         )
-        episode.begin(noise=False)
+        episode.begin(options=EpisodeOptions(noise=False))
         episode.run(3.0)
         ends.append(episode.pose)
     assert ends[1][:2] == pytest.approx(ends[0][:2], abs=5e-4)
@@ -322,8 +323,9 @@ def batch_of(compiled: bool, **options: object) -> RolloutResult:
     rng = np.random.default_rng(5)
     genes = rng.normal(size=(6, NETWORK.n_genes))
     starts = [(120.0, 290.0, 25.0), *((350.0 + 10 * i, 300.0, 60.0 * i) for i in range(5))]
-    found = {"genes": genes, "starts": starts, "vary": True, "compiled": compiled, "planar": True}
-    return rollout(arena(), NETWORK, range(6), 3.0, **(found | options))  # type: ignore[arg-type]
+    found = {"genes": genes, "starts": starts, "options": EpisodeOptions(vary=True), "compiled": compiled}
+    setup = EpisodeSetup(arena(), planar=True)
+    return rollout(setup, NETWORK, range(6), 3.0, **(found | options))  # type: ignore[arg-type]
 
 
 @with_numba
@@ -342,7 +344,7 @@ def test_compiled_episodes_are_the_plain_ones_in_used_room_and_in_pieces(step_ns
         Episode(setup, Braitenberg(), compiled=False),
         Episode(setup, Braitenberg(), compiled=True),
     )
-    fast.begin(9, start=(40.0, 290.0, 170.0))
+    fast.begin(9, EpisodeOptions(start=(40.0, 290.0, 170.0)))
     fast.run(1.0)
     for episode in (plain, fast):
         episode.begin(1)
@@ -356,5 +358,6 @@ def test_compiled_episodes_are_the_plain_ones_in_used_room_and_in_pieces(step_ns
 def test_a_robot_far_off_is_a_failure_as_in_mujoco() -> None:
     starts = [(1e6, 0.0, 0.0), (100.0, 150.0, 0.0)]
     for planar in (False, True):
-        results = rollout(arena(), Braitenberg(), range(2), 0.1, starts=starts, planar=planar, compiled=False)
+        setup = EpisodeSetup(arena(), planar=planar)
+        results = rollout(setup, Braitenberg(), range(2), 0.1, starts=starts, compiled=False)
         assert [failure.index for failure in results.failures] == [0]

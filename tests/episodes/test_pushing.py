@@ -10,6 +10,7 @@ from khep_twin import playpen, units
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Network
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.episodes.planar.motion import step
@@ -112,7 +113,7 @@ def test_a_robot_pushes_in_the_plane_as_in_mujoco(case: str) -> None:
     for planar in (False, True):
         setup = EpisodeSetup(arena(*PUSHED[case]), planar=planar)
         episode = Episode(setup, ConstantSpeed(10, 10), compiled=False)
-        episode.begin(noise=False)
+        episode.begin(options=EpisodeOptions(noise=False))
         start = episode.objects
         episode.run(1.0)
         ends.append((np.array(episode.pose), episode.objects, np.hypot(*(episode.objects - start)[:, :2].T)))
@@ -141,7 +142,7 @@ def test_what_a_robot_pushes_is_seen_where_it_is() -> None:
     episode = Episode(
         EpisodeSetup(arena(cylinder(290, 350)), planar=True), ConstantSpeed(10, 10), compiled=False
     )
-    episode.begin(noise=False)
+    episode.begin(options=EpisodeOptions(noise=False))
     free = max(episode.readings()[0])
     episode.run(1.3)
     assert free < 100
@@ -160,12 +161,11 @@ def test_compiled_and_plain_code_push_to_the_same_bits_and_a_new_episode_begins_
     genes = np.random.default_rng(2).normal(size=(5, network.n_genes))
     results = [
         rollout(
-            arena(*things),
+            EpisodeSetup(arena(*things), planar=True),
             network,
             range(5),
             4.0,
             genes=genes,
-            planar=True,
             compiled=compiled,
             threads=threads,
         )

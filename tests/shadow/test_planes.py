@@ -10,6 +10,7 @@ from twins import AT_THE_CRATE, Pose, light_of, planes_at, readings, setup_of
 from khep_twin import shadow, units
 from khep_twin.episodes.controllers import ConstantSpeed
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.errors import MissingNumbaError
@@ -25,7 +26,7 @@ OPEN = 350.0, 250.0, 0.0
 @pytest.mark.parametrize("start", STARTS)
 def test_a_twin_drives_as_an_episode_in_the_plane(start: Pose) -> None:
     episode = Episode(setup_of("workshop"), ConstantSpeed(6, 5), compiled=True)
-    episode.begin(noise=False, start=start)
+    episode.begin(options=EpisodeOptions(noise=False, start=start))
     planes = planes_at(start)
     planes.command(SPEED, 6, 5)
     for _ in range(10):
@@ -38,7 +39,7 @@ def test_a_twin_drives_as_an_episode_in_the_plane(start: Pose) -> None:
 @pytest.mark.parametrize("start", [*STARTS, (600.0, 240.0, 100.0)])
 def test_a_standing_twin_sees_as_an_episode_in_the_plane(start: Pose) -> None:
     episode = Episode(setup_of("workshop"), ConstantSpeed(), compiled=True)
-    episode.begin(noise=False, start=start)
+    episode.begin(options=EpisodeOptions(noise=False, start=start))
     episode.run(0.4)
     proximity, ambient = episode.readings()
     planes = planes_at(start)

@@ -8,6 +8,7 @@ from twins import ALL, AT_THE_CRATE, metric, particles_at, planes_at, readings, 
 
 from khep_twin.episodes.controllers import ConstantSpeed
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
 
 BESIDE_THE_LAMP = 600.0, 275.0, 0.0
@@ -133,7 +134,7 @@ def test_beside_a_lamp_sensors_have_a_part_of_their_range_as_those_of_an_episode
     particles.planes.advance(1)
     model = SensorModel(particles.planes)
     assert (model.range_left == 1).all()
-    episode.begin(noise=False, start=BESIDE_THE_LAMP)
+    episode.begin(options=EpisodeOptions(noise=False, start=BESIDE_THE_LAMP))
     episode.run(0.1)
     told = np.array(episode.readings()[0])
     expected, surprise, _ = model.explain(particles, told, ALL)

@@ -1,6 +1,7 @@
 """Weak motors, slipping tyres and blocked wheels: against closed form, and sound again when a fault ends."""
 
 import math
+from copy import copy
 
 import mujoco
 import numpy as np
@@ -11,6 +12,7 @@ from khep_twin.board.fault_injection import parse_fault
 from khep_twin.board.kernel import RIGHT, Wheel, set_duty
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.sensing.calibration import MotorCalibration
 from khep_twin.simulation.faulty_wheels import FIELDS
@@ -25,10 +27,17 @@ SETUP = EpisodeSetup(FIELD)
 MOTORS = MotorCalibration()
 
 
+def setup_with(*faults: str) -> EpisodeSetup:
+    """The same setup with faults, of the same compiled scene."""
+    found = copy(SETUP)
+    found.faults = tuple(map(parse_fault, faults))
+    return found
+
+
 def episode(*faults: str, x_mm: float = 500, seconds: float = 0.0, duty: int = 0) -> Episode:
     """A robot on a floor of a square metre, without noise, with this duty for this time."""
-    found = Episode(SETUP, ConstantSpeed(), compiled=False, faults=tuple(map(parse_fault, faults)))
-    found.begin(noise=False, start=(x_mm, 500, 0))
+    found = Episode(setup_with(*faults), ConstantSpeed(), compiled=False)
+    found.begin(options=EpisodeOptions(noise=False, start=(x_mm, 500, 0)))
     for wheel in (0, RIGHT) if duty else ():
         set_duty(found.boards[0].data, wheel, duty)
     found.run(seconds)
@@ -115,17 +124,13 @@ def test_wheels_are_sound_to_the_last_bit_when_their_faults_end() -> None:
 
 def test_faulty_wheels_are_of_one_episode_alone() -> None:
     """The next episode begins with sound ones, and others of the setup never have them."""
-    faulty = Episode(
-        SETUP,
-        Braitenberg(),
-        compiled=False,
-        faults=[parse_fault("blocked:left@0.3"), parse_fault("slip:right:0@0.1")],
-    )
+    setup = setup_with("blocked:left@0.3", "slip:right:0@0.1")
+    faulty = Episode(setup, Braitenberg(), compiled=False)
     sound = Episode(SETUP, Braitenberg(), compiled=False)
     found = []
     for each, seconds in ((sound, 0.2), (faulty, 0.5), (sound, 0.2), (faulty, 0.08)):
         for vary in (False, True):
-            each.begin(3, vary=vary)
+            each.begin(3, EpisodeOptions(vary=vary))
             each.run(0.08)
             found.append(each.joints.tobytes())
             each.run(round(seconds - 0.08, 2))

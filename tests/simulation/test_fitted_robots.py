@@ -9,6 +9,7 @@ import pytest
 
 from khep_twin import playpen
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
@@ -127,7 +128,7 @@ def test_an_episode_that_varies_leaves_the_shared_model_as_it_is(compiled: bool,
     episode = Episode(setup, compiled=compiled)
     ends: list[bytes] = []
     for vary in (False, True, False):
-        episode.begin(1, vary=vary)
+        episode.begin(1, EpisodeOptions(vary=vary))
         episode.drive(5, 5)
         episode.run(0.5)
         ends.append(episode.joints.tobytes())
@@ -140,7 +141,7 @@ def test_another_robot_of_the_same_make_sees_the_same_in_the_plane(seed: int) ->
     seen: list[list[list[int]]] = []
     for planar, vary in ((False, True), (True, True), (False, False)):
         episode = Episode(EpisodeSetup(Playpen.load("two-lamps"), planar=planar), compiled=False)
-        episode.begin(seed, start=(45.0, 300.0, 170.0), noise=False, vary=vary)
+        episode.begin(seed, EpisodeOptions(start=(45.0, 300.0, 170.0), noise=False, vary=vary))
         seen.append(list(episode.readings()))
     assert np.abs(np.subtract(seen[0], seen[1])).max() <= 1
     assert np.abs(np.subtract(seen[0], seen[2])).max() > 20
@@ -156,7 +157,7 @@ def test_wheels_drive_as_far_as_their_radii_and_turn_by_their_difference(
     drawn = measured.model_copy(update={"wheels": wheels})
     replace(monkeypatch, "varied", drawn)
     episode = Episode(EpisodeSetup(playpen.parse(OPEN, "open"), planar=planar), compiled=False)
-    episode.begin(noise=False, vary=True)
+    episode.begin(options=EpisodeOptions(noise=False, vary=True))
     episode.drive(10, 10)
     episode.run(2.0)
     x, y, heading = episode.pose

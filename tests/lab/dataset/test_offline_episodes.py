@@ -10,6 +10,7 @@ from log_rewriting import rewritten
 from khep_twin.envs.task_episode import TaskEpisode, TaskSetup
 from khep_twin.envs.tasks import TASKS, State, find
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import LogError
 from khep_twin.interventions.move_robot import put
@@ -27,7 +28,7 @@ def recorded(path: Path, setup: TaskSetup, seed: int, actions: list[tuple[float,
     (robot,) = setup.started(seed).robots
     world = EpisodeSetup(setup.playpen, period_ns=setup.period_ns)
     episode = Episode(world, compiled=False, observed=True)
-    episode.begin(seed, start=(robot.x_mm, robot.y_mm, robot.heading_deg))
+    episode.begin(seed, EpisodeOptions(start=(robot.x_mm, robot.y_mm, robot.heading_deg)))
     with Twin(episode.world, episode.world.robots, TwinOptions(seed=seed)) as twin:
         twin.record(path, facts={"line": "none"})
         for action in actions:

@@ -1,0 +1,69 @@
+"""Options of one episode, which a batch has in common or gives each of its episodes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import units
+from khep_twin.playpen import Lamp
+from khep_twin.playpen.starts import Start
+
+Home = tuple[float, float, float, float]
+"""Home of a robot: x, y, radius and duration of a charge [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EpisodeOptions:
+    """Options of an episode besides its seed.
+
+    Attributes:
+        noise: Whether sensors are noisy.
+        vary: Whether to draw other robots of the same make.
+        start: Start x, y [mm] and heading [deg], or one for each robot; None for the playpen's.
+        lamps: Other lamps than the playpen's.
+        genes: Genes of the controller, or of each robot's (n_robots, n_genes).
+        home: Home x, y, radius [mm] and duration of a charge [s], for the metric "homing".
+
+    Raises:
+        ValueError: The home is none.
+    """
+
+    noise: bool = True
+    vary: bool = False
+    start: Start | Sequence[Start] | None = None
+    lamps: Sequence[Lamp] | None = None
+    genes: Sequence[float] | NDArray[np.float64] = ()
+    home: Home | None = None
+
+    def __post_init__(self) -> None:
+        """Check the home."""
+        if self.home is not None:
+            check_numbers("home", self.home, "x, y, radius [mm] and duration of a charge [s]", (4,))
+            if self.home[2] <= 0 or self.home[3] <= 0:
+                raise ValueError(f"home = {self.home}; expected a radius and a charge above 0")
+
+    @property
+    def home_in_metres(self) -> Home:
+        """Home with its lengths in metres, all 0 for none."""
+        if self.home is None:
+            return 0.0, 0.0, 0.0, 0.0
+        x_mm, y_mm, radius_mm, charge_s = self.home
+        return units.metres(x_mm), units.metres(y_mm), units.metres(radius_mm), charge_s
+
+
+DEFAULT_OPTIONS = EpisodeOptions()
+"""Options of an episode that is given none."""
+
+
+def check_numbers(name: str, given: object, what: str, shape: tuple[int, ...]) -> None:
+    """Raise a `ValueError` unless these are finite numbers of a shape."""
+    try:
+        numbers = np.asarray(given, np.float64)
+        fits = numbers.shape == shape and bool(np.isfinite(numbers).all())
+    except (TypeError, ValueError):
+        fits = False
+    if not fits:
+        count = " x ".join(map(str, shape))
+        raise ValueError(f"{name} = {given!r}; expected {what}, {count} finite numbers")
