@@ -12,7 +12,7 @@ from khep_twin.board.turrets import TurretKind
 
 
 @dataclass(frozen=True, slots=True)
-class BoardState:
+class ToolContext:
     """State of a board that the tools report.
 
     Attributes:
@@ -45,7 +45,7 @@ class ToolResult:
     function: str = ""
 
 
-def use(tool: Tool, board: BoardState) -> ToolResult:
+def use(tool: Tool, board: ToolContext) -> ToolResult:
     """Execute a tool: its word and its arguments."""
     entry = _TOOLS.get(tool.word.decode("ascii"))
     if entry is None:
@@ -68,7 +68,7 @@ def _lines(*lines: str) -> bytes:
     return b"".join(line.encode("ascii", "backslashreplace") + END for line in lines)
 
 
-def _help(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
+def _help(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
     if not arguments:
         return ToolResult(
             _lines(
@@ -82,38 +82,38 @@ def _help(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
     return ToolResult(_lines(f"{name}  {text}") if text else refusal("No such item"))
 
 
-def _list(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
+def _list(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
     tools = [f"TO  {name:8}  {text}  {board.rom.bios}" for name, (text, _) in _TOOLS.items()]
     functions = [f"FU  {name:8}  ROM function  {board.rom.bios}" for name in (DEMO, SELF_TEST)]
     commands = [f"PR  {name:8}  {text}  {board.rom.protocol}" for name, text in board.commands.items()]
     return ToolResult(_lines(*tools, *functions, *commands))
 
 
-def _k_team(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
+def _k_team(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
     return ToolResult(_lines("Edoardo Franzi", "Andre Guignard", "Francesco Mondada"))
 
 
-def _net(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
+def _net(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
     turrets = [
         f"{kind.number}  {kind.name}  {kind.description}  revision {kind.revision}" for kind in board.turrets
     ]
     return ToolResult(_lines(*(turrets or ["no intelligent turret"])))
 
 
-def _memory(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
+def _memory(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
     return ToolResult(_lines(f"RAM  {board.rom.memory} bytes", "used by loaded programs  0 bytes"))
 
 
-def _process(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
+def _process(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
     processes = ["serial communication protocol", "motor controllers", "sensor scan"]
     return ToolResult(_lines(*processes, *([board.running] if board.running else [])))
 
 
-def _restart(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
+def _restart(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
     return ToolResult(restart=True)
 
 
-def _run(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
+def _run(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
     if arguments == (DEMO,):
         return ToolResult(_lines(f"run {DEMO}"), function=DEMO)
     if arguments == (SELF_TEST,):
@@ -123,18 +123,18 @@ def _run(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
     return ToolResult(refusal(f"Function not found, right is {DEMO} or {SELF_TEST}"))
 
 
-def _serial(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
+def _serial(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
     speeds = {str(baud): baud for baud in BAUD_RATES}
     if len(arguments) != 1 or arguments[0] not in speeds:
         return ToolResult(refusal(f"Baud rate not possible, right is one of {' '.join(speeds)}"))
     return ToolResult(_lines(f"serial {arguments[0]}"), baud=speeds[arguments[0]])
 
 
-def _sfill(arguments: tuple[str, ...], board: BoardState) -> ToolResult:
+def _sfill(arguments: tuple[str, ...], board: ToolContext) -> ToolResult:
     return ToolResult(refusal("No S-record loader, the twin runs no machine code"))
 
 
-_Handler = Callable[[tuple[str, ...], BoardState], ToolResult]
+_Handler = Callable[[tuple[str, ...], ToolContext], ToolResult]
 _TOOLS: dict[str, tuple[str, _Handler]] = {
     "help": ("shows what a tool or command does", _help),
     "k-team": ("shows the members of K-Team", _k_team),
