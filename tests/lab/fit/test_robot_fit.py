@@ -116,7 +116,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], list[
         f"{path}/steps.mcap=duty",
     ]
     around, light = (
-        SensorTest("proximity", rotate_deg=360, speed=1),
+        SensorTest("proximity", rotate_deg=360, speed=2),
         SensorTest("light", rotate_deg=360, speed=5),
     )
     for seed, distance_mm in enumerate((12, 17, 21, 25, 29)):
