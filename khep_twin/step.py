@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from khep_twin import units
 from khep_twin.board import battery, kernel
-from khep_twin.compilable import compilable
+from khep_twin.compilable import compilable, compilable_once
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.light import Light
 from khep_twin.sensing.noise import Tables, draws
@@ -186,7 +186,7 @@ def advance(simulated: Simulated, inputs: StepInputs, until: int, stops: int) ->
     return DONE
 
 
-@compilable
+@compilable_once
 def switch_on(simulated: Simulated, inputs: StepInputs) -> int:
     """Run the scan before time 0, so that every register holds a conversion; return a reason as `advance`."""
     scene, timing, robots = simulated.scene, simulated.timing, simulated.robots
@@ -274,7 +274,7 @@ def weak_voltage(strength: float, voltage: float, constant: float, speed: float)
     return strength * voltage + (1 - strength) * (constant * speed)
 
 
-@compilable
+@compilable_once
 def _scan(simulated: Simulated, inputs: StepInputs, first: int) -> None:
     """Convert the sensors of one step, of each robot, from a conversion on."""
     counters, conversions = simulated.counters, simulated.timing.conversions

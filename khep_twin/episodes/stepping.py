@@ -143,18 +143,21 @@ def run_in_turn(
     turn: int,
 ) -> int:
     """Run one episode of a joint run, with its speeds, or an episode alone; arguments are those of `run`."""
-    if len(joint.rows) == 0:
-        return run(controllers, simulated, inputs, until, stops)
-    row, reason = joint.rows[turn], DONE
-    for robot in range(len(simulated.robots)):
-        state = simulated.robots[robot]
-        left, right = joint.speeds[row, robot, 0], joint.speeds[row, robot, 1]
-        if state.processor[kernel.POWERED] and not drive(state.registers, left, right):
-            reason = NO_SPEED
+    # `run` is called in one place, as compiled code has it once for each.
+    row, reason = -1, DONE
+    if len(joint.rows) > 0:
+        row = joint.rows[turn]
+        until = int(joint.untils[row])
+        for robot in range(len(simulated.robots)):
+            state = simulated.robots[robot]
+            left, right = joint.speeds[row, robot, 0], joint.speeds[row, robot, 1]
+            if state.processor[kernel.POWERED] and not drive(state.registers, left, right):
+                reason = NO_SPEED
     if reason == DONE:
-        reason = run(controllers, simulated, inputs, int(joint.untils[row]), stops)
-    joint.reasons[row] = reason
-    observe(simulated, joint, row)
+        reason = run(controllers, simulated, inputs, until, stops)
+    if row >= 0:
+        joint.reasons[row] = reason
+        observe(simulated, joint, row)
     return reason
 
 

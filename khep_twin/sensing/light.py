@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from khep_twin.compilable import compilable
+from khep_twin.compilable import compilable, compilable_once
 from khep_twin.sensing.robot_sensors import Ambient, RobotSensors
 from khep_twin.sensing.scene import FEW, MANY, Scene, Triple, blocked, body_frame, position, stopped
 from khep_twin.units import BULB_RADIUS
@@ -184,7 +184,7 @@ def in_sight(scene: Scene, sensors: RobotSensors, channel: int, way: Triple, dis
     return part_of_bulb(scene, sensors, channel, way, distance, MANY)
 
 
-@compilable
+@compilable_once
 def part_of_bulb(
     scene: Scene, sensors: RobotSensors, channel: int, way: Triple, distance: float, disc: int
 ) -> float:

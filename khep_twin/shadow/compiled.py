@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from khep_twin import units
 from khep_twin.board import kernel
-from khep_twin.compilable import compilable
+from khep_twin.compilable import compilable_once
 from khep_twin.episodes.planar import casting, contact_solver, motion, plane, pushing, shadows
 from khep_twin.episodes.planar import compiled as planar_compiled
 from khep_twin.episodes.planar.plane import Plane
@@ -104,7 +104,7 @@ def _illuminate(things, order, near, none, planes, sensors, turns, light, slope)
                 slope[twin, channel] = (turned - seen) / _TURN
 
 
-@compilable
+@compilable_once
 def _light(scene, sensors, channel, mounted, turn):
     """Return the light that a sensor gets back [counts], whose chip is turned about its face [rad]."""
     proximity = sensors.proximity

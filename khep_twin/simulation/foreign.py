@@ -13,8 +13,13 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload
 
-INNER: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "forceinline": True}
-"""Options of functions that only compiled code calls: wrappers for Python take a third of the compilation."""
+from khep_twin.simulation.linking import InnerCompiler
+
+INNER: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": InnerCompiler}
+"""Options of functions that only compiled code calls; wrappers for Python would be compiled for nothing."""
+
+INLINED: Any = {**INNER, "forceinline": True}
+"""Options of such functions that become part of each caller."""
 
 _ADDRESS, _BYTE_POINTER = types.intp, ir.IntType(8).as_pointer()
 _INT, _DOUBLE = ir.IntType(32), ir.DoubleType()
@@ -33,7 +38,7 @@ def implements(query: Callable[..., Any], kind: type | None = None) -> Callable[
             fits = kind is None or getattr(scene, "instance_class", None) is kind
             return function if fits else None
 
-        overload(query, strict=False, jit_options=INNER)(choose)
+        overload(query, strict=False, jit_options=INLINED)(choose)
         return function
 
     return register
