@@ -27,7 +27,14 @@ class _InnerLibrary(JITCodeLibrary):
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
-        return self._final_module
+        # A function that numba compiles in its own way links what it calls, but nothing further.
+        if self._shared_module is None:
+            self._shared_module = module = self._final_module.clone()
+            _link_all_called(self, module)
+            for function in module.functions:
+                if not function.is_declaration:
+                    function.linkage = "linkonce_odr"
+        return self._shared_module
 
     def get_pointer_to_function(self, name: str) -> int:
         return 0  # only compiled code calls it
@@ -38,7 +45,8 @@ class _OuterLibrary(JITCodeLibrary):
 
     def finalize(self) -> None:
         self._own = {function.name for function in self.get_defined_functions()}
-        self._linking_libraries = list(_all_called(self, {}))
+        _link_all_called(self, self._final_module)
+        self._linking_libraries = []
         super().finalize()
 
     def _optimize_final_module(self) -> None:
@@ -46,6 +54,14 @@ class _OuterLibrary(JITCodeLibrary):
             if function.name not in self._own:
                 function.linkage = "internal"  # LLVM may drop it, and arguments that it does not use
         super()._optimize_final_module()
+
+
+def _link_all_called(library: Any, module: Any) -> None:
+    """Link the code of all that a library needs into a module, and note what they need when loaded."""
+    for each in _all_called(library, {}):
+        library._reload_init.update(each._reload_init)
+        inner = isinstance(each, _InnerLibrary)
+        module.link_in(each._final_module if inner else each._get_module_for_linking(), preserve=True)
 
 
 def _all_called(library: Any, found: dict[Any, None]) -> dict[Any, None]:
