@@ -28,7 +28,7 @@ from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.host_events import read_events
 from khep_twin.log.recorded import BranchPoint, read_recorded
-from khep_twin.log.state_hashes import read_states
+from khep_twin.log.snapshots import read_states
 from khep_twin.playpen import Lamp, Lighting, Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.units import STEP_NS

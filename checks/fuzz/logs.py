@@ -31,8 +31,7 @@ MODULES = (
     "record_bytes",
     "recover",
     "mcap_recovery",
-    "message_filter",
-    "state_hashes",
+    "snapshots",
 )
 """Modules of khep_twin.log, whose branches libFuzzer looks for."""
 

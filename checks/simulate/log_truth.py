@@ -9,7 +9,7 @@ from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NS_PER_S
 from khep_twin.log.decoding import read_array, read_line
 from khep_twin.log.host_events import read_events
-from khep_twin.log.state_hashes import boards
+from khep_twin.log.snapshots import boards
 from khep_twin.world import Observer, World
 
 LOCK_STEP_LOSS_NS = 5 * NS_PER_S

@@ -11,10 +11,9 @@ from unittest.mock import patch
 
 from checks.simulate.mutants import Mutant
 from khep_twin.lab.experiment import repeat as repetition
-from khep_twin.log import log_file, part_file, recorder
-from khep_twin.log.log_file import LogFile
+from khep_twin.log import log_file, recorder
+from khep_twin.log.log_file import LogFile, PartFile
 from khep_twin.log.mcap_recovery import WholeRecords
-from khep_twin.log.part_file import PartFile
 from khep_twin.log.recorder import Recorder
 from khep_twin.log.transcript import Transcript
 from khep_twin.ports.serve import Flush
@@ -33,7 +32,7 @@ def _nothing(*_: object) -> None:
 
 def _write_once(self: Any, data: bytes) -> int:
     """Take a short write for a whole one."""
-    part_file.os.write(self._descriptor, data)
+    log_file.os.write(self._descriptor, data)
     self._size += len(data)
     return len(data)
 
@@ -43,7 +42,7 @@ def _write_without_truncation(self: Any, data: bytes) -> int:
     rest = memoryview(data)
     try:
         while rest:
-            rest = rest[part_file.os.write(self._descriptor, rest) :]
+            rest = rest[log_file.os.write(self._descriptor, rest) :]
     except OSError:
         rest = rest[:0]
     self._size += len(data)

@@ -125,7 +125,7 @@ def branch(
         raise typer.Exit(130)
     if picture is not None:
         from khep_twin.drawing.map import save
-        from khep_twin.lab.experiment.fan_figure import draw_fan
+        from khep_twin.lab.experiment.figures import draw_fan
 
         save(draw_fan(plan, trajectories), picture)
         typer.echo(f"picture  {picture}")

@@ -136,7 +136,7 @@ def _show(window: "curses.window", operation: "Teleoperation", name: str, ended:
     """Pass keys on and draw the result, until q or the end of the drive."""
     import curses
 
-    from khep_twin.lab.experiment.drive_screen import draw
+    from khep_twin.lab.experiment.teleoperation import draw
 
     # Raw: Ctrl-S would hold up the screen, Ctrl-C the line.
     curses.raw()

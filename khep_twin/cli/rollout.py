@@ -185,8 +185,7 @@ def _draw(playpen: "Playpen", paths: list[list[Pose]], period_ns: int, picture: 
 def _speeds(function: Callable[..., Any], episode: "Episode", robot: int) -> tuple[float, float]:
     """Return the left and right speed that a user's function makes of the readings [pulses/10 ms]."""
     from khep_twin.errors import ControllerError
-    from khep_twin.lab.experiment.controllers import name_of
-    from khep_twin.lab.experiment.user_calls import call
+    from khep_twin.lab.experiment.controllers import call, name_of
 
     speeds = call(function, *episode.readings(robot))
     try:

@@ -190,8 +190,8 @@ def _run_series(
     user_function: Callable[..., Any] | None,
 ) -> bool:
     """Run the series, and print and keep each run; return whether it was stopped before its end."""
+    from khep_twin.lab.experiment.controller_files import call_on_run_end
     from khep_twin.lab.experiment.series import run_series
-    from khep_twin.lab.experiment.user_calls import call_on_run_end
 
     first, last = 1 if folder is None else robot_source.first(len(folder.rows), controller), 0
     awaited = "stopping the motors, waiting for the end of this cycle"

@@ -48,7 +48,7 @@ def series(
     typer.echo(table(labels, found, names))
     if picture is not None:
         from khep_twin.drawing.map import save
-        from khep_twin.lab.experiment.series_figure import draw, shown
+        from khep_twin.lab.experiment.figures import draw, shown
 
         save(draw(labels, found, shown(names) if wanted is None else names), picture)
         typer.echo(f"picture  {picture}")

@@ -2,7 +2,7 @@
 
 channels      what is in a log, as ROS 2 messages
 description   the scene as URDF; `foxglove_scene` the same for Foxglove
-recorder      writes a log while a world runs; `part_file` is the file meanwhile
+recorder      writes a log while a world runs; `log_file` is its file
 reader        a log as arrays
 replay        a log in rerun
 """

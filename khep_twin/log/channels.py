@@ -15,7 +15,7 @@
     /khepera0/vision            sensor_msgs/Image           greys from left to right, of a turret that sees
     /khepera0/serial            rcl_interfaces/Log          the transcript, one line per message
     /khepera0/host_events       std_msgs/Int64MultiArray    what its host did, to repeat it (`host_events`)
-    /state                      std_msgs/Int64MultiArray    hashes of the whole state (`state_hashes`)
+    /state                      std_msgs/Int64MultiArray    hashes of the whole state (`snapshots`)
     /snapshot                   std_msgs/UInt8MultiArray    the whole state, to go on from (`snapshots`)
     /lamps                      std_msgs/Float64MultiArray  power of each lamp [W], where they change; of
                                                 other lamps set up meanwhile /lamps_2 and so on

@@ -1,12 +1,16 @@
-"""Messages of a log with topic and type, by the schemas and channels that its records define."""
+"""Content of a log: its label, and messages with topic and type, as its schemas and channels define them."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Channel, Metadata, Schema
 
-from khep_twin.log.decoding import DecodeError
+from khep_twin.files.toml_files import NAME_WISH
+from khep_twin.log.decoding import DecodeError, shown
 from khep_twin.log.record_bytes import MESSAGE, parsed, records_in
 
 
@@ -94,3 +98,52 @@ def _definition(schema: Schema) -> str | bytes | None:
     if schema.encoding == "ros2msg":
         return schema.data.decode("ascii", "ignore")
     return schema.data if schema.encoding == "protobuf" else None
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """Metadata and attachments of a log.
+
+    Attributes:
+        metadata: Seed, versions, settings.
+        attachments: Texts playpen.toml, scene.xml, configuration.json, calibration/*.toml, controller/*.py.
+        robots: Names of the robots.
+    """
+
+    metadata: Mapping[str, str]
+    attachments: Mapping[str, str]
+    robots: tuple[str, ...]
+
+
+def label_of(path: Path, metadata: Mapping[str, str], attachments: Mapping[str, str]) -> Label:
+    """Return the label of a log; its metadata names the robots.
+
+    Raises:
+        LogError: The names are invalid.
+    """
+    try:
+        return Label(metadata, attachments, robot_names(metadata["robots"]))
+    except DecodeError as error:
+        raise error.at(path, "metadata") from None
+
+
+def run_facts(records: Iterable[Metadata]) -> dict[str, str]:
+    """Return the metadata of the run."""
+    return {key: text for each in records if each.name == "run" for key, text in each.metadata.items()}
+
+
+def robot_names(text: str) -> tuple[str, ...]:
+    """Return the names of a log's robots from its metadata.
+
+    Raises:
+        DecodeError: They are no valid names.
+    """
+    if not _NAMES.fullmatch(text):
+        raise DecodeError(f"robots = {shown(text)}", f"names with commas between, each {NAME_WISH}")
+    names = tuple(text.split(","))
+    if len(set(names)) < len(names):
+        raise DecodeError(f"robots = {shown(text)}", "each name once")
+    return names
+
+
+_NAMES = re.compile(r"[A-Za-z0-9_-]{1,64}(,[A-Za-z0-9_-]{1,64}){0,999}")

@@ -18,8 +18,7 @@ from khep_twin.files.atomic import open_regular
 from khep_twin.log.channels import FLOATS, IMAGE, TextLine
 from khep_twin.log.content import Content
 from khep_twin.log.decoding import DecodeError
-from khep_twin.log.entries import Entry
-from khep_twin.log.label import Label, label_of, run_facts
+from khep_twin.log.entries import Entry, Label, label_of, run_facts
 from khep_twin.log.messages import FOR_REPEAT, WIDTHS, Messages, TimeSeries, check_time
 
 PIECE = 32 << 20

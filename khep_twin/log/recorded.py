@@ -15,12 +15,10 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import LATEST_NS, DecodeError, decoded, read_line, shown
-from khep_twin.log.entries import Entry
+from khep_twin.log.entries import Entry, Label
 from khep_twin.log.host_events import PIECE_ENDS, read_events
-from khep_twin.log.label import Label
 from khep_twin.log.reader import read_raw, read_since
-from khep_twin.log.snapshots import TOPIC
-from khep_twin.log.state_hashes import read_states
+from khep_twin.log.snapshots import TOPIC, read_states
 from khep_twin.world import SAMPLE_NS
 
 RecordedEvent = tuple[int, int, HostEvent]

@@ -17,13 +17,19 @@ from khep_twin.log import channels, foxglove_scene
 from khep_twin.log.channels import BYTES, FLOATS, INTEGERS
 from khep_twin.log.description import urdf
 from khep_twin.log.host_events import events_message
-from khep_twin.log.lamps_channel import LampsChannel
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.output import Output
 from khep_twin.log.run_description import RunDescription
-from khep_twin.log.sample_layout import SampleLayout, channel_names
-from khep_twin.log.snapshots import SNAPSHOT_NS, TOPIC, RecorderState, snapshot_message
-from khep_twin.log.state_hashes import Answered, hashes, states_message
+from khep_twin.log.sample_layout import LampsChannel, SampleLayout, channel_names
+from khep_twin.log.snapshots import (
+    SNAPSHOT_NS,
+    TOPIC,
+    Answered,
+    RecorderState,
+    hashes,
+    snapshot_message,
+    states_message,
+)
 from khep_twin.log.transcript import Transcript
 from khep_twin.world import SAMPLE_NS, World
 

@@ -3,6 +3,7 @@
 import os
 import re
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from mmap import ACCESS_READ, mmap
@@ -15,11 +16,14 @@ from khep_twin import __version__
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular, unusable
-from khep_twin.log.decoding import DecodeError
-from khep_twin.log.label import robot_names, run_facts
+from khep_twin.log.channels import INTEGERS
+from khep_twin.log.decoding import LATEST_NS, DecodeError, read_line, read_transforms
+from khep_twin.log.entries import robot_names, run_facts
+from khep_twin.log.host_events import read_events
 from khep_twin.log.mcap_recovery import Progress, WholeRecords
-from khep_twin.log.message_filter import MessageFilter
+from khep_twin.log.messages import FOR_REPEAT, READERS, WIDTHS, line_topics, read_samples
 from khep_twin.log.record_bytes import HEAD, LARGEST_CHUNK, LARGEST_RATIO, MESSAGE
+from khep_twin.log.snapshots import read_states
 from khep_twin.machine import lock
 
 _PART = re.compile(r"\.part(\.[0-9]+)?$")
@@ -157,7 +161,7 @@ _RATIO = LARGEST_RATIO // 4
 """Highest compression ratio; content above it is kept unpacked, as the reader takes it for a bomb."""
 
 
-def _message_filter(records: WholeRecords) -> MessageFilter | None:
+def _message_filter(records: WholeRecords) -> "MessageFilter | None":
     """Return the filter of messages that our reader accepts; None if this is no log of khep_twin."""
     try:
         return MessageFilter(robot_names(run_facts(records.metadata)["robots"]))
@@ -198,3 +202,43 @@ def summary(path: Path, recovery: Recovery) -> str:
     reasons += [f"{recovery.refused} left out that no log has"] * bool(recovery.refused)
     how = f"part: {', '.join(reasons)}" if reasons else "all that was written"
     return f"{path}: {kept}, {recovery.attachments} attachments ({how})"
+
+
+class MessageFilter:
+    """Filter of messages that the reader accepts.
+
+    Args:
+        robots: Names of the robots.
+    """
+
+    def __init__(self, robots: Sequence[str]) -> None:
+        self._bases = {f"{robot}/base" for robot in robots}
+        self._line_topics = line_topics(robots)
+        self._sampled = {f"/{robot}/{name}" for robot in robots for name in WIDTHS}
+        self._widths: dict[tuple[str, str], int] = {}
+
+    def accepts(self, topic: str, schema: str, time_ns: int, message: bytes) -> bool:
+        """Return whether the reader accepts a message after those passed before."""
+        try:
+            return time_ns <= LATEST_NS and self._fits(topic, schema, message)
+        except DecodeError:
+            return False
+
+    def _fits(self, topic: str, schema: str, message: bytes) -> bool:
+        name = topic.rpartition("/")[2]
+        if name == "host_events":
+            for _ in read_events(message):
+                pass
+        if name == "state":
+            read_states(message)
+        if topic in self._line_topics:
+            read_line(message)
+        if topic == "/tf" and not self._bases <= read_transforms(message).keys():
+            return False
+        widths: dict[str, int] = {}
+        if topic in self._sampled:
+            widths[name] = read_samples([message], name).shape[1]
+        if schema in READERS and not (name in FOR_REPEAT and schema == INTEGERS):
+            widths[schema] = READERS[schema]([message]).shape[1]
+        # The first message of a channel defines the width of the others.
+        return all(self._widths.setdefault((topic, of), width) == width for of, width in widths.items())

@@ -26,7 +26,7 @@ from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.errors import LogError
 from khep_twin.log.channels import PLANAR, Level, TextLine
 from khep_twin.log.decoding import DecodeError, Decoder, read_arrays_of, read_each, read_line
-from khep_twin.log.label import Label
+from khep_twin.log.entries import Label
 from khep_twin.log.reader import read_raw
 from khep_twin.units import SENSOR_LABELS
 

@@ -17,8 +17,7 @@ from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
 from khep_twin.invocation import command
 from khep_twin.log.decoding import DecodeError
-from khep_twin.log.entries import Entry, EntryReader
-from khep_twin.log.label import Label, label_of, run_facts
+from khep_twin.log.entries import Entry, EntryReader, Label, label_of, run_facts
 from khep_twin.log.reader import read_label
 from khep_twin.log.record_bytes import HEAD, RecordBytes, parsed
 from khep_twin.machine import lock, unlock

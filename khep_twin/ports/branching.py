@@ -8,7 +8,7 @@ from typing import NamedTuple
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError, PortError
 from khep_twin.files.atomic import is_same
-from khep_twin.log.label import Label
+from khep_twin.log.entries import Label
 from khep_twin.log.reader import hash_of, read_end_ns
 from khep_twin.log.recorded import BRANCH, BranchPoint, changes_of, changes_text
 from khep_twin.log.run_description import Beginning, versions

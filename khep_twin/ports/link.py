@@ -11,7 +11,7 @@ from pathlib import Path
 
 from khep_twin.errors import PortError
 from khep_twin.machine import lock
-from khep_twin.ports.private_folder import private_folder
+from khep_twin.ports.service_registry import private_folder
 from khep_twin.signals import clear_at_end, undisturbed
 
 if sys.platform == "win32":

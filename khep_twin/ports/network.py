@@ -11,9 +11,8 @@ from collections.abc import Sequence
 
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
-from khep_twin.ports.host_port import Received
+from khep_twin.ports.host_port import NoticeLimit, Received
 from khep_twin.ports.network_host import LAST_LIMIT, WAITING_LIMIT, NetworkHost
-from khep_twin.ports.notice_limit import NoticeLimit
 
 _BACKLOG = 8
 

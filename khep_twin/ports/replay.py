@@ -16,7 +16,7 @@ from khep_twin.interventions.move_robot import repeat_move, scan
 from khep_twin.interventions.switching import repeat_set_lamps, repeat_switch
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.decoding import DecodeError, first_line, shown
-from khep_twin.log.label import Label
+from khep_twin.log.entries import Label
 from khep_twin.log.reader import read_label
 from khep_twin.log.recorded import BranchPoint, RecordedEvent
 from khep_twin.playpen import Playpen

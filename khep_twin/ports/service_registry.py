@@ -1,6 +1,9 @@
-"""Registry of servers on this machine: a note of each in a private directory, locked while it runs."""
+"""Registry of servers on this machine: a note of each in the user's own directory, locked while it runs."""
 
 import os
+import stat
+import sys
+import tempfile
 import threading
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -9,7 +12,6 @@ from pathlib import Path
 
 from khep_twin.errors import PortError
 from khep_twin.machine import lock
-from khep_twin.ports.private_folder import private_folder
 from khep_twin.signals import clear_at_end
 
 _ENDING = ".served"
@@ -75,3 +77,25 @@ def _is_held(note: Path) -> bool:
     except FileNotFoundError:
         return False
     return False
+
+
+def private_folder() -> Path:
+    """Return the directory that only this user can write to; make it if necessary.
+
+    Raises:
+        PortError: It cannot be made, or is not this user's alone.
+    """
+    # On Windows, the folder for temporary files is the user's own.
+    user = os.getuid() if sys.platform != "win32" else 0
+    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+    name = "khep_twin" if runtime else f"khep_twin-{user}"
+    folder = Path(runtime or tempfile.gettempdir()) / name
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+    except OSError as error:
+        raise PortError(f"{folder}: cannot make a directory for links: {error.strerror}") from error
+    is_private = sys.platform == "win32" or not found.st_mode & 0o022
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or not is_private:
+        raise PortError(f"{folder}: not a directory of this user's alone; expected a path with --link")
+    return folder

@@ -18,13 +18,12 @@ from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.files.atomic import write_whole
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment import series_files
-from khep_twin.lab.experiment.controller_files import find_controller, find_on_run_end
+from khep_twin.lab.experiment.controller_files import call_on_run_end, find_controller, find_on_run_end
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.controllers import AnyController, write_template
 from khep_twin.lab.experiment.series import OneRobot, run_series
 from khep_twin.lab.experiment.series_run import Plan, SeriesRun
 from khep_twin.lab.experiment.series_statistics import Summary, measured, summary, table, values
-from khep_twin.lab.experiment.user_calls import call_on_run_end
 from khep_twin.toolbox.controller import ToolboxController
 from khep_twin.toolbox.form import as_toolbox_form
 from khep_twin.toolbox.serial_commands import Port, robot_at
@@ -118,7 +117,7 @@ def plotrun(
         KhepTwinError: The picture cannot be written.
     """
     from khep_twin.drawing import map as drawing
-    from khep_twin.lab.experiment.series_figure import draw, shown
+    from khep_twin.lab.experiment.figures import draw, shown
 
     rows = _rows(runs)
     figure = draw(["runs"], [rows], measured([rows], names) if names else shown(measured([rows])))

@@ -202,7 +202,7 @@ def test_a_port_that_cannot_be_opened_says_what_would_be_right(url: str, message
 
 def test_the_host_loads_no_simulator() -> None:
     program = (
-        "import sys, khep_twin.host, khep_twin.host.discovery, khep_twin.lab.experiment.drive_screen; "
+        "import sys, khep_twin.host, khep_twin.host.discovery, khep_twin.lab.experiment.teleoperation; "
         "print([m for m in ('mujoco', 'rerun', 'matplotlib', 'numpy', 'pydantic') if m in sys.modules])"
     )
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

@@ -22,7 +22,7 @@ from khep_twin.cli.app import app
 from khep_twin.errors import LogError
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.line_recorder import LineRecorder
-from khep_twin.log.part_file import PartFile
+from khep_twin.log.log_file import PartFile
 from khep_twin.log.reader import read_series
 from khep_twin.log.recover import recover
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin

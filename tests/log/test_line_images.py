@@ -7,7 +7,7 @@ import pytest
 
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.reader import read_series
-from khep_twin.log.viewer.vision import INTERVAL_NS, ROWS, Strips, strip
+from khep_twin.log.viewer.robot_panel import INTERVAL_NS, ROWS, Strips, strip
 
 
 def test_a_reply_with_an_image_is_an_image_of_the_log(tmp_path: Path) -> None:

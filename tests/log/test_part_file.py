@@ -9,8 +9,7 @@ import pytest
 from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
-from khep_twin.log.log_file import LogFile
-from khep_twin.log.part_file import PartFile, set_aside
+from khep_twin.log.log_file import LogFile, PartFile, set_aside
 
 
 def test_the_remains_of_a_crash_are_locked_until_they_are_renamed(

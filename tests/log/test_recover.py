@@ -22,8 +22,8 @@ from mcap.writer import MCAP0_MAGIC, Writer
 
 from khep_twin.errors import LogError
 from khep_twin.log.channels import CDR_HEADER
+from khep_twin.log.log_file import PartFile
 from khep_twin.log.mcap_recovery import WholeRecords
-from khep_twin.log.part_file import PartFile
 from khep_twin.log.reader import read_log, read_series
 from khep_twin.log.recover import Recovery, recover, summary
 from khep_twin.ports.twin import TwinOptions, open_twin

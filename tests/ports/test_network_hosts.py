@@ -11,10 +11,9 @@ from contextlib import closing
 
 import pytest
 
-from khep_twin.ports.host_port import Received
+from khep_twin.ports.host_port import NoticeLimit, Received
 from khep_twin.ports.network import TcpPort
 from khep_twin.ports.network_host import ANSWERS_LIMIT, LAST_LIMIT, QUEUE_LIMIT, WAITING_LIMIT, NetworkHost
-from khep_twin.ports.notice_limit import NoticeLimit
 
 TIMEOUT_S = 20.0
 

@@ -18,7 +18,7 @@ from khep_twin.envs.tasks import Task
 from khep_twin.errors import LogError, choices
 from khep_twin.lab.dataset.periods import Periods
 from khep_twin.log.attached import calibration_of, playpen_of
-from khep_twin.log.label import Label
+from khep_twin.log.entries import Label
 from khep_twin.log.reader import read_pieces
 from khep_twin.world import SAMPLE_NS
 

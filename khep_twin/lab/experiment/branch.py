@@ -16,9 +16,8 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, LogError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controller_source import source_of
-from khep_twin.lab.experiment.controllers import AnyController, as_controller
+from khep_twin.lab.experiment.controllers import AnyController, as_controller, call
 from khep_twin.lab.experiment.experiment import run
-from khep_twin.lab.experiment.user_calls import call
 from khep_twin.log.recorded import BranchPoint
 from khep_twin.ports.branching import Described, branch_off
 from khep_twin.ports.protocol_khep import Serial

@@ -18,9 +18,13 @@ from khep_twin.lab.experiment.controllers import (
     AnyFunction,
     Controller,
     LoopingController,
+    call,
     defining,
+    line_in,
+    name_of,
+    source_file,
 )
-from khep_twin.lab.experiment.user_calls import line_in
+from khep_twin.lab.experiment.series_run import SeriesRun
 from khep_twin.signals import is_interruption
 
 Offered = TypeVar("Offered", bound=type[Controller] | AnyFunction)
@@ -86,6 +90,26 @@ def find_on_run_end(name: str, controller: AnyController) -> AnyFunction:
     if isinstance(controller, LoopingController):
         return _returning(path, wanted, found, "after each run")
     return _plain(path, wanted, found, "run")
+
+
+def call_on_run_end(function: AnyFunction, run: SeriesRun) -> object:
+    """Call a user's function after a run: with the run, or with those of its variables that it names.
+
+    Raises:
+        ControllerError: It failed, or has other parameters.
+    """
+    parameters = inspect.signature(function).parameters.values()
+    wanted = [each.name for each in parameters if each.kind is not each.KEYWORD_ONLY]
+    missing = [name for name in wanted if name not in run.variables]
+    if len(wanted) == 1 and missing:
+        return call(function, run)
+    if missing:
+        known = ", ".join(run.variables) or "none"
+        raise ControllerError(
+            f"{source_file(function)}: {name_of(function)!r} takes {missing[0]}; expected a run, or its "
+            f"variables by name: {known}"
+        )
+    return call(function, *(run.variables[name] for name in wanted))
 
 
 def _file_and_name(

@@ -1,23 +1,30 @@
 """Controller interface and the built-in controllers.
 
 A controller is a function of a robot, called once a cycle, or a `Controller` with methods that are called
-before, during and after a run.
+before, during and after a run. An error of a user's function tells file and line.
 """
 
+import inspect
 import math
+import traceback
 from collections.abc import Callable, Mapping
 from importlib.resources import files
 from operator import mul
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
+from khep_twin.errors import ControllerError, KhepTwinError, in_a_line
 from khep_twin.files.atomic import write_whole
 from khep_twin.host import Khepera
 from khep_twin.playpen import Playpen
+from khep_twin.signals import is_interruption
+
+P = ParamSpec("P")
+Returned = TypeVar("Returned")
 
 
 class Controller:
@@ -125,6 +132,41 @@ def defining(controller: AnyController | AnyFunction) -> AnyFunction:
     if isinstance(owner, FunctionController):
         return owner.function
     return type(owner) if isinstance(owner, Controller) else owner
+
+
+def call(place: Callable[P, Returned], *given: P.args, **named: P.kwargs) -> Returned:
+    """Call a user's function or a controller's method and return what it returns.
+
+    Raises:
+        ControllerError: It failed, with file and line.
+    """
+    try:
+        return place(*given, **named)
+    except KhepTwinError:
+        raise
+    except BaseException as error:
+        if is_interruption(error):
+            raise
+        file = source_file(place)
+        raise ControllerError(f"{file}{line_in(error, Path(file))}: {in_a_line(error)}") from error
+
+
+def source_file(controller: AnyController | AnyFunction) -> str:
+    """Return the file that defines a controller or one of its methods; empty if none does."""
+    try:
+        return inspect.getsourcefile(defining(controller)) or ""
+    except TypeError:  # a callable that is not defined in a file
+        return ""
+
+
+def line_in(error: BaseException, path: Path) -> str:
+    """Return the line of a file in which an error arose, as ":LINE"."""
+    if isinstance(error, SyntaxError):
+        return "" if error.lineno is None else f":{error.lineno}"  # none in a binary file
+    frames = traceback.walk_tb(error.__traceback__)
+    there = path.resolve()
+    lines = [line for frame, line in frames if Path(frame.f_code.co_filename).resolve() == there]
+    return f":{lines[-1]}" if lines else ""
 
 
 def readable(text: str) -> str:

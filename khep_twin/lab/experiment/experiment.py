@@ -6,8 +6,14 @@ from dataclasses import dataclass
 
 from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment.controllers import AnyController, LoopingController, as_controller, name_of
-from khep_twin.lab.experiment.user_calls import call, source_file
+from khep_twin.lab.experiment.controllers import (
+    AnyController,
+    LoopingController,
+    as_controller,
+    call,
+    name_of,
+    source_file,
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import first_line, read_line, shown
 from khep_twin.log.recorded import Recorded
 from khep_twin.log.run_description import versions
-from khep_twin.log.state_hashes import Answered, boards, hashes
+from khep_twin.log.snapshots import Answered, boards, hashes
 from khep_twin.log.transcript import Transcript
 from khep_twin.ports.replay import RecordedHosts, Setup, repeat_event
 from khep_twin.ports.resume import ResumedRun

@@ -18,12 +18,11 @@ from typing import Protocol
 
 from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment.controllers import AnyController, Controller, as_controller, variables
+from khep_twin.lab.experiment.controllers import AnyController, Controller, as_controller, call, variables
 from khep_twin.lab.experiment.experiment import Outcome, run
 from khep_twin.lab.experiment.measures import GroundTruthMetrics, HostMetrics
 from khep_twin.lab.experiment.series_run import Plan, SeriesRun
 from khep_twin.lab.experiment.start_poses import StartPose
-from khep_twin.lab.experiment.user_calls import call
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_start
 from khep_twin.ports.protocol_khep import Serial

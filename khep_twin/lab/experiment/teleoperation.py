@@ -2,7 +2,7 @@
 
 It has a dead-man's switch. A terminal reports that a key is pressed, and repeats it while it is held, but
 never that it is released; so each press drives the robot for a short time. The loop runs in a thread of its
-own: if the terminal hangs, no key arrives and the motors stop.
+own: if the terminal hangs, no key arrives and the motors stop. The screen is plain lines of characters.
 """
 
 import threading
@@ -15,7 +15,8 @@ from typing import Any
 from khep_twin.errors import PortTimeout, ProtocolError
 from khep_twin.host import Khepera, SensorCounts, Speeds, commands
 from khep_twin.host.commands import HostCommand
-from khep_twin.units import CONVERTER_COUNTS_PER_VOLT, N_SENSORS
+from khep_twin.sensing.bars import BARS
+from khep_twin.units import CONVERTER_COUNTS_PER_VOLT, N_SENSORS, speed
 
 FIRST_HOLD = 0.7
 """Driving time of a first press [s]: most keyboards wait 0.25 to 0.66 s before they repeat a key."""
@@ -214,3 +215,53 @@ class Teleoperation:
 def _away_from_zero(value: float) -> int:
     """Round to the nearest integer, halves away from 0."""
     return int(value + 0.5) if value >= 0 else -int(-value + 0.5)
+
+
+WIDTH, HEIGHT = 64, 18
+"""Size of the smallest terminal [characters]."""
+
+_NAMES = [name.replace("_", " ") for name in SensorCounts._fields]
+_LABEL, _COUNTS, _GAP = 12, 5, 3
+_ON = ("off", "on")
+
+KEYS = (
+    "arrows or WASD drive while held   space stops   q ends",
+    "+ - or 1 to 9 choose the speed    L switches the LEDs",
+)
+
+
+def draw(view: DriveView, name: str, width: int, height: int) -> list[str]:
+    """Return the lines of the screen, of at most `width` characters."""
+    if width < WIDTH or height < HEIGHT:
+        line = f"{width} x {height} characters; expected at least {WIDTH} x {HEIGHT}; q ends"
+        return [line[: max(width - 1, 0)]]
+    bar = (width - _LABEL - 2 * _COUNTS - _GAP - 1) // 2
+    left, right = (1e3 * speed(pulses) for pulses in view.measured)
+    supply = "" if view.supply is None else f"   supply about {view.supply:.1f} V"
+    lost = f"   {view.lost} replies lost" if view.lost else ""
+    column = bar + _COUNTS + _GAP
+    lines = [
+        f"khep-twin drive  {name}",
+        "",
+        f"{'':{_LABEL}}{'proximity':{column}}{BARS['light'].legend}",
+        *(
+            f"{sensor:{_LABEL}}"
+            f"{_bar('proximity', near, bar)}{near:{_COUNTS}}{'':{_GAP}}"
+            f"{_bar('light', dark, bar)}{dark:{_COUNTS}}"
+            for sensor, near, dark in zip(_NAMES, view.proximity, view.ambient, strict=True)
+        ),
+        "",
+        f"{'wheels':{_LABEL}}left {view.measured.left:4}  right {view.measured.right:4} pulses/10 ms"
+        f"   ({left:.0f}, {right:.0f} mm/s)",
+        f"{'drives':{_LABEL}}{view.direction.name.lower()}, speed {view.speed}{lost}",
+        f"{'LEDs':{_LABEL}}lateral {_ON[view.leds[0]]:3}  frontal {_ON[view.leds[1]]:3}{supply}",
+        "",
+        *KEYS,
+    ]
+    return [line[: width - 1] for line in lines]
+
+
+def _bar(name: str, value: float, width: int) -> str:
+    """Return a bar of this many characters, filled by a value."""
+    full = round(BARS[name].filled(value) * width)
+    return "#" * full + "." * (width - full)

@@ -20,7 +20,7 @@ from rerun.chunk import Chunk
 from khep_twin.errors import LogError
 from khep_twin.log.attached import calibration_of, playpen_of
 from khep_twin.log.channels import PLANAR
-from khep_twin.log.label import Label
+from khep_twin.log.entries import Label
 from khep_twin.log.reader import hash_of, read_series
 from khep_twin.log.shadow_channels import LIGHT, PARTICLES, PROXIMITY, TIMING, WHEELS, is_shadow, planar
 from khep_twin.log.viewer.arena import REACH, in_frame, path_chunks, trail

@@ -15,8 +15,7 @@ from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.log.viewer.arena import EVENTS, trail
 from khep_twin.log.viewer.collected import TIMELINE
 from khep_twin.log.viewer.ghost import RECKONED, TRUTH
-from khep_twin.log.viewer.robot_panel import panel
-from khep_twin.log.viewer.vision import seeing, strip
+from khep_twin.log.viewer.robot_panel import panel, seeing, strip
 from khep_twin.sensing.colours import COLD, SENSORS, WHEELS, Colour
 
 _SETPOINT: Colour = (235, 235, 235)

@@ -16,8 +16,7 @@ from rerun import notebook
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, MissingExtraError
-from khep_twin.log.entries import Entry
-from khep_twin.log.label import Label, label_of
+from khep_twin.log.entries import Entry, Label, label_of
 from khep_twin.log.live_recorder import LiveRecorder
 from khep_twin.log.output import messages_of
 from khep_twin.log.viewer.layout import Shown, layout

@@ -29,11 +29,15 @@ from khep_twin.log.viewer.arena import FloorLight, Rays, event_chunks, trail_chu
 from khep_twin.log.viewer.collected import Collector, Floats, Samples, times_of
 from khep_twin.log.viewer.ghost import Ghost
 from khep_twin.log.viewer.layout import Shown, layout
-from khep_twin.log.viewer.process import Web, open_viewer
-from khep_twin.log.viewer.robot_panel import SAMPLES_PER_PICTURE, outline_chunks, panel_chunks
-from khep_twin.log.viewer.snapshot import still
+from khep_twin.log.viewer.process import Web, open_viewer, still
+from khep_twin.log.viewer.robot_panel import (
+    INTERVAL_NS,
+    SAMPLES_PER_PICTURE,
+    Strips,
+    outline_chunks,
+    panel_chunks,
+)
 from khep_twin.log.viewer.thinning import Copy, interval_ns
-from khep_twin.log.viewer.vision import INTERVAL_NS, Strips
 
 Progress = Callable[[float], None] | None
 """Function that takes the share that is done, 0 to 1."""

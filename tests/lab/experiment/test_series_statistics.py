@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from khep_twin.errors import ControllerError
-from khep_twin.lab.experiment.series_figure import draw, shown
+from khep_twin.lab.experiment.figures import draw, shown
 from khep_twin.lab.experiment.series_files import Row
 from khep_twin.lab.experiment.series_statistics import difference, measured, summary, table, values
 

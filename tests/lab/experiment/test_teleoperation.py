@@ -4,15 +4,17 @@ import pytest
 
 from khep_twin.errors import PortError, PortTimeout
 from khep_twin.host import Khepera, SensorCounts, Speeds
-from khep_twin.lab.experiment.drive_screen import HEIGHT, WIDTH, draw
 from khep_twin.lab.experiment.teleoperation import (
     FASTEST,
     FIRST_HOLD,
+    HEIGHT,
     REPEAT_HOLD,
+    WIDTH,
     DeadManSwitch,
     Direction,
     DriveView,
     Teleoperation,
+    draw,
 )
 from stand_ins.fake_robot import FakeRobot
 

@@ -26,9 +26,9 @@ from khep_twin.lab.conformance.recording.board_model import (
 )
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import DecodeError, decoded, read_line
+from khep_twin.log.entries import Label
 from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
 from khep_twin.log.host_events import read_events
-from khep_twin.log.label import Label
 from khep_twin.log.reader import read_raw
 from khep_twin.log.transcript import bytes_of
 from khep_twin.units import BITS_PER_BYTE
