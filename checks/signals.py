@@ -239,7 +239,7 @@ def main() -> int:
 
     with ThreadPoolExecutor(wish.jobs) as pool:
         ends = list(pool.map(one, cases))
-    for name in names:
+    for name in dict.fromkeys(name for name, _ in cases):
         took = [each.took for each, case in zip(ends, cases, strict=True) if case[0] == name]
         print(
             f"{name}: {len(took)} signals, ended after [s]: median {statistics.median(took):.2f}  "
