@@ -1,6 +1,7 @@
 """Attachments of a log, decoded: the playpen, calibrations, and the scene for its shapes.
 
-A log may come from anywhere, so its attachments are checked like any file of a user.
+A log may come from anywhere, so its attachments, texts by name, are checked like any file of a user. What
+cannot be used is a `LogError` of one line, which begins with the `source`, the name of the log in messages.
 """
 
 # MuJoCo's types are partly unknown.
@@ -34,30 +35,13 @@ _ELEMENTS = {"worldbody", "compiler", "default", "general", *_SHAPES}
 
 
 def playpen_of(attachments: Mapping[str, str], source: object) -> Playpen:
-    """Return the playpen of a log.
-
-    Args:
-        attachments: Texts by name, including playpen.toml.
-        source: Name of the log in messages.
-
-    Raises:
-        LogError: It cannot be used; one line, however many problems there are.
-    """
+    """Return the playpen of a log."""
     with _named(source, "playpen.toml"):
         return playpens.parse(_text(attachments, "playpen.toml"), "playpen.toml", recorded=True)
 
 
 def calibration_of(attachments: Mapping[str, str], robot: str, source: object) -> Calibration | None:
-    """Return the calibration of a robot; None if the log has none.
-
-    Args:
-        attachments: Texts by name.
-        robot: Name of the robot.
-        source: Name of the log in messages.
-
-    Raises:
-        LogError: It cannot be used.
-    """
+    """Return the calibration of a robot; None if the log has none."""
     name = f"calibration/{robot}.toml"
     if name not in attachments:
         return None
@@ -66,16 +50,7 @@ def calibration_of(attachments: Mapping[str, str], robot: str, source: object) -
 
 
 def shapes_of(attachments: Mapping[str, str], robots: Sequence[str], source: object) -> mujoco.MjModel:
-    """Return the scene of a log, reduced to its shapes.
-
-    Args:
-        attachments: Texts by name, including scene.xml.
-        robots: Names of the robots whose bodies and sensors are in it.
-        source: Name of the log in messages.
-
-    Raises:
-        LogError: It cannot be used.
-    """
+    """Return the scene of a log, reduced to its shapes; it has bodies and sensors of these robots."""
     with _named(source, "scene.xml"):
         model = _model(_text(attachments, "scene.xml"))
         there = {model.body(index).name for index in range(model.nbody)}

@@ -68,10 +68,7 @@ class Sink(Protocol):
 class BatchWriter:
     """Writer of an MCAP file.
 
-    Args:
-        sink: Destination.
-        profile: Profile of the messages, such as "ros2".
-        library: Name and version of the writing program.
+    The profile is that of its messages, such as "ros2", the library the name and version of the program.
     """
 
     def __init__(self, sink: Sink, profile: str, library: str) -> None:
@@ -117,10 +114,7 @@ class BatchWriter:
     def channel(self, topic: str, schema: str, definition: str | bytes) -> int:
         """Return the number of a topic's channel, made at its first use.
 
-        Args:
-            topic: Topic of the channel.
-            schema: Name of its message type.
-            definition: Definition of it: text for ROS 2, a google.protobuf.FileDescriptorSet for protobuf.
+        A message type is defined by text for ROS 2, by a google.protobuf.FileDescriptorSet for protobuf.
         """
         ros = isinstance(definition, str)
         if topic not in self._channels:
@@ -246,14 +240,7 @@ class BatchWriter:
     def _fill(
         self, rows: NDArray[np.void], channel: int, times_ns: NDArray[np.int64], sizes: NDArray[np.int64]
     ) -> None:
-        """Fill in the heads of a channel's next messages, and add these to the index.
-
-        Args:
-            rows: Heads (n,), with or without their messages.
-            channel: Number of the channel.
-            times_ns: Times of the messages (n,) [ns].
-            sizes: Sizes of the messages (n,) [bytes].
-        """
+        """Fill in the heads (n,) of a channel's next messages, whose sizes are in [bytes], and the index."""
         rows["opcode"] = Opcode.MESSAGE
         rows["length"] = _LENGTH_WITHOUT_DATA + sizes
         rows["channel"] = channel

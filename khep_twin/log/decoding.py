@@ -1,7 +1,8 @@
 """Decoding of a log's messages to typed values, with all checks of untrusted bytes.
 
 A log may come from anyone. A decoded value is in the message, in range and finite, or else a `DecodeError` is
-raised with what was found and what was expected; the caller that reads a file adds the file and the position.
+raised with what was found and what was expected; of several messages, `row` is that of the invalid one. The
+caller that reads a file adds the file and the position.
 """
 
 import struct
@@ -27,10 +28,6 @@ _T = TypeVar("_T")
 
 class DecodeError(ValueError):
     """Invalid content of a log.
-
-    Args:
-        found: Value that was found, and its name.
-        expected: Expected value.
 
     Attributes:
         found: Value that was found, and its name.
@@ -83,10 +80,7 @@ def first_line(error: KhepTwinError) -> str:
 
 
 class Decoder:
-    """Decoder of consecutive values, as written by `channels.Encoder`.
-
-    Args:
-        message: Message in CDR.
+    """Decoder of consecutive values of a message in CDR, as written by `channels.Encoder`.
 
     Raises:
         DecodeError: Here and in each method: it is no such message, or ends before the value.
@@ -144,11 +138,7 @@ class Decoder:
 
 
 def read_array(message: bytes, kind: str) -> tuple[Any, ...]:
-    """Return the values of a Float64MultiArray ("d"), Int64MultiArray ("q") or UInt8MultiArray ("B").
-
-    Raises:
-        DecodeError: It is none.
-    """
+    """Return the values of a Float64MultiArray ("d"), Int64MultiArray ("q") or UInt8MultiArray ("B")."""
     decoder = Decoder(message)
     for _ in range(decoder.number()):
         decoder.text()
@@ -160,11 +150,7 @@ def read_array(message: bytes, kind: str) -> tuple[Any, ...]:
 
 
 def read_each(read: Callable[[bytes], _T], messages: Iterable[bytes]) -> list[_T]:
-    """Return the content of several messages.
-
-    Raises:
-        DecodeError: One, at its `row`, is no such message.
-    """
+    """Return the content of several messages."""
     found: list[_T] = []
     for message in messages:
         try:
@@ -180,9 +166,6 @@ def read_arrays_of(
     """Return the values of one or more messages of a channel (n, width), `kind` as for `read_array`.
 
     The width is that of the first message if it is 0; `wanted` gives its reason in messages of errors.
-
-    Raises:
-        DecodeError: One, at its `row`, is no such message, or has another length.
     """
     width = width or len(read_array(messages[0], kind))
 
@@ -203,11 +186,7 @@ def read_arrays_of(
 
 
 def read_images_of(messages: Sequence[bytes]) -> NDArray[np.int64]:
-    """Return the greys of the line images of a channel, from the left to the right (n, width).
-
-    Raises:
-        DecodeError: One, at its `row`, is no grey sensor_msgs/Image of one row, or of another width.
-    """
+    """Return the greys of a channel's line images, all of one row and one width, left to right (n, width)."""
     found = read_each(_read_image, messages)
     width = len(found[0]) if found else 0
     for row, image in enumerate(found):
@@ -236,11 +215,7 @@ def _read_image(message: bytes) -> bytes:
 
 
 def read_transforms(message: bytes) -> dict[str, tuple[float, ...]]:
-    """Return the poses of a TFMessage by frame: x, y, z [m] and quaternion x, y, z, w.
-
-    Raises:
-        DecodeError: It is none.
-    """
+    """Return the poses of a TFMessage by frame: x, y, z [m] and quaternion x, y, z, w."""
     decoder = Decoder(message)
     poses: dict[str, tuple[float, ...]] = {}
     for _ in range(decoder.number()):
@@ -253,11 +228,7 @@ def read_transforms(message: bytes) -> dict[str, tuple[float, ...]]:
 
 
 def read_line(message: bytes) -> TextLine:
-    """Return a line of the transcript or of the events.
-
-    Raises:
-        DecodeError: It is none.
-    """
+    """Return a line of the transcript or of the events."""
     decoder = Decoder(message)
     time_ns = decoder.time()
     (level,) = decoder.get("B")

@@ -116,11 +116,7 @@ class Label:
 
 
 def label_of(path: Path, metadata: Mapping[str, str], attachments: Mapping[str, str]) -> Label:
-    """Return the label of a log; its metadata names the robots.
-
-    Raises:
-        LogError: The names are invalid.
-    """
+    """Return the label of a log; its metadata names the robots."""
     try:
         return Label(metadata, attachments, robot_names(metadata["robots"]))
     except DecodeError as error:
@@ -133,11 +129,7 @@ def run_facts(records: Iterable[Metadata]) -> dict[str, str]:
 
 
 def robot_names(text: str) -> tuple[str, ...]:
-    """Return the names of a log's robots from its metadata.
-
-    Raises:
-        DecodeError: They are no valid names.
-    """
+    """Return the names of a log's robots from its metadata."""
     if not _NAMES.fullmatch(text):
         raise DecodeError(f"robots = {shown(text)}", f"names with commas between, each {NAME_WISH}")
     names = tuple(text.split(","))

@@ -95,13 +95,7 @@ class Dialogue:
         self._output_of = b""
 
     def feed(self, time_ns: int, to_robot: bool, data: bytes) -> list[Exchange]:
-        """Add bytes that crossed the line; return the exchanges that are complete now.
-
-        Args:
-            time_ns: Time of the bytes [ns], not before that of earlier ones.
-            to_robot: True for a host's bytes, False for the robot's.
-            data: Bytes.
-        """
+        """Add bytes that crossed the line at a time [ns], no earlier than others; return what is complete."""
         *lines, begun = LINE_END.split(self._begun[to_robot] + data)
         self._begun[to_robot] = begun[:_LINE_LIMIT]
         done = self.wait(time_ns)

@@ -31,11 +31,7 @@ def events_message(events: Sequence[tuple[int, HostEvent]]) -> bytes:
 
 
 def read_events(message: bytes) -> Iterator[tuple[int, HostEvent]]:
-    """Yield the host events of a message with their times [ns].
-
-    Raises:
-        DecodeError: It is no such message.
-    """
+    """Yield the host events of a message with their times [ns]."""
     numbers: tuple[int, ...] = read_array(message, "q")
     place = 0
     while place < len(numbers):

@@ -141,11 +141,7 @@ def line_topics(robots: Iterable[str]) -> set[str]:
 
 
 def read_samples(messages: Sequence[bytes], name: str) -> _Values:
-    """Return the values of messages of a robot's sampled channel (n, width).
-
-    Raises:
-        DecodeError: One, at its `row`, is no such message.
-    """
+    """Return the values of messages of a robot's sampled channel (n, width)."""
     if not messages:
         return np.zeros((0, WIDTHS[name]))
     if name == "registers":

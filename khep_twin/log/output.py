@@ -59,9 +59,6 @@ def messages_of(rows: NDArray[np.void]) -> list[bytes]:
 class Output:
     """Messages of khep_twin, passed to a writer.
 
-    Args:
-        writer: Destination of the messages.
-
     Attributes:
         open: True while messages are taken.
         failure: First error, None if there was none.

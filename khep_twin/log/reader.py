@@ -149,9 +149,7 @@ def read_heads(path: Path) -> Recording:
 def read_pieces(path: Path, progress: Callable[[float], None] | None = None) -> Iterator[Recording]:
     """Yield a log in pieces small enough for the memory, in order of time.
 
-    Args:
-        path: Path of a finished log.
-        progress: Function that takes the share that has been read, 0 to 1.
+    `progress` takes the share that has been read, 0 to 1.
     """
     return (recording for recording, _ in read_with_messages(path, progress))
 

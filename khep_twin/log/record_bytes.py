@@ -70,11 +70,7 @@ PLACES = {
 
 
 class RecordBytes:
-    """A file with access to the record at an offset.
-
-    Args:
-        data: Content of the file.
-    """
+    """Content of a file with access to the record at an offset."""
 
     def __init__(self, data: bytes | mmap) -> None:
         self._data = data

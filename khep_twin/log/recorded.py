@@ -89,11 +89,7 @@ class Recorded:
 
 
 def read_recorded(path: Path) -> Recorded:
-    """Read a recorded run from a log.
-
-    Raises:
-        LogError: There is no log, it is not whole, or it lacks what a repetition needs.
-    """
+    """Read a recorded run from a log that has what a repetition needs."""
     channels = ("/serial", "/state", TOPIC)
     label, found, recovered = read_raw(path, lambda topic: topic.endswith(channels))
     check_line(path, label)
@@ -139,11 +135,7 @@ def check_line(path: Path, label: Label) -> None:
 
 
 def changes_of(path: Path, label: Label) -> tuple[BranchPoint, ...]:
-    """Return the changes of a run that was branched off another one; none for others.
-
-    Raises:
-        LogError: The log's account of them is invalid.
-    """
+    """Return the changes of a run that was branched off another one; none for others."""
     try:
         changes = _CHANGES.validate_json(label.attachments.get(BRANCH, "[]"), strict=True)
     except ValidationError as error:
@@ -166,11 +158,7 @@ _CHANGES = TypeAdapter(tuple[BranchPoint, ...])
 def events_in(
     path: Path, pieces: Iterable[Sequence[Entry]], robots: Sequence[str]
 ) -> Iterator[RecordedEvent]:
-    """Yield the host events of a log's pieces, each in order of time.
-
-    Raises:
-        LogError: A message is invalid.
-    """
+    """Yield the host events of a log's pieces, each in order of time."""
     topics = {f"/{name}/host_events": index for index, name in enumerate(robots)}
     for piece in pieces:
         held: list[RecordedEvent] = []

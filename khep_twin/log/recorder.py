@@ -40,13 +40,7 @@ _BATCH = FLUSH_NS // SAMPLE_NS
 
 
 class WorldRecorder:
-    """Recorder of one run in an output; an `Observer` of its world.
-
-    Args:
-        output: Destination of the messages.
-        world: World to record.
-        run: Description of the run.
-    """
+    """Recorder of one run in an output; an `Observer` of its world."""
 
     def __init__(self, output: Output, world: World, run: RunDescription) -> None:
         self._log, self._world = output, world

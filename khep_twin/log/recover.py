@@ -205,11 +205,7 @@ def summary(path: Path, recovery: Recovery) -> str:
 
 
 class MessageFilter:
-    """Filter of messages that the reader accepts.
-
-    Args:
-        robots: Names of the robots.
-    """
+    """Filter of messages that the reader accepts."""
 
     def __init__(self, robots: Sequence[str]) -> None:
         self._bases = {f"{robot}/base" for robot in robots}

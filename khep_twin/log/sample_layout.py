@@ -56,14 +56,7 @@ SAMPLED: list[tuple[str, str, str, str, list[int]]] = [
 
 @dataclass(frozen=True, slots=True)
 class SampledChannel:
-    """Channel of registers, of the board or of a turret.
-
-    Attributes:
-        topic: Topic.
-        schema: Message type.
-        frame: Its messages.
-        columns: Columns of the registers in a sample.
-    """
+    """Channel of registers, of the board or of a turret: frame of its messages, columns in a sample."""
 
     topic: str
     schema: str

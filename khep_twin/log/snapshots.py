@@ -59,11 +59,7 @@ def snapshot_message(world: World, recorder: RecorderState) -> bytes:
 
 
 def read_snapshot(message: bytes, scene: str | None) -> LoggedState:
-    """Return the state of a message.
-
-    Args:
-        message: Message of /snapshot.
-        scene: Fingerprint of the scene that it has to be of; None for any.
+    """Return the state of a message; of a scene with this fingerprint, None for any.
 
     Raises:
         DecodeError: It is no such message.
@@ -78,11 +74,7 @@ def states_message(states: NDArray[np.int64]) -> bytes:
 
 
 def read_states(message: bytes) -> list[int]:
-    """Return hashes of consecutive samples from their message.
-
-    Raises:
-        DecodeError: It is no such message.
-    """
+    """Return hashes of consecutive samples from their message."""
     return list(read_array(message, "q"))
 
 
@@ -92,14 +84,7 @@ def boards(robot: Robot) -> list[NDArray[np.int64]]:
 
 
 class Answered:
-    """Running hash of all answers of each robot.
-
-    Args:
-        robots: Number of robots.
-
-    Attributes:
-        numbers: Hash of each robot.
-    """
+    """Running hash of all answers of each robot, in `numbers`."""
 
     def __init__(self, robots: int) -> None:
         # One per robot: the order of two robots within a step depends on which is read first.

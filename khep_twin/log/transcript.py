@@ -20,12 +20,7 @@ class LineSink(Protocol):
 
 
 class Transcript:
-    """Transcript of both directions of one or more robots.
-
-    Args:
-        log: Destination of the lines.
-        robots: Names of the robots.
-    """
+    """Transcript of both directions of one or more robots."""
 
     def __init__(self, log: LineSink, robots: list[str]) -> None:
         self._log = log

@@ -101,15 +101,9 @@ def open_log(
     served: bool = False,
     on_failure: Callable[[str], None] | None = None,
 ) -> Twin:
-    """Take up the run of a log for other hosts.
+    """Take up the run of a log for other hosts, as `branch_off` does.
 
-    Args:
-        path: Path of the log.
-        change: Moment, and what is different from then on.
-        robot: Index of the robot on the line; None for that of the log.
-        log: Path of a new log, which begins as the old one; None for none.
-        served: Whether without a robot all of them are on the line.
-        on_failure: Function that takes the line about a log that cannot be written any more; None to end.
+    The robot on the line is that of this index; of None that of the log, or of a run that is served all.
 
     Raises:
         KhepTwinError: As `branch_off`; or there is no such robot.

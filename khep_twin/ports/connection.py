@@ -9,14 +9,7 @@ from khep_twin.robot import Robot
 
 
 class Connection:
-    """Byte transfer between a robot's line and its cable, with a check of the host's line settings.
-
-    Args:
-        twin: Twin whose world the robot is in.
-        robot: Robot at this end.
-        port: Cable to the host.
-        notify: Callback that takes notices for the user.
-    """
+    """Byte transfer between a robot's line and its cable, with a check of the host's line settings."""
 
     def __init__(self, twin: Twin, robot: Robot, port: HostPort, notify: Callable[[str], None]) -> None:
         self._world = twin.world
@@ -56,20 +49,10 @@ class Connection:
             last_ns = rx.arrival(len(rx))
         return NEVER_NS if last_ns is None else last_ns
 
-    def exchange(self, now: Callable[[], int] | None = None) -> None:
-        """Pass the host's bytes to the robot, and the robot's that have arrived to the host.
-
-        Args:
-            now: Simulated time by the wall clock, which the world may lag behind a little [ns].
-        """
-        self.take(now)
-        self.give()
-
     def take(self, now: Callable[[], int] | None = None) -> int:
         """Pass the host's bytes to the robot; return the time at which they were sent, 0 without any [ns].
 
-        Args:
-            now: Simulated time by the wall clock, which the world may lag behind a little [ns].
+        `now` is simulated time by the wall clock, which the world may lag behind a little [ns].
         """
         robot, port, uart = self._robot, self._cable, self._robot.uart
         # Of an unfinished line no reply comes, even if its bytes are underway: the wire clock stands still.

@@ -56,11 +56,7 @@ def open_endpoints(
 
 
 def open_terminal(link: str | None, baud: int) -> HostPort:
-    """Open a pseudo-terminal.
-
-    Args:
-        link: Path of the link to it, as typed; None for none.
-        baud: Speed that it has before a host sets its own [baud].
+    """Open a pseudo-terminal, with a link as typed, and a speed [baud] until a host sets its own.
 
     Raises:
         PortError: The system has no pseudo-terminals, there is no free one, or the link cannot be made.
@@ -75,11 +71,7 @@ def open_terminal(link: str | None, baud: int) -> HostPort:
 
 
 def open_any(baud: int) -> HostPort:
-    """Open a pseudo-terminal, or a TCP port of this machine's alone on a system without them.
-
-    Raises:
-        PortError: As `open_terminal` and `TcpPort`.
-    """
+    """Open a pseudo-terminal, or a TCP port of this machine's alone on a system without them."""
     try:
         return open_terminal(None, baud)
     except NoTerminalsError:

@@ -158,11 +158,8 @@ class PtyPort:
     def _receive_at_leaving(self, first: bytes, is_whole: bool, change: Change, had_given: bool) -> Received:
         """Take the rest of what hosts that have left have sent, and what others have sent since.
 
-        Args:
-            first: Bytes that were read already.
-            is_whole: True if these are some and no limit has cut them off.
-            change: Change after which hosts have left.
-            had_given: True if bytes were written here that may have been unread.
+        Of what was read first, `is_whole` tells that these are some bytes and no limit has cut them off;
+        `had_given` that bytes were written here that may have been unread.
         """
         self._crowded_since = None
         reading, self._reading = self._reading, Reading.EVEN

@@ -120,20 +120,12 @@ class Device:
         return self._port.baudrate
 
     def read(self) -> bytes:
-        """Return the bytes that have come from the robot.
-
-        Raises:
-            PortError: The port is lost.
-        """
+        """Return the bytes that have come from the robot."""
         with self._checked():
             return self._port.read(_CHUNK if self.descriptor is not None else self._port.in_waiting)
 
     def write(self, data: bytes) -> int:
-        """Send to the robot; return how many bytes the port took.
-
-        Raises:
-            PortError: The port is lost.
-        """
+        """Send to the robot; return how many bytes the port took."""
         with self._checked():
             # pyserial tries again without end while there is no room.
             if self.descriptor is not None and not select.select([], [self.descriptor], [], 0)[1]:

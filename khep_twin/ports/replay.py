@@ -25,12 +25,7 @@ from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
 
 class Setup(NamedTuple):
-    """Description of a twin in its log.
-
-    Attributes:
-        path: Path of the log.
-        label: Metadata and attachments of the log.
-    """
+    """Description of a twin in its log."""
 
     path: Path
     label: Label
@@ -89,12 +84,7 @@ class Setup(NamedTuple):
 
 
 class RecordedHosts:
-    """Recorded hosts that go on in a twin, a `TimeSource`: as time passes, what they did is repeated.
-
-    Args:
-        twin: Twin.
-        events: Host events, in order of time.
-    """
+    """Recorded hosts that go on in a twin, a `TimeSource`: as time passes, their events are repeated."""
 
     def __init__(self, twin: Twin, events: Iterator[RecordedEvent]) -> None:
         self.twin = twin

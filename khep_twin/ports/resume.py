@@ -59,10 +59,7 @@ class ResumedRun:
     ) -> None:
         """Let the run go on as recorded to a time [ns], before what was done at that very time.
 
-        Args:
-            end_ns: Time [ns].
-            progress: Function that takes the part of the way that is done, 0 to 1.
-            stop: Function that returns whether to end early.
+        `progress` takes the part of the way that is done, 0 to 1.
         """
         start_ns = self.twin.world.time_ns
         while True:
@@ -81,11 +78,7 @@ class ResumedRun:
                 progress((self.twin.world.time_ns - start_ns) / (end_ns - start_ns))
 
     def change(self, change: BranchPoint) -> None:
-        """Change the run from now on.
-
-        Raises:
-            KhepTwinError: That is not possible.
-        """
+        """Change the run from now on."""
         self.changes = (*self.changes, change)
         before = self.twin
         if change.faults or change.edits or change.calibrations:
@@ -150,11 +143,7 @@ def resume_run(
 
 
 def run_end_ns(path: Path) -> int:
-    """Return the time at which a logged run ended [ns]: that of its last snapshot, or of its last message.
-
-    Raises:
-        LogError: The log cannot be read.
-    """
+    """Return the time at which a logged run ended [ns]: that of its last snapshot, or of its last message."""
     last, *rest = read_since(path, TOPIC, LATEST_NS)
     end_ns = max((entry.time_ns for entry in last), default=0)
     try:
@@ -178,13 +167,7 @@ def _logged(path: Path, entry: Entry, scene: str | None) -> LoggedState:
 
 
 def take_over_state(new: World, old: World, before: Playpen, change: BranchPoint) -> None:
-    """Take over the state of a world in another scene; what an edit changes stands where it says.
-
-    Args:
-        new: World of the other scene, at its start.
-        old: World whose state goes on.
-        before: Playpen of the old scene, at its start.
-        change: Change of the scene.
+    """Take over the state of a world in another scene, at its start; what is edited is where the edit says.
 
     Raises:
         PlaypenError: What was changed has no room.

@@ -67,11 +67,7 @@ class TerminalHosts:
         return [] if self._events is None else [self._events.descriptor]
 
     def poll(self, wrote: bool) -> Change:
-        """Return the changes since the last poll.
-
-        Args:
-            wrote: Bytes of a host were read since then, so that one has been here.
-        """
+        """Return the changes since the last poll; `wrote` if bytes of a host were read since then."""
         if self._events is None:
             left = not (held := self._held()) and (wrote or self.hosts > 0)
             self.hosts = int(held)

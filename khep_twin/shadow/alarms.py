@@ -28,10 +28,7 @@ class LastingAlarms:
     def changes(self, time_ns: int, alarms: Sequence[Alarm], ended: Sequence[Alarm]) -> Iterator[AlarmChange]:
         """Yield the alarms that end or begin with an update; one that does both begins first.
 
-        Args:
-            time_ns: Time of the update [ns].
-            alarms: Alarms that last after it.
-            ended: Alarms that have ended with it.
+        `alarms` last after it, `ended` have ended with it.
         """
         over, lasting = _by_key(ended), _by_key(alarms)
         for key, alarm in over.items():

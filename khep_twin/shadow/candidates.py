@@ -24,11 +24,7 @@ LEFT_NS = 4 * NS_PER_S
 
 
 class Candidates:
-    """Faults that may begin.
-
-    Args:
-        setup: Playpen with the robot, prepared for the plane.
-    """
+    """Faults that may begin."""
 
     def __init__(self, setup: EpisodeSetup) -> None:
         self._things = things_of(setup)
@@ -36,13 +32,9 @@ class Candidates:
         """When each thing came near, was so last, and for how long it was not before [ns]."""
 
     def at(self, time_ns: int, tracker: ParticleFilter, sensor: int, counted: bool) -> Iterator[FaultChange]:
-        """Yield the faults that may begin.
+        """Yield the faults that may begin; `counted` if counters tell which wheel stands or is slow.
 
-        Args:
-            time_ns: Present time [ns].
-            tracker: Filter of the robot.
-            sensor: Sensor whose readings surprise most.
-            counted: Whether counters tell which wheel stands or is slow.
+        The sensor is the one whose readings surprise most.
         """
         for wheel in of_wheels():
             if not counted or isinstance(wheel, SlippingWheel):

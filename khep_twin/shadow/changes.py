@@ -71,13 +71,7 @@ def mixed(
 ) -> Particles:
     """Return particles drawn by their weights, for each change apart; some undergo it now, or not any more.
 
-    Args:
-        particles: Particles.
-        changes: Changes 1, 2, ... of these particles.
-        count: Number of particles, besides the quota of each change.
-        passed_s: Time since the last mixing [s].
-        time_ns: Present time [ns].
-        rng: Random stream.
+    The changes are 1, 2, ... of these particles; they are `count`, besides the quota of each change.
     """
     weights = np.exp(particles.logs - particles.logs.max())
     weights /= weights.sum()

@@ -18,9 +18,6 @@ STEP_NS = NS_PER_S // 5
 class Follower:
     """A shadow that is fed a line.
 
-    Args:
-        shadow: Shadow.
-
     Attributes:
         last: Last update; None before the first.
         replies: Number of replies with values that were used.

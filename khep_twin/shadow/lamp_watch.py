@@ -30,9 +30,6 @@ _MOST = 0.05
 class LampWatch:
     """Watch of a playpen's lamps.
 
-    Args:
-        names: Names of the lamps.
-
     Attributes:
         names: Their names.
         expected: Ambient readings expected at the last reply (8,) [counts].
@@ -51,13 +48,7 @@ class LampWatch:
         return list(self._alarms.values())
 
     def see(self, time_ns: int, readings: NDArray[np.int64], particles: Particles) -> tuple[Alarm, ...]:
-        """Take a reply to O; return the alarms that end by it.
-
-        Args:
-            time_ns: Time [ns].
-            readings: Ambient light (8,) [counts].
-            particles: Particles of the robot, at this time.
-        """
+        """Take a reply to O (8,) [counts], with particles of its time; return the alarms that end by it."""
         few = particles.drawn(_FEW, 0.5)
         ambient = few.planes.ambient
         dark, floor, noise = (float(ambient[name]) for name in ("dark", "floor", "noise"))

@@ -76,12 +76,7 @@ class LineSender:
 
 
 class LineReceiver:
-    """End of the pipe at the shadow.
-
-    Args:
-        descriptor: Pipe to read.
-        stop: Function that returns whether to end.
-    """
+    """End of the pipe at the shadow."""
 
     def __init__(self, descriptor: int, stop: Callable[[], bool]) -> None:
         self._descriptor, self._stop = descriptor, stop

@@ -75,13 +75,7 @@ class PoseEstimate(NamedTuple):
 
 
 class ParticleFilter:
-    """A particle filter of one robot.
-
-    Args:
-        setup: Playpen with the robot, prepared for the plane.
-        particles: Particles to begin with.
-        rng: Random stream.
-        count: Number of particles once the pose is known.
+    """A particle filter of one robot, of `count` particles once the pose is known.
 
     Attributes:
         particles: Particles.
@@ -167,12 +161,7 @@ class ParticleFilter:
         self._drift(np.zeros(3))
 
     def _see(self, readings: NDArray[np.int64], use: NDArray[np.bool_]) -> None:
-        """Weigh the particles by a reply to N.
-
-        Args:
-            readings: Proximity (8,) [counts].
-            use: Sensors to rely on (8,).
-        """
+        """Weigh the particles by a reply to N (8,) [counts] of the sensors to rely on (8,)."""
         particles = self.particles
         # Errors of the model persist: readings count by how far their correlation, exp(-way / PERSISTENCE),
         # has fallen.

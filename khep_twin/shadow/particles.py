@@ -72,11 +72,7 @@ class Particles:
         return made
 
     def count(self, counters: NDArray[np.int64]) -> Floats:
-        """Move the particles as the robot's counters tell; return what they tell beyond commands (n, 2).
-
-        Args:
-            counters: Counters of the left and the right wheel, as replied to H (2,) [pulses].
-        """
+        """Move the particles as counters tell (2,); return what they tell beyond commands (n, 2) [pulses]."""
         off = counters - self.planes.registers[:, _POSITIONS].astype(np.float64)
         beyond = off - np.where(np.isnan(self.counted), off, self.counted)
         self.planes.roll(beyond)
@@ -84,12 +80,7 @@ class Particles:
         return beyond
 
     def forget(self, passed_s: float, rng: np.random.Generator) -> None:
-        """Forget a part of what was learned of wheels and sensors.
-
-        Args:
-            passed_s: Time since it was forgotten last [s].
-            rng: Random stream.
-        """
+        """Forget a part of what was learned of wheels and sensors, by the time since the last call [s]."""
         kept = math.exp(-passed_s / FORGOTTEN_S)
         drift = rng.standard_normal((len(self), 4)) * math.sqrt(1 - kept * kept)
         self.wheels = 1 + (self.wheels - 1) * kept + drift[:, :3] * self.prior.wheels

@@ -61,10 +61,6 @@ class SensorLaw(NamedTuple):
 class Planes:
     """Planar twins of one robot, without noise; all arrays have a row for each twin.
 
-    Args:
-        setup: Playpen with one robot, prepared for the plane.
-        count: Number of twins.
-
     Attributes:
         things: Obstacles (n, n_things + N_SPARE, flat.N_COLUMNS).
         robots: Records of `PlanarRobot` (n,).
@@ -201,10 +197,8 @@ class Planes:
     def illuminate(self, turns: Floats) -> tuple[Floats, Floats]:
         """Return the light at each sensor at the start of the last step, and its slope as the sensor turns.
 
-        Both are (n, 8) [counts, counts/rad], with the gains of the calibration.
-
-        Args:
-            turns: Turns of the sensors to the left, from their headings in the calibration (n, 8) [rad].
+        Both are (n, 8) [counts, counts/rad], with the gains of the calibration. The sensors are turned to the
+        left from their headings there (n, 8) [rad].
         """
         light, slope = np.zeros((2, len(self), units.N_SENSORS))
         state = self.things, self._order, self._near, _NONE, self.robots, self.sensors

@@ -32,12 +32,7 @@ RARE = 11.0
 
 
 class Search:
-    """Search for a robot that was put elsewhere.
-
-    Args:
-        setup: Playpen with the robot, prepared for the plane.
-        rng: Random stream.
-    """
+    """Search for a robot that was put elsewhere."""
 
     def __init__(self, setup: EpisodeSetup, rng: np.random.Generator) -> None:
         self._setup, self._rng = setup, rng
@@ -61,13 +56,9 @@ class Search:
     def odds(
         self, tracker: ParticleFilter, since_ns: int, use: NDArray[np.bool_], fault: Hypothesis | None = None
     ) -> float:
-        """Return the logarithm of the odds that the robot was put elsewhere, against what a filter considers.
+        """Return the logarithm of the odds that the robot was put elsewhere since then.
 
-        Args:
-            tracker: Filter.
-            since_ns: Time after which it may have been put elsewhere [ns].
-            use: Sensors to rely on (8,).
-            fault: Fault that may have begun then instead.
+        It is against what a filter considers, or against a fault that may have begun then instead.
         """
         if not self._snapshots:
             return -np.inf
@@ -81,12 +72,7 @@ class Search:
         return self._repeated(since_ns, TRIED, use, self._scatter).evidence - RARE - here
 
     def lost(self, since_ns: int, use: NDArray[np.bool_]) -> Particles:
-        """Return particles of a robot that was put anywhere, by the replies since; forget what was before.
-
-        Args:
-            since_ns: Time after which it was [ns].
-            use: Sensors to rely on (8,).
-        """
+        """Return particles of a robot that was put anywhere, by the replies since; forget what was before."""
         particles = self._repeated(max(since_ns, self._snapshots[0][0]), LOST, use, self._scatter).particles
         self._snapshots.clear()
         return particles
@@ -103,11 +89,7 @@ class Search:
     ) -> ParticleFilter:
         """Return a filter of so many twins that repeat what was since a time, with known sensors and faults.
 
-        Args:
-            since_ns: Time [ns].
-            count: Number of particles.
-            use: Sensors to rely on (8,).
-            change: Function that does to the particles what happened at that time.
+        `change` does to the particles what happened at that time.
         """
         begin_ns, start = next(each for each in reversed(self._snapshots) if each[0] <= since_ns)
         few, actions = start.drawn(GROUP, 0.5), [action for action, _ in self._actions]

@@ -34,9 +34,6 @@ no better (assumed)."""
 class SensorModel:
     """Likelihood of proximity readings.
 
-    Args:
-        planes: Twins of the robot.
-
     Attributes:
         quiet: Highest reading with nothing in reach [counts].
         limit: Highest reading [counts].

@@ -31,10 +31,6 @@ class SensorWatch:
         quiet: Highest reading with nothing in reach [counts].
         limit: Highest reading [counts].
         lit: Whether there are lamps.
-
-    Attributes:
-        sound: Whether each sensor is neither stuck nor dead (8,).
-        alarms: Alarms that last.
     """
 
     def __init__(self, quiet: float, limit: int, lit: bool) -> None:
@@ -58,10 +54,8 @@ class SensorWatch:
     def see(self, action: Seen, range_left: Floats, surprise: Floats) -> tuple[Alarm, ...]:
         """Take a reply to N; return the alarms that it ends.
 
-        Args:
-            action: Reply.
-            range_left: Part of each sensor's range that the lamps leave (8,).
-            surprise: What each reading is less likely than an expected one (8,), in logarithms.
+        `range_left` is the part of each sensor's range that the lamps leave (8,), `surprise` what each
+        reading is less likely than an expected one (8,), in logarithms.
         """
         before, self._last = self._last, action.readings
         ended: list[Alarm] = []

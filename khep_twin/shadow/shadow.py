@@ -133,9 +133,6 @@ class Shadow:
         playpen: Playpen with one robot, without movable things.
         settings: Settings.
 
-    Attributes:
-        settings: Settings.
-
     Raises:
         PlaypenError: The playpen has a feature that a plane does not support, or no room.
     """

@@ -181,11 +181,7 @@ class ShadowLog:
 
 
 class _Ghost:
-    """Robot of a scene that is put at estimates.
-
-    Args:
-        playpen: Playpen with one robot.
-    """
+    """Robot of a scene that is put at estimates."""
 
     def __init__(self, playpen: Playpen) -> None:
         spec = to_spec(playpen)

@@ -49,15 +49,7 @@ def begun(
     count: int,
     rng: np.random.Generator,
 ) -> Particles:
-    """Return particles at the start.
-
-    Args:
-        setup: Playpen with the robot, prepared for the plane.
-        pose: Start x, y [m] and heading [rad]; None for an unknown one.
-        spread: What is known of it and of the robot.
-        count: Number of particles.
-        rng: Random stream.
-    """
+    """Return particles at a start x, y [m] and heading [rad], as far as it is known; anywhere for None."""
     planes = Planes(setup, count)
     if pose is None:
         planes.put(anywhere(setup, planes, rng))

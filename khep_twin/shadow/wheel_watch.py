@@ -23,11 +23,7 @@ sound (assumed)."""
 
 
 class WheelWatch:
-    """Watch of a robot's wheels.
-
-    Attributes:
-        alarms: Alarms that last.
-    """
+    """Watch of a robot's wheels."""
 
     def __init__(self) -> None:
         self._told: deque[tuple[int, Floats, Floats]] = deque()
@@ -39,12 +35,9 @@ class WheelWatch:
         return list(self._alarms.values())
 
     def count(self, time_ns: int, turned: Floats, expected: Floats) -> tuple[Alarm, ...]:
-        """Take the pulses since the reply before; return the alarms that end by it.
+        """Take the pulses that counters have gone on since the reply before, and those of sound wheels (2,).
 
-        Args:
-            time_ns: Time [ns].
-            turned: Pulses that the counters have gone on, left and right (2,).
-            expected: Pulses that sound wheels would have (2,).
+        Return the alarms that end by it.
         """
         self._told.append((time_ns, turned * np.sign(expected), np.abs(expected)))
         while self._told[0][0] < time_ns - _WINDOW_NS:

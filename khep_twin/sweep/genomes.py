@@ -14,11 +14,7 @@ from khep_twin.sweep.study import NetworkTable, StudyFile
 
 
 def genomes_of(file: StudyFile, kind: Literal["network", "program"], index: int) -> Floats:
-    """Return the genomes of one of a study's controllers (n, n_genes); n_genes is 0 for a program without.
-
-    Raises:
-        StudyError: The file cannot be read, or the genomes do not fit.
-    """
+    """Return the genomes of one of a study's controllers (n, n_genes); n_genes is 0 for a program without."""
     table = file.study.networks[index] if kind == "network" else file.study.programs[index]
     wanted = table.network().n_genes if isinstance(table, NetworkTable) else None
     if isinstance(table, NetworkTable) and table.drawn is not None:

@@ -31,11 +31,7 @@ class Program:
 
 
 def driver_of(driver: Driver | Program) -> Driver:
-    """Return a controller, defined and cached if it is a program.
-
-    Raises:
-        ControllerError: The program fails, or has no such function.
-    """
+    """Return a controller, defined and cached if it is a program."""
     return _compiled(driver) if isinstance(driver, Program) else driver
 
 

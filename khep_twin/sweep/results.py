@@ -51,12 +51,7 @@ def encoded(work: Work, task: Shard, columns: Columns) -> bytes:
 
 
 class SweepFolder:
-    """Folder of a sweep's results.
-
-    Args:
-        path: Path of the folder.
-        work: Work whose results it holds.
-    """
+    """Folder of a sweep's results."""
 
     def __init__(self, path: Path, work: Work) -> None:
         self._path, self._work = path, work
@@ -99,10 +94,7 @@ class SweepFolder:
         write_whole(self._part(task), data)
 
     def finish(self) -> Path:
-        """Join all parts to one table.
-
-        Returns:
-            Path of the table.
+        """Join all parts to one table; return its path.
 
         Raises:
             StudyError: The table cannot be written, or an episode is missing or duplicate; the parts stay.

@@ -24,18 +24,9 @@ NS_PER_MS = 1_000_000
 
 
 def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
-    """Run a task.
+    """Run a task on some threads, None for one per core; return a row for each episode in order.
 
-    Args:
-        work: Work that the task is part of.
-        task: Task to run.
-        threads: Number of threads; None for one per core. The results are the same.
-
-    Returns:
-        Columns, with a row for each episode in order.
-
-    Raises:
-        KhepTwinError: The episodes cannot be run.
+    The results are the same with any number of threads.
     """
     study, group = work.study, work.groups[task.group]
     controller = work.controllers[group.controller]
@@ -92,9 +83,6 @@ def measured(measure: Program, results: RolloutResult) -> Floats:
 
     The arguments are an episode's metrics by name, its board's registers (N_REGISTERS,) and its final pose
     x, y [m] and heading [rad], in plain Python.
-
-    Raises:
-        ControllerError: The function fails, or returns no number.
     """
     function = function_of(measure)
     found = np.full(len(results.poses), np.nan)

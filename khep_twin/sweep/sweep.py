@@ -22,11 +22,7 @@ Executor = Callable[[Work, Sequence[Shard]], AbstractContextManager[Iterable[tup
 
 
 def run_locally(threads: int | None = None) -> Executor:
-    """Return a function that runs one task after another on this machine's cores.
-
-    Args:
-        threads: Number of threads; None for one per core.
-    """
+    """Return a function that runs one task after another on some threads, None for one per core."""
 
     def done(work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
         for task in tasks:

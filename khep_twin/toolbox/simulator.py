@@ -9,7 +9,8 @@ A command takes no time at all: it reaches the board's registers at once and is 
 it started happens while `kheprom` lets time pass. Between two of them time stands still for the robot. It is
 the board and the physics of every other twin: speeds have sizes, wheels differ, counters count pulses.
 
-One playpen is open at a time, as in the toolbox. In one with a single robot `port_id` is ignored; where
+One playpen is open at a time, as in the toolbox; what needs it raises a `PlaypenError` without it, and for a
+`btmap1` that is another one. In one with a single robot `port_id` is ignored; where
 there are several it is the robot's number, from 1.
 """
 
@@ -150,8 +151,7 @@ def opened(btmap1: object = None) -> OpenPlaypen:
 def opened_for(robot: Khepera) -> Generator[OpenPlaypen | None]:
     """Let the twin in this process behind a robot be the playpen that is open, within the context.
 
-    Returns:
-        The playpen; None for a robot that is no twin in this process.
+    It is None for a robot that is no twin in this process.
     """
     global _current
     before, twin = _current, getattr(robot.port, "twin", None)
@@ -173,20 +173,12 @@ def kheprom(btmap1: OpenPlaypen, cycle: float = CYCLE) -> None:
 
 
 def upsv(btmap1: OpenPlaypen) -> None:
-    """Convert all sensors of the simulated robots as of now; `kheprom` does so by itself as time passes.
-
-    Raises:
-        PlaypenError: `btmap1` is not what `open_default` or `open_custom` has returned last.
-    """
+    """Convert all sensors of the simulated robots as of now; `kheprom` does so by itself as time passes."""
     scan(opened(btmap1).twin.world)
 
 
 def ulsv() -> None:
-    """Convert all sensors as `upsv` does; the lamps are those of the playpen that is open.
-
-    Raises:
-        PlaypenError: No playpen is open.
-    """
+    """Convert all sensors as `upsv` does; the lamps are those of the playpen that is open."""
     scan(opened().twin.world)
 
 

@@ -20,11 +20,7 @@ if TYPE_CHECKING:
 
 
 def show(figure: "Figure", title: str) -> bool:
-    """Open a window with a figure and go on at once.
-
-    Returns:
-        True if there is one: matplotlib must have found a screen, or have one set.
-    """
+    """Open a window with a figure and go on at once; return False where matplotlib finds no screen."""
     import matplotlib
     from matplotlib.backends.registry import BackendFilter, backend_registry
 

@@ -116,11 +116,7 @@ def calibrations(log: Path, name: str, robot: int | None) -> dict[str, str]:
 
 
 def ends_at(plan: BranchPlan) -> int:
-    """Return the time at which a branch ends [ns].
-
-    Raises:
-        LogError: The parent's log cannot be read.
-    """
+    """Return the time at which a branch ends [ns]."""
     if plan.seconds is not None:
         return plan.change.at_ns + round(plan.seconds * NS_PER_S)
     return run_end_ns(plan.log)

@@ -61,9 +61,6 @@ def find_function(name: str, taking: str, n_parameters: int) -> AnyFunction:
     """Find a function of `n_parameters`, described by `taking`, as FILE.py or FILE.py:NAME.
 
     Without NAME, the file's `controller` is used, or its only public function.
-
-    Raises:
-        ControllerError: There is no such function, or its file fails.
     """
     path, wanted = _file_and_name(name)
     functions = _functions_of(_offers_of(_module_of(path)))
@@ -78,9 +75,6 @@ def find_on_run_end(name: str, controller: AnyController) -> AnyFunction:
 
     Without NAME, the file's `after` is used, or its only public function. If the same file defines the
     controller of the runs, too, they share its variables.
-
-    Raises:
-        ControllerError: There is no such function, or its file fails.
     """
     path, wanted = _file_and_name(name)
     module = inspect.getmodule(defining(controller))

@@ -96,12 +96,7 @@ class HostMetrics:
 
 
 class GroundTruthMetrics(Observer):
-    """Observer that records the ground truth of one run of one robot.
-
-    Args:
-        world: World to record from now on.
-        index: Index of the robot.
-    """
+    """Observer that records the ground truth of one run of one robot, from now on."""
 
     def __init__(self, world: World, index: int) -> None:
         self._world, self._index = world, index

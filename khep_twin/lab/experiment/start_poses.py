@@ -96,11 +96,7 @@ def lit(playpen: Playpen, lighting: str | None) -> Playpen:
 
 
 def without_nearest_lamp(playpen: Playpen, x_mm: float, y_mm: float) -> Playpen:
-    """Return the playpen without the lamp nearest to a point, the first of equally near ones.
-
-    Raises:
-        PlaypenError: The playpen has no lamp.
-    """
+    """Return the playpen without the lamp nearest to a point, the first of equally near ones."""
     nearest = nearest_lamp(playpen, x_mm, y_mm)
     return playpen.model_copy(update={"lamps": tuple(lamp for lamp in playpen.lamps if lamp is not nearest)})
 

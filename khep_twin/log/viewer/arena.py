@@ -49,15 +49,7 @@ _STATES = 32
 
 
 class Rays:
-    """Rays of the sensors of a log's robots, cast in the log's scene.
-
-    Args:
-        label: Label of the log, with its scene.
-        source: Name of the log in messages.
-
-    Raises:
-        LogError: The scene cannot be used.
-    """
+    """Rays of the sensors of a log's robots, cast in the log's scene."""
 
     def __init__(self, label: Label, source: object) -> None:
         self._model = shapes_of(label.attachments, label.robots, source)
@@ -70,10 +62,7 @@ class Rays:
     def chunks(self, robot: str, track: Samples, poses: Poses) -> list[Chunk]:
         """Return rays at the times of samples, coloured by the reading and ending at the first hit.
 
-        Args:
-            robot: Name of the robot.
-            track: Samples of the robot.
-            poses: Poses of all bodies at the times of those samples, or of more.
+        The poses of all bodies are those of the same times, or of more.
         """
         rows = poses.rows_at(track.times_ns)
         if rows is None or not len(rows):
@@ -132,13 +121,7 @@ class Rays:
 
 
 def trail_chunks(robot: str, poses: Poses, before: Floats | None = None) -> list[Chunk]:
-    """Return the path of a robot as one short line for each time, on the floor.
-
-    Args:
-        robot: Name of the robot.
-        poses: Poses of the robot.
-        before: Last position in the piece before, of a log that comes in pieces.
-    """
+    """Return the path of a robot, as `path_chunks` does."""
     found = poses.bodies.get(f"{robot}/base")
     return [] if found is None else path_chunks(trail(robot), poses.times_ns, found[:, :3], _TRAIL, before)
 
@@ -191,11 +174,7 @@ def event_chunks(
 ) -> list[Chunk]:
     """Return marks of events: in the arena at the robot's position, in the curves at 0.
 
-    Args:
-        label: Label of the log.
-        collected: Data of the log, or of a piece of it.
-        poses: Poses in it; None without.
-        before: Last pose of each robot in the pieces before, of a log that comes in pieces.
+    Of a log that comes in pieces, `before` has the last pose of each robot in the pieces before.
     """
     times_ns, texts = collected.events()
     if not len(texts):
@@ -224,15 +203,7 @@ def event_chunks(
 
 
 class FloorLight:
-    """Light of the lamps on the floor, as it changes.
-
-    Args:
-        label: Label of the log, with its playpen.
-        source: Name of the log in messages.
-
-    Raises:
-        LogError: The playpen cannot be used.
-    """
+    """Light of the lamps on the floor, as it changes."""
 
     def __init__(self, label: Label, source: object) -> None:
         self._source = source

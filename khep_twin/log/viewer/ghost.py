@@ -56,15 +56,7 @@ _CIRCLE = np.column_stack([np.cos(_TURNS), np.sin(_TURNS)])
 
 
 class Ghost:
-    """Additions for one shadow's log, which may come in pieces.
-
-    Args:
-        label: Label of the log.
-        source: Path of the log; a log with the truth is sought next to it.
-
-    Raises:
-        LogError: An attachment cannot be used.
-    """
+    """Additions for one shadow's log, which may come in pieces; a log with the truth is sought next to it."""
 
     def __init__(self, label: Label, source: Path) -> None:
         self._robot = label.robots[0]

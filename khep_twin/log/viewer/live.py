@@ -154,9 +154,7 @@ def _opened(path: Path, stop: Callable[[], bool]) -> GrowingLog | None:
 class Translator:
     """Translator of a log's messages to rerun's chunks by rerun's own reader, the same as for a replay.
 
-    Args:
-        folder: Folder for pieces of the log: the reader takes files.
-        source: The log.
+    The reader takes files: pieces of the log are written to a folder.
     """
 
     def __init__(self, folder: Path, source: Path) -> None:

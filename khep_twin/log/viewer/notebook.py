@@ -32,11 +32,7 @@ _NAME = Path("twin")
 
 
 class RerunWriter:
-    """Messages of a run for a recording of rerun; a `Writer`.
-
-    Args:
-        recording: Recording.
-    """
+    """Messages of a run for a recording of rerun; a `Writer`."""
 
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._recording = recording
@@ -120,11 +116,7 @@ class NotebookView(LiveRecorder):
 
 
 def _shell() -> Any:
-    """Return the notebook's shell.
-
-    Raises:
-        KhepTwinError: There is none.
-    """
+    """Return the notebook's shell."""
     try:
         from IPython.core.getipython import get_ipython
     except ImportError:

@@ -188,11 +188,6 @@ _WIDTH = 1600
 def still(recording: Path, at_s: float, target: Path) -> None:
     """Write a still of a recording in rerun's viewer at a time.
 
-    Args:
-        recording: Recording of rerun, a file.
-        at_s: Time [s].
-        target: Path of the PNG file.
-
     Raises:
         LogError: The viewer does not start, does not answer or cannot draw.
     """

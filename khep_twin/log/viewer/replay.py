@@ -219,10 +219,7 @@ def _few(samples: Samples) -> Samples:
 class Additions:
     """Chunks that views show in addition to a log's own; the log may come in pieces.
 
-    Args:
-        label: Label of the log.
-        source: Path of the log.
-        interval_ns: Time between two rows of a strip of line images [ns].
+    The interval is the time between two rows of a strip of line images [ns].
     """
 
     def __init__(self, label: Label, source: Path, interval_ns: int = INTERVAL_NS) -> None:

@@ -151,24 +151,14 @@ def seeing(label: Label) -> list[str]:
 
 
 class Strips:
-    """Strips of all robots; a log may come in pieces.
-
-    Args:
-        interval_ns: Time between two rows [ns].
-    """
+    """Strips of all robots, with a row each interval [ns]; a log may come in pieces."""
 
     def __init__(self, interval_ns: int = INTERVAL_NS) -> None:
         self._interval_ns = interval_ns
         self._last: dict[str, tuple[int, Floats]] = {}
 
     def chunks(self, robot: str, times_ns: NDArray[np.int64], images: Floats) -> list[Chunk]:
-        """Return a picture of the images so far for each of the next rows.
-
-        Args:
-            robot: Name of the robot.
-            times_ns: Times of the images (n,) [ns].
-            images: Greys of 0 to 255 (n, pixels).
-        """
+        """Return a picture of the images so far, greys of 0 to 255 (n, pixels), for each of the next rows."""
         last, before = self._last.get(robot, (-1, np.zeros((ROWS, images.shape[1]))))
         slots = times_ns // self._interval_ns
         first = np.diff(slots, prepend=last) > 0
