@@ -1,11 +1,11 @@
 """The classic experiments run, shortened."""
 
 import importlib.util
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from forked import run_python
 
 FOLDER = Path(__file__).parents[1] / "examples" / "classics"
 
@@ -25,10 +25,7 @@ NEEDS_CMAES = {"phototaxis", "wall_or_cylinder"}
 def test_a_classic_experiment_runs_and_draws(name: str, tmp_path: Path) -> None:
     if name in NEEDS_CMAES and importlib.util.find_spec("cmaes") is None:
         pytest.skip("cmaes is not installed")
-    subprocess.run(
-        [sys.executable, str(FOLDER / f"{name}.py"), *SHORTER[name].split(), "--picture", "classic.png"],
-        check=True,
-        timeout=600,
-        cwd=tmp_path,
-    )
+    words = [FOLDER / f"{name}.py", *SHORTER[name].split(), "--picture", "classic.png"]
+    done = run_python([sys.executable, *words], cwd=tmp_path, timeout=600)
+    assert done.returncode == 0, done.stderr
     assert list(tmp_path.glob("classic*.png"))

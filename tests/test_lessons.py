@@ -22,7 +22,16 @@ ENVIRONMENT = {
 INDEX = (tutorial.PAGE.parent / "lessons" / "README.md").read_text()
 
 
-@pytest.mark.parametrize("lesson", LESSONS, ids=lambda path: path.stem)
+LONG = {"03_noise", "04_braitenberg", "07_measuring", "08_evolution"}
+
+
+@pytest.mark.parametrize(
+    "lesson",
+    [
+        pytest.param(path, id=path.stem, marks=pytest.mark.long if path.stem in LONG else ())
+        for path in LESSONS
+    ],
+)
 def test_a_learner_who_follows_a_lesson_sees_what_it_shows(
     lesson: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -48,6 +57,7 @@ def test_the_lessons_begin_with_the_readmes_command() -> None:
     assert first[:2] == tutorial.blocks(tutorial.PAGE.read_text())[0].text.splitlines()[:2]
 
 
+@pytest.mark.long
 def test_a_teacher_who_follows_the_page_of_challenges_sees_what_it_shows(tmp_path: Path) -> None:
     page = (tutorial.PAGE.parent / "challenges.md").read_text()
     lesson = tutorial.blocks(LESSONS[0].read_text())

@@ -67,6 +67,7 @@ def test_the_sensor_model_has_its_curve_and_threshold(ended: nbformat.NotebookNo
     assert any("image/png" in each.get("data", {}) for each in outputs(ended))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ended", NOTEBOOKS[2:], ids=["03_evolve"], indirect=True)
 def test_the_evolved_network_drives_in_mujoco_as_in_the_plane(ended: nbformat.NotebookNode) -> None:
     said = "".join(each.get("text", "") for each in outputs(ended))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import serial
+from forked import run_python
 
 HIDING = """
 import builtins, runpy, sys
@@ -124,7 +125,7 @@ def test_a_command_without_its_package_names_what_installs_it(
 ) -> None:
     program = f"import runpy, sys\nsys.modules[{package!r}] = None\n{COMMAND}"
     command = [sys.executable, "-c", program, *words]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=tmp_path, check=False)
+    done = run_python(command, timeout=300, cwd=tmp_path)
     assert done.returncode == 1
     assert done.stderr.startswith(f"khep-twin: {package} is not installed; to install it: "), done.stderr
     assert f"pip install '{package}<" in done.stderr

@@ -14,6 +14,8 @@ import khep_twin
 
 ROOT = Path(__file__).parents[1]
 
+pytestmark = pytest.mark.long  # `make docs` makes the pages, too
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

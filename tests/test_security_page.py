@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,7 @@ LISTENERS, STATEMENTS = (
 )
 
 
+@cache
 def calls(path: Path) -> set[str]:
     """Names of the functions and methods that a file calls."""
     called = [each.func for each in ast.walk(ast.parse(path.read_text())) if isinstance(each, ast.Call)]

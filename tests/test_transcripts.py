@@ -1,8 +1,6 @@
 """Golden transcripts: what is said on the line, word for word, on every kind of port."""
 
 import re
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +10,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 import pytest
 import serial
+from served_twin import served
 
 import khep_twin  # noqa: F401  (teaches pyserial khep://)
 
@@ -37,15 +36,11 @@ def in_process(url: str) -> Iterator[Any]:
 def behind_a_pty(url: str) -> Iterator[Any]:
     parts = urlsplit(url)
     options = [word for key, value in parse_qsl(parts.query) for word in (f"--{key}", value)]
-    command = [sys.executable, "-m", "khep_twin", "serve", parts.netloc, *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
-        try:
-            assert process.stdout is not None
-            path = process.stdout.readline().strip()
-            with serial.Serial(path, speed_of(url), stopbits=2, timeout=1) as port:
-                yield port
-        finally:
-            process.terminate()
+    with (
+        served(parts.netloc, *options) as (_, path),
+        serial.Serial(path, speed_of(url), stopbits=2, timeout=1) as port,
+    ):
+        yield port
 
 
 def play(transcript: Path, port: Any) -> None:

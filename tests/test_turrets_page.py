@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from page_follower import CHECKOUT, ROOT, PageFollower
 
 from khep_twin.board.turrets import installed
@@ -10,6 +11,7 @@ PAGE = (ROOT / "docs" / "turrets.md").read_text()
 
 
 @CHECKOUT
+@pytest.mark.long
 def test_the_package_on_the_page_works_and_the_turret_with_a_body_is_added_to_it(tmp_path: Path) -> None:
     follower = PageFollower(PAGE, tmp_path)
     for recipe in ("A turret of your own", "A turret with a body"):

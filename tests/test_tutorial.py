@@ -9,16 +9,22 @@ from tools import tutorial
 
 PAGE = tutorial.PAGE.read_text()
 BLOCKS = tutorial.blocks(PAGE)
+PICTURES = tutorial.pictures(PAGE)
 
 
+@pytest.mark.parametrize(
+    "n_pictures", [1, pytest.param(len(PICTURES), marks=pytest.mark.long)], ids=["beginning", "whole"]
+)
 def test_a_reader_who_follows_the_tutorial_sees_what_it_shows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    n_pictures: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))  # for served twins
+    pictures = PICTURES[:n_pictures]
+    part = PAGE if pictures == PICTURES else PAGE.partition(f"pictures/tutorial_{pictures[-1]}")[0]
     with tutorial.reader(tmp_path, exact=tutorial.same_numbers()) as person:
-        for block in BLOCKS[1:]:  # the first one has brought the reader here
+        for block in BLOCKS[1 : len(tutorial.blocks(part))]:  # the first one has brought the reader here
             person.follow(block)
-    for name in set(tutorial.pictures(PAGE)) - set(person.undrawn):
+    for name in set(pictures) - set(person.undrawn):
         with Image.open(tmp_path / name) as made, Image.open(tutorial.PICTURES / f"tutorial_{name}") as shown:
             assert shown.size == (tutorial.WIDTH, round(made.height * tutorial.WIDTH / made.width)), name
     if person.undrawn:

@@ -61,7 +61,10 @@ CASES: dict[str, Case] = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, marks=pytest.mark.long if case.endswith(tuple("2345")) else ()) for case in CASES],
+)
 def test_a_world_goes_on_from_a_snapshot_bit_for_bit(case: str) -> None:
     scene, options = CASES[case]
     rng = np.random.default_rng(zlib.crc32(case.encode()))
@@ -134,7 +137,7 @@ def test_a_damaged_snapshot_gives_one_line() -> None:
     rng = np.random.default_rng(5)
     head, text = taken[:26], zlib.decompress(taken[26:])
     damaged = [b"", taken[:20], taken[:-5], head[:8] + b"\2\0" + taken[10:], head + zlib.compress(b"[1]")]
-    for _ in range(300):
+    for _ in range(100):
         place = int(rng.integers(len(text)))
         changed = bytearray(text)
         changed[place] = int(rng.choice(list(b'0123456789-[]",AZaz_')))
@@ -147,5 +150,5 @@ def test_a_damaged_snapshot_gives_one_line() -> None:
             refused.append(str(error))
         world.restore(taken)
         assert world.snapshot() == taken
-    assert len(refused) > 50
+    assert len(refused) > 15
     assert all(len(line.splitlines()) == 1 for line in refused)

@@ -6,7 +6,7 @@ from checks.edges import playpens, text_of, trouble
 from khep_twin import playpen
 from khep_twin.errors import PlaypenError
 
-SHARE = 8
+SHARE = 4
 
 
 def test_a_share_of_the_search_finds_nothing() -> None:

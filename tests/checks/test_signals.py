@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from forked import Forked
 
 from checks.signals import KINDS, end
 from khep_twin.errors import StoppedError
@@ -57,14 +58,15 @@ def started(
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         signal.signal(signal.SIGHUP, hang_up)
 
-    return subprocess.Popen(
+    executed = {} if hang_up == signal.SIG_DFL else {"preexec_fn": on_bytes}
+    return (subprocess.Popen if executed else Forked)(
         words,
         cwd=folder,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=on_bytes,
         env=os.environ | more,
+        **executed,
     )
 
 

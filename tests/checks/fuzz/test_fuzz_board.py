@@ -10,14 +10,14 @@ from checks.fuzz.board import check, seeds
 from checks.fuzz.libfuzzer import run_libfuzzer
 from khep_twin.firmware import Firmware
 
-SHARE = 8_000
+SHARE = 2_000
 
 
 def test_a_share_of_the_fuzzing_finds_nothing(tmp_path: Path) -> None:
     run_libfuzzer("fuzz-board", SHARE, tmp_path)
 
 
-@settings(max_examples=500, derandomize=True, database=None)
+@settings(max_examples=200, derandomize=True, database=None)
 @given(st.binary(max_size=200))
 def test_any_bytes_are_answered(data: bytes) -> None:
     check(data)
