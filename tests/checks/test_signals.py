@@ -58,7 +58,7 @@ def started(
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         signal.signal(signal.SIGHUP, hang_up)
 
-    executed = {} if hang_up == signal.SIG_DFL else {"preexec_fn": on_bytes}
+    executed = {} if hang_up == signal.SIG_DFL and "PYTHONPATH" not in more else {"preexec_fn": on_bytes}
     return (subprocess.Popen if executed else Forked)(
         words,
         cwd=folder,

@@ -31,6 +31,7 @@ def printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
     return run
 
 
+@pytest.mark.long
 def test_poses_are_nearer_than_those_of_dead_reckoning(
     printed: Table, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,13 +3,16 @@
 import random
 from pathlib import Path
 
+import pytest
+
 from checks.fuzz.libfuzzer import run_libfuzzer
 from checks.fuzz.logs import STEP, base, check, cooked, seeds
 from khep_twin.log.reader import read_log, read_series
 
-SHARE = 300
+SHARE = 2_000
 
 
+@pytest.mark.long
 def test_a_share_of_the_fuzzing_finds_nothing(tmp_path: Path) -> None:
     run_libfuzzer("fuzz-logs", SHARE, tmp_path)
 

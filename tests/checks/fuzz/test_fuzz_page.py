@@ -15,7 +15,7 @@ from khep_twin.web import answers, file_actions, routes, session_actions
 from khep_twin.web.documents import Documents
 from khep_twin.web.guard import Guard
 
-SHARE = 100
+SHARE = 1_000
 
 
 @pytest.fixture(name="page_alone")
@@ -32,6 +32,7 @@ def _page_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     designer()[2].take_over()
 
 
+@pytest.mark.long
 def test_a_share_of_the_fuzzing_finds_nothing(tmp_path: Path) -> None:
     run_libfuzzer("fuzz-page", SHARE, tmp_path)
 

@@ -1,13 +1,14 @@
 """Hosts at network ports and in lock-step with a twin, simulated."""
 
 import pytest
+from shares import share
 
 from checks.simulate.networking import MUTANTS, SCENARIOS
 from checks.simulate.simulation import simulate
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-@pytest.mark.parametrize("seed", [2, 4])
+@pytest.mark.parametrize("seed", share([2, 4], 2))
 def test_hosts_get_what_is_true_or_an_error_and_leave_the_motors_stopped(name: str, seed: int) -> None:
     outcome = simulate(name, SCENARIOS[name], seed, 20.0)
     assert outcome.violation is None
@@ -15,7 +16,7 @@ def test_hosts_get_what_is_true_or_an_error_and_leave_the_motors_stopped(name: s
     assert outcome.counts["speeds"] > 0
 
 
-@pytest.mark.parametrize(("name", "seed"), [("tcp", 11), ("rfc2217", 11), ("lockstep", 1)])
+@pytest.mark.parametrize(("name", "seed"), share([("rfc2217", 11), ("tcp", 11), ("lockstep", 1)], 2))
 def test_a_seed_repeats_every_turn_of_its_processes(name: str, seed: int) -> None:
     first, second = (simulate(name, SCENARIOS[name], seed, 15.0) for _ in range(2))
     assert first == second
@@ -24,14 +25,17 @@ def test_a_seed_repeats_every_turn_of_its_processes(name: str, seed: int) -> Non
 
 @pytest.mark.parametrize(
     ("name", "seed"),
-    [
-        ("leaving does not stop the motors", 0),
-        ("counters are ahead of the wheels", 0),
-        ("a speed sets one wheel", 0),
-        ("an error does not name its port", 7),
-        ("left and right are swapped", 0),
-        ("negotiation is not answered", 0),
-    ],
+    share(
+        [
+            ("leaving does not stop the motors", 0),
+            ("counters are ahead of the wheels", 0),
+            ("a speed sets one wheel", 0),
+            ("negotiation is not answered", 0),
+            ("left and right are swapped", 0),
+            ("an error does not name its port", 7),
+        ],
+        3,
+    ),
 )
 def test_a_broken_build_is_caught(name: str, seed: int) -> None:
     mutant = MUTANTS[name]

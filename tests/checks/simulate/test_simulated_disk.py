@@ -5,6 +5,7 @@ import random
 from pathlib import Path
 
 import pytest
+from shares import share
 
 from checks.simulate import files, recording, recording_mutants
 from checks.simulate.disk import Disk
@@ -28,7 +29,7 @@ CAUGHT = {
 """Seed and simulated time [s] of some of the broken builds: those that are caught soonest."""
 
 
-@pytest.mark.parametrize(("name", "seed"), [("files", 1), ("files", 7), ("record", 1)])
+@pytest.mark.parametrize(("name", "seed"), share([("files", 1), ("files", 7), ("record", 1)], 2))
 def test_a_seed_finds_nothing_and_gives_the_same_outcome_again(name: str, seed: int) -> None:
     seconds = 100.0 if name == "record" else 600.0
     first = simulate(name, SCENARIOS[name], seed, seconds)
@@ -38,7 +39,7 @@ def test_a_seed_finds_nothing_and_gives_the_same_outcome_again(name: str, seed: 
     assert simulate(name, SCENARIOS[name], seed, seconds) == first
 
 
-@pytest.mark.parametrize("name", CAUGHT)
+@pytest.mark.parametrize("name", share(CAUGHT, 3))
 def test_a_broken_build_is_caught(name: str) -> None:
     (seed, seconds), mutant = CAUGHT[name], MUTANTS[name]
     with mutant.broken():

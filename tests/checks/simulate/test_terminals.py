@@ -13,11 +13,12 @@ from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
+import pytest
+
 from checks.simulate.simulation import Simulation, simulate
 from checks.simulate.terminals import CAPACITY, Terminals
 from khep_twin.ports.event_sources import Event, OpenEvents, open_events
 
-SEEDS = range(40)
 STEPS = 60
 LONGEST_S = 2.0
 """Longest transit of bytes on the real terminal (assumed) [s]."""
@@ -180,8 +181,9 @@ def make_raw(module: Any, descriptor: int) -> None:
     module.tcsetattr(descriptor, termios.TCSANOW, flags)
 
 
-def test_random_operations_give_the_same_results_as_on_the_machines_own_terminals() -> None:
-    for seed in SEEDS:
+@pytest.mark.parametrize("seeds", [range(6), pytest.param(range(6, 40), marks=pytest.mark.long)], ids=str)
+def test_random_operations_give_the_same_results_as_on_the_machines_own_terminals(seeds: range) -> None:
+    for seed in seeds:
         arrivals: list[list[int]] = []
         simulated = _on_the_simulated(seed, arrivals)
         real = _on_the_machine(seed, iter(arrivals))
