@@ -9,7 +9,7 @@ Comments above a block, which a page does not show, tell how to read it:
     <!-- not run: REASON -->     cannot run in a test
 
 Commands that serve go on while the next ones run, until what they take or log to is used again, and end by
-SIGINT. `/dev/ttyUSB0` is a served twin. Without KHEP_DOCS=all, amounts are those of `MOST` at most.
+SIGINT. `/dev/ttyUSB0` is a served twin. Without KHEP_DOCS=all, runs are shortened by `SHORTER`.
 """
 
 import os
@@ -20,7 +20,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -37,8 +37,14 @@ TIMEOUT_S = 120.0
 BLOCK = re.compile(r"((?:^<!--[^\n]*-->\n\n?)*)^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 MARK = re.compile(r"<!-- (first|file|exits|long|not run): (.*?) -->")
 
-MOST = {"--seconds": 40, "--cycles": 30, "--runs": 6, "--pause": 0}
-"""Most that a command may ask for in the suite."""
+SHORTER: dict[str, Callable[[int], int]] = {
+    "--seconds": lambda given: min(given, 13),
+    "--at": lambda given: min(given, 12),
+    "--cycles": lambda given: min(given, 20),
+    "--runs": lambda given: -(-given // 3),
+    "--pause": lambda given: 0,
+}
+"""What a command asks for in the suite in place of what is written."""
 
 NOT_RUN = {
     r"^make\b": "a target of the Makefile",
@@ -92,8 +98,8 @@ def commands(text: str) -> Iterator[str]:
 
 def shortened(command: str) -> str:
     """Return a command with less of what takes time."""
-    amount = re.compile(rf"({'|'.join(MOST)}) (\d+)\b")
-    return amount.sub(lambda found: f"{found[1]} {min(int(found[2]), MOST[found[1]])}", command)
+    amount = re.compile(rf"({'|'.join(SHORTER)}) (\d+)\b")
+    return amount.sub(lambda found: f"{found[1]} {SHORTER[found[1]](int(found[2]))}", command)
 
 
 @dataclass

@@ -22,13 +22,13 @@ ENVIRONMENT = {
 INDEX = (tutorial.PAGE.parent / "lessons" / "README.md").read_text()
 
 
-LONG = {"03_noise", "04_braitenberg", "07_measuring", "08_evolution"}
+SHARE = {"01_sensor", "06_states"}
 
 
 @pytest.mark.parametrize(
     "lesson",
     [
-        pytest.param(path, id=path.stem, marks=pytest.mark.long if path.stem in LONG else ())
+        pytest.param(path, id=path.stem, marks=() if path.stem in SHARE else pytest.mark.long)
         for path in LESSONS
     ],
 )

@@ -35,7 +35,7 @@ def test_these_playpens_ship() -> None:
     assert playpens.names() == NAMES
 
 
-@pytest.mark.parametrize("seconds", [5, pytest.param(30, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seconds", [3, pytest.param(30, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", NAMES)
 def test_a_braitenberg_vehicle_drives_without_a_warning(name: str, seconds: int) -> None:
     twin = open_twin(name, TwinOptions(seed=1))

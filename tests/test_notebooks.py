@@ -57,6 +57,7 @@ def test_the_first_drive_shows_the_twin_and_both_controllers(ended: nbformat.Not
     assert all(0 <= share < 0.5 for share in shares)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ended", NOTEBOOKS[1:2], ids=["02_sensor_model"], indirect=True)
 def test_the_sensor_model_has_its_curve_and_threshold(ended: nbformat.NotebookNode) -> None:
     said = "".join(each.get("text", "") for each in outputs(ended))

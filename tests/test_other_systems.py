@@ -90,7 +90,7 @@ def test_a_twin_is_driven_in_lock_step_and_its_log_is_read_recovered_and_repeate
 
 
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
-@pytest.mark.parametrize("kind", ["tcp", "rfc2217"])
+@pytest.mark.parametrize("kind", ["rfc2217", pytest.param("tcp", marks=pytest.mark.long)])
 def test_hosts_on_the_network_are_served(kind: str) -> None:
     with (
         served(f"--{kind}", "127.0.0.1:0") as url,

@@ -51,6 +51,7 @@ def test_the_two_commands_are_the_makefiles() -> None:
     assert commands == ["make run", "make test"]
 
 
+@pytest.mark.long
 def test_the_picture_is_the_one_that_make_run_leaves(tmp_path: Path) -> None:
     if not tutorial.same_numbers():
         pytest.skip(f"another machine than the picture's; here it is {tutorial.made_with()}")

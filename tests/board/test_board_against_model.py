@@ -19,7 +19,7 @@ from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
 from khep_twin.firmware import Firmware
 
-COMMANDS_WANTED = int(os.environ.get("KHEP_COMMANDS", "5000"))
+COMMANDS_WANTED = int(os.environ.get("KHEP_COMMANDS", "2000"))
 FIRST_SEED = int(os.environ.get("KHEP_FIRST", "0"))
 SESSIONS_A_SEED = 20
 

@@ -71,7 +71,7 @@ def orders(rng: np.random.Generator) -> Callable[[Any, Any], None]:
 
 
 @with_numba
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_plain_and_compiled_registers_are_equal_after_every_order(seed: int) -> None:
     plain, array, compiled = (np.zeros(N_REGISTERS, np.int64) for _ in range(3))
     fast = compiled_kernel()

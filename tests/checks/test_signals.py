@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from forked import Forked
+from shares import share
 
 from checks.signals import KINDS, end
 from khep_twin.errors import StoppedError
@@ -275,7 +276,7 @@ def test_a_robot_that_is_held_stands_and_is_not_moved_any_more() -> None:
         robot.set_speed(0, 0)
 
 
-@pytest.mark.parametrize("name", [name for name in KINDS if "hangs" not in name])
+@pytest.mark.parametrize("name", share([name for name in KINDS if "hangs" not in name], 2))
 def test_a_command_that_is_ended_at_a_random_moment_leaves_nothing_behind(name: str) -> None:
     found = end(name, 4, begun=True)
     # How long it takes on a busy machine is for `python -m checks signals` to say.

@@ -4,6 +4,7 @@ import importlib.util
 
 import pytest
 from notes import Events
+from shares import share
 
 from checks.branches import LAMPS, ROBOTS, arena
 from khep_twin.board.fault_injection import parse_fault
@@ -66,7 +67,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", share(CASES, 2))
 def test_compiled_code_gives_the_bits_of_plain_code(case: str) -> None:
     scene, options = CASES[case]
     plain = driven(scene, False, **options)
@@ -76,7 +77,7 @@ def test_compiled_code_gives_the_bits_of_plain_code(case: str) -> None:
     assert unseen[:4] == plain[:4]
 
 
-@pytest.mark.parametrize("case", ["lamps by turns", "three robots", "faults"])
+@pytest.mark.parametrize("case", share(["faults", "lamps by turns", "three robots"], 2))
 def test_a_run_that_changes_over_to_compiled_code_stays_what_it_is(case: str) -> None:
     scene, options = CASES[case]
     assert driven(scene, None, **options) == driven(scene, False, **options)

@@ -11,6 +11,7 @@ from typing import Any
 
 import matplotlib
 import pytest
+from forked import Forked
 from scipy.io import loadmat
 
 from khep_twin import toolbox
@@ -189,7 +190,7 @@ def test_without_an_algorithm_its_window_is_the_page_of_play_pen(monkeypatch: py
 def test_play_pen_is_the_designers_page_until_it_is_interrupted(tmp_path: Path) -> None:
     program = "from khep_twin.toolbox import play_pen\nplay_pen('new.toml')\nprint('on with it')"
     environment = os.environ | {"BROWSER": "true"}
-    with subprocess.Popen(
+    with Forked(
         [sys.executable, "-c", program], stdout=subprocess.PIPE, cwd=tmp_path, env=environment, text=True
     ) as process:
         assert process.stdout is not None
