@@ -41,7 +41,7 @@ SHORTER: dict[str, Callable[[int], int]] = {
     "--seconds": lambda given: min(given, 13),
     "--at": lambda given: min(given, 4),
     "--cycles": lambda given: min(given, 20),
-    "--runs": lambda given: -(-given // 7),
+    "--runs": lambda given: min(-(-given // 4), 3),
     "--pause": lambda given: 0,
 }
 """What a command asks for in the suite in place of what is written."""

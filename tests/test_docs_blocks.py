@@ -73,5 +73,5 @@ def test_a_block_that_is_not_run_is_listed_with_its_reason(tmp_path: Path) -> No
 
 def test_runs_are_shortened_in_the_suite() -> None:
     assert shortened("khep-twin run --seconds 60 --runs 5 --cycles 200") == (
-        "khep-twin run --seconds 13 --runs 1 --cycles 20"
+        "khep-twin run --seconds 13 --runs 2 --cycles 20"
     )
