@@ -18,7 +18,6 @@ from khep_twin.randomness import stream
 from khep_twin.sensing import calibration
 from khep_twin.shadow.diagnosis import Diagnosis
 from khep_twin.shadow.following import Follower
-from khep_twin.shadow.learned_values import values_learned
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from stand_ins.recordings import record
@@ -60,7 +59,7 @@ def main() -> None:
             for heard in recorded(path).heard:
                 for _ in follower.feed(heard):
                     pass
-            for value, _ in learned_values(values_learned(shadow), start):
+            for value, _ in learned_values(shadow.learned, start):
                 _, key, *sensor = value.path
                 part = value.of(own) / value.of(start), value.value / value.of(start)
                 told = value.interval / value.of(start) / CONFIDENCE

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_start
-from khep_twin.shadow.alarms import LastingAlarms
+from khep_twin.shadow.following import LastingAlarms
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings, Update
 from stand_ins.hidden_changes import Change

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from khep_twin.shadow.alarms import Alarm
+from khep_twin.log.shadow_channels import Alarm
 from khep_twin.shadow.particle_filter import Floats, PoseEstimate
 from khep_twin.shadow.shadow import Residuals, Update
 

@@ -14,8 +14,7 @@ from khep_twin.clock import NS_PER_S
 
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
-    from khep_twin.shadow.alarms import AlarmChange
-    from khep_twin.shadow.learned_values import LearnedValues
+    from khep_twin.shadow.following import AlarmChange
     from khep_twin.shadow.recording import Heard
     from khep_twin.shadow.shadow import ShadowSettings, Update
     from khep_twin.shadow.shadow_log import ShadowLog
@@ -113,7 +112,7 @@ class ShadowRun:
     def close(self) -> None:
         """Complete the log."""
         if self._log is not None:
-            self._log.write_learned(self._learned())
+            self._log.write_learned(self._shadow.learned)
             self._log.close()
 
     def print_summary(self, took_s: float | None = None) -> None:
@@ -138,12 +137,7 @@ class ShadowRun:
         log.write(update)
         if update.time_ns - self._learned_ns >= _LEARNED_NS:
             self._learned_ns = update.time_ns
-            log.write_learned(self._learned())
-
-    def _learned(self) -> "LearnedValues":
-        from khep_twin.shadow.learned_values import values_learned
-
-        return values_learned(self._shadow)
+            log.write_learned(self._shadow.learned)
 
     @staticmethod
     def _warm_up(playpen: "Playpen", settings: "ShadowSettings") -> None:
@@ -166,7 +160,7 @@ class ShadowRun:
         away = math.hypot(last.reckoned[0] - x, last.reckoned[1] - y) * 1e3
         turned = math.degrees(math.remainder(last.reckoned[2] - heading, math.tau))
         yield f"reckoning  {away:.0f} mm and {turned:+.1f} degrees off, by commands alone"
-        found, own = self._learned(), self._calibration.wheels
+        found, own = self._shadow.learned, self._calibration.wheels
         (radius, ratio, base), deviations = (
             found.wheels.tolist(),
             (_TWO_SIDED * found.wheel_deviations).tolist(),

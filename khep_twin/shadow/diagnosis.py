@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.log.exchanges import Exchange
+from khep_twin.log.shadow_channels import Alarm
 from khep_twin.shadow.actions import Action, Counted, Restarted, Seen, Waited
-from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.candidates import Candidates
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.hypotheses import Hypothesis

@@ -4,15 +4,29 @@ A line that is silent advances the shadow at whole steps of `STEP_NS`, so that t
 times give the same updates, whether they come from a log or as they cross the line.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.shadow.alarms import AlarmChange, LastingAlarms
+from khep_twin.log.shadow_channels import Alarm
 from khep_twin.shadow.recording import Heard
 from khep_twin.shadow.shadow import Shadow, Update
 
 STEP_NS = NS_PER_S // 5
 """Step of the silence after which the pose is estimated without a reply [ns] (assumed)."""
+
+
+class AlarmChange(NamedTuple):
+    """Alarm that has begun or ended.
+
+    Attributes:
+        time_ns: Time of the reply that showed it [ns].
+        alarm: Alarm, with its end if it has ended.
+    """
+
+    time_ns: int
+    alarm: Alarm
 
 
 class Follower:
@@ -49,3 +63,31 @@ class Follower:
     def changes(self, update: Update) -> Iterator[AlarmChange]:
         """Return the alarms that have ended or begun with an update."""
         return self._alarms.changes(update.time_ns, update.alarms, update.ended)
+
+
+class LastingAlarms:
+    """Alarms that last; a fault and the time of its alarm identify one."""
+
+    def __init__(self) -> None:
+        self._lasting: dict[tuple[str, int], Alarm] = {}
+
+    def changes(self, time_ns: int, alarms: Sequence[Alarm], ended: Sequence[Alarm]) -> Iterator[AlarmChange]:
+        """Yield the alarms that end or begin with an update; one that does both begins first.
+
+        `alarms` last after it, `ended` have ended with it.
+        """
+        over, lasting = _by_key(ended), _by_key(alarms)
+        for key, alarm in over.items():
+            if key not in self._lasting:
+                yield AlarmChange(time_ns, replace(alarm, ended_ns=None))
+        for key, alarm in {**self._lasting, **over}.items():
+            if key not in lasting:
+                yield AlarmChange(time_ns, replace(alarm, ended_ns=alarm.ended_ns or time_ns))
+        for key, alarm in lasting.items():
+            if key not in self._lasting:
+                yield AlarmChange(time_ns, alarm)
+        self._lasting = lasting
+
+
+def _by_key(alarms: Sequence[Alarm]) -> dict[tuple[str, int], Alarm]:
+    return {(alarm.fault, alarm.raised_ns): alarm for alarm in alarms}

@@ -1,9 +1,10 @@
 """Hypotheses of what may be wrong: each makes twins with a fault of sound ones, and sound ones of those."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,49 +45,53 @@ _LEAST_SPREAD = 0.003
 _HEIGHT = 0.05
 
 
-class Hypothesis(Protocol):
-    """One fault."""
+class Hypothesis(ABC):
+    """One fault.
+
+    Attributes:
+        channel: Channel in which it shows.
+        rare: Logarithm of the odds against it, beside the others.
+    """
+
+    channel: ClassVar[str]
+    rare: ClassVar[float]
 
     @property
+    @abstractmethod
     def name(self) -> str:
         """Name of the fault."""
-        ...
 
-    @property
-    def channel(self) -> str:
-        """Channel in which it shows."""
-        ...
-
-    @property
-    def rare(self) -> float:
-        """Logarithm of the odds against it, beside the others."""
-        ...
-
+    @abstractmethod
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Give particles the fault."""
-        ...
 
+    @abstractmethod
     def end(self, particles: Particles) -> None:
         """Take it from them."""
-        ...
 
     def refine(self, particles: Particles, rng: np.random.Generator) -> None:
         """Draw what differs among equally probable particles with the fault anew, close to what it is."""
-        ...
+        return  # by default nothing does
 
 
-@dataclass(frozen=True, slots=True)
-class StandingWheel:
-    """A wheel that stands: one without current, which yields to a push, or one that is blocked; 0 is left."""
+@dataclass(frozen=True)
+class _OfWheel(Hypothesis):
+    """A fault of a motor or a wheel; 0 is left, 1 right."""
 
+    channel = "wheels"
+    kind: ClassVar[str]
     side: int
-    channel: str = "wheels"
-    rare: float = 2.5
 
     @property
     def name(self) -> str:
         """Name of the fault."""
-        return f"dead motor or blocked wheel {SIDES[self.side]}"
+        return f"{self.kind} {SIDES[self.side]}"
+
+
+class StandingWheel(_OfWheel):
+    """A wheel that stands: one without current, which yields to a push, or one that is blocked."""
+
+    kind, rare = "dead motor or blocked wheel", 2.5
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Take the current from every other motor, block the others."""
@@ -97,22 +102,11 @@ class StandingWheel:
         """Give it back."""
         particles.planes.strength[:, self.side] = 1
 
-    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Leave them: all differ in one of two ways."""
 
+class WeakMotor(_OfWheel):
+    """A motor that gives a part of its torque."""
 
-@dataclass(frozen=True, slots=True)
-class WeakMotor:
-    """A motor that gives a part of its torque; 0 is left, 1 right."""
-
-    side: int
-    channel: str = "wheels"
-    rare: float = 2.5
-
-    @property
-    def name(self) -> str:
-        """Name of the fault."""
-        return f"weak motor {SIDES[self.side]}"
+    kind, rare = "weak motor", 2.5
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Weaken the motor."""
@@ -128,18 +122,10 @@ class WeakMotor:
         strength[:, self.side] = np.clip(refined(strength[:, self.side], 0.01, rng), WEAKEST, STRONGEST)
 
 
-@dataclass(frozen=True, slots=True)
-class SlippingWheel:
-    """A wheel whose tyre slips on the floor; 0 is left, 1 right."""
+class SlippingWheel(_OfWheel):
+    """A wheel whose tyre slips on the floor."""
 
-    side: int
-    channel: str = "wheels"
-    rare: float = 4.5
-
-    @property
-    def name(self) -> str:
-        """Name of the fault."""
-        return f"slipping wheel {SIDES[self.side]}"
+    kind, rare = "slipping wheel", 4.5
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Make the tyre slip."""
@@ -156,56 +142,46 @@ class SlippingWheel:
         hold[:] = np.clip(refined(hold, 0.005, rng), 0, MOST_HOLD)
 
 
-@dataclass(frozen=True, slots=True)
-class Missing:
-    """A thing that is not in the playpen any more: its name, and its rows among those of the plane."""
+@dataclass(frozen=True)
+class _OfThing(Hypothesis):
+    """A fault of a thing of the playpen: its name, and its rows among those of the plane."""
 
+    channel, rare = "proximity", 1.0
+    kind: ClassVar[str]
     thing: str
     rows: tuple[int, ...]
-    channel: str = "proximity"
-    rare: float = 1.0
 
     @property
     def name(self) -> str:
         """Name of the fault."""
-        return f"missing {self.thing}"
+        return f"{self.kind} {self.thing}"
+
+    def end(self, particles: Particles) -> None:
+        """Put the thing back."""
+        particles.planes.restore(self.rows)
+
+
+class Missing(_OfThing):
+    """A thing that is not in the playpen any more."""
+
+    kind = "missing"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Take the thing away."""
         particles.planes.things[:, self.rows, flat.CENTRE_X] += AWAY
         particles.planes.remeasure()
 
-    def end(self, particles: Particles) -> None:
-        """Put it back."""
-        particles.planes.restore(self.rows)
 
-    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Leave them: all are the same."""
+class Moved(_OfThing):
+    """A thing that is not where the playpen says."""
 
-
-@dataclass(frozen=True, slots=True)
-class Moved:
-    """A thing that is not where the playpen says: its name, and its rows among those of the plane."""
-
-    thing: str
-    rows: tuple[int, ...]
-    channel: str = "proximity"
-    rare: float = 1.0
-
-    @property
-    def name(self) -> str:
-        """Name of the fault."""
-        return f"moved {self.thing}"
+    kind = "moved"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Move the thing."""
         by = MOVED_LEAST + np.abs(rng.standard_normal(len(particles))) * MOVED_BY
         way = rng.uniform(0, math.tau, len(particles))
         particles.planes.offset(self.rows, np.stack([by * np.cos(way), by * np.sin(way)], axis=1))
-
-    def end(self, particles: Particles) -> None:
-        """Put it back."""
-        particles.planes.restore(self.rows)
 
     def refine(self, particles: Particles, rng: np.random.Generator) -> None:
         """Draw its place anew."""
@@ -214,14 +190,17 @@ class Moved:
         particles.planes.offset(self.rows, offsets * np.maximum(MOVED_LEAST / np.maximum(by, 1e-9), 1))
 
 
-@dataclass(frozen=True, slots=True)
-class Unexpected:
+@dataclass(frozen=True)
+class Unexpected(Hypothesis):
     """A thing that is not in the playpen, seen by a sensor."""
 
+    channel, rare = "proximity", 1.0
     sensor: int
-    channel: str = "proximity"
-    rare: float = 1.0
-    name: str = "unexpected thing"
+
+    @property
+    def name(self) -> str:
+        """Name of the fault."""
+        return "unexpected thing"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Put a cylinder in front of the sensor of each robot."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.shadow.alarms import Alarm
+from khep_twin.log.shadow_channels import Alarm
 from khep_twin.shadow.particles import Particles
 
 Floats = NDArray[np.float64]

@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import replace
 
 from khep_twin.log.exchanges import BANNER, Exchange
-from khep_twin.shadow.alarms import Alarm
+from khep_twin.log.shadow_channels import Alarm
 
 LOSING, RESTART = "line losing bytes", "restart"
 """Names of the faults."""

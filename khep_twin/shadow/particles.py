@@ -1,14 +1,15 @@
-"""Particles of a filter: planar twins with their own weights, wheels and gains."""
+"""Particles of a filter: planar twins with their own weights, wheels and gains, and what they learned."""
 
 import math
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board import kernel
 from khep_twin.shadow.planes import Planes
+from khep_twin.units import N_SENSORS, SENSOR_LABELS
 
 Floats = NDArray[np.float64]
 
@@ -31,6 +32,39 @@ class Prior(NamedTuple):
     wheels: Floats
     gain: float
     traits: Floats
+
+
+VALUE_NAMES = [
+    *(f"{part}{name}" for part in ("", "deviation of ") for name in ("radius", "right over left", "base")),
+    *(f"{part}gain {name}" for part in ("", "deviation of log ") for name in SENSOR_LABELS),
+]
+"""Numbers of a row, in this order, as parts of the calibration's values."""
+
+
+class LearnedValues(NamedTuple):
+    """Wheels and gains as parts of those of the calibration, with standard deviations.
+
+    Attributes:
+        wheels: Mean radius, ratio right over left, and base (3,).
+        wheel_deviations: Their standard deviations (3,).
+        gains: Gains of the sensors' proximity, geometric means (8,).
+        gain_deviations: Standard deviations of their logarithms (8,).
+    """
+
+    wheels: Floats
+    wheel_deviations: Floats
+    gains: Floats
+    gain_deviations: Floats
+
+    @property
+    def row(self) -> Floats:
+        """Row of all values (22,), as `VALUE_NAMES` names them."""
+        return np.concatenate(self)
+
+    @classmethod
+    def of_row(cls, row: Floats) -> Self:
+        """Return what a row has."""
+        return cls(*np.split(row, np.cumsum([3, 3, N_SENSORS])))
 
 
 @dataclass(slots=True)
@@ -89,6 +123,17 @@ class Particles:
         self.traits[:, :, 0] += drift[:, 3:] * self.prior.gain
         self.covariances *= kept * kept
         self.covariances += (1 - kept * kept) * self.prior.traits
+
+    def learned(self) -> LearnedValues:
+        """Return what was learned so far: means by the weights, and what is left of their spread."""
+        weights = np.exp(self.logs)
+        wheels = weights @ self.wheels
+        gains = self.traits[:, :, 0]
+        logs = weights @ gains
+        apart = weights @ (self.wheels - wheels) ** 2
+        # A gain's variance: that within each particle, and that between them.
+        gain_apart = weights @ (self.covariances[:, :, 0, 0] + (gains - logs) ** 2)
+        return LearnedValues(wheels, np.sqrt(apart), np.exp(logs), np.sqrt(gain_apart))
 
     def __len__(self) -> int:
         return len(self.logs)

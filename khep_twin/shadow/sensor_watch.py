@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.log.shadow_channels import Alarm
 from khep_twin.shadow.actions import Seen
-from khep_twin.shadow.alarms import Alarm
 from khep_twin.units import N_SENSORS
 
 Floats = NDArray[np.float64]

@@ -24,12 +24,13 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.firmware import Firmware, parse
 from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
+from khep_twin.log.shadow_channels import Alarm
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Action, Commanded, Configured, Counted, Restarted, Seen, Waited
-from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.diagnosis import Diagnosis
 from khep_twin.shadow.particle_filter import ParticleFilter, PoseEstimate
+from khep_twin.shadow.particles import LearnedValues
 from khep_twin.shadow.start import PUBLISHED, Spread, begun
 from khep_twin.shadow.wheel_commands import DUTY, POSITION, SPEED, TARGET
 from khep_twin.units import BITS_PER_BYTE
@@ -154,6 +155,11 @@ class Shadow:
         self._dialogue = Dialogue(self._byte_ns)
         self._measured: Floats = np.full(units.N_SENSORS, np.nan)
         self._time_ns = 0
+
+    @property
+    def learned(self) -> LearnedValues:
+        """Wheels and gains of the sensors as learned so far."""
+        return self._diagnosis.filter.particles.learned()
 
     def feed(self, time_ns: int, to_robot: bool, data: bytes) -> list[Update]:
         """Add bytes that crossed the line; return what follows from the replies that they complete.

@@ -31,8 +31,8 @@ from khep_twin.log.shadow_channels import PARTICLES, RESIDUALS, begin_line, end_
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.sensing import calibration
-from khep_twin.shadow.alarms import LastingAlarms
-from khep_twin.shadow.learned_values import VALUE_NAMES, LearnedValues
+from khep_twin.shadow.following import LastingAlarms
+from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
 from khep_twin.shadow.shadow import ShadowSettings, Update
 from khep_twin.units import SENSOR_LABELS
 

@@ -13,9 +13,9 @@ from command_line import khep_twin
 from served_twin import served
 
 from khep_twin.log.reader import read_arrays, read_log
+from khep_twin.log.shadow_channels import Alarm
 from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
-from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.shadow import Shadow, Update
 from stand_ins.recordings import Truth, record
 

@@ -9,9 +9,9 @@ from twins import SECOND, metric, planes_at, readings, setup_of
 
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.log.exchanges import Exchange
+from khep_twin.log.shadow_channels import Alarm
 from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Commanded, Counted, Seen
-from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.diagnosis import Diagnosis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.start import PUBLISHED, begun

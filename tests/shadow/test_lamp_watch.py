@@ -9,8 +9,8 @@ import pytest
 from twins import SECOND, metric, particles_at, setup_of
 
 from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.log.shadow_channels import Alarm
 from khep_twin.randomness import stream
-from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.lamp_watch import LampWatch
 from khep_twin.shadow.planes import Planes
 

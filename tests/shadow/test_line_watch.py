@@ -6,7 +6,7 @@ import pytest
 from twins import SECOND
 
 from khep_twin.log.exchanges import Dialogue, Exchange
-from khep_twin.shadow.alarms import Alarm
+from khep_twin.log.shadow_channels import Alarm
 from khep_twin.shadow.line_watch import LOSING, RESTART, LineWatch
 
 SOUND = Exchange(b"N", 0, b"n,1,2,3,4,5,6,7,8", 0)

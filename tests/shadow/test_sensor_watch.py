@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from twins import SECOND
 
+from khep_twin.log.shadow_channels import Alarm
 from khep_twin.shadow.actions import Seen
-from khep_twin.shadow.alarms import Alarm
 from khep_twin.shadow.sensor_watch import SensorWatch
 
 LIMIT = 1023

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from twins import SECOND
 
-from khep_twin.shadow.alarms import Alarm
+from khep_twin.log.shadow_channels import Alarm
 from khep_twin.shadow.wheel_watch import WheelWatch
 
 STEP_NS = SECOND // 10

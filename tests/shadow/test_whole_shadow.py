@@ -10,9 +10,8 @@ from twins import EXACT, SECOND
 
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
-from khep_twin.shadow.alarms import AlarmChange
-from khep_twin.shadow.following import Follower
-from khep_twin.shadow.learned_values import VALUE_NAMES, LearnedValues, values_learned
+from khep_twin.shadow.following import AlarmChange, Follower
+from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
 from khep_twin.shadow.recording import Heard, recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings, Update
 from studies.twin_runs import Followed, Recording, follow, told_playpen
@@ -233,13 +232,13 @@ def test_a_follower_steps_through_silence_and_tells_when_alarms_begin_and_end() 
 
 def test_a_shadow_learns_its_robots_wheels_and_gains(log: Path, followed: Followed) -> None:
     shadow = Shadow(told_playpen("workshop", followed.truth), SETTINGS)
-    before = values_learned(shadow)
+    before = shadow.learned
     assert before.wheels == pytest.approx(np.ones(3), abs=0.01)
     assert before.gains == pytest.approx(np.ones(8), abs=0.1)
     for heard in recorded(log).heard:
         if heard.time_ns < 7 * SECOND:
             shadow.feed(*heard)
-    after = values_learned(shadow)
+    after = shadow.learned
     # What has looked at something is known better.
     assert (after.gain_deviations < 0.7 * before.gain_deviations).any()
     assert (after.wheel_deviations > 0).all()

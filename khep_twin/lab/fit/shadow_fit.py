@@ -20,7 +20,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.shadow.following import Follower
-from khep_twin.shadow.learned_values import VALUE_NAMES, LearnedValues, values_learned
+from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.start import PUBLISHED
@@ -76,7 +76,7 @@ def follow_all(
             progress(number / len(line.heard))
     if not follower.replies:
         raise FitError(f"{path}: no reply with values; expected replies to N")
-    return values_learned(shadow), calibration.read(found.robots[0].calibration)[0]
+    return shadow.learned, calibration.read(found.robots[0].calibration)[0]
 
 
 def fit_learned(found: LearnedValues, start: Calibration) -> RobotFit:

@@ -5,7 +5,7 @@ import pytest
 
 from khep_twin.lab.fit.shadow_fit import fit_learned
 from khep_twin.sensing import calibration
-from khep_twin.shadow.learned_values import VALUE_NAMES, LearnedValues
+from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
 
 START = calibration.read("khepera1")[0]
 
