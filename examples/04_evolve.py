@@ -21,7 +21,7 @@ import numpy as np
 from khep_twin import Episode, EpisodeOptions, EpisodeSetup, Network, Playpen, rollout
 from khep_twin.drawing import DrawnPath, draw, save
 from khep_twin.errors import pip_install
-from khep_twin.files.atomic import unusable
+from khep_twin.files import unusable
 from khep_twin.lab.experiment import run_statistics
 from khep_twin.units import BODY_RADIUS
 

@@ -24,7 +24,7 @@ import numpy as np
 from khep_twin import EpisodeSetup, Network, Playpen, rollout
 from khep_twin.drawing import draw, save
 from khep_twin.errors import pip_install
-from khep_twin.files.atomic import unusable
+from khep_twin.files import unusable
 from khep_twin.randomness import stream
 
 try:

@@ -24,7 +24,7 @@ from matplotlib.patches import Circle, Polygon
 
 from khep_twin import Khepera, Playpen, TwinOptions, read_log
 from khep_twin.drawing import save
-from khep_twin.files.atomic import unusable
+from khep_twin.files import unusable
 from khep_twin.lab.experiment import run_together
 from khep_twin.randomness import stream
 from khep_twin.units import BODY_RADIUS

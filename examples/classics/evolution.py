@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from khep_twin import Network
 from khep_twin.errors import pip_install
-from khep_twin.files.atomic import unusable
+from khep_twin.files import unusable
 
 try:
     from cmaes import CMA

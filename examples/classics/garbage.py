@@ -17,7 +17,7 @@ import numpy as np
 
 from khep_twin import Gripper, Khepera, MoveError, Playpen
 from khep_twin.drawing import DrawnPath, draw, save
-from khep_twin.files.atomic import unusable
+from khep_twin.files import unusable
 from khep_twin.host import turn_pulses
 from khep_twin.randomness import stream
 

@@ -26,7 +26,7 @@ from curves import draw_curve
 from khep_twin import Episode, EpisodeOptions, EpisodeSetup, Playpen, Sensor
 from khep_twin.board import AMBIENT, PROXIMITY
 from khep_twin.drawing import DrawnPath, draw, save
-from khep_twin.files.atomic import unusable
+from khep_twin.files import unusable
 from khep_twin.randomness import stream
 from khep_twin.units import COUNTS_LIMIT
 

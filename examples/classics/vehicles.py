@@ -15,7 +15,7 @@ from trajectories import trajectories
 
 from khep_twin import EpisodeSetup, Network, playpen
 from khep_twin.drawing import DrawnPath, draw, save
-from khep_twin.files.atomic import unusable
+from khep_twin.files import unusable
 from khep_twin.randomness import stream
 
 wish = argparse.ArgumentParser(description="Drive Braitenberg's vehicles 2a, 2b, 3a and 3b near a lamp.")
