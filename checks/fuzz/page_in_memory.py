@@ -25,9 +25,9 @@ from khep_twin.web import (
     challenges,
     connections,
     file_actions,
-    robot_session,
     routes,
     server,
+    session,
     session_actions,
     twin_session,
 )
@@ -129,7 +129,7 @@ class Requests:
         """End no job."""
 
 
-class Unopened(robot_session.RobotActor):
+class Unopened(session.RobotActor):
     """Robot at a port that is never opened."""
 
     def begin(self) -> None:

@@ -7,11 +7,10 @@ small enough to be read. The page loads nothing from outside, so it works withou
 
     guard       checks of each request: host, origin, token, sizes
     documents   playpen files below one folder, and drafts of unsaved changes
-    programs    controllers that are edited in the page
-    scene       compiled scenes for the 3-D view
+    scene       compiled scenes for the 3-D view, and turrets from above
     drafts      playpens as the page sends them, with their problems
     paced_twin  a twin that can be watched, paused, and shared with an outside host
-    session     the running twin (twin_session), or the robot (robot_session), in its own thread
+    session     the robot at a port, or the running twin (twin_session), in its own thread
     jobs        jobs of the robot: controllers and sensor tests
     challenges  programs scored in challenges
     messages    kinds of messages to the pages

@@ -23,7 +23,7 @@ class Broadcaster:
     def __init__(self) -> None:
         self._watchers: list[_Watcher] = []
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._last: dict[str, str] = {}
+        self._begun: str | None = None
 
     @property
     def is_watched(self) -> bool:
@@ -37,9 +37,9 @@ class Broadcaster:
             return
         text = json.dumps(message, allow_nan=False, separators=(",", ":"))
         if kind in ("twin", "robot"):
-            self._last = {"cast": text}
+            self._begun = text
         elif kind == "ended":
-            self._last = {}
+            self._begun = None
         if self._loop is not None:
             with suppress(RuntimeError):  # the server is at its end
                 self._loop.call_soon_threadsafe(self._broadcast, kind, text)
@@ -49,8 +49,8 @@ class Broadcaster:
         self._loop = asyncio.get_running_loop()
         await socket.accept()
         watcher = _Watcher()
-        for text in self._last.values():
-            watcher.take("cast", text)
+        if self._begun is not None:
+            watcher.take("begun", self._begun)
         self._watchers.append(watcher)
         sending = asyncio.create_task(self._send(socket, watcher))
         try:

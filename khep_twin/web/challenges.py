@@ -4,9 +4,9 @@ A thread watches that process, so requests are answered meanwhile. It ends when 
 designer ends, and when no page is open any more.
 """
 
-import codecs
 import threading
 import time
+from codecs import getincrementaldecoder
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +23,7 @@ from khep_twin.web import requests
 from khep_twin.web.answers import Actions, on
 from khep_twin.web.documents import Documents
 from khep_twin.web.messages import Publish, Scored, Scoring
+from khep_twin.web.session import Printed
 
 _ENDING_S = 5.0
 """Longest time for a process to end with the designer [s]; a file that hangs takes 3.5."""
@@ -32,9 +33,6 @@ _UNWATCHED = 10.0
 
 _TELL = 0.08
 """Shortest time between two messages of printed text [s]."""
-
-_PRINT_LIMIT = 20_000
-"""Longest text that is sent at once [characters]."""
 
 Over = Callable[[], bool]
 """Function that returns whether the scoring is to end."""
@@ -84,15 +82,21 @@ class Challenges:
         file = _shipped(asked.challenge)
         path = file.solution if asked.program is None else self._program(asked.program)
         name = "reference solution" if asked.program is None else asked.program
-        printed = _Printed(self._publish)
+        printed, told = Printed(self._publish, "score-printed"), 0.0
+        decoder = getincrementaldecoder("utf-8")("replace")
 
         def work(over: Over) -> None:
             def stop() -> bool:
-                printed.tell()
+                nonlocal told
+                if (now := time.monotonic()) > told + _TELL:
+                    told = now
+                    printed.tell()
                 return over()
 
-            found = score_file(file, str(path), show=printed.add, stop=stop)
-            printed.tell(at_once=True)
+            found = score_file(
+                file, str(path), show=lambda data: printed.add(decoder.decode(data)), stop=stop
+            )
+            printed.tell()
             self._publish(_told(file.challenge, name, self._named(found)))
 
         self._begin({"kind": "scoring", "challenge": asked.challenge, "program": name}, work)
@@ -169,24 +173,6 @@ class Challenges:
         finally:
             self._now = None
             self._publish({"kind": "score-ended", "text": text})
-
-
-class _Printed:
-    """Text that a program prints, sent to the page at intervals; of long text, the end."""
-
-    def __init__(self, publish: Publish) -> None:
-        self._publish, self._text, self._told = publish, "", 0.0
-        self._decoder = codecs.getincrementaldecoder("utf-8")("replace")
-
-    def add(self, data: bytes) -> None:
-        """Add a piece of it."""
-        self._text = (self._text + self._decoder.decode(data))[-_PRINT_LIMIT:]
-
-    def tell(self, at_once: bool = False) -> None:
-        """Send what has been added, if it is time for that."""
-        if self._text and (at_once or time.monotonic() > self._told + _TELL):
-            self._publish({"kind": "score-printed", "text": self._text})
-            self._text, self._told = "", time.monotonic()
 
 
 def _shipped(name: str) -> ChallengeFile:

@@ -2,6 +2,10 @@
 
 It stands between a world and the code that advances its time, such as a controller's port in lock-step.
 Between two slices of time it handles the user's requests and an outside host on the robot's line.
+
+Without a program of the page, that host uses the line as with `khep-twin serve`. With one, its commands are
+inserted between the program's: one whole line at a time, with its own reply. They delay the program, as they
+would on one cable.
 """
 
 import math
@@ -10,11 +14,17 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from khep_twin.clock import Pacer
+from khep_twin.board.protocol import LINE_ENDS
+from khep_twin.clock import NEVER_NS, Pacer
 from khep_twin.errors import KhepTwinError
+from khep_twin.ports.connection import Connection
+from khep_twin.ports.host_port import HostPort
 from khep_twin.ports.twin import Twin
+from khep_twin.robot import Robot
 from khep_twin.units import TICK_NS
-from khep_twin.web.outside_host import OutsideHost
+
+_LINE_LIMIT = 1024
+"""Longest incomplete line that is held back [bytes]."""
 
 LONGEST_WAIT = 0.02
 """Longest wall time of one wait [s]."""
@@ -30,6 +40,72 @@ _LISTENING_INTERVAL = 0.002
 
 _LAST_CYCLE_S = 1.0
 """Longest time for a stopped controller to finish its cycle [s of wall time]."""
+
+
+class OutsideHost:
+    """Host at the far end of one robot's cable.
+
+    Args:
+        twin: Twin whose world the robot is in.
+        robot: Robot of the line.
+        port: Cable to the host.
+        notify: Callback that takes notices for the user.
+
+    Attributes:
+        commands: Number of lines inserted so far.
+    """
+
+    def __init__(self, twin: Twin, robot: Robot, port: HostPort, notify: Callable[[str], None]) -> None:
+        self.robot, self.port = robot, port
+        self.commands = 0
+        self._alone = Connection(twin, robot, port, notify)
+        self._notify = notify
+        self._begun = bytearray()
+
+    def descriptors(self) -> Sequence[int]:
+        """Return the descriptors to wait for."""
+        return self._alone.descriptors()
+
+    def next_ns(self) -> int:
+        """Return the time of the next event on the line [ns]."""
+        return self._alone.next_ns()
+
+    def exchange(self, now: Callable[[], int] | None) -> None:
+        """Pass bytes in both directions, with no other program on the line."""
+        if self._begun:
+            self.robot.send(bytes(self._begun))
+            self._begun.clear()
+        self._alone.take(now)
+        self._alone.give()
+
+    def speak_between(self, pass_time: Callable[[int], None]) -> None:
+        """Execute one line of the host if there is one and no reply is pending."""
+        uart = self.robot.uart
+        if len(uart.rx) or len(uart.tx):
+            return
+        answered = not any(end in self._begun for end in LINE_ENDS)
+        received = self.port.receive(max(_LINE_LIMIT - len(self._begun), 0), answered)
+        for notice in received.notices:
+            self._notify(notice)
+        if received.left:
+            # The host's last bytes still reach the robot; the answers are dropped.
+            if last := bytes(self._begun) + received.last:
+                self.robot.send(last)
+            self.robot.disconnect()
+            self._begun.clear()
+        self._begun += received.data
+        end = next((at for at, byte in enumerate(self._begun) if byte in LINE_ENDS), -1)
+        if end < 0:
+            if len(self._begun) >= _LINE_LIMIT:
+                self._begun.clear()
+            return
+        line = bytes(self._begun[: end + 1])
+        del self._begun[: end + 1]
+        self.commands += 1
+        self.robot.send(line)
+        while (next_ns := self._alone.next_ns()) != NEVER_NS:
+            pass_time(next_ns)
+            self._alone.give()
 
 
 class SessionEndedError(KhepTwinError):

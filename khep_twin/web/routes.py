@@ -22,11 +22,10 @@ from khep_twin.web.answers import Actions, endpoint, failed, on, with_body
 from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.challenges import Challenges
 from khep_twin.web.documents import Documents
-from khep_twin.web.file_actions import FileActions, imported
-from khep_twin.web.programs import Programs
+from khep_twin.web.file_actions import FileActions, Programs, imported
+from khep_twin.web.scene import at_start
 from khep_twin.web.session import shape
 from khep_twin.web.session_actions import SessionActions
-from khep_twin.web.turret_outlines import at_start
 
 ASSETS = Path(__file__).parent.parent / "assets" / "web"
 

@@ -4,16 +4,21 @@ One thread owns the whole world of a twin; no other may touch it. The page's req
 its pictures are passed to the page, at most 25 times a second.
 """
 
+import io
 import os
+import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from typing import Literal, TextIO
 
-from khep_twin.errors import KhepTwinError, PortError
-from khep_twin.host import Khepera
+from khep_twin.errors import KhepTwinError, PortError, ProtocolError
+from khep_twin.host import Khepera, Vision, commands
 from khep_twin.machine import n_forks
 from khep_twin.sensing import calibration
 from khep_twin.units import BODIES
-from khep_twin.web.captured_output import captured_by
+from khep_twin.web import messages
 from khep_twin.web.jobs import Job
 from khep_twin.web.messages import Message, Publish, RobotShape
 
@@ -21,7 +26,30 @@ _ENDING_S = 5.0
 """Longest time for a session to end: its controller has a second for its cycle [s]."""
 
 _PRINT_LIMIT = 20_000
-"""Longest output of a controller that is sent at once [characters]."""
+"""Longest text that is sent at once [characters]."""
+
+_CAPTURE: ContextVar[Callable[[str], object] | None] = ContextVar("_CAPTURE", default=None)
+
+_LOOK = 0.08
+"""Interval at which the readings of a robot at a port are requested [s]."""
+
+
+class Printed:
+    """Text that a program prints, sent to the page at intervals; of long text, the end."""
+
+    def __init__(self, publish: Publish, kind: Literal["printed", "score-printed"]) -> None:
+        self._publish, self._text = publish, ""
+        self._kind: Literal["printed", "score-printed"] = kind
+
+    def add(self, text: str) -> None:
+        """Add a piece of it."""
+        self._text = (self._text + text)[-_PRINT_LIMIT:]
+
+    def tell(self) -> None:
+        """Send what has been added."""
+        text, self._text = self._text, ""
+        if text:
+            self._publish({"kind": self._kind, "text": text})
 
 
 class WebSession:
@@ -36,7 +64,7 @@ class WebSession:
         self.job: Job | None = None
         # The completed part of the job goes with the pictures, as jobs report it at each cycle.
         self._part = 0.0
-        self._printed = ""
+        self.printed = Printed(self.publish, "printed")
         self._n_forks = n_forks()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="stage", daemon=True)
@@ -79,17 +107,6 @@ class WebSession:
         if not self._left:
             self._publish(message)
 
-    def take_printed(self, text: str) -> None:
-        """Keep a controller's output for `_tell_printed`; of long output, keep the end."""
-        self._printed += text
-        if len(self._printed) > 2 * _PRINT_LIMIT:
-            self._printed = self._printed[-_PRINT_LIMIT:]
-
-    def _tell_printed(self) -> None:
-        text, self._printed = self._printed, ""
-        if text:
-            self.publish({"kind": "printed", "text": text})
-
     def _run(self) -> None:
         try:
             self._live()
@@ -119,7 +136,7 @@ class WebSession:
         if (job := self.job) is None:
             return
         try:
-            with captured_by(self.take_printed):
+            with captured_by(self.printed.add):
                 job.do(robot, self.publish, self._progress, stop)
         except KhepTwinError as error:
             if not stop():
@@ -127,7 +144,7 @@ class WebSession:
         finally:
             self._leave_a_fork()
             self.job = None
-            self._tell_printed()
+            self.printed.tell()
             self.publish({"kind": "done"})
 
 
@@ -137,3 +154,96 @@ def shape(model: str, sensors: str) -> RobotShape:
     poses = zip(body.sensor_positions, calibration.read(sensors)[0].heading_deg, strict=True)
     placed = [[round(x * 1e3, 2), round(y * 1e3, 2), heading] for (x, y), heading in poses]
     return {"radius_mm": body.radius * 1e3, "sensors": placed}
+
+
+class _Split(io.TextIOBase):
+    """Text stream that is split by thread: to a function that takes text, or to the original stream."""
+
+    def __init__(self, before: TextIO) -> None:
+        self._before = before
+
+    def write(self, text: str, /) -> int:
+        take = _CAPTURE.get()
+        if take is None:
+            return self._before.write(text)
+        take(text)
+        return len(text)
+
+    def flush(self) -> None:
+        self._before.flush()
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._before, name)  # such as its buffer of bytes
+
+
+@contextmanager
+def captured_by(take: Callable[[str], object]) -> Generator[None]:
+    """Pass the output of this thread to a function; other threads print as before."""
+    if not isinstance(sys.stdout, _Split):
+        sys.stdout = _Split(sys.stdout)
+    token = _CAPTURE.set(take)
+    try:
+        yield
+    finally:
+        _CAPTURE.reset(token)
+
+
+class RobotActor(WebSession):
+    """Robot, or twin that is served elsewhere, at a port; its readings are polled."""
+
+    def __init__(self, url: str, publish: Publish) -> None:
+        super().__init__(publish)
+        self._url = url
+        self._halt = threading.Event()
+        self._robot: Khepera | None = None
+        self._vision: Vision | None = None
+        self._began = self._looked = 0.0
+
+    def stop(self) -> None:
+        """End the job and stop the motors."""
+        self._halt.set()
+
+    def _live(self) -> None:
+        with Khepera(self._url) as robot:
+            self._robot, self._began = robot, robot.time
+            with suppress(ProtocolError):  # a robot without this turret
+                self._vision = Vision(robot)
+            told: messages.PresentRobot = {
+                **shape("khepera1", "khepera1"),
+                "name": robot.name,
+                "port": self._url,
+            }
+            self.publish({"kind": "robot", "robots": [told]})
+            while not self._ended.is_set():
+                if self._halt.is_set():
+                    robot.set_speed(0, 0)
+                    self._halt.clear()
+                self._look(robot)
+                if self.job is not None:
+                    self._do(robot, self._stopping)
+                self._halt.wait(_LOOK)
+
+    def _stopping(self) -> bool:
+        return self._halt.is_set() or self._ended.is_set()
+
+    def _progress(self, part: float) -> None:
+        super()._progress(part)
+        if self._robot is not None and self._robot.time - self._looked > 2 * _LOOK:
+            self._look(self._robot)
+
+    def _look(self, robot: Khepera) -> None:
+        self.printed.tell()
+        proximity, ambient, speed = robot.burst(commands.proximity(), commands.ambient(), commands.speed())
+        self._looked = robot.time
+        reading: messages.RobotReadings = {
+            "proximity": [*proximity],
+            "ambient": [*ambient],
+            "speed": [*speed],
+            "leds": [0, 0],
+        }
+        if self._vision is not None and self.job is None:  # a program's turns are not to wait for an image
+            reading["vision"] = [*self._vision.image()]
+        time_s, busy = robot.time - self._began, self.job is not None
+        self.publish(
+            {"kind": "picture", "time": time_s, "busy": busy, "part": self._part, "robots": [reading]}
+        )

@@ -18,11 +18,9 @@ from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.web import drafts, jobs, requests, scene
 from khep_twin.web.answers import Actions, on
-from khep_twin.web.captured_output import captured_by
 from khep_twin.web.documents import Documents
 from khep_twin.web.messages import Publish
-from khep_twin.web.robot_session import RobotActor
-from khep_twin.web.session import WebSession
+from khep_twin.web.session import RobotActor, WebSession, captured_by
 from khep_twin.web.twin_session import TwinActor
 
 
@@ -135,7 +133,7 @@ class SessionActions:
             wanted = "expected to wait for it, or programs that end when they are imported"
             raise PortError(f"a program is still being read; {wanted}")
         try:
-            with captured_by(actor.take_printed):  # a file may print when it is imported
+            with captured_by(actor.printed.add):  # a file may print when it is imported
                 job = jobs.series(asked, self._documents)
         finally:
             self._reading.release()

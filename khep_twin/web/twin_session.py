@@ -22,11 +22,9 @@ from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.units import BODIES
 from khep_twin.web import messages
 from khep_twin.web.messages import Publish
-from khep_twin.web.outside_host import OutsideHost
-from khep_twin.web.paced_twin import PacedTwin
-from khep_twin.web.scene import DrawnScene
+from khep_twin.web.paced_twin import OutsideHost, PacedTwin
+from khep_twin.web.scene import DrawnScene, TurretParts
 from khep_twin.web.session import WebSession, shape
-from khep_twin.web.turret_outlines import TurretParts
 
 _NOT_YET = "the twin is not there yet; expected a started twin"
 
@@ -135,7 +133,7 @@ class TwinActor(WebSession):
                 stack.enter_context(registered([port.path for port in ports], what))
 
             def show() -> None:
-                self._tell_printed()
+                self.printed.tell()
                 self.publish(self._picture(paced, hosts))
 
             exact_timeouts()

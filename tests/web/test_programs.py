@@ -11,7 +11,7 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.playpen import Playpen
 from khep_twin.web.documents import Documents, OutsideError, version_of
 from khep_twin.web.drafts import draft_of
-from khep_twin.web.programs import TEMPLATE, Programs
+from khep_twin.web.file_actions import TEMPLATE, Programs
 from khep_twin.web.server import Server
 from tests.web.conftest import Asker
 

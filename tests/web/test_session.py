@@ -25,7 +25,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.jobs import Sensing, SeriesJob
-from khep_twin.web.robot_session import RobotActor
+from khep_twin.web.session import RobotActor
 from khep_twin.web.twin_session import TwinActor
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull  # pyright: ignore[reportMissingTypeStubs]
 
 from khep_twin.playpen import Playpen
-from khep_twin.web.turret_outlines import TurretParts, _hull, _points, at_start
+from khep_twin.web.scene import TurretParts, _hull, _points, at_start
 from khep_twin.world import World
 
 
