@@ -216,12 +216,7 @@ class ArrayFrame:
 
 
 class ImageFrame:
-    """Messages of one sensor_msgs/Image channel: line images of grey pixels.
-
-    Args:
-        width: Number of pixels.
-        name: Name of the camera's frame.
-    """
+    """Messages of one sensor_msgs/Image channel: line images of so many grey pixels, in a camera's frame."""
 
     def __init__(self, width: int, name: str) -> None:
         frame = Encoder()
@@ -232,12 +227,7 @@ class ImageFrame:
         self._type = _layout(len(self._frame), fields)
 
     def messages(self, times_ns: NDArray[np.int64], images: NDArray[Any]) -> NDArray[np.void]:
-        """Return a message per time (n,), as rows of bytes (n,).
-
-        Args:
-            times_ns: Times of the messages (n,) [ns].
-            images: Greys from the left to the right, 0 to 255 (n, width).
-        """
+        """Return a message per time [ns] and image, greys from the left, 0 to 255 (n, width), as rows."""
         filled = _copies(self._frame, len(times_ns), self._type)
         filled["stamp"] = np.column_stack(np.divmod(times_ns, NS_PER_S))
         filled["data"] = images
@@ -262,11 +252,7 @@ def _array_head(length: int, label: str) -> bytes:
 
 
 class TransformFrame:
-    """Messages of /tf for a fixed set of bodies, in the world's frame.
-
-    Args:
-        names: Names of the bodies' frames.
-    """
+    """Messages of /tf for a fixed set of bodies, by the names of their frames, in the world's frame."""
 
     def __init__(self, names: Sequence[str]) -> None:
         frame = Encoder().put("I", len(names))
@@ -281,11 +267,9 @@ class TransformFrame:
         self._type = _layout(len(self._frame), fields)
 
     def messages(self, times_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> NDArray[np.void]:
-        """Return a message per time (n,), as rows of bytes (n,).
+        """Return a message per time (n,) [ns], as rows of bytes (n,).
 
-        Args:
-            times_ns: Times of the messages (n,) [ns].
-            poses: Position [m] and rotation x, y, z, w of each body (n, bodies, 7).
+        The poses are position [m] and rotation x, y, z, w of each body (n, bodies, 7).
         """
         filled = _copies(self._frame, len(times_ns), self._type)
         stamps = np.column_stack(np.divmod(times_ns, NS_PER_S))
@@ -310,12 +294,9 @@ def _copies(frame: bytes, count: int, layout: np.dtype[np.void]) -> NDArray[np.v
 def pose_message(
     time_ns: int, pose: tuple[float, float, float], covariance: NDArray[np.float64] | None = None
 ) -> bytes:
-    """Return a geometry_msgs/PoseStamped on the floor, or a PoseWithCovarianceStamped.
+    """Return a geometry_msgs/PoseStamped of x, y [m] and heading [rad] on the floor.
 
-    Args:
-        time_ns: Time [ns].
-        pose: x, y [m] and heading [rad].
-        covariance: Covariance of these (3, 3).
+    With the covariance of these (3, 3) it is a PoseWithCovarianceStamped.
     """
     x, y, heading = pose
     frame = Encoder().time(time_ns).text("world")
@@ -342,12 +323,7 @@ def line_message(line: TextLine) -> bytes:
 
 
 class LineFrame:
-    """Messages of one rcl_interfaces/Log channel from one source.
-
-    Args:
-        name: Name of the source.
-        level: Severity.
-    """
+    """Messages of one rcl_interfaces/Log channel, from one source and of one severity."""
 
     def __init__(self, name: str, level: int) -> None:
         frame = Encoder().time(0).put("B", level).text(name)

@@ -54,11 +54,7 @@ class DecodeError(ValueError):
 def decoded(
     path: Path, topic: str, found: Mapping[str, Sequence[tuple[int, bytes]]], decode: Callable[[bytes], _T]
 ) -> Iterator[tuple[int, _T]]:
-    """Yield times [ns] and contents of a channel's messages, of those found in a log by topic.
-
-    Raises:
-        LogError: `decode` has raised a `DecodeError`.
-    """
+    """Yield times [ns] and contents of a channel's messages, of those found in a log by topic."""
     for time_ns, data in found.get(topic, ()):
         try:
             yield time_ns, decode(data)

@@ -16,8 +16,8 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import MissingExtraError, PortError
 from khep_twin.log.channels import LINES, SCHEMAS
 from khep_twin.log.foxglove_scene import SCHEMA
-from khep_twin.log.live_recorder import LiveRecorder
 from khep_twin.log.output import messages_of
+from khep_twin.log.recorder import LiveRecorder
 from khep_twin.world import World
 
 try:
@@ -150,13 +150,7 @@ class FoxgloveServer:
 
 
 class FoxgloveRecorder(LiveRecorder):
-    """Recorder of a run for Foxglove.
-
-    Args:
-        server: Server of the messages.
-        world: World to show.
-        real_time: True to slow down a world that runs ahead of the wall clock.
-    """
+    """Recorder of a run for Foxglove; in real time, a world ahead of the wall clock is slowed down."""
 
     def __init__(self, server: FoxgloveServer, world: World, *, real_time: bool) -> None:
         server.begin(world.time_ns)

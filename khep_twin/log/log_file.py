@@ -70,11 +70,7 @@ class PartFile:
         return self._size
 
     def synchronize(self) -> None:
-        """Bring everything to the disk, so that a power failure takes nothing of it.
-
-        Raises:
-            OSError: The disk fails.
-        """
+        """Bring everything to the disk, so that a power failure takes nothing of it."""
         os.fsync(self._descriptor)
 
     def close(self) -> None:
@@ -86,10 +82,7 @@ class PartFile:
 
 
 def set_aside(part: Path) -> Path | None:
-    """Move an unfinished log out of the way, so that it can still be recovered.
-
-    Returns:
-        Its new path; None if there was none.
+    """Move an unfinished log out of the way, so that it can still be recovered; return its path, if any.
 
     Raises:
         LogError: Another run is writing it, or it is no log.

@@ -1,24 +1,25 @@
-"""Recording of a run: an observer that writes an MCAP file, or feeds a live view.
+"""Recording of a run: an observer that writes an MCAP file, or feeds a live view while the run goes on.
 
 Attachments and metadata come first, so that even a torn file describes its run. All times are simulated, and
 the file holds no wall clock time, machine name or file name: the same run gives the same bytes.
 """
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from khep_twin.board.uart import HostEvent, HostEventKind
-from khep_twin.clock import NS_PER_S
+from khep_twin.clock import NS_PER_S, Pacer
 from khep_twin.errors import LogError
 from khep_twin.log import channels, foxglove_scene
 from khep_twin.log.channels import BYTES, FLOATS, INTEGERS
 from khep_twin.log.description import urdf
 from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import LogFile
-from khep_twin.log.output import Output
+from khep_twin.log.output import Output, Writer
 from khep_twin.log.run_description import RunDescription
 from khep_twin.log.sample_layout import LampsChannel, SampleLayout, channel_names
 from khep_twin.log.snapshots import (
@@ -139,11 +140,7 @@ class WorldRecorder:
                 self._log.finish()
 
     def _resume(self, state: RecorderState) -> None:
-        """Go on from another recorder's state.
-
-        Raises:
-            ValueError: It is of other robots.
-        """
+        """Go on from another recorder's state."""
         count = len(self._answers.numbers)
         if len(state.answered) != count or any(robot >= count for robot, _, _ in state.rests):
             raise ValueError(f"a recorder's state of {len(state.answered)} robots; expected {count}")
@@ -233,16 +230,45 @@ class Recorder(WorldRecorder):
 
 
 class _Sample(NamedTuple):
-    """Sample of the world.
-
-    Attributes:
-        time_ns: Time [ns].
-        state: Memory of all bodies and boards.
-        answered: Hash of the answers of each robot.
-        powers: Power of each lamp [W].
-    """
+    """Memory of all bodies and boards, hash of each robot's answers, and power of each lamp [W]."""
 
     time_ns: int
     state: bytes
     answered: tuple[int, ...]
     powers: tuple[float, ...]
+
+
+class LiveRecorder(WorldRecorder):
+    """Recorder of a run in a live view, which has what was sampled after an interval of wall time [ns].
+
+    It has it with the next sample at the latest; in real time, a world that is ahead is slowed down.
+    """
+
+    def __init__(
+        self,
+        view: Writer,
+        world: World,
+        settings: Mapping[str, object],
+        *,
+        interval_ns: int,
+        real_time: bool = False,
+    ) -> None:
+        self._interval_ns = interval_ns
+        self._pacer = Pacer(1.0, world.time_ns) if real_time else None
+        self._sent_ns = 0
+        super().__init__(Output(view), world, RunDescription(settings))
+
+    def sample(self, world: World) -> None:
+        """Take a sample; pass on all so far if it is time to, and wait for the wall clock in real time."""
+        super().sample(world)
+        if time.monotonic_ns() - self._sent_ns >= self._interval_ns:
+            self.flush()
+        if self._pacer is not None and (early := self._pacer.wait(world.time_ns)) > 0:
+            time.sleep(early)
+        elif self._pacer is not None:
+            self._pacer.slip(world.time_ns)
+
+    def flush(self) -> None:
+        """Pass on everything so far."""
+        super().flush()
+        self._sent_ns = time.monotonic_ns()

@@ -74,11 +74,7 @@ class GrowingLog:
         self._file.close()
 
     def label(self) -> Label | None:
-        """Return metadata and attachments of the log; None as long as they are not written.
-
-        Raises:
-            LogError: They are invalid.
-        """
+        """Return metadata and attachments of the log; None as long as they are not written."""
         if "robots" not in self._facts:
             return None
         return label_of(self.part, self._facts, self._attachments)

@@ -45,11 +45,7 @@ _SHOWN = 16
 
 
 class Negotiator:
-    """The robot's end of an RFC 2217 connection.
-
-    Args:
-        baud: Speed of the robot's line [baud].
-        answer: Callback that takes the answers of the negotiation.
+    """The robot's end of an RFC 2217 connection; `answer` takes the answers of the negotiation.
 
     Attributes:
         fault: Negotiation that could not be understood and what was expected; empty while there was none.

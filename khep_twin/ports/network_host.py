@@ -47,12 +47,7 @@ The system alone tries for a quarter of an hour.
 
 
 class NetworkHost:
-    """One host at a network port.
-
-    Args:
-        client: Connection to the host.
-        address: Address of the host.
-        baud: Speed of the robot's line, for a host that negotiates settings by RFC 2217; else None.
+    """One host at a network port; it negotiates settings by RFC 2217 where the line's speed is given [baud].
 
     Attributes:
         address: Address of the host.

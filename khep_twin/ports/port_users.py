@@ -28,8 +28,7 @@ _UNIX98_PTS = range(136, 144)
 def port_user(url: str) -> str:
     """Name the user of a port: "process 1234 (picocom)", "a connection"; empty if none is found.
 
-    Args:
-        url: Device, link to one, or URL of pyserial's.
+    The port is a device, a link to one, or a URL of pyserial's.
     """
     try:
         parts = urlsplit(url)

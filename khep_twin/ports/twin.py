@@ -216,12 +216,7 @@ def open_twin(playpen: PlaypenLike, options: TwinOptions | None = None) -> Twin:
 
 
 def equipped(playpen: PlaypenLike, options: TwinOptions) -> tuple[Playpen, Sequence[int]]:
-    """Return a playpen whose robots are as the options have them, and the indices of those on the line.
-
-    Raises:
-        PlaypenError: The playpen cannot be used.
-        PortError: The playpen has no such robot, or a robot cannot be like that.
-    """
+    """Return a playpen whose robots are as the options have them, and the indices of those on the line."""
     chosen = Playpen.load(playpen)
     count = len(chosen.robots)
     if count == 0 or (options.robot is not None and not 0 <= options.robot < count):

@@ -254,10 +254,7 @@ def things_of(setup: EpisodeSetup) -> dict[str, tuple[int, ...]]:
 def refined(values: Floats, least: float, rng: np.random.Generator) -> Floats:
     """Return values drawn anew, each close to one of these, with the same mean and deviation (n, ...).
 
-    Args:
-        values: Values, drawn by their weights (n, ...).
-        least: Least deviation: few may be drawn many times.
-        rng: Random stream.
+    There is a least deviation, as few may have been drawn many times by their weights.
     """
     mean, deviation = values.mean(axis=0), np.maximum(values.std(axis=0), least)
     kept = math.sqrt(1 - REFINED * REFINED)

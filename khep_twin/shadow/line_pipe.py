@@ -26,11 +26,7 @@ _TURN_S = 0.2
 
 
 class LineSender:
-    """End of the pipe at the line.
-
-    Args:
-        descriptor: Pipe to write to, which stays open.
-        now: Clock of the line, from 0 [ns].
+    """End of the pipe at the line, whose clock starts at 0 [ns]; the descriptor stays open.
 
     Attributes:
         broken: Whether nobody reads any more.

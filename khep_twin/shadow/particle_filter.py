@@ -102,10 +102,7 @@ class ParticleFilter:
     def act(self, action: Action, use: NDArray[np.bool_], renew: bool = True) -> Floats:
         """Follow an action; return what counters tell beyond commands (2,), NaN for any other one.
 
-        Args:
-            action: Action.
-            use: Sensors to rely on (8,).
-            renew: Whether to draw the particles anew where too few count.
+        Sensors to rely on are those of `use` (8,). `renew` has particles drawn anew where too few count.
         """
         before = self.particles.planes.poses
         repeat(action, self.particles)

@@ -246,10 +246,10 @@ class Planes:
     def lamplight(self, least: float) -> Floats:
         """Return the light of each lamp at each sensor, below the dark level (n, 8, n_lamps) [counts].
 
-        It holds at the start of the last step; lamps that shine in sequence are as at time 0.
+        It holds at the start of the last step; lamps that shine in sequence are as at time 0. What cannot
+        reach `least` counts as 0 [counts].
 
-        Args:
-            least: Light that matters, at the least [counts].
+        It holds at the start of the last step; lamps that shine in sequence are as at time 0.
         """
         if self.lamps.lit is None and not self.lamps.steady:
             self.lamps.update(self.ticks * TICK_NS, ())

@@ -87,11 +87,7 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Executor:
 
 
 def host_and_port(address: str) -> tuple[str, int]:
-    """Return both parts of HOST:PORT.
-
-    Raises:
-        ValueError: The address has another form.
-    """
+    """Return both parts of HOST:PORT."""
     host, _, port = address.rpartition(":")
     if not host or "/" in host or not port.isdecimal() or not 0 < int(port) < 2**16:
         raise ValueError(f"{address}: expected HOST:PORT, such as 10.0.0.1:6379, or auto")

@@ -22,20 +22,13 @@ from khep_twin.files.atomic import read_regular
 from khep_twin.lab.experiment import start_poses
 from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
-from khep_twin.sweep.genomes import genomes_of
-from khep_twin.sweep.programs import Program, function_of
+from khep_twin.sweep.programs import Program, function_of, genomes_of
 from khep_twin.sweep.study import Study, StudyFile, checked
 
 
 @dataclass(frozen=True, slots=True)
 class ControllerSpec:
-    """One of a study's controllers.
-
-    Attributes:
-        name: Name in the results.
-        driver: Controller, or the program that defines it.
-        genomes: Genomes (n, n_genes).
-    """
+    """One of a study's controllers: name in the results, controller or program, and genomes (n, n_genes)."""
 
     name: str
     driver: Driver | Program

@@ -124,12 +124,7 @@ def dataprnt(file: str | Path = "graph_data.pdf") -> Path:
 
 
 def datameta(file: str | Path = "graph_data.svg") -> Path:
-    """Write the latest graph for a text: as SVG, which scales as the toolbox's metafile does.
-
-    Raises:
-        SensorTestError: There is no graph yet.
-        KhepTwinError: The file cannot be written, or has another suffix.
-    """
+    """Write the latest graph for a text: as SVG, which scales as the toolbox's metafile does."""
     return dataprnt(file)
 
 

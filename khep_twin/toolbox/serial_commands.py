@@ -94,8 +94,7 @@ def robot_at(port_id: Port) -> Khepera:
 def assigned_port(robot: Khepera, port_id: int | None = None) -> Generator[int]:
     """Let `port_id`, and the numbers that have no port yet, stand for an open robot within the context.
 
-    Returns:
-        A number that stands for it: `port_id`, or without it the first one that is free.
+    Yield a number that stands for it: `port_id`, or without it the first one that is free.
     """
     before = dict(_chosen)
     free = [number for number in PORT_IDS if _meaning(number) is None]

@@ -56,11 +56,7 @@ class OpenPlaypen:
         return self.twin.world.time_ns / NS_PER_S
 
     def index(self, port_id: int) -> int:
-        """Return the index of the robot that a port's number stands for, from 0.
-
-        Raises:
-            PortError: There are several robots, and none of this number.
-        """
+        """Return the index of the robot that a port's number stands for, from 0."""
         if len(self.robots) == 1:
             return 0
         numbers = range(1, len(self.robots) + 1)
@@ -164,11 +160,7 @@ def opened_for(robot: Khepera) -> Generator[OpenPlaypen | None]:
 
 
 def kheprom(btmap1: OpenPlaypen, cycle: float = CYCLE) -> None:
-    """Advance the simulated robots by one cycle [s].
-
-    Raises:
-        PlaypenError: `btmap1` is not what `open_default` or `open_custom` has returned last.
-    """
+    """Advance the simulated robots by one cycle [s]."""
     opened(btmap1).pass_time(cycle)
 
 

@@ -9,7 +9,7 @@ from driving import SECOND, drive
 from rerun.chunk import RrdReader
 
 from khep_twin.errors import KhepTwinError
-from khep_twin.log.live_recorder import LiveRecorder
+from khep_twin.log.recorder import LiveRecorder
 from khep_twin.log.viewer.notebook import RerunWriter
 from khep_twin.log.viewer.replay import view
 from khep_twin.ports.twin import TwinOptions, open_twin

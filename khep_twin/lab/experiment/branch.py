@@ -103,12 +103,7 @@ def branch(
 
 
 def calibrations(log: Path, name: str, robot: int | None) -> dict[str, str]:
-    """Return the text of a calibration for a robot, or for those on the line of a log.
-
-    Raises:
-        CalibrationError: There is no such calibration.
-        LogError: The log cannot be used.
-    """
+    """Return the text of a calibration for a robot, or for those on the line of a log."""
     setup = Setup.of(log)
     wanted = setup.options.robot if robot is None else robot
     text = calibration.read(name)[1]

@@ -196,11 +196,7 @@ def variables(controller: Controller) -> dict[str, object]:
 
 
 def write_template(kind: Literal["controller", "toolbox"], file: Path) -> None:
-    """Write a commented controller template, as a class or in the Khepera Toolbox's form.
-
-    Raises:
-        KhepTwinError: The file cannot be written.
-    """
+    """Write a commented controller template, as a class or in the Khepera Toolbox's form."""
     write_whole(file, (files("khep_twin") / "assets" / f"{kind}_template.py").read_bytes())
 
 

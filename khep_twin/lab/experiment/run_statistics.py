@@ -128,12 +128,7 @@ def stretches(times_s: Floats, holds: NDArray[np.bool_], gap_s: float = 0.0) -> 
 
 
 def motion(times_s: Floats, pose: Floats) -> Motion:
-    """Return the motion of a robot.
-
-    Args:
-        times_s: Times of the samples, rising, at least one (n,) [s].
-        pose: Poses, x, y [m] and heading [rad] (n, 3).
-    """
+    """Return the motion of a robot by at least a pose x, y [m], heading [rad] (n, 3), at rising times [s]."""
     steps = np.hypot(*np.diff(pose[:, :2], axis=0).T)
     spans_s = np.diff(times_s)
     speeds = np.divide(steps, spans_s, out=np.zeros_like(steps), where=spans_s > 0)
@@ -163,9 +158,7 @@ def path_length(positions: Floats) -> float:
 def reckoned(pulses: NDArray[np.int64], start: Floats) -> Floats:
     """Return a robot's pose by odometry: x, y [m] and heading [rad], not wrapped (n, 3).
 
-    Args:
-        pulses: Left and right counters (n, 2) [pulses].
-        start: Pose at the first sample (3,).
+    It is from the left and right counters (n, 2) [pulses] and the pose at the first sample (3,).
     """
     left, right = (pulses - pulses[0]).T * PULSE_LENGTH
     heading = start[2] + (right - left) / WHEEL_BASE
@@ -209,12 +202,9 @@ def clearance(positions: Floats, playpen: Playpen) -> Floats:
 
 
 def light(times_s: Floats, ambient: NDArray[np.int64], dark: Floats) -> LightStatistics:
-    """Return the light received from lamps over at least one sample.
+    """Return the light received from lamps over at least one sample, at times (n,) [s].
 
-    Args:
-        times_s: Times of the samples (n,) [s].
-        ambient: Ambient readings (n, 8) [counts].
-        dark: Dark level of each sensor (8,) [counts].
+    Ambient readings are (n, 8), the dark level of each sensor is (8,) [counts].
     """
     depth = dark - ambient
     row, sensor = (int(place) for place in np.unravel_index(np.argmax(depth), depth.shape))

@@ -135,12 +135,7 @@ def path_chunks(
 ) -> list[Chunk]:
     """Return a path as one short line for each time, on the floor.
 
-    Args:
-        place: Entity path.
-        times_ns: Times of its points (n,) [ns].
-        points: Points (n, 3) [m]; their heights do not count.
-        colour: Colour.
-        before: Last position in the piece before, of a log that comes in pieces.
+    Of its points (n, 3) [m] heights do not count; `before` is the last one of the piece before.
     """
     thin = slice(None, None, -(-len(points) // TRAIL_POINTS) or 1)
     points, times_ns = np.array(points[thin]), times_ns[thin]

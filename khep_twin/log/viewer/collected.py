@@ -3,7 +3,7 @@
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -124,13 +124,9 @@ class Collector:
 
     def samples(self, robot: str) -> Samples | None:
         """Return the samples of a robot; None if there are none, or not for each time."""
-        parts = [self._rows.get(f"/{robot}/{topic}", []) for topic in ("proximity", "ambient", "speed")]
-        if not all(parts):
-            return None
-        series = [_joined(part) for part in parts]
-        if not all(np.array_equal(series[0][0], times_ns) for times_ns, _ in series[1:]):
-            return None  # a real robot's, which answers one by one
-        return Samples(series[0][0], *(values for _, values in series))
+        # A real robot answers one by one.
+        found = self._together(f"/{robot}/{topic}" for topic in ("proximity", "ambient", "speed"))
+        return None if found is None else Samples(*found)
 
     def images(self, robot: str) -> tuple[NDArray[np.int64], Floats] | None:
         """Return times (n,) [ns] and line images (n, pixels) of a robot that sees; None if there are none."""
@@ -153,21 +149,28 @@ class Collector:
 
     def shadow(self) -> ShadowSamples | None:
         """Return the updates of a shadow; None if there are none, or not for each time."""
-        parts = [self._rows.get(f"/shadow/{topic}", []) for topic in _SHADOW]
-        if not all(parts):
+        found = self._together(f"/shadow/{topic}" for topic in _SHADOW)
+        if found is None:
             return None
-        series = [_joined(part) for part in parts]
-        if not all(np.array_equal(series[0][0], times_ns) for times_ns, _ in series[1:]):
-            return None
+        times_ns, poses, reckoned, expected, measured, residuals = found
         seldom = self._rows.get("/shadow/particles")
         particles = _joined(seldom) if seldom else (np.zeros(0, np.int64), np.zeros((0, 0)))
-        poses, reckoned, expected, measured, residuals = (values for _, values in series)
-        return ShadowSamples(series[0][0], poses, reckoned, expected, measured, residuals, *particles)
+        return ShadowSamples(times_ns, poses, reckoned, expected, measured, residuals, *particles)
 
     def events(self) -> tuple[NDArray[np.int64], list[str]]:
         """Return times [ns] and texts of the events, and of a shadow's alarms."""
         found = sorted(self._events, key=lambda event: event[0])
         return np.array([time_ns for time_ns, _ in found], np.int64), [text for _, text in found]
+
+    def _together(self, topics: Iterable[str]) -> tuple[NDArray[np.int64], *tuple[Floats, ...]] | None:
+        """Return times [ns] and the values of each topic; None if there are none, or not for each time."""
+        parts = [self._rows.get(topic, []) for topic in topics]
+        if not all(parts):
+            return None
+        (times_ns, first), *others = map(_joined, parts)
+        if not all(np.array_equal(times_ns, own_ns) for own_ns, _ in others):
+            return None
+        return times_ns, first, *(values for _, values in others)
 
     def _note(self, chunk: Chunk) -> None:
         path = chunk.entity_path
@@ -179,6 +182,11 @@ class Collector:
 
         def column(name: str) -> Any:
             return batch.column(batch.schema.get_field_index(name))
+
+        def poses(names: Sequence[str]) -> Floats:
+            values = (column(name).flatten().flatten() for name in names)
+            place, turn = (each.to_numpy(zero_copy_only=False) for each in values)
+            return np.column_stack((place.reshape(-1, 3), turn.reshape(-1, 4))).astype(np.float64)
 
         at = times_of(batch)
         if "Scalars:scalars" in names:
@@ -192,15 +200,10 @@ class Collector:
         elif _UNSURE in names:
             self._rows.setdefault(path, []).append((at, _unsure(column(_UNSURE).flatten())))
         elif path == "/shadow/reckoned" and set(_STAMPED) <= set(names):
-            values = (column(name).flatten().flatten() for name in _STAMPED)
-            place, turn = (each.to_numpy(zero_copy_only=False) for each in values)
-            rows = np.column_stack((place.reshape(-1, 3), turn.reshape(-1, 4))).astype(np.float64)
-            self._rows.setdefault(path, []).append((at, rows))
+            self._rows.setdefault(path, []).append((at, poses(_STAMPED)))
         elif path == "/tf" and set(_POSE) <= set(names):
             frames = np.array(column(_POSE[0]).flatten().to_pylist())
-            values = (column(name).flatten().flatten() for name in _POSE[1:])
-            place, turn = (each.to_numpy(zero_copy_only=False) for each in values)
-            rows = np.column_stack((place.reshape(-1, 3), turn.reshape(-1, 4))).astype(np.float64)
+            rows = poses(_POSE[1:])
             for name in dict.fromkeys(frames.tolist()):
                 own = frames == name
                 self._poses.setdefault(name, []).append((at[own], rows[own]))

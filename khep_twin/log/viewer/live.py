@@ -104,11 +104,7 @@ def follow(
 ) -> None:
     """Pass a log to rerun while it grows, until it is finished or `stop` returns True.
 
-    Args:
-        log: Growing log.
-        recording: Recording of rerun.
-        stop: Function called now and then that returns whether to end.
-        first: Messages that were read of it already.
+    It begins with messages that were read of it already.
 
     Raises:
         LogError: It turns out to be no log of khep_twin, or its run has ended without finishing it.

@@ -17,8 +17,8 @@ from rerun import notebook
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.log.entries import Entry, Label, label_of
-from khep_twin.log.live_recorder import LiveRecorder
 from khep_twin.log.output import messages_of
+from khep_twin.log.recorder import LiveRecorder
 from khep_twin.log.viewer.layout import Shown, layout
 from khep_twin.log.viewer.live import LAST_S, Translator
 from khep_twin.log.viewer.replay import standing_chunks
