@@ -44,12 +44,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class TimeSeries:
-    """One channel of numbers.
-
-    Attributes:
-        times_ns: Times of the messages (n,) [ns].
-        values: Values as written (n, length).
-    """
+    """One channel of numbers: times of its messages (n,) [ns], values as written (n, length)."""
 
     times_ns: NDArray[np.int64]
     values: _Values

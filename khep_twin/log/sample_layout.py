@@ -149,9 +149,6 @@ class LampsChannel:
     """Channel of one set of lamps at a time; steady lamps need none until one is switched by hand.
 
     Rows of a channel have one length, so lamps set up later have their own channel.
-
-    Attributes:
-        n_sets: Number of sets of lamps so far.
     """
 
     def __init__(self, lamps: Lamps) -> None:

@@ -252,11 +252,7 @@ def open_url(url: str) -> Twin:
 
 
 def parse_url(url: str) -> tuple[str, TwinOptions]:
-    """Return the playpen and the options that a khep:// URL names.
-
-    Raises:
-        TwinPortError: The URL has another scheme, no playpen, or an option that is unknown or wrong.
-    """
+    """Return the playpen and the options that a khep:// URL names."""
     playpen, values = _values_of(url)
     if "at" in values:
         raise TwinPortError(f"{url}: at = {values['at']:g} is for a log; expected khep://FILE.mcap?at=...")

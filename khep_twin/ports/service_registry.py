@@ -53,11 +53,7 @@ def registered(paths: Sequence[str], what: str) -> Generator[None, None, None]:
 
 
 def served() -> list[tuple[str, str]]:
-    """Return the ports that running servers of this user offer: path, and name of what is served there.
-
-    Raises:
-        PortError: The private directory is none.
-    """
+    """Return the ports that running servers of this user offer: path, and name of what is served there."""
     found: list[tuple[str, str]] = []
     for note in sorted(private_folder().glob(f"*{_ENDING}")):
         with suppress(FileNotFoundError):  # it may end meanwhile

@@ -32,13 +32,7 @@ class Commanded(NamedTuple):
 
 
 class Configured(NamedTuple):
-    """A command that sets registers to values, whatever they were.
-
-    Attributes:
-        time_ns: Time at which the robot executed it [ns].
-        registers: Indices of the registers (n,).
-        values: Their values (n,).
-    """
+    """A command that sets registers, by index (n,), to values (n,), whatever they were, at a time [ns]."""
 
     time_ns: int
     registers: Integers
@@ -58,24 +52,14 @@ class Waited(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """A reply to N.
-
-    Attributes:
-        time_ns: Time of the reading [ns].
-        readings: Proximity (8,) [counts].
-    """
+    """A reply to N: proximity (8,) [counts] at the time of the reading [ns]."""
 
     time_ns: int
     readings: Integers
 
 
 class Counted(NamedTuple):
-    """A reply to H.
-
-    Attributes:
-        time_ns: Time of the reading [ns].
-        counters: Counters of the left and the right wheel (2,) [pulses].
-    """
+    """A reply to H: counters, left and right (2,) [pulses], at the time of the reading [ns]."""
 
     time_ns: int
     counters: Integers

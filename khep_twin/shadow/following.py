@@ -18,12 +18,7 @@ STEP_NS = NS_PER_S // 5
 
 
 class AlarmChange(NamedTuple):
-    """Alarm that has begun or ended.
-
-    Attributes:
-        time_ns: Time of the reply that showed it [ns].
-        alarm: Alarm, with its end if it has ended.
-    """
+    """Alarm that has begun, or ended at its end, and the time of the reply that showed it [ns]."""
 
     time_ns: int
     alarm: Alarm

@@ -20,11 +20,7 @@ _SHOWN_NS = 1_000_000_000
 
 
 class LineWatch:
-    """Watch of a robot's line.
-
-    Attributes:
-        alarms: Alarms that last.
-    """
+    """Watch of a robot's line."""
 
     def __init__(self) -> None:
         self._bad_ns: deque[int] = deque()

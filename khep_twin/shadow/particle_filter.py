@@ -61,13 +61,7 @@ _IMPROBABLE = 0.01
 
 
 class PoseEstimate(NamedTuple):
-    """Estimate of a pose.
-
-    Attributes:
-        time_ns: Time [ns].
-        pose: Mean x, y [m] and heading [rad].
-        covariance: Its covariance (3, 3) [m, rad].
-    """
+    """Estimate of a pose x, y [m] and heading [rad] at a time [ns]: mean and covariance (3, 3)."""
 
     time_ns: int
     pose: tuple[float, float, float]

@@ -11,13 +11,7 @@ from khep_twin.log.transcript import bytes_of
 
 
 class Heard(NamedTuple):
-    """Bytes that crossed the line.
-
-    Attributes:
-        time_ns: Time [ns].
-        to_robot: True for a host's, False for the robot's.
-        data: Bytes.
-    """
+    """Bytes that crossed the line at a time [ns], a host's to the robot or the robot's."""
 
     time_ns: int
     to_robot: bool
@@ -25,13 +19,7 @@ class Heard(NamedTuple):
 
 
 class RecordedRobot(NamedTuple):
-    """Line of a recorded robot.
-
-    Attributes:
-        name: Name in the log.
-        baud: Speed of the line at the start [baud]; None if the log does not say.
-        heard: Bytes in order.
-    """
+    """Line of a recorded robot: its speed at the start [baud], None if unknown, and bytes in order."""
 
     name: str
     baud: int | None

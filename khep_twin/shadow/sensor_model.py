@@ -61,16 +61,12 @@ class SensorModel:
     def explain(
         self, particles: Particles, readings: NDArray[np.int64], use: NDArray[np.bool_], new: float = 1.0
     ) -> tuple[Floats, Floats, Floats]:
-        """Learn the traits of the particles' sensors from readings.
+        """Learn the traits of the particles' sensors from readings (8,) [counts], of which a part is new.
+
+        Sensors that are not to be relied on (8,) have likelihood 1.
 
         Returns expected counts (8,), what each reading was less likely than an expected one to particles
         without a change (8,), and the log likelihoods (n, 8).
-
-        Args:
-            particles: Particles.
-            readings: Proximity (8,) [counts].
-            use: Sensors to rely on (8,); the others have likelihood 1.
-            new: Part of the readings that is new since the last ones.
         """
         range_left = self._range_left(particles)
         counts, deviations, likelihood = particles.planes.explain(

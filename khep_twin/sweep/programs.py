@@ -27,14 +27,7 @@ from khep_twin.sweep.study import NetworkTable, StudyFile
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A function in the text of a file, defined by the worker.
-
-    Attributes:
-        text: Text of the file.
-        file: Name of the file in messages.
-        function: Name of the function.
-        memory: Length of its memory, for a controller.
-    """
+    """A function in a file's text, defined by the worker; a controller has a memory of this length."""
 
     text: str
     file: str

@@ -53,12 +53,7 @@ class BranchPlan:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Trajectory of the robots from the moment on.
-
-    Attributes:
-        times_s: Times of the samples (n,) [s].
-        poses: Positions x, y [m] and headings [rad] of each robot (n, n_robots, 3).
-    """
+    """Trajectory from the moment on: times (n,) [s], x, y [m], heading [rad] (n, n_robots, 3)."""
 
     times_s: Floats
     poses: Floats

@@ -46,12 +46,7 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Poses of bodies over time.
-
-    Attributes:
-        times_ns: Times of the poses, rising (n,) [ns].
-        bodies: Positions x, y, z [m] and quaternions x, y, z, w by name, each (n, 7).
-    """
+    """Poses at rising times (n,) [ns]: x, y, z [m], quaternions x, y, z, w by body (n, 7)."""
 
     times_ns: NDArray[np.int64]
     bodies: Mapping[str, Floats]

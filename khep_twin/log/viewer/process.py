@@ -39,12 +39,7 @@ _TURN = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Web:
-    """The viewer as a page for a browser.
-
-    Attributes:
-        notify: Function that takes the page's address.
-        browser: True to open it in a browser.
-    """
+    """The viewer as a page, whose address `notify` takes; it is opened in a browser if that is wanted."""
 
     notify: Callable[[str], None]
     browser: bool = True

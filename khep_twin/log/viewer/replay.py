@@ -83,13 +83,9 @@ def view(
 def view_still(
     paths: Sequence[Path], target: Path, at_s: float | None = None, bar: Bar = nullcontext
 ) -> None:
-    """Write a still of logs in the viewer at a time as PNG, without a screen.
+    """Write a still of logs, from left to right, in the viewer as PNG, without a screen.
 
-    Args:
-        paths: Paths of finished logs, from left to right.
-        target: Path of the PNG file.
-        at_s: Simulated time [s]; None for the end, where the whole run is seen.
-        bar: Function that makes a progress bar, such as `cli_progress.progress`.
+    It is at a simulated time [s]; for None at the end, where the whole run is seen.
 
     Raises:
         LogError: A log cannot be read, or the viewer is not available.
