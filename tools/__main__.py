@@ -15,6 +15,7 @@ TOOLS = {
     "foxglove-schema": "foxglove_schema",
     "three-js": "three_js",
     "wheels": "wheels",
+    "built-wheel": "built_wheel",
 }
 """Module of each name."""
 
