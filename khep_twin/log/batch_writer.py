@@ -135,10 +135,6 @@ class BatchWriter:
             self._append(_record(channel))
         return self._channels[topic].id
 
-    def add(self, channel: int, time_ns: int, message: bytes) -> None:
-        """Add one message."""
-        self.add_lines(channel, [time_ns], [message])
-
     def add_lines(self, channel: int, times_ns: Sequence[int], messages: Sequence[bytes]) -> None:
         """Add messages of different sizes, at these times in their order."""
         self._begin_anew()

@@ -108,16 +108,11 @@ class FoxgloveServer:
             self._channels.append(made)
         return self._ids[topic, schema]
 
-    def add(self, channel: int, time_ns: int, message: bytes) -> None:
-        """Send one message."""
-        found = self._channels[channel]
-        if found.schema_name() in _STANDING:
-            self._standing[found.id()] = message
-        self.add_lines(channel, [time_ns], [message])
-
     def add_lines(self, channel: int, times_ns: Sequence[int], messages: Sequence[bytes]) -> None:
-        """Send messages of different sizes."""
-        base = self._channels[channel].base
+        """Send messages of different sizes; keep the last of a standing channel."""
+        found, base = self._channels[channel], self._channels[channel].base
+        if messages and found.schema_name() in _STANDING:
+            self._standing[found.id()] = messages[-1]
         if base.has_sinks():
             for time_ns, message in zip(times_ns, messages, strict=True):
                 base.log(message, time_ns)

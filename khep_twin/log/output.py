@@ -29,10 +29,6 @@ class Writer(Protocol):
         """Return the number of a topic's channel, made at its first use."""
         ...
 
-    def add(self, channel: int, time_ns: int, message: bytes) -> None:
-        """Add one message."""
-        ...
-
     def add_lines(self, channel: int, times_ns: Sequence[int], messages: Sequence[bytes]) -> None:
         """Add messages of different sizes, at these times in their order."""
         ...
@@ -84,7 +80,7 @@ class Output:
     ) -> None:
         """Add one message; `descriptors` define its type if it is in protobuf."""
         with self.guarded():
-            self._writer.add(self._channel(topic, schema, descriptors), time_ns, message)
+            self._writer.add_lines(self._channel(topic, schema, descriptors), [time_ns], [message])
 
     def add_rows(
         self, topic: str, schema: str, times_ns: NDArray[np.int64], messages: NDArray[np.void]

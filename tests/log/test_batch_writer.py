@@ -50,7 +50,7 @@ def written() -> tuple[Buffer, list[tuple[str, int, bytes]]]:
             writer.channel("/lines", "type12", "int8 x"), [100 * chunk + k for k in range(4)], lines
         )
         wanted += [("/lines", 100 * chunk + k, line) for k, line in enumerate(lines)]
-        writer.add(writer.channel("/one", "type12", "int8 x"), 100 * chunk, b"single")
+        writer.add_lines(writer.channel("/one", "type12", "int8 x"), [100 * chunk], [b"single"])
         wanted.append(("/one", 100 * chunk, b"single"))
         writer.flush()
         writer.flush()

@@ -26,7 +26,7 @@ def test_the_index_says_of_each_chunk_what_the_file_holds() -> None:
         for channel in channels:
             for number in range(rng.integers(0, 3)):
                 time_ns = int(chunk * 10**9 + number + channel)
-                writer.add(channel, time_ns, rng.bytes(int(rng.integers(0, 40))))
+                writer.add_lines(channel, [time_ns], [rng.bytes(int(rng.integers(0, 40)))])
         writer.flush()
     writer.finish()
     summary = make_reader(BytesIO(buffer.data)).get_summary()

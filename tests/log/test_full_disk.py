@@ -290,7 +290,7 @@ def write(file: Failing, written: list[int]) -> None:
     writer.attach("a.txt", "text")
     writer.describe("run", {"robots": "khepera0"})
     for time_ns in range(100):
-        writer.add(writer.channel("/a", "std_msgs/msg/String", "string data"), time_ns, b"\0\1\0\0")
+        writer.add_lines(writer.channel("/a", "std_msgs/msg/String", "string data"), [time_ns], [b"\0\1\0\0"])
         writer.flush()
         written.append(time_ns)
 

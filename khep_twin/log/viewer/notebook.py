@@ -60,14 +60,10 @@ class RerunWriter:
             self._channels.append(key)
         return self._channels.index(key)
 
-    def add(self, channel: int, time_ns: int, message: bytes) -> None:
-        """Add one message."""
-        self._entries.append(Entry(*self._channels[channel], time_ns, message))
-
     def add_lines(self, channel: int, times_ns: Sequence[int], messages: Sequence[bytes]) -> None:
         """Add messages of different sizes."""
         for time_ns, message in zip(times_ns, messages, strict=True):
-            self.add(channel, time_ns, message)
+            self._entries.append(Entry(*self._channels[channel], time_ns, message))
 
     def add_rows(self, channel: int, times_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
         """Add messages of one size, a row each."""
