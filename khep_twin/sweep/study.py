@@ -19,7 +19,7 @@ define the format: their attributes are the file's keys, except the tuples of `[
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -33,10 +33,9 @@ from khep_twin.files.toml_files import Name, Problems, TomlTable, show
 from khep_twin.files.toml_lines import LineNumbers
 from khep_twin.randomness import SEED_LIMIT
 
-Fitness = Literal[
-    "obstacle_avoidance", "light_seeking", "homing", "wall_following", "effort", "distance_m", "forward_m"
-]
-"""Metrics of an episode; `metrics.METRICS`."""
+# Type checkers want a list that is written out; pydantic takes the tuple, and suggests what was meant.
+Fitness = str if TYPE_CHECKING else Literal[METRICS]
+"""Name of a metric of an episode."""
 
 COLUMNS = frozenset(
     "episode playpen controller genome seed noise vary lighting start start_x_mm start_y_mm "

@@ -122,7 +122,8 @@ def test_white_is_the_reference_and_black_hardly_reflects() -> None:
 
 def test_what_stands_on_the_floor_is_listed_by_table() -> None:
     playpen = parse(BLOCK, CYLINDER, LAMP, WALL, ROBOT)
-    assert playpen.objects == {"block": playpen.blocks, "cylinder": playpen.cylinders}
+    assert playpen.objects["block"] == playpen.blocks
+    assert playpen.objects["cylinder"] == playpen.cylinders
     assert [item.angle_deg for items in playpen.objects.values() for item in items] == [0, 0]
 
 

@@ -54,6 +54,10 @@ def test_the_pages_own_requests_are_answered_with_and_without_a_twin(
         check(bytes([data[0] | RUNS]) + data[1:])
 
 
+def test_every_action_of_the_page_is_fuzzed() -> None:
+    assert set(ACTIONS) == set(routes.Page(Documents(Path()), None).actions)
+
+
 def action(name: str, *steps: tuple[int, int, int, int]) -> bytes:
     """An input of one request, changed by steps."""
     return bytes([0, list(ACTIONS).index(name), len(steps), *(value for step in steps for value in step)])
