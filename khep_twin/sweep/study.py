@@ -34,7 +34,10 @@ from khep_twin.files.toml_lines import LineNumbers
 from khep_twin.randomness import SEED_LIMIT
 
 # Type checkers want a list that is written out; pydantic takes the tuple, and suggests what was meant.
-Fitness = str if TYPE_CHECKING else Literal[METRICS]
+if TYPE_CHECKING:
+    Fitness = str
+else:
+    Fitness = Literal[METRICS]
 """Name of a metric of an episode."""
 
 COLUMNS = frozenset(
