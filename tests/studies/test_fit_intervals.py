@@ -9,7 +9,7 @@ from khep_twin.sensing import calibration
 from studies.fit_intervals import errors, study
 
 
-@pytest.mark.parametrize(("count", "period"), share([(1, 0.2), (40, 0.05)], 2))
+@pytest.mark.parametrize(("count", "period"), share([(1, 0.2), (20, 0.1)], 2))
 def test_hidden_robots_measured_with_a_ruler_lie_within_the_told_intervals(count: int, period: float) -> None:
     """Robots of the study, whose sensors share the ruler's errors."""
     (*robots,) = study(calibration.read("khepera1")[0], count, period=period)
