@@ -133,7 +133,11 @@ WITHOUT_INOTIFY = (
 
 
 @pytest.fixture(
-    scope="module", params=[["-m", "khep_twin"], ["-c", WITHOUT_INOTIFY]], ids=["inotify", "hang-ups"]
+    scope="module",
+    params=[
+        pytest.param(["-m", "khep_twin"], id="inotify"),
+        pytest.param(["-c", WITHOUT_INOTIFY], id="hang-ups", marks=pytest.mark.long),
+    ],
 )
 def path(request: pytest.FixtureRequest) -> Iterator[str]:
     with served("default", program=request.param) as (_, path):

@@ -95,7 +95,7 @@ def test_our_own_host_drives_it_in_real_time(path: str) -> None:
         robot.set_position(0, 0)
         robot.set_speed(5, 5)
         start = time.monotonic()
-        time.sleep(1.0)
+        time.sleep(0.6)
         left, right = robot.position()
         took = time.monotonic() - start
         robot.set_speed(0, 0)
