@@ -24,7 +24,9 @@ NEEDS_CMAES = {"phototaxis", "wall_or_cylinder"}
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.long if name in ("homing", "wall_or_cylinder") else ())
+        pytest.param(
+            name, marks=pytest.mark.long if name in ("homing", "phototaxis", "wall_or_cylinder") else ()
+        )
         for name in SHORTER
     ],
 )

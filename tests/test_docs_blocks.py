@@ -4,11 +4,21 @@ Runs are shortened here; `make long LONG=docs-blocks` takes them as they are wri
 and lists what cannot run in a test.
 """
 
+import ast
+import importlib
+import re
+import shlex
 import sys
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 from docs_reader import ROOT, Reader, blocks, commands, shortened
+from typer.exceptions import TyperException
+
+from khep_twin.cli.app import app
 
 FOLLOWED = {
     "tutorial.md": "test_tutorial.py",
@@ -27,15 +37,21 @@ PROGRAMS = {
 }
 """Pages whose Python blocks another test runs, and compares."""
 
+LONG = {"branch", "datasets", "logs", "report", "sense", "twin"}
+"""Pages that take long: the suite looks at their commands and imports alone."""
+
+TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
 PAGES = [
-    (page, languages)
-    for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    pytest.param(page, languages, id=page.stem, marks=pytest.mark.long if page.stem in LONG else ())
+    for page in TEXTS
+    if page.parent.name != "lessons"
     for languages in [{"sh"} if page.name in PROGRAMS else {"sh", "python"}]
     if page.name not in FOLLOWED and languages & {block.language for block in blocks(page.read_text())}
 ]
 
 
-@pytest.mark.parametrize(("page", "languages"), PAGES, ids=[page.stem for page, _ in PAGES])
+@pytest.mark.parametrize(("page", "languages"), PAGES)
 def test_the_blocks_of_a_page_run_in_order(
     page: Path, languages: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -47,6 +63,44 @@ def test_the_blocks_of_a_page_run_in_order(
     reader = Reader(tmp_path)
     reader.read(page.read_text(), languages)
     print("\n".join(f"{page.name}, not run: {each}" for each in reader.left))
+
+
+@pytest.mark.parametrize("page", TEXTS, ids=lambda page: page.stem)
+def test_the_commands_of_a_page_have_their_options(page: Path) -> None:
+    for block in blocks(page.read_text()):
+        for command in commands(block.text) if block.language == "sh" else ():
+            program, *words = shlex.split(re.split(r" (?:[|>&]|2>)", command)[0], comments=True)
+            if Path(program).name == "khep-twin":
+                with suppress(typer.Exit):  # of --help
+                    parse(typer.main.get_command(app), "khep-twin", words)
+
+
+def test_an_option_that_a_command_does_not_have_is_noticed() -> None:
+    with pytest.raises(TyperException, match="--no-such"):
+        parse(typer.main.get_command(app), "khep-twin", ["run", "--no-such"])
+
+
+def parse(command: Any, name: str, words: list[str]) -> None:
+    """Parse the words of a command, and of the one that they name.
+
+    Raises:
+        TyperException: There is no such command or option, or it takes no such value.
+    """
+    context = command.make_context(name, words)
+    if isinstance(command, typer.core.TyperGroup):
+        name, found, rest = command.resolve_command(context, [*context._protected_args, *context.args])
+        parse(found, str(name), rest)
+
+
+@pytest.mark.parametrize("page", TEXTS, ids=lambda page: page.stem)
+def test_the_imports_of_a_page_are_there(page: Path) -> None:
+    for block in blocks(page.read_text()):
+        for each in ast.walk(ast.parse(block.text)) if block.language == "python" else ():
+            if isinstance(each, ast.ImportFrom) and str(each.module).startswith("khep_twin"):
+                module = importlib.import_module(str(each.module))
+                assert all(found.name == "*" or hasattr(module, found.name) for found in each.names), (
+                    each.module
+                )
 
 
 def test_the_tests_of_the_other_pages_are_there() -> None:

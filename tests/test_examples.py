@@ -63,6 +63,7 @@ def test_an_archive_of_the_same_seed_has_the_same_bits(tmp_path: Path) -> None:
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
+@pytest.mark.long
 def test_the_baton_is_passed_and_the_run_repeats(tmp_path: Path) -> None:
     [example] = [path for path in EXAMPLES if path.stem == "07_baton"]
     assert ENDS["07_baton"] in ended(example, tmp_path, "a.mcap")

@@ -22,7 +22,7 @@ ENVIRONMENT = {
 INDEX = (tutorial.PAGE.parent / "lessons" / "README.md").read_text()
 
 
-SHARE = {"01_sensor", "06_states"}
+SHARE = {"01_sensor"}
 
 
 @pytest.mark.parametrize(

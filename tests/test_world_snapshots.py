@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from notes import Events
+from shares import share
 
 from checks.branches import LAMPS, PUSHED, ROBOTS, arena, drive
 from khep_twin.board.fault_injection import Fault, parse_fault
@@ -61,10 +62,7 @@ CASES: dict[str, Case] = {
 }
 
 
-@pytest.mark.parametrize(
-    "case",
-    [pytest.param(case, marks=pytest.mark.long if case.endswith(tuple("2345")) else ()) for case in CASES],
-)
+@pytest.mark.parametrize("case", share(CASES, 2))
 def test_a_world_goes_on_from_a_snapshot_bit_for_bit(case: str) -> None:
     scene, options = CASES[case]
     rng = np.random.default_rng(zlib.crc32(case.encode()))

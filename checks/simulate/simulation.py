@@ -176,7 +176,10 @@ def _folder() -> Generator[Path]:
 
 @contextmanager
 def _collected_by_hand() -> Generator[None]:
-    """Leave cyclic garbage to `Simulation.run`, which collects it at the same times under the same seed."""
+    """Leave cyclic garbage to `Simulation.run`, which collects it at the same times under the same seed.
+
+    What was there before stays out of all later collections: it is more than a simulation makes.
+    """
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -184,4 +187,3 @@ def _collected_by_hand() -> Generator[None]:
         yield
     finally:
         gc.enable()
-        gc.unfreeze()

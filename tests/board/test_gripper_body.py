@@ -235,7 +235,7 @@ heading_deg = 0
         first, second = world.robots[0].pose, world.robots[1].pose
         assert second[0] > 0.21
         assert second[0] - first[0] > 0.080
-        robot.sleep(15)
+        robot.sleep(6)
         assert world.robots[0].pose[0] < 0.4 - 0.06
 
 

@@ -166,7 +166,7 @@ def test_an_interrupted_fuzzer_has_done_what_it_told_last() -> None:
     assert parser.count_under_way("#2\tINITED cov\n#4096\tpulse  cov: 3\n") == 4096
 
 
-QUICK = ("fuzz-board", "fuzz-mat", "fuzz-png", "fuzz-rfc2217")
+QUICK = ("fuzz-png", "fuzz-rfc2217")
 
 
 def test_quick_parts_run_with_a_tiny_share(tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def test_a_finished_log_is_copied_message_by_message(tmp_path: Path, long_log: P
 
 def test_more_bytes_never_give_fewer_messages(tmp_path: Path, long_log: Path) -> None:
     data = long_log.read_bytes()
-    points = sorted(random.Random(1).sample(range(len(data) + 1), 60))
+    points = [*sorted(random.Random(1).sample(range(len(data)), 30)), len(data)]
     before, opened = (0, 0), 0
     for point in points:
         records = WholeRecords(data[:point])
@@ -94,10 +94,10 @@ def test_more_bytes_never_give_fewer_messages(tmp_path: Path, long_log: Path) ->
         assert now >= before, point
         assert now[1] >= before[1], point
         before = now
-    # Opening each takes its time: every fifth, and what is in it is what was there.
+    # Opening each takes its time: every third, and what is in it is what was there.
     whole = [(topic, each.log_time, each.data) for topic, each in contents(long_log)]
     known = set(whole)
-    for point in points[::5]:
+    for point in points[::3]:
         if (found := rescued(tmp_path, data[:point])) is None:
             continue
         opened += 1
@@ -107,7 +107,7 @@ def test_more_bytes_never_give_fewer_messages(tmp_path: Path, long_log: Path) ->
             run = read_log(found.path)
             assert list(run.attachments) == ATTACHMENTS
             assert run.metadata["playpen"] == "obstacles"
-    assert opened > 8
+    assert opened > 6
     assert before[0] == len(whole)
 
 
@@ -116,7 +116,7 @@ def test_flipped_bytes_lose_what_they_hit_and_nothing_false_is_kept(tmp_path: Pa
     whole = {(topic, each.log_time, each.data) for topic, each in contents(long_log)}
     known = {each[1:] for each in whole}
     rng = random.Random(2)
-    for _ in range(60):
+    for _ in range(40):
         place = rng.randrange(8, len(data))
         damaged = bytearray(data)
         damaged[place] ^= 1 << rng.randrange(8)

@@ -20,7 +20,7 @@ from served_twin import served, stop
 
 from khep_twin.ports.port_users import count_descriptors
 
-OPENINGS = int(os.environ.get("KHEP_OPENINGS", "50"))
+OPENINGS = int(os.environ.get("KHEP_OPENINGS", "25"))
 SEED = int(os.environ.get("KHEP_FIRST", "7"))
 TIMEOUT_S = 20.0
 """Longest wait for a reply; a machine may be busy, a line that is deaf stays so [s]."""

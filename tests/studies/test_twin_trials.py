@@ -44,6 +44,7 @@ def test_poses_are_nearer_than_those_of_dead_reckoning(
         assert float(row["median"]) < float(row["reckoned"]) < 200
 
 
+@pytest.mark.long
 def test_a_dead_sensor_is_named(printed: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("BEGINS_S", (5.0, 6.0)), ("LASTS_S", 8.0), ("AFTER_S", 4.0)):
         monkeypatch.setattr(fault_trials, name, value)
