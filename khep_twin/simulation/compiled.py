@@ -21,7 +21,7 @@ from numba.extending import register_jitable
 
 from khep_twin import step, units
 from khep_twin.board import battery, kernel
-from khep_twin.compilable import FUNCTIONS, ONCE
+from khep_twin.compilable import FUNCTIONS
 from khep_twin.sensing import (
     light,
     mujoco_scene,
@@ -34,7 +34,7 @@ from khep_twin.sensing import (
 )
 from khep_twin.sensing.light import Light
 from khep_twin.simulation import addresses, foreign, linking, mujoco_calls
-from khep_twin.simulation.linking import OuterCompiler
+from khep_twin.simulation.linking import INNER, OuterCompiler
 from khep_twin.simulation.mujoco_calls import MujocoCalls
 from khep_twin.status_line import announced
 from khep_twin.step import Simulated, StepInputs
@@ -68,9 +68,7 @@ def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
         digest.update(Path(str(module.__file__)).read_bytes())
     function.__qualname__ = f"{function.__name__}_{digest.hexdigest()[:14]}"
     # Reference counts of arrays would take half of the time, and nothing here makes arrays.
-    make = numba.njit(
-        nogil=True, _nrt=False, error_model="numpy", no_cfunc_wrapper=True, pipeline_class=OuterCompiler
-    )
+    make = numba.njit(nogil=True, _nrt=False, error_model="numpy", pipeline_class=OuterCompiler)
     made = make(function)
     with suppress(RuntimeError):  # where no folder can be written, nothing is cached
         made.enable_caching()
@@ -81,8 +79,7 @@ def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
 def register() -> None:
     """Register with numba the functions that compiled code may call."""
     for plain in FUNCTIONS[len(_REGISTERED) :]:
-        options = foreign.INNER if plain in ONCE else foreign.INLINED
-        _REGISTERED.append(register_jitable(**options)(plain))
+        _REGISTERED.append(register_jitable(**INNER)(plain))
 
 
 class _Announcer(event.Listener):

@@ -13,13 +13,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload
 
-from khep_twin.simulation.linking import InnerCompiler
-
-INNER: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": InnerCompiler}
-"""Options of functions that only compiled code calls; wrappers for Python would be compiled for nothing."""
-
-INLINED: Any = {**INNER, "forceinline": True}
-"""Options of such functions that become part of each caller."""
+from khep_twin.simulation.linking import INNER
 
 _ADDRESS, _BYTE_POINTER = types.intp, ir.IntType(8).as_pointer()
 _INT, _DOUBLE = ir.IntType(32), ir.DoubleType()
@@ -38,7 +32,7 @@ def implements(query: Callable[..., Any], kind: type | None = None) -> Callable[
             fits = kind is None or getattr(scene, "instance_class", None) is kind
             return function if fits else None
 
-        overload(query, strict=False, jit_options=INLINED)(choose)
+        overload(query, strict=False, jit_options=INNER)(choose)
         return function
 
     return register

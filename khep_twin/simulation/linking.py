@@ -18,6 +18,8 @@ from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NativeLowering
 
+from khep_twin.compilable import ONCE
+
 
 class _InnerLibrary(JITCodeLibrary):
     """Code of one inner function, without machine code."""
@@ -79,7 +81,10 @@ class _InnerLowering(NativeLowering):
 
     def run_pass(self, state: Any) -> bool:
         state.library = library = _InnerLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
-        state.flags.no_compile = True
+        # Set here, not as options: numba compiles a function again for callers of other options.
+        flags = state.flags
+        flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
+        flags.forceinline = state.func_id.func not in ONCE
         super().run_pass(state)
         made = state["cr"]
         # What numba looks functions up by; it cannot be called.
@@ -97,6 +102,7 @@ class _OuterLowering(NativeLowering):
     def run_pass(self, state: Any) -> bool:
         state.library = _OuterLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
+        state.flags.no_cfunc_wrapper = True
         return super().run_pass(state)
 
 
@@ -119,3 +125,7 @@ class OuterCompiler(InnerCompiler):
     """Compiler of functions that Python calls."""
 
     lowering = _OuterLowering
+
+
+INNER: Any = {"pipeline_class": InnerCompiler}
+"""Options of functions that only compiled code calls."""

@@ -14,7 +14,7 @@ the lags of their mean. `contact_solver` does the rest.
 
 import math
 
-from khep_twin.compilable import compilable
+from khep_twin.compilable import compilable, compilable_once
 from khep_twin.episodes.planar import contact_solver
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.episodes.planar.plane import (
@@ -47,7 +47,7 @@ _ANCHORED = 0.02
 """Distance moved after which distances to all obstacles are measured again [m]."""
 
 
-@compilable
+@compilable_once
 def step(plane: Plane) -> None:
     """Advance by one step, of all its substeps, at the present motor voltages."""
     robot = plane.robot
