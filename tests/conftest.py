@@ -1,5 +1,6 @@
 """What several tests need."""
 
+import gc
 import importlib.util
 import os
 import signal
@@ -69,6 +70,12 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         ]
         for each in compilers:
             each.wait()
+
+
+def pytest_collection_finish() -> None:
+    """Keep modules and tests, which stay, out of the garbage collector's walks: a tenth of the suite's time."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
