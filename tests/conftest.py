@@ -73,7 +73,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Keep modules and tests, which stay, out of the garbage collector's walks: a tenth of the suite's time."""
+    """Keep modules and tests, which stay, out of the garbage collection: a tenth of the suite's time."""
     gc.collect()
     gc.freeze()
 

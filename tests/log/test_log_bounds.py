@@ -34,7 +34,7 @@ from khep_twin.log.recover import recover
 pages = int(Path("/proc/self/statm").read_text().split()[0])
 limit = pages * resource.getpagesize() + {SPARE}
 resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-for use in (read_label, read, read_series, recover):
+for use in (read_label, read_log, read_series, recover):
     try:
         use(Path(sys.argv[1]))
     except LogError as error:
