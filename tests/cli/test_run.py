@@ -367,7 +367,7 @@ def test_series_are_compared_and_drawn(tmp_path: Path) -> None:
             "column fitnes: not a number in these runs; did you mean 'fitness'?",
         ),
         (("one", "--picture", "s.jpg"), "--picture s.jpg: expected a name that ends in"),
-        (("one", "--picture", "no/s.png"), "no/s.png: cannot be written: there is no directory no"),
+        (("one", "--picture", "no/s.png"), "--picture no/s.png: there is no directory no"),
     ):
         assert complaint("series", *words, folder=tmp_path).startswith(line)
 
