@@ -48,7 +48,7 @@ SOURCES = (units, battery, kernel, scene, *_OPTICS, step, addresses, foreign, mu
 _REGISTERED: list[object] = []
 """Functions of `FUNCTIONS` that numba knows, in its order."""
 
-COMPILING = "khep_twin: compiling with numba, once per version (about 10 s)"
+COMPILING = "khep_twin: compiling with numba, once per version (about half a minute for all parts)"
 """Announcement of a compilation."""
 
 
