@@ -285,11 +285,16 @@ def test_ctrl_c_ends_the_wait_for_a_person(tmp_path: Path) -> None:
 
 
 def test_a_twin_that_is_killed_in_mid_run_is_one_error_and_nothing_is_lost(tmp_path: Path) -> None:
-    link = tmp_path / "link"
+    link, part = tmp_path / "link", tmp_path / "served.mcap.part"
     options = ("obstacles", "--clock", "wire", "--log", str(tmp_path / "served.mcap"), "--link", str(link))
     with served(*options) as (twin, _):
         words = ("--port", link, "--cycles", "20", "--runs", "100000", "--save", "series")
         with begun(tmp_path, *words) as process:
+            # A log is written in pieces: a twin that is killed before the first has none.
+            written, end = part.stat().st_size, time.monotonic() + 60
+            while part.stat().st_size == written:
+                assert time.monotonic() < end, "nothing is written"
+                time.sleep(0.02)
             twin.kill()
             _, errors = process.communicate(timeout=60)
     assert process.returncode == 1
