@@ -3,8 +3,7 @@
 import shutil
 import sys
 import threading
-import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 from typing import TextIO, cast
 
@@ -91,30 +90,30 @@ def status_line() -> Generator[StatusLine | None, None, None]:
         yield line
 
 
-_printed: set[str] = set()
-"""Announcements that this process has printed."""
-
-
 @contextmanager
-def announced(text: str) -> Generator[None, None, None]:
-    """Announce long work on standard error: with the seconds so far on a terminal, else in one line, once."""
+def announced(begin: str, progress: Callable[[], str], end: Callable[[], str]) -> Generator[None, None, None]:
+    """Announce long work on standard error.
+
+    Args:
+        begin: Line at its begin, where that is no terminal.
+        progress: Text on its progress, shown each second on a terminal.
+        end: Line at its end, where that is no terminal.
+    """
     terminal = _terminal()
     if terminal is None:
-        if sys.stderr is not None and text not in _printed:  # pyright: ignore[reportUnnecessaryComparison]
-            _printed.add(text)
-            print(text, file=sys.stderr, flush=True)
+        _print(begin)
         yield
+        _print(end())
         return
     line = _open_lines[-1] if _open_lines else StatusLine(terminal)
     before, done = line.text, threading.Event()
-    begin = time.monotonic()
 
-    def count() -> None:
-        line.show(f"{text} ... {time.monotonic() - begin:.0f} s")
+    def show() -> None:
+        line.show(progress())
         while not done.wait(1.0):
-            line.show(f"{text} ... {time.monotonic() - begin:.0f} s")
+            line.show(progress())
 
-    counter = threading.Thread(target=count, name="status line", daemon=True)
+    counter = threading.Thread(target=show, name="status line", daemon=True)
     counter.start()
     try:
         yield
@@ -122,6 +121,12 @@ def announced(text: str) -> Generator[None, None, None]:
         done.set()
         counter.join()
         line.show(before)
+
+
+def _print(text: str) -> None:
+    # Programs without a console have no standard streams.
+    if sys.stderr is not None:  # pyright: ignore[reportUnnecessaryComparison]
+        print(text, file=sys.stderr, flush=True)
 
 
 def _terminal() -> TextIO | None:

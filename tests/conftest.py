@@ -56,20 +56,14 @@ def pytest_configure() -> None:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile the stepping core once, on two cores, before all workers do so at the same time."""
+    """Compile the stepping core once, before all workers do so at the same time."""
     config = session.config
     if (
         config.getoption("numprocesses", None)  # not in a worker, nor without any
         and any(Path(each).is_dir() for each in config.args)
         and importlib.util.find_spec("numba") is not None
     ):
-        run = [sys.executable, "-m", "khep_twin", "compile"]
-        compilers = [
-            subprocess.Popen([*run, *parts])
-            for parts in (("plane", "vision", "shadow"), ("world", "episodes"))
-        ]
-        for each in compilers:
-            each.wait()
+        subprocess.run([sys.executable, "-m", "khep_twin", "compile"], check=False)
 
 
 def pytest_collection_finish() -> None:

@@ -87,62 +87,36 @@ def test_an_output_that_is_no_terminal_is_left_alone() -> None:
     assert piped.getvalue() == "data\n"
 
 
-def test_long_work_shows_its_seconds_in_place_of_the_bar_which_comes_back() -> None:
+def test_long_work_shows_its_progress_in_place_of_the_bar_which_comes_back() -> None:
+    looks = iter(range(100))
     with at_a_terminal() as terminal:
         with progress() as show:
             assert show is not None
             show(0.5)
-            with announced("compiling"):
+            with announced("begun", lambda: f"compiling, look {next(looks)}", lambda: "ended"):
                 end = time.monotonic() + 30
-                while "compiling ... 1 s" not in terminal.getvalue() and time.monotonic() < end:
+                while "compiling, look 1" not in terminal.getvalue() and time.monotonic() < end:
                     time.sleep(0.05)
-                assert "compiling ... 0 s" in terminal.getvalue()
-            assert "compiling ... 1 s" in terminal.getvalue()
+                assert "compiling, look 0" in terminal.getvalue()
+            assert "compiling, look 1" in terminal.getvalue()
             assert terminal.screen[0].startswith("running  [#####")
-        with announced("alone"):
+        with announced("begun", lambda: "alone", lambda: "ended"):
             pass
     assert terminal.screen == [""]
+    assert "begun" not in terminal.getvalue()
+    assert "ended" not in terminal.getvalue()
 
 
-def test_where_nobody_looks_long_work_is_one_line_once_and_a_bar_is_none(
+def test_where_nobody_looks_long_work_is_a_line_at_its_begin_and_one_at_its_end_and_a_bar_is_none(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("khep_twin.status_line._printed", set[str]())
-    with status_line() as line, announced("compiling"):
+    with status_line() as line, announced("begun", lambda: "amid", lambda: "ended"):
         assert line is None
-    assert capsys.readouterr() == ("", "compiling\n")
-    with announced("compiling"), announced("fitting"):
-        assert capsys.readouterr() == ("", "fitting\n")
+        assert capsys.readouterr() == ("", "begun\n")
+    assert capsys.readouterr() == ("", "ended\n")
     monkeypatch.setattr(sys, "stderr", None)
-    with announced("compiling"):
+    with announced("begun", lambda: "amid", lambda: "ended"):
         pass
-
-
-def test_the_compilation_of_an_episode_is_announced_and_no_other_one(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("numba", reason="numba is not installed")
-    from numba import njit
-    from numba.core import event
-
-    from khep_twin.episodes.compiled import run
-    from khep_twin.episodes.planar.compiled import run as planar_run
-    from khep_twin.simulation import compiled
-
-    printed = set[str]()
-    monkeypatch.setattr("khep_twin.status_line._printed", printed)
-    for function in (compiled.advance, run, planar_run):
-        printed.clear()
-        with event.trigger_event("numba:compile", data={"dispatcher": function}):
-            pass
-        assert capsys.readouterr() == ("", f"{compiled.COMPILING}\n")
-    # A function without a file is not cached.
-    printed.clear()
-    twice = compiled.compiled(eval("lambda x: 2 * x"), ())
-    assert (twice(1), twice(2)) == (2, 4)
-    assert capsys.readouterr() == ("", f"{compiled.COMPILING}\n")
-    assert njit(lambda x: 3 * x)(1) == 3
-    assert capsys.readouterr() == ("", "")
 
 
 def test_a_run_on_a_real_terminal_has_its_lines_to_themselves(tmp_path: Path) -> None:

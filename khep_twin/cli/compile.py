@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.options import usage
+from khep_twin.errors import MissingNumbaError, choices
 
 
 def compile_all(
@@ -17,34 +18,46 @@ def compile_all(
 
     They find it in numba's cache.
     """
+    from khep_twin.simulation.ready import CODE, functions_of, is_cached
+
+    for part in parts or ():
+        if part not in CODE:
+            raise usage(f"part {part!r}: unknown; {choices(part, CODE)}")
+    try:
+        functions = [function for part in parts or CODE for function in functions_of(part)]
+        from khep_twin.simulation.announcement import ANNOUNCER
+    except ImportError as error:
+        raise MissingNumbaError() from error
+    with ANNOUNCER.together(function for function in functions if not is_cached(function)):
+        for part in parts or CODE:
+            _use(part)
+
+
+def _use(part: str) -> None:
+    """Use a part once, which compiles it."""
     import numpy as np
 
     from khep_twin.episodes.controllers import Braitenberg
     from khep_twin.episodes.episode import Episode
     from khep_twin.episodes.episode_setup import EpisodeSetup
-    from khep_twin.errors import choices
     from khep_twin.playpen import Playpen
     from khep_twin.shadow.sensor_model import SensorModel
     from khep_twin.shadow.start import PUBLISHED, begun
     from khep_twin.shadow.wheel_commands import SPEED
-    from khep_twin.simulation.ready import CODE
     from khep_twin.vision.camera import take_one
     from khep_twin.world import World
 
-    for part in parts or CODE:
-        if part not in CODE:
-            raise usage(f"part {part!r}: unknown; {choices(part, CODE)}")
-        if part == "world":
-            world = World(Playpen.load("default"), compiled=True)
-            world.advance_to(world.timing.step_ns)
-        elif part == "vision":
-            take_one()
-        elif part == "shadow":
-            setup, rng = EpisodeSetup(Playpen.load("two-lamps"), planar=True), np.random.default_rng(0)
-            particles = begun(setup, None, PUBLISHED, 1, rng)
-            particles.planes.command(SPEED, 0, 0)
-            particles.planes.advance(1)
-            SensorModel(particles.planes).explain(particles, np.zeros(8, np.int64), np.ones(8, np.bool_))
-        else:
-            setup = EpisodeSetup(Playpen.load("default"), planar=part == "plane")
-            Episode(setup, Braitenberg(), compiled=True).begin()
+    if part == "world":
+        world = World(Playpen.load("default"), compiled=True)
+        world.advance_to(world.timing.step_ns)
+    elif part == "vision":
+        take_one()
+    elif part == "shadow":
+        setup, rng = EpisodeSetup(Playpen.load("two-lamps"), planar=True), np.random.default_rng(0)
+        particles = begun(setup, None, PUBLISHED, 1, rng)
+        particles.planes.command(SPEED, 0, 0)
+        particles.planes.advance(1)
+        SensorModel(particles.planes).explain(particles, np.zeros(8, np.int64), np.ones(8, np.bool_))
+    else:
+        setup = EpisodeSetup(Playpen.load("default"), planar=part == "plane")
+        Episode(setup, Braitenberg(), compiled=True).begin()

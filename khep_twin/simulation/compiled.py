@@ -9,14 +9,13 @@ this file, or in the user's cache, until a source changes.
 
 import hashlib
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import mujoco
 import numba
-from numba.core import event
 from numba.extending import register_jitable
 
 from khep_twin import step, units
@@ -34,9 +33,9 @@ from khep_twin.sensing import (
 )
 from khep_twin.sensing.light import Light
 from khep_twin.simulation import addresses, foreign, linking, mujoco_calls
+from khep_twin.simulation.announcement import ANNOUNCER
 from khep_twin.simulation.linking import INNER, OuterCompiler
 from khep_twin.simulation.mujoco_calls import MujocoCalls
-from khep_twin.status_line import announced
 from khep_twin.step import Simulated, StepInputs
 
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -47,9 +46,6 @@ SOURCES = (units, battery, kernel, scene, *_OPTICS, step, addresses, foreign, mu
 
 _REGISTERED: list[object] = []
 """Functions of `FUNCTIONS` that numba knows, in its order."""
-
-COMPILING = "khep_twin: compiling with numba, once per version (about half a minute for all parts)"
-"""Announcement of a compilation."""
 
 
 def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
@@ -72,7 +68,7 @@ def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
     made = make(function)
     with suppress(RuntimeError):  # where no folder can be written, nothing is cached
         made.enable_caching()
-    event.register("numba:compile", _Announcer(made))
+    ANNOUNCER.add(made, sources)
     return made
 
 
@@ -80,22 +76,6 @@ def register() -> None:
     """Register with numba the functions that compiled code may call."""
     for plain in FUNCTIONS[len(_REGISTERED) :]:
         _REGISTERED.append(register_jitable(**INNER)(plain))
-
-
-class _Announcer(event.Listener):
-    """Announces each compilation of one function; code from the cache is not compiled."""
-
-    def __init__(self, function: object) -> None:
-        self._function = function
-        self._shown = ExitStack()
-
-    def on_start(self, event: Any) -> None:
-        if event.data["dispatcher"] is self._function:
-            self._shown.enter_context(announced(COMPILING))
-
-    def on_end(self, event: Any) -> None:
-        if event.data["dispatcher"] is self._function:
-            self._shown.close()
 
 
 def _advance(scene, timing, law, bulbs, hidden, robots, counters, powers, tables, until, stops):

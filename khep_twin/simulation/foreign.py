@@ -13,6 +13,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload
 
+from khep_twin.simulation.announcement import IMPLEMENTED
 from khep_twin.simulation.linking import INNER
 
 _ADDRESS, _BYTE_POINTER = types.intp, ir.IntType(8).as_pointer()
@@ -32,6 +33,7 @@ def implements(query: Callable[..., Any], kind: type | None = None) -> Callable[
             fits = kind is None or getattr(scene, "instance_class", None) is kind
             return function if fits else None
 
+        IMPLEMENTED.append(function)
         overload(query, strict=False, jit_options=INNER)(choose)
         return function
 

@@ -76,6 +76,17 @@ def function_of(part: str) -> Callable[..., Any]:
     return getattr(import_module(module), name)
 
 
+def functions_of(part: str) -> list[Callable[..., Any]]:
+    """Return all compiled functions of a part.
+
+    Raises:
+        ImportError: numba is not installed.
+    """
+    module = import_module(CODE[part].partition(":")[0])
+    own = (each for each in vars(module).values() if getattr(each, "__module__", "") == module.__name__)
+    return [each for each in own if hasattr(each, "py_func")]
+
+
 def is_cached(function: Any) -> bool:
     """Return whether a function is compiled, in this process or in numba's cache."""
     if function.signatures:

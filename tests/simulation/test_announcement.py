@@ -1,0 +1,154 @@
+"""Compilations are announced once, with their time and progress."""
+
+import importlib.util
+import math
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="numba is not installed")
+
+
+class Dispatcher:
+    """A compiled function, as numba names it in its events."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.py_func = function
+
+
+class Compilations:
+    """What numba would tell of compilations, and a clock that goes on by a second for each inner function."""
+
+    def __init__(self, inner: list[Callable[..., Any]]) -> None:
+        self.now, self._inner = 100.0, iter(inner)
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def compile(self, outer: Dispatcher, n_inner: int) -> None:
+        from numba.core import event
+
+        with event.trigger_event("numba:compile", data={"dispatcher": outer}):
+            for _ in range(n_inner):
+                with event.trigger_event("numba:compile", data={"dispatcher": Dispatcher(next(self._inner))}):
+                    self.now += 1
+
+
+@pytest.fixture
+def module() -> ModuleType:
+    """A module of forty functions for compiled code."""
+    made = ModuleType("forty")
+    for number in range(40):
+        function: Any = eval("lambda x: 2 * x")
+        function.__module__ = made.__name__
+        setattr(made, f"f{number}", function)
+    return made
+
+
+@pytest.fixture
+def compilations(module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Compilations:
+    """Compilations of the functions of the module, in their order."""
+    from khep_twin.simulation import announcement
+
+    functions = [getattr(module, f"f{number}") for number in range(40)]
+    made = Compilations(functions)
+    monkeypatch.setattr(announcement, "FUNCTIONS", functions)
+    monkeypatch.setattr(announcement, "time", made)
+    return made
+
+
+BEGIN = "khep_twin: compiling with numba, once per version: about 40 s\n"
+"""Announcement after six of forty functions."""
+
+
+def test_a_compilation_is_a_line_with_the_time_it_will_take_and_one_with_that_it_took(
+    module: ModuleType, compilations: Compilations, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from numba.core import event
+
+    from khep_twin.simulation.announcement import Announcer
+
+    announcer, outer = Announcer(), Dispatcher(math.sin)
+    announcer.add(outer, [module])
+    with event.install_listener("numba:compile", announcer):
+        compilations.compile(outer, 3)  # too few to tell
+        assert capsys.readouterr().err == ""
+        compilations.compile(outer, 37)
+    told = capsys.readouterr().err.splitlines()
+    assert told == [
+        "khep_twin: compiling with numba, once per version: about 37 s",
+        "khep_twin: compiling with numba took 37 s",
+    ]
+
+
+def test_several_compilations_together_are_announced_once_and_none_if_all_is_in_the_cache(
+    module: ModuleType, compilations: Compilations, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from numba.core import event
+
+    from khep_twin.simulation.announcement import Announcer
+
+    announcer, first, second = Announcer(), Dispatcher(math.sin), Dispatcher(math.cos)
+    for outer in (first, second):
+        announcer.add(outer, [module])
+    with event.install_listener("numba:compile", announcer):
+        with announcer.together([first, second]):
+            compilations.compile(first, 20)
+            compilations.compile(second, 20)
+        assert capsys.readouterr().err == f"{BEGIN}khep_twin: compiling with numba took 40 s\n"
+        with announcer.together([first, second]):
+            pass
+    assert capsys.readouterr().err == ""
+
+
+def test_the_progress_is_the_part_of_the_functions_and_the_time_goes_by_what_they_took(
+    module: ModuleType, compilations: Compilations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from numba.core import event
+
+    from khep_twin.simulation import announcement
+    from khep_twin.simulation.announcement import Announcer
+
+    told: list[str] = []
+
+    @contextmanager
+    def shown(begin: str, progress: Callable[[], str], end: Callable[[], str]) -> Generator[None, None, None]:
+        told.append(progress())
+        yield
+        told.append(progress())
+
+    monkeypatch.setattr(announcement, "announced", shown)
+    announcer, outer = Announcer(), Dispatcher(math.sin)
+    announcer.add(outer, [module])
+    with event.install_listener("numba:compile", announcer):
+        compilations.compile(outer, 30)
+    assert [each.partition("version: ")[2] for each in told] == [
+        "15 %, about 34 s to go",
+        "75 %, about 10 s to go",
+    ]
+
+
+def test_a_short_compilation_or_one_of_other_code_is_not_announced(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    from numba import njit
+
+    from khep_twin.simulation.compiled import compiled
+
+    twice = compiled(eval("lambda x: 2 * x"), ())
+    assert (twice(1), twice(2)) == (2, 4)
+    assert njit(lambda x: 3 * x)(1) == 3
+    assert capsys.readouterr() == ("", "")
+
+
+def test_all_parts_that_are_compiled_know_what_they_call() -> None:
+    from khep_twin.simulation.announcement import ANNOUNCER
+    from khep_twin.simulation.ready import CODE, function_of, functions_of
+
+    for part in CODE:
+        assert function_of(part) in functions_of(part)
+        ANNOUNCER._expect(functions_of(part))
+        assert len(ANNOUNCER._expected | ANNOUNCER._done) > 20, part
