@@ -34,7 +34,7 @@ run: $(VENV)/run.stamp ## the main job: a Braitenberg vehicle for 60 simulated s
 setup: $(VENV)/dev.stamp ## the environment with the tools of the test suite; again after a change of pyproject.toml
 
 test: $(VENV)/dev.stamp ## the whole test suite
-	@echo "khep_twin: $(or $(TESTS),the whole test suite: about six minutes on two cores)"
+	@echo "khep_twin: $(or $(TESTS),the whole test suite: about five minutes on two cores)"
 	@$(BIN)/python -m pytest -n auto --dist worksteal $(TESTS)
 
 check: $(VENV)/dev.stamp ## style and types
