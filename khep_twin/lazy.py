@@ -39,7 +39,9 @@ def names(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]
 def _places(source: str) -> dict[str, tuple[str, str]]:
     """Return the module of each name that is imported for type checkers alone, and its name there."""
     blocks = [node.body for node in ast.parse(source).body if isinstance(node, ast.If)]
-    imports = [node for body in blocks for node in body if isinstance(node, ast.ImportFrom)]
+    # Also those for one operating system, in an `if` within.
+    nodes = [node for body in blocks for statement in body for node in ast.walk(statement)]
+    imports = [node for node in nodes if isinstance(node, ast.ImportFrom)]
     return {
         alias.asname or alias.name: (str(node.module), alias.name) for node in imports for alias in node.names
     }
