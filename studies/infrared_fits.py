@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from khep_twin.lab.fit.infrared import Bench, MeasuredTable, Optics, View, level, proximity
+from khep_twin.lab.fit.infrared import MeasuredTable, Optics, View, level, proximity
 from khep_twin.units import BODIES, COUNTS_LIMIT, N_SENSORS, SENSOR_HEADINGS
 from tools.command_table import command_line
 
@@ -236,11 +236,9 @@ class Report:
         """Return the view of the sensor with a heading [rad]."""
         body = BODIES["khepera2"]
         faces = body.sensor_positions
-        bench = Bench(faces[self.sensor], heading, -faces[5][1] if self.is_aside else faces[2][0])
         bearings = np.full(len(self.distances), np.radians(-90 if self.is_aside else 0))
-        if self.is_robot:
-            return bench.cylinder(self.distances, bearings, body.radius)
-        return bench.wall(self.distances, bearings)
+        edge, radius = -faces[5][1] if self.is_aside else faces[2][0], body.radius if self.is_robot else 0.0
+        return View.of(faces[self.sensor], heading, self.distances, bearings, radius, edge)
 
 
 def khepera2_report(folder: Path) -> list[Report]:

@@ -22,7 +22,7 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.files.atomic import write_whole
 from khep_twin.sensing.bars import BARS
 from khep_twin.toolbox.windows import refresh, show
-from khep_twin.units import BODY_RADIUS, SENSOR_POSITIONS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
+from khep_twin.units import SENSOR_POSITIONS, WHEEL_BASE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -127,24 +127,18 @@ def _values(name: str, values: ArrayLike | None, count: int) -> Floats:
 
 def _sheet() -> "tuple[Figure, Axes]":
     """Return a drawing of the robot from above, ahead being up."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
-    from matplotlib.patches import Circle, Polygon, Rectangle
+    from matplotlib.patches import Circle, Polygon
 
     from khep_twin.drawing.symbols import INK
+    from khep_twin.lab.sensor_test.sensor_figure import draw_body, sheet
 
-    figure = Figure(figsize=(4.2, 4.4), facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = sheet(4.2, 4.4)
     axes = figure.add_axes((0, 0.06, 1, 0.94))
-    axes.set_axis_off()
-    axes.set(aspect="equal", xlim=(-0.047, 0.047), ylim=(-0.045, 0.049))
-    axes.add_patch(Circle((0, 0), BODY_RADIUS, facecolor="#eef2ee", edgecolor=INK, lw=0.9))
+    draw_body(axes)
+    axes.set(xlim=(-0.047, 0.047), ylim=(-0.045, 0.049))
     nose = [(-0.003, 0.011), (0.003, 0.011), (0, 0.016)]
     axes.add_patch(Polygon(nose, facecolor=INK, lw=0))
-    for side in (-1, 1):
-        corner = (side * WHEEL_BASE / 2 - WHEEL_WIDTH / 2, -WHEEL_RADIUS)
-        axes.add_patch(Rectangle(corner, WHEEL_WIDTH, 2 * WHEEL_RADIUS, facecolor=INK, lw=0))
     for forward, left in SENSOR_POSITIONS:
         axes.add_patch(Circle((-left, forward), 0.0013, facecolor=INK, lw=0))
     colours = zip(BARS.values(), (_PROXIMITY, _LIGHT, _SPEED), strict=True)

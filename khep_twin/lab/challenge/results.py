@@ -108,17 +108,9 @@ def to_csv(challenge: Challenge, found: Sequence[Attempt]) -> bytes:
     )
     for rank, each in ranked(challenge, found):
         score = each.score
-        values = ["", *[""] * runs] if score is None else [score.value, *score.runs]
-        writer.writerow(
-            [
-                rank or "",
-                _name(each),
-                values[0],
-                _passed(challenge, each),
-                _plain(readable(each.note)),
-                *values[1:],
-            ]
-        )
+        value, *of_runs = [""] * (1 + runs) if score is None else [score.value, *score.runs]
+        note = _plain(readable(each.note))
+        writer.writerow([rank or "", _name(each), value, _passed(challenge, each), note, *of_runs])
     return text.getvalue().encode("utf-8")
 
 

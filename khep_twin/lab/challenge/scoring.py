@@ -9,7 +9,7 @@ import math
 import random
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import chain
+from itertools import chain, cycle
 from pathlib import Path
 
 import numpy as np
@@ -67,9 +67,7 @@ def score(file: ChallengeFile, controller: str, runs: int, seed: int, log: Path 
     logs = [None] * runs if log is None else own_files(log, runs)
     measured = [
         _run(file, controller, runs, start, seed + index, own)
-        for index, (start, own) in enumerate(
-            zip(_cycled(file.start_poses(runs, seed), runs), logs, strict=True)
-        )
+        for index, (start, own) in enumerate(zip(cycle(file.start_poses(runs, seed)), logs, strict=False))
     ]
     values = tuple(_value(file, controller, run, metrics) for run, metrics in enumerate(measured, 1))
     # Of a sensor that was not read in some runs, they are those of the others.
@@ -184,7 +182,3 @@ def _value(file: ChallengeFile, controller: str, run: int, metrics: Mapping[str,
     sign = -1 if challenge.better == "higher" else 1
     lost = math.fsum(penalty.each * metrics[penalty.metric] for penalty in challenge.penalties)
     return metrics[challenge.metric] + sign * lost
-
-
-def _cycled(starts: list[StartPose], runs: int) -> list[StartPose]:
-    return [starts[index % len(starts)] for index in range(runs)]

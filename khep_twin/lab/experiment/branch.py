@@ -5,19 +5,18 @@ the moment is run again and recorded. Without a change the recorded hosts go on,
 """
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.errors import KhepTwinError, LogError
+from khep_twin.errors import LogError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controller_source import source_of
-from khep_twin.lab.experiment.controllers import AnyController, as_controller, call
+from khep_twin.lab.experiment.controllers import AnyController, as_controller, stopped_at_end
 from khep_twin.lab.experiment.experiment import run
+from khep_twin.lab.experiment.run_statistics import Floats
 from khep_twin.log.recorded import BranchPoint
 from khep_twin.ports.branching import Described, branch_off
 from khep_twin.ports.protocol_khep import Serial
@@ -26,8 +25,6 @@ from khep_twin.ports.resume import ResumedRun, run_end_ns
 from khep_twin.ports.twin import Twin
 from khep_twin.sensing import calibration
 from khep_twin.world import Observer, World
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,14 +126,8 @@ def _take_over(
     view = Twin(twin.world, (twin.world.robots[index],), twin.options, resumed.hosts)
     seconds = None if end_ns is None else max((end_ns - twin.world.time_ns) / NS_PER_S, 0.0) or _ENDLESS_S
     algorithm = as_controller(controller)
-    with Khepera(Serial.of(view, timeout=1.0)) as robot:
-        try:
-            run(algorithm, robot, cycles=plan.cycles, seconds=seconds, progress=progress, stop=stop)
-        except BaseException:
-            with suppress(KhepTwinError):
-                call(algorithm.stop, robot)
-            raise
-        call(algorithm.stop, robot)
+    with Khepera(Serial.of(view, timeout=1.0)) as robot, stopped_at_end(algorithm, robot):
+        run(algorithm, robot, cycles=plan.cycles, seconds=seconds, progress=progress, stop=stop)
 
 
 _ENDLESS_S = 60.0

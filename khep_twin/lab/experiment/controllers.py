@@ -7,7 +7,8 @@ before, during and after a run. An error of a user's function tells file and lin
 import inspect
 import math
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager, suppress
 from importlib.resources import files
 from operator import mul
 from pathlib import Path
@@ -149,6 +150,19 @@ def call(place: Callable[P, Returned], *given: P.args, **named: P.kwargs) -> Ret
             raise
         file = source_file(place)
         raise ControllerError(f"{file}{line_in(error, Path(file))}: {in_a_line(error)}") from error
+
+
+@contextmanager
+def stopped_at_end(controller: Controller, robot: Khepera) -> Generator[None]:
+    """Call a controller's `stop` at the end of the context, also after an error, which goes on."""
+    try:
+        yield
+    except BaseException:
+        # A second error while the controller stops would only hide the first one.
+        with suppress(KhepTwinError):
+            call(controller.stop, robot)
+        raise
+    call(controller.stop, robot)
 
 
 def source_file(controller: AnyController | AnyFunction) -> str:

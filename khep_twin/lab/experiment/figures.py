@@ -16,7 +16,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.drawing.map import STYLE
@@ -24,6 +23,7 @@ from khep_twin.drawing.map import draw as draw_map
 from khep_twin.drawing.symbols import INK
 from khep_twin.lab.experiment.branch import BranchPlan, Trajectory
 from khep_twin.lab.experiment.measures import UNITS
+from khep_twin.lab.experiment.run_statistics import Floats
 from khep_twin.lab.experiment.series_files import Row
 from khep_twin.lab.experiment.series_statistics import summary, values
 from khep_twin.log.reader import read_log
@@ -80,8 +80,6 @@ def _panel(axes: Axes, labels: Sequence[str], series: Sequence[Sequence[Row]], n
     low, high = (0.0 if axes.dataLim.y0 >= 0 else axes.get_ylim()[0]), axes.get_ylim()[1]
     axes.set_ylim(low, high + 0.05 * (high - low))
 
-
-Floats = NDArray[np.float64]
 
 _PANEL = 3.6
 """Width of the panel of the spread [inch]."""

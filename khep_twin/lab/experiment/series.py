@@ -12,13 +12,19 @@ seed, so that it does not depend on the others.
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment.controllers import AnyController, Controller, as_controller, call, variables
+from khep_twin.lab.experiment.controllers import (
+    AnyController,
+    Controller,
+    as_controller,
+    stopped_at_end,
+    variables,
+)
 from khep_twin.lab.experiment.experiment import Outcome, run
 from khep_twin.lab.experiment.measures import GroundTruthMetrics, HostMetrics
 from khep_twin.lab.experiment.series_run import Plan, SeriesRun
@@ -169,27 +175,18 @@ def run_series(
     for session in source.sessions(range(first, plan.runs + 1)):
         if stop is not None and stop():
             return
-        with session.opened as robot:
-            try:
-                for number in session.numbers:
-                    if number > session.numbers[0]:
-                        _pause(robot, plan.pause, stop)
-                    if before is not None:
-                        before(number)
-                    if stop is not None and stop():
-                        break
-                    completed = _run(
-                        algorithm, robot, session.start, number, plan, progress, stop, broken_off
-                    )
-                    if completed is None:
-                        break
-                    yield completed
-            except BaseException:
-                # A second error while the controller stops would only hide the first one.
-                with suppress(KhepTwinError):
-                    call(algorithm.stop, robot)
-                raise
-            call(algorithm.stop, robot)
+        with session.opened as robot, stopped_at_end(algorithm, robot):
+            for number in session.numbers:
+                if number > session.numbers[0]:
+                    _pause(robot, plan.pause, stop)
+                if before is not None:
+                    before(number)
+                if stop is not None and stop():
+                    break
+                completed = _run(algorithm, robot, session.start, number, plan, progress, stop, broken_off)
+                if completed is None:
+                    break
+                yield completed
 
 
 def _run(

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from khep_twin.lab.fit.least_squares import Floats
 from khep_twin.sensing import lobes
 from khep_twin.sensing.calibration import ProximityCalibration
 from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_HEIGHT, SENSOR_POSITIONS
-
-Floats = NDArray[np.float64]
 
 OBJECT_HEIGHT = 0.05
 """Height of walls and cylinders [m]: a playpen's default (not told of any that was measured)."""
@@ -40,6 +38,32 @@ class View:
     distances: Floats
     radius: float = 0.0
 
+    @classmethod
+    def of(
+        cls,
+        sensor: tuple[float, float],
+        heading: float,
+        distances: Floats,
+        bearings: Floats,
+        radius: float,
+        body_radius: float = BODY_RADIUS,
+    ) -> Self:
+        """Return the view of a sensor on a robot.
+
+        Args:
+            sensor: Position of the sensor's face on the robot, x forward and y left [m].
+            heading: Heading of the sensor, counter-clockwise from straight ahead [rad].
+            distances: Distances of the object from the robot's edge (n,) [m].
+            bearings: Bearings of the object, counter-clockwise from ahead (n,) [rad].
+            radius: Radius of an upright cylinder [m]; 0 for a wall.
+            body_radius: Radius of the robot [m].
+        """
+        away, (x, y) = body_radius + distances + radius, sensor
+        if not radius:
+            return cls(_wrapped(bearings - heading), away - x * np.cos(bearings) - y * np.sin(bearings))
+        ahead, left = away * np.cos(bearings) - x, away * np.sin(bearings) - y
+        return cls(_wrapped(np.arctan2(left, ahead) - heading), np.hypot(ahead, left), radius)
+
     def light(self, offset: float, lobe_exponent: float) -> Floats:
         """Return the light that comes back to a chip behind the face (n,) [1/m^2].
 
@@ -47,11 +71,7 @@ class View:
             offset: Offset of the chip behind the face [m].
             lobe_exponent: Exponent of the lobe in azimuth.
         """
-        if self.radius:
-            seen = self._cylinder(offset)
-        else:
-            seen = self._wall(offset)
-        lengths, azimuths, lit = seen
+        lengths, azimuths, lit = self._cylinder(offset) if self.radius else self._wall(offset)
         ahead = np.maximum(np.cos(azimuths), 0)
         whole = int(lobe_exponent)
         lobe = ahead**whole * (1 - (lobe_exponent - whole) * (1 - ahead)) * (ahead > 0)
@@ -88,33 +108,6 @@ class View:
 
 
 @dataclass(frozen=True, slots=True)
-class Bench:
-    """Sensor of a robot on a test bench.
-
-    Attributes:
-        position: Position of the sensor's face on the robot, x forward and y left (2,) [m].
-        heading: Heading of the sensor, counter-clockwise from straight ahead [rad].
-        radius: Radius of the robot [m].
-    """
-
-    position: tuple[float, float]
-    heading: float
-    radius: float
-
-    def wall(self, distances: Floats, bearings: Floats) -> View:
-        """Return the view of a wall at distances from the robot's edge [m] and bearings, ccw [rad]."""
-        x, y = self.position
-        away = self.radius + distances - x * np.cos(bearings) - y * np.sin(bearings)
-        return View(_wrapped(bearings - self.heading), away)
-
-    def cylinder(self, distances: Floats, bearings: Floats, radius: float) -> View:
-        """Return the view of an upright cylinder of a radius [m], likewise."""
-        away = self.radius + distances + radius
-        x, y = away * np.cos(bearings) - self.position[0], away * np.sin(bearings) - self.position[1]
-        return View(_wrapped(np.arctan2(y, x) - self.heading), np.hypot(x, y), radius)
-
-
-@dataclass(frozen=True, slots=True)
 class MeasuredTable:
     """Readings of a robot in front of an object.
 
@@ -132,10 +125,7 @@ class MeasuredTable:
 
     def view(self, sensor: int, heading: float) -> View:
         """Return the view of a sensor with a heading [rad]."""
-        bench = Bench(SENSOR_POSITIONS[sensor], heading, BODY_RADIUS)
-        if self.radius:
-            return bench.cylinder(self.distances, self.bearings, self.radius)
-        return bench.wall(self.distances, self.bearings)
+        return View.of(SENSOR_POSITIONS[sensor], heading, self.distances, self.bearings, self.radius)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,8 @@ import numpy as np
 
 from khep_twin.errors import FitError
 from khep_twin.lab.fit.clipped_noise import deviation, expected
-from khep_twin.lab.fit.infrared import Floats, MeasuredTable, Optics, level
-from khep_twin.lab.fit.least_squares import CONFIDENCE, Parameter, least_squares
+from khep_twin.lab.fit.infrared import Optics, View, level
+from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats, Parameter, least_squares
 from khep_twin.lab.fit.placement import (
     IN_PLACE,
     SCAN_LAG_S,
@@ -27,13 +27,12 @@ from khep_twin.lab.fit.placement import (
     Placement,
     Readings,
     Ruler,
-    flat,
     misplacements,
     owners_of,
     unknowns,
 )
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.units import N_SENSORS, SENSOR_LABELS
+from khep_twin.units import N_SENSORS, SENSOR_LABELS, SENSOR_POSITIONS
 
 HEADING_SPREAD_DEG, LOBE_SPREAD = 5.0, 0.5
 """Standard deviations of a sensor's heading and lobe exponent around those of another robot (assumed: the
@@ -107,9 +106,7 @@ def unclipped(
         seen: Distances from the robot's edge [m] and bearings, counter-clockwise [rad], of the object.
         radius: Radius of the cylinder, 0 for a wall [m].
     """
-    distances, bearings = seen
-    table = MeasuredTable(distances, bearings, np.empty((0, N_SENSORS)), radius)
-    return level(table.view(sensor, math.radians(heading_deg)), optics)
+    return level(View.of(SENSOR_POSITIONS[sensor], math.radians(heading_deg), *seen, radius), optics)
 
 
 def levels(placement: Placement, robot: Calibration, moved: Misplacement = IN_PLACE) -> Floats:
@@ -135,7 +132,7 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
         FitError: The readings do not determine a sensor's gain.
     """
     near = start.proximity
-    counts = flat([test.counts for test in tests]).reshape(-1, N_SENSORS)
+    counts = np.concatenate([test.counts for test in tests])
     _check(counts, np.array(near.noise_counts), near.limit_counts)
     before = [Optics.of(near, sensor) for sensor in range(N_SENSORS)]
     parameters = [*_parameters(before, start.heading_deg), *unknowns(tests, ruler or Ruler())]

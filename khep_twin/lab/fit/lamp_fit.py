@@ -21,7 +21,6 @@ from khep_twin.lab.fit.placement import (
     Misplacement,
     Readings,
     Ruler,
-    flat,
     misplacements,
     owners_of,
     unknowns,
@@ -102,7 +101,7 @@ def fit_lamps(tests: Sequence[Readings], start: Calibration, ruler: Ruler | None
         FitError: The readings do not determine a receiver's heading, gain or lobe, or the shared values.
     """
     before = start.ambient
-    counts = flat([test.counts for test in tests]).reshape(-1, N_SENSORS)
+    counts = np.concatenate([test.counts for test in tests])
     for name, readings in zip(SENSOR_LABELS, counts.T, strict=True):
         if np.ptp(readings) < _LEAST_LIGHT:
             raise FitError(

@@ -124,7 +124,7 @@ def unknowns(tests: Sequence[Readings], ruler: Ruler) -> list[Parameter]:
 
 
 def owners_of(tests: Sequence[Readings], own: int, shared: int = 0) -> NDArray[np.int64]:
-    """Return the parameters of each residual for `least_squares`, residuals as `flat` orders them.
+    """Return the parameters of each residual for `least_squares`: reading by reading, sensor by sensor.
 
     The parameters are `shared` ones of all residuals, `own` ones of each sensor in turn, and `unknowns`.
     """
@@ -135,11 +135,6 @@ def owners_of(tests: Sequence[Readings], own: int, shared: int = 0) -> NDArray[n
     columns = [np.full_like(test, number) for number in range(shared)]
     columns += [shared + own * sensor + number for number in range(own)]
     return np.column_stack([*columns, errors + test, errors + len(tests) + test, last])
-
-
-def flat(tables: Sequence[Floats]) -> Floats:
-    """Return the tests' tables (n, 8) as one row of values."""
-    return np.concatenate(tables).ravel()
 
 
 def misplacements(values: Floats) -> list[Misplacement]:

@@ -34,7 +34,7 @@ WIDTH = 7.1
 """Width of the figures and of a page's text [inch]."""
 
 
-def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float] = (0.0, 0.0)) -> None:
+def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]) -> None:
     """Draw proximity and ambient light, a strip for each sensor; the corner is the lower left [inch]."""
     kinds = (
         ("proximity", robot.proximity, _PROXIMITY, (0, COUNTS_LIMIT)),
@@ -52,7 +52,7 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
                 axes.text(0.5, 0.5, "not in this log", transform=axes.transAxes, ha="center", va="center")
 
 
-def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float] = (0.0, 0.0)) -> None:
+def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float]) -> None:
     """Draw both wheels' speeds with their setpoints; the corner is the lower left [inch]."""
     grid = within(figure, corner, WHEEL_HEIGHT, left=0.7, right=0.57)
     cells = figure.add_gridspec(2, 1, hspace=0.2, **grid)
@@ -85,7 +85,7 @@ def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float] 
             axes.set_xlabel("time [s]", fontsize=8)
 
 
-def draw_vision(figure: Figure, robot: RobotReport, corner: tuple[float, float] = (0.0, 0.0)) -> None:
+def draw_vision(figure: Figure, robot: RobotReport, corner: tuple[float, float]) -> None:
     """Draw the line images over time, their left pixel at the top; the corner is the lower left [inch]."""
     if robot.vision is None:
         return

@@ -150,18 +150,14 @@ def _draw_rest(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) 
     cells = figure.add_gridspec(4, 1, hspace=0.35, **grid)
     (wheels_s, wheels), (timing_s, timing) = (_asked(track, each) for each in (WHEELS, slice(TIMING, None)))
     times_s = track.times_ns / 1e9
-    panels: list[tuple[str, str, str, list[tuple[str, Floats, Floats]]]] = [
-        (
-            "wheels",
-            "beyond commands\n[pulses]",
-            "wheels",
-            [("left", wheels_s, wheels[:, 0]), ("right", wheels_s, wheels[:, 1])],
-        ),
-        ("timing", "delay of replies\n[ms]", "line", [("", timing_s, 1000 * timing[:, 0])]),
-        ("spread", "spread of the\nposition [mm]", "", [("", times_s, _spreads(track)[0])]),
-        ("reckoned", "dead reckoning\noff by [mm]", "", [("", times_s, _away_mm(track))]),
+    sides = [("left", wheels_s, wheels[:, 0]), ("right", wheels_s, wheels[:, 1])]
+    panels: list[tuple[str, str, list[tuple[str, Floats, Floats]]]] = [
+        ("beyond commands\n[pulses]", "wheels", sides),
+        ("delay of replies\n[ms]", "line", [("", timing_s, 1000 * timing[:, 0])]),
+        ("spread of the\nposition [mm]", "", [("", times_s, _spreads(track)[0])]),
+        ("dead reckoning\noff by [mm]", "", [("", times_s, _away_mm(track))]),
     ]
-    for row, (_, label, channel, curves) in enumerate(panels):
+    for row, (label, channel, curves) in enumerate(panels):
         axes = figure.add_subplot(cells[row, 0])
         over_time(axes)
         _span(axes, track)

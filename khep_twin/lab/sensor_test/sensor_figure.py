@@ -155,6 +155,16 @@ def sheet(width: float, height: float) -> Figure:
     return figure
 
 
+def draw_body(axes: Axes) -> None:
+    """Draw a robot's body and wheels [m], seen from above with the front up, on axes without a frame."""
+    axes.set_axis_off()
+    axes.set_aspect("equal")
+    axes.add_patch(Circle((0, 0), BODY_RADIUS, facecolor="#eef2ee", edgecolor=INK, lw=0.9))
+    for side in (-1, 1):
+        corner = (side * WHEEL_BASE / 2 - WHEEL_WIDTH / 2, -WHEEL_RADIUS)
+        axes.add_patch(Rectangle(corner, WHEEL_WIDTH, 2 * WHEEL_RADIUS, facecolor=INK, lw=0))
+
+
 def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
     figure = sheet(10.5, 7.6)
     edges = {"left": 0.07, "right": 0.985, "bottom": 0.075, "top": 0.955}
@@ -233,12 +243,8 @@ def _draw_sensor(axes: Axes, runs: Sequence[SensorRun], sensor: int, y_min: int,
 
 def _draw_robot(axes: Axes) -> None:
     """Draw the robot with its sensors, seen from above with the front up."""
-    axes.set_axis_off()
-    axes.set(aspect="equal", xlim=(-0.07, 0.07), ylim=(-0.035, 0.036))
-    axes.add_patch(Circle((0, 0), BODY_RADIUS, facecolor="#eef2ee", edgecolor=INK, lw=0.9))
-    for side in (-1, 1):
-        corner = (side * WHEEL_BASE / 2 - WHEEL_WIDTH / 2, -WHEEL_RADIUS)
-        axes.add_patch(Rectangle(corner, WHEEL_WIDTH, 2 * WHEEL_RADIUS, facecolor=INK, lw=0))
+    draw_body(axes)
+    axes.set(xlim=(-0.07, 0.07), ylim=(-0.035, 0.036))
     for name, (forward, left) in zip(SENSOR_LABELS, SENSOR_POSITIONS, strict=True):
         axes.add_patch(Circle((-left, forward), 0.0016, facecolor=_RUN, lw=0))
         # Put the names beside lateral sensors, and before or behind the others.

@@ -1,69 +1,12 @@
 """Checks of a robot or twin at a port, in the order in which they run."""
 
-from khep_twin.lab.conformance.port import (
-    commands,
-    grammar,
-    gripper,
-    motion,
-    radio,
-    vision,
-)
+from khep_twin.lab.conformance.port import commands, grammar, gripper, motion, radio, vision
 from khep_twin.lab.conformance.port.check import Check
 
-CHECKS: tuple[Check, ...] = (
-    grammar.line_endings,
-    grammar.empty_lines,
-    grammar.single_bytes,
-    grammar.burst,
-    grammar.unknown_words,
-    grammar.wrong_parameters,
-    grammar.signed_numbers,
-    grammar.long_line,
-    grammar.binary_rubbish,
-    commands.versions,
-    commands.gains,
-    commands.profile,
-    commands.counters,
-    commands.speeds,
-    commands.setters,
-    commands.status,
-    commands.proximity,
-    commands.ambient,
-    commands.converter,
-    commands.leds,
-    commands.missing_led,
-    commands.extension_bus,
-    commands.turrets,
-    grammar.reply_times,
-    commands.tools,
-    commands.restart,
-    radio.reports,
-    radio.refusals,
-    radio.broadcast,
-    radio.one_at_a_time,
-    radio.failure,
-    radio.restart,
-    motion.driven_speed,
-    motion.measured_speeds,
-    motion.status_of_each_wheel,
-    motion.counters_in_motion,
-    motion.profiles,
-    motion.far_positions,
-    motion.restart_in_motion,
-    motion.wheel_order,
-    motion.position,
-    motion.profile_after_restart,
-    motion.sensor_order,
-    motion.open_loop,
-    motion.saturation,
-    gripper.moves,
-    vision.versions,
-    vision.greys,
-    vision.light,
-    vision.parts_of_the_image,
-    vision.periods,
-    vision.refusals,
-    vision.reply_times,
-    vision.turning,
+CHECKS: tuple[Check, ...] = tuple(
+    value
+    for module in (grammar, commands, radio, motion, gripper, vision)
+    for value in vars(module).values()
+    if isinstance(value, Check)
 )
-"""All checks. One that is written is added here."""
+"""All checks, as they follow each other in these modules. A new module of checks is added here."""

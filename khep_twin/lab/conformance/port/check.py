@@ -50,14 +50,7 @@ class Check:
 def check(
     name: str, section: str, moves: str = "", turret: int | None = None
 ) -> Callable[[Callable[["CheckedPort"], None]], Check]:
-    """Return a decorator that makes a check of a function.
-
-    Args:
-        name: Tested statement.
-        section: Section of the manual.
-        moves: Motion of the robot during the check; empty if it stands still.
-        turret: Number of the turret that it asks; None for the robot itself.
-    """
+    """Return a decorator that makes a check of a function; the arguments are attributes of `Check`."""
     return lambda body: Check(name, section, moves, body, turret)
 
 

@@ -1,9 +1,9 @@
-"""Checks of commands and tools that leave the robot where it is."""
+"""Checks of commands and tools that leave the robot where it is, and of the time that replies take."""
 
 import re
 
 from khep_twin.lab.conformance.port.check import SETTLE, CheckedPort, Deviation, check
-from khep_twin.lab.conformance.port.expectations import expect_range, expect_refusals
+from khep_twin.lab.conformance.port.expectations import expect_in_time, expect_range, expect_refusals
 from khep_twin.units import COUNTS_LIMIT, N_SENSORS
 
 
@@ -101,6 +101,12 @@ def turrets(line: CheckedPort) -> None:
             raise Deviation(f"'T,{turret},B' was answered {answer!r}; expected 't,{turret},b,…' or 'z,…'")
 
 
+@check("every reply begins within 10 ms and takes its bytes' time on the line", "3.2")
+def reply_times(line: CheckedPort) -> None:
+    for request in ("N", "B", "E", "H", "K", "O", "D,0,0", "G,0,0", "J,20,64,20,64", "L,0,0", "hello", "D"):
+        expect_in_time(line, request)
+
+
 @check("the tools answer in lines", "3.2.1")
 def tools(line: CheckedPort) -> None:
     for tool in ("help", "list", "net", "k-team", "memory", "process", "serial", "run", "sfill"):
@@ -125,7 +131,6 @@ def restart(line: CheckedPort) -> None:
         raise Deviation(f"'restart' was answered {banner!r}; expected lines that end in CR LF")
     if not any(b"ROM of minirobot KHEPERA" in text for text in banner.split(b"\r\n")):
         raise Deviation(f"'restart' was answered {banner!r}; expected a line with 'ROM of minirobot KHEPERA'")
-    if (numbers := line.numbers("H", 2)) != [0, 0]:
-        raise Deviation(f"after a restart H gave {numbers}; expected [0, 0]")
-    if (numbers := line.numbers("E", 2)) != [0, 0]:
-        raise Deviation(f"after a restart E gave {numbers}; expected [0, 0]")
+    for letter in "HE":
+        if (numbers := line.numbers(letter, 2)) != [0, 0]:
+            raise Deviation(f"after a restart {letter} gave {numbers}; expected [0, 0]")

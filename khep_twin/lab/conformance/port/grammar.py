@@ -1,7 +1,6 @@
-"""Checks of lines, their replies and the time that these take, with the robot at rest."""
+"""Checks of lines and their replies, with the robot at rest."""
 
 from khep_twin.lab.conformance.port.check import CheckedPort, Deviation, check
-from khep_twin.lab.conformance.port.expectations import expect_in_time
 
 
 @check("a command may end in LF, CR or CR LF, and CR LF is one ending", "3.2, A")
@@ -71,9 +70,3 @@ def binary_rubbish(line: CheckedPort) -> None:
     line.order("G,1,2")
     if (numbers := line.numbers("H", 2)) != [1, 2]:
         raise Deviation(f"after rubbish H gave {numbers}; expected [1, 2]")
-
-
-@check("every reply begins within 10 ms and takes its bytes' time on the line", "3.2")
-def reply_times(line: CheckedPort) -> None:
-    for request in ("N", "B", "E", "H", "K", "O", "D,0,0", "G,0,0", "J,20,64,20,64", "L,0,0", "hello", "D"):
-        expect_in_time(line, request)

@@ -68,12 +68,7 @@ class RecordingCheck:
 
 
 def check(name: str, section: str) -> Callable[[Callable[[RecordedLine], Verdict]], RecordingCheck]:
-    """Return a decorator that makes a check of a function.
-
-    Args:
-        name: Tested statement.
-        section: Section of the manual; "assumed" where it is silent and the twin's decision counts.
-    """
+    """Return a decorator that makes a check of a function; the arguments are those of `RecordingCheck`."""
     return lambda body: RecordingCheck(name, section, body)
 
 

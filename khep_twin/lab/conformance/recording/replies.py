@@ -16,7 +16,7 @@ from khep_twin.lab.conformance.recording.board_model import RecordedStep, is_err
 from khep_twin.lab.conformance.recording.check import Finding, Verdict, answered, check, finding, over
 from khep_twin.lab.conformance.recording.recorded_line import RecordedLine
 from khep_twin.log.transcript import text_of
-from khep_twin.units import COUNTS_LIMIT, RADIO_NUMBER
+from khep_twin.units import COUNTS_LIMIT, N_SENSORS, RADIO_NUMBER
 
 SPEED_MOST = 180
 """Fastest speed of a wheel [pulses/10 ms] (assumed: 155 without load on full cells, and 15 % more)."""
@@ -35,11 +35,14 @@ _INTEGER = re.compile(rb"-?(0|[1-9][0-9]*)")
 _END = b"\r\n"
 _REFUSED = b"z,"
 
+_COUNTS = {"E": 2, "H": 2, "K": 6, "N": N_SENSORS, "O": N_SENSORS}
+"""Number of values of each reply."""
 
-_COUNTS = {"E": 2, "H": 2, "K": 6}
+Reading = tuple[RecordedStep, tuple[int, ...]]
+"""A step, and the values of its reply."""
 
 
-def read(line: RecordedLine, letters: str) -> Iterator[tuple[RecordedStep, tuple[int, ...]]]:
+def read(line: RecordedLine, letters: str) -> Iterator[Reading]:
     """Yield the steps of these commands whose replies have their number of values."""
     for step in line.steps:
         values = step.exchange.values if step.exchange.letter in letters else None

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from khep_twin.lab.conformance.recording.board_model import RecordedStep
 from khep_twin.lab.conformance.recording.check import Finding, Verdict, answered, check, finding
 from khep_twin.lab.conformance.recording.recorded_line import RecordedLine
+from khep_twin.lab.conformance.recording.replies import Reading, read
 from khep_twin.units import COUNTS_LIMIT, N_SENSORS, STEP_NS
 
 _READINGS = 200
@@ -30,23 +31,13 @@ _FAR_PULSES = 1000
 """Travel of a wheel in which the readings of a robot change [pulses] (assumed)."""
 
 
-def _readings(line: RecordedLine, letter: str) -> list[tuple[RecordedStep, tuple[int, ...]]]:
-    return [
-        (step, values)
-        for step in line.steps
-        if step.exchange.letter == letter
-        and (values := step.exchange.values) is not None
-        and len(values) == N_SENSORS
-    ]
-
-
 @check("readings within one scan are the same but for the sensors converted meanwhile", "3.1.5")
 def one_scan(line: RecordedLine) -> Verdict:
     seen, findings = 0, list[Finding]()
     changes_ns = np.array(line.changes_ns, np.int64)
     for letter in "NO":
-        before: tuple[RecordedStep, tuple[int, ...]] | None = None
-        for step, values in _readings(line, letter):
+        before: Reading | None = None
+        for step, values in read(line, letter):
             if before is not None:
                 from_ns, until_ns = before[0].arrived_ns, step.read_ns
                 converted = (until_ns - from_ns) // STEP_NS + 2
@@ -66,7 +57,7 @@ def one_scan(line: RecordedLine) -> Verdict:
 def stuck_sensors(line: RecordedLine) -> Verdict:
     seen, findings = 0, list[Finding]()
     for letter, name in (("N", "proximity"), ("O", "ambient light")):
-        found = _readings(line, letter) if line.noisy else []
+        found = list(read(line, letter)) if line.noisy else []
         seen += len(found) // _READINGS
         if len(found) < _READINGS:
             continue
@@ -103,7 +94,7 @@ def _is_dead(values: NDArray[np.int64], sensor: int) -> bool:
 
 def _windows(line: RecordedLine, letter: str) -> Iterator[tuple[list[RecordedStep], NDArray[np.int64]]]:
     """Yield windows of readings, each with its steps and values (readings, sensors)."""
-    found = _readings(line, letter) if line.noisy else []
+    found = list(read(line, letter)) if line.noisy else []
     for start in range(0, len(found) - _READINGS + 1, _READINGS):
         window = found[start : start + _READINGS]
         yield [step for step, _ in window], np.array([values for _, values in window], np.int64)
@@ -127,11 +118,7 @@ def frozen_readings(line: RecordedLine) -> Verdict:
 
 def _travelled(line: RecordedLine) -> NDArray[np.int64]:
     """Return times [ns] and counters of the replies to H (n, 3), or else those that D's speeds would give."""
-    counters = [
-        (step.arrived_ns, *values)
-        for step in line.steps
-        if step.exchange.letter == "H" and (values := step.exchange.values) is not None and len(values) == 2
-    ]
+    counters = [(step.arrived_ns, *values) for step, values in read(line, "H")]
     if len(counters) > 1:
         return np.array(counters, np.int64)
     rows, left, right, last_ns, speeds = list[tuple[int, int, int]](), 0.0, 0.0, 0, (0, 0)

@@ -9,7 +9,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.lab.conformance.recording.board_model import MotorSettings, RecordedStep
 from khep_twin.lab.conformance.recording.check import Finding, Verdict, answered, check, finding
 from khep_twin.lab.conformance.recording.recorded_line import RecordedLine
-from khep_twin.lab.conformance.recording.replies import SPEED_MOST, read
+from khep_twin.lab.conformance.recording.replies import SPEED_MOST, Reading, read
 from khep_twin.lab.conformance.recording.wheels import SIDES
 
 _PUSHED = 10
@@ -97,13 +97,10 @@ def counters_on_target(line: RecordedLine) -> Verdict:
     return Verdict(seen, findings)
 
 
-_Reading = tuple[RecordedStep, tuple[int, ...]]
-
-
-def _between_status(line: RecordedLine) -> Iterator[tuple[_Reading, _Reading, _Reading]]:
+def _between_status(line: RecordedLine) -> Iterator[tuple[Reading, Reading, Reading]]:
     """Yield each reply to H that lies between two to K without another command to the motors."""
-    last: _Reading | None = None
-    counters: list[_Reading] = []
+    last: Reading | None = None
+    counters: list[Reading] = []
     changes = list(line.changes_ns)
     for step in line.steps:
         values, letter = step.exchange.values, step.exchange.letter
