@@ -1,11 +1,16 @@
 """`khep-twin serve`, and other commands that serve, in their own processes."""
 
+import os
+import select
 import signal
+import socket
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 
+import serial
 from forked import Forked
 
 import stand_ins.served
@@ -34,3 +39,41 @@ def stop(process: "subprocess.Popen[str]", how: signal.Signals = signal.SIGTERM)
     process.send_signal(how)
     _, errors = process.communicate(timeout=60)
     return process.returncode, errors
+
+
+def ask(port: serial.SerialBase, request: bytes) -> bytes:
+    """Writes a request to a port of pyserial; returns the line that answers it."""
+    port.write(request)
+    return port.readline()
+
+
+def answer(host: int, request: bytes, expected: bytes, timeout: float) -> bytes:
+    """What a host gets at a descriptor: as much as it expects, or less if nothing more comes in time [s]."""
+    os.write(host, request)
+    reply, end = b"", time.monotonic() + timeout
+    while len(reply) < len(expected) and select.select([host], [], [], max(end - time.monotonic(), 0))[0]:
+        reply += os.read(host, 4096)
+    return reply
+
+
+def exchange(path: str, request: bytes, expected: bytes, timeout: float = 1.0) -> bytes:
+    """What a plain host gets: it opens a terminal, asks for an `answer`, and closes."""
+    host = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        return answer(host, request, expected, timeout)
+    finally:
+        os.close(host)
+
+
+def connected(url: str, timeout: float = 20.0) -> socket.socket:
+    """A connection to a port of the network, by its URL."""
+    host, _, number = url.partition("://")[2].rpartition(":")
+    return socket.create_connection((host, int(number)), timeout=timeout)
+
+
+def all_of(host: socket.socket) -> bytes:
+    """What a host gets until the other end closes."""
+    got = b""
+    while more := host.recv(1000):
+        got += more
+    return got

@@ -2,12 +2,15 @@
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
 from khep_twin.log.shadow_channels import Alarm
+from khep_twin.playpen import Playpen
 from khep_twin.shadow.particle_filter import Floats, PoseEstimate
-from khep_twin.shadow.shadow import Residuals, Update
+from khep_twin.shadow.shadow import Residuals, ShadowSettings, Update
+from khep_twin.shadow.shadow_log import ShadowLog
 
 MS = 1_000_000
 ALARM = Alarm("stuck sensor 2", "proximity", 800 * MS, 1000 * MS, 0.975)
@@ -35,3 +38,12 @@ def updates() -> Iterator[Update]:
             (ALARM,) if 1000 * MS <= time_ns < 2000 * MS else (),
             (ALARM,) if time_ns == 2000 * MS else (),
         )
+
+
+def written(path: Path, parent: Path | None = None) -> Path:
+    """Write a log of these updates; return its path."""
+    log = ShadowLog(path, Playpen.load("obstacles"), ShadowSettings(seed=7), parent=parent)
+    for update in updates():
+        log.write(update)
+    log.close()
+    return path

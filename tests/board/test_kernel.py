@@ -30,9 +30,9 @@ class Motor:
         return int(self.place // 1)
 
 
-def drive(registers: kernel.Registers, ticks: int) -> list[int]:
+def drive(registers: kernel.Registers, ticks: int, motor: Motor | None = None) -> list[int]:
     """Runs the left controller on a motor; returns the speed of each tick."""
-    motor, speeds = Motor(), []
+    motor, speeds = motor or Motor(), []
     for _ in range(ticks):
         kernel.tick(registers, motor.follow(registers[LEFT + Wheel.DUTY]), 0)
         speeds.append(registers[LEFT + Wheel.SPEED])
@@ -120,12 +120,11 @@ def test_the_profile_ends_on_its_target(start: int, way: int, speed: int, accele
 def test_a_target_behind_turns_the_profile_around(registers: kernel.Registers) -> None:
     kernel.set_target(registers, LEFT, 5000)
     motor = Motor()
-    for _ in range(120):
-        kernel.tick(registers, motor.follow(registers[LEFT + Wheel.DUTY]), 0)
+    drive(registers, 120, motor)
     kernel.set_target(registers, LEFT, 0)
     highest = 0.0
     for _ in range(400):
-        kernel.tick(registers, motor.follow(registers[LEFT + Wheel.DUTY]), 0)
+        drive(registers, 1, motor)
         highest = max(highest, registers[LEFT + Wheel.PROFILE_POSITION] / 256)
     # At 20 pulses/tick it needs 800 pulses to stop, and is never thrown about.
     assert highest == pytest.approx(1600 + 800, abs=60)
@@ -136,11 +135,9 @@ def test_a_target_behind_turns_the_profile_around(registers: kernel.Registers) -
 def test_renumbering_a_position_moves_nothing(registers: kernel.Registers) -> None:
     kernel.set_target(registers, LEFT, 1000)
     motor = Motor()
-    for _ in range(200):
-        kernel.tick(registers, motor.follow(registers[LEFT + Wheel.DUTY]), 0)
+    drive(registers, 200, motor)
     kernel.set_position(registers, LEFT, 0)
-    for _ in range(50):
-        kernel.tick(registers, motor.follow(registers[LEFT + Wheel.DUTY]), 0)
+    drive(registers, 50, motor)
     assert registers[LEFT + Wheel.POSITION] == pytest.approx(0, abs=2)
 
 

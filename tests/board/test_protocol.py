@@ -116,6 +116,7 @@ def test_unknown_words_are_not_found(line: bytes) -> None:
         b"T,1",
         b"T,x,B",
         b"T,1,",
+        b"T,,B",
     ],
 )
 def test_wrong_or_missing_parameters_are_a_protocol_error(line: bytes) -> None:

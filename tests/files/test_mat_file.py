@@ -82,97 +82,52 @@ def test_an_object_of_a_class_is_passed_over() -> None:
     assert list(found) == ["str", "x"]
 
 
-@pytest.mark.parametrize(
-    ("data", "line"),
-    [
-        (b"short", "no MAT file: only 5 bytes; expected one of Matlab 4 to 7.2"),
-        (b"x" * 200, "no MAT file: begins b'xxxxxxxxxxxxxxxxxxxx'; expected one of Matlab 4 to 7.2"),
-        (
-            b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM",
-            "a MAT file of Matlab 7.3; expected one of Matlab 4 to 7.2, as save -v7 writes it",
-        ),
-        (
-            b"\x89HDF\r\n\x1a\n".ljust(200),
-            "a MAT file of Matlab 7.3; expected one of Matlab 4 to 7.2, as save -v7 writes it",
-        ),
-        (
-            five(matrix([2, 2], content=b"abc")),
-            "'x': 3 values; expected 2 x 2",
-        ),
-        (
-            five(matrix([-1, 2])),
-            "no whole MAT file: a matrix of -1 x 2; expected the file as saved",
-        ),
-        (
-            five(matrix([1] * 33, content=b"a")),
-            "no whole MAT file: a matrix of 33 dimensions; expected the file as saved",
-        ),
-        (
-            five(matrix([2**31 - 1] * 4 + [0])),
-            "no whole MAT file: a matrix of 2147483647 x 2147483647 x 2147483647 x 2147483647 x 0; "
-            "expected the file as saved",
-        ),
-        (
-            five(matrix([1, 1], content=b"a", stored=8)),
-            "no whole MAT file: numbers of type 8; expected the file as saved",
-        ),
-        (
-            five(matrix([2, 2], content=b"abcd"))[:-8],
-            "no whole MAT file: 8 bytes are missing at its end; expected the file as saved",
-        ),
-        (
-            five(element(14, element(6, b"1234"))),
-            "no whole MAT file: a matrix without its kind; expected the file as saved",
-        ),
-        (
-            five(element(15, b"no zlib")),
-            "no whole MAT file: Error -3 while decompressing data: incorrect header check; "
-            "expected the file as saved",
-        ),
-        (
-            struct.pack("<5I", 7, 1, 1, 0, 2) + b"a\0" + bytes(8),
-            "no MAT file: a matrix of kind 7 at byte 0; expected one of Matlab 4 to 7.2",
-        ),
-        (
-            struct.pack("<5I", 0, 2**31, 2**31, 0, 2) + b"a\0" + bytes(8),
-            "no whole MAT file: 36893488147419103224 bytes are missing at its end; "
-            "expected the file as saved",
-        ),
-    ],
-)  # fmt: skip
-def test_a_broken_file_is_told_in_one_line(data: bytes, line: str) -> None:
-    with pytest.raises(MatError) as caught:
-        read_variables(data)
-    assert str(caught.value) == line
-
-
 def bomb() -> bytes:
     packed = element(15, zlib.compress(matrix([2**15, 2**10], content=bytes(2**25)), 9))
     return five(packed, packed, packed)
 
 
-@pytest.mark.parametrize(
-    ("data", "line"),
-    [
-        (bomb(), f"unpacked larger than {mat_file.SIZE_LIMIT} bytes, the most that is read"),
-        (bytes(mat_file.SIZE_LIMIT + 1), f"larger than {mat_file.SIZE_LIMIT} bytes, the most that is read"),
-        (five(matrix([0, 0]) * 10_001), "more than 10000 variables; expected a file with fewer"),
-        (five(element(1, b"") * 10_001), "more than 10000 variables; expected a file with fewer"),
-        (
-            (struct.pack("<5I", 50, 0, 0, 0, 2) + b"a\0") * 10_001,
-            "more than 10000 variables; expected a file with fewer",
-        ),
-        (
-            five(matrix([1, 2**21], 4, bytes(2**21))),
-            "text of 2097152 characters; expected up to 1048576",
-        ),
-        (
-            five(matrix([1, 2**21], 4, b"a" * 2**21, stored=16)),
-            "text of 2097152 characters; expected up to 1048576",
-        ),
-    ],
-)  # fmt: skip
-def test_a_bomb_is_refused(data: bytes, line: str) -> None:
+NO_MAT_FILE = {
+    b"short": "only 5 bytes",
+    b"x" * 200: "begins b'xxxxxxxxxxxxxxxxxxxx'",
+    struct.pack("<5I", 7, 1, 1, 0, 2) + b"a\0" + bytes(8): "a matrix of kind 7 at byte 0",
+}
+NEWER = [b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM", b"\x89HDF\r\n\x1a\n".ljust(200)]
+BROKEN = {
+    five(matrix([-1, 2])): "a matrix of -1 x 2",
+    five(matrix([1] * 33, content=b"a")): "a matrix of 33 dimensions",
+    five(matrix([2**31 - 1] * 4 + [0])): f"a matrix of {'2147483647 x ' * 4}0",
+    five(matrix([1, 1], content=b"a", stored=8)): "numbers of type 8",
+    five(matrix([2, 2], content=b"abcd"))[:-8]: "8 bytes are missing at its end",
+    five(element(14, element(6, b"1234"))): "a matrix without its kind",
+    five(element(15, b"no zlib")): "Error -3 while decompressing data: incorrect header check",
+    struct.pack("<5I", 0, 2**31, 2**31, 0, 2) + b"a\0" + bytes(8): (
+        "36893488147419103224 bytes are missing at its end"
+    ),
+}
+MANY = [
+    five(matrix([0, 0]) * 10_001),
+    five(element(1, b"") * 10_001),
+    (struct.pack("<5I", 50, 0, 0, 0, 2) + b"a\0") * 10_001,
+]
+LONG = [five(matrix([1, 2**21], 4, bytes(2**21))), five(matrix([1, 2**21], 4, b"a" * 2**21, stored=16))]
+CASES = [
+    *((data, f"no MAT file: {line}; expected one of Matlab 4 to 7.2") for data, line in NO_MAT_FILE.items()),
+    *(
+        (data, "a MAT file of Matlab 7.3; expected one of Matlab 4 to 7.2, as save -v7 writes it")
+        for data in NEWER
+    ),
+    *((data, f"no whole MAT file: {line}; expected the file as saved") for data, line in BROKEN.items()),
+    (five(matrix([2, 2], content=b"abc")), "'x': 3 values; expected 2 x 2"),
+    (bomb(), f"unpacked larger than {mat_file.SIZE_LIMIT} bytes, the most that is read"),
+    (bytes(mat_file.SIZE_LIMIT + 1), f"larger than {mat_file.SIZE_LIMIT} bytes, the most that is read"),
+    *((data, "more than 10000 variables; expected a file with fewer") for data in MANY),
+    *((data, "text of 2097152 characters; expected up to 1048576") for data in LONG),
+]
+
+
+@pytest.mark.parametrize(("data", "line"), CASES, ids=[line for _, line in CASES])
+def test_a_broken_file_and_a_bomb_are_one_line(data: bytes, line: str) -> None:
     with pytest.raises(MatError) as caught:
         read_variables(data)
     assert str(caught.value) == line

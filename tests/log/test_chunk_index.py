@@ -12,14 +12,12 @@ from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.chunk_index import ChunkIndex
 from khep_twin.log.record_bytes import HEAD, RecordBytes, parsed, records_in
 
-from test_batch_writer import Buffer  # isort: skip
-
 DAY = 172_800
 """Chunks of a day of `serve`, one each half second."""
 
 
 def test_the_index_says_of_each_chunk_what_the_file_holds() -> None:
-    buffer, rng = Buffer(), np.random.default_rng(1)
+    buffer, rng = BytesIO(), np.random.default_rng(1)
     writer = BatchWriter(buffer, "ros2", "a library")
     channels = [writer.channel(f"/{number}", "type", "int8 x") for number in range(5)]
     for chunk in range(1100):
@@ -29,10 +27,11 @@ def test_the_index_says_of_each_chunk_what_the_file_holds() -> None:
                 writer.add_lines(channel, [time_ns], [rng.bytes(int(rng.integers(0, 40)))])
         writer.flush()
     writer.finish()
-    summary = make_reader(BytesIO(buffer.data)).get_summary()
+    data = buffer.getvalue()
+    summary = make_reader(BytesIO(data)).get_summary()
     assert summary is not None
     found = {each.chunk_start_offset: each for each in summary.chunk_indexes}
-    records, data = RecordBytes(buffer.data), buffer.data
+    records = RecordBytes(data)
     chunks = 0
     for opcode, start, end in records_in(data[8:]):
         place = start + 8 - HEAD.size

@@ -11,7 +11,7 @@ import pytest
 from driving import SECOND, drive
 from foxglove_client import FoxgloveClient, Sent, client
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from mcap.reader import make_reader
+from log_contents import messages_of
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
@@ -32,12 +32,11 @@ def server() -> Iterator[FoxgloveServer]:
         yield server
 
 
-def messages_of(path: Path) -> dict[str, list[tuple[int, bytes]]]:
-    """The messages of a log by topic, read by mcap's own reader."""
+def by_topic(log: Path) -> dict[str, list[tuple[int, bytes]]]:
+    """Times [ns] and messages of a log by topic."""
     found: defaultdict[str, list[tuple[int, bytes]]] = defaultdict(list)
-    with path.open("rb") as file:
-        for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
-            found[channel.topic].append((message.log_time, message.data))
+    for topic, message in messages_of(log):
+        found[topic].append((message.log_time, message.data))
     return found
 
 
@@ -66,7 +65,7 @@ def test_a_client_has_the_messages_of_the_log_byte_by_byte(server: FoxgloveServe
     sent: defaultdict[str, list[tuple[int, bytes]]] = defaultdict(list)
     for message in found:
         sent[message.topic].append((message.time_ns, message.data))
-    logged = messages_of(tmp_path / "run.mcap")
+    logged = by_topic(tmp_path / "run.mcap")
     assert logged["/events"][-2:] == sent["/events"]
     for topic in [*SAMPLED, "/tf"]:
         assert sent[topic] == logged[topic][1:], topic  # the first one was before it came
@@ -107,7 +106,7 @@ def test_who_subscribes_late_has_the_scene_and_the_time(server: FoxgloveServer, 
             twin.world.log_event(0, "taken away")
             watcher.until("/events")
             watcher.until_time(SECOND)
-    logged = messages_of(tmp_path / "run.mcap")
+    logged = by_topic(tmp_path / "run.mcap")
     assert {each.topic: each.data for each in found} == {topic: logged[topic][0][1] for topic in STANDING}
     assert watcher.time_ns == SECOND
 
@@ -151,10 +150,7 @@ def test_a_port_in_use_is_one_line(server: FoxgloveServer) -> None:
 
 def test_the_layout_shows_channels_that_a_log_has(log: Path) -> None:
     layout = json.loads(LAYOUT.read_text())
-    with log.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    topics = {channel.topic for channel in summary.channels.values()}
+    topics = {topic for topic, _ in messages_of(log)}
     panels = layout["configById"].values()
     shown = {path["value"].partition(".")[0] for panel in panels for path in panel.get("paths", [])}
     shown |= {panel["topicToRender"] for panel in panels if "topicToRender" in panel}

@@ -9,6 +9,7 @@ import pytest
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message_factory import GetMessages
+from log_contents import messages_of
 from mcap.reader import make_reader
 
 from khep_twin import playpen as playpens
@@ -188,18 +189,11 @@ def test_a_log_has_the_scene_once_and_a_frame_for_every_entity(
     with log.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         found = list(reader.iter_messages(topics=["/scene"]))
-        frames = {
-            name
-            for _, _, message in reader.iter_messages(topics=["/tf"])
-            for name in read_transforms(message.data)
-        }
+    frames = {name for _, message in messages_of(log, "/tf") for name in read_transforms(message.data)}
     ((schema, channel, message),) = found
     assert schema is not None
-    assert (schema.name, schema.encoding, channel.message_encoding) == (
-        "foxglove.SceneUpdate",
-        "protobuf",
-        "protobuf",
-    )
+    assert schema.name == "foxglove.SceneUpdate"
+    assert schema.encoding == channel.message_encoding == "protobuf"
     assert FileDescriptorSet.FromString(schema.data) == published()
     assert (message.log_time, message.data) == (0, expected)
     # By the definition in the log itself, as a viewer that knows nothing else reads it.

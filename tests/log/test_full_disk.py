@@ -9,13 +9,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from io import BytesIO
 from pathlib import Path
 
 import pytest
 from command_line import khep_twin
 from driving import SECOND, drive
 from forked import Forked, run_python
-from mcap.reader import make_reader
+from log_contents import messages_of
 from typer.testing import CliRunner
 
 from khep_twin.cli.app import app
@@ -50,9 +51,7 @@ def until(part: Path) -> float:
     """Recovers a part; returns the time of its last sample [s]."""
     found = recover(part)
     assert found.whole
-    with found.path.open("rb") as file:
-        messages = make_reader(file, validate_crcs=True).iter_messages(topics=["/tf"])
-        return max(message.log_time for _, _, message in messages) / SECOND
+    return max(message.log_time for _, message in messages_of(found.path, "/tf")) / SECOND
 
 
 def on_a_small_disk(folder: Path, size: str, words: Sequence[str]) -> subprocess.CompletedProcess[str]:
@@ -251,21 +250,18 @@ def test_a_file_that_was_closed_takes_nothing(tmp_path: Path) -> None:
     assert (tmp_path / "other.txt").read_bytes() == b""
 
 
-class Failing:
+class Failing(BytesIO):
     """A file that takes so many writes and no more."""
 
     def __init__(self, writes: int) -> None:
-        self.data, self._left = b"", writes
+        super().__init__()
+        self._left = writes
 
     def write(self, data: bytes) -> int:
         if not self._left:
             raise OSError(5, "Input/output error")
         self._left -= 1
-        self.data += data
-        return len(data)
-
-    def tell(self) -> int:
-        return len(self.data)
+        return super().write(data)
 
 
 @pytest.mark.parametrize("writes", range(1, 8))
@@ -275,7 +271,7 @@ def test_wherever_a_file_fails_what_it_took_before_is_rescued(tmp_path: Path, wr
     with pytest.raises(OSError, match="Input/output error"):
         write(file, written)
     part = tmp_path / "run.mcap.part"
-    part.write_bytes(file.data)
+    part.write_bytes(file.getvalue())
     if writes == 1:
         with pytest.raises(LogError, match="nothing to rescue"):
             recover(part)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
-from rerun.chunk import Chunk, RrdReader
-from shadow_updates import MS, updates
+from log_contents import times_of
+from shadow_updates import MS, updates, written
 
 from khep_twin.log.reader import read_label, read_series
 from khep_twin.log.shadow_channels import read_shadow
@@ -25,42 +25,25 @@ from khep_twin.shadow.shadow_log import ShadowLog
 from khep_twin.shadow.shadow_viewer import ShadowViewer
 
 
-def written(path: Path, parent: Path | None = None) -> Path:
-    log = ShadowLog(path, Playpen.load("obstacles"), ShadowSettings(), parent=parent)
-    for update in updates():
-        log.write(update)
-    log.close()
-    return path
-
-
-def chunks_of(recording: Path) -> dict[str, list[Chunk]]:
-    reader = RrdReader(recording)
-    found: dict[str, list[Chunk]] = {}
-    for chunk in reader.stream(store=reader.recordings()[0]):
-        if not chunk.is_static:
-            found.setdefault(chunk.entity_path, []).append(chunk)
-    return found
-
-
-def times_ms(chunks: list[Chunk]) -> list[int]:
-    columns = [chunk.to_record_batch()["message_log_time"].to_numpy(zero_copy_only=False) for chunk in chunks]
-    return (np.concatenate(columns).astype(np.int64) // MS).tolist()
+def times_ms(recording: Path) -> dict[str, list[int]]:
+    """Times at which something is shown, by entity [ms]."""
+    return {entity: [time_ns // MS for time_ns in each] for entity, each in times_of(recording).items()}
 
 
 def test_a_view_of_a_shadow_has_estimate_reckoning_particles_rays_and_residuals(tmp_path: Path) -> None:
     view([written(tmp_path / "shadow.mcap")], tmp_path / "shadow.rrd")
-    found = chunks_of(tmp_path / "shadow.rrd")
+    found = times_ms(tmp_path / "shadow.rrd")
     each = list(range(0, 3001, 50))
     for name in ("reckoned", "spread", "expected", "measured"):
-        assert times_ms(found[f"/ghost/{name}"]) == each
-    assert times_ms(found["/ghost/particles"]) == [0, 1000, 2000, 3000]
-    assert times_ms(found["/trails/khepera0"]) == times_ms(found["/trails/reckoned"]) == each[1:]
+        assert found[f"/ghost/{name}"] == each
+    assert found["/ghost/particles"] == [0, 1000, 2000, 3000]
+    assert found["/trails/khepera0"] == found["/trails/reckoned"] == each[1:]
     assert "/ghost/truth" not in found
     # Without what was not asked, which would interrupt the curves.
-    assert times_ms(found["/khepera0/residual_proximity"]) == each[::2]
-    assert times_ms(found["/khepera0/residual_wheels"]) == each
+    assert found["/khepera0/residual_proximity"] == each[::2]
+    assert found["/khepera0/residual_wheels"] == each
     assert "/khepera0/residual_light" not in found
-    assert times_ms(found["/event_marks"]) == times_ms(found["/khepera0/events"]) == [1000, 2000]
+    assert found["/event_marks"] == found["/khepera0/events"] == [1000, 2000]
 
 
 def test_the_truth_is_shown_if_the_log_that_was_read_lies_beside(log: Path, tmp_path: Path) -> None:
@@ -69,11 +52,11 @@ def test_the_truth_is_shown_if_the_log_that_was_read_lies_beside(log: Path, tmp_
     shadow = written(tmp_path / "shadow.mcap", robot)
     view([shadow], tmp_path / "shadow.rrd")
     poses = read_series(robot).series["/khepera0/pose"].times_ns // MS
-    assert times_ms(chunks_of(tmp_path / "shadow.rrd")["/trails/truth"]) == poses[1:].tolist()
+    assert times_ms(tmp_path / "shadow.rrd")["/trails/truth"] == poses[1:].tolist()
     with robot.open("ab") as file:
         file.write(b"another log by now")
     view([shadow], tmp_path / "alone.rrd")
-    assert "/trails/truth" not in chunks_of(tmp_path / "alone.rrd")
+    assert "/trails/truth" not in times_ms(tmp_path / "alone.rrd")
 
 
 def test_a_ray_ends_where_a_facing_wall_would_give_the_reading(tmp_path: Path) -> None:
@@ -97,9 +80,9 @@ def test_a_shadow_is_shown_while_it_goes_on(tmp_path: Path) -> None:
         with rr.RecordingStream("khep_twin") as recording:
             recording.save(tmp_path / "live.rrd")
             follow(growing, recording, lambda: False)
-    found = chunks_of(tmp_path / "live.rrd")
-    assert times_ms(found["/ghost/reckoned"]) == list(range(0, 3001, 50))
-    assert sorted(times_ms(found["/shadow/alarms"])) == [1000, 2000]
+    found = times_ms(tmp_path / "live.rrd")
+    assert found["/ghost/reckoned"] == list(range(0, 3001, 50))
+    assert sorted(found["/shadow/alarms"]) == [1000, 2000]
 
 
 def test_a_viewer_that_cannot_open_is_told_and_leaves_nothing(

@@ -17,9 +17,10 @@ import pytest
 import rerun as rr
 from driving import SECOND, drive
 from forked import Forked
+from log_contents import times_of
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
-from rerun.chunk import Chunk, RrdReader
+from rerun.chunk import Chunk
 
 from khep_twin.errors import LogError
 from khep_twin.log.entries import Entry
@@ -33,18 +34,6 @@ def all_of(log: GrowingLog) -> list[Entry]:
     found: list[Entry] = []
     while block := log.new():
         found += block
-    return found
-
-
-def times_of(path: Path) -> dict[str, list[int]]:
-    """When something is shown in a recording, by entity [ns]."""
-    reader = RrdReader(path)
-    (recording,) = reader.recordings()
-    found: dict[str, list[int]] = {}
-    for chunk in reader.stream(store=recording):
-        if not chunk.is_static:
-            column = chunk.to_record_batch()["message_log_time"].to_numpy(zero_copy_only=False)
-            found.setdefault(chunk.entity_path, []).extend(column.astype(np.int64).tolist())
     return found
 
 

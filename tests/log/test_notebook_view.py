@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import rerun as rr
 from driving import SECOND, drive
-from rerun.chunk import RrdReader
+from log_contents import chunks_of
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.log.recorder import LiveRecorder
@@ -15,11 +15,8 @@ from khep_twin.log.viewer.replay import view
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 
-def entities(path: Path) -> set[str]:
-    """What a recording shows."""
-    reader = RrdReader(path)
-    (recording,) = reader.recordings()
-    return {chunk.entity_path for chunk in reader.stream(store=recording)}
+def entities(recording: Path) -> set[str]:
+    return {chunk.entity_path for chunk in chunks_of(recording)}
 
 
 def test_it_is_handed_what_a_replay_shows(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from driving import SECOND, drive
 from forked import run_python
+from log_contents import messages_of
 from mcap.reader import make_reader
 from mcap.records import Attachment, Header, Message, Metadata
 from mcap.stream_reader import StreamReader
@@ -35,12 +37,13 @@ Start = Callable[[Path], Twin]
 def records(path: Path) -> list[object]:
     """Every record of a log as it stands in the file; a torn end is left out."""
     found: list[object] = []
-    with path.open("rb") as file:
-        try:
-            found += StreamReader(file).records
-        except Exception:
-            pass
+    with path.open("rb") as file, suppress(Exception):
+        found += StreamReader(file).records
     return found
+
+
+def messages_in(path: Path) -> list[Message]:
+    return [record for record in records(path) if isinstance(record, Message)]
 
 
 def test_the_same_run_gives_the_same_bytes_under_any_name(tmp_path: Path, start: Start) -> None:
@@ -90,16 +93,12 @@ def test_lamps_that_change_are_recorded_and_others_are_not(tmp_path: Path) -> No
             # Back to the lower wall, where the lamps are switched.
             twin.robot.send(b"D,-20,-20\n")
             twin.advance_to(4 * SECOND)
-    with (tmp_path / "turns.mcap").open("rb") as file:
-        powers = [
-            read_array(message.data, "d") for _, _, message in make_reader(file).iter_messages(["/lamps"])
-        ]
+    powers = [read_array(each.data, "d") for _, each in messages_of(tmp_path / "turns.mcap", "/lamps")]
     assert powers[0] == (7, 0)
     assert len(powers) == 201
     assert powers[-1] == (0, 2)
     assert [event.text for event in read_log(tmp_path / "turns.mcap").events] == ["in-the-open is on"]
-    with (tmp_path / "still.mcap").open("rb") as file:
-        assert not list(make_reader(file).iter_messages(["/lamps"]))
+    assert not messages_of(tmp_path / "still.mcap", "/lamps")
 
 
 def test_a_lamp_that_a_hand_switches_is_recorded_from_then_on(tmp_path: Path) -> None:
@@ -108,11 +107,7 @@ def test_a_lamp_that_a_hand_switches_is_recorded_from_then_on(tmp_path: Path) ->
         twin.advance_to(SECOND)
         switch(twin.world, 1, False)
         twin.advance_to(2 * SECOND)
-    with path.open("rb") as file:
-        found = [
-            (message.log_time, read_array(message.data, "d"))
-            for _, _, message in make_reader(file).iter_messages(["/lamps"])
-        ]
+    found = [(each.log_time, read_array(each.data, "d")) for _, each in messages_of(path, "/lamps")]
     assert found == [(SECOND + sample * SAMPLE_NS, (7, 0)) for sample in range(1, 51)]
 
 
@@ -311,7 +306,7 @@ def test_a_full_disk_is_reported_once_and_what_was_saved_stays(
     twin = start(path)
     drive(twin, 1)
     twin.world.log_event(None, "still good")
-    saved = len([record for record in records(twin.recorder.part) if isinstance(record, Message)])
+    saved = len(messages_in(twin.recorder.part))
     tried = fill_disk_after(size, monkeypatch)
     with pytest.raises(
         LogError, match=r"run\.mcap: .* at \d+\.\d\d s: No space left on device; .*run\.mcap\.part"
@@ -323,10 +318,7 @@ def test_a_full_disk_is_reported_once_and_what_was_saved_stays(
     twin.close()
     assert len(tried) == calls
     assert os.listdir(tmp_path) == ["run.mcap.part"]
-    assert (
-        len([record for record in records(tmp_path / "run.mcap.part") if isinstance(record, Message)])
-        >= saved
-    )
+    assert len(messages_in(tmp_path / "run.mcap.part")) >= saved
 
 
 def drive_on(twin: Twin) -> None:
@@ -360,7 +352,7 @@ def test_a_limit_on_file_sizes_is_a_full_disk_too(tmp_path: Path) -> None:
     assert "File too large" in done.stderr.splitlines()[-1]
     (part,) = tmp_path.iterdir()
     assert part.stat().st_size <= 200_000
-    assert sum(isinstance(record, Message) for record in records(part)) > 1000
+    assert len(messages_in(part)) > 1000
 
 
 def test_a_killed_run_keeps_what_was_flushed(tmp_path: Path) -> None:
@@ -371,13 +363,10 @@ def test_a_killed_run_keeps_what_was_flushed(tmp_path: Path) -> None:
         "os.kill(os.getpid(), 9)\n"
     )
     run_python([sys.executable, "-c", program, tmp_path / "run.mcap"])
-    times = [record.log_time for record in records(tmp_path / "run.mcap.part") if isinstance(record, Message)]
-    assert max(times) == 2 * SECOND
+    assert max(each.log_time for each in messages_in(tmp_path / "run.mcap.part")) == 2 * SECOND
 
 
 def test_several_robots_and_movable_objects_are_all_recorded(tmp_path: Path) -> None:
-    from khep_twin import playpen
-
     crowd = """
         version = 1
         name = "crowd"
@@ -417,6 +406,5 @@ def test_a_world_whose_last_lamp_is_taken_away_is_recorded_further(tmp_path: Pat
         twin.world.advance_to(SECOND // 10)
         set_lamps(twin.world, (), twin.world.playpen.lighting)
         twin.world.advance_to(SECOND // 5)
-    with (tmp_path / "x.mcap").open("rb") as file:
-        times = [message.log_time for _, _, message in make_reader(file).iter_messages(topics=["/tf"])]
+    times = [message.log_time for _, message in messages_of(tmp_path / "x.mcap", "/tf")]
     assert times == list(range(0, SECOND // 5 + 1, SAMPLE_NS))

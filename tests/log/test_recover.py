@@ -15,9 +15,8 @@ import zstandard
 from command_line import khep_twin
 from driving import COMMANDS, SECOND
 from forked import Forked
+from log_contents import messages_of
 from log_rewriting import rewritten
-from mcap.reader import make_reader
-from mcap.records import Message
 from mcap.writer import MCAP0_MAGIC, Writer
 
 from khep_twin.errors import LogError
@@ -45,12 +44,6 @@ def long_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def contents(path: Path) -> list[tuple[str, Message]]:
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        return [(channel.topic, message) for _, channel, message in reader.iter_messages()]
-
-
 def rescued(folder: Path, data: bytes) -> Recovery | None:
     """What can be rescued of these bytes; the file is opened, too."""
     part = folder / "torn.mcap.part"
@@ -64,7 +57,7 @@ def rescued(folder: Path, data: bytes) -> Recovery | None:
         return None
     assert sorted(os.listdir(folder)) == [target.name, part.name]
     assert part.read_bytes() == data
-    assert len(contents(target)) == found.messages
+    assert len(messages_of(target)) == found.messages
     return found
 
 
@@ -75,7 +68,7 @@ def test_a_finished_log_is_copied_message_by_message(tmp_path: Path, long_log: P
     assert found.path == tmp_path / "run.recovered.mcap"
     assert found.whole
     assert found.until_ns == 12 * SECOND
-    before, after = contents(path), contents(found.path)
+    before, after = messages_of(path), messages_of(found.path)
     assert [(topic, each.log_time, each.data) for topic, each in before] == [
         (topic, each.log_time, each.data) for topic, each in after
     ]
@@ -95,13 +88,13 @@ def test_more_bytes_never_give_fewer_messages(tmp_path: Path, long_log: Path) ->
         assert now[1] >= before[1], point
         before = now
     # Opening each takes its time: every third, and what is in it is what was there.
-    whole = [(topic, each.log_time, each.data) for topic, each in contents(long_log)]
+    whole = [(topic, each.log_time, each.data) for topic, each in messages_of(long_log)]
     known = set(whole)
     for point in points[::3]:
         if (found := rescued(tmp_path, data[:point])) is None:
             continue
         opened += 1
-        kept = contents(found.path)
+        kept = messages_of(found.path)
         assert {(topic, each.log_time, each.data) for topic, each in kept} <= known
         if found.messages:
             run = read_log(found.path)
@@ -113,7 +106,7 @@ def test_more_bytes_never_give_fewer_messages(tmp_path: Path, long_log: Path) ->
 
 def test_flipped_bytes_lose_what_they_hit_and_nothing_false_is_kept(tmp_path: Path, long_log: Path) -> None:
     data = long_log.read_bytes()
-    whole = {(topic, each.log_time, each.data) for topic, each in contents(long_log)}
+    whole = {(topic, each.log_time, each.data) for topic, each in messages_of(long_log)}
     known = {each[1:] for each in whole}
     rng = random.Random(2)
     for _ in range(40):
@@ -139,7 +132,7 @@ def test_damage_in_the_middle_is_skipped_and_said(tmp_path: Path, long_log: Path
     assert found is not None
     assert (found.damaged, found.torn) == (1, False)
     assert found.until_ns == 12 * SECOND
-    assert 0 < found.messages < len(contents(long_log))
+    assert 0 < found.messages < len(messages_of(long_log))
 
 
 def test_a_damaged_attachment_does_not_pass_for_a_good_one(tmp_path: Path, long_log: Path) -> None:

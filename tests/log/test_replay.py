@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from forked import run_python
+from log_contents import chunks_of
 from PIL import Image
-from rerun.chunk import Chunk, McapReader, RrdReader
+from rerun.chunk import Chunk, McapReader
 from typer.testing import CliRunner
 
 from khep_twin.cli.app import app
@@ -77,20 +78,17 @@ def test_the_scene_for_foxglove_draws_nothing_twice(log: Path) -> None:
 
 def test_a_saved_recording_holds_the_log_and_a_layout(log: Path, tmp_path: Path) -> None:
     view([log], tmp_path / "run.rrd")
-    reader = RrdReader(tmp_path / "run.rrd")
-    (recording,), (layout,) = reader.recordings(), reader.blueprints()
-    assert components(list(reader.stream(store=recording))) >= EXPECTED
-    views = components(list(reader.stream(store=layout)))
+    assert components(chunks_of(tmp_path / "run.rrd")) >= EXPECTED
+    views = components(chunks_of(tmp_path / "run.rrd", blueprint=True))
     assert sum(name == "ViewBlueprint:class_identifier" for _, name in views) == 7
     assert os.listdir(tmp_path) == ["run.rrd"]
 
 
 def test_a_saved_recording_counts_seconds_of_the_run(log: Path, tmp_path: Path) -> None:
     view([log], tmp_path / "run.rrd")
-    reader = RrdReader(tmp_path / "run.rrd")
     types = {
         str(field.type)
-        for chunk in reader.stream(store=reader.recordings()[0])
+        for chunk in chunks_of(tmp_path / "run.rrd")
         for field in chunk.to_record_batch().schema
         if field.name == "message_log_time"
     }
@@ -168,9 +166,7 @@ def test_a_viewer_that_fails_is_one_line(log: Path, viewer: Path) -> None:
 
 def test_a_recording_has_khepbase_and_what_the_sensors_look_at(log: Path, tmp_path: Path) -> None:
     view([log], tmp_path / "run.rrd")
-    reader = RrdReader(tmp_path / "run.rrd")
-    (recording,) = reader.recordings()
-    found = components(list(reader.stream(store=recording)))
+    found = components(chunks_of(tmp_path / "run.rrd"))
     assert {
         ("/khepera0/khepbase/outline", "LineStrips2D:strips"),
         ("/khepera0/khepbase/full", "LineStrips2D:strips"),
@@ -204,10 +200,8 @@ def test_bars_are_filled_and_as_long_as_what_they_tell() -> None:
 
 def rows(recording: Path, entity: str, component: str) -> list[tuple[int, list[Any]]]:
     """Time [ns] and values of each row of an entity's component, in order of time."""
-    reader = RrdReader(recording)
-    (store,) = reader.recordings()
     found: list[tuple[int, list[Any]]] = []
-    for chunk in reader.stream(store=store):
+    for chunk in chunks_of(recording):
         batch = chunk.to_record_batch()
         if chunk.entity_path == entity and component in batch.schema.names:
             at = (
@@ -255,9 +249,8 @@ heading_deg = 0
 
 
 def test_curves_show_the_whole_run_and_the_legend_stands_before_it(at_a_wall: Path) -> None:
-    reader = RrdReader(at_a_wall)
     ranges: list[tuple[int, int]] = []
-    for chunk in reader.stream(store=reader.blueprints()[0]):
+    for chunk in chunks_of(at_a_wall, blueprint=True):
         batch = chunk.to_record_batch()
         if "TimeAxis:view_range" in batch.schema.names:
             ((found,),) = batch["TimeAxis:view_range"].to_pylist()
@@ -353,15 +346,14 @@ def twins(log: Path, tmp_path: Path) -> list[Path]:
 
 def test_logs_side_by_side_keep_apart(twins: list[Path], tmp_path: Path) -> None:
     view(twins, tmp_path / "both.rrd")
-    reader = RrdReader(tmp_path / "both.rrd")
-    (recording,), (blueprint,) = reader.recordings(), reader.blueprints()
-    found = components(list(reader.stream(store=recording)))
+    chunks = chunks_of(tmp_path / "both.rrd")
+    found = components(chunks)
     for place in (r"/first\/run", r"/second\/run"):
         assert {(place + entity, name) for entity, name in EXPECTED} <= found
         assert (f"{place}/khepera0/khepbase/proximity", "LineStrips2D:strips") in found
     frames = {
         (chunk.entity_path.split("/run")[0][1:-1], frame.split("/")[0])
-        for chunk in reader.stream(store=recording)
+        for chunk in chunks
         for batch in [chunk.to_record_batch()]
         for name in ("CoordinateFrame:frame", "Transform3D:child_frame", "Transform3D:parent_frame")
         if name in batch.schema.names
@@ -369,7 +361,7 @@ def test_logs_side_by_side_keep_apart(twins: list[Path], tmp_path: Path) -> None
         for frame in row
     }
     assert frames == {("first", "first"), ("second", "second")}
-    views = components(list(reader.stream(store=blueprint)))
+    views = components(chunks_of(tmp_path / "both.rrd", blueprint=True))
     assert sum(name == "ViewBlueprint:class_identifier" for _, name in views) == 14
 
 

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rerun.chunk import RrdReader
+from driving import SECOND
+from log_contents import times_of
 from typer.testing import CliRunner
 
 from khep_twin.cli.app import app
@@ -14,8 +15,6 @@ from khep_twin.log.viewer import thinning
 from khep_twin.log.viewer.collected import TIMELINE, Collector
 from khep_twin.log.viewer.thinning import Copy, interval_ns
 from khep_twin.ports.twin import TwinOptions, open_twin
-
-SECOND = 1_000_000_000
 
 
 @pytest.fixture(scope="module")
@@ -87,16 +86,4 @@ def test_a_long_log_is_reported_and_saved_with_fewer_samples(
     monkeypatch.setattr(thinning, "SAMPLES", 12)
     result = CliRunner().invoke(app, ["view", str(log), "--save", str(tmp_path / "run.rrd")])
     assert "one sample in 0.50 s is shown, as it lasts 0:00:06" in result.stderr
-    times_ns = [
-        int(time_ns)
-        for chunk in RrdReader(tmp_path / "run.rrd").stream()
-        if chunk.entity_path == "/khepera0/proximity" and not chunk.is_static
-        for time_ns in _times(chunk)
-    ]
-    assert len(times_ns) == 13
-
-
-def _times(chunk: Any) -> Any:
-    batch = chunk.to_record_batch()
-    column = batch.column(batch.schema.names.index(TIMELINE))
-    return column.to_numpy(zero_copy_only=False).astype(np.int64)
+    assert len(times_of(tmp_path / "run.rrd")["/khepera0/proximity"]) == 13

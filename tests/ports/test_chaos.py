@@ -2,7 +2,6 @@
 
 import fcntl
 import os
-import select
 import signal
 import subprocess
 import sys
@@ -13,23 +12,10 @@ from collections.abc import Callable, Iterator
 import pytest
 import serial
 from forked import Forked
-from served_twin import served, stop
+from served_twin import ask, exchange, served, stop
 
 CONNECTS = int(os.environ.get("KHEP_OPENINGS", "60"))
 PAUSE = 0.02
-
-
-def exchange(path: str, request: bytes, expected: bytes, timeout: float = 1.0) -> bytes:
-    """What a plain host gets: opens, writes, reads until it has as much as it expects, closes."""
-    port = os.open(path, os.O_RDWR | os.O_NOCTTY)
-    try:
-        os.write(port, request)
-        reply, end = b"", time.monotonic() + timeout
-        while len(reply) < len(expected) and select.select([port], [], [], max(end - time.monotonic(), 0))[0]:
-            reply += os.read(port, 4096)
-        return reply
-    finally:
-        os.close(port)
 
 
 def killed(path: str, rubbish: str) -> None:
@@ -153,10 +139,8 @@ def test_a_second_later_the_next_host_gets_its_first_reply(path: str, misdeed: C
     misdeed(path)
     time.sleep(0.9)
     with serial.Serial(path, 9600, stopbits=2, timeout=0.5) as port:
-        port.write(b"B\n")
-        assert port.readline() == b"b,5.02,5.01\r\n"
-        port.write(b"E\n")
-        assert port.readline().startswith(b"e,")
+        assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
+        assert ask(port, b"E\n").startswith(b"e,")
 
 
 def test_a_host_that_comes_as_another_leaves_and_writes_more_than_the_line_takes_ends_no_server() -> None:
@@ -192,7 +176,6 @@ def test_strict_lines_garble_what_comes_at_another_speed() -> None:
             assert b"5.02" not in port.read(50)
         time.sleep(0.1)
         with serial.Serial(path, 9600, stopbits=2, timeout=0.5) as port:
-            port.write(b"B\n")
-            assert port.readline() == b"b,5.02,5.01\r\n"
+            assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
         _, errors = stop(process)
     assert "at 19200 baud, the robot's has 9600; the bytes are garbled; for 19200 baud" in errors

@@ -14,24 +14,17 @@ import time
 from collections.abc import Sequence
 
 import pytest
-from served_twin import served, stop
+from served_twin import all_of, connected, served, stop
 
 LEAVINGS = int(os.environ.get("KHEP_LEAVINGS", "25"))
 MOST_S = 0.5 if "KHEP_LEAVINGS" in os.environ else 10.0
 """Longest that a next host may wait: in the suite the machine is busy; on the line 20 kB take 22 s."""
 
-TIMEOUT_S = 20.0
 GREETING = {"--tcp": b"", "--rfc2217": bytes.fromhex("fffb01 fffb03 fffd00 fffb2c")}
 SPEED = bytes.fromhex("fffa2c 01 00002580 fff0")
 
 KILLED = "import os, socket, sys, time; host = socket.socket(fileno=int(sys.argv[1])); time.sleep(100)"
 """A process that shares a host's connection."""
-
-Address = tuple[str, int]
-
-
-def connect(address: Address) -> socket.socket:
-    return socket.create_connection(address, timeout=TIMEOUT_S)
 
 
 def flood(host: socket.socket, data: bytes, size: int) -> None:
@@ -107,11 +100,11 @@ DEEDS = [fall_silent, ask, begin_a_line, negotiate, negotiate_wrongly, flood_a_l
 LEAVES = [close, close, reset, reset, finish, die]
 
 
-def served_next(address: Address, greeting: bytes, number: int) -> tuple[float, bytes]:
+def served_next(url: str, greeting: bytes, number: int) -> tuple[float, bytes]:
     """Return how long the next host waits for its own replies, and what it gets [s]."""
     start = time.monotonic()
     wanted, got = greeting + b"g\r\nh,%d,7\r\n" % number, b""
-    with connect(address) as host:
+    with connected(url) as host:
         host.sendall(b"G,%d,7\nH\n" % number)
         while len(got) < len(wanted) and (more := host.recv(1000)):
             got += more
@@ -123,15 +116,13 @@ def test_the_host_after_one_that_left_is_served_at_once_with_no_stale_byte(kind:
     rng = random.Random(5)
     times: list[float] = []
     with served("default", kind, "127.0.0.1:0") as (process, url):
-        host, _, number = url.partition("://")[2].rpartition(":")
-        address = (host, int(number))
         for count in range(LEAVINGS):
             deed, leave = rng.choice(DEEDS), rng.choice(LEAVES)
-            with connect(address) as first:
+            with connected(url) as first:
                 deed(first, rng)
                 leave(first)
                 time.sleep(rng.choice([0, 0, 0.0005, 0.005, 0.03]))
-                waited, got = served_next(address, GREETING[kind], count)
+                waited, got = served_next(url, GREETING[kind], count)
             named = (count, deed.__name__, leave.__name__)
             assert got == GREETING[kind] + b"g\r\nh,%d,7\r\n" % count, (named, got)
             assert waited < MOST_S, (named, waited)
@@ -160,14 +151,11 @@ def test_a_host_that_has_finished_sending_gets_all_its_replies_through_a_relay()
 
 def check_finished_hosts(url: str, greeting: bytes) -> None:
     """Check that hosts that behave as `nc -N` get their replies to the last, and then the end."""
-    host, _, number = url.partition("://")[2].rpartition(":")
     sent = b"B\n" * 20 + b"C,12"
     # The rest of the third takes longer on the line than the reply, and on the wire clock never crosses it.
     for lines in (sent, sent, b"D,0,0\nD,12345"):
-        with connect((host, int(number))) as port:
+        with connected(url) as port:
             port.sendall(lines)
             port.shutdown(socket.SHUT_WR)
-            replies = b""
-            while more := port.recv(1000):
-                replies += more
+            replies = all_of(port)
         assert replies == greeting + (b"b,5.02,5.01\r\n" * 20 if lines is sent else b"d\r\n")

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from served_twin import served, stop
+from served_twin import all_of, connected, served, stop
 
 from checks.fuzz.libfuzzer import run_libfuzzer
 from checks.fuzz.rfc2217 import BEGIN, END, ODD, WELL_FORMED, check, seeds
@@ -135,12 +135,11 @@ def test_a_negotiator_that_works_wrongly_is_noticed(monkeypatch: pytest.MonkeyPa
 def test_no_negotiation_ends_a_server_or_its_log(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     with served("default", "--rfc2217", ":0", "--log", str(log)) as (process, url):
-        address = ("127.0.0.1", int(url.rpartition(":")[2]))
         for wrong in TOO_SHORT:
-            with socket.create_connection(address, timeout=20) as host:
+            with connected(url) as host:
                 host.sendall(BEGIN + bytes.fromhex(wrong) + END)
                 assert all_of(host) == GREETING
-        with socket.create_connection(address, timeout=20) as host:
+        with connected(url) as host:
             for odd in OUT_OF_RANGE:
                 host.sendall(BEGIN + bytes.fromhex(odd) + END)
             host.sendall(b"B\n")
@@ -156,11 +155,3 @@ def test_no_negotiation_ends_a_server_or_its_log(tmp_path: Path) -> None:
             f"a host, 127.0.0.1, was cut off: negotiation ff fa 2c {wrong} ff f0 cannot be"
         )
         assert line in errors
-
-
-def all_of(host: socket.socket) -> bytes:
-    """What a host gets until the other end closes."""
-    got = b""
-    while more := host.recv(1000):
-        got += more
-    return got

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import serial
-from served_twin import served, stop
+from served_twin import ask, connected, served, stop
 
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
@@ -55,8 +55,7 @@ def test_rfc2217_tells_of_a_wrong_speed_and_of_modem_lines() -> None:
             port.dtr = False
             port.rts = False
             assert port.cts
-            port.write(b"B\n")
-            assert port.readline() == b"b,5.02,5.01\r\n"
+            assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
         _, errors = stop(process)
     assert "19200 baud, the robot's has 9600" in errors
     assert errors.count("for 19200 baud: serve --mode 2") == 1
@@ -64,20 +63,18 @@ def test_rfc2217_tells_of_a_wrong_speed_and_of_modem_lines() -> None:
 
 @pytest.mark.parametrize("kind", ["--tcp", "--rfc2217"])
 def test_a_reply_leaves_in_one_piece_when_its_last_byte_has_come(kind: str) -> None:
-    with served("default", kind, "127.0.0.1:0") as (_, url):
-        host, _, number = url.partition("://")[2].rpartition(":")
-        with socket.create_connection((host, int(number)), timeout=5) as port:
-            if kind == "--rfc2217":
-                port.recv(1000)  # what the server begins the negotiation with
-            for asked, length in ((b"N\n", 10), (b"B\r", 13), (b"T,1,B\r\n", 30), (b"hello\n", 19)):
-                start = time.monotonic()
-                port.sendall(asked)
-                reply = port.recv(1000)
-                took = time.monotonic() - start
-                assert reply.endswith(b"\r\n")
-                assert reply.count(b"\r\n") == 1
-                assert len(reply) >= length
-                assert took >= (len(asked.rstrip()) + 1 + len(reply)) * 11 / 9600 * 0.98
+    with served("default", kind, "127.0.0.1:0") as (_, url), connected(url) as port:
+        if kind == "--rfc2217":
+            port.recv(1000)  # what the server begins the negotiation with
+        for asked, length in ((b"N\n", 10), (b"B\r", 13), (b"T,1,B\r\n", 30), (b"hello\n", 19)):
+            start = time.monotonic()
+            port.sendall(asked)
+            reply = port.recv(1000)
+            took = time.monotonic() - start
+            assert reply.endswith(b"\r\n")
+            assert reply.count(b"\r\n") == 1
+            assert len(reply) >= length
+            assert took >= (len(asked.rstrip()) + 1 + len(reply)) * 11 / 9600 * 0.98
 
 
 def test_the_pace_of_a_network_port_conforms() -> None:
@@ -88,58 +85,51 @@ def test_the_pace_of_a_network_port_conforms() -> None:
 
 
 def test_replies_of_several_lines_leave_line_by_line() -> None:
-    with served("default", "--tcp", ":0") as (_, url):
-        host, _, number = url.partition("://")[2].rpartition(":")
-        with socket.create_connection((host, int(number)), timeout=5) as port:
-            port.sendall(b"restart\nB\nH\n")
-            pieces = [port.recv(1000)]
-            while not pieces[-1].startswith(b"h,"):
-                pieces.append(port.recv(1000))
+    with served("default", "--tcp", ":0") as (_, url), connected(url) as port:
+        port.sendall(b"restart\nB\nH\n")
+        pieces = [port.recv(1000)]
+        while not pieces[-1].startswith(b"h,"):
+            pieces.append(port.recv(1000))
     assert b"".join(pieces).startswith(b"ROM of minirobot KHEPERA, Edoardo Franzi\r\nK-Team")
     assert all(piece.endswith(b"\r\n") for piece in pieces)
     assert b"".join(pieces).endswith(b"Serial Communication Protocol\r\nb,5.02,5.01\r\nh,0,0\r\n")
 
 
 def test_queued_replies_leave_one_by_one() -> None:
-    with served("default", "--tcp", ":0") as (_, url):
-        host, _, number = url.partition("://")[2].rpartition(":")
-        with socket.create_connection((host, int(number)), timeout=5) as port:
-            for _ in range(5):  # until the machine is idle enough not to be late by a whole reply
-                port.sendall(b"N\nO\nH\nK\n")
-                pieces = [port.recv(1000)]
-                while not pieces[-1].endswith(b"k,1,0,0,1,0,0\r\n"):
-                    pieces.append(port.recv(1000))
-                assert all(piece.endswith(b"\r\n") for piece in pieces)
-                if [piece[:1] for piece in pieces] == [b"n", b"o", b"h", b"k"]:
-                    return
+    with served("default", "--tcp", ":0") as (_, url), connected(url) as port:
+        for _ in range(5):  # until the machine is idle enough not to be late by a whole reply
+            port.sendall(b"N\nO\nH\nK\n")
+            pieces = [port.recv(1000)]
+            while not pieces[-1].endswith(b"k,1,0,0,1,0,0\r\n"):
+                pieces.append(port.recv(1000))
+            assert all(piece.endswith(b"\r\n") for piece in pieces)
+            if [piece[:1] for piece in pieces] == [b"n", b"o", b"h", b"k"]:
+                return
     pytest.skip("the machine was late by a whole reply five times")
 
 
 def test_an_unpaced_reply_leaves_in_one_piece() -> None:
-    with served("default", "--tcp", ":0", "--unpaced") as (_, url):
-        host, _, number = url.partition("://")[2].rpartition(":")
-        with socket.create_connection((host, int(number)), timeout=5) as port:
-            for _ in range(50):
-                port.sendall(b"N\n")
-                assert port.recv(1000).endswith(b"\r\n")
+    with served("default", "--tcp", ":0", "--unpaced") as (_, url), connected(url) as port:
+        for _ in range(50):
+            port.sendall(b"N\n")
+            assert port.recv(1000).endswith(b"\r\n")
 
 
 def test_a_robots_reply_leaves_in_one_piece_through_a_relay() -> None:
-    with served("default") as (_, device), served("--relay", device, "--tcp", ":0") as (_, url):
-        host, _, number = url.partition("://")[2].rpartition(":")
-        with socket.create_connection((host, int(number)), timeout=5) as port:
-            for _ in range(5):
-                port.sendall(b"N\n")
-                reply = port.recv(1000)
-                assert reply.startswith(b"n,")
-                assert reply.endswith(b"\r\n")
+    with (
+        served("default") as (_, device),
+        served("--relay", device, "--tcp", ":0") as (_, url),
+        connected(url) as port,
+    ):
+        for _ in range(5):
+            port.sendall(b"N\n")
+            reply = port.recv(1000)
+            assert reply.startswith(b"n,")
+            assert reply.endswith(b"\r\n")
 
 
 def test_a_line_that_never_ends_leaves_after_a_moment_and_a_long_one_at_once() -> None:
-    with (
-        closing(TcpPort("127.0.0.1", 0)) as server,
-        socket.create_connection(("127.0.0.1", int(server.path.rpartition(":")[2])), timeout=5) as host,
-    ):
+    with closing(TcpPort("127.0.0.1", 0)) as server, connected(server.path) as host:
         while not server.occupied:
             server.receive(0)
         server.write(b"b,5.02\r\nh,1")
@@ -159,13 +149,10 @@ def test_a_line_that_never_ends_leaves_after_a_moment_and_a_long_one_at_once() -
 def test_a_second_host_is_refused_and_reported() -> None:
     with served("default", "--tcp", "127.0.0.1:0") as (process, url):
         with serial.serial_for_url(url, timeout=1) as port:
-            port.write(b"B\n")
-            assert port.readline() == b"b,5.02,5.01\r\n"
-            host, _, number = url.removeprefix("socket://").rpartition(":")
-            with socket.create_connection((host, int(number)), timeout=2) as second:
+            assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
+            with connected(url) as second:
                 assert second.recv(10) == b""
-            port.write(b"E\n")
-            assert port.readline() == b"e,0,0\r\n"
+            assert ask(port, b"E\n") == b"e,0,0\r\n"
         _, errors = stop(process)
     assert "a second host, 127.0.0.1, was refused" in errors
 
@@ -177,8 +164,7 @@ def test_a_host_that_goes_leaves_nothing_for_the_next() -> None:
                 port.write(b"N\n" * 10 + b"C,12")
             time.sleep(0.05)
             with serial.serial_for_url(url, timeout=1) as port:
-                port.write(b"B\n")
-                assert port.readline() == b"b,5.02,5.01\r\n"
+                assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
             time.sleep(0.05)
 
 
@@ -212,8 +198,7 @@ def test_a_port_that_is_taken_is_reported() -> None:
 
 def test_bytes_that_no_host_takes_are_counted() -> None:
     port = TcpPort("127.0.0.1", 0)
-    host, _, number = port.path.removeprefix("socket://").rpartition(":")
-    with socket.create_connection((host, int(number))):
+    with connected(port.path):
         time.sleep(0.05)
         port.receive(0)
         for _ in range(10_000):
@@ -242,8 +227,7 @@ def test_a_host_that_reads_gets_all_replies_to_a_burst_on_a_line_without_time(
     clock: Sequence[str],
 ) -> None:
     with served("default", "--tcp", ":0", "--unpaced", *clock) as (process, url):
-        host, _, number = url.partition("://")[2].rpartition(":")
-        with socket.create_connection((host, int(number)), timeout=5) as port:
+        with connected(url) as port:
             port.sendall(b"N\n" * 500)
             replies = b""
             try:

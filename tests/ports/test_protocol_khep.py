@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 import serial
+from served_twin import ask
 
 import khep_twin  # noqa: F401  (teaches pyserial khep://)
 from khep_twin.errors import KhepTwinError
@@ -29,8 +30,7 @@ def test_a_command_is_answered_after_its_time_on_the_line() -> None:
 
 def test_the_mode_sets_the_speed_of_the_robots_line() -> None:
     with connect("khep://default?mode=3", baudrate=38400) as port:
-        port.write(b"B\n")
-        port.readline()
+        ask(port, b"B\n")
         assert port.time_ns == 2 * 11 * 10**9 // 38400 + 13 * 11 * 10**9 // 38400
 
 
@@ -74,8 +74,7 @@ def test_a_read_that_gets_nothing_costs_its_timeout() -> None:
 
 def test_a_timeout_ends_in_the_middle_of_a_reply_and_loses_nothing() -> None:
     with connect(timeout=0.005) as port:
-        port.write(b"B\n")
-        first = port.readline()
+        first = ask(port, b"B\n")
         assert first == b"b,"[: len(first)]
         assert len(first) < 13
         port.timeout = 1
@@ -94,8 +93,7 @@ def test_a_read_that_could_never_end_is_an_error() -> None:
     with connect(timeout=None) as port:
         with pytest.raises(serial.SerialException, match="waiting for ever"):
             port.read(1)
-        port.write(b"B\n")
-        assert port.readline() == b"b,5.02,5.01\r\n"
+        assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
 
 
 def test_time_passes_only_in_waiting() -> None:
@@ -117,8 +115,7 @@ def test_buffers_are_reset() -> None:
         port.reset_input_buffer()
         port.write(b"xyz")
         port.reset_output_buffer()
-        port.write(b"E\n")
-        assert port.readline() == b"e,0,0\r\n"
+        assert ask(port, b"E\n") == b"e,0,0\r\n"
 
 
 def test_a_host_that_writes_more_than_the_line_holds_is_made_to_wait() -> None:
@@ -160,8 +157,7 @@ def test_what_is_taken_back_leaves_the_line_free() -> None:
         port.write(b"x" * 1000)
         port.reset_output_buffer()
         start = port.time_ns
-        port.write(b"\nB\n")
-        port.readline()
+        ask(port, b"\nB\n")
         assert port.time_ns - start < 40_000_000
 
 
@@ -196,18 +192,15 @@ def test_on_a_strict_line_another_speed_makes_noise_both_ways() -> None:
         port.baudrate = 9600
         port.write(b"\n")
         port.read(300)
-        port.write(b"B\n")
-        assert port.readline() == b"b,5.02,5.01\r\n"
+        assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
 
 
 def test_after_the_tool_serial_the_host_changes_its_speed() -> None:
     with connect("khep://default?strict_line=on") as port:
-        port.write(b"serial 38400\n")
-        assert port.readline() == b"serial 38400\r\n"
+        assert ask(port, b"serial 38400\n") == b"serial 38400\r\n"
         port.baudrate = 38400
         start_ns = port.time_ns
-        port.write(b"B\n")
-        assert port.readline() == b"b,5.02,5.01\r\n"
+        assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
         assert port.time_ns - start_ns == 2 * 11 * 10**9 // 38400 + 13 * 11 * 10**9 // 38400
 
 
@@ -282,8 +275,7 @@ def test_what_cannot_be_opened_says_why_in_one_line(url: str, message: str) -> N
 def test_a_log_is_whole_when_the_port_is_closed(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     with connect(f"khep://default?log={log}") as port:
-        port.write(b"B\n")
-        port.readline()
+        ask(port, b"B\n")
         assert not log.exists()
     assert log.read_bytes().endswith(b"\x89MCAP0\r\n")
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
@@ -312,8 +304,7 @@ def test_a_poll_that_lets_several_lines_arrive_gives_one_of_them() -> None:
 
 def test_a_poll_costs_a_byte_at_the_speed_that_the_line_has_now() -> None:
     with connect(timeout=1) as port:
-        port.write(b"serial 115200\n")
-        assert port.readline() == b"serial 115200\r\n"
+        assert ask(port, b"serial 115200\n") == b"serial 115200\r\n"
         port.timeout, start_ns = 0, port.time_ns
         assert (port.in_waiting, port.read(1)) == (0, b"")
         assert port.time_ns - start_ns == 2 * (11 * 10**9 // 115200)
@@ -336,6 +327,5 @@ def test_a_host_that_hangs_up_leaves_the_line_at_the_speed_that_it_set() -> None
         port.twin.robot.disconnect()
         port.baudrate = 38400
         start_ns = port.time_ns
-        port.write(b"B\n")
-        assert port.readline() == b"b,5.02,5.01\r\n"
+        assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
         assert port.time_ns - start_ns == 2 * 11 * 10**9 // 38400 + 13 * 11 * 10**9 // 38400

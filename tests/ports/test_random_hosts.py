@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 from forked import Forked
-from served_twin import served, stop
+from served_twin import answer, served, stop
 
 from khep_twin.ports.port_users import count_descriptors
 
@@ -76,15 +76,6 @@ def bystanders(path: str, count: int) -> Iterator[list[Bystander]]:
             )
             for _ in range(count)
         ]
-
-
-def answer(host: int, request: bytes, expected: bytes) -> bytes:
-    """What a host gets for its request: as much as it expects, or less if nothing more comes."""
-    os.write(host, request)
-    reply, end = b"", time.monotonic() + TIMEOUT_S
-    while len(reply) < len(expected) and select.select([host], [], [], max(end - time.monotonic(), 0))[0]:
-        reply += os.read(host, 4096)
-    return reply
 
 
 def stty(path: str) -> None:
@@ -161,8 +152,8 @@ def test_every_line_of_hosts_that_come_and_go_at_random_gets_its_own_reply(relay
                         os.close(os.open(path, os.O_RDWR | os.O_NOCTTY))
                     position = 3 * number + turn
                     replies = [
-                        answer(host, b"G,%d,7\n" % position, b"g\r\n"),
-                        answer(host, b"H\n", b"h,%d,7\r\n" % position),
+                        answer(host, b"G,%d,7\n" % position, b"g\r\n", TIMEOUT_S),
+                        answer(host, b"H\n", b"h,%d,7\r\n" % position, TIMEOUT_S),
                     ]
                     if replies != [b"g\r\n", b"h,%d,7\r\n" % position]:
                         wrong.append((number, turn, replies))

@@ -3,7 +3,6 @@
 import os
 import select
 import signal
-import socket
 import threading
 import time
 import tty
@@ -14,7 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 import serial
-from served_twin import served, stop
+from served_twin import ask, connected, served, stop
 
 from khep_twin.log.reader import read_log
 from khep_twin.log.viewer.replay import view
@@ -22,6 +21,7 @@ from khep_twin.ports import idle_polls
 from khep_twin.ports import relay as relaying
 from khep_twin.ports.idle_polls import IdlePolls
 from khep_twin.ports.pty import PtyPort
+from khep_twin.ports.relay import Device
 from stand_ins.echoes import looped_back
 
 
@@ -71,8 +71,7 @@ def test_the_line_follows_the_speed_that_the_host_sets(tmp_path: Path) -> None:
         served("--relay", robot, "--log", str(log)) as (process, path),
     ):
         with serial.Serial(path, 38400, stopbits=2, timeout=10) as port:
-            port.write(b"B\n")
-            assert port.readline() == b"b,5.02,5.01\r\n"
+            assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
         _, errors = stop(process)
     assert "the line is at 38400 baud with 2 stop bits" in errors
     assert ["38400" in line.text for line in read_log(log).events] == [True]
@@ -91,15 +90,24 @@ def test_a_host_that_left_leaves_nothing_to_the_next() -> None:
 
 
 @contextmanager
-def clocked_line(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, int, list[float]]]:
-    """A robot's end of a line, its other end, and the time of the relay's clock."""
+def clocked_line(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, Device, list[float]]]:
+    """A robot's end of a line, the relay's port at the other end, and the time of the relay's clock."""
     robot, device = os.openpty()
     tty.setraw(device)
     time_s = [0.0]
     monkeypatch.setattr(relaying, "time", SimpleNamespace(monotonic=lambda: time_s[0]))
-    yield robot, device, time_s
+    yield robot, Device(os.ttyname(device), 9600), time_s
     os.close(robot)
     os.close(device)
+
+
+def opened(port: PtyPort) -> int:
+    return os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+
+
+def heard(descriptor: int) -> bytes:
+    """What can be read at once."""
+    return os.read(descriptor, 100) if select.select([descriptor], [], [], 0)[0] else b""
 
 
 @pytest.mark.parametrize("until_s", [1.0, 9.0])
@@ -108,7 +116,7 @@ def test_a_new_relay_gives_no_host_the_replies_to_an_earlier_one_but_what_a_robo
 ) -> None:
     asked, got = b"", b""
     with clocked_line(monkeypatch) as (robot, device, time_s), PtyPort() as port:
-        host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        host = opened(port)
         os.write(host, b"B\n")
 
         def turn() -> bool:
@@ -116,14 +124,13 @@ def test_a_new_relay_gives_no_host_the_replies_to_an_earlier_one_but_what_a_robo
             time_s[0] += 0.01
             if time_s[0] < until_s:
                 os.write(robot, b".")
-            if select.select([robot], [], [], 0)[0]:
-                asked += os.read(robot, 100)
+            if new := heard(robot):
+                asked += new
                 os.write(robot, b"b")
-            if select.select([host], [], [], 0)[0]:
-                got += os.read(host, 100)
+            got += heard(host)
             return time_s[0] > 3
 
-        relaying.relay(relaying.Device(os.ttyname(device), 9600), port, stop=turn, notify=print)
+        relaying.relay(device, port, stop=turn, notify=print)
         os.close(host)
     assert asked == b"B\n"
     assert got.strip(b".") == b"b"
@@ -135,7 +142,7 @@ def test_a_relay_that_is_held_up_takes_no_late_reply_for_the_next_hosts(
 ) -> None:
     asked, got = b"", b""
     with clocked_line(monkeypatch) as (robot, device, time_s), PtyPort() as port:
-        host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        host = opened(port)
         os.write(host, b"N\n")
 
         left_s: list[float] = []
@@ -143,11 +150,11 @@ def test_a_relay_that_is_held_up_takes_no_late_reply_for_the_next_hosts(
         def turn() -> bool:
             nonlocal asked, got, host
             time_s[0] += 0.1
-            if select.select([robot], [], [], 0)[0]:
-                asked += (new := os.read(robot, 100))
+            if new := heard(robot):
+                asked += new
                 if b"N" in new:
                     os.close(host)
-                    host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+                    host = opened(port)
                     os.write(host, b"B\n")
                     left_s.append(time_s[0])
                 else:
@@ -156,13 +163,12 @@ def test_a_relay_that_is_held_up_takes_no_late_reply_for_the_next_hosts(
                 # Held up while the reply to the host that has left comes.
                 left_s.clear()
                 os.write(robot, b"n\r\n")
-                assert select.select([device], [], [], 10)[0]
+                assert select.select([device.descriptor], [], [], 10)[0]
                 time_s[0] += 1.0
-            if select.select([host], [], [], 0)[0]:
-                got += os.read(host, 100)
+            got += heard(host)
             return time_s[0] > 5
 
-        relaying.relay(relaying.Device(os.ttyname(device), 9600), port, stop=turn, notify=print)
+        relaying.relay(device, port, stop=turn, notify=print)
         os.close(host)
     assert (asked, got) == (b"N\nB\n", b"b\r\n")
 
@@ -174,8 +180,7 @@ def test_bytes_at_a_slow_speed_that_a_host_has_left_hold_the_next_one_back_for_a
             port.write(b"\n\r" + b"x" * 2000)
             assert port.read(10)  # the line is at its speed
         with serial.Serial(path, 9600, stopbits=2, timeout=20) as port:
-            port.write(b"B\n")
-            assert port.readline().endswith(b"B\n")
+            assert ask(port, b"B\n").endswith(b"B\n")
 
 
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
@@ -187,16 +192,14 @@ def test_a_robot_on_the_network_is_reached_and_served_on(scheme: str) -> None:
         serial.serial_for_url(path, 9600, stopbits=2, timeout=2) as port,
     ):
         for _ in range(3):
-            port.write(b"B\n")
-            assert port.readline() == b"b,5.02,5.01\r\n"
+            assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
 
 
 def test_a_robot_that_goes_is_reported_and_the_log_is_whole(tmp_path: Path) -> None:
     log = tmp_path / "robot.mcap"
     with served("default") as (twin, robot), served("--relay", robot, "--log", str(log)) as (process, path):
         with serial.Serial(path, 9600, stopbits=2, timeout=10) as port:
-            port.write(b"B\n")
-            assert port.readline() == b"b,5.02,5.01\r\n"
+            assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
             twin.kill()
             twin.wait(60)
             process.wait(60)
@@ -234,11 +237,10 @@ def test_it_ends_at_once_and_removes_its_link(tmp_path: Path, how: signal.Signal
 
 def test_a_host_that_leaves_amid_a_reply_of_several_lines_leaves_none_to_the_next() -> None:
     with served("default") as (_, robot), served("--relay", robot, "--tcp", ":0") as (process, url):
-        address = ("127.0.0.1", int(url.rpartition(":")[2]))
-        with socket.create_connection(address, timeout=20) as host:
+        with connected(url) as host:
             host.sendall(b"help\n")
             assert host.recv(1000).startswith(b"help")
-        with socket.create_connection(address, timeout=20) as host:
+        with connected(url) as host:
             host.sendall(b"B\n")
             assert host.recv(1000) == b"b,5.02,5.01\r\n"
         assert "a host" not in stop(process)[1]
@@ -249,22 +251,22 @@ def test_a_robot_that_speaks_all_the_time_keeps_no_next_host_waiting_for_ever(
 ) -> None:
     asked = b""
     with clocked_line(monkeypatch) as (robot, device, time_s), PtyPort() as port:
-        host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        host = opened(port)
         os.write(host, b"N\n")
 
         def turn() -> bool:
             nonlocal asked, host
             time_s[0] += 0.01
             os.write(robot, b".")
-            if select.select([robot], [], [], 0)[0]:
-                asked += os.read(robot, 100)
+            if new := heard(robot):
+                asked += new
                 if asked == b"N\n":
                     os.close(host)
-                    host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+                    host = opened(port)
                     os.write(host, b"B\n")
             return asked.endswith(b"B\n") or time_s[0] > 60
 
-        relaying.relay(relaying.Device(os.ttyname(device), 9600), port, stop=turn, notify=print)
+        relaying.relay(device, port, stop=turn, notify=print)
         os.close(host)
     assert asked == b"N\nB\n"
 
@@ -277,14 +279,13 @@ def test_a_reply_that_was_lost_does_not_end_the_polls(monkeypatch: pytest.Monkey
         def turn() -> bool:
             nonlocal asked
             time_s[0] += 0.01
-            if select.select([robot], [], [], 0)[0]:
-                asked += os.read(robot, 100)
+            if new := heard(robot):
+                asked += new
                 if asked != b"N\n":  # the first one is lost
                     os.write(robot, b"h,0,0\r\n" if asked.endswith(b"H\n") else b"n,0,0,0,0,0,0,0,0\r\n")
             return asked.count(b"\n") == 3 or time_s[0] > 20
 
-        device_port = relaying.Device(os.ttyname(device), 9600)
-        relaying.relay(device_port, port, polls=IdlePolls(), stop=turn, notify=print)
+        relaying.relay(device, port, polls=IdlePolls(), stop=turn, notify=print)
     assert asked == b"N\nH\nN\n"
 
 
@@ -293,11 +294,11 @@ def test_a_robot_that_takes_no_more_is_still_heard_and_the_relay_ends() -> None:
     tty.setraw(device)
     ended, got = threading.Event(), b""
     with PtyPort() as port:
-        arguments = (relaying.Device(os.ttyname(device), 9600), port)
+        arguments = (Device(os.ttyname(device), 9600), port)
         thread = threading.Thread(
             target=relaying.relay, args=arguments, kwargs={"stop": ended.is_set, "notify": print}, daemon=True
         )
-        host = os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        host = opened(port)
         thread.start()
         # More than the line takes: its other end is not read.
         full_since = time.monotonic()

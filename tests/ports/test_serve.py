@@ -16,7 +16,7 @@ import serial
 from command_line import khep_twin
 from forked import Forked, run_python
 from scheduling_delay import scheduling_delay
-from served_twin import served, stop
+from served_twin import ask, exchange, served, stop
 
 from khep_twin import playpen
 from khep_twin.errors import PortError
@@ -28,6 +28,9 @@ from khep_twin.playpen import Playpen
 TIMEOUT_S = 20.0
 """Wait for what must come, on machines of any load [s]."""
 
+VERSIONS = b"b,5.02,5.01\r\n"
+"""Reply to B."""
+
 
 @pytest.fixture(scope="module")
 def path() -> Iterator[str]:
@@ -38,15 +41,13 @@ def path() -> Iterator[str]:
 @pytest.mark.parametrize("ending", [b"\n", b"\r", b"\r\n"])
 def test_a_host_in_pyserial_gets_its_reply(path: str, ending: bytes) -> None:
     with serial.Serial(path, 9600, stopbits=2, timeout=TIMEOUT_S) as port:
-        port.write(b"B" + ending)
-        assert port.readline() == b"b,5.02,5.01\r\n"
+        assert ask(port, b"B" + ending) == VERSIONS
 
 
 def test_the_reply_takes_its_time_on_the_line(path: str) -> None:
     with scheduling_delay() as late, serial.Serial(path, 9600, stopbits=2, timeout=TIMEOUT_S) as port:
         start = time.monotonic()
-        port.write(b"N\n")
-        reply = port.readline()
+        reply = ask(port, b"N\n")
         took = time.monotonic() - start
     assert reply.count(b",") == 8
     assert took >= (2 + len(reply)) * 11 / 9600 * 0.95
@@ -56,8 +57,7 @@ def test_the_reply_takes_its_time_on_the_line(path: str) -> None:
 
 def test_a_host_may_set_another_speed_or_one_stop_bit(path: str) -> None:
     with serial.Serial(path, 57600, stopbits=1, timeout=TIMEOUT_S, rtscts=True) as port:
-        port.write(b"B\n")
-        assert port.readline() == b"b,5.02,5.01\r\n"
+        assert ask(port, b"B\n") == VERSIONS
 
 
 def test_single_bytes_and_bursts_are_answered_in_order(path: str) -> None:
@@ -78,16 +78,7 @@ def test_single_bytes_and_bursts_are_answered_in_order(path: str) -> None:
 
 
 def test_a_host_in_c_style_reads_and_writes_a_descriptor(path: str) -> None:
-    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
-    try:
-        os.write(descriptor, b"B\r")
-        data = b""
-        while not data.endswith(b"\n"):
-            assert select.select([descriptor], [], [], TIMEOUT_S)[0]
-            data += os.read(descriptor, 100)
-    finally:
-        os.close(descriptor)
-    assert data == b"b,5.02,5.01\r\n"
+    assert exchange(path, b"B\r", VERSIONS, TIMEOUT_S) == VERSIONS
 
 
 def test_our_own_host_drives_it_in_real_time(path: str) -> None:
@@ -125,15 +116,7 @@ def test_the_example_runs_unchanged_on_a_pty(path: str) -> None:
 def reply_of_the_next_host(path: str) -> bytes:
     """What a plain host in C style gets first, a moment after the one before has gone."""
     time.sleep(0.2)
-    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
-    try:
-        os.write(descriptor, b"B\n")
-        data = b""
-        while not data.endswith(b"\n") and select.select([descriptor], [], [], TIMEOUT_S)[0]:
-            data += os.read(descriptor, 100)
-        return data
-    finally:
-        os.close(descriptor)
+    return exchange(path, b"B\n", VERSIONS, TIMEOUT_S)
 
 
 def test_a_host_that_leaves_replies_and_half_a_command_behind_does_not_spoil_the_next(path: str) -> None:
@@ -141,7 +124,7 @@ def test_a_host_that_leaves_replies_and_half_a_command_behind_does_not_spoil_the
     os.write(descriptor, b"N\n" * 20 + b"C,12")
     time.sleep(0.2)
     os.close(descriptor)
-    assert reply_of_the_next_host(path) == b"b,5.02,5.01\r\n"
+    assert reply_of_the_next_host(path) == VERSIONS
 
 
 def test_a_host_that_is_killed_does_not_spoil_the_next(path: str) -> None:
@@ -152,16 +135,16 @@ def test_a_host_that_is_killed_does_not_spoil_the_next(path: str) -> None:
     with Forked([sys.executable, "-c", program, path]) as host:
         time.sleep(0.3)
         host.kill()
-    assert reply_of_the_next_host(path) == b"b,5.02,5.01\r\n"
+    assert reply_of_the_next_host(path) == VERSIONS
 
 
 def test_settings_that_a_host_leaves_behind_are_put_right(path: str) -> None:
     subprocess.run(["stty", "-F", path, "sane"], check=True)
-    assert reply_of_the_next_host(path) == b"b,5.02,5.01\r\n"
+    assert reply_of_the_next_host(path) == VERSIONS
     descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
     termios.tcflow(descriptor, termios.TCOOFF)
     os.close(descriptor)
-    assert reply_of_the_next_host(path) == b"b,5.02,5.01\r\n"
+    assert reply_of_the_next_host(path) == VERSIONS
 
 
 def test_the_last_command_of_a_host_that_closes_at_once_is_carried_out(path: str) -> None:
@@ -183,8 +166,7 @@ def test_at_full_speed_without_line_time_answers_come_at_once() -> None:
     ):
         start = time.monotonic()
         for _ in range(100):
-            port.write(b"B\n")
-            assert port.readline() == b"b,5.02,5.01\r\n"
+            assert ask(port, b"B\n") == VERSIONS
         took = time.monotonic() - start
     late.excuse(0.005)
     # On a line they would take 1.8 s.
@@ -197,8 +179,7 @@ def test_a_signal_finishes_the_log_and_removes_the_link(how: signal.Signals, tmp
     with served("default", "--log", str(log), "--link", str(link)) as (process, path):
         assert path == str(link)
         with serial.Serial(path, 9600, timeout=TIMEOUT_S) as port:
-            port.write(b"B\n")
-            port.readline()
+            ask(port, b"B\n")
         code, errors = stop(process, how)
     assert code == 0
     begun, *_, ended, where = errors.splitlines()
@@ -274,8 +255,7 @@ def test_after_a_kill_the_next_start_takes_the_link_again(tmp_path: Path) -> Non
     assert os.path.lexists(link)
     with served("default", "--link", str(link)) as (_, path):
         with serial.Serial(path, 9600, stopbits=2, timeout=TIMEOUT_S) as port:
-            port.write(b"B\n")
-            assert port.readline() == b"b,5.02,5.01\r\n"
+            assert ask(port, b"B\n") == VERSIONS
     assert list(tmp_path.iterdir()) == []
 
 
@@ -303,8 +283,7 @@ def test_a_link_in_the_current_directory_lies_where_it_says(
         assert path == str(found)
         assert found.is_symlink()
         with serial.Serial(f"./{found.name}", timeout=TIMEOUT_S) as port:
-            port.write(b"B\n")
-            assert port.readline() == b"b,5.02,5.01\r\n"
+            assert ask(port, b"B\n") == VERSIONS
     assert not found.is_symlink()
 
 
@@ -374,8 +353,7 @@ def test_miniterm_gets_a_reply(path: str) -> None:
 def test_a_khepera_2_is_served_by_its_model_and_its_firmware_alone_is_reported() -> None:
     with served("default", "--model", "khepera2", "--mode", "9") as (process, path):
         with serial.Serial(path, 115200, stopbits=2, timeout=TIMEOUT_S) as port:
-            port.write(b"B\n")
-            assert port.readline() == b"b,6.01,5.01\r\n"
+            assert ask(port, b"B\n") == b"b,6.01,5.01\r\n"
         _, errors = stop(process)
     assert "baud" not in errors
     with served("default", "--rom", "khepera2") as (process, _):
@@ -387,8 +365,7 @@ def test_the_notice_of_another_speed_names_the_mode_and_one_stop_bit_is_no_reaso
     with served("default") as (process, path):
         for speed in (9600, 38400, 57600, 38400):
             with serial.Serial(path, speed, stopbits=1, timeout=TIMEOUT_S) as port:
-                port.write(b"B\n")
-                assert port.readline() == b"b,5.02,5.01\r\n"
+                assert ask(port, b"B\n") == VERSIONS
         _, errors = stop(process)
     told = [line for line in errors.splitlines() if "baud" in line]
     assert len(told) == 2
@@ -402,7 +379,6 @@ def test_a_speed_without_a_constant_is_reported_as_it_is() -> None:
         served("default") as (process, path),
         serial.Serial(path, 31250, stopbits=2, timeout=TIMEOUT_S) as port,
     ):
-        port.write(b"B\n")
-        assert port.readline() == b"b,5.02,5.01\r\n"
+        assert ask(port, b"B\n") == VERSIONS
         _, errors = stop(process)
     assert "the host has its line at 31250 baud, the robot's has 9600" in errors

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import serial
 from forked import run_python
-from served_twin import served
+from served_twin import ask, served
 
 from khep_twin.log.reader import read_log
 
@@ -41,11 +41,9 @@ def test_time_stands_still_while_no_host_sends(tmp_path: Path) -> None:
         served("default", "--clock", "wire", "--log", str(log)) as (_, path),
         serial.Serial(path, 9600, stopbits=2, timeout=30) as port,
     ):
-        port.write(b"B\n")
-        assert port.readline() == b"b,5.02,5.01\r\n"
+        assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
         time.sleep(0.2)
-        port.write(b"B\n")
-        assert port.readline() == b"b,5.02,5.01\r\n"
+        assert ask(port, b"B\n") == b"b,5.02,5.01\r\n"
     times_ns = [line.time_ns for line in read_log(log).robots["khepera0"].serial]
     # Two bytes there and thirteen back, eleven bits each, twice.
     byte = 11 * 10**9 / 9600

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from twins import SECOND, particles_at
+from twins import OPEN, SECOND, particles_at
 
 from khep_twin.board import kernel
 from khep_twin.shadow.actions import Commanded, Configured, Counted, Restarted, Seen, Waited, repeat
 from khep_twin.shadow.wheel_commands import POSITION, SPEED
 
-OPEN = 350.0, 250.0, 0.0
 LEFT_TARGET = kernel.LEFT + kernel.Wheel.POSITION
 
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from twins import AT_THE_CRATE, light_of, particles_at, setup_of
+from twins import AT_THE_CRATE, OPEN, light_of, particles_at, setup_of
 
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.shadow.hypotheses import (
@@ -26,11 +26,7 @@ HEADING_45_LEFT = 1  # the second sensor from the left looks aside
 
 def of_things() -> list[Hypothesis]:
     crate = things_of(setup_of("workshop"))["block1"]
-    return [
-        Missing("block1", crate),
-        Moved("block1", crate),
-        Unexpected(HEADING_45_LEFT),
-    ]
+    return [Missing("block1", crate), Moved("block1", crate), Unexpected(HEADING_45_LEFT)]
 
 
 def state(particles: Particles) -> list[object]:
@@ -78,9 +74,8 @@ def test_a_fault_begins_in_those_that_are_given_it_and_ends_without_a_trace(inde
 
 @pytest.mark.parametrize("side", [0, 1])
 def test_wheels_with_a_fault_drive_less_than_sound_ones(side: int) -> None:
-    open_floor = 350.0, 250.0, 0.0
     standing, weak, slipping = list(of_wheels())[3 * side : 3 * side + 3]
-    particles = particles_at(*[open_floor] * 4)
+    particles = particles_at(*[OPEN] * 4)
     for row, fault in enumerate((standing, weak, slipping)):
         fault.begin(particles.taken(slice(row, row + 1)), np.random.default_rng(0))
     particles.planes.command(SPEED, 8, 8)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from twins import particles_at, setup_of
+from twins import OPEN, particles_at, setup_of
 
 from khep_twin import units
 from khep_twin.board import kernel
@@ -12,7 +12,6 @@ from khep_twin.shadow.particles import FORGOTTEN_S, Particles
 from khep_twin.shadow.start import PUBLISHED, begun
 from khep_twin.shadow.wheel_commands import SPEED
 
-OPEN = 350.0, 250.0, 0.0
 POSITIONS = [kernel.LEFT + kernel.Wheel.POSITION, kernel.RIGHT + kernel.Wheel.POSITION]
 
 

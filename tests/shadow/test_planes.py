@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from twins import AT_THE_CRATE, Pose, light_of, planes_at, readings, setup_of
+from twins import AT_THE_CRATE, OPEN, Pose, light_of, planes_at, readings, setup_of
 
 from khep_twin import shadow, units
 from khep_twin.episodes.controllers import ConstantSpeed
@@ -20,7 +20,6 @@ from khep_twin.shadow.planes import AWAY, Planes
 from khep_twin.shadow.wheel_commands import SPEED
 
 STARTS = (360.0, 240.0, -70.0), AT_THE_CRATE, (120.0, 200.0, 90.0)
-OPEN = 350.0, 250.0, 0.0
 
 
 @pytest.mark.parametrize("start", STARTS)

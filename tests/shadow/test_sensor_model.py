@@ -4,11 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from twins import ALL, AT_THE_CRATE, metric, particles_at, planes_at, readings, setup_of
+from twins import ALL, AT_THE_CRATE, Pose, metric, particles_at, planes_at, readings, setup_of
 
 from khep_twin.episodes.controllers import ConstantSpeed
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions
+from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
 
 BESIDE_THE_LAMP = 600.0, 275.0, 0.0
@@ -22,6 +23,13 @@ def seen(gain: float = 1.0) -> np.ndarray:
     return readings(planes, gain)
 
 
+def standing(*poses: Pose) -> tuple[Particles, SensorModel]:
+    """Particles at poses, whose sensors have looked around."""
+    particles = particles_at(*poses)
+    particles.planes.advance(1)
+    return particles, SensorModel(particles.planes)
+
+
 @pytest.mark.parametrize("gain", [0.8, 1.0, 1.25])
 def test_the_right_pose_is_the_likeliest(gain: float) -> None:
     places = [(-15, 0, 0), (0, 20, 0), (0, -15, 0), (-15, 15, 0)]
@@ -30,9 +38,7 @@ def test_the_right_pose_is_the_likeliest(gain: float) -> None:
         AT_THE_CRATE,
         *[(X + dx, Y + dy, HEADING + turn) for dx, dy, turn in [*places, *turns, (150, -60, 0)]],
     ]
-    particles = particles_at(*poses)
-    particles.planes.advance(1)
-    model = SensorModel(particles.planes)
+    particles, model = standing(*poses)
     _, _, logs = model.explain(particles, seen(gain), ALL)
     assert np.argmax(logs.sum(axis=1)) == 0
     # One that sees nothing of it is out of the question.
@@ -40,9 +46,7 @@ def test_the_right_pose_is_the_likeliest(gain: float) -> None:
 
 
 def test_what_is_expected_surprises_less_than_what_is_not() -> None:
-    particles = particles_at(AT_THE_CRATE)
-    particles.planes.advance(1)
-    model, told = SensorModel(particles.planes), seen()
+    (particles, model), told = standing(AT_THE_CRATE), seen()
     expected, usual, _ = model.explain(particles, told, ALL)
     assert expected == pytest.approx(told, abs=1)
     assert usual.max() < 1
@@ -54,9 +58,7 @@ def test_what_is_expected_surprises_less_than_what_is_not() -> None:
 
 
 def test_it_is_twins_without_a_change_that_a_reading_surprises() -> None:
-    particles = particles_at(AT_THE_CRATE, (X, Y, HEADING + 180))
-    particles.planes.advance(1)
-    model, told = SensorModel(particles.planes), seen()
+    (particles, model), told = standing(AT_THE_CRATE, (X, Y, HEADING + 180)), seen()
     particles.logs = np.log([1 - 1e-9, 1e-9])
     _, usual, _ = model.explain(particles.drawn(100, 0.5), told, ALL)
     particles.changes[0] = 1
@@ -65,11 +67,10 @@ def test_it_is_twins_without_a_change_that_a_reading_surprises() -> None:
 
 
 def test_a_sensor_that_is_not_relied_on_tells_nothing() -> None:
-    particles = particles_at(AT_THE_CRATE)
-    particles.planes.advance(1)
+    particles, model = standing(AT_THE_CRATE)
     told, use = seen(), ALL.copy()
     told[3], use[3] = 0, False
-    _, surprise, logs = SensorModel(particles.planes).explain(particles, told, use)
+    _, surprise, logs = model.explain(particles, told, use)
     assert surprise[3] == logs[0, 3] == 0
     assert not particles.traits[0, 3].any()
     assert particles.traits[0, 4].all()
@@ -77,9 +78,7 @@ def test_a_sensor_that_is_not_relied_on_tells_nothing() -> None:
 
 
 def test_traits_are_learned_by_the_sensors_that_see_something() -> None:
-    particles = particles_at(AT_THE_CRATE)
-    particles.planes.advance(1)
-    model, told = SensorModel(particles.planes), seen(math.exp(0.2))
+    (particles, model), told = standing(AT_THE_CRATE), seen(math.exp(0.2))
     sees, nothing = (told > 100) & (told < 900), told == 0
     assert sees.any()
     assert nothing.any()
@@ -114,9 +113,7 @@ def test_a_sensors_gain_heading_and_threshold_are_told_apart_by_many_views() -> 
 
 @pytest.mark.parametrize(("reading", "sign"), [(0, -1), (1023, 1)])
 def test_what_is_beyond_the_range_tells_on_which_side_the_count_is(reading: int, sign: int) -> None:
-    particles = particles_at(AT_THE_CRATE)
-    particles.planes.advance(1)
-    model, told = SensorModel(particles.planes), seen()
+    (particles, model), told = standing(AT_THE_CRATE), seen()
     sees = (told > 100) & (told < 900)
     for _ in range(50):
         model.explain(particles, np.full(8, reading), ALL)
@@ -130,9 +127,7 @@ def test_what_is_beyond_the_range_tells_on_which_side_the_count_is(reading: int,
 
 def test_beside_a_lamp_sensors_have_a_part_of_their_range_as_those_of_an_episode() -> None:
     episode = Episode(setup_of("workshop"), ConstantSpeed(), compiled=True)
-    particles = particles_at(BESIDE_THE_LAMP)
-    particles.planes.advance(1)
-    model = SensorModel(particles.planes)
+    particles, model = standing(BESIDE_THE_LAMP)
     assert (model.range_left == 1).all()
     episode.begin(options=EpisodeOptions(noise=False, start=BESIDE_THE_LAMP))
     episode.run(0.1)

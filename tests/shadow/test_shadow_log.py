@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shadow_updates import ALARM, MS, updates
+from shadow_updates import ALARM, MS, updates, written
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import LogError
@@ -25,16 +25,6 @@ from khep_twin.log.shadow_channels import (
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.shadow.shadow_log import ShadowLog
-
-PLAYPEN = Playpen.load("workshop")
-
-
-def written(path: Path, parent: Path | None = None) -> Path:
-    log = ShadowLog(path, PLAYPEN, ShadowSettings(seed=7), parent=parent)
-    for update in updates():
-        log.write(update)
-    log.close()
-    return path
 
 
 def test_what_is_written_reads_back(tmp_path: Path) -> None:
@@ -78,7 +68,7 @@ def test_the_same_updates_give_the_same_bytes_and_name_the_log_they_are_from(tmp
     assert label.metadata["parent_sha256"] == hashlib.sha256(b"a robot's log").hexdigest()
     assert label.metadata["khep_twin"]
     assert json.loads(label.attachments["configuration.json"])["seed"] == 7
-    assert playpens.parse(label.attachments["playpen.toml"], "playpen.toml") == PLAYPEN
+    assert playpens.parse(label.attachments["playpen.toml"], "playpen.toml") == Playpen.load("obstacles")
 
 
 def test_the_robot_of_the_scene_is_at_the_estimate(tmp_path: Path) -> None:
@@ -89,7 +79,7 @@ def test_the_robot_of_the_scene_is_at_the_estimate(tmp_path: Path) -> None:
 
 def test_a_log_that_was_not_closed_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "shadow.mcap"
-    log = ShadowLog(path, PLAYPEN, ShadowSettings(), flush_ns=500 * MS)
+    log = ShadowLog(path, Playpen.load("obstacles"), ShadowSettings(), flush_ns=500 * MS)
     for update in updates():
         log.write(update)
     assert not path.exists()

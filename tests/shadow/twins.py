@@ -23,6 +23,9 @@ ALL = np.ones(8, np.bool_)
 AT_THE_CRATE = (80.0, 371.0, -45.0)
 """Pose in the workshop [mm, degrees] that faces the crate, far from the lamp."""
 
+OPEN = (350.0, 250.0, 0.0)
+"""Pose in the workshop with nothing near."""
+
 EXACT = Spread(0, 0, 0, 0, 0, 0)
 """Spread of what is known exactly."""
 

@@ -1,0 +1,32 @@
+"""Content of logs by mcap's own reader, and of recordings by rerun's."""
+
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import make_reader
+from mcap.records import Message
+from rerun.chunk import Chunk, RrdReader
+
+
+def messages_of(log: Path, *topics: str) -> list[tuple[str, Message]]:
+    """Topics and messages of a log in order of time; all without topics."""
+    with log.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        return [(channel.topic, each) for _, channel, each in reader.iter_messages(topics or None)]
+
+
+def chunks_of(recording: Path, blueprint: bool = False) -> list[Chunk]:
+    """Chunks of a recording, or those of its layout."""
+    reader = RrdReader(recording)
+    (store,) = reader.blueprints() if blueprint else reader.recordings()
+    return list(reader.stream(store=store))
+
+
+def times_of(recording: Path) -> dict[str, list[int]]:
+    """Times at which something is shown in a recording, by entity [ns]."""
+    found: dict[str, list[int]] = {}
+    for chunk in chunks_of(recording):
+        if not chunk.is_static:
+            column = chunk.to_record_batch()["message_log_time"].to_numpy(zero_copy_only=False)
+            found.setdefault(chunk.entity_path, []).extend(column.astype(np.int64).tolist())
+    return found
