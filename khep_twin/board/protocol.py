@@ -19,6 +19,13 @@ LINE_END = re.compile(rb"[\r\n]")
 """Pattern of the byte that ends a command."""
 
 END = b"\r\n"
+
+MOVING = ("C", "D", "P")
+"""Letters of the commands that move the wheels."""
+
+SETTING = (*MOVING, "A", "F", "G", "J")
+"""Letters of the commands that change what the motors' status is compared with."""
+
 COMMAND_NOT_FOUND = b"Command not found" + END
 PROTOCOL_ERROR = b"z,Protocol error" + END
 TURRET_REFUSAL = b"z,Turret order not supported" + END

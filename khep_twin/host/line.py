@@ -17,6 +17,7 @@ from typing import Literal, TypeVar, cast
 
 import serial
 
+from khep_twin.board.protocol import MOVING
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PORT_FAILURES, PortError, PortTimeout, ProtocolError, StoppedError
 from khep_twin.host.commands import HostCommand
@@ -365,7 +366,7 @@ class Line:
 
 def _moves(request: str) -> bool:
     """Return whether a request may move the robot."""
-    return request != _STOP and request.lstrip().startswith(("C", "D", "P", "run", "restart"))
+    return request != _STOP and request.lstrip().startswith((*MOVING, "run", "restart"))
 
 
 def _text(line: bytes) -> str:

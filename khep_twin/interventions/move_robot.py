@@ -74,7 +74,7 @@ def current_playpen(world: World) -> Playpen:
 
     def moved(items: Iterable[Block | Cylinder], kind: str) -> tuple[Block | Cylinder, ...]:
         return tuple(
-            item.model_copy(update=_place(world, f"{kind}{number}", kind)) if item.movable else item
+            item.model_copy(update=_place(world, f"{kind}{number}", item)) if item.movable else item
             for number, item in enumerate(items)
         )
 
@@ -89,11 +89,11 @@ def current_playpen(world: World) -> Playpen:
     return playpen.model_copy(update={**objects, "robots": robots})
 
 
-def _place(world: World, name: str, kind: str) -> dict[str, float]:
+def _place(world: World, name: str, item: Block | Cylinder) -> dict[str, float]:
     body = world.model.body(name).id
     x, y, _ = world.data.xpos[body].tolist()
     position = {"x_mm": x * 1e3, "y_mm": y * 1e3}
-    if kind == "block":
+    if isinstance(item, Block):
         along_x, along_y = world.data.xmat[body].reshape(3, 3)[:2, 0].tolist()
         position["angle_deg"] = math.degrees(math.atan2(along_y, along_x))
     return position

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from khep_twin.board import kernel
 from khep_twin.board.kernel import LEFT, RESET_VALUES, RIGHT, Board, Mode, Wheel
-from khep_twin.board.protocol import COMMAND_NOT_FOUND, Request, Tool
+from khep_twin.board.protocol import COMMAND_NOT_FOUND, MOVING, Request, Tool
 from khep_twin.board.rom import Rom
 from khep_twin.board.turrets import Turret, TurretKind, installed
 from khep_twin.clock import NS_PER_S
@@ -187,7 +187,7 @@ class BoardModel:
             self._gains_known = answered
         elif exchange.letter == "J":
             self._sure = self._sure and answered
-        elif exchange.letter in ("C", "D", "P"):
+        elif exchange.letter in MOVING:
             self._sure = answered
         if exchange.letter in ("C", "G"):
             targets = both(firmware.register_view, Wheel.TARGET)
