@@ -30,3 +30,18 @@ def khep_twin(*words: object, folder: Path | str = ".") -> "subprocess.Completed
     # In a fresh checkout the first compiled run is announced.
     told = re.sub(r"khep_twin: compiling with numba.*\n", "", errors.getvalue())
     return subprocess.CompletedProcess(words, code, out.getvalue(), told)
+
+
+def told(*words: object) -> str:
+    """Run a command that ends well; return what it prints."""
+    done = khep_twin(*words)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def refusal(*words: object) -> str:
+    """Return the one line with which a command refuses."""
+    done = khep_twin(*words)
+    assert (done.returncode, done.stdout) == (1, "")
+    (line,) = done.stderr.splitlines()
+    return line.removeprefix("khep-twin: ")

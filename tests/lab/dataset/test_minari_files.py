@@ -4,14 +4,14 @@ import builtins
 import importlib
 import re
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import refusal, told
 
-from khep_twin.cli.app import app
 from khep_twin.envs.tasks import find
 from khep_twin.errors import MissingExtraError
 from khep_twin.lab.dataset.episodes import episodes_of
@@ -42,18 +42,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def export(*words: object) -> str:
-    result = CliRunner().invoke(app, ["export", *map(str, words)], catch_exceptions=False)
-    assert result.exit_code == 0
-    return result.output
-
-
-def refusal(*words: object) -> str:
-    """The one line with which the command refuses."""
-    result = CliRunner().invoke(app, ["export", *map(str, words)])
-    assert result.exit_code == 1
-    (line,) = str(result.exception).splitlines()
-    return line
+export, refused = partial(told, "export"), partial(refusal, "export")
 
 
 def minari_options(folder: Path, *more: object) -> list[object]:
@@ -108,18 +97,18 @@ def test_a_dataset_is_replaced_by_force_alone_and_stays_if_that_fails(
 ) -> None:
     export(log, *minari_options(tmp_path))
     before = content(tmp_path)
-    assert refusal(log, *minari_options(tmp_path)) == (
+    assert refused(log, *minari_options(tmp_path)) == (
         f"{tmp_path / DATASET}: is there already; expected another id, or --force to replace it"
     )
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(log.read_bytes()[:-1000])
-    assert "torn.mcap: no whole log" in refusal(log, torn, *minari_options(tmp_path, "--force"))
+    assert "torn.mcap: no whole log" in refused(log, torn, *minari_options(tmp_path, "--force"))
     torn.unlink()
     assert content(tmp_path) == before
     export(log, log, *minari_options(tmp_path, "--force"))
     assert minari.load_dataset(DATASET).total_episodes == 2
     (tmp_path / "mine" / "data-v0").mkdir(parents=True)
-    assert "data-v0: is there already, no dataset; expected another id" in refusal(
+    assert "data-v0: is there already, no dataset; expected another id" in refused(
         log, "--minari", "mine/data-v0", "--task", "Homing", "-o", tmp_path, "--force"
     )
 
@@ -127,28 +116,28 @@ def test_a_dataset_is_replaced_by_force_alone_and_stays_if_that_fails(
 def test_what_cannot_be_written_leaves_nothing(minari: Any, log: Path, tmp_path: Path) -> None:
     folder = tmp_path / "new"
     missing = log.with_name("missing.mcap")
-    assert "missing.mcap: cannot be read" in refusal(log, missing, *minari_options(folder))
-    assert "the goal of Homing" in refusal(log, "--minari", DATASET, "--task", "Homing", "-o", folder)
-    assert "task 'Homeing': unknown; did you mean 'Homing'?" in refusal(
+    assert "missing.mcap: cannot be read" in refused(log, missing, *minari_options(folder))
+    assert "the goal of Homing" in refused(log, "--minari", DATASET, "--task", "Homing", "-o", folder)
+    assert "task 'Homeing': unknown; did you mean 'Homing'?" in refused(
         log, "--minari", DATASET, "--task", "Homeing", "-o", folder
     )
-    assert "dataset '../avoid': expected an id such as khepera/avoid-v0" in refusal(
+    assert "dataset '../avoid': expected an id such as khepera/avoid-v0" in refused(
         log, "--minari", "../avoid", "--task", "Homing", "-o", folder
     )
-    assert "--period nan: expected a time in ms" in refusal(log, *minari_options(folder, "--period", "nan"))
+    assert "--period nan: expected a time in ms" in refused(log, *minari_options(folder, "--period", "nan"))
     file = tmp_path / "file"
     file.touch()
-    assert "cannot be written: Not a directory" in refusal(log, *minari_options(file))
+    assert "cannot be written: Not a directory" in refused(log, *minari_options(file))
     assert sorted(tmp_path.iterdir()) == [file]
 
 
 def test_options_of_tables_and_datasets_do_not_mix(log: Path, tmp_path: Path) -> None:
     assert (
-        refusal(log, "--task", "Homing", "-o", tmp_path) == "--task Homing: expected it with --minari alone"
+        refused(log, "--task", "Homing", "-o", tmp_path) == "--task Homing: expected it with --minari alone"
     )
-    assert refusal(log, log, "-o", tmp_path / "run.csv").startswith("2 logs; expected one for a table")
-    assert "expected -o FOLDER and --task NAME with it" in refusal(log, "--minari", DATASET)
-    assert "expected a dataset alone" in refusal(log, *minari_options(tmp_path, "--channels", "pose"))
+    assert refused(log, log, "-o", tmp_path / "run.csv").startswith("2 logs; expected one for a table")
+    assert "expected -o FOLDER and --task NAME with it" in refused(log, "--minari", DATASET)
+    assert "expected a dataset alone" in refused(log, *minari_options(tmp_path, "--channels", "pose"))
 
 
 def test_without_its_packages_the_extra_is_named_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from log_rewriting import rewritten
+from relay_logs import relayed
 
 from khep_twin.envs.task_episode import TaskEpisode, TaskSetup
 from khep_twin.envs.tasks import TASKS, State, find
@@ -15,7 +16,6 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import LogError
 from khep_twin.interventions.move_robot import put
 from khep_twin.lab.dataset.episodes import OfflineEpisode, episodes_of
-from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
@@ -183,23 +183,20 @@ def test_a_log_with_odd_samples_is_refused_in_one_line(tmp_path: Path) -> None:
 # Real robots --------------------------------------------------------------------------------------------
 
 
-def relayed(path: Path, *cycles: tuple[int, str]) -> Path:
+REPLIES = {
+    "N": "n,0,100,200,300,400,500,600,1023",
+    "O": "o,450,450,450,450,450,450,450,50",
+    "E": "e,4,-2",
+}
+
+
+def answered(path: Path, *cycles: tuple[int, str]) -> Path:
     """Log a real robot's line: at times [ms] commands, whose replies come 5 ms later."""
-    now = [0]
-    recorder = LineRecorder(path, {"relay": "/dev/robot"}, lambda: now[0])
-    replies = {
-        "N": "n,0,100,200,300,400,500,600,1023",
-        "O": "o,450,450,450,450,450,450,450,50",
-        "E": "e,4,-2",
-    }
+    said: list[tuple[int, bool, bytes]] = []
     for time_ms, command in cycles:
-        now[0] = time_ms * MS
-        recorder.on_bytes(True, f"{command}\n".encode())
-        now[0] += 5 * MS
-        reply = replies.get(command, command[0].lower())
-        recorder.on_bytes(False, f"{reply}\r\n".encode())
-    recorder.close()
-    return path
+        reply = REPLIES.get(command, command[0].lower())
+        said += [(time_ms, True, f"{command}\n".encode()), (time_ms + 5, False, f"{reply}\r\n".encode())]
+    return relayed(path, said)
 
 
 def polled(first_ms: int, count: int, every_ms: int = 50) -> list[tuple[int, str]]:
@@ -212,7 +209,7 @@ def polled(first_ms: int, count: int, every_ms: int = 50) -> list[tuple[int, str
 
 
 def test_a_real_robot_has_what_its_host_asked(tmp_path: Path) -> None:
-    found = one(relayed(tmp_path / "real.mcap", *polled(200, 10)), "ObstacleAvoidance")
+    found = one(answered(tmp_path / "real.mcap", *polled(200, 10)), "ObstacleAvoidance")
     # From the first D, at 224 ms, to the last reply, at 667 ms.
     assert found.infos["time"].tolist() == pytest.approx([0.224 + 0.05 * each for each in range(9)])
     counts = [0, 100, 200, 300, 400, 500, 600, 1023]
@@ -226,7 +223,7 @@ def test_a_real_robot_has_what_its_host_asked(tmp_path: Path) -> None:
 
 def test_where_a_real_robots_host_paused_or_sought_a_position_an_episode_ends(tmp_path: Path) -> None:
     commands = [*polled(0, 10), *polled(1000, 10), (1274, "C,0,0")]
-    path = relayed(tmp_path / "real.mcap", *sorted(commands))
+    path = answered(tmp_path / "real.mcap", *sorted(commands))
     found = list(episodes_of(path, find("ObstacleAvoidance"), 50 * MS))
     assert len(found) == 3
     assert all(each.truncations[-1] for each in found)
@@ -234,19 +231,19 @@ def test_where_a_real_robots_host_paused_or_sought_a_position_an_episode_ends(tm
 
 
 def test_what_a_real_robots_log_lacks_is_told_in_one_line(tmp_path: Path) -> None:
-    whole = relayed(tmp_path / "whole.mcap", *polled(0, 10))
+    whole = answered(tmp_path / "whole.mcap", *polled(0, 10))
     assert "without replies to O (light), a calibration (light), which LightSeeking needs" in refusal(
         whole, "LightSeeking"
     )
     assert "without the true pose (goal 'target'), which WallOrCylinder needs" in refusal(
         whole, "WallOrCylinder"
     )
-    silent = relayed(tmp_path / "silent.mcap", (0, "N"), (100, "N"))
+    silent = answered(tmp_path / "silent.mcap", (0, "N"), (100, "N"))
     assert "without replies to E (speed), commands D (speeds), which Obst" in refusal(silent)
     pause = 60 * 365 * 24 * 3600 * 1000
-    years = relayed(tmp_path / "years.mcap", *polled(0, 5), *polled(pause, 5))
+    years = answered(tmp_path / "years.mcap", *polled(0, 5), *polled(pause, 5))
     # Replies of 205 and 217 ms still cover the border at 224 ms; the log's end is its last reply.
     assert [len(each.rewards) for each in episodes_of(years, find("ObstacleAvoidance"), 50 * MS)] == [4, 3]
-    slow = relayed(tmp_path / "slow.mcap", *polled(0, 5, every_ms=200))
+    slow = answered(tmp_path / "slow.mcap", *polled(0, 5, every_ms=200))
     assert "no control period of 50 ms in which all that ObstacleAvoidance needs is known" in refusal(slow)
     assert len(one(slow, "ObstacleAvoidance", 200 * MS).rewards) == 3

@@ -9,8 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from command_line import khep_twin
+from command_line import khep_twin, told
 from log_rewriting import rewritten
+from relay_logs import relayed
 from served_twin import served
 from shares import share
 
@@ -25,7 +26,6 @@ from khep_twin.lab.experiment.repeat import Divergence, elsewhere, repeat
 from khep_twin.log.channels import TextLine, line_message
 from khep_twin.log.decoding import read_line
 from khep_twin.log.host_events import events_message, read_events
-from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.recorded import read_recorded
 from khep_twin.log.recover import recover
 from khep_twin.playpen import Playpen
@@ -44,8 +44,7 @@ def again(path: Path) -> Divergence | None:
 def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log of ten seconds of a Braitenberg vehicle."""
     path = tmp_path_factory.mktemp("logs") / "run.mcap"
-    done = khep_twin("run", "--playpen", "obstacles", "--seconds", 10, "--seed", 5, "--log", path)
-    assert done.returncode == 0, done.stderr
+    told("run", "--playpen", "obstacles", "--seconds", 10, "--seed", 5, "--log", path)
     return path
 
 
@@ -76,8 +75,7 @@ def test_a_run_with_noise_spread_and_faults_is_the_same_in_another_process(
         "        robot.sleep(0.1)\n"
     )
     options = ("--playpen", "obstacles", "--seed", 9, "--vary", "on", "--battery-used-min", 20)
-    done = khep_twin("run", program, *options, "--seconds", seconds, "--log", path, *words)
-    assert done.returncode == 0, done.stderr
+    told("run", program, *options, "--seconds", seconds, "--log", path, *words)
     command = [sys.executable, "-m", "khep_twin", "repeat", str(path)]
     environment = {**os.environ, "PYTHONHASHSEED": "12"}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
@@ -297,15 +295,13 @@ def test_what_cannot_be_repeated_is_one_line(tmp_path: Path, driven: Path) -> No
         )
     ]
     (tmp_path / "text.mcap").write_text("no log")
-    through = LineRecorder(tmp_path / "robot.mcap", {"relay": "/dev/ttyUSB0"}, lambda: 0)
-    through.on_bytes(True, b"N\n")
-    through.close()
-    for path in (*paths, tmp_path / "text.mcap", tmp_path / "robot.mcap", tmp_path / "none.mcap", tmp_path):
+    robot = relayed(tmp_path / "robot.mcap", [(0, True, b"N\n")])
+    for path in (*paths, tmp_path / "text.mcap", robot, tmp_path / "none.mcap", tmp_path):
         done = khep_twin("repeat", path)
         assert (done.returncode, done.stdout) == (1, ""), done
         assert len(done.stderr.splitlines()) == 1, done
     with pytest.raises(LogError, match="made at a real robot; expected --port"):
-        again(tmp_path / "robot.mcap")
+        again(robot)
     assert not (tmp_path / "trap.mcap").exists()
 
 

@@ -3,12 +3,12 @@
 from pathlib import Path
 
 import pytest
+from relay_logs import relayed
 from served_twin import served
 
 from khep_twin.errors import LogError, PortError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.replay_to_port import replay_to_port
-from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.recorded import read_recorded
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -60,18 +60,10 @@ def test_a_line_that_is_silent_leaves_all_missing(driven: Path) -> None:
 
 
 def test_what_was_sent_to_a_real_robot_can_be_sent_to_a_twin(tmp_path: Path) -> None:
-    now = [0]
-    through = LineRecorder(tmp_path / "robot.mcap", {"relay": "/dev/ttyUSB0", "baud": 9600}, lambda: now[0])
-    for time_ns, to_robot, data in (
-        (0, True, b"D,5,5\n"),
-        (20_000_000, False, b"d\r\n"),
-        (500_000_000, True, b"H\n"),
-        (520_000_000, False, b"h,10,20\r\n"),
-    ):
-        now[0] = time_ns
-        through.on_bytes(to_robot, data)
-    through.close()
-    found = replay_to_port(read_recorded(tmp_path / "robot.mcap"), "khep://default")
+    driven = (0, True, b"D,5,5\n"), (20, False, b"d\r\n")
+    read = (500, True, b"H\n"), (520, False, b"h,10,20\r\n")
+    log = relayed(tmp_path / "robot.mcap", [*driven, *read], baud=9600)
+    found = replay_to_port(read_recorded(log), "khep://default")
     assert found.letters["d"].different == 0
     assert found.letters["h"].differences.shape == (1, 2)
 

@@ -1,23 +1,22 @@
 """Logs as tables: what is written comes back, always as the same bytes; wrong words are told in one line."""
 
 import csv
-from collections.abc import Callable
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_line import refusal, told
 from mcap.writer import Writer
 from pyarrow import parquet  # pyright: ignore[reportMissingTypeStubs]
+from relay_logs import in_turn, relayed
 from scipy.io import loadmat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
-from typer.testing import CliRunner
 
-from khep_twin.cli.app import app
 from khep_twin.lab.report.export import SUFFIXES
 from khep_twin.log import reader
 from khep_twin.log.channels import FLOATS, SCHEMAS, ArrayFrame
-from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.reader import read_log
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -56,35 +55,11 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def real(tmp_path: Path) -> Path:
     """A log of a real robot's line: only what it said."""
-    path, now = tmp_path / "real.mcap", [0]
-    recorder = LineRecorder(path, {"relay": "/dev/robot"}, lambda: now[0])
-    for to_robot, data in (
-        (True, b"N\n"),
-        (False, b"n,1,2,3,4,5,6,7,8\r\n"),
-        (True, b"D,2,-3\n"),
-        (False, b"d\r\n"),
-        (True, b"E\n"),
-        (False, b"e,1,-2\r\n"),
-    ):
-        now[0] += SECOND // 10
-        recorder.on_bytes(to_robot, data)
-    recorder.close()
-    return path
+    said = b"N\n", b"n,1,2,3,4,5,6,7,8\r\n", b"D,2,-3\n", b"d\r\n", b"E\n", b"e,1,-2\r\n"
+    return relayed(tmp_path / "real.mcap", in_turn(*said))
 
 
-def export(*words: object) -> str:
-    """What the command says; it ends well."""
-    result = CliRunner().invoke(app, ["export", *map(str, words)], catch_exceptions=False)
-    assert result.exit_code == 0
-    return result.output
-
-
-def refusal(*words: object) -> str:
-    """The one line with which the command refuses."""
-    result = CliRunner().invoke(app, ["export", *map(str, words)])
-    assert result.exit_code == 1
-    (line,) = str(result.exception).splitlines()
-    return line
+export, refused = partial(told, "export"), partial(refusal, "export")
 
 
 def test_a_csv_comes_back(run: Path, tmp_path: Path) -> None:
@@ -197,7 +172,7 @@ def test_rows_that_grow_within_a_log_are_reported(tmp_path: Path, monkeypatch: p
     log, table = tmp_path / "run.mcap", tmp_path / "table.csv"
     write_speeds(log, [[1.0, 2.0], [3.0, 4.0, 5.0]])
     monkeypatch.setattr(reader, "PIECE", 1)
-    assert "/khepera0/speed has 3 values at 1.0 s, expected 2 as at its begin" in refusal(log, "-o", table)
+    assert "/khepera0/speed has 3 values at 1.0 s, expected 2 as at its begin" in refused(log, "-o", table)
     assert [*tmp_path.iterdir()] == [log]
 
 
@@ -205,14 +180,14 @@ def test_more_than_a_mat_file_should_hold_is_refused(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("khep_twin.lab.report.export.MAT_BYTES", 1000)
-    assert "fewer --channels, or -o FILE.csv or .parquet" in refusal(run, "-o", tmp_path / "run.mat")
+    assert "fewer --channels, or -o FILE.csv or .parquet" in refused(run, "-o", tmp_path / "run.mat")
     assert [*tmp_path.iterdir()] == []
 
 
 def test_a_log_whose_index_leaves_messages_out_is_refused(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     write_speeds(log, [[1.0, 2.0], [3.0, 4.0]], number_told=3)
-    assert "no whole log" in refusal(log, "-o", tmp_path / "table.csv")
+    assert "no whole log" in refused(log, "-o", tmp_path / "table.csv")
 
 
 def write_speeds(path: Path, rows: list[list[float]], number_told: int | None = None) -> None:
@@ -257,15 +232,15 @@ def test_a_real_robots_log_gives_what_it_has(real: Path, tmp_path: Path) -> None
 def test_wrong_words_are_reported_with_the_choices(run: Path, tmp_path: Path) -> None:
     table = tmp_path / "x.csv"
     assert "--channels speeds: khepera0 has none in this log; did you mean 'speed'? (choices: pose, " in (
-        refusal(run, "-o", table, "--channels", "speeds")
+        refused(run, "-o", table, "--channels", "speeds")
     )
-    assert "--robot khepera7: not in this log; did you mean" in refusal(
+    assert "--robot khepera7: not in this log; did you mean" in refused(
         run, "-o", table, "--robot", "khepera7"
     )
-    assert "expected a name that ends in .csv, .parquet or .mat" in refusal(run, "-o", tmp_path / "x.txt")
-    assert "nothing to write" in refusal(run)
-    assert "named twice" in refusal(run, "-o", table, "--transcript", table)
-    assert "there is no directory" in refusal(run, "-o", tmp_path / "none" / "x.csv")
+    assert "expected a name that ends in .csv, .parquet or .mat" in refused(run, "-o", tmp_path / "x.txt")
+    assert "nothing to write" in refused(run)
+    assert "named twice" in refused(run, "-o", table, "--transcript", table)
+    assert "there is no directory" in refused(run, "-o", tmp_path / "none" / "x.csv")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -275,28 +250,19 @@ def test_the_log_is_never_overwritten(run: Path, tmp_path: Path) -> None:
     (tmp_path / "link.csv").hardlink_to(log)
     (tmp_path / "soft.csv").symlink_to(log)
     for name in ("log.csv", "link.csv", "soft.csv"):
-        assert "this is the log" in refusal(log, "-o", tmp_path / name)
-        assert "this is the log" in refusal(log, "--transcript", tmp_path / name)
+        assert "this is the log" in refused(log, "-o", tmp_path / name)
+        assert "this is the log" in refused(log, "--transcript", tmp_path / name)
     assert log.read_bytes() == run.read_bytes()
 
 
 def test_a_torn_log_is_one_line(run: Path, tmp_path: Path) -> None:
     (tmp_path / "torn.mcap").write_bytes(run.read_bytes()[:-200])
-    assert "no whole log" in refusal(tmp_path / "torn.mcap", "-o", tmp_path / "x.csv")
-    assert "cannot be read" in refusal(tmp_path / "none.mcap", "-o", tmp_path / "x.csv")
+    assert "no whole log" in refused(tmp_path / "torn.mcap", "-o", tmp_path / "x.csv")
+    assert "cannot be read" in refused(tmp_path / "none.mcap", "-o", tmp_path / "x.csv")
 
 
-def test_a_log_without_samples_has_its_transcript(
-    tmp_path: Path, start_line: Callable[[Path], LineRecorder]
-) -> None:
-    log = tmp_path / "real.mcap"
-    start_line(log).close()
-    assert "has no samples" in refusal(log, "-o", tmp_path / "x.csv")
+def test_a_log_without_samples_has_its_transcript(tmp_path: Path) -> None:
+    log = relayed(tmp_path / "real.mcap")
+    assert "has no samples" in refused(log, "-o", tmp_path / "x.csv")
     assert "no samples" in export(log, "-o", tmp_path / "x.mat", "--transcript", tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_text() == "time_s,from,text\n"
-
-
-@pytest.fixture
-def start_line() -> Callable[[Path], LineRecorder]:
-    """Opens a log of a real robot's line."""
-    return lambda path: LineRecorder(path, {"relay": "/dev/robot"}, lambda: 0)

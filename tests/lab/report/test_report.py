@@ -1,21 +1,20 @@
 """Reports: well-formed, whole, self-contained, always the same bytes; of every log what there is in it."""
 
 import re
-from collections.abc import Callable
+from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import refusal, told
+from relay_logs import in_turn, relayed
 from shadow_updates import updates
-from typer.testing import CliRunner
 
-from khep_twin.cli.app import app
 from khep_twin.lab.report.pages import EVENT_LIMIT, html, listed
 from khep_twin.lab.report.pdf import pdf
 from khep_twin.lab.report.report import report
 from khep_twin.lab.report.rows import DEFINITIONS
-from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.reader import read_series
 from khep_twin.log.shadow_channels import read_shadow
 from khep_twin.playpen import Playpen
@@ -47,22 +46,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def page(log: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The log's report as a page."""
     return write(log, tmp_path_factory.mktemp("page") / "run.html").decode("utf-8")
-
-
-@pytest.fixture
-def line(tmp_path: Path) -> Callable[..., Path]:
-    """Records what crosses a real robot's line, 0.1 s apart."""
-
-    def recorded(*said: tuple[bool, bytes]) -> Path:
-        now = [0]
-        recorder = LineRecorder(tmp_path / "real.mcap", {"relay": "/dev/robot"}, lambda: now[0])
-        for to_robot, data in said:
-            now[0] += SECOND // 10
-            recorder.on_bytes(to_robot, data)
-        recorder.close()
-        return tmp_path / "real.mcap"
-
-    return recorded
 
 
 class Page(HTMLParser):
@@ -99,17 +82,8 @@ class Page(HTMLParser):
 
 
 def write(log: Path, output: Path) -> bytes:
-    result = CliRunner().invoke(app, ["report", str(log), "-o", str(output)], catch_exceptions=False)
-    assert result.exit_code == 0
-    assert result.output == f"report  {output}\n"
+    assert told("report", log, "-o", output) == f"report  {output}\n"
     return output.read_bytes()
-
-
-def refusal(log: Path, output: Path) -> str:
-    result = CliRunner().invoke(app, ["report", str(log), "-o", str(output)])
-    assert result.exit_code == 1
-    (line,) = str(result.exception).splitlines()
-    return line
 
 
 def rows(log: Path, robot: int = 0) -> dict[str, str]:
@@ -168,10 +142,9 @@ def test_the_numbers_have_units_and_fit_the_run(log: Path) -> None:
     assert re.fullmatch(r"[0-9]+ counts, sensor [a-z]+ ?[0-9a-z]*, at [0-9.]+ s", turning["Brightest moment"])
 
 
-def test_the_report_on_a_real_robots_log_lists_what_is_missing(
-    line: Callable[..., Path], tmp_path: Path
-) -> None:
-    real = line((True, b"N\n"), (False, b"n,0,0,500,0,0,0,0,0\r\n"), (True, b"E\n"), (False, b"e,1,-2\r\n"))
+def test_the_report_on_a_real_robots_log_lists_what_is_missing(tmp_path: Path) -> None:
+    said = in_turn(b"N\n", b"n,0,0,500,0,0,0,0,0\r\n", b"E\n", b"e,1,-2\r\n")
+    real = relayed(tmp_path / "real.mcap", said)
     (robot,) = report(read_series(real), "log").robots
     assert robot.missing == (
         "Not in this log: pose, ambient light, collisions, the wheels' counters and slip. "
@@ -186,9 +159,10 @@ def test_the_report_on_a_real_robots_log_lists_what_is_missing(
 
 
 @pytest.mark.parametrize("suffix", [".html", ".pdf"])
-def test_a_log_without_samples_has_a_report(suffix: str, line: Callable[..., Path], tmp_path: Path) -> None:
-    write(line(), tmp_path / f"x{suffix}")
-    assert rows(line()) == {"Duration": "0.00 s", "Commands": "none"}
+def test_a_log_without_samples_has_a_report(suffix: str, tmp_path: Path) -> None:
+    log = relayed(tmp_path / "real.mcap")
+    write(log, tmp_path / f"x{suffix}")
+    assert rows(log) == {"Duration": "0.00 s", "Commands": "none"}
 
 
 def test_a_run_of_no_time_has_a_report(tmp_path: Path) -> None:
@@ -206,16 +180,16 @@ def test_of_very_many_events_the_first_are_reported() -> None:
 
 
 def test_what_cannot_be_reported_is_one_line(log: Path, tmp_path: Path) -> None:
-    torn, foreign = tmp_path / "torn.mcap", tmp_path / "foreign.mcap"
+    torn, foreign, refused = tmp_path / "torn.mcap", tmp_path / "foreign.mcap", partial(refusal, "report")
     torn.write_bytes(log.read_bytes()[:-500])
     foreign.write_bytes(b"\x89PNG\r\n\x1a\n")
     for path in (torn, foreign):
-        assert "no whole log" in refusal(path, tmp_path / "x.html")
-    assert "expected a name that ends in .html or .pdf" in refusal(log, tmp_path / "x.doc")
-    assert "there is no directory" in refusal(log, tmp_path / "none" / "x.html")
+        assert "no whole log" in refused(path, "-o", tmp_path / "x.html")
+    assert "expected a name that ends in .html or .pdf" in refused(log, "-o", tmp_path / "x.doc")
+    assert "there is no directory" in refused(log, "-o", tmp_path / "none" / "x.html")
     own = tmp_path / "log.html"
     own.write_bytes(log.read_bytes())
-    assert "this is the log" in refusal(own, own)
+    assert "this is the log" in refused(own, "-o", own)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["foreign.mcap", "log.html", "torn.mcap"]
 
 
@@ -231,12 +205,10 @@ def shadow(tmp_path: Path) -> Path:
 
 
 def test_a_report_on_a_shadow_has_its_residuals_and_alarms(shadow: Path, tmp_path: Path) -> None:
-    done = CliRunner().invoke(app, ["report", str(shadow), "-o", str(tmp_path / "shadow.html")])
-    assert done.exit_code == 0, done.output
-    text = (tmp_path / "shadow.html").read_text()
+    text = write(shadow, tmp_path / "shadow.html").decode("utf-8")
     assert Page(text).headings == ["The robot as its shadow follows it", "Alarms", *HEADINGS]
-    told = "since 0.80 s, told at 1.00 s, 97.5 % sure, in proximity; ended at 2.00 s"
-    assert f"<th>stuck sensor 2</th><td>{told}</td>" in text
+    alarm = "since 0.80 s, told at 1.00 s, 97.5 % sure, in proximity; ended at 2.00 s"
+    assert f"<th>stuck sensor 2</th><td>{alarm}</td>" in text
     # 2 mm along x and 3 mm along y.
     assert "<th>Spread of the position</th><td>3.6 mm median, 3.6 mm at 95 %</td>" in text
     assert "<th>Dead reckoning</th><td>14 mm from the estimate in the end, 14 mm at most</td>" in text
