@@ -1,11 +1,11 @@
 """The toolbox's simulated commands: its names and manners, and none of its old limits."""
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import arena, robot
 from scipy.io import savemat
 
 from khep_twin import playpen as playpens
@@ -17,28 +17,6 @@ from khep_twin.toolbox.simulator import OpenPlaypen
 
 PULSE = 80e-6
 WHEEL_BASE = 0.052
-
-TWO = """
-version = 1
-name = "two"
-[arena]
-width_mm = 600
-height_mm = 500
-[[robot]]
-x_mm = 150
-y_mm = 250
-heading_deg = 0
-[[robot]]
-x_mm = 450
-y_mm = 250
-heading_deg = 90
-"""
-
-
-@pytest.fixture(autouse=True)
-def closed() -> Iterator[None]:
-    yield
-    toolbox.close_playpen()
 
 
 @pytest.fixture
@@ -167,7 +145,9 @@ def test_modes_are_counted_as_the_rom_says(field: Playpen) -> None:
 
 
 def test_several_robots_are_distinguished_by_their_number() -> None:
-    btmap1 = toolbox.open_custom(playpens.parse(TWO, "two"), noise=False)
+    btmap1 = toolbox.open_custom(
+        playpens.parse(arena() + robot(150, 250) + robot(450, 250, 90), "two"), noise=False
+    )
     toolbox.sim_sms(1, 5, 5)
     toolbox.sim_sms(2, -3, 3)
     cycles(btmap1, 20)
@@ -242,9 +222,9 @@ def test_without_a_playpen_the_error_says_how_to_open_one(btmap1: OpenPlaypen) -
 
 
 def test_what_cannot_be_opened_leaves_open_what_is(btmap1: OpenPlaypen) -> None:
-    nobody = playpens.parse(TWO.split("[[robot]]")[0], "nobody")
+    nobody = playpens.parse(arena(), "nobody")
     for wrong, error, message in (
-        (nobody, PlaypenError, "two: no robot stands in it"),
+        (nobody, PlaypenError, "p: no robot stands in it"),
         ("no-such", PlaypenError, "no-such"),
         (np.ones(7), BitmapError, "btmap1: 1 dimensions"),
         (np.full((500, 600), 44), BitmapError, "every pixel is solid"),

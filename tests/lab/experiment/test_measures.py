@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import hosted
 
 from khep_twin.episodes.fitness import obstacle_avoidance
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.measures import GroundTruthMetrics, HostMetrics, coverage
 from khep_twin.playpen import Playpen
+from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.sensing import calibration
 
 
@@ -69,11 +71,8 @@ def test_coverage_counts_cells_that_the_robot_can_stand_in() -> None:
 
 
 def test_the_ground_truth_of_a_straight_path_is_closed_form(field: Playpen) -> None:
-    from khep_twin.ports.protocol_khep import Serial
-    from khep_twin.ports.twin import TwinOptions, open_twin
-
-    twin = open_twin(field, TwinOptions(noise=False))
-    with Khepera(Serial.of(twin, timeout=1.0)) as robot:
+    with hosted(field, noise=False) as robot:
+        twin = robot.port.twin
         robot.set_speed(20, 20)
         robot.sleep(1)
         truth = GroundTruthMetrics(twin.world, 0)
@@ -99,8 +98,6 @@ def test_the_shortest_run_has_a_truth() -> None:
 def test_a_controller_that_goes_to_another_folder_has_a_truth(
     field: Playpen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from khep_twin.ports.twin import TwinOptions, open_twin
-
     (tmp_path / "mine.toml").write_text(calibration.read("khepera1")[1])
     monkeypatch.chdir(tmp_path)
     robot = field.robots[0].model_copy(update={"calibration": "mine.toml"})

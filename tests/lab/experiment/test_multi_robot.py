@@ -1,6 +1,7 @@
 """Several hosts on one world, each blocking as it likes, and the same run each time."""
 
 import pytest
+from scenes import arena, robot
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import PortError, PortTimeout
@@ -8,25 +9,7 @@ from khep_twin.host import Khepera
 from khep_twin.lab.experiment.multi_robot import run_together
 from khep_twin.ports.twin import TwinOptions
 
-TWO = playpens.parse(
-    """
-version = 1
-name = "two"
-[arena]
-width_mm = 600
-height_mm = 500
-[[robot]]
-x_mm = 150
-y_mm = 250
-heading_deg = 0
-[[robot]]
-x_mm = 450
-y_mm = 250
-heading_deg = 180
-mode = 3
-""",
-    "two.toml",
-)
+TWO = playpens.parse(arena() + robot(150, 250) + robot(450, 250, 180, mode=3), "two.toml")
 
 
 def chase(robot: Khepera) -> list[tuple[int, ...]]:

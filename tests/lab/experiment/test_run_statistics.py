@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import arena, robot, table
 
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.lab.experiment.wire_statistics import wire
@@ -16,45 +17,15 @@ from khep_twin.units import BODY_RADIUS, PULSE_LENGTH, WHEEL_BASE
 
 SECOND = 1_000_000_000
 
-ROOM = """
-version = 1
-name = "room"
-
-[arena]
-width_mm = 400
-height_mm = 300
-
-[[block]]
-x_mm = 300
-y_mm = 150
-length_mm = 20
-width_mm = 100
-height_mm = 50
-angle_deg = 90
-
-[[cylinder]]
-x_mm = 50
-y_mm = 250
-radius_mm = 10
-height_mm = 50
-
-[[cylinder]]
-x_mm = 50
-y_mm = 50
-radius_mm = 10
-height_mm = 50
-movable = true
-
-[[robot]]
-x_mm = 200
-y_mm = 100
-heading_deg = 0
-"""
+BLOCK = {"x_mm": 300, "y_mm": 150, "length_mm": 20, "width_mm": 100, "height_mm": 50, "angle_deg": 90}
+ROUND = {"x_mm": 50, "radius_mm": 10, "height_mm": 50}
 
 
 @pytest.fixture
 def room() -> Playpen:
-    return parse(ROOM, "room")
+    things = table("block", **BLOCK) + table("cylinder", y_mm=250, **ROUND)
+    things += table("cylinder", y_mm=50, movable=True, **ROUND)
+    return parse(arena(400, 300) + things + robot(200, 100), "room")
 
 
 def drive(playpen: Playpen, path: Path, command: bytes, seconds: int) -> LoggedRun:

@@ -1,6 +1,7 @@
 """Where runs start, and by which light."""
 
 import pytest
+from scenes import arena, robot, table
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
@@ -57,26 +58,9 @@ def test_random_starts_take_their_turn_among_others() -> None:
 
 
 def test_a_robot_with_spots_starts_at_each() -> None:
-    text = """
-version = 1
-name = "spots"
-[arena]
-width_mm = 600
-height_mm = 500
-[[spot]]
-name = "left"
-x_mm = 100
-y_mm = 250
-heading_deg = 10
-[[spot]]
-name = "right"
-x_mm = 500
-y_mm = 250
-heading_deg = 20
-[[robot]]
-spots = ["right", "left"]
-"""
-    playpen = playpens.parse(text, "spots")
+    spots = table("spot", name="left", x_mm=100, y_mm=250, heading_deg=10)
+    spots += table("spot", name="right", x_mm=500, y_mm=250, heading_deg=20)
+    playpen = playpens.parse(arena() + spots + table("robot", spots=["right", "left"]), "spots")
     assert own_starts(playpen, 0) == [StartPose(500, 250, 20), StartPose(100, 250, 10)]
     assert at_start(playpen, 0, StartPose(300, 200, 0)).robots[0].spots == ()
 
@@ -103,20 +87,16 @@ def test_a_start_that_cannot_be_is_an_error_of_one_line(wish: str, line: str) ->
 
 
 def test_a_grid_of_places_without_room_is_refused() -> None:
-    text = (
-        'version = 1\nname = "full"\n[arena]\nwidth_mm = 200\nheight_mm = 200\n'
-        "[[cylinder]]\nx_mm = 100\ny_mm = 100\nradius_mm = 20\nheight_mm = 50\n"
-        "[[robot]]\nx_mm = 40\ny_mm = 40\nheading_deg = 0\n"
-    )
-    playpen = playpens.parse(text, "full")
+    full = table("cylinder", x_mm=100, y_mm=100, radius_mm=20, height_mm=50) + robot(40, 40)
+    playpen = playpens.parse(arena(200, 200) + full, "full")
     with pytest.raises(PlaypenError, match="none of the 1 places has room"):
         starts(["grid:1x1"], playpen, 0, 1, 0)
 
 
-@pytest.mark.parametrize("robot", [1, -1])
-def test_a_robot_that_is_not_there_has_no_starts(robot: int) -> None:
-    with pytest.raises(PlaypenError, match=rf"robot = {robot}: not in playpen 'default'; \(choices: 0\)"):
-        starts(["playpen"], DEFAULT, robot, 1, 0)
+@pytest.mark.parametrize("index", [1, -1])
+def test_a_robot_that_is_not_there_has_no_starts(index: int) -> None:
+    with pytest.raises(PlaypenError, match=rf"robot = {index}: not in playpen 'default'; \(choices: 0\)"):
+        starts(["playpen"], DEFAULT, index, 1, 0)
 
 
 def test_lamps_are_on_as_wanted() -> None:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scenes
+from scenes import arena, hosted, table
 
 from khep_twin import playpen
 from khep_twin.errors import FitError
@@ -16,19 +18,14 @@ from khep_twin.lab.fit.placement import Ruler
 from khep_twin.lab.fit.session import TESTS, CalibrationSession
 from khep_twin.lab.fit.session_people import PersonAtTerminal, SimulatedPerson
 from khep_twin.lab.fit.session_steps import Step, record, steps
-from khep_twin.ports.protocol_khep import Serial
-from khep_twin.ports.twin import TwinOptions, open_twin
 
-BENCH = (
-    'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n'
-    "[[robot]]\nx_mm = 500\ny_mm = 500\nheading_deg = 0\n"
-)
+BENCH = arena(1000, 1000) + scenes.robot(500, 500)
+CYLINDER = table("cylinder", x_mm=200, y_mm=200, radius_mm=10, height_mm=50)
 STRAIGHT, DUTY, WALL = Step("straight"), Step("duty"), Step("wall", 15.0)
 
 
 def bench(log: Path | None = None, text: str = BENCH) -> Khepera:
-    twin = open_twin(playpen.parse(text, "bench"), TwinOptions(log=log and str(log)))
-    return Khepera(Serial.of(twin, timeout=1.0))
+    return hosted(playpen.parse(text, "bench"), log=log and str(log))
 
 
 def never() -> bool:
@@ -131,13 +128,7 @@ def test_turns_are_counted_whole_and_with_what_lies_beyond() -> None:
     [
         (("width_mm = 1000", "width_mm = 600"), "600 x 1000 mm"),
         (("height_mm = 1000\n", 'height_mm = 1000\nsurface = "black"\n'), "walls of black"),
-        (
-            (
-                "[[robot]]",
-                "[[cylinder]]\nx_mm = 200\ny_mm = 200\nradius_mm = 10\nheight_mm = 50\n[[robot]]",
-            ),
-            "1 objects and other robots",
-        ),
+        (("[[robot]]", f"{CYLINDER}[[robot]]"), "1 objects and other robots"),
     ],
 )
 def test_a_playpen_without_room_is_refused(change: tuple[str, str], problem: str) -> None:

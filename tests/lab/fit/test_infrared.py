@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import arena, robot, table
 
 from khep_twin import playpen
 from khep_twin.board.kernel import PROXIMITY
@@ -44,27 +45,21 @@ def bench(radius: float) -> MeasuredTable:
     return MeasuredTable(*grid, np.zeros((len(grid[0]), 8)), radius)
 
 
-def scene_with(object_table: str, heading_deg: float, x_mm: float) -> World:
-    text = (
-        'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n'
-        f"[[robot]]\nx_mm = {x_mm}\ny_mm = 500\nheading_deg = {heading_deg}\n{object_table}"
-    )
-    return World(playpen.parse(text, "bench"), noise=False)
-
-
 @pytest.mark.parametrize("distance_mm", [8.0, 17.0, 26.0])
 @pytest.mark.parametrize("bearing_deg", [-80.0, -33.0, 0.0, 14.0, 61.0, 172.0])
 @pytest.mark.parametrize("radius_mm", [0.0, 12.5, 27.0])
 def test_the_plane_gives_what_the_scene_gives(
     distance_mm: float, bearing_deg: float, radius_mm: float
 ) -> None:
-    edge_mm = BODY_RADIUS * 1000
+    edge_mm, heading_deg = BODY_RADIUS * 1000, -bearing_deg
+    text = arena(1000, 1000)
     if radius_mm:
         x_mm = 500 + edge_mm + distance_mm + radius_mm
-        table = f"[[cylinder]]\nx_mm = {x_mm}\ny_mm = 500\nradius_mm = {radius_mm}\nheight_mm = 50\n"
-        world = scene_with(table, -bearing_deg, 500)
+        text += table("cylinder", x_mm=x_mm, y_mm=500, radius_mm=radius_mm, height_mm=50)
+        text += robot(500, 500, heading_deg)
     else:
-        world = scene_with("", -bearing_deg, 1000 - edge_mm - distance_mm)
+        text += robot(1000 - edge_mm - distance_mm, 500, heading_deg)
+    world = World(playpen.parse(text, "bench"), noise=False)
     position = MeasuredTable(
         np.array([distance_mm / 1e3]), np.array([np.radians(bearing_deg)]), np.zeros((1, 8)), radius_mm / 1e3
     )
@@ -112,8 +107,8 @@ def test_each_sensor_has_the_derived_figures_of_the_real_one(sensor: int) -> Non
 
 def test_the_sampled_robot_is_met_at_every_bearing_and_on_axis(reference: Path) -> None:
     everywhere = []
-    for table, on_axis in zip(sampled(reference), (20, 12), strict=True):
-        found = [compare(table, sensor, *optics(sensor)) for sensor in SENSORS]
+    for measured, on_axis in zip(sampled(reference), (20, 12), strict=True):
+        found = [compare(measured, sensor, *optics(sensor)) for sensor in SENSORS]
         everywhere += [each.everywhere for each in found]
         assert rms([each.on_axis for each in found]) <= on_axis
         assert max(rms([each.on_axis]) for each in found) <= 35
@@ -156,21 +151,7 @@ def test_one_calibration_meets_all_of_the_manuals_figures_of_proximity(reference
     assert figure_13(reference).figure <= 8
 
 
-KHEPERA2 = """
-version = 1
-name = "two"
-[arena]
-width_mm = 2000
-height_mm = 2000
-"""
-ROBOT = """
-[[robot]]
-x_mm = {}
-y_mm = {}
-heading_deg = {}
-model = "khepera2"
-calibration = "khepera2"
-"""
+KHEPERA2 = {"model": "khepera2", "calibration": "khepera2"}
 
 
 @pytest.mark.parametrize("is_robot", [False, True], ids=["paper", "robot"])
@@ -180,9 +161,9 @@ def test_a_khepera_2_reads_paper_and_another_robot_as_in_the_report(
 ) -> None:
     body = BODIES["khepera2"]
     face = -body.sensor_positions[5][1] if is_aside else body.sensor_positions[2][0]
-    others = ROBOT.format(1300, 1000, 0) if is_robot else ""
-    scene = playpen.parse(KHEPERA2 + ROBOT.format(1000, 1000, 90 if is_aside else 0) + others, "two")
-    world = World(scene, noise=False)
+    robots = robot(1000, 1000, 90 if is_aside else 0, **KHEPERA2)
+    robots += robot(1300, 1000, **KHEPERA2) if is_robot else ""
+    world = World(playpen.parse(arena(2000, 2000) + robots, "two"), noise=False)
     moved = world.robots[-1].indices.pose
     curves = [
         curve

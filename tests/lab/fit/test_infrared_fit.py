@@ -5,16 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scenes
+from scenes import arena, hosted
 
 from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
-from khep_twin.host import Khepera
 from khep_twin.lab.fit.clipped_noise import expected
 from khep_twin.lab.fit.infrared_fit import fit_infrared, fitted, levels
 from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Placement, Readings, Ruler
-from khep_twin.ports.protocol_khep import Serial
-from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.sensing import calibration
 from khep_twin.units import BODY_RADIUS, PULSE_LENGTH, WHEEL_BASE
 
@@ -32,14 +31,10 @@ def hidden_calibration() -> calibration.Calibration:
 def turn(path: str, distance_mm: float, seed: int) -> tuple[Readings, float]:
     """A robot turns slowly once in front of a wall, by its own counters; its readings and its time [s]."""
     x_mm = 1000 - BODY_RADIUS * 1000 - distance_mm
-    text = (
-        'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n[[robot]]\n'
-        f'x_mm = {x_mm}\ny_mm = 500\nheading_deg = 0\ncalibration = "{path}"\n'
-    )
+    text = arena(1000, 1000) + scenes.robot(x_mm, 500, calibration=path)
     bearings: list[float] = []
     counts: list[tuple[int, ...]] = []
-    twin = open_twin(playpen.parse(text, "bench"), TwinOptions(seed=seed))
-    with Khepera(Serial.of(twin, timeout=1.0)) as robot:
+    with hosted(playpen.parse(text, "bench"), seed=seed) as robot:
         robot.set_position(0, 0)
         robot.set_speed(-2, 2)
         turned = 0.0

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import arena, robot, table
 
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT
@@ -61,12 +62,8 @@ def test_the_sampled_lamp_is_met_far_off_and_near(reference: Path) -> None:
 
 
 def read_in_scene(forward: float, left: float, height: float) -> np.ndarray:
-    text = (
-        'version = 1\nname = "lamp"\n[arena]\nwidth_mm = 2000\nheight_mm = 2000\n'
-        "[[robot]]\nx_mm = 1000\ny_mm = 1000\nheading_deg = 0\n"
-        f"[[lamp]]\nx_mm = {1000 + forward * 1e3}\ny_mm = {1000 + left * 1e3}\n"
-        f"z_mm = {(height + SENSOR_HEIGHT) * 1e3}\npower_w = 2\n"
-    )
+    x_mm, y_mm, z_mm = 1000 + forward * 1e3, 1000 + left * 1e3, (height + SENSOR_HEIGHT) * 1e3
+    text = arena(2000, 2000) + robot(1000, 1000) + table("lamp", x_mm=x_mm, y_mm=y_mm, z_mm=z_mm, power_w=2)
     return World(playpen.parse(text, "lamp"), noise=False).robots[0].registers[AMBIENT]
 
 

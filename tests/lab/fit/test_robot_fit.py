@@ -1,12 +1,13 @@
 """A whole robot from recorded tests: what a twin was made with is found, what cannot be told is refused."""
 
 import math
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import khep_twin
+import scenes
+from command_line import refusal, told
+from scenes import arena, hosted, table
 
 from khep_twin import playpen
 from khep_twin.errors import FitError
@@ -18,8 +19,6 @@ from khep_twin.lab.fit.motor_fit import read_drive
 from khep_twin.lab.fit.wheel_fit import Drive, fit_wheels
 from khep_twin.lab.sensor_test.sensor_files import save
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, sense
-from khep_twin.ports.protocol_khep import Serial
-from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.sensing import calibration
 
 KHEPERA1 = calibration.read("khepera1")[0]
@@ -61,15 +60,11 @@ class Bench:
         (folder / "hidden.toml").write_text(dump(HIDDEN))
 
     def robot(self, x_mm: float, more: str = "", log: str = "", seed: int = 0) -> Khepera:
-        text = (
-            'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n'
-            f"[[robot]]\nx_mm = {x_mm}\ny_mm = 500\nheading_deg = 0\n"
-            f"calibration = '{self.folder / 'hidden.toml'}'\n{more}"
-        )
-        options = TwinOptions(seed=seed, log=str(self.folder / log) if log else None)
-        twin = open_twin(playpen.parse(text, "bench"), options)
-        twin.world.code.switch_if_ready()
-        return Khepera(Serial.of(twin, timeout=1.0))
+        own = scenes.robot(x_mm, 500, calibration=str(self.folder / "hidden.toml"))
+        scene = playpen.parse(arena(1000, 1000) + own + more, "bench")
+        robot = hosted(scene, seed=seed, log=str(self.folder / log) if log else None)
+        robot.port.twin.world.code.switch_if_ready()
+        return robot
 
     def drive(self, log: str, left: int, right: int) -> tuple[float, float]:
         """By position control; the true way [m] and turning [rad], as a ruler and patience find them."""
@@ -115,29 +110,23 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], list[
         f"{path}/spin.mcap={turned / 2 / math.pi:.3f}turns",
         f"{path}/steps.mcap=duty",
     ]
-    around, light = (
-        SensorTest("proximity", rotate_deg=360, speed=2),
-        SensorTest("light", rotate_deg=360, speed=5),
-    )
+    around = SensorTest("proximity", rotate_deg=360, speed=2)
+    light = SensorTest("light", rotate_deg=360, speed=5)
     for seed, distance_mm in enumerate((12, 17, 21, 25, 29)):
         robot = bench.robot(1000 - 27.5 - distance_mm, seed=seed)
         words.append(f"{bench.turn(f'wall{seed}.csv', robot, around)}=wall@{distance_mm}mm")
     for seed, distance_mm in enumerate((60, 150)):
-        lamp = f"[[lamp]]\nx_mm = {300 + 27.5 + 10 + distance_mm}\ny_mm = 500\npower_w = 2\n"
+        lamp = table("lamp", x_mm=300 + 27.5 + 10 + distance_mm, y_mm=500, power_w=2)
         robot = bench.robot(300, lamp, seed=seed)
         words.append(f"{bench.turn(f'lamp{seed}.mat', robot, light)}=lamp:2W@{distance_mm}mm")
     assert bench.robot_time < 180
     other, _ = bench.drive("other.mcap", 7_000, 7_000)
-    can = f"[[cylinder]]\nx_mm = {300 + 27.5 + 15 + 12.5}\ny_mm = 500\nradius_mm = 12.5\nheight_mm = 50\n"
+    can = table("cylinder", x_mm=300 + 27.5 + 15 + 12.5, y_mm=500, radius_mm=12.5, height_mm=50)
     unused = [
         f"{path}/other.mcap={other * 1e3:.1f}mm",
         f"{bench.turn('can.mcap', bench.robot(300, can), around)}=cylinder:12.5mm@15mm",
     ]
     return words, unused, path
-
-
-def fit(*words: str) -> "subprocess.CompletedProcess[str]":
-    return khep_twin("fit", *words)
 
 
 def test_a_hidden_robot_is_found_and_tests_that_were_not_used_are_met(
@@ -146,8 +135,7 @@ def test_a_hidden_robot_is_found_and_tests_that_were_not_used_are_met(
     words, unused, folder = recorded
     checks = [part for word in unused for part in ("--check", word)]
     target, picture = folder / "mine.toml", folder / "fit.png"
-    done = fit(*words, *checks, "-o", str(target), "--picture", str(picture))
-    assert done.returncode == 0, done.stderr
+    shown = told("fit", *words, *checks, "-o", target, "--picture", picture)
     found = calibration.read(str(target))[0]
     assert found.name == "mine"
     assert found.wheels.radius_mm == pytest.approx(HIDDEN.wheels.radius_mm, rel=0.002)
@@ -159,8 +147,8 @@ def test_a_hidden_robot_is_found_and_tests_that_were_not_used_are_met(
         gains = np.array(getattr(getattr(found, part), key)) / getattr(getattr(HIDDEN, part), key)
         np.testing.assert_allclose(gains, 1, atol=0.03)
     assert found.ambient.dark_counts == pytest.approx(470, abs=1)
-    lines = done.stdout.splitlines()
-    assert "check the object" not in done.stdout
+    lines = shown.splitlines()
+    assert "check the object" not in shown
     drive, can = (line for line in lines if line.endswith("off, not used for the fit"))
     assert abs(float(drive.split(": ")[1].split(" mm")[0])) < 1
     assert float(can.split(": ")[1].split(" counts")[0]) < 30
@@ -178,9 +166,7 @@ def test_without_a_ruler_wheels_are_refused(
     recorded: tuple[list[str], list[str], Path], kept: list[str], message: str
 ) -> None:
     words = [word for word in recorded[0] if any(name in word for name in kept)]
-    done = fit(*words)
-    assert (done.returncode, done.stdout) == (1, "")
-    assert message in done.stderr
+    assert message in refusal("fit", *words)
 
 
 def test_one_distance_far_away_determines_no_gain(
@@ -188,9 +174,8 @@ def test_one_distance_far_away_determines_no_gain(
 ) -> None:
     bench = Bench(tmp_path)
     path = bench.turn("far.csv", bench.robot(700), SensorTest("proximity", rotate_deg=360, speed=8))
-    done = fit(f"{path}=wall@272mm")
-    assert done.returncode == 1
-    assert "left 90: the gain cannot be determined: 0 readings are neither 0 nor saturated" in done.stderr
+    line = refusal("fit", f"{path}=wall@272mm")
+    assert "left 90: the gain cannot be determined: 0 readings are neither 0 nor saturated" in line
 
 
 @pytest.mark.parametrize(
@@ -200,15 +185,17 @@ def test_one_distance_far_away_determines_no_gain(
         ("a.csv=wall", "expected a file and a measurement"),
         ("a.csv=wall@-5mm", "expected a file and a measurement"),
         ("a.csv=lamp@5mm", "expected a file and a measurement"),
+        ("a.mcap", "a.mcap; expected a file and a measurement"),
+        ("a.mcap=5", "a.mcap=5; expected a file and a measurement"),
+        ("a.mcap=5cm", "a.mcap=5cm; expected a file and a measurement"),
+        ("=5mm", "=5mm; expected a file and a measurement"),
+        ("nowhere.mcap=5mm", "nowhere.mcap: cannot be read: No such file or directory"),
         ("nowhere.csv=wall@5mm", "nowhere.csv: cannot be read: No such file or directory"),
         ("nowhere.mcap=duty", "nowhere.mcap: cannot be read: No such file or directory"),
     ],
 )
 def test_wrong_words_are_reported_in_one_line(word: str, message: str) -> None:
-    done = fit(word)
-    assert done.returncode == 1
-    (line,) = done.stderr.splitlines()
-    assert message in line
+    assert message in refusal("fit", word)
 
 
 def test_a_test_of_light_is_no_test_of_a_wall(recorded: tuple[list[str], list[str], Path]) -> None:
@@ -254,25 +241,20 @@ def test_a_test_is_given_once_and_no_output_takes_its_place(
 ) -> None:
     words, _, folder = recorded
     wall = next(word for word in words if "wall1" in word)
-    twice = fit(wall, wall)
-    assert twice.returncode == 1
-    assert "this file is given twice" in twice.stderr
+    assert "this file is given twice" in refusal("fit", wall, wall)
     file = Path(wall.split("=")[0])
     before = file.read_bytes()
-    over = fit(wall, "-o", str(file))
-    assert over.returncode == 1
-    assert "this is a recorded test" in over.stderr
-    both = fit(wall, "-o", str(folder / "x.png"), "--picture", str(folder / "x.png"))
-    assert "this is the calibration" in both.stderr
+    assert "this is a recorded test" in refusal("fit", wall, "-o", file)
+    both = refusal("fit", wall, "-o", folder / "x.png", "--picture", folder / "x.png")
+    assert "this is the calibration" in both
     assert file.read_bytes() == before
     assert not (folder / "x.png").exists()
 
 
 def test_a_wrong_distance_is_asked_about(recorded: tuple[list[str], list[str], Path]) -> None:
     walls = [word for word in recorded[0] if "wall" in word]
-    done = fit(*walls[:3], walls[3].replace("25mm", "19mm"), walls[4])
-    assert done.returncode == 0
-    asked = [line for line in done.stdout.splitlines() if "check the object and its distance" in line]
+    shown = told("fit", *walls[:3], walls[3].replace("25mm", "19mm"), walls[4])
+    asked = [line for line in shown.splitlines() if "check the object and its distance" in line]
     assert any("wall@19mm" in line for line in asked)
 
 

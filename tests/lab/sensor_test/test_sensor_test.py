@@ -4,24 +4,20 @@ import math
 
 import numpy as np
 import pytest
+import scenes
+from scenes import arena, hosted
 
 from khep_twin import playpen
 from khep_twin.errors import KhepTwinError, SensorTestError
 from khep_twin.host import Khepera, Vision
 from khep_twin.lab.sensor_test.sensor_test import BrokenOffError, SensorRun, SensorTest, sense
-from khep_twin.ports.protocol_khep import Serial
-from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.units import BODY_RADIUS, SENSOR_LABELS
 
 
 def before_a_wall(distance_mm: float, faults: tuple[str, ...] = ()) -> Khepera:
     """A robot that looks at a white wall, its front this far off."""
-    text = (
-        'version = 1\nname = "bench"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\n[[robot]]\n'
-        f"x_mm = {1000 - BODY_RADIUS * 1000 - distance_mm}\ny_mm = 500\nheading_deg = 0\n"
-    )
-    twin = open_twin(playpen.parse(text, "bench"), TwinOptions(seed=1, noise=False, faults=faults))
-    return Khepera(Serial.of(twin, timeout=1.0))
+    text = arena(1000, 1000) + scenes.robot(1000 - BODY_RADIUS * 1000 - distance_mm, 500)
+    return hosted(playpen.parse(text, "bench"), seed=1, noise=False, faults=faults)
 
 
 def test_a_way_to_a_wall_begins_with_0_and_ends_saturated_at_the_target() -> None:
