@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from io import BytesIO
 from typing import cast
 
@@ -53,11 +52,10 @@ class Listener:
 
 
 @pytest.fixture
-def line() -> Iterator[Listener]:
+def line() -> Listener:
     port = Listener()
     serial_commands.ports({2: Khepera(cast(SerialBase, port))})
-    yield port
-    serial_commands.ports({})
+    return port
 
 
 def test_commands_take_the_toolboxs_arguments_in_the_toolboxs_order(line: Listener) -> None:
@@ -69,29 +67,10 @@ def test_commands_take_the_toolboxs_arguments_in_the_toolboxs_order(line: Listen
     serial_commands.cspc(2, 20, 64, 21, 65)
     serial_commands.cls(2, 1, 2)
     serial_commands.rad(2, 3)
-    for command in (
-        serial_commands.rms,
-        serial_commands.rpc,
-        serial_commands.rmc,
-        serial_commands.rps,
-        serial_commands.rls,
-    ):
-        command(2)
-    assert line.sent == [
-        "A,3800,800,100",
-        "C,100,-200",
-        "D,5,-6",
-        "F,3000,20,4000",
-        "G,7,8",
-        "J,20,64,21,65",
-        "L,1,2",
-        "I,3",
-        "E",
-        "H",
-        "K",
-        "N",
-        "O",
-    ]
+    for name in ("rms", "rpc", "rmc", "rps", "rls"):
+        getattr(serial_commands, name)(2)
+    orders = "A,3800,800,100 C,100,-200 D,5,-6 F,3000,20,4000 G,7,8 J,20,64,21,65 L,1,2 I,3"
+    assert line.sent == [*orders.split(), *"EHKNO"]
 
 
 def test_rows_have_the_toolboxs_numbers_in_the_toolboxs_order(line: Listener) -> None:
@@ -125,19 +104,18 @@ def test_what_is_no_speed_is_not_sent(line: Listener, wrong: float) -> None:
     assert line.sent == []
 
 
-def test_a_port_is_a_number_that_was_given_a_url_or_the_environments_or_a_url() -> None:
+def test_a_port_is_a_number_that_was_given_a_url_or_the_environments_or_a_url(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     url = "khep://default?noise=off"
-    with pytest.MonkeyPatch.context() as environment:
-        environment.setenv("KHEP_PORT_3", url + "&seed=3")
-        serial_commands.ports({1: url})
-        try:
-            serial_commands.spc(1, 10, 10)
-            serial_commands.spc(3, 30, 30)
-            serial_commands.spc(url + "&seed=5", 50, 50)
-            assert [serial_commands.rpc(port)[0] for port in (1, 3, url + "&seed=5", url)] == [10, 30, 50, 10]
-            first = serial_commands.robot_at(1)
-        finally:
-            serial_commands.ports({})
+    monkeypatch.setenv("KHEP_PORT_3", url + "&seed=3")
+    serial_commands.ports({1: url})
+    serial_commands.spc(1, 10, 10)
+    serial_commands.spc(3, 30, 30)
+    serial_commands.spc(url + "&seed=5", 50, 50)
+    assert [serial_commands.rpc(port)[0] for port in (1, 3, url + "&seed=5", url)] == [10, 30, 50, 10]
+    first = serial_commands.robot_at(1)
+    serial_commands.ports({})
     assert not first.port.is_open
 
 

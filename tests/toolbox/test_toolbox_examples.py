@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from khep_twin.host import Khepera
-from khep_twin.toolbox import robot_view, serial_commands, simulator
+from khep_twin.toolbox import serial_commands
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "toolbox"
 
@@ -27,9 +27,7 @@ class Interrupted(Khepera):
 
 
 @pytest.fixture
-def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Interrupted:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("MPLBACKEND", "agg")
+def robot(no_screen: None) -> Interrupted:
     return Interrupted("khep://obstacles?seed=1", 500)
 
 
@@ -39,12 +37,8 @@ def test_the_braitenberg_vehicle_wanders_until_it_is_interrupted(name: str, robo
     if name == "brait_khepbase":
         robot.left = 20
     start = robot.port.twin.robot.pose
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            runpy.run_path(str(EXAMPLES / f"{name}.py"))
-    finally:
-        serial_commands.ports({})
-        robot_view._views.clear()
+    with pytest.raises(KeyboardInterrupt):
+        runpy.run_path(str(EXAMPLES / f"{name}.py"))
     x, y, heading = robot.port.twin.robot.pose
     assert robot.left == 0
     assert abs(x - start[0]) + abs(y - start[1]) > 0.05
@@ -59,21 +53,14 @@ def test_the_simulators_example_goes_ahead_and_turns_at_the_wall() -> None:
     names = runpy.run_path(str(EXAMPLES / "simsamp1.py"), run_name="__main__")
     btmap1 = names["btmap1"]
     _, y, heading = btmap1.twin.robot.pose
-    simulator.close_playpen()
     assert btmap1.time == 50
     # 1000 cycles of 50 ms at 8 mm/s from the middle: it came to the upper wall and turned there.
     assert y > 0.40
     assert abs(heading - 1.5708) > 0.2
 
 
-def test_the_simulators_second_example_shows_khepbase(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("MPLBACKEND", "agg")
+def test_the_simulators_second_example_shows_khepbase(no_screen: None) -> None:
     names = runpy.run_path(str(EXAMPLES / "simsamp2.py"))
     names["simsamp2"](2, 20, 1, 0)
     assert names["btmap1"].time == 1
     assert Path("khepbase.png").exists()
-    simulator.close_playpen()
-    robot_view._views.clear()

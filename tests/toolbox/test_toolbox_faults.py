@@ -2,10 +2,12 @@
 
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import arena, robot, table
 from scipy.io import savemat
 
 from khep_twin import playpen
@@ -15,33 +17,26 @@ from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.world import World
 
-HEAD = 'version = 1\nname = "p"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
-ROBOT = "[[robot]]\nx_mm = 300\ny_mm = 250\nheading_deg = 90\n"
-
-
-def block(x_mm: float, y_mm: float, angle_deg: float = 0) -> str:
-    return (
-        f"[[block]]\nx_mm = {x_mm}\ny_mm = {y_mm}\nangle_deg = {angle_deg}\nlength_mm = 60\nwidth_mm = 20\n"
-        "height_mm = 50\n"
-    )
+HEAD, ROBOT = arena(), robot(300, 250, 90)
+block = partial(table, "block", length_mm=60, width_mm=20, height_mm=50)
 
 
 def test_nothing_is_placed_on_top_of_a_wall_or_an_object() -> None:
-    for text in (ROBOT.replace("300", "10"), block(310, 260) + ROBOT):
+    for text in (ROBOT.replace("300", "10"), block(x_mm=310, y_mm=260) + ROBOT):
         with pytest.raises(PlaypenError, match=r"robot 1 at .* overlaps"):
             playpen.parse(HEAD + text, "p")
 
 
 @pytest.mark.parametrize("angle_deg", [0, 17.5, 45, 90, -45, 133])
 def test_objects_turn_to_any_angle(angle_deg: float) -> None:
-    found = playpen.parse(HEAD + block(300, 250, angle_deg), "p")
+    found = playpen.parse(HEAD + block(x_mm=300, y_mm=250, angle_deg=angle_deg), "p")
     model = to_spec(found).compile()
     w, _, _, z = model.geom_quat[model.geom("block0").id]
     assert np.degrees(2 * np.arctan2(z, w)) == pytest.approx(angle_deg)
 
 
 def test_objects_and_robots_are_moved_and_turned_where_they_stand() -> None:
-    text = HEAD + block(100, 100) + ROBOT
+    text = HEAD + block(x_mm=100, y_mm=100) + ROBOT
     found = playpen.parse(text, "p")
     moved = found.model_copy(
         update={
@@ -53,8 +48,8 @@ def test_objects_and_robots_are_moved_and_turned_where_they_stand() -> None:
 
 
 def test_a_lamp_does_not_shine_through_a_wall() -> None:
-    lamp = "[[lamp]]\nx_mm = 300\ny_mm = 450\npower_w = 7\n"
-    wall = "[[wall]]\npoints_mm = [[100, 350], [500, 350]]\nheight_mm = 60\n"
+    lamp = table("lamp", x_mm=300, y_mm=450, power_w=7)
+    wall = table("wall", points_mm=[[100, 350], [500, 350]], height_mm=60)
     lit, dark = (
         World(playpen.parse(HEAD + text, "p"), noise=False).robots[0].registers[AMBIENT]
         for text in (lamp + ROBOT, lamp + wall + ROBOT)

@@ -1,25 +1,16 @@
 """The toolbox's graphs and its khepbase, without a screen."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pytest
 from PIL import Image
 
 from khep_twin import toolbox
 from khep_twin.errors import KhepTwinError, SensorTestError
-from khep_twin.toolbox import figures, robot_view
+from khep_twin.toolbox import robot_view
 
-
-@pytest.fixture(autouse=True)
-def no_screen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.chdir(tmp_path)
-    matplotlib.use("agg")
-    yield
-    figures._graphs.clear()
-    robot_view._views.clear()
+pytestmark = pytest.mark.usefixtures("no_screen")
 
 
 def rows(left: int, right: int) -> np.ndarray:
@@ -68,7 +59,6 @@ def test_the_speed_that_was_driven_is_named_or_none() -> None:
     assert "light" in told
     assert "speed 9" in told
     assert "speed" not in description(toolbox.ddr(dv.copy(), khep_pos))
-    toolbox.close_playpen()
 
 
 @pytest.mark.parametrize("which_one", [3, "left 10"])

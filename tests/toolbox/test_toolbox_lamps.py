@@ -1,7 +1,5 @@
 """Lamps that a program places, moves and takes away in the toolbox's simulator."""
 
-from collections.abc import Iterator
-
 import pytest
 
 from khep_twin import playpen as playpens
@@ -11,9 +9,8 @@ from khep_twin.toolbox.simulator import OpenPlaypen
 
 
 @pytest.fixture
-def btmap1() -> Iterator[OpenPlaypen]:
-    yield toolbox.open_default(noise=False)
-    toolbox.close_playpen()
+def btmap1() -> OpenPlaypen:
+    return toolbox.open_default(noise=False)
 
 
 def test_a_lamp_shines_where_it_is_placed_and_moved_until_it_is_removed(btmap1: OpenPlaypen) -> None:
@@ -64,7 +61,6 @@ def test_a_playpen_is_opened_with_its_lamps_as_wanted() -> None:
     assert toolbox.open_default(lighting="off", rom="4.06").twin.robot.firmware
     with pytest.raises(PlaypenError, match="lighting 'dim': unknown"):
         toolbox.open_default(lighting="dim")
-    toolbox.close_playpen()
 
 
 @pytest.mark.parametrize(

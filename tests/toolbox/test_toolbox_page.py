@@ -71,18 +71,11 @@ def test_the_programs_on_the_page_run(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(robot_view, "show", lambda figure, title: False)
-    monkeypatch.setattr(figures, "show", lambda figure, title: False)
-    monkeypatch.setattr(roborunner, "show", lambda figure, title: False)
+    for module in (robot_view, figures, roborunner):
+        monkeypatch.setattr(module, "show", lambda figure, title: False)
     program = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[number]
-    try:
-        names: dict[str, Any] = {"__name__": "__main__"}
-        exec(compile(program, "docs/toolbox.md", "exec"), names)
-    finally:
-        host.ports({})
-        toolbox.close_playpen()
-        robot_view._views.clear()
-        figures._graphs.clear()
+    names: dict[str, Any] = {"__name__": "__main__"}
+    exec(compile(program, "docs/toolbox.md", "exec"), names)
     if number == 1:
         # It came to the upper wall, 250 mm ahead, and has turned there.
         assert abs(toolbox.cvrtang(math.degrees(names["btmap1"].twin.robot.pose[2]) - 90)) > 10

@@ -1,7 +1,6 @@
 """To put, move and turn the simulated robot, and to look whether something is in its way."""
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -23,12 +22,6 @@ LAMP = "[[lamp]]\nx_mm = 500\ny_mm = 450\npower_w = 7\n"
 
 def opened(*parts: str) -> OpenPlaypen:
     return toolbox.open_custom(playpens.parse(ARENA + "".join(parts), "p"), noise=False)
-
-
-@pytest.fixture(autouse=True)
-def closed() -> Iterator[None]:
-    yield
-    toolbox.close_playpen()
 
 
 def pose(btmap1: OpenPlaypen, port_id: int = 1) -> list[float]:

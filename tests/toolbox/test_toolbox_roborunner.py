@@ -5,11 +5,10 @@ import signal
 import subprocess
 import sys
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import pytest
 from forked import Forked
 from scipy.io import loadmat
@@ -52,15 +51,9 @@ def simsamp(port_id: int, cycles_per_run: int, runs: int, pause_stat: float) -> 
 
 
 @pytest.fixture(autouse=True)
-def closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def unseen(no_screen: None) -> None:
     global seen
-    monkeypatch.chdir(tmp_path)
-    matplotlib.use("agg")
     seen = 0
-    yield
-    toolbox.close_playpen()
-    host.ports({})
-    roborunner._runs.clear()
 
 
 def test_a_function_is_run_at_a_port_and_its_variables_are_kept_and_handed_on(

@@ -1,6 +1,5 @@
 """The toolbox's sensor tests by its names, on a port and in its simulator."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +12,6 @@ from khep_twin.host import Khepera
 from khep_twin.host.results import SensorCounts
 from khep_twin.lab.sensor_test.sensor_test import BrokenOffError
 from khep_twin.toolbox import serial_commands as host
-
-
-@pytest.fixture(autouse=True)
-def closed() -> Iterator[None]:
-    yield
-    toolbox.close_playpen()
-    host.ports({})
 
 
 def test_the_simulated_robot_is_tested_where_it_was_put() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import khep_twin
+from command_line import khep_twin, told
 from PIL import Image
 from shares import share
 
@@ -75,15 +75,24 @@ SCORED = {
 }
 
 
-def test_a_program_that_reads_no_sensor_has_no_score_by_it(tmp_path: Path) -> None:
-    challenge = written(tmp_path, SHORT.replace('"distance_m"', '"proximity_max"'))
+@pytest.fixture
+def short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
+    path = tmp_path / "short.toml"
+    path.write_text(SHORT)
+    return path
+
+
+def test_a_program_that_reads_no_sensor_has_no_score_by_it(short: Path, tmp_path: Path) -> None:
+    short.write_text(SHORT.replace('"distance_m"', '"proximity_max"'))
     (tmp_path / "blind.py").write_text("def controller(robot):\n    robot.set_speed(5, 5)\n")
     with pytest.raises(ControllerError, match=r"blind\.py: run 1 has no proximity_max; expected a program"):
-        score(load(str(challenge)), str(tmp_path / "blind.py"), 1, 1)
+        score(load(str(short)), str(tmp_path / "blind.py"), 1, 1)
 
 
-def test_a_program_that_loops_by_itself_has_a_fitness(tmp_path: Path) -> None:
-    challenge = load(str(written(tmp_path, SHORT.replace('"distance_m"', '"fitness"'))))
+def test_a_program_that_loops_by_itself_has_a_fitness(short: Path, tmp_path: Path) -> None:
+    short.write_text(SHORT.replace('"distance_m"', '"fitness"'))
+    challenge = load(str(short))
     step = "    robot.proximity()\n    robot.set_speed(8, 8)\n"
     (tmp_path / "cycle.py").write_text(f"def controller(robot):\n{step}")
     (tmp_path / "loop.py").write_text(f"def controller(robot):\n  while True:\n{step}")
@@ -91,7 +100,7 @@ def test_a_program_that_loops_by_itself_has_a_fitness(tmp_path: Path) -> None:
     assert by_loop.value == pytest.approx(by_cycle.value, rel=0.02)
 
 
-def test_runs_are_independent_of_each_other_in_modules_and_metrics(tmp_path: Path) -> None:
+def test_runs_are_independent_of_each_other_in_modules_and_metrics(short: Path, tmp_path: Path) -> None:
     (tmp_path / "beside_it.py").write_text("calls = []\n")
     (tmp_path / "prog.py").write_text(
         "import random\n"
@@ -105,24 +114,18 @@ def test_runs_are_independent_of_each_other_in_modules_and_metrics(tmp_path: Pat
         "        robot.proximity()\n"
         "    robot.set_speed(5 * len(beside_it.calls), 5)\n"
     )
-    challenge = load(str(written(tmp_path, SHORT)))
+    challenge = load(str(short))
     together = score(challenge, str(tmp_path / "prog.py"), 4, 1)
     alone = [score(challenge, str(tmp_path / "prog.py"), 1, seed).value for seed in range(1, 5)]
     assert list(together.runs) == alone
     assert "proximity_max" in together.metrics
 
 
-def test_a_file_name_that_is_no_utf_8_has_its_row(tmp_path: Path) -> None:
+def test_a_file_name_that_is_no_utf_8_has_its_row(short: Path) -> None:
     found = [Attempt("ren\udce9.py", None, "ren\udce9.py: ended", 0, "")]
-    challenge = load(str(written(tmp_path, SHORT))).challenge
+    challenge = load(str(short)).challenge
     assert b"ren\\udce9" in to_csv(challenge, found)
     table(challenge, found).encode("utf-8")
-
-
-def written(folder: Path, text: str) -> Path:
-    path = folder / "short.toml"
-    path.write_text(text)
-    return path
 
 
 # A quarter turn to one side at the end of a stem.
@@ -144,14 +147,6 @@ def controller(robot):
         turn = max(-3, min(3, side // 100))
         robot.set_speed(8 + turn, 8 - turn)
 """
-
-
-@pytest.fixture
-def short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
-    path = tmp_path / "short.toml"
-    path.write_text(SHORT)
-    return path
 
 
 def long_but(*kept: str) -> list[Any]:
@@ -214,9 +209,8 @@ def test_tables_made_by_one_and_by_two_processes_are_the_same_bytes(
     for jobs in (1, 2):
         monkeypatch.setenv("PYTHONHASHSEED", str(jobs))
         output = tmp_path / f"{jobs}.csv"
-        done = khep_twin("challenge", "table", short, folder, "--jobs", jobs, "-o", output)
-        assert done.returncode == 0, done.stderr
-        made.append((done.stdout.partition("\ntable ")[0], output.read_text()))
+        shown = told("challenge", "table", short, folder, "--jobs", jobs, "-o", output)
+        made.append((shown.partition("\ntable ")[0], output.read_text()))
     assert made[0] == made[1]
     row, _ = csv.DictReader(made[0][1].splitlines())
     assert float(row["run_1"]) != float(row["run_2"])
@@ -247,8 +241,7 @@ def test_a_table_has_a_line_for_every_file_whatever_it_does(
     folder.mkdir()
     for name, text in {**{name: BROKEN[name][0] for name in broken}, **SCORED}.items():
         (folder / f"{name}.py").write_text(text)
-    done = khep_twin("challenge", "table", short, folder, "-o", tmp_path / "class.csv")
-    assert done.returncode == 0, done.stderr
+    shown = told("challenge", "table", short, folder, "-o", tmp_path / "class.csv")
     rows = {
         row["participant"]: row for row in csv.DictReader((tmp_path / "class.csv").read_text().splitlines())
     }
@@ -258,7 +251,7 @@ def test_a_table_has_a_line_for_every_file_whatever_it_does(
         assert rows[name]["note"].startswith(f"{folder}/{BROKEN[name][1]}")
         assert (rows[name]["rank"], rows[name]["score"]) == ("", "")
     assert rows["prints"]["note"].endswith("lines, the last: [31mhello")
-    assert len(done.stdout.splitlines()) == len(rows) + 2
+    assert len(shown.splitlines()) == len(rows) + 2
 
 
 @pytest.mark.parametrize(
@@ -298,11 +291,9 @@ def test_what_a_file_starts_is_ended_with_it(short: Path, tmp_path: Path) -> Non
 def test_run_prints_score_and_result_and_keeps_a_log(short: Path, tmp_path: Path) -> None:
     (tmp_path / "returns.py").write_text(SCORED["returns"])
     log = tmp_path / "run.mcap"
-    done = khep_twin("challenge", "run", short, tmp_path / "returns.py", "--runs", 1, "--log", log)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[1].startswith("passed     at least 0.05 m")
-    repeated = khep_twin("repeat", log)
-    assert repeated.stdout.startswith("identical: 2.")
+    shown = told("challenge", "run", short, tmp_path / "returns.py", "--runs", 1, "--log", log)
+    assert shown.splitlines()[1].startswith("passed     at least 0.05 m")
+    assert told("repeat", log).startswith("identical: 2.")
     (tmp_path / "prints.py").write_text(SCORED["prints"])
     done = khep_twin("challenge", "run", short, tmp_path / "prints.py", "--runs", 1)
     assert done.returncode == 4
@@ -328,18 +319,13 @@ def test_a_challenge_without_a_reference_solution_says_so(short: Path) -> None:
     assert done.stderr == f"khep-twin: {wanted}\n"
 
 
-def test_penalties_and_goals_make_the_score(tmp_path: Path) -> None:
+def test_penalties_and_goals_make_the_score(short: Path, tmp_path: Path) -> None:
     goal = "\n[[goal]]\nx_mm = 300\ny_mm = 300\nradius_mm = 5\n"
     penalty = '\n[[penalty]]\nmetric = "collisions"\neach = 2.0\n'
-    path = tmp_path / "goal.toml"
-    text = (
-        SHORT.replace('"distance_m"', '"goal_s"')
-        .replace("higher", "lower")
-        .replace("seconds = 2", "seconds = 9")
-    )
-    path.write_text(text + goal + penalty)
+    text = SHORT.replace('"distance_m"', '"goal_s"').replace("higher", "lower")
+    short.write_text(text.replace("seconds = 2", "seconds = 9") + goal + penalty)
     (tmp_path / "ahead.py").write_text(SCORED["returns"])
-    found = score(load(str(path)), str(tmp_path / "ahead.py"), 1, 1)
+    found = score(load(str(short)), str(tmp_path / "ahead.py"), 1, 1)
     assert found.metrics["collisions"] == 1
     assert 0.5 < found.metrics["goal_s"] < 0.8  # 45 mm at 80 mm/s
     assert found.value == found.metrics["goal_s"] + 2

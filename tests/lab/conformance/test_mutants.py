@@ -111,6 +111,15 @@ def break_answers(twin: Twin, mutation: Mutation) -> None:
     firmware.receive = receive  # type: ignore[method-assign]
 
 
+Receive = Callable[[bytes], bytes]
+
+
+def receive_by(twin: Twin, answer: Callable[[Receive, bytes], bytes]) -> None:
+    """Lets what comes pass through `answer`, together with what the firmware itself would do with it."""
+    receive = twin.robot.firmware.receive
+    twin.robot.firmware.receive = lambda data: answer(receive, data)  # type: ignore[method-assign]
+
+
 def think(twin: Twin, delay_ns: Callable[[bytes], int]) -> None:
     """Lets replies begin late, each by what it costs to think about [ns]."""
     put = twin.robot.uart.tx.put
@@ -138,8 +147,7 @@ def slow_line(twin: Twin) -> None:
 
 def deaf_to_cr(twin: Twin) -> None:
     """Knows LF only."""
-    receive = twin.robot.firmware.receive
-    twin.robot.firmware.receive = lambda data: receive(data.replace(b"\r", b" "))  # type: ignore[method-assign]
+    receive_by(twin, lambda receive, data: receive(data.replace(b"\r", b" ")))
 
 
 def crossed_wheels(twin: Twin) -> None:
@@ -166,39 +174,39 @@ def keeps_settings(twin: Twin) -> None:
 
 def counts_in_sixteen_bits(twin: Twin) -> None:
     """Has counters of sixteen bits."""
-    register_view, receive = twin.robot.firmware.register_view, twin.robot.firmware.receive
+    register_view = twin.robot.firmware.register_view
 
-    def narrow(data: bytes) -> bytes:
+    def narrow(receive: Receive, data: bytes) -> bytes:
         for wheel in (LEFT, RIGHT):
             position = register_view[wheel + Wheel.POSITION]
             register_view[wheel + Wheel.POSITION] = (position + 2**15) % 2**16 - 2**15
         return receive(data)
 
-    twin.robot.firmware.receive = narrow  # type: ignore[method-assign]
+    receive_by(twin, narrow)
 
 
 def never_there(twin: Twin) -> None:
     """Never says that a target is reached."""
-    register_view, receive = twin.robot.firmware.register_view, twin.robot.firmware.receive
+    register_view = twin.robot.firmware.register_view
 
-    def on_the_way(data: bytes) -> bytes:
+    def on_the_way(receive: Receive, data: bytes) -> bytes:
         register_view[LEFT + Wheel.ON_TARGET] = 0
         return receive(data)
 
-    twin.robot.firmware.receive = on_the_way  # type: ignore[method-assign]
+    receive_by(twin, on_the_way)
 
 
 def without_trapezoid(twin: Twin) -> None:
     """Goes to its targets at full speed."""
-    receive, register_view = twin.robot.firmware.receive, twin.robot.firmware.register_view
+    register_view = twin.robot.firmware.register_view
 
-    def rush(data: bytes) -> bytes:
+    def rush(receive: Receive, data: bytes) -> bytes:
         reply = receive(data)
         for wheel in (LEFT, RIGHT):
             register_view[wheel + Wheel.MAX_SPEED], register_view[wheel + Wheel.ACCELERATION] = 100, 10_000
         return reply
 
-    twin.robot.firmware.receive = rush  # type: ignore[method-assign]
+    receive_by(twin, rush)
 
 
 def keep(twin: Twin, *kept: Wheel) -> None:
@@ -225,27 +233,26 @@ def keeps_its_trapezoid(twin: Twin) -> None:
 
 def tells_the_setpoint(twin: Twin) -> None:
     """Answers E with what is asked for."""
-    receive, register_view = twin.robot.firmware.receive, twin.robot.firmware.register_view
+    register_view = twin.robot.firmware.register_view
 
-    def answer(data: bytes) -> bytes:
+    def answer(receive: Receive, data: bytes) -> bytes:
         reply = receive(data)
         speeds = (register_view[LEFT + Wheel.SPEED_SETPOINT], register_view[RIGHT + Wheel.SPEED_SETPOINT])
         return b"e,%d,%d\r\n" % speeds if reply.startswith(b"e,") else reply
 
-    twin.robot.firmware.receive = answer  # type: ignore[method-assign]
+    receive_by(twin, answer)
 
 
 def stops_at_a_renumbering(twin: Twin) -> None:
     """Stops its motors at G."""
-    receive = twin.robot.firmware.receive
 
-    def stop(data: bytes) -> bytes:
+    def stop(receive: Receive, data: bytes) -> bytes:
         reply = receive(data)
         if reply == b"g\r\n":
             receive(b"D,0,0\n")
         return reply
 
-    twin.robot.firmware.receive = stop  # type: ignore[method-assign]
+    receive_by(twin, stop)
 
 
 def keeps_driving(twin: Twin) -> None:
@@ -255,11 +262,8 @@ def keeps_driving(twin: Twin) -> None:
 
 def ignores_profiles(twin: Twin) -> None:
     """Acknowledges J and keeps its own trapezoid."""
-    receive = twin.robot.firmware.receive
     whole = re.compile(rb"J(,\d+){4}\s*")
-    twin.robot.firmware.receive = lambda data: (  # type: ignore[method-assign]
-        b"j\r\n" if whole.fullmatch(data) else receive(data)
-    )
+    receive_by(twin, lambda receive, data: b"j\r\n" if whole.fullmatch(data) else receive(data))
 
 
 def shows_its_banner_late(twin: Twin) -> None:
@@ -304,9 +308,11 @@ GRIPPERS: dict[str, Mutation] = {
 }
 
 
-def is_caught(breaking: Callable[[Twin], None], checked: Iterable[Check], url: str = DEFAULT) -> bool:
+def is_caught(
+    breaking: Callable[[Twin], None], checked: Iterable[Check], at: str | Khepera = DEFAULT
+) -> bool:
     """Tell whether a check finds a deviation, by the first one that does."""
-    with closing(Khepera(url)) as robot:
+    with closing(Khepera(at) if isinstance(at, str) else at) as robot:
         breaking(robot.port.twin)
         line = CheckedPort(robot.port)
         return any(run_check(check, line).deviation for check in checked)

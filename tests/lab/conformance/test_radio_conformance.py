@@ -2,14 +2,14 @@
 
 import re
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 from radio_scene import playpen_with_radios
+from scenes import hosted
 from served_twin import served
 from shares import share
-from test_mutants import Mutation, break_answers, replies, to
+from test_mutants import Mutation, Receive, break_answers, is_caught, receive_by, replies, to
 from test_recording import changed, checked, failed
 from test_recording import to as recorded_to
 
@@ -19,8 +19,7 @@ from khep_twin.lab.conformance.port.check import CheckedPort
 from khep_twin.lab.conformance.port.conform import checks, examine, run_check
 from khep_twin.lab.experiment.multi_robot import run_together
 from khep_twin.log.recorded import read_recorded
-from khep_twin.ports.protocol_khep import Serial
-from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.ports.twin import Twin, TwinOptions
 
 PAIR = playpen_with_radios([(200, 250), (400, 250)])
 CHECKS = [check for check in checks(False) if "radio" in check.name]
@@ -76,32 +75,24 @@ def without_power(twin: Twin) -> None:
 
 def lost(twin: Twin) -> None:
     """Sends a refused message all the same."""
-    receive = twin.robot.firmware.receive
 
-    def answer(data: bytes) -> bytes:
+    def answer(receive: Receive, data: bytes) -> bytes:
         reply = receive(data)
         if re.fullmatch(rb"T,4,S,255,17,.*\n", data):
             receive(data.replace(b",17,", b",16,"))
         return reply
 
-    twin.robot.firmware.receive = answer  # type: ignore[method-assign]
-
-
-def is_caught(breaking: Callable[[Twin], None]) -> bool:
-    with closing(Khepera(Serial.of(open_twin(PAIR, TwinOptions(noise=False)), timeout=1.0))) as robot:
-        breaking(robot.port.twin)
-        line = CheckedPort(robot.port)
-        return any(run_check(check, line).deviation for check in CHECKS)
+    receive_by(twin, answer)
 
 
 @pytest.mark.parametrize("name", share(RADIOS, 3))
 def test_a_radio_that_answers_wrongly_is_caught(name: str) -> None:
-    assert is_caught(lambda twin: break_answers(twin, RADIOS[name]))
+    assert is_caught(lambda twin: break_answers(twin, RADIOS[name]), CHECKS, hosted(PAIR, noise=False))
 
 
 @pytest.mark.parametrize("breaking", share([deaf_to_restarts, lost, without_power], 2))
 def test_a_radio_that_is_broken_inside_is_caught(breaking: Callable[[Twin], None]) -> None:
-    assert is_caught(breaking)
+    assert is_caught(breaking, CHECKS, hosted(PAIR, noise=False))
 
 
 @pytest.fixture(scope="module")

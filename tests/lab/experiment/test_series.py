@@ -104,12 +104,8 @@ def test_a_series_that_is_stopped_leaves_a_robot_that_stands_and_no_broken_run()
 def test_a_stop_in_the_pause_begins_no_run() -> None:
     places = Places()
     with Khepera("khep://default") as robot:
-
-        def stop() -> bool:
-            return robot.time > 1
-
         plan = Plan(2, cycles=2, pause=1000)
-        found = list(run_series(places, OneRobot(robot), plan, stop=stop))
+        found = list(run_series(places, OneRobot(robot), plan, stop=lambda: robot.time > 1))
         assert robot.time < 2
     assert [run.number for run in found] == [1]
     assert places._calls == ["start", "cycle", "cycle", "end", "stop"]

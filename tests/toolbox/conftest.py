@@ -1,0 +1,28 @@
+"""What the toolbox's tests leave behind, and where they draw."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import matplotlib
+import pytest
+
+from khep_twin import toolbox
+from khep_twin.toolbox import figures, roborunner, robot_view, serial_commands
+
+
+@pytest.fixture(autouse=True)
+def closed() -> Iterator[None]:
+    """Close the playpen and the ports after each test, and forget what was drawn and run."""
+    yield
+    toolbox.close_playpen()
+    serial_commands.ports({})
+    for kept in (figures._graphs, robot_view._views, roborunner._runs):
+        kept.clear()
+
+
+@pytest.fixture
+def no_screen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw without a screen, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    matplotlib.use("agg")
