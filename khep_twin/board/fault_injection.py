@@ -19,6 +19,7 @@ else in a run; every occurrence is logged.
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, TypedDict
 
 import numpy as np
@@ -249,20 +250,16 @@ def _stuck(sensor: str) -> _Values:
     return {"device": SENSOR, "which": [str(number) for number in range(N_SENSORS)].index(sensor)}
 
 
+def _side(device: str, side: str) -> _Values:
+    return {"device": device, "which": _SIDES.index(side)}
+
+
+def _part(device: str, side: str, part: str) -> _Values:
+    return {**_side(device, side), "part": _number(part, 0, 1)}
+
+
 def _dead(which: str) -> _Values:
-    return {"device": MOTOR, "which": _SIDES.index(which)} if which in _SIDES else _stuck(which)
-
-
-def _weak(side: str, part: str) -> _Values:
-    return {"device": MOTOR, "which": _SIDES.index(side), "part": _number(part, 0, 1)}
-
-
-def _slip(side: str, part: str) -> _Values:
-    return {"device": WHEEL, "which": _SIDES.index(side), "part": _number(part, 0, 1)}
-
-
-def _blocked(side: str) -> _Values:
-    return {"device": WHEEL, "which": _SIDES.index(side)}
+    return _side(MOTOR, which) if which in _SIDES else _stuck(which)
 
 
 def _plain() -> _Values:
@@ -275,8 +272,8 @@ _KINDS: Mapping[str, tuple[Callable[..., _Values], str]] = {
     "late": (_late, "late:PROBABILITY:MILLISECONDS, such as late:0.1:60"),
     "stuck": (_stuck, f"stuck:SENSOR, 0 to {N_SENSORS - 1}"),
     "dead": (_dead, f"dead:SENSOR, 0 to {N_SENSORS - 1}, dead:left or dead:right"),
-    "weak": (_weak, "weak:SIDE:PART, such as weak:left:0.5"),
-    "slip": (_slip, "slip:SIDE:PART, such as slip:left:0.1"),
-    "blocked": (_blocked, "blocked:left or blocked:right"),
+    "weak": (partial(_part, MOTOR), "weak:SIDE:PART, such as weak:left:0.5"),
+    "slip": (partial(_part, WHEEL), "slip:SIDE:PART, such as slip:left:0.1"),
+    "blocked": (partial(_side, WHEEL), "blocked:left or blocked:right"),
     _BROWN_OUT: (_plain, "brown-out alone"),
 }

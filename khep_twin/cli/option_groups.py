@@ -20,8 +20,7 @@ from khep_twin.cli.completion import playpens
 from khep_twin.cli.options import Force, Switch, complain, running_mode, usage
 
 if TYPE_CHECKING:
-    from khep_twin.log.line_recorder import LineRecorder
-    from khep_twin.log.recorder import Recorder
+    from khep_twin.log.log_file import FileRecorder
     from khep_twin.playpen import Playpen
     from khep_twin.ports.twin import TwinOptions
 
@@ -171,7 +170,7 @@ class LogOptions:
         """Function that takes the line about a log that has failed; None to end the run."""
         return complain if self.ignore_log_errors else None
 
-    def check(self, recorder: "Recorder | LineRecorder | None") -> None:
+    def check(self, recorder: "FileRecorder | None") -> None:
         """End a run whose log has failed with the exit code for that."""
         if recorder is None or recorder.failure is None:
             return

@@ -14,10 +14,8 @@ from khep_twin.files.atomic import is_same, unusable
 from khep_twin.invocation import command
 
 if TYPE_CHECKING:
-    from khep_twin.log.line_recorder import LineRecorder
-    from khep_twin.log.recorder import Recorder
+    from khep_twin.log.log_file import FileRecorder
     from khep_twin.playpen.parts import RobotEntry
-    from khep_twin.shadow.shadow_log import ShadowLog
 
 
 class Switch(StrEnum):
@@ -114,7 +112,7 @@ def check_body(rom: str | None, robots: Iterable["RobotEntry"]) -> None:
         )
 
 
-def tell_kept(recorder: "Recorder | LineRecorder | ShadowLog | None") -> None:
+def tell_kept(recorder: "FileRecorder | None") -> None:
     """Print where an unfinished log of an earlier run that was found is now."""
     if recorder is not None and recorder.kept is not None:
         remedy = command("recover", recorder.kept)

@@ -9,11 +9,11 @@ import typer
 
 from khep_twin.cli import completion
 from khep_twin.cli.options import Commands, Force, check_apart, check_new
+from khep_twin.cli.run_logs import driven_paths
 from khep_twin.errors import CalibrationError, KhepTwinError
 from khep_twin.files.atomic import write_whole
 
 if TYPE_CHECKING:
-    from khep_twin.drawing.map import DrawnPath
     from khep_twin.playpen import Playpen
     from khep_twin.playpen.bitmap import Imported
     from khep_twin.playpen.bitmap_files import Bitmap
@@ -94,6 +94,7 @@ def draw(
     The formats are PNG, SVG and PDF.
     """
     from khep_twin.drawing import map as drawing
+    from khep_twin.log.reader import read_label
     from khep_twin.playpen import Playpen, at_spots
 
     found = Playpen.load(playpen)
@@ -106,7 +107,11 @@ def draw(
             raise KhepTwinError("--log draws on a map; expected no --perspective")
         write_whole(target, render(at_spots(found, seed), target))
     else:
-        paths = _driven_paths(log, found.name) if log is not None else ()
+        paths = ()
+        if log is not None:
+            if (name := read_label(log).metadata.get("playpen", found.name)) != found.name:
+                raise KhepTwinError(f"{log}: a run in playpen {name}; expected one in {found.name}")
+            paths = driven_paths([log])
         drawing.save(drawing.draw(at_spots(found, seed), paths), target)
     typer.echo(f"picture  {target}")
 
@@ -156,17 +161,6 @@ def _write(text: str, output: Path | None, kind: str, more: str = "") -> None:
     else:
         write_whole(output, text.encode("utf-8"))
         typer.echo(f"{kind:7}  {output}{more}")
-
-
-def _driven_paths(log: Path, playpen: str) -> "list[DrawnPath]":
-    """Return the paths of the robots in a log of a run in a playpen."""
-    from khep_twin.drawing.map import DrawnPath
-    from khep_twin.log.reader import read_label, read_log
-
-    if (name := read_label(log).metadata.get("playpen", playpen)) != playpen:
-        raise KhepTwinError(f"{log}: a run in playpen {name}; expected one in {playpen}")
-    driven = [(name, track) for name, track in read_log(log).robots.items() if len(track.pose)]
-    return [DrawnPath(name, track.times_ns / 1e9, track.pose[:, :2] * 1e3) for name, track in driven]
 
 
 @playpen_app.command("import")

@@ -10,6 +10,7 @@ from khep_twin.cli.option_groups import LogOptions
 from khep_twin.cli.options import check_new, tell_kept, tell_written
 
 if TYPE_CHECKING:
+    from khep_twin.drawing.map import DrawnPath
     from khep_twin.lab.experiment.controller_source import Source
     from khep_twin.log.recorder import Recorder
     from khep_twin.ports.twin import Twin
@@ -86,15 +87,20 @@ def draw_logs(logs: Sequence[Path], picture: Path) -> None:
     """Draw the playpen and the driven paths of logs."""
     from khep_twin.drawing import map as drawing
     from khep_twin.log.attached import playpen_of
+    from khep_twin.log.reader import read_label
+
+    found = playpen_of(read_label(logs[0]).attachments, logs[0])
+    drawing.save(drawing.draw(found, driven_paths(logs)), picture)
+
+
+def driven_paths(logs: Sequence[Path]) -> "list[DrawnPath]":
+    """Return the driven paths of logs, named by the robot or, of several logs, by the log."""
+    from khep_twin.drawing.map import DrawnPath
     from khep_twin.log.reader import read_log
 
-    runs = [read_log(log) for log in logs]
-    tracks = [
-        drawing.DrawnPath(
-            name if len(logs) == 1 else log.stem, track.times_ns / 1e9, track.pose[:, :2] * 1000
-        )
-        for log, run in zip(logs, runs, strict=True)
-        for name, track in run.robots.items()
+    return [
+        DrawnPath(name if len(logs) == 1 else log.stem, track.times_ns / 1e9, track.pose[:, :2] * 1000)
+        for log in logs
+        for name, track in read_log(log).robots.items()
+        if len(track.pose)
     ]
-    found = playpen_of(runs[0].attachments, logs[0])
-    drawing.save(drawing.draw(found, tracks), picture)

@@ -35,7 +35,7 @@ def change(table: MutableMapping[str, Any], before: _Table, after: _Table, bare:
         elif key in table and isinstance(table[key], MutableMapping) and isinstance(value, Mapping):
             change(table[key], dict(old or {}), value, bare.get(key, {}))
         elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
-            table[key] = _tables(bare[key])
+            table[key] = tomlkit.item([dict(each) for each in bare[key]])
         elif isinstance(value, Mapping):
             _set(table, key, bare.get(key, value))
         else:
@@ -59,13 +59,6 @@ def _change_list(
             del tables[index]
         for offset in range(common, last - first):
             tables.insert(start + offset, tomlkit.item(dict(bare[first + offset])))
-
-
-def _tables(values: Sequence[_Table]) -> AoT:
-    tables = tomlkit.aot()
-    for value in values:
-        tables.append(tomlkit.item(dict(value)))
-    return tables
 
 
 def _set(table: MutableMapping[str, Any], key: str, value: object) -> None:

@@ -6,7 +6,8 @@ caller that reads a file adds the file and the position.
 """
 
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -67,6 +68,15 @@ def shown(text: object) -> str:
     words = str(text)
     short = words if len(words) <= SHOWN else f"{words[:SHOWN]}..."
     return short if short.isprintable() else repr(short)
+
+
+@contextmanager
+def readable(path: Path) -> Generator[None]:
+    """Turn an error of the system's about a file into one line."""
+    try:
+        yield
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def first_line(error: KhepTwinError) -> str:
@@ -187,9 +197,8 @@ def read_images_of(messages: Sequence[bytes]) -> NDArray[np.int64]:
     width = len(found[0]) if found else 0
     for row, image in enumerate(found):
         if len(image) != width:
-            raise DecodeError(f"{len(image)} pixels", f"{width}, as in the channel's first message").in_row(
-                row
-            )
+            expected = f"{width}, as in the channel's first message"
+            raise DecodeError(f"{len(image)} pixels", expected).in_row(row)
     return np.frombuffer(b"".join(found), np.uint8).reshape(len(found), width).astype(np.int64)
 
 

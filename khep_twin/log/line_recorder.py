@@ -15,11 +15,10 @@ import numpy as np
 from khep_twin import __version__
 from khep_twin.board.protocol import Command, LineReader
 from khep_twin.board.uart import HostEvent, HostEventKind
-from khep_twin.errors import LogError
 from khep_twin.firmware import parse
 from khep_twin.log.channels import FLOATS, IMAGE, INTEGERS, ArrayFrame, ImageFrame
 from khep_twin.log.host_events import events_message
-from khep_twin.log.log_file import LogFile
+from khep_twin.log.log_file import FileRecorder, LogFile
 from khep_twin.log.sample_layout import SAMPLED, channel_names
 from khep_twin.log.transcript import Transcript
 from khep_twin.units import K213_NUMBER, K213_PIXELS
@@ -41,7 +40,7 @@ _REPLY_LIMIT = 1024
 """Longest reply that is looked at [bytes]; a whole line image has up to 264."""
 
 
-class LineRecorder:
+class LineRecorder(FileRecorder):
     """Recorder of one robot's line in a log.
 
     Args:
@@ -50,9 +49,6 @@ class LineRecorder:
         now: Function that returns the time since the start [ns].
         on_failure: Function that takes the message if the log can no longer be written, after which the relay
             continues without it; None ends it by a `LogError`.
-
-    Attributes:
-        kept: New path of an unfinished log of an earlier run, None if there was none.
 
     Raises:
         LogError: The file cannot be made.
@@ -66,10 +62,9 @@ class LineRecorder:
         *,
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
-        self._log = LogFile(path, now)
-        self.kept = self._log.kept
+        self._file = LogFile(path, now)
         self._now = now
-        self._transcript = Transcript(self._log, [ROBOT])
+        self._transcript = Transcript(self._file, [ROBOT])
         self._lines = {True: LineReader(), False: LineReader(_REPLY_LIMIT)}
         self._host_events: list[tuple[int, HostEvent]] = []
         self._setpoints = (0, 0)
@@ -79,20 +74,15 @@ class LineRecorder:
         self._image = ImageFrame(K213_PIXELS, f"{ROBOT}/k213")
         attachment = json.dumps(dict(settings), indent=2, sort_keys=True) + "\n"
         facts = {"robots": ROBOT, "khep_twin": __version__, **settings}
-        self._log.describe({"configuration.json": attachment}, facts)
-        self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names())
-        self._log.flush()
-        self._log.on_failure = on_failure
-        self._log.complete = self.close
-
-    @property
-    def failure(self) -> LogError | None:
-        """Error after which the log is no longer written, None if there was none."""
-        return self._log.failure
+        self._file.describe({"configuration.json": attachment}, facts)
+        self._file.add("/channel_names", "std_msgs/msg/String", 0, channel_names())
+        self._file.flush()
+        self._file.on_failure = on_failure
+        self._file.complete = self.close
 
     def on_bytes(self, to_robot: bool, data: bytes) -> None:
         """Record bytes that cross the line now."""
-        if not self._log.open:
+        if not self._file.open:
             return
         time_ns = self._now()
         self._transcript.on_bytes(time_ns, 0, to_robot, data)
@@ -106,32 +96,28 @@ class LineRecorder:
 
     def on_event(self, text: str) -> None:
         """Record an event; flush the file."""
-        if self._log.open:
-            self._log.add_event(self._now(), ROBOT, text)
+        if self._file.open:
+            self._file.add_event(self._now(), ROBOT, text)
             self.flush()
 
     def flush(self) -> None:
         """Hand everything so far to the file system."""
-        if self._log.open:
+        if self._file.open:
             self._write()
-            self._log.flush()
+            self._file.flush()
 
     def close(self) -> None:
         """Complete the file and rename it to its path."""
-        if self._log.open:
+        if self._file.open:
             self._write()
             self._transcript.write_rests(self._now())
-            self._log.finish()
-
-    def discard(self) -> None:
-        """Remove the unfinished file."""
-        self._log.discard()
+            self._file.finish()
 
     def _write(self) -> None:
         self._transcript.write()
         events, self._host_events = self._host_events, []
         if events:
-            self._log.add(f"/{ROBOT}/host_events", INTEGERS, events[0][0], events_message(events))
+            self._file.add(f"/{ROBOT}/host_events", INTEGERS, events[0][0], events_message(events))
 
     def _take_setpoints(self, line: bytes) -> None:
         match parse(line):
@@ -152,9 +138,9 @@ class LineRecorder:
         if topic == "vision":
             if all(0 <= value <= 255 for value in values):
                 image = self._image.messages(np.array([time_ns]), np.array([values]))[0].tobytes()
-                self._log.add(f"/{ROBOT}/vision", IMAGE, time_ns, image)
+                self._file.add(f"/{ROBOT}/vision", IMAGE, time_ns, image)
             return
         if topic == "speed":
             values += self._setpoints
         message = self._frames[topic].messages(np.array([values]))[0].tobytes()
-        self._log.add(f"/{ROBOT}/{topic}", FLOATS, time_ns, message)
+        self._file.add(f"/{ROBOT}/{topic}", FLOATS, time_ns, message)

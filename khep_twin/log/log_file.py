@@ -210,6 +210,26 @@ class LogFile(Output):
         self._file.close()
 
 
+class FileRecorder:
+    """Recorder of one log, in a `LogFile`."""
+
+    _file: LogFile
+
+    @property
+    def kept(self) -> Path | None:
+        """New path of an unfinished log of an earlier run, None if there was none."""
+        return self._file.kept
+
+    @property
+    def failure(self) -> LogError | None:
+        """Error after which the log is no longer written, None if there was none."""
+        return self._file.failure
+
+    def discard(self) -> None:
+        """Remove the unfinished file, of a run that has not begun."""
+        self._file.discard()
+
+
 def _no_log(path: Path) -> str:
     """Return the reason why an existing file must not be replaced by a log; empty if it may."""
     try:

@@ -5,12 +5,14 @@ from contextlib import contextmanager
 from itertools import groupby
 from typing import Protocol
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.errors import LogError
-from khep_twin.log import channels
+from khep_twin.log import channels, foxglove_scene
 from khep_twin.log.channels import LINES, Level, TextLine
+from khep_twin.log.description import urdf
 from khep_twin.log.entries import Entry
 
 
@@ -92,8 +94,7 @@ class Output:
     def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
         """Add lines of a transcript."""
         with self.guarded():
-            channel = self._channel(topic, LINES)
-            self._writer.add_lines(channel, times_ns, messages)
+            self._writer.add_lines(self._channel(topic, LINES), times_ns, messages)
 
     def add_entries(self, entries: Iterable[Entry]) -> None:
         """Add messages of another log, as they are there."""
@@ -108,6 +109,13 @@ class Output:
         """Add an event."""
         message = channels.line_message(TextLine(time_ns, Level.INFO, name, text))
         self.add("/events", LINES, time_ns, message)
+
+    def add_scene(self, time_ns: int, model: mujoco.MjModel) -> None:
+        """Add the shapes of a scene."""
+        description = channels.text_message(urdf(model))
+        self.add("/robot_description", "std_msgs/msg/String", time_ns, description)
+        scene = foxglove_scene.scene_update(model)
+        self.add("/scene", foxglove_scene.SCHEMA, time_ns, scene, foxglove_scene.descriptors())
 
     def flush(self) -> None:
         """Pass on everything so far."""

@@ -17,7 +17,7 @@ from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
 from khep_twin.log.channels import FLOATS, IMAGE, TextLine
 from khep_twin.log.content import Content
-from khep_twin.log.decoding import DecodeError
+from khep_twin.log.decoding import DecodeError, readable
 from khep_twin.log.entries import Entry, Label, label_of, run_facts
 from khep_twin.log.messages import FOR_REPEAT, WIDTHS, Messages, TimeSeries, check_time
 
@@ -116,12 +116,9 @@ def read_end_ns(path: Path) -> int:
 def hash_of(path: Path) -> str:
     """Return the SHA-256 of a log's file, in hexadecimal digits."""
     digest = hashlib.sha256()
-    try:
-        with open_regular(path) as file:
-            while block := file.read(1 << 20):
-                digest.update(block)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
+    with readable(path), open_regular(path) as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
     return digest.hexdigest()
 
 
@@ -226,17 +223,11 @@ def read_until(path: Path, last: Entry) -> Generator[list[Entry]]:
 @contextmanager
 def _opened(path: Path) -> Generator[Content, None, None]:
     """Open a log; turn errors of its file and its content into one line."""
-    try:
-        file = open_regular(path)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-    with file:
+    with readable(path), open_regular(path) as file:
         try:
             yield Content(file)
         except DecodeError as error:
             raise LogError(f"{path}: no whole log: {error}") from None
-        except OSError as error:
-            raise LogError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def _label(path: Path, content: Content) -> Label:

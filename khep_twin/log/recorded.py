@@ -103,20 +103,17 @@ def read_recorded(path: Path) -> Recorded:
     pieces = read_since(path, TOPIC, -1)
     next(pieces)
     events = list(events_in(path, pieces, label.robots))
-    lines: list[list[TextLine]] = [[] for _ in label.robots]
-    for index, name in enumerate(label.robots):
-        lines[index] = [line for _, line in decoded(path, f"/{name}/serial", found, read_line)]
-    for time_ns in (*(at_ns for at_ns, _, _ in events), *(line.time_ns for each in lines for line in each)):
+    topics = [f"/{name}/serial" for name in label.robots]
+    lines = [[line for _, line in decoded(path, topic, found, read_line)] for topic in topics]
+    lines_ns = [line.time_ns for each in lines for line in each]
+    for time_ns in (*(at_ns for at_ns, _, _ in events), *lines_ns):
         if time_ns > last_ns:
             wish = f"at most {last_ns / NS_PER_S:.2f} s, {_OVERTIME_NS // NS_PER_S} s after the last state"
             what = f"something at {time_ns / NS_PER_S:.2f} s"
             raise DecodeError(what, wish).at(path, "/host_events and /serial")
     changes, end_ns = changes_of(path, label), (len(states) - 1) * SAMPLE_NS
     # Replies may still be on their way at the end, which the last snapshot has.
-    ended_ns = [time_ns for time_ns, _ in found.get(TOPIC, ()) if time_ns >= end_ns] or [
-        end_ns,
-        *(line.time_ns for each in lines for line in each),
-    ]
+    ended_ns = [time_ns for time_ns, _ in found.get(TOPIC, ()) if time_ns >= end_ns] or [end_ns, *lines_ns]
     events.sort(key=lambda each: each[0])
     return Recorded(path, label, events, states, lines, max(ended_ns), recovered, changes)
 

@@ -13,12 +13,9 @@ import numpy as np
 
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S, Pacer
-from khep_twin.errors import LogError
-from khep_twin.log import channels, foxglove_scene
 from khep_twin.log.channels import BYTES, FLOATS, INTEGERS
-from khep_twin.log.description import urdf
 from khep_twin.log.host_events import events_message
-from khep_twin.log.log_file import LogFile
+from khep_twin.log.log_file import FileRecorder, LogFile
 from khep_twin.log.output import Output, Writer
 from khep_twin.log.run_description import RunDescription
 from khep_twin.log.sample_layout import LampsChannel, SampleLayout, channel_names
@@ -55,7 +52,7 @@ class WorldRecorder:
         self._lamps = LampsChannel(world.lamps)
         self._log.describe(run.all_attachments(world), run.all_facts(world))
         if run.beginning is None or run.beginning.state is None:
-            self._describe_scene(0)
+            self._log.add_scene(0, world.model)
             self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names())
             self._log.flush()
         else:
@@ -72,7 +69,7 @@ class WorldRecorder:
         self._layout = SampleLayout(world)
         self._lamps.move_to(world.lamps)
         if world.scene != before.scene:
-            self._describe_scene(world.time_ns)
+            self._log.add_scene(world.time_ns, world.model)
         self.flush()
 
     def sample(self, world: World) -> None:
@@ -177,16 +174,8 @@ class WorldRecorder:
             message = snapshot_message(self._world, state)
             self._log.add(TOPIC, BYTES, self._world.time_ns, message)
 
-    def _describe_scene(self, time_ns: int) -> None:
-        """Write the shapes of the scene."""
-        model = self._world.model
-        message = channels.text_message(urdf(model))
-        self._log.add("/robot_description", "std_msgs/msg/String", time_ns, message)
-        scene = foxglove_scene.scene_update(model)
-        self._log.add("/scene", foxglove_scene.SCHEMA, time_ns, scene, foxglove_scene.descriptors())
 
-
-class Recorder(WorldRecorder):
+class Recorder(WorldRecorder, FileRecorder):
     """Recorder of one run in one file.
 
     Args:
@@ -199,7 +188,6 @@ class Recorder(WorldRecorder):
     Attributes:
         path: Path of the finished log.
         part: Path of the file while it is written.
-        kept: New path of an unfinished log of an earlier run, None if there was none.
 
     Raises:
         LogError: The file cannot be made.
@@ -214,19 +202,10 @@ class Recorder(WorldRecorder):
     ) -> None:
         self._world = world
         self._file = LogFile(path, lambda: self._world.time_ns)
-        self.path, self.part, self.kept = path, self._file.part, self._file.kept
+        self.path, self.part = path, self._file.part
         super().__init__(self._file, world, run)
         # An error at the very start of a log is always raised.
         self._file.on_failure = on_failure
-
-    @property
-    def failure(self) -> LogError | None:
-        """Error after which the log is no longer written, None if there was none."""
-        return self._file.failure
-
-    def discard(self) -> None:
-        """Remove the file, of a run that has not begun."""
-        self._file.discard()
 
 
 class _Sample(NamedTuple):

@@ -17,7 +17,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular, unusable
 from khep_twin.log.channels import INTEGERS
-from khep_twin.log.decoding import LATEST_NS, DecodeError, read_line, read_transforms
+from khep_twin.log.decoding import LATEST_NS, DecodeError, read_line, read_transforms, readable
 from khep_twin.log.entries import robot_names, run_facts
 from khep_twin.log.host_events import read_events
 from khep_twin.log.mcap_recovery import Progress, WholeRecords
@@ -90,17 +90,14 @@ def recover(path: Path, progress: Progress = None) -> Recovery:
 
 def _content(path: Path) -> bytes | mmap:
     """Return a file as a memory map."""
-    try:
-        with open_regular(path) as file:
-            try:
-                lock(file, shared=True)
-            except BlockingIOError:
-                raise LogError(f"{path}: a run is writing it; expected a log whose run has ended") from None
-            except OSError:
-                pass  # some network file systems have no locks
-            return mmap(file.fileno(), 0, access=ACCESS_READ) if os.fstat(file.fileno()).st_size else b""
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
+    with readable(path), open_regular(path) as file:
+        try:
+            lock(file, shared=True)
+        except BlockingIOError:
+            raise LogError(f"{path}: a run is writing it; expected a log whose run has ended") from None
+        except OSError:
+            pass  # some network file systems have no locks
+        return mmap(file.fileno(), 0, access=ACCESS_READ) if os.fstat(file.fileno()).st_size else b""
 
 
 def _target(path: Path) -> Path:

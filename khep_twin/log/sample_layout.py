@@ -129,10 +129,8 @@ def _channels_of(robot: Robot, starts: Iterator[int]) -> Iterator[SampledChannel
     for kind, board, start in zip(kinds, boards(robot), starts, strict=False):
         if kind is None:
             for name, schema, numbers, label, registers in SAMPLED:
-                frame, columns = (
-                    ArrayFrame(len(registers), numbers, label),
-                    [start + each for each in registers],
-                )
+                frame = ArrayFrame(len(registers), numbers, label)
+                columns = [start + each for each in registers]
                 yield SampledChannel(f"/{robot.name}/{name}", schema, frame, columns)
         name = "registers" if kind is None else kind.name
         label = ", ".join(kind.names) if kind and kind.names else "registers"

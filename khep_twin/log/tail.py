@@ -16,7 +16,7 @@ from mcap.writer import MCAP0_MAGIC
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
 from khep_twin.invocation import command
-from khep_twin.log.decoding import DecodeError
+from khep_twin.log.decoding import DecodeError, readable
 from khep_twin.log.entries import Entry, EntryReader, Label, label_of, run_facts
 from khep_twin.log.reader import read_label
 from khep_twin.log.record_bytes import HEAD, RecordBytes, parsed
@@ -87,10 +87,8 @@ class GrowingLog:
         Raises:
             LogError: This is no log of khep_twin, or its run has ended without finishing it.
         """
-        try:
+        with readable(self.part):
             block = self._file.read(_BLOCK)
-        except OSError as error:
-            raise LogError(f"{self.part}: cannot be read: {error.strerror}") from error
         self.behind = len(block) == _BLOCK
         if not block:
             self._check_alive()

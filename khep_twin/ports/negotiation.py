@@ -39,7 +39,8 @@ LOWEST_BAUD, HIGHEST_BAUD = 50, 4_000_000
 LONGEST = 256
 """Bytes between the two ends of one negotiation; only a signature is longer than a few."""
 
-_DATA_BITS = range(5, 9)
+_WANTED = {"baudrate": range(LOWEST_BAUD, HIGHEST_BAUD + 1), "bytesize": range(5, 9)}
+"""Values of a line's settings that are accepted."""
 
 _SHOWN = 16
 
@@ -135,35 +136,18 @@ class _Line:
     """
 
     def __init__(self, baud: int) -> None:
-        self._baud = baud
-        self._data_bits = serial.EIGHTBITS
+        self.baudrate, self.bytesize = baud, serial.EIGHTBITS
         self.parity = serial.PARITY_NONE
         self.stopbits: float = serial.STOPBITS_TWO
         self.rtscts = self.xonxoff = self.break_condition = False
         self.rts = self.dtr = self.cts = self.dsr = self.cd = True
         self.ri = False
 
-    @property
-    def baudrate(self) -> int:
-        """Speed of the line [baud]."""
-        return self._baud
-
-    @baudrate.setter
-    def baudrate(self, value: int) -> None:
-        if not LOWEST_BAUD <= value <= HIGHEST_BAUD:
-            raise ValueError(f"{value} baud; expected {LOWEST_BAUD} to {HIGHEST_BAUD}")
-        self._baud = value
-
-    @property
-    def bytesize(self) -> int:
-        """Data bits of a byte."""
-        return self._data_bits
-
-    @bytesize.setter
-    def bytesize(self, value: int) -> None:
-        if value not in _DATA_BITS:
-            raise ValueError(f"{value} data bits; expected {_DATA_BITS[0]} to {_DATA_BITS[-1]}")
-        self._data_bits = value
+    def __setattr__(self, name: str, value: object) -> None:
+        wanted = _WANTED.get(name)
+        if wanted is not None and value not in wanted:
+            raise ValueError(f"{name} = {value}; expected {wanted[0]} to {wanted[-1]}")
+        super().__setattr__(name, value)
 
     def reset_input_buffer(self) -> None:
         """Do nothing: neither input nor output waits here."""

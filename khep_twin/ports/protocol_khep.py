@@ -18,6 +18,7 @@ import re
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 from urllib.parse import parse_qsl, unquote, urlsplit
@@ -286,50 +287,36 @@ def _values_of(url: str) -> tuple[str, dict[str, Any]]:
     return playpen, values
 
 
-def _seconds(text: str) -> float:
-    """Return a plain number of seconds."""
-    if not re.fullmatch(r"[0-9]{1,8}(\.[0-9]{1,9})?", text):
-        raise ValueError(text)
-    return float(text)
+def _plain(pattern: str, convert: Callable[[str], float]) -> Callable[[str], float]:
+    """Return the conversion of a number that is written as this pattern has it."""
+
+    def converted(text: str) -> float:
+        if not re.fullmatch(pattern, text):
+            raise ValueError(text)
+        return convert(text)
+
+    return converted
 
 
-def _whole(text: str) -> int:
-    """Return the integer in plain digits, of sensible length."""
-    if not re.fullmatch("-?[0-9]{1,20}", text):
-        raise ValueError(text)
-    return int(text)
-
-
-def _minutes(text: str) -> float:
-    """Return a plain number of minutes."""
-    minutes = float(text) if re.fullmatch(r"[0-9]{1,4}(\.[0-9]{1,9})?", text) else 1001.0
-    if minutes > 1000:
-        raise ValueError(text)
-    return minutes
-
-
-def _digit(text: str) -> int:
-    """Return the value of one hexadecimal digit."""
-    if not re.fullmatch("[0-9A-Fa-f]", text):
-        raise ValueError(text)
-    return int(text, 16)
-
-
+_WHOLE = _plain("-?[0-9]{1,20}", int)
 _ON_OFF = {"on": True, "off": False}.__getitem__
 
 _NAMES = {"fault": "faults"}
 """Options whose names in the URL differ from those in `TwinOptions`."""
 
 _OPTIONS: dict[str, tuple[Callable[[str], object], str]] = {
-    "at": (_seconds, "a moment of the log's run in seconds"),
-    "seed": (_whole, "an integer from 0 to 2**63-1"),
-    "robot": (_whole, "the number of a robot in the playpen, counted from 0"),
+    "at": (_plain(r"[0-9]{1,8}(\.[0-9]{1,9})?", float), "a moment of the log's run in seconds"),
+    "seed": (_WHOLE, "an integer from 0 to 2**63-1"),
+    "robot": (_WHOLE, "the number of a robot in the playpen, counted from 0"),
     "noise": (_ON_OFF, "on or off"),
     "vary": (_ON_OFF, "on or off"),
     "rom": (str, "a version of the firmware, such as 5.02"),
     "model": (str, "a model of the robot, khepera1 or khepera2"),
-    "mode": (_digit, "a running mode, one digit from 0 to F"),
-    "battery_used_min": (_minutes, "a number of minutes from 0 to 1000"),
+    "mode": (_plain("[0-9A-Fa-f]", partial(int, base=16)), "a running mode, one digit from 0 to F"),
+    "battery_used_min": (
+        _plain(r"(0?[0-9]{1,3}(\.[0-9]{1,9})?|1000(\.0{1,9})?)", float),
+        "a number of minutes from 0 to 1000",
+    ),
     "unpaced": (_ON_OFF, "on or off"),
     "strict_line": (_ON_OFF, "on or off"),
     "fault": (

@@ -62,7 +62,28 @@ class Setup(NamedTuple):
     @property
     def options(self) -> TwinOptions:
         """Options of the twin."""
-        return _options(self.path, self.label.attachments.get("configuration.json", ""))
+        known = [each.name for each in fields(TwinOptions)]
+        text = self.label.attachments.get("configuration.json", "")
+        try:
+            settings: object = json.loads(text)
+            if not isinstance(settings, dict):
+                raise DecodeError(f"{type(settings).__name__}", f"an object with {', '.join(known)}")
+            if unknown := [key for key in cast(dict[str, object], settings) if key not in known]:
+                raise DecodeError(f"key {shown(unknown[0])}", f"one of {', '.join(known)}")
+            # A repeated run must not write the log named in the options.
+            wanted: Mapping[str, object] = {**cast(dict[str, object], settings), "log": None}
+            return _OPTIONS.validate_json(json.dumps(wanted), strict=True)
+        except DecodeError as error:
+            invalid = error
+        except ValidationError as error:
+            first = error.errors()[0]
+            found = f"{'.'.join(map(str, first['loc']))} = {shown(first['input'])}"
+            invalid = DecodeError(found, first["msg"].removeprefix("Input should be "))
+        except KhepTwinError as error:
+            raise LogError(f"{self.path}: configuration.json: {error}") from None
+        except (ValueError, RecursionError) as error:
+            invalid = DecodeError(f"{shown(text)} ({shown(error)})", "JSON")
+        raise invalid.at(self.path, "configuration.json")
 
     def playpen(self, changes: Iterable[BranchPoint] = ()) -> Playpen:
         """Return the playpen of the log at its start, as it is after some changes."""
@@ -152,34 +173,6 @@ def repeat_event(twin: Twin, index: int, event: HostEvent) -> None:
             twin.world.log_event(
                 None if event.data[:1] == b"\1" else index, event.data[1:].decode("utf-8", "replace")
             )
-
-
-def _options(path: Path, text: str) -> TwinOptions:
-    """Return the options of a log's twin."""
-    known = [each.name for each in fields(TwinOptions)]
-    try:
-        settings: object = json.loads(text)
-        if not isinstance(settings, dict):
-            raise DecodeError(f"{type(settings).__name__}", f"an object with {', '.join(known)}")
-        if unknown := [key for key in cast(dict[str, object], settings) if key not in known]:
-            raise DecodeError(f"key {shown(unknown[0])}", f"one of {', '.join(known)}")
-        # A repeated run must not write the log named in the options.
-        wanted: Mapping[str, object] = {**cast(dict[str, object], settings), "log": None}
-        return _OPTIONS.validate_json(json.dumps(wanted), strict=True)
-    except DecodeError as error:
-        raise error.at(path, "configuration.json") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(map(str, first["loc"]))
-        invalid = DecodeError(
-            f"{key} = {shown(first['input'])}", first["msg"].removeprefix("Input should be ")
-        )
-        raise invalid.at(path, "configuration.json") from None
-    except KhepTwinError as error:
-        raise LogError(f"{path}: configuration.json: {error}") from None
-    except (ValueError, RecursionError) as error:
-        invalid = DecodeError(f"{shown(text)} ({shown(error)})", "JSON")
-        raise invalid.at(path, "configuration.json") from None
 
 
 _OPTIONS = TypeAdapter(TwinOptions)

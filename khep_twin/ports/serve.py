@@ -30,17 +30,12 @@ MANY = 4
 """Robots from which on plain code takes more of a processor in real time than their lines."""
 
 
-def _never() -> bool:
-    """Return False."""
-    return False
-
-
 def serve(
     twin: Twin,
     ports: Sequence[HostPort],
     speed: float = 1.0,
     *,
-    stop: Callable[[], bool] = _never,
+    stop: Callable[[], bool] = lambda: False,
     notify: Callable[[str], None] = warnings.warn,
 ) -> Pacer:
     """Connect hosts to the twin until `stop` returns True, or until the process is interrupted.

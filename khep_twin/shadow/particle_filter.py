@@ -93,10 +93,10 @@ class ParticleFilter:
         self._way = 0.0
         """Way of a sensor since the last reply to N [m]."""
 
-    def act(self, action: Action, use: NDArray[np.bool_], renew: bool = True) -> Floats:
+    def act(self, action: Action, use: NDArray[np.bool_]) -> Floats:
         """Follow an action; return what counters tell beyond commands (2,), NaN for any other one.
 
-        Sensors to rely on are those of `use` (8,). `renew` has particles drawn anew where too few count.
+        Sensors to rely on are those of `use` (8,).
         """
         before = self.particles.planes.poses
         repeat(action, self.particles)
@@ -104,8 +104,7 @@ class ParticleFilter:
         self._way += float(self.weights @ along)
         if isinstance(action, Seen):
             self._see(action.readings, use)
-            if renew:
-                self._renew()
+            self._renew()
         if isinstance(action, Counted):
             return self.weights @ self.particles.count(action.counters)
         return np.full(2, np.nan)

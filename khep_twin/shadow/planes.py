@@ -126,6 +126,10 @@ class Planes:
         return made
 
     @property
+    def _scenes(self) -> tuple[Any, ...]:
+        return self.things, self._order, self._near, _NONE, self.robots
+
+    @property
     def ambient(self) -> Any:
         """Record of `robot_sensors.Ambient`, which all twins share."""
         return self.sensors[0]["ambient"]
@@ -158,7 +162,7 @@ class Planes:
     def remeasure(self) -> None:
         """Have the distances to all obstacles measured again, as after one was moved."""
         self.robots["last"][:, flat.ANCHOR_X] = np.inf
-        self._code.measure(self.things, self._order, self._near, _NONE, self.robots)
+        self._code.measure(*self._scenes)
 
     def offsets(self, rows: Sequence[int]) -> Floats:
         """Return how far a thing, with its rows, is from where the playpen has it: x and y (n, 2) [m]."""
@@ -191,8 +195,7 @@ class Planes:
         self.ticks += ticks
         voltage = battery.voltage(self._used_min, self.ticks * TICK_NS)
         boards = self.registers, self.processor, self.strength
-        state = self.things, self._order, self._near, _NONE, self.robots
-        self._code.advance(*state, *boards, self._drive, voltage, ticks)
+        self._code.advance(*self._scenes, *boards, self._drive, voltage, ticks)
 
     def illuminate(self, turns: Floats) -> tuple[Floats, Floats]:
         """Return the light at each sensor at the start of the last step, and its slope as the sensor turns.
@@ -201,8 +204,7 @@ class Planes:
         left from their headings there (n, 8) [rad].
         """
         light, slope = np.zeros((2, len(self), units.N_SENSORS))
-        state = self.things, self._order, self._near, _NONE, self.robots, self.sensors
-        self._code.illuminate(*state, turns, light, slope)
+        self._code.illuminate(*self._scenes, self.sensors, turns, light, slope)
         return light, slope
 
     def explain(
@@ -248,16 +250,13 @@ class Planes:
 
         It holds at the start of the last step; lamps that shine in sequence are as at time 0. What cannot
         reach `least` counts as 0 [counts].
-
-        It holds at the start of the last step; lamps that shine in sequence are as at time 0.
         """
         if self.lamps.lit is None and not self.lamps.steady:
             self.lamps.update(self.ticks * TICK_NS, ())
         powers = np.array(self.lamps.powers)
         light = np.zeros((len(self), units.N_SENSORS, len(powers)))
         if powers.any():
-            state = self.things, self._order, self._near, _NONE, self.robots, self.sensors
-            self._code.lamplight(*state, *self._light, powers, least, light)
+            self._code.lamplight(*self._scenes, self.sensors, *self._light, powers, least, light)
         return light
 
     def command(self, command: int, left: int, right: int) -> None:

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 
 from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
-from khep_twin.errors import LogError
-from khep_twin.log import channels, foxglove_scene
-from khep_twin.log.channels import FLOATS, POSE, UNSURE_POSE, ArrayFrame, TransformFrame
-from khep_twin.log.description import body_name, urdf
-from khep_twin.log.log_file import LogFile
+from khep_twin.log import channels
+from khep_twin.log.channels import FLOATS, LINES, POSE, UNSURE_POSE, ArrayFrame, TransformFrame
+from khep_twin.log.description import body_name
+from khep_twin.log.log_file import FileRecorder, LogFile
 from khep_twin.log.reader import hash_of
 from khep_twin.log.recorder import FLUSH_NS
 from khep_twin.log.run_description import versions
@@ -45,11 +44,10 @@ LIVE_FLUSH_NS = NS_PER_S // 2
 PARTICLES_NS = NS_PER_S
 """Time between two messages of particles [ns]."""
 
-_LINE = "rcl_interfaces/msg/Log"
 _NONE: Mapping[str, str] = {}
 
 
-class ShadowLog:
+class ShadowLog(FileRecorder):
     """Log of a shadow.
 
     Args:
@@ -61,9 +59,6 @@ class ShadowLog:
         flush_ns: Time between two flushes to the file system [ns].
         on_failure: Function that takes the message if the log can no longer be written, after which the
             shadow continues without it; None ends it by a `LogError`.
-
-    Attributes:
-        kept: New path of an unfinished log of an earlier run, None if there was none.
 
     Raises:
         LogError: The file cannot be made, or the parent cannot be read.
@@ -91,31 +86,25 @@ class ShadowLog:
         self._residuals = ArrayFrame(len(RESIDUALS), "f8", ", ".join(RESIDUALS))
         self._learned = ArrayFrame(len(VALUE_NAMES), "f8", ", ".join(VALUE_NAMES))
         self._particles = ArrayFrame(3 * PARTICLES, "f8", "x, y [m], heading [rad] of each particle")
-        self._log = LogFile(path, lambda: self._time_ns)
-        self.kept = self._log.kept
+        self._file = LogFile(path, lambda: self._time_ns)
         self._begin(playpen, settings, {**named, **facts})
-        self._log.on_failure = on_failure
-        self._log.complete = self.close
-
-    @property
-    def failure(self) -> LogError | None:
-        """Error after which the log is no longer written, None if there was none."""
-        return self._log.failure
+        self._file.on_failure = on_failure
+        self._file.complete = self.close
 
     def write(self, update: Update) -> None:
         """Write an update; now and then, hand everything so far to the file system."""
-        if not self._log.open:
+        if not self._file.open:
             return
         time_ns = self._time_ns = update.time_ns
         estimate = update.estimate
-        self._log.add(
+        self._file.add(
             "/shadow/pose",
             UNSURE_POSE,
             time_ns,
             channels.pose_message(time_ns, estimate.pose, estimate.covariance),
         )
-        self._log.add("/shadow/reckoned", POSE, time_ns, channels.pose_message(time_ns, update.reckoned))
-        self._log.add("/tf", "tf2_msgs/msg/TFMessage", time_ns, self._ghost.message(time_ns, estimate.pose))
+        self._file.add("/shadow/reckoned", POSE, time_ns, channels.pose_message(time_ns, update.reckoned))
+        self._file.add("/tf", "tf2_msgs/msg/TFMessage", time_ns, self._ghost.message(time_ns, estimate.pose))
         residuals = update.residuals
         self._add("expected", self._proximity, update.expected)
         self._add("measured", self._proximity, update.measured)
@@ -127,42 +116,38 @@ class ShadowLog:
         self._write_alarms(update)
         if time_ns - self._flushed_ns >= self._flush_ns:
             self._flushed_ns = time_ns
-            self._log.flush()
+            self._file.flush()
 
     def write_learned(self, found: LearnedValues) -> None:
         """Write what was learned of the robot, at the time of the last update."""
-        if self._log.open:
+        if self._file.open:
             self._add("learned", self._learned, found.row)
 
     def on_event(self, text: str) -> None:
         """Write an event at the time of the last update."""
-        if self._log.open:
-            self._log.add_event(self._time_ns, ROBOT, text)
+        if self._file.open:
+            self._file.add_event(self._time_ns, ROBOT, text)
 
     def flush(self) -> None:
         """Hand everything so far to the file system."""
-        if self._log.open:
-            self._log.flush()
+        if self._file.open:
+            self._file.flush()
 
     def close(self) -> None:
         """Complete the file and rename it to its path."""
-        if self._log.open:
-            self._log.finish()
-
-    def discard(self) -> None:
-        """Remove the unfinished file."""
-        self._log.discard()
+        if self._file.open:
+            self._file.finish()
 
     def _add(self, name: str, frame: ArrayFrame, values: NDArray[np.float64]) -> None:
         message = frame.messages(values[None])[0].tobytes()
-        self._log.add(f"/shadow/{name}", FLOATS, self._time_ns, message)
+        self._file.add(f"/shadow/{name}", FLOATS, self._time_ns, message)
 
     def _write_alarms(self, update: Update) -> None:
         """Write which alarms have begun and ended."""
         for change in self._alarms.changes(update.time_ns, update.alarms, update.ended):
             tell = begin_line if change.alarm.ended_ns is None else end_line
             message = channels.line_message(tell(change.time_ns, change.alarm))
-            self._log.add("/shadow/alarms", _LINE, change.time_ns, message)
+            self._file.add("/shadow/alarms", LINES, change.time_ns, message)
 
     def _begin(self, playpen: Playpen, settings: ShadowSettings, named: Mapping[str, str]) -> None:
         attachments = {
@@ -172,12 +157,9 @@ class ShadowLog:
             f"calibration/{ROBOT}.toml": calibration.read(playpen.robots[0].calibration)[1],
         }
         facts = {"playpen": playpen.name, "robots": ROBOT, "shadow": "1", **versions(), **named}
-        self._log.describe(attachments, {**facts, **asdict(settings)})
-        description = channels.text_message(urdf(self._ghost.model))
-        self._log.add("/robot_description", "std_msgs/msg/String", 0, description)
-        scene = foxglove_scene.scene_update(self._ghost.model)
-        self._log.add("/scene", foxglove_scene.SCHEMA, 0, scene, foxglove_scene.descriptors())
-        self._log.flush()
+        self._file.describe(attachments, {**facts, **asdict(settings)})
+        self._file.add_scene(0, self._ghost.model)
+        self._file.flush()
 
 
 class _Ghost:

@@ -38,7 +38,10 @@ LABELS = 6
 
 _RAYS = 5
 _UNLIT_RAY, _NOTHING, _NEAR = (190, 190, 185, 255), np.array((150, 150, 150)), np.array((228, 30, 20))
-_TRAIL, _EVENT = (94, 53, 177), (255, 183, 77)
+TRAIL = (94, 53, 177)
+"""Colour of a robot's path."""
+
+_EVENT = (255, 183, 77)
 _FLOOR, _GLOW = np.array((237.0, 235.0, 224.0)), np.array((255.0, 184.0, 31.0))
 _HALF_GLOW = 3e-4
 """Light at which the floor has half its glow [W/mm^2], as on maps."""
@@ -120,18 +123,12 @@ class Rays:
         return ends, seen
 
 
-def trail_chunks(robot: str, poses: Poses, before: Floats | None = None) -> list[Chunk]:
-    """Return the path of a robot, as `path_chunks` does."""
-    found = poses.bodies.get(f"{robot}/base")
-    return [] if found is None else path_chunks(trail(robot), poses.times_ns, found[:, :3], _TRAIL, before)
-
-
 def path_chunks(
     place: str,
     times_ns: NDArray[np.int64],
     points: Floats,
     colour: tuple[int, int, int],
-    before: Floats | None = None,
+    before: Floats | None,
 ) -> list[Chunk]:
     """Return a path as one short line for each time, on the floor.
 

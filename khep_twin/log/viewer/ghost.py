@@ -67,10 +67,8 @@ class Ghost:
         self._radius, self._feet = body.radius, np.array(body.sensor_positions)
         self._headings = np.radians(measured.heading_deg)
         proximity = measured.proximity
-        self._gain, self._threshold = (
-            np.array(proximity.gain_counts_mm2),
-            np.array(proximity.threshold_counts),
-        )
+        self._gain = np.array(proximity.gain_counts_mm2)
+        self._threshold = np.array(proximity.threshold_counts)
         self._offset = np.array(proximity.offset_mm)
         self._before: dict[str, Floats] = {}
         self._truth = _truth(label, source)

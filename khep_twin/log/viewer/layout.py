@@ -14,16 +14,12 @@ from khep_twin.log.reader import Label
 from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.log.viewer.arena import EVENTS, trail
 from khep_twin.log.viewer.collected import TIMELINE
-from khep_twin.log.viewer.ghost import RECKONED, TRUTH
+from khep_twin.log.viewer.ghost import RECKONED, RESIDUALS, TRUTH
 from khep_twin.log.viewer.robot_panel import panel, seeing, strip
 from khep_twin.sensing.colours import COLD, SENSORS, WHEELS, Colour
 
 _SETPOINT: Colour = (235, 235, 235)
-_WHEELS: dict[str, Colour] = {
-    **WHEELS,
-    "setpoint left": _SETPOINT,
-    "setpoint right": _SETPOINT,
-}
+_WHEELS: dict[str, Colour] = {**WHEELS, "setpoint left": _SETPOINT, "setpoint right": _SETPOINT}
 _EVENT: Colour = (255, 80, 160)
 
 _SOLID = [shape.from_fields(fill_mode="solid") for shape in (rr.Boxes3D, rr.Cylinders3D, rr.Ellipsoids3D)]
@@ -184,7 +180,6 @@ def _curves(log: Shown) -> list[rrb.Vertical]:
 
 def _residuals(log: Shown, robot: str) -> list[rrb.Vertical]:
     """Return the curves of a shadow: deviations of the replies, and what they deviate from."""
-    shares = "residual_proximity", "residual_light", "residual_wheels", "residual_timing"
     names = (
         "proximity: measured less expected [counts]",
         "light: measured less expected [counts]",
@@ -192,7 +187,7 @@ def _residuals(log: Shown, robot: str) -> list[rrb.Vertical]:
         "timing: delay of replies [ms]",
     )
     curves = SENSORS, SENSORS, WHEELS, {"delay": COLD[1]}
-    plots = [_plot(log, robot, *each) for each in zip(shares, names, curves, strict=True)]
+    plots = [_plot(log, robot, *each) for each in zip(RESIDUALS, names, curves, strict=True)]
     proximity = [
         _plot(log, "shadow", name, f"{name} proximity [counts]", SENSORS) for name in ("measured", "expected")
     ]

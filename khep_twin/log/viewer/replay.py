@@ -23,9 +23,10 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import is_same, part_file
 from khep_twin.log.attached import playpen_of, shapes_of
+from khep_twin.log.mcap_recovery import Progress
 from khep_twin.log.reader import Label, read_end_ns, read_with_messages
 from khep_twin.log.shadow_channels import is_shadow
-from khep_twin.log.viewer.arena import FloorLight, Rays, event_chunks, trail_chunks
+from khep_twin.log.viewer.arena import TRAIL, FloorLight, Rays, event_chunks, path_chunks, trail
 from khep_twin.log.viewer.collected import Collector, Floats, Samples, times_of
 from khep_twin.log.viewer.ghost import Ghost
 from khep_twin.log.viewer.layout import Shown, layout
@@ -38,9 +39,6 @@ from khep_twin.log.viewer.robot_panel import (
     panel_chunks,
 )
 from khep_twin.log.viewer.thinning import Copy, interval_ns
-
-Progress = Callable[[float], None] | None
-"""Function that takes the share that is done, 0 to 1."""
 
 Bar = Callable[[], AbstractContextManager[Progress]]
 """Function that makes a context in which progress is shown."""
@@ -240,9 +238,10 @@ class Additions:
                 yield from panel_chunks(robot, few)
                 if poses is not None and self._rays is not None:
                     yield from self._rays.chunks(robot, few, poses)
-            if poses is not None and f"{robot}/base" in poses.bodies:
-                yield from trail_chunks(robot, poses, self._last.get(robot))
-                self._last[robot] = poses.bodies[f"{robot}/base"][-1]
+            if poses is not None and (own := poses.bodies.get(f"{robot}/base")) is not None:
+                before = self._last.get(robot)
+                yield from path_chunks(trail(robot), poses.times_ns, own[:, :3], TRAIL, before)
+                self._last[robot] = own[-1]
         if self._light is not None:
             yield from self._light.chunks(collected)
         if self._ghost is not None:
