@@ -1,6 +1,7 @@
 """Charger and cells: the discharge curve, what the board measures of it, and what it does to the robot."""
 
 import pytest
+import scenes
 from notes import Notes
 
 from khep_twin import playpen as playpens
@@ -54,13 +55,8 @@ def test_channel_0_reads_half_the_supply_and_channel_6_the_current() -> None:
 
 
 def test_a_robot_that_pushes_draws_the_current_of_its_torque() -> None:
-    scene = playpens.parse(
-        'version = 1\nname = "push"\n[arena]\nwidth_mm = 200\nheight_mm = 200\n'
-        "[[robot]]\nx_mm = 172\ny_mm = 100\nheading_deg = 0\n",
-        "push.toml",
-    )
-    twin = open_twin(scene, TwinOptions(noise=False))
-    with Khepera(Serial.of(twin, timeout=1)) as robot:
+    scene = playpens.parse(scenes.arena(200, 200) + scenes.robot(172, 100), "push.toml")
+    with scenes.hosted(scene, noise=False) as robot:
         robot.set_duty(30, 30)  # too little for the tyres to slip
         robot.sleep(1)
         # All but at rest: i = duty V / R per motor, of which the supply sees the part `duty`.

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 import pytest
+import scenes
+from scenes import arena, table
 
 from khep_twin import playpen as playpens
 from khep_twin.board.gripper_body import GAP_CLOSED, GAP_OPEN, SERIES_RESISTANCE, resistivity
@@ -19,28 +21,9 @@ REACH_MM = 52.5  # from the robot's centre to between the fingers, arm down
 
 
 def scene(*, radius_mm: float = 12.5, surface: str = "white", ahead_mm: float = REACH_MM) -> Playpen:
-    return playpens.parse(
-        f"""
-version = 1
-name = "pick"
-[arena]
-width_mm = 600
-height_mm = 500
-[[cylinder]]
-x_mm = {300 + ahead_mm}
-y_mm = 250
-radius_mm = {radius_mm}
-height_mm = 40
-surface = "{surface}"
-movable = true
-[[robot]]
-x_mm = 300
-y_mm = 250
-heading_deg = 0
-turrets = ["gripper"]
-""",
-        "pick.toml",
-    )
+    place = {"x_mm": 300 + ahead_mm, "y_mm": 250}
+    post = table("cylinder", **place, radius_mm=radius_mm, height_mm=40, surface=surface, movable=True)
+    return playpens.parse(arena() + post + scenes.robot(300, 250, turrets=["gripper"]), "pick.toml")
 
 
 def opened(playpen: Playpen) -> tuple[Khepera, World]:
@@ -206,25 +189,8 @@ def test_the_sensors_rays_meet_lowered_fingers_and_not_a_raised_hand() -> None:
 
 
 def test_a_hand_touches_walls_and_other_robots() -> None:
-    two = playpens.parse(
-        """
-version = 1
-name = "two"
-[arena]
-width_mm = 400
-height_mm = 400
-[[robot]]
-x_mm = 100
-y_mm = 200
-heading_deg = 0
-turrets = ["gripper"]
-[[robot]]
-x_mm = 200
-y_mm = 200
-heading_deg = 0
-""",
-        "two.toml",
-    )
+    first, second = scenes.robot(100, 200, turrets=["gripper"]), scenes.robot(200, 200)
+    two = playpens.parse(arena(400, 400) + first + second, "two.toml")
     robot, world = opened(two)
     with robot:
         gripper = grip(robot)

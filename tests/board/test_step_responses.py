@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import arena, robot
 
 from khep_twin import playpen as playpens
 from khep_twin.board.kernel import LEFT, Wheel
@@ -12,11 +13,7 @@ from khep_twin.units import TICK_NS
 from khep_twin.world import World
 
 TABLE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
-FIELD = playpens.parse(
-    'version = 1\nname = "field"\n[arena]\nwidth_mm = 4000\nheight_mm = 1000\n'
-    "[[robot]]\nx_mm = 200\ny_mm = 500\nheading_deg = 0\n",
-    "field.toml",
-)
+FIELD = playpens.parse(arena(4000, 1000) + robot(200, 500), "field.toml")
 
 
 def response(command: str, register: Wheel, ticks: int) -> np.ndarray:

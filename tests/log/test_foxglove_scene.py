@@ -11,6 +11,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message_factory import GetMessages
 from log_contents import messages_of
 from mcap.reader import make_reader
+from scenes import arena, robot, table
 
 from khep_twin import playpen as playpens
 from khep_twin.log.decoding import read_transforms
@@ -24,41 +25,14 @@ SHIPPED = sorted(
     path.stem for path in (Path(playpens.__file__).parents[1] / "assets" / "playpens").glob("*.toml")
 )
 
-PLAYPEN = """
-version = 1
-name = "mine"
-[arena]
-width_mm = 600
-height_mm = 500
-[[block]]
-x_mm = 120
-y_mm = 200
-angle_deg = 30
-length_mm = 60
-width_mm = 20
-height_mm = 50
-[[cylinder]]
-x_mm = 300
-y_mm = 400
-radius_mm = 12.5
-height_mm = 40
-[[cylinder]]
-x_mm = 400
-y_mm = 100
-radius_mm = 20
-height_mm = 30
-movable = true
-mass_g = 20
-[[lamp]]
-x_mm = 50
-y_mm = 450
-z_mm = 40
-power_w = 7
-[[robot]]
-x_mm = 300
-y_mm = 250
-heading_deg = 90
-"""
+PLAYPEN = (
+    arena()
+    + table("block", x_mm=120, y_mm=200, angle_deg=30, length_mm=60, width_mm=20, height_mm=50)
+    + table("cylinder", x_mm=300, y_mm=400, radius_mm=12.5, height_mm=40)
+    + table("cylinder", x_mm=400, y_mm=100, radius_mm=20, height_mm=30, movable=True, mass_g=20)
+    + table("lamp", x_mm=50, y_mm=450, z_mm=40, power_w=7)
+    + robot(300, 250, 90)
+)
 
 
 @pytest.fixture(scope="module")

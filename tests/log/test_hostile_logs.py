@@ -77,6 +77,11 @@ def instead(topic: str, data: bytes) -> Callable[[str, int, bytes], bytes]:
     return lambda each, time_ns, before: data if each == topic else before
 
 
+def attached(name: str, content: bytes | None) -> Callable[[str, bytes], bytes | None]:
+    """An attachment has another content, or is missing."""
+    return lambda each, before: content if each == name else before
+
+
 def told(use: Callable[[Path], object], path: Path) -> str:
     """The one line that comes of using a log."""
     with pytest.raises(KhepTwinError) as caught:
@@ -202,9 +207,7 @@ CONFIGURATIONS = {
 
 @pytest.mark.parametrize("name", CONFIGURATIONS)
 def test_configurations_that_cannot_be_are_one_line(small: Path, tmp_path: Path, name: str) -> None:
-    def change(each: str, before: bytes) -> bytes:
-        return CONFIGURATIONS[name] if each == "configuration.json" else before
-
+    change = attached("configuration.json", CONFIGURATIONS[name])
     told(again, rewritten(small, tmp_path / "x.mcap", attachment=change))
 
 
@@ -215,44 +218,33 @@ def test_configurations_that_cannot_be_are_one_line(small: Path, tmp_path: Path,
 def test_attached_files_that_cannot_be_are_one_line(
     small: Path, tmp_path: Path, name: str, content: bytes
 ) -> None:
-    def change(each: str, before: bytes) -> bytes:
-        return content if each == name else before
-
-    path = rewritten(small, tmp_path / "x.mcap", attachment=change)
+    path = rewritten(small, tmp_path / "x.mcap", attachment=attached(name, content))
     assert name in told(lambda path: report(read_series(path), str(path)), path)
     told(again, path)
 
 
+LAMPS = [
+    *(b"", b"[", b"[]", b"{}", b"[" * 50_000),
+    b'{"lamp": 3, "lighting": {}}',
+    b'{"lamp": [{"x_mm": 1e999}], "lighting": {"mode": 3}}',
+    b'{"lamp": [], "lighting": {"mode": "all"}, "x": ' + b"9" * 5000 + b"}",
+]
+POSES = [(float("nan"), 1, 1), (1e308, 1e308, 0), (-5, 3, 0), (100, 100, float("inf"))]
+
+
 @pytest.mark.parametrize(
-    "data",
+    ("kind", "data"),
     [
-        b"",
-        b"[",
-        b"[]",
-        b"{}",
-        b'{"lamp": 3, "lighting": {}}',
-        b'{"lamp": [{"x_mm": 1e999}], "lighting": {"mode": 3}}',
-        b"[" * 50_000,
-        b'{"lamp": [], "lighting": {"mode": "all"}, "x": ' + b"9" * 5000 + b"}",
+        *((HostEventKind.SET_LAMPS, data) for data in LAMPS),
+        *((HostEventKind.PUT, struct.pack("<3d", *pose)) for pose in POSES),
+        (HostEventKind.SWITCH, struct.pack("<i?", -7, True)),
     ],
+    ids=lambda each: each.name if isinstance(each, HostEventKind) else "",
 )
-def test_lamps_that_cannot_be_are_one_line(small: Path, tmp_path: Path, data: bytes) -> None:
-    message = events_message([(0, HostEvent(HostEventKind.SET_LAMPS, 0, None, data))])
-    told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", message)))
-
-
-@pytest.mark.parametrize(
-    "place", [(float("nan"), 1, 1), (1e308, 1e308, 0), (-5, 3, 0), (100, 100, float("inf"))]
-)
-def test_positions_that_cannot_be_are_one_line(
-    small: Path, tmp_path: Path, place: tuple[float, float, float]
+def test_lamps_and_positions_that_cannot_be_are_one_line(
+    small: Path, tmp_path: Path, kind: HostEventKind, data: bytes
 ) -> None:
-    message = events_message([(0, HostEvent(HostEventKind.PUT, 0, None, struct.pack("<3d", *place)))])
-    told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", message)))
-
-
-def test_a_lamp_that_there_is_not_is_one_line(small: Path, tmp_path: Path) -> None:
-    message = events_message([(0, HostEvent(HostEventKind.SWITCH, 0, None, struct.pack("<i?", -7, True)))])
+    message = events_message([(0, HostEvent(kind, 0, None, data))])
     told(again, rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", message)))
 
 
@@ -283,10 +275,6 @@ def test_times_beyond_all_bounds_are_one_line(small: Path, tmp_path: Path) -> No
     assert "expected at most 10.20 s" in told(again, path)
 
 
-def scene(text: str) -> Callable[[str, bytes], bytes]:
-    return lambda name, before: text.encode() if name == "scene.xml" else before
-
-
 SCENES = {
     "many of one": "<mujoco><worldbody><replicate count='1000'/></worldbody></mujoco>",
     "another file": "<mujoco><worldbody><include file='/etc/passwd'/></worldbody></mujoco>",
@@ -302,7 +290,7 @@ SCENES = {
 
 @pytest.mark.parametrize("name", SCENES)
 def test_scenes_that_cannot_be_are_one_line(small: Path, tmp_path: Path, name: str) -> None:
-    path = rewritten(small, tmp_path / "x.mcap", attachment=scene(SCENES[name]))
+    path = rewritten(small, tmp_path / "x.mcap", attachment=attached("scene.xml", SCENES[name].encode()))
     assert "scene.xml: " in told(lambda path: view([path], tmp_path / "x.rrd"), path)
 
 
@@ -311,12 +299,8 @@ def test_a_scene_of_a_run_has_all_its_shapes(small: Path) -> None:
     model = shapes_of(label.attachments, label.robots, small)
     with open_twin("obstacles", TwinOptions(seed=3)) as twin:
         whole = twin.world.model
-    assert (model.nbody, model.ngeom, model.ncam, model.nq) == (
-        whole.nbody,
-        whole.ngeom,
-        whole.ncam,
-        whole.nq,
-    )
+    for name in ("nbody", "ngeom", "ncam", "nq"):
+        assert getattr(model, name) == getattr(whole, name), name
     assert np.allclose(model.geom_pos, whole.geom_pos, atol=1e-6)
 
 
@@ -355,11 +339,8 @@ def test_types_with_names_of_zero_bytes_are_refused(small: Path, tmp_path: Path)
 
 
 def test_what_is_not_attached_is_one_line_or_not_needed(small: Path, tmp_path: Path) -> None:
-    def without(missing: str) -> Callable[[str, bytes], bytes | None]:
-        return lambda name, before: None if name == missing else before
-
     for missing in ("playpen.toml", "scene.xml", "configuration.json", "calibration/khepera0.toml"):
-        path = rewritten(small, tmp_path / "x.mcap", attachment=without(missing))
+        path = rewritten(small, tmp_path / "x.mcap", attachment=attached(missing, None))
         recording: Recording = read_series(path)
         report(recording, str(path))
         if missing != "scene.xml":

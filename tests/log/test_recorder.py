@@ -19,6 +19,7 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Header, Message, Metadata
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
+from scenes import arena, robot, table
 
 from khep_twin import playpen
 from khep_twin.errors import LogError
@@ -367,28 +368,8 @@ def test_a_killed_run_keeps_what_was_flushed(tmp_path: Path) -> None:
 
 
 def test_several_robots_and_movable_objects_are_all_recorded(tmp_path: Path) -> None:
-    crowd = """
-        version = 1
-        name = "crowd"
-        [arena]
-        width_mm = 600
-        height_mm = 500
-        [[cylinder]]
-        x_mm = 300
-        y_mm = 400
-        radius_mm = 12.5
-        height_mm = 50
-        movable = true
-        mass_g = 20
-        [[robot]]
-        x_mm = 150
-        y_mm = 250
-        heading_deg = 0
-        [[robot]]
-        x_mm = 450
-        y_mm = 250
-        heading_deg = 180
-    """
+    post = table("cylinder", x_mm=300, y_mm=400, radius_mm=12.5, height_mm=50, movable=True, mass_g=20)
+    crowd = arena() + post + robot(150, 250) + robot(450, 250, 180)
     path = tmp_path / "run.mcap"
     with open_twin(playpen.parse(crowd, "crowd"), TwinOptions(robot=1, log=str(path))) as twin:
         twin.robot.send(b"D,5,5\n")

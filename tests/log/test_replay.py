@@ -13,6 +13,7 @@ from forked import run_python
 from log_contents import chunks_of
 from PIL import Image
 from rerun.chunk import Chunk, McapReader
+from scenes import arena, robot, table
 from typer.testing import CliRunner
 
 from khep_twin.cli.app import app
@@ -217,27 +218,9 @@ def rows(recording: Path, entity: str, component: str) -> list[tuple[int, list[A
 @pytest.fixture
 def at_a_wall(tmp_path: Path) -> Path:
     """A recording of a robot that looks at a wall 20 mm away, with nothing else near, and drives at it."""
-    scene = """
-version = 1
-name = "wall"
-[arena]
-width_mm = 600
-height_mm = 500
-[[lamp]]
-x_mm = 100
-y_mm = 100
-power_w = 4
-[[lamp]]
-x_mm = 100
-y_mm = 400
-power_w = 4
-on_s = [[0, 0.5]]
-[[robot]]
-x_mm = 552.5
-y_mm = 250
-heading_deg = 0
-"""
-    (tmp_path / "wall.toml").write_text(scene)
+    lamps = table("lamp", x_mm=100, y_mm=100, power_w=4)
+    lamps += table("lamp", x_mm=100, y_mm=400, power_w=4, on_s=[[0, 0.5]])
+    (tmp_path / "wall.toml").write_text(arena() + lamps + robot(552.5, 250))
     options = TwinOptions(noise=False, log=str(tmp_path / "wall.mcap"))
     with open_twin(tmp_path / "wall.toml", options) as twin:
         twin.robot.send(b"D,5,5\n")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import serial
+from scenes import arena, robot
 from served_twin import ask, connected, served, stop
 
 from khep_twin.errors import PortError
@@ -17,23 +18,6 @@ from khep_twin.lab.conformance.port.check import CheckedPort
 from khep_twin.lab.conformance.port.conform import checks, run_check
 from khep_twin.ports.network import TcpPort, is_loopback, parse_address
 from khep_twin.ports.network_host import LONGEST_LINE, SILENCE
-
-TWO = """
-version = 1
-name = "two"
-[arena]
-width_mm = 600
-height_mm = 500
-[[robot]]
-x_mm = 150
-y_mm = 250
-heading_deg = 90
-[[robot]]
-x_mm = 450
-y_mm = 250
-heading_deg = 90
-mode = 2
-"""
 
 
 # pyserial's own client of RFC 2217 has not followed Python.
@@ -170,7 +154,7 @@ def test_a_host_that_goes_leaves_nothing_for_the_next() -> None:
 
 def test_several_robots_have_a_line_each(tmp_path: Path) -> None:
     playpen = tmp_path / "two.toml"
-    playpen.write_text(TWO)
+    playpen.write_text(arena() + robot(150, 250, 90) + robot(450, 250, 90, mode=2))
     link = tmp_path / "khepera"
     with served(str(playpen), "--link", str(link)) as (process, first):
         assert process.stdout is not None

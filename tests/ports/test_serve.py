@@ -15,15 +15,14 @@ import pytest
 import serial
 from command_line import khep_twin
 from forked import Forked, run_python
+from scenes import arena, robot
 from scheduling_delay import scheduling_delay
 from served_twin import ask, exchange, served, stop
 
-from khep_twin import playpen
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
 from khep_twin.invocation import command
 from khep_twin.log.reader import read_log
-from khep_twin.playpen import Playpen
 
 TIMEOUT_S = 20.0
 """Wait for what must come, on machines of any load [s]."""
@@ -82,14 +81,14 @@ def test_a_host_in_c_style_reads_and_writes_a_descriptor(path: str) -> None:
 
 
 def test_our_own_host_drives_it_in_real_time(path: str) -> None:
-    with scheduling_delay() as late, Khepera(path) as robot:
-        robot.set_position(0, 0)
-        robot.set_speed(5, 5)
+    with scheduling_delay() as late, Khepera(path) as host:
+        host.set_position(0, 0)
+        host.set_speed(5, 5)
         start = time.monotonic()
         time.sleep(0.6)
-        left, right = robot.position()
+        left, right = host.position()
         took = time.monotonic() - start
-        robot.set_speed(0, 0)
+        host.set_speed(0, 0)
     late.excuse(0.02)
     # 500 pulses a second, less the start.
     assert left == pytest.approx(500 * took, rel=0.15)
@@ -153,8 +152,8 @@ def test_the_last_command_of_a_host_that_closes_at_once_is_carried_out(path: str
         os.write(descriptor, b"G,%d,7\n" % (100 * number))
         os.close(descriptor)
         time.sleep(0.3)
-        with Khepera(path) as robot:
-            assert robot.position() == pytest.approx((100 * number, 7), abs=2)
+        with Khepera(path) as host:
+            assert host.position() == pytest.approx((100 * number, 7), abs=2)
         time.sleep(0.1)  # a host that comes in the very moment another goes may be taken for it
 
 
@@ -275,9 +274,8 @@ def test_a_link_in_the_current_directory_lies_where_it_says(
     monkeypatch.chdir(tmp_path)
     name = "default"
     if several:
-        second = "[[robot]]\nx_mm = 100\ny_mm = 100\nheading_deg = 0\n"
         name = "two.toml"
-        Path(name).write_text(playpen.dump(Playpen.load("default")) + second)
+        Path(name).write_text(arena() + robot(300, 250) + robot(100, 100))
     with served(name, "--link", "./khepera") as (_, path):
         found = tmp_path / ("khepera0" if several else "khepera")
         assert path == str(found)

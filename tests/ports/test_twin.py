@@ -1,6 +1,7 @@
 """Twins out of options: what a model brings with it, and what is refused."""
 
 import pytest
+from scenes import arena, robot
 
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
@@ -9,25 +10,13 @@ from khep_twin.playpen import Playpen, parse
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, equipped, open_twin
 
-OWN_SENSORS = """version = 1
-name = "own"
-[arena]
-width_mm = 600
-height_mm = 500
-[[robot]]
-x_mm = 300
-y_mm = 250
-heading_deg = 0
-model = "khepera2"
-calibration = "khepera1-manual"
-"""
-SECOND = "[[robot]]\nx_mm = 100\ny_mm = 100\nheading_deg = 0\n"
+OWN_SENSORS = arena() + robot(300, 250, model="khepera2", calibration="khepera1-manual")
 
 
 def test_a_model_brings_its_sensors_and_its_firmware() -> None:
     with open_twin("default", TwinOptions(model="khepera2", mode=9)) as twin:
-        robot = twin.world.playpen.robots[0]
-        assert (robot.model, robot.calibration, robot.rom) == ("khepera2", "khepera2", "khepera2")
+        entry = twin.world.playpen.robots[0]
+        assert (entry.model, entry.calibration, entry.rom) == ("khepera2", "khepera2", "khepera2")
         assert twin.robot.firmware.baud == 115200
         assert twin.robot.disc[2] == 0.035
 
@@ -46,11 +35,11 @@ def test_a_robot_that_is_of_the_model_keeps_its_own_sensors() -> None:
 
 def test_only_the_robot_on_the_line_changes() -> None:
     scene, on_the_line = equipped(
-        parse(OWN_SENSORS.replace("khepera2", "khepera1") + SECOND, "two"),
+        parse(OWN_SENSORS.replace("khepera2", "khepera1") + robot(100, 100), "two"),
         TwinOptions(robot=1, model="khepera2"),
     )
     assert list(on_the_line) == [1]
-    assert [robot.model for robot in scene.robots] == ["khepera1", "khepera2"]
+    assert [each.model for each in scene.robots] == ["khepera1", "khepera2"]
 
 
 def test_a_larger_body_that_has_no_room_is_refused_with_what_is_in_its_way() -> None:
@@ -90,9 +79,9 @@ class LateSource:
 def test_a_port_lets_time_pass_by_the_source_of_its_twin() -> None:
     twin = open_twin("default", TwinOptions())
     source = LateSource(twin)
-    with Khepera(Serial.of(Twin(twin.world, twin.robots, twin.options, source), timeout=1.0)) as robot:
-        robot.set_speed(1, 1)
-        robot.sleep(0.1)
+    with Khepera(Serial.of(Twin(twin.world, twin.robots, twin.options, source), timeout=1.0)) as host:
+        host.set_speed(1, 1)
+        host.sleep(0.1)
     assert source.attended > 0
     assert source.goals[-1] == twin.world.time_ns
     assert source.goals == sorted(source.goals)

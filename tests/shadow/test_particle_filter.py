@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from scenes import arena, robot
 from twins import ALL, AT_THE_CRATE, EXACT, SECOND, metric, planes_at, readings, setup_of
 
 from khep_twin import playpen as playpens
@@ -151,12 +152,8 @@ def test_an_unknown_start_is_anywhere_where_there_is_room() -> None:
 
 
 def test_a_playpen_with_hardly_any_room_is_an_error_of_one_line() -> None:
-    tight = playpens.parse(
-        'version = 1\nname = "tight"\n[arena]\nwidth_mm = 200\nheight_mm = 100\n'
-        "outline_mm = [[0, 0], [200, 0], [200, 55.3], [0, 55.3]]\n"
-        "[[robot]]\nx_mm = 27.65\ny_mm = 27.65\nheading_deg = 0\n",
-        "tight",
-    )
+    outline = "outline_mm = [[0, 0], [200, 0], [200, 55.3], [0, 55.3]]\n"
+    tight = playpens.parse(arena(200, 100, "tight") + outline + robot(27.65, 27.65), "tight")
     setup = EpisodeSetup(tight, planar=True)
     with pytest.raises(PlaypenError, match="tight: no room for the robot was found; expected a start pose"):
         anywhere(setup, Planes(setup, 50), stream(0, "anywhere"))

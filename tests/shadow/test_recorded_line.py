@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+import scenes
 from twins import SECOND
 
 from khep_twin import playpen as playpens
@@ -31,9 +32,8 @@ def test_a_relays_log_gives_its_lines_in_order_with_their_times(tmp_path: Path) 
 
 def test_a_twins_log_gives_the_line_of_the_robot_that_is_asked_for(tmp_path: Path) -> None:
     path = tmp_path / "twin.mcap"
-    robots = "".join(f"[[robot]]\nx_mm = {x}\ny_mm = 100\nheading_deg = 0\n" for x in (100, 200))
-    arena = "version = 1\nname = 'two'\n[arena]\nwidth_mm = 300\nheight_mm = 200\n"
-    with open_twin(playpens.parse(arena + robots, "two"), TwinOptions(seed=3, log=str(path))) as twin:
+    two = playpens.parse(scenes.arena(300, 200) + scenes.robot(100, 100) + scenes.robot(200, 100), "two")
+    with open_twin(two, TwinOptions(seed=3, log=str(path))) as twin:
         for robot, command in zip(twin.world.robots, (b"N\n", b"O\n"), strict=True):
             robot.send(command)
         twin.advance_to(SECOND)
