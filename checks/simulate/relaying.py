@@ -20,7 +20,7 @@ from checks.simulate.simulation import Scenario, Simulation
 from checks.simulate.terminals import Terminals
 from checks.simulate.truth import Truth
 from khep_twin.board.uart import HostEvent
-from khep_twin.cli import endpoints, options, relayed
+from khep_twin.cli import endpoints, options
 from khep_twin.cli.endpoints import EndpointOptions
 from khep_twin.cli.option_groups import LogOptions
 from khep_twin.errors import PortError
@@ -85,7 +85,7 @@ class _Relayed(Site):
 
     def _relay(self) -> None:
         logging = LogOptions(log=self._log.path)
-        relayed.relay_robot(
+        endpoints.relay_robot(
             self.cable.path, _BAUD, self.endpoint, logging, poll=self.polls, stop=self._is_to_stop
         )
 
@@ -227,7 +227,6 @@ def _told(simulation: Simulation) -> Generator[list[Callable[[str], None]]]:
 
     typer = SimpleNamespace(echo=echo)
     with (
-        patch.object(relayed, "typer", typer),
         patch.object(endpoints, "typer", typer),
         patch.object(options, "typer", typer),
         patch.object(idle_polls, "_POLLS", (b"N\r", b"H\r")),

@@ -1,7 +1,5 @@
 """The command line's part for guided calibrations: `khep-twin calibrate`."""
 
-import os
-import select
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -12,7 +10,7 @@ import typer
 
 from khep_twin.cli.completion import calibrations, ports
 from khep_twin.cli.fit import BearingDeg, RulerMm, check_outputs, fit_and_write
-from khep_twin.cli.options import Force, complain
+from khep_twin.cli.options import Force, complain, typed_line
 from khep_twin.errors import FitError
 from khep_twin.invocation import command
 from khep_twin.signals import stopping
@@ -124,17 +122,13 @@ class _StoppedError(Exception):
 def _ask(question: str, stop: Callable[[], bool]) -> str:
     """Ask at the terminal; return the answer without its end."""
     typer.echo(f"{question}: ", nl=False)
-    entered = b""
-    while not entered.endswith(b"\n"):
-        if stop():
-            typer.echo()
-            raise _StoppedError
-        if select.select([sys.stdin], [], [], 0.1)[0]:
-            # Byte by byte, as what is buffered would be waited for again.
-            if not (byte := os.read(sys.stdin.fileno(), 1)):
-                typer.echo()
-                raise FitError(f"the input ended at the question {question!r}; expected an answer")
-            entered += byte
+    entered = typed_line(stop)
+    if entered is None:
+        typer.echo()
+        raise _StoppedError
+    if not entered.endswith(b"\n"):
+        typer.echo()
+        raise FitError(f"the input ended at the question {question!r}; expected an answer")
     if not sys.stdin.isatty():
         typer.echo()
     return entered.decode("utf-8", "replace").rstrip("\r\n")

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.completion import logs, ports
-from khep_twin.cli.options import Force, check_new, given, usage
+from khep_twin.cli.options import Force, check_new, refuse, usage
 from khep_twin.files.atomic import unusable, write_whole
 
 _OF_A_PORT = {"move", "baudrate"}
@@ -37,8 +37,7 @@ def conform(
     if "://" not in port and (port.endswith(".mcap") or Path(port).is_file()):
         from khep_twin.lab.conformance.recording.conform import conform_recording
 
-        if ignored := given(context) & _OF_A_PORT:
-            raise usage(f"--{min(ignored)} is for a port, not for a log")
+        refuse(context, _OF_A_PORT, "a port, not for a log")
         outcome = conform_recording(Path(port))
     else:
         from khep_twin.lab.conformance.port.conform import checks

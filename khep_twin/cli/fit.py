@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.completion import calibrations, logs, playpens
-from khep_twin.cli.options import Force, check_apart, check_new, check_picture, check_writable, given, usage
+from khep_twin.cli.options import Force, check_apart, check_new, check_picture, check_writable, refuse, usage
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import FitError
 from khep_twin.files.atomic import is_same, write_whole
@@ -78,8 +78,7 @@ def fit(
     from khep_twin.sensing import calibration
 
     if learned is not None:
-        if ignored := given(context) & _OF_TESTS:
-            raise usage(f"--{min(ignored).replace('_', '-')} is for recorded tests, not for --from")
+        refuse(context, _OF_TESTS, "recorded tests, not for --from")
         _fit_learned(learned, playpen, output, force)
         return
     if not tests or playpen is not None:

@@ -1,6 +1,9 @@
 """Options and messages that several commands share."""
 
-from collections.abc import Iterable, Sequence
+import os
+import select
+import sys
+from collections.abc import Callable, Iterable, Sequence, Set
 from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
@@ -56,6 +59,12 @@ def given(context: typer.Context) -> set[str]:
     """Return the names of the options that the user has typed."""
     sources = {name: context.get_parameter_source(name) for name in context.params}
     return {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
+
+
+def refuse(context: typer.Context, options: Set[str], reason: str) -> None:
+    """Refuse options, by the names of their parameters, that mean nothing to what is done."""
+    if ignored := given(context) & options:
+        raise usage(f"--{min(ignored).replace('_', '-')} is for {reason}")
 
 
 def check_new(force: bool, *paths: Path | None) -> None:
@@ -134,6 +143,20 @@ def tell_written(
     more = f" to {paths[-1].name}" if len(paths) > 1 else ""
     look = command("view", paths[0]) if look is None else look
     typer.echo(f"{name:{width}}  {paths[0]}{more}      look at it: {look}", err=err)
+
+
+def typed_line(stop: Callable[[], bool]) -> bytes | None:
+    """Return a line of standard input, without its end where the input ended; None if `stop` came first."""
+    entered = b""
+    while not entered.endswith(b"\n"):
+        if stop():
+            return None
+        if select.select([sys.stdin], [], [], 0.1)[0]:
+            # Byte by byte, as what is buffered would be waited for again.
+            if not (byte := os.read(sys.stdin.fileno(), 1)):
+                break
+            entered += byte
+    return entered
 
 
 def complain(text: str) -> None:

@@ -1,7 +1,5 @@
 """`khep-twin run`: a controller on a robot or a twin, once or in a series."""
 
-import os
-import select
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, chdir, closing
@@ -13,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from khep_twin.cli.completion import controllers, ports
-from khep_twin.cli.live_view import LiveViewOptions
 from khep_twin.cli.option_groups import (
     LengthOptions,
+    LiveViewOptions,
     LogOptions,
     RobotOptions,
     SceneOptions,
@@ -30,7 +28,9 @@ from khep_twin.cli.options import (
     check_picture,
     complain,
     given,
+    refuse,
     tell_written,
+    typed_line,
     usage,
 )
 from khep_twin.cli.progress import progress as progress_bar
@@ -127,7 +127,9 @@ def run(
     from khep_twin.toolbox.form import as_toolbox_form
 
     typed = given(context)
-    _check(typed, port, scene.playpen, logging.log, picture)
+    if port is not None:
+        refuse(context, _OF_A_TWIN, "a twin in this process, not for one behind --port")
+    _check(scene.playpen, logging.log, picture)
     series.check(logging.log)
     options = replace(twin.options(robot), faults=tuple(fault or ()))
     # Typed paths are relative to this folder, even if a controller changes it; the runs use the controller's.
@@ -168,11 +170,8 @@ def run(
         raise typer.Exit(130)
 
 
-def _check(typed: set[str], port: str | None, playpen: str, log: Path | None, picture: Path | None) -> None:
-    """Refuse options that do not go together, and files that could not be written at the end."""
-    if port is not None and (ignored := typed & _OF_A_TWIN):
-        option = min(ignored).replace("_", "-")
-        raise usage(f"--{option} is for a twin in this process, not for one behind --port")
+def _check(playpen: str, log: Path | None, picture: Path | None) -> None:
+    """Refuse a picture without a log, and files that could not be written at the end."""
     if picture is not None and log is None:
         raise usage("--picture draws the path from the log; expected --log FILE.mcap, too")
     check_picture(picture, log)
@@ -272,15 +271,11 @@ def _beginning(
 def _confirm(number: int, stop: Callable[[], bool]) -> None:
     """Wait for the user to press Enter, or for the end of the series."""
     typer.echo(f"run {number}: put the robot right, then press Enter ", nl=False, err=True)
-    entered = b""
-    while not entered.endswith(b"\n"):
-        if stop():
-            typer.echo(err=True)
-            return
-        if select.select([sys.stdin], [], [], 0.1)[0]:
-            # Byte by byte, as what is buffered would be waited for again.
-            entered = os.read(sys.stdin.fileno(), 1)
-            if not entered:
-                raise ControllerError(f"--confirm: the input ended before run {number}; expected a terminal")
+    entered = typed_line(stop)
+    if entered is None:
+        typer.echo(err=True)
+        return
+    if not entered.endswith(b"\n"):
+        raise ControllerError(f"--confirm: the input ended before run {number}; expected a terminal")
     # A terminal has shown the Enter itself.
     typer.echo("\r" if sys.stdin.isatty() else "\n", nl=False, err=True)

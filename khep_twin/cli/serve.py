@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.completion import ports
-from khep_twin.cli.endpoints import EndpointOptions
-from khep_twin.cli.live_view import LiveViewOptions
-from khep_twin.cli.option_groups import LogOptions, RobotOptions, grouped, option_names
+from khep_twin.cli.endpoints import EndpointOptions, line_baud, relay_robot, tell_end
+from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, RobotOptions, grouped, option_names
 from khep_twin.cli.options import (
     Faults,
     Viewer,
@@ -27,7 +26,6 @@ from khep_twin.cli.options import (
     usage,
 )
 from khep_twin.cli.playpen import PlaypenName
-from khep_twin.cli.relayed import line_baud, relay_robot, tell_end
 from khep_twin.signals import stopping
 
 if TYPE_CHECKING:

@@ -12,22 +12,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.completion import logs, ports
-from khep_twin.cli.endpoints import EndpointOptions
+from khep_twin.cli.endpoints import EndpointOptions, line_baud, relay_robot
 from khep_twin.cli.option_groups import LogOptions, grouped, option_names
 from khep_twin.cli.options import (
     check_apart,
     check_new,
     check_writable,
     complain,
-    given,
+    refuse,
     running_mode,
     usage,
 )
 from khep_twin.cli.playpen import PlaypenName
 from khep_twin.cli.progress import progress as progress_bar
-from khep_twin.cli.relayed import line_baud, relay_robot
-from khep_twin.cli.shadow_options import ShadowOptions
-from khep_twin.cli.shadow_run import ALARM_CODE, ShadowRun
+from khep_twin.cli.shadow_run import ALARM_CODE, ShadowOptions, ShadowRun
 from khep_twin.clock import NS_PER_S
 from khep_twin.machine import lower_priority
 from khep_twin.signals import stopping
@@ -118,8 +116,7 @@ def shadow(
         run = ShadowRun(found, settings, exit_on is not None, output)
         _follow_line(line_fd, run, run.show_in_viewer(web=web) if view else nullcontext())
         return
-    if ignored := given(context) & _OF_A_ROBOT:
-        raise usage(f"--{min(ignored).replace('_', '-')} is for a robot at --relay, not for a log")
+    refuse(context, _OF_A_ROBOT, "a robot at --relay, not for a log")
     if recording is None:
         raise usage("nothing to follow; expected a log, FILE.mcap, or a robot's port, --relay PORT")
     _follow_log(recording, robot, until, found, settings, exit_on is not None, output)

@@ -6,18 +6,25 @@ is an error with its place, and memory and time for a file are limited in advanc
 
     Matlab 4        one header of five int32 a matrix: kind, rows, columns, imaginary, length of the name
     Matlab 5 to 7.2 128 bytes, then elements of type and size, each matrix packed by zlib or not
+
+What is written has no machine name and time: the same variables give the same bytes.
 """
+
+# scipy is not typed.
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
 
 import math
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from io import BytesIO
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin import __version__
 from khep_twin.errors import MatError
 
 SIZE_LIMIT = 2**26
@@ -30,6 +37,8 @@ TEXT_LIMIT = 2**20
 """Most characters in all character matrices together."""
 
 _DIMENSION_LIMIT = 32
+
+_TITLE_BYTES = 116
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,3 +260,21 @@ def _of_4(data: bytes) -> Iterator[tuple[str, Variable]]:
             yield name, Foreign("a sparse matrix" if text == 2 else "complex")
         else:
             yield name, _shaped(values, [rows, columns], name)
+
+
+def mat_bytes(values: Mapping[str, object], what: str, *, packed: bool = True) -> bytes:
+    """Return variables as a MAT file of Matlab 5.
+
+    Args:
+        values: Variables by names that Matlab accepts.
+        what: Description of the file for its title.
+        packed: True to compress by zlib.
+    """
+    # Every run could save a series; to import scipy would take a fifth of a short run's start.
+    from scipy.io import savemat
+
+    file = BytesIO()
+    savemat(file, dict(values), do_compression=packed)
+    # scipy writes the machine and the time here.
+    title = f"MATLAB 5.0 MAT-file, {what} by khep_twin {__version__}".encode("ascii")
+    return title.ljust(_TITLE_BYTES) + file.getvalue()[_TITLE_BYTES:]

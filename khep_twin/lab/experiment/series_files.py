@@ -24,7 +24,7 @@ import numpy as np
 
 from khep_twin.errors import ControllerError
 from khep_twin.files.atomic import read_regular, write_whole
-from khep_twin.files.mat_bytes import mat_bytes
+from khep_twin.files.mat_file import mat_bytes
 from khep_twin.lab.experiment.measures import UNITS
 from khep_twin.lab.experiment.series_run import SeriesRun
 

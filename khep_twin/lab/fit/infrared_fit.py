@@ -17,9 +17,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from khep_twin.errors import FitError
-from khep_twin.lab.fit.clipped_noise import deviation, expected
 from khep_twin.lab.fit.infrared import Optics, View, level
-from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats, Parameter, least_squares
+from khep_twin.lab.fit.least_squares import (
+    CONFIDENCE,
+    Floats,
+    Parameter,
+    deviation,
+    expected,
+    least_squares,
+)
 from khep_twin.lab.fit.placement import (
     IN_PLACE,
     SCAN_LAG_S,

@@ -13,8 +13,7 @@ from typing import Self
 import numpy as np
 
 from khep_twin.errors import FitError
-from khep_twin.lab.fit.clipped_noise import expected
-from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats, Parameter, least_squares
+from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats, Parameter, expected, least_squares
 from khep_twin.lab.fit.placement import (
     IN_PLACE,
     SCAN_LAG_S,

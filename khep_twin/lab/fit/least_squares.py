@@ -7,7 +7,15 @@ A parameter with a prior, such as the error of a ruler, is one more unknown x wi
 
 A parameter that the data do not determine better than its prior does is held at its start; the others'
 intervals contain then what its deviation may do to them.
+
+A noisy reading that is clipped at both ends still informs: near an end its mean tells the level x.
+
+    E[clip(x + s z, 0, limit)],  z normal
 """
+
+# scipy is not typed.
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
+# pyright: reportUnknownArgumentType=false
 
 import math
 from collections.abc import Callable, Sequence
@@ -15,6 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from khep_twin.errors import FitError
 
@@ -212,3 +221,28 @@ class _Problem:
 
     def _slope(self, x: Floats, way: Floats) -> Floats:
         return (self._scaled(x + way) - self._scaled(x - way)) / (2 * self._step)
+
+
+def expected(levels: Floats, noise: float | Floats, limit: float) -> Floats:
+    """Return the mean reading of a noisy sensor that is clipped to 0 and a limit."""
+    noise = np.maximum(noise, 1e-6)
+    low, high = -levels / noise, (limit - levels) / noise
+    return noise * (_bell(low) - _bell(high)) + levels * (ndtr(high) - ndtr(low)) + limit * ndtr(-high)
+
+
+def deviation(levels: Floats, noise: float | Floats, limit: float) -> Floats:
+    """Return the standard deviation of such a reading, which is small where it is clipped."""
+    noise = np.maximum(noise, 1e-6)
+    low, high = -levels / noise, (limit - levels) / noise
+    inside = ndtr(high) - ndtr(low)
+    squares = (
+        (levels**2 + noise**2) * inside
+        + 2 * levels * noise * (_bell(low) - _bell(high))
+        + noise**2 * (low * _bell(low) - high * _bell(high))
+        + limit**2 * ndtr(-high)
+    )
+    return np.sqrt(np.maximum(squares - expected(levels, noise, limit) ** 2, 0))
+
+
+def _bell(z: Floats) -> Floats:
+    return np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)

@@ -7,11 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from khep_twin.lab.fit.clipped_noise import deviation, expected
 from khep_twin.lab.fit.fit_inputs import Measured, SensorData
 from khep_twin.lab.fit.infrared_fit import InfraredFit, fit_infrared, fitted, levels
 from khep_twin.lab.fit.lamp_fit import LampFit, LampTable, ambient_counts, fit_lamps
-from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats
+from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats, deviation, expected
 from khep_twin.lab.fit.motor_fit import DutyDrive, aligned, driven, fit_motors
 from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Ruler
 from khep_twin.lab.fit.wheel_fit import fit_wheels, left_over

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from khep_twin.board.kernel import Board, Wheel
 from khep_twin.board.turrets import installed
 from khep_twin.errors import LogError, choices
-from khep_twin.files.mat_bytes import mat_bytes
+from khep_twin.files.mat_file import mat_bytes
 from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import Recording, TimeSeries, read_pieces
 from khep_twin.units import K213_PIXELS, SENSOR_LABELS

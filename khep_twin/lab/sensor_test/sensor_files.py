@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from khep_twin import __version__
 from khep_twin.errors import LogError, SensorTestError
 from khep_twin.files.atomic import read_regular, write_whole
-from khep_twin.files.mat_bytes import mat_bytes
+from khep_twin.files.mat_file import mat_bytes
 from khep_twin.lab.sensor_test.sensor_mat import read_mat
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, What, check_what
 from khep_twin.log.channels import FLOATS, IMAGE, ArrayFrame, ImageFrame

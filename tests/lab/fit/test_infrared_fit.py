@@ -11,8 +11,8 @@ from scenes import arena, hosted
 from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
-from khep_twin.lab.fit.clipped_noise import expected
 from khep_twin.lab.fit.infrared_fit import fit_infrared, fitted, levels
+from khep_twin.lab.fit.least_squares import expected
 from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Placement, Readings, Ruler
 from khep_twin.sensing import calibration
 from khep_twin.units import BODY_RADIUS, PULSE_LENGTH, WHEEL_BASE

@@ -2,8 +2,15 @@
 
 import re
 
-from khep_twin.lab.conformance.port.check import SETTLE, CheckedPort, Deviation, check
-from khep_twin.lab.conformance.port.expectations import expect_in_time, expect_range, expect_refusals
+from khep_twin.lab.conformance.port.check import (
+    SETTLE,
+    CheckedPort,
+    Deviation,
+    check,
+    expect_in_time,
+    expect_range,
+    expect_refusals,
+)
 from khep_twin.units import COUNTS_LIMIT, N_SENSORS
 
 

@@ -2,8 +2,7 @@
 
 import re
 
-from khep_twin.lab.conformance.port.check import CheckedPort, Deviation, check
-from khep_twin.lab.conformance.port.expectations import expect_range
+from khep_twin.lab.conformance.port.check import CheckedPort, Deviation, check, expect_range
 from khep_twin.units import COUNTS_LIMIT, GRIPPER_NUMBER
 
 ARM = "moves the arm and the fingers of its gripper"

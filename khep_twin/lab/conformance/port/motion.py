@@ -1,7 +1,6 @@
 """Checks of commands that move the robot."""
 
-from khep_twin.lab.conformance.port.check import SETTLE, CheckedPort, Deviation, check
-from khep_twin.lab.conformance.port.expectations import expect_range
+from khep_twin.lab.conformance.port.check import SETTLE, CheckedPort, Deviation, check, expect_range
 from khep_twin.units import N_SENSORS
 
 FORWARD = "drives about 80 mm forwards and as far back"

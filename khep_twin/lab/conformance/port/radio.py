@@ -1,8 +1,11 @@
 """Checks of a radio turret."""
 
-from khep_twin.lab.conformance.port.check import SETTLE, CheckedPort, Deviation, check
-from khep_twin.lab.conformance.port.expectations import (
+from khep_twin.lab.conformance.port.check import (
+    SETTLE,
+    CheckedPort,
+    Deviation,
     ask_turret,
+    check,
     expect_range,
     expect_refusals,
     numbers_of_turret,

@@ -4,9 +4,11 @@ What they ask of it is what hosts need. That M has 16 greys, and what exactly is
 parameter, is left open, as no source says it.
 """
 
-from khep_twin.lab.conformance.port.check import CheckedPort, Deviation, check
-from khep_twin.lab.conformance.port.expectations import (
+from khep_twin.lab.conformance.port.check import (
+    CheckedPort,
+    Deviation,
     ask_turret,
+    check,
     expect_in_time,
     expect_range,
     expect_refusals,
