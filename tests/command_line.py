@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from collections.abc import Container
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -32,16 +33,28 @@ def khep_twin(*words: object, folder: Path | str = ".") -> "subprocess.Completed
     return subprocess.CompletedProcess(words, code, out.getvalue(), told)
 
 
-def told(*words: object) -> str:
+def good(*words: object, folder: Path | str = ".") -> str:
     """Run a command that ends well; return what it prints."""
-    done = khep_twin(*words)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    result = khep_twin(*words, folder=folder)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
 
 
 def refusal(*words: object) -> str:
-    """Return the one line with which a command refuses."""
-    done = khep_twin(*words)
-    assert (done.returncode, done.stdout) == (1, "")
-    (line,) = done.stderr.splitlines()
-    return line.removeprefix("khep-twin: ")
+    """Return the one line with which a command refuses, and does nothing."""
+    result = khep_twin(*words)
+    assert result.stdout == ""
+    return line_of(result, codes=[1])
+
+
+def complaint(*words: object, folder: Path | str = ".", codes: Container[int] = (1, 2)) -> str:
+    """Run a command with a mistake; return the one line that it gets."""
+    return line_of(khep_twin(*words, folder=folder), codes)
+
+
+def line_of(result: "subprocess.CompletedProcess[str]", codes: Container[int] = (1, 2)) -> str:
+    """Return the one line of a command that has failed, without its head."""
+    assert result.returncode in codes, result.stdout
+    assert result.stderr.startswith("khep-twin: "), result.stderr
+    assert result.stderr.count("\n") == 1, result.stderr
+    return result.stderr.removeprefix("khep-twin: ").rstrip()

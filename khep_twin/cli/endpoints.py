@@ -14,8 +14,7 @@ from khep_twin.errors import PortError
 from khep_twin.machine import is_writable
 
 if TYPE_CHECKING:
-    from khep_twin.log.line_recorder import LineRecorder
-    from khep_twin.log.recorder import Recorder
+    from khep_twin.log.log_file import FileRecorder
     from khep_twin.ports.host_port import HostPort
     from khep_twin.ports.relay import LineListener
 
@@ -152,9 +151,7 @@ def relay_robot(
     tell_end(duration_ns, dropped, logging, recorder)
 
 
-def tell_end(
-    duration_ns: int, dropped: int, logging: LogOptions, recorder: "Recorder | LineRecorder | None"
-) -> None:
+def tell_end(duration_ns: int, dropped: int, logging: LogOptions, recorder: "FileRecorder | None") -> None:
     """Print a summary at the end of serving, and where the log is; end the command if that has failed."""
     typer.echo(f"{duration_ns / 1e9:.1f} s served", err=True)
     if dropped:

@@ -1,6 +1,5 @@
 """Plain and compiled, the board's arithmetic gives the same bits."""
 
-import importlib.util
 import inspect
 from collections.abc import Callable
 from functools import cache
@@ -9,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba_marks import with_numba
 
 from khep_twin.board import kernel
 from khep_twin.board.kernel import LEFT, N_REGISTERS, RIGHT, Board, Wheel
@@ -16,8 +16,6 @@ from khep_twin.compilable import FUNCTIONS
 from khep_twin.randomness import stream
 
 N_ORDERS = 10_000
-
-with_numba = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="numba is not installed")
 
 
 def functions() -> dict[str, Callable[..., Any]]:

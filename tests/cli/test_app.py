@@ -14,7 +14,7 @@ from pathlib import Path
 
 import mujoco
 import pytest
-from command_line import khep_twin
+from command_line import complaint, good, khep_twin, line_of
 from forked import Forked, run_python
 from typer.testing import CliRunner
 
@@ -37,18 +37,6 @@ def process(
         timeout=120,
         preexec_fn=before,
     )
-
-
-def complaint(*arguments: str | Path) -> str:
-    """The one line that a mistake gets."""
-    return line_of(khep_twin(*arguments))
-
-
-def line_of(result: "subprocess.CompletedProcess[str]") -> str:
-    assert result.returncode in (1, 2), result.stderr
-    assert result.stderr.count("\n") == 1, result.stderr
-    assert result.stderr.startswith("khep-twin: ")
-    return result.stderr.removeprefix("khep-twin: ").rstrip("\n")
 
 
 def test_the_version_and_the_help_come_at_once() -> None:
@@ -106,8 +94,7 @@ def test_two_runs_with_one_seed_give_the_same_file_under_any_name(tmp_path: Path
 
 def test_a_run_draws_its_picture_and_leaves_nothing_half_written(tmp_path: Path) -> None:
     log, picture = tmp_path / "run.mcap", tmp_path / "run.png"
-    result = khep_twin("run", "--seconds", "2", "--log", log, "--picture", picture)
-    assert result.returncode == 0, result.stderr
+    good("run", "--seconds", "2", "--log", log, "--picture", picture)
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.mcap", "run.png"]
 
@@ -120,9 +107,8 @@ def test_an_own_controller_is_run_for_its_cycles(tmp_path: Path) -> None:
 
 def test_a_log_becomes_a_rerun_recording(tmp_path: Path) -> None:
     log, recording = tmp_path / "run.mcap", tmp_path / "run.rrd"
-    khep_twin("run", "--seconds", "2", "--log", log)
-    result = khep_twin("view", log, "--save", recording)
-    assert result.returncode == 0, result.stderr
+    good("run", "--seconds", "2", "--log", log)
+    good("view", log, "--save", recording)
     assert recording.read_bytes().startswith(b"RRF2")
 
 

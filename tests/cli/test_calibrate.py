@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from command_line import khep_twin
+from command_line import complaint, good
 from forked import Forked, run_python
 from served_twin import served
 
@@ -38,9 +38,7 @@ def hidden(folder: Path) -> calibration.Calibration:
 def test_a_twin_that_nobody_knows_is_calibrated_by_one_command(tmp_path: Path) -> None:
     robot = hidden(tmp_path)
     words = ["calibrate", "khep://bench.toml?seed=3", "-o", "mine.toml", "--walls", "12,20,26"]
-    done = khep_twin(*words, "--picture", "fit.png", folder=tmp_path)
-    assert done.returncode == 0, done.stderr
-    lines = done.stdout.splitlines()
+    lines = good(*words, "--picture", "fit.png", folder=tmp_path).splitlines()
     assert "step 1 of 6: straight" in lines
     assert "Put the robot with its front 20 mm from a flat white wall, looking straight at it." in lines
     found = calibration.read(str(tmp_path / "mine.toml"))[0]
@@ -52,9 +50,7 @@ def test_a_twin_that_nobody_knows_is_calibrated_by_one_command(tmp_path: Path) -
     recordings = {each.name for each in (tmp_path / "mine-session").iterdir()}
     walls = {"wall-12.csv", "wall-20.csv", "wall-26.csv"}
     assert recordings == {"straight.mcap", "turns.mcap", "duty.mcap", "tests.txt"} | walls
-    kept = khep_twin(*words, folder=tmp_path)
-    assert kept.returncode == 2
-    assert "mine.toml: is there already" in kept.stderr
+    assert "mine.toml: is there already" in complaint(*words, folder=tmp_path, codes=[2])
 
 
 def test_a_person_at_a_served_twin_reads_answers_and_interrupts(tmp_path: Path) -> None:
@@ -97,7 +93,6 @@ def test_a_person_at_a_served_twin_reads_answers_and_interrupts(tmp_path: Path) 
 def test_wrong_options_are_refused_before_the_robot_moves(
     tmp_path: Path, words: list[str], message: str
 ) -> None:
-    done = khep_twin("calibrate", "khep://default", "-o", "mine.toml", *words, folder=tmp_path)
-    assert done.returncode == 1
-    assert message in done.stderr
+    words = ["calibrate", "khep://default", "-o", "mine.toml", *words]
+    assert message in complaint(*words, folder=tmp_path, codes=[1])
     assert list(tmp_path.iterdir()) == []

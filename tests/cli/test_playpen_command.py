@@ -1,13 +1,12 @@
 """The command `khep-twin playpen import`: what it writes, tells and refuses."""
 
 import re
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from command_line import khep_twin
+from command_line import complaint, good, khep_twin
 from drawn_bitmap import drawn, seen_from_above
 from PIL import Image
 from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
@@ -16,10 +15,6 @@ from khep_twin.playpen import Playpen
 
 DRAWN = drawn()
 PAGE = (Path(__file__).parents[2] / "docs" / "import.md").read_text()
-
-
-def command(*arguments: str | int | Path, cwd: Path) -> "subprocess.CompletedProcess[str]":
-    return khep_twin("playpen", *arguments, folder=cwd)
 
 
 @pytest.fixture
@@ -34,18 +29,17 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("file", ["old scan.mat", "scan.mat", "painted.png"])
 def test_scan_and_picture_become_the_playpen_as_it_was_drawn(file: str, folder: Path) -> None:
-    done = command("import", file, "-o", "out.toml", cwd=folder)
-    assert done.returncode == 0, done.stderr
+    good("playpen", "import", file, "-o", "out.toml", folder=folder)
     found = Playpen.load(folder / "out.toml")
     np.testing.assert_array_equal(seen_from_above(found), DRAWN[10:-10, 10:-10])
     assert found.name == Path(file).stem.replace(" ", "-")
     text = (folder / "out.toml").read_text()
     assert text.startswith(f'# Imported from "{file}" by khep-twin playpen import.\n\nversion = 1\n')
-    assert command("check", "out.toml", cwd=folder).returncode == 0
+    good("playpen", "check", "out.toml", folder=folder)
 
 
 def test_the_command_reports_what_it_found_and_made(folder: Path) -> None:
-    assert command("import", "scan.mat", cwd=folder).stdout == (
+    assert good("playpen", "import", "scan.mat", folder=folder) == (
         f"bitmap   btmap1, 500 x 600 pixels of 1 mm, {DRAWN.sum()} of them solid\n"
         "flip     its first row is the bottom (the toolbox's scan turned the right way up); "
         "--no-flip for the other way\n"
@@ -55,32 +49,30 @@ def test_the_command_reports_what_it_found_and_made(folder: Path) -> None:
         "robot    at (290, 240), heading 90 degrees\n"
         "playpen  scan.toml\n"
     )
-    told = command("import", "painted.png", cwd=folder).stdout
+    told = good("playpen", "import", "painted.png", folder=folder)
     assert "flip     its first row is the top; --flip for the other way\n" in told
 
 
 @pytest.mark.parametrize(("file", "option"), [("scan.mat", "--no-flip"), ("painted.png", "--flip")])
 def test_the_other_way_up_is_an_option(file: str, option: str, folder: Path) -> None:
-    assert command("import", file, option, "-o", "out.toml", cwd=folder).returncode == 0
+    good("playpen", "import", file, option, "-o", "out.toml", folder=folder)
     found = Playpen.load(folder / "out.toml")
     np.testing.assert_array_equal(seen_from_above(found), DRAWN[::-1][10:-10, 10:-10])
 
 
 def test_options_name_scale_and_place(folder: Path) -> None:
     words = "--name maze --mm-per-pixel 2 --height-mm 80 --robot 500,240.5,-45 -o out.toml".split()
-    done = command("import", "scan.mat", *words, cwd=folder)
-    assert done.returncode == 0, done.stderr
+    told = good("playpen", "import", "scan.mat", *words, folder=folder)
     found = Playpen.load(folder / "out.toml")
     (robot,) = found.robots
     assert (robot.x_mm, robot.y_mm, robot.heading_deg) == (500, 240.5, -45)
     assert (found.name, found.arena.width_mm, found.arena.wall_thickness_mm) == ("maze", 1160, 20)
     assert {block.height_mm for block in found.blocks} == {80}
-    assert "robot    at (500, 240.5), heading -45 degrees\n" in done.stdout
+    assert "robot    at (500, 240.5), heading -45 degrees\n" in told
 
 
 def test_a_playpen_may_have_no_robot(folder: Path) -> None:
-    done = command("import", "scan.mat", "--robot", "none", cwd=folder)
-    assert "robot    none\n" in done.stdout
+    assert "robot    none\n" in good("playpen", "import", "scan.mat", "--robot", "none", folder=folder)
     assert Playpen.load(folder / "scan.toml").robots == ()
 
 
@@ -115,9 +107,8 @@ def test_what_cannot_be_imported_is_reported_in_one_line_and_nothing_is_written(
     values: dict[str, Any], words: str, line: str, tmp_path: Path
 ) -> None:
     savemat(tmp_path / "x.mat", values)
-    done = command("import", "x.mat", *words.split(), "-o", "out.toml", cwd=tmp_path)
-    assert done.returncode == 1
-    assert done.stderr == f"khep-twin: x.mat: {line}\n"
+    given = ("playpen", "import", "x.mat", *words.split(), "-o", "out.toml")
+    assert complaint(*given, folder=tmp_path, codes=[1]) == f"x.mat: {line}"
     assert not (tmp_path / "out.toml").exists()
 
 
@@ -131,8 +122,7 @@ def test_what_cannot_be_imported_is_reported_in_one_line_and_nothing_is_written(
     ],
 )
 def test_a_mistake_in_the_command_is_reported_in_one_line(words: str, line: str, folder: Path) -> None:
-    done = command("import", *words.split(), cwd=folder)
-    assert (done.returncode, done.stderr) == (1, f"khep-twin: {line}\n")
+    assert complaint("playpen", "import", *words.split(), folder=folder, codes=[1]) == line
 
 
 def test_the_page_on_the_import_reports_what_the_command_does(tmp_path: Path, monkeypatch: Any) -> None:
@@ -140,7 +130,7 @@ def test_the_page_on_the_import_reports_what_the_command_does(tmp_path: Path, mo
     (told,) = re.findall(r"```\n(bitmap .*?)```", PAGE, re.DOTALL)
     monkeypatch.chdir(tmp_path)
     exec(compile(paints, "import.md", "exec"), {})
-    assert command("import", "scan.mat", "-o", "scan.toml", cwd=tmp_path).stdout == told
+    assert good("playpen", "import", "scan.mat", "-o", "scan.toml", folder=tmp_path) == told
     (block,) = Playpen.load(tmp_path / "scan.toml").blocks
     assert (block.x_mm, block.y_mm) == (300, 120)
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from command_line import khep_twin
+from command_line import complaint, good, khep_twin
 from forked import Forked, run_python
 from scipy.io import loadmat
 from served_twin import served
@@ -47,20 +47,6 @@ def controller(robot):
 ACROSS = ("--playpen", "obstacles", "--cycles", "60", "--runs", "4")
 
 
-def good(*words: object, folder: Path) -> str:
-    result = khep_twin(*words, folder=folder)
-    assert result.returncode == 0, result.stderr
-    return result.stdout
-
-
-def complaint(*words: object, folder: Path) -> str:
-    result = khep_twin(*words, folder=folder)
-    assert result.returncode in (1, 2), result.stdout
-    assert result.stderr.startswith("khep-twin: ")
-    assert result.stderr.count("\n") == 1, result.stderr
-    return result.stderr.removeprefix("khep-twin: ").rstrip()
-
-
 def rows(folder: Path) -> list[dict[str, str]]:
     with (folder / "runs.csv").open(newline="") as file:
         return list(csv.DictReader(file))
@@ -92,23 +78,11 @@ def heard(folder: Path, short: bool = False) -> list[dict[str, str]]:
 
 def test_a_script_comes_out_the_same_in_this_process_and_behind_a_terminal(tmp_path: Path) -> None:
     (tmp_path / "learns.py").write_text(LEARNS)
-    length = ("--cycles", "60", "--runs", "4")
-    good(
-        "run",
-        "learns.py",
-        "--playpen",
-        "obstacles",
-        "--noise",
-        "off",
-        *length,
-        "--save",
-        "a",
-        folder=tmp_path,
-    )
-    url = "khep://obstacles?noise=off"
-    good("run", "learns.py", "--port", url, *length, "--save", "b", folder=tmp_path)
+    words = ("run", "learns.py", "--cycles", "60", "--runs", "4")
+    good(*words, "--playpen", "obstacles", "--noise", "off", "--save", "a", folder=tmp_path)
+    good(*words, "--port", "khep://obstacles?noise=off", "--save", "b", folder=tmp_path)
     with served("obstacles", "--noise", "off", "--clock", "wire") as (_, path):
-        good("run", "learns.py", "--port", path, *length, "--save", "c", folder=tmp_path)
+        good(*words, "--port", path, "--save", "c", folder=tmp_path)
     assert heard(tmp_path / "a") == heard(tmp_path / "b") == heard(tmp_path / "c")
     assert [row["speed"] for row in rows(tmp_path / "c")] == ["4", "5", "6", "7"]
     for number in range(1, 5):
@@ -331,20 +305,8 @@ def test_a_terminal_that_closes_and_a_peer_that_goes_are_one_error(tmp_path: Pat
 
 
 def test_starts_have_logs_and_tracks_of_their_own(tmp_path: Path) -> None:
-    words = (
-        "run",
-        "--start",
-        "grid:2x1",
-        "--runs",
-        "3",
-        "--cycles",
-        "9",
-        "--log",
-        "run.mcap",
-        "--picture",
-        "p.svg",
-    )
-    told = good(*words, folder=tmp_path)
+    words = ("--start", "grid:2x1", "--runs", 3, "--cycles", 9, "--log", "run.mcap", "--picture", "p.svg")
+    told = good("run", *words, folder=tmp_path)
     assert "log      run-001.mcap to run-003.mcap" in told
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "p.svg",
@@ -486,13 +448,12 @@ def test_a_function_in_the_toolboxs_form_is_run_in_a_series(tmp_path: Path) -> N
 
 def test_a_function_for_the_toolboxs_simulator_is_run_in_its_own_playpen_or_another(tmp_path: Path) -> None:
     (tmp_path / "tb.py").write_text(TOOLBOX)
-    told = good(
-        "run", "tb.py:samp", "--cycles", 40, "--save", "own", "--on-run-end", "tb.py:user1", folder=tmp_path
-    )
+    words = ("run", "tb.py:samp", "--cycles", 40, "--save")
+    told = good(*words, "own", "--on-run-end", "tb.py:user1", folder=tmp_path)
     assert "40 cycles in 2.0 s" in told
     assert "user1" in told
     # The lamps of two-lamps are seen; in the dark default there are none.
-    good("run", "tb.py:samp", "--cycles", 40, "--save", "dark", "--playpen", "default", folder=tmp_path)
+    good(*words, "dark", "--playpen", "default", folder=tmp_path)
     own, dark = (loadmat(tmp_path / name / "run-001.mat")["light"].min() for name in ("own", "dark"))
     assert own < dark - 20
     told = complaint("run", "tb.py:samp", "--seconds", 5, folder=tmp_path)

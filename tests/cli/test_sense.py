@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from command_line import khep_twin
+from command_line import complaint, good, khep_twin, line_of
 from forked import Forked
 from served_twin import served
 
@@ -31,10 +31,6 @@ heading_deg = 0
 """
 
 
-def sense(*arguments: str | int | Path, cwd: Path) -> "subprocess.CompletedProcess[str]":
-    return khep_twin("sense", *arguments, folder=cwd)
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """One with a playpen, its robot 55 mm before a wall."""
@@ -44,12 +40,9 @@ def folder(tmp_path: Path) -> Path:
 
 def test_a_test_is_written_in_every_form_and_drawn(folder: Path) -> None:
     outputs = [word for suffix in ("csv", "mat", "mcap") for word in ("-o", f"run.{suffix}")]
-    result = sense(
-        "khep://bench.toml?noise=off", "--linear", 5, *outputs, "--picture", "run.png", "--text", "wall",
-        cwd=folder,
-    )  # fmt: skip
-    assert result.returncode == 0, result.stderr
-    assert "left 10        0 to 1023 counts" in result.stdout
+    words = ("--linear", 5, *outputs, "--picture", "run.png", "--text", "wall")
+    told = good("sense", "khep://bench.toml?noise=off", *words, folder=folder)
+    assert "left 10        0 to 1023 counts" in told
     runs = [load(folder / f"run.{suffix}") for suffix in ("csv", "mat", "mcap")]
     assert all((run.dv == runs[0].dv).all() and run.test == runs[0].test for run in runs)
     assert runs[0].dv[-1, 0] == pytest.approx(625, abs=2)
@@ -61,8 +54,8 @@ def test_a_test_is_written_in_every_form_and_drawn(folder: Path) -> None:
 
 
 def test_two_runs_begin_at_the_same_place_and_are_numbered(folder: Path) -> None:
-    result = sense("khep://bench.toml?noise=off", "--linear", 5, "--runs", 2, "-o", "run.csv", cwd=folder)
-    assert result.returncode == 0, result.stderr
+    words = ("--linear", 5, "--runs", 2, "-o", "run.csv")
+    good("sense", "khep://bench.toml?noise=off", *words, folder=folder)
     first, second = load(folder / "run-1.csv"), load(folder / "run-2.csv")
     assert first.test.return_to_zero
     assert not second.test.return_to_zero
@@ -73,21 +66,17 @@ def test_two_runs_begin_at_the_same_place_and_are_numbered(folder: Path) -> None
 def test_earlier_runs_are_drawn_without_a_port_always_the_same(folder: Path) -> None:
     for seed in (1, 2):
         port = f"khep://bench.toml?seed={seed}"
-        assert (
-            sense(port, "--rotate", -90, "--what", "light", "-o", f"{seed}.csv", cwd=folder).returncode == 0
-        )
+        good("sense", port, "--rotate", -90, "--what", "light", "-o", f"{seed}.csv", folder=folder)
     drawn = ["--overlay", "1.csv", "--overlay", "2.csv", "--sensor", "back left", "--y-min", 200, "--grid"]
     for name in ("a.svg", "b.svg"):
-        result = sense(*map(str, drawn), "--picture", name, cwd=folder)
-        assert result.stdout == f"picture  {name}\n", result.stderr
+        assert good("sense", *drawn, "--picture", name, folder=folder) == f"picture  {name}\n"
     assert (folder / "a.svg").read_bytes() == (folder / "b.svg").read_bytes()
 
 
 def test_a_test_that_breaks_off_keeps_its_data_and_reports_why_in_one_line(folder: Path) -> None:
-    result = sense("khep://bench.toml?fault=dead:left", "--linear", 10, "-o", "run.csv", cwd=folder)
-    assert result.returncode == 1
-    assert result.stderr.startswith("khep-twin: the test broke off after ")
-    assert result.stderr.count("\n") == 1
+    words = ("khep://bench.toml?fault=dead:left", "--linear", 10, "-o", "run.csv")
+    line = complaint("sense", *words, folder=folder, codes=[1])
+    assert line.startswith("the test broke off after ")
     assert len(load(folder / "run.csv").dv) > 10
 
 
@@ -151,15 +140,13 @@ def test_a_test_that_is_asked_to_end_keeps_its_data(folder: Path) -> None:
 def test_a_mistake_is_one_line_before_the_robot_moves(
     arguments: list[str], line: str, tmp_path: Path
 ) -> None:
-    result = sense(*arguments, cwd=tmp_path)
-    assert result.returncode == 1
-    assert result.stderr.startswith(f"khep-twin: {line}")
-    assert result.stderr.count("\n") == 1
+    result = khep_twin("sense", *arguments, folder=tmp_path)
+    assert line_of(result, codes=[1]).startswith(line)
     assert not result.stdout
     assert not list(tmp_path.iterdir())
 
 
 def test_a_picture_of_a_kind_that_cannot_be_drawn_is_refused_before_the_robot_moves(tmp_path: Path) -> None:
-    result = sense("khep://default", "--linear", "5", "--picture", "a.gif", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "a.gif: expected a name that ends in .png" in result.stderr
+    words = ("khep://default", "--linear", "5", "--picture", "a.gif")
+    told = complaint("sense", *words, folder=tmp_path, codes=[2])
+    assert "a.gif: expected a name that ends in .png" in told

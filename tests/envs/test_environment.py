@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba_marks import KINDS, with_numba
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.envs.renderer import MapWarning, Renderer
@@ -23,7 +24,6 @@ from khep_twin.episodes import version_check
 from khep_twin.errors import DivergedError, KhepTwinError, MissingExtraError, PlaypenError
 from khep_twin.playpen import Playpen, Spot
 
-HAS_NUMBA = importlib.util.find_spec("numba") is not None
 SHORT = {"seconds": 0.5, "compiled": False}
 
 
@@ -243,7 +243,7 @@ def test_each_of_many_is_the_same_as_a_single_one_with_its_seed() -> None:
     many.close()
 
 
-@pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed")
+@with_numba
 def test_many_compiled_are_the_same_as_in_plain_python() -> None:
     compiled, plain = gyms(3, threads=2, compiled=True), gyms(3, threads=2)
     assert same(compiled.reset(seed=5), plain.reset(seed=5))
@@ -362,12 +362,7 @@ def test_lamps_that_blink_shine_the_same_in_any_number_of_threads() -> None:
     assert all((one == other).all() for one, other in zip(alone, together, strict=True))
 
 
-COMPILED = pytest.param(
-    True, marks=pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed"), id="compiled"
-)
-
-
-@pytest.mark.parametrize("compiled", [False, COMPILED])
+@pytest.mark.parametrize("compiled", KINDS)
 @pytest.mark.parametrize("task", ["ObstacleAvoidance", "Homing"])
 def test_each_of_many_in_the_plane_is_the_same_as_a_single_plain_one(task: str, compiled: bool) -> None:
     many = gyms(3, task=TASKS[task], planar=True, compiled=compiled, vary=True, threads=2)

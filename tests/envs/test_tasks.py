@@ -1,10 +1,10 @@
 """Tasks and their episodes: observations and rewards by seed, without a serial line and in worlds."""
 
 import dataclasses
-import importlib.util
 
 import numpy as np
 import pytest
+from numba_marks import with_numba
 
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
@@ -18,7 +18,6 @@ from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import anywhere
 from khep_twin.world import World
 
-HAS_NUMBA = importlib.util.find_spec("numba") is not None
 SHORT = {"seconds": 0.5, "compiled": False}
 
 
@@ -79,7 +78,7 @@ def test_an_episode_without_a_line_is_the_same_as_in_a_world() -> None:
     assert episode.data.qpos.tolist() == pytest.approx(world.data.qpos.tolist(), abs=1e-9)
 
 
-@pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed")
+@with_numba
 def test_a_compiled_episode_is_the_same_as_a_plain_one() -> None:
     plain = TaskSetup("LightSeeking", seconds=0.5, compiled=False, vary=True)
     compiled = TaskSetup("LightSeeking", seconds=0.5, compiled=True, vary=True)

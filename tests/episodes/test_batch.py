@@ -1,6 +1,5 @@
 """Batches: the same as single episodes, with any number of threads, and one that fails harms no other."""
 
-import importlib.util
 import math
 import tracemalloc
 from dataclasses import replace
@@ -8,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba_marks import KINDS, with_numba
 
 from khep_twin import playpen
 from khep_twin.board.fault_injection import parse_fault
@@ -20,10 +20,6 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.metrics import METRICS
 from khep_twin.errors import ControllerError, PlaypenError
 from khep_twin.playpen import Lamp, Playpen
-
-HAS_NUMBA = importlib.util.find_spec("numba") is not None
-with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed")
-KINDS = [pytest.param(False, id="plain"), pytest.param(True, id="compiled", marks=with_numba)]
 
 SCENE = Playpen.load("obstacles")
 NETWORK = Network(hidden=(4,), recurrent=True, ambient=True)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba_marks import KINDS, with_numba
 
 from khep_twin import playpen, rollout
 from khep_twin.board import kernel
@@ -22,10 +23,6 @@ from khep_twin.playpen import Playpen
 from khep_twin.sensing.seen_surfaces import N_COLUMNS
 from khep_twin.units import COUNTS_LIMIT
 from khep_twin.world import World
-
-HAS_NUMBA = importlib.util.find_spec("numba") is not None
-with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed")
-KINDS = [pytest.param(False, id="plain"), pytest.param(True, id="compiled", marks=with_numba)]
 
 SHADOWS = """
 [[lamp]]

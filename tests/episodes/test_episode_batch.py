@@ -1,9 +1,8 @@
 """Episodes side by side: the results of the single ones, bit for bit, and their failures."""
 
-import importlib.util
-
 import numpy as np
 import pytest
+from numba_marks import KINDS
 
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_batch import EpisodeBatch
@@ -12,13 +11,6 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Playpen
 
 PERIOD_NS = 50_000_000
-COMPILED = [
-    False,
-    pytest.param(
-        True,
-        marks=pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="numba is not installed"),
-    ),
-]
 
 
 def speeds(n_steps: int, count: int) -> np.ndarray:
@@ -54,7 +46,7 @@ def assert_alone_the_same(setup: EpisodeSetup, batch: EpisodeBatch, n_steps: int
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-@pytest.mark.parametrize("compiled", COMPILED)
+@pytest.mark.parametrize("compiled", KINDS)
 @pytest.mark.parametrize("planar", [False, True])
 def test_episodes_side_by_side_are_the_same_as_alone(planar: bool, compiled: bool, threads: int) -> None:
     setup = EpisodeSetup(Playpen.load("obstacles"), period_ns=PERIOD_NS, planar=planar)
@@ -73,7 +65,7 @@ def nearly_empty() -> Playpen:
     return scene.model_copy(update={"robots": (robot,)})
 
 
-@pytest.mark.parametrize("compiled", COMPILED)
+@pytest.mark.parametrize("compiled", KINDS)
 @pytest.mark.parametrize("scene", [blinking, nearly_empty])
 def test_lamps_that_blink_and_a_processor_that_stops_are_the_same_side_by_side(
     scene: object, compiled: bool
@@ -82,7 +74,7 @@ def test_lamps_that_blink_and_a_processor_that_stops_are_the_same_side_by_side(
     assert_alone_the_same(setup, together(setup, 2, 6, 1, compiled), 6)
 
 
-@pytest.mark.parametrize("compiled", COMPILED)
+@pytest.mark.parametrize("compiled", KINDS)
 def test_a_speed_that_is_no_number_is_the_failure_of_one_episode(compiled: bool) -> None:
     setup = EpisodeSetup(Playpen.load("obstacles"), period_ns=PERIOD_NS, planar=True)
     batch = EpisodeBatch([Episode(setup, compiled=compiled) for _ in range(3)], 1)

@@ -1,10 +1,9 @@
 """The line image in a plane is that of MuJoCo's scene."""
 
-import importlib.util
-
 import mujoco
 import numpy as np
 import pytest
+from numba_marks import KINDS
 
 from khep_twin import playpen as playpens
 from khep_twin.episodes.episode_setup import EpisodeSetup
@@ -43,10 +42,8 @@ def test_the_lens_is_where_the_turret_has_it() -> None:
     assert (x - world.robots[0].pose[0], height) == pytest.approx((K213_EYE_AHEAD, K213_EYE_HEIGHT), abs=1e-5)
 
 
-@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("compiled", KINDS)
 def test_a_plane_shows_what_mujoco_does(compiled: bool) -> None:
-    if compiled and importlib.util.find_spec("numba") is None:
-        pytest.skip("numba is not installed")
     setup = EpisodeSetup(bare(PARTS), planar=True)
     assert setup.planar_scene is not None
     world = PlanarWorld(setup.scene_model, setup.planar_scene)

@@ -1,10 +1,10 @@
 """Lives in a plane: ways against closed form, counts against MuJoCo, the same bits however they run."""
 
-import importlib.util
 import math
 
 import numpy as np
 import pytest
+from numba_marks import with_numba
 from test_batch import same
 
 from khep_twin import playpen, units
@@ -20,12 +20,10 @@ from khep_twin.episodes.planar.planar import PlanarScene
 from khep_twin.episodes.planar.planar_world import PlanarForms, PlanarWorld
 from khep_twin.episodes.planar.plane import TOUCHED, distance_to, nearest
 from khep_twin.playpen import Playpen
+from khep_twin.playpen.starts import Start
 from khep_twin.sensing.optics import proximity_counts
 from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensing.seen_surfaces import Chip
-
-HAS_NUMBA = importlib.util.find_spec("numba") is not None
-with_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed")
 
 OPEN = """
 version = 1
@@ -80,6 +78,17 @@ def drive(backend: PlanarForms, left: float, right: float, steps: int) -> None:
     robot.ctrl[0], robot.ctrl[1] = left, right
     for _ in range(steps):
         step(backend.plane)
+
+
+def end_of(
+    planar: bool, left: int, right: int, seconds: float, start: Start | None = None
+) -> tuple[float, float, float]:
+    """Pose at the end of a drive at constant speeds in the default playpen."""
+    setup = EpisodeSetup(Playpen.load("default"), planar=planar)
+    episode = Episode(setup, ConstantSpeed(left, right), compiled=False)
+    episode.begin(options=EpisodeOptions(noise=False, start=start))
+    episode.run(seconds)
+    return episode.pose
 
 
 def test_a_robot_straight_on_follows_its_voltage_as_one_lag() -> None:
@@ -189,14 +198,7 @@ def test_the_disc_is_never_in_anything_however_it_is_driven() -> None:
 
 
 def test_a_robot_slides_along_a_wall_as_in_mujoco() -> None:
-    ends: list[tuple[float, float, float]] = []
-    for planar in (False, True):
-        episode = Episode(
-            EpisodeSetup(Playpen.load("default"), planar=planar), ConstantSpeed(10, 10), compiled=False
-        )
-        episode.begin(options=EpisodeOptions(noise=False, start=(150.0, 40.0, -20.0)))
-        episode.run(0.8)
-        ends.append(episode.pose)
+    ends = [end_of(planar, 10, 10, 0.8, (150.0, 40.0, -20.0)) for planar in (False, True)]
     assert ends[1][1] == pytest.approx(units.BODY_RADIUS, abs=1e-9)
     assert ends[1][:2] == pytest.approx(ends[0][:2], abs=0.0015)
     assert ends[0][0] > 0.19
@@ -205,13 +207,7 @@ def test_a_robot_slides_along_a_wall_as_in_mujoco() -> None:
 
 @pytest.mark.parametrize("heading_deg", [0, 20, 45, 60])
 def test_a_robot_that_drives_into_a_wall_turns_to_it_as_in_mujoco(heading_deg: float) -> None:
-    ends: list[tuple[float, float, float]] = []
-    for planar in (False, True):
-        episode = Episode(EpisodeSetup(Playpen.load("default"), planar=planar), compiled=False)
-        episode.begin(options=EpisodeOptions(noise=False, start=(560.0, 200.0, heading_deg)))
-        episode.drive(5, 5)
-        episode.run(2.0)
-        ends.append(episode.pose)
+    ends = [end_of(planar, 5, 5, 2.0, (560.0, 200.0, heading_deg)) for planar in (False, True)]
     assert ends[0][0] > 0.572
     assert ends[1][:2] == pytest.approx(ends[0][:2], abs=6e-4)
     assert ends[1][2] == pytest.approx(ends[0][2], abs=0.02)
@@ -304,14 +300,7 @@ def test_leaving_out_what_is_not_near_changes_no_count(name: str) -> None:
 
 
 def test_a_episode_in_a_plane_goes_about_mujocos_way() -> None:
-    ends = []
-    for planar in (False, True):
-        episode = Episode(
-            EpisodeSetup(Playpen.load("default"), planar=planar), ConstantSpeed(8, 6), compiled=False
-        )
-        episode.begin(options=EpisodeOptions(noise=False))
-        episode.run(3.0)
-        ends.append(episode.pose)
+    ends = [end_of(planar, 8, 6, 3.0) for planar in (False, True)]
     assert ends[1][:2] == pytest.approx(ends[0][:2], abs=5e-4)
     assert ends[1][2] == pytest.approx(ends[0][2], abs=0.005)
 

@@ -1,10 +1,10 @@
 """Movable things in a plane: sliding against closed form, pushing against MuJoCo, the same bits compiled."""
 
-import importlib.util
 import math
 
 import numpy as np
 import pytest
+from numba_marks import with_numba
 
 from khep_twin import playpen, units
 from khep_twin.episodes.batch import rollout
@@ -17,8 +17,6 @@ from khep_twin.episodes.planar.motion import step
 from khep_twin.episodes.planar.planar_world import PlanarForms
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
-
-with_numba = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="numba is not installed")
 
 ARENA = """
 version = 1

@@ -171,6 +171,151 @@ def test_no_lane_between_the_obstacles_is_narrower_than_90_mm() -> None:
 SURFACES = "(choices: white, grey, black, wood, styropor, sponge, copper, lego)"
 PLACE = "expected a number from 0 to 10000"
 
+WRONG_IN_ARENA = {
+    "widht_mm = 3\n": "arena: widht_mm = 3: unknown key; did you mean 'width_mm'? (choices: "
+    "width_mm, height_mm, outline_mm, wall_height_mm, wall_thickness_mm, surface, stripes)",
+    'surface = "whit"\n': f"arena: surface = \"whit\": unknown; did you mean 'white'? {SURFACES}",
+    "[block]\nx_mm = 1\n": "block; expected [[block]], in two brackets each",
+    BLOCK.replace("120", "nan"): f"block 1: x_mm = nan; {PLACE}",
+    BLOCK.replace("120", "inf"): f"block 1: x_mm = inf; {PLACE}",
+    BLOCK.replace("120", "true"): f"block 1: x_mm = true; {PLACE}",
+    BLOCK.replace("120", "-1"): f"block 1: x_mm = -1; {PLACE}",
+    BLOCK.replace("120", "1979-05-27"): f"block 1: x_mm = 1979-05-27; {PLACE}",
+    BLOCK.replace("120", "650"): "block 1: x_mm = 650: outside the arena; expected 0 to 600",
+    BLOCK.replace("y_mm = 200\n", ""): "block 1: y_mm is missing; expected a number from 0 to 10000",
+    BLOCK.replace("60", "0"): "block 1: length_mm = 0; expected a number from 1 to 10000",
+    BLOCK.replace("= 50", "= 1001"): "block 1: height_mm = 1001; expected a number from 1 to 1000",
+    BLOCK + "angle_deg = 400\n": "block 1: angle_deg = 400; expected a number from -360 to 360",
+    BLOCK + "heigth_mm = 50\n": "block 1: heigth_mm = 50: unknown key; did you mean 'height_mm'? "
+    "(choices: name, x_mm, y_mm, angle_deg, length_mm, width_mm, height_mm, surface, stripes, movable, "
+    "mass_g)",
+    BLOCK + BLOCK + "movable = 1\n": "block 2: movable = 1; expected true or false",
+    BLOCK + 'name = ""\n': "block 1: name = \"\"; expected 1 to 64 letters, digits, '_' or '-'",
+    BLOCK + 'name = "b"\nsurface = "velvet"\n': f'block 1 (b): surface = "velvet": unknown; {SURFACES}',
+    CYLINDER + "movable = true\nmass_g = 0\n": "cylinder 1: mass_g = 0; expected a number from 1 to 10000",
+    CYLINDER.replace("12.5", "12,5"): "not TOML: Expected newline or end of document after a "
+    "statement (at line 9, column 15)",
+    CYLINDER + "x_mm = 4\n": "not TOML: Cannot overwrite a value (at line 11, column 9)",
+    LAMP.replace("7", "2000"): "lamp 1: power_w = 2000; expected a number from 0 to 1000",
+    LAMP + "z_mm = 0\n": "lamp 1: z_mm = 0; expected a number from 1 to 1000",
+    LAMP.replace("450", "501"): "lamp 1: y_mm = 501: outside the arena; expected 0 to 500",
+    LAMP + "blink_duty = 2\n": "lamp 1: blink_duty = 2; expected a number from 0 to 1",
+    LAMP + "dim = -1\n": "lamp 1: dim = -1; expected a number from 0 to 1",
+    "[lighting]\nmax_angle_deg = 0\n": "lighting: max_angle_deg = 0; expected a number from 1 to 180",
+    '[lighting]\nmode = "al"\n': "lighting: mode = \"al\": unknown; did you mean 'all'? "
+    "(choices: all, random, sequenced)",
+    ROBOT.replace("heading", "haeding"): "robot 1: heading_deg is missing; expected a number from "
+    "-360 to 360",
+    ROBOT + 'model = "khepera3"\n': 'robot 1: model = "khepera3": unknown; did you mean '
+    "'khepera2'? (choices: khepera1, khepera2)",
+    ROBOT.replace("300", "30") + 'model = "khepera2"\n': "robot 1 at (30, 250) overlaps the left "
+    "wall at x = 0; expected 5 mm further in",
+    ROBOT + "mode = 4\n": "robot 1: mode = 4: mode 4 runs a user's program from the "
+    "robot's memory, and the twin runs no machine code; expected a running mode that the twin has "
+    "(0, 1, 2, 3, 7)",
+    ROBOT + 'mode = "1"\n': 'robot 1: mode = "1"; expected an integer from 0 to 15',
+    ROBOT
+    + "rom = 5.02\n": "robot 1: rom = 5.02: unknown; did you mean '5.02'? (choices: 5.02, 4.06, khepera2)",
+    "[radio]\nloss = 1.1\n" + ROBOT: "radio: loss = 1.1; expected a number from 0 to 1",
+    "[radio]\nrange_mm = -1\n" + ROBOT: "radio: range_mm = -1; expected a number from 0 to 100000",
+    "[radio]\nair_time_ms = 0\n" + ROBOT: "radio: air_time_ms = 0; expected a number above 0 up to 10000",
+    "[radio]\nrange = 5\n"
+    + ROBOT: "radio: range = 5: unknown key; did you mean 'range_mm'? (choices: range_mm, loss, air_time_ms)",
+    ROBOT + 'turrets = ["griper"]\n': "robot 1: turrets = ['griper']: unknown turret 'griper'; "
+    f"did you mean 'gripper'? (choices: {', '.join(installed())})",
+    ROBOT
+    + 'turrets = ["gripper", "gripper"]\n': "robot 1: turrets = ['gripper', 'gripper']: turret 'gripper' is "
+    "named twice",
+    ROBOT + "battery_used_min = -1\n": "robot 1: battery_used_min = -1; expected a number from 0 to 1000",
+    ROBOT + 'turrets = "gripper"\n': 'robot 1: turrets = "gripper"; expected names, such as ["gripper"]',
+    ROBOT + 'calibration = ""\n': 'robot 1: calibration = ""; expected the name of a calibration, or '
+    "the path of a file",
+    CARDBOARD.replace("cardboard", "white"): "surfaces white: built in; expected a name other than "
+    "white, grey, black, wood, styropor, sponge, copper, lego",
+    CARDBOARD.replace("0.6", "2.5"): "surfaces cardboard: reflectance = 2.5; expected a number from 0 to 2",
+    CARDBOARD.replace("180", "256"): "surfaces cardboard: rgb 1 = 256; expected three integers from 0 to 255",
+    CARDBOARD.replace("180, ", ""): "surfaces cardboard: rgb 3 is missing; expected three "
+    "integers from 0 to 255",
+    CARDBOARD.replace("cardboard", '"card board"'): 'surfaces: "card board" is no name; expected 1 '
+    "to 64 letters, digits, '_' or '-'",
+    ROBOT.replace("300", "20"): "robot 1 at (20, 250) overlaps the left wall at x = 0; expected "
+    "7.5 mm further in",
+    ROBOT.replace("250", "480.25"): "robot 1 at (300, 480.25) overlaps the top wall at y = 500; "
+    "expected 7.8 mm further in",
+    ROBOT + ROBOT.replace("300", "350"): "robot 2 at (350, 250) overlaps robot 1 at (300, 250); "
+    "expected a place clear of it",
+    BLOCK.replace("120", "290")
+    + "angle_deg = 60\n"
+    + ROBOT: "robot 1 at (300, 250) overlaps block 1 at (290, 200); expected a place clear of it",
+    LAMP.replace("50\ny_mm = 450", "330\ny_mm = 250")
+    + ROBOT: "robot 1 at (300, 250) overlaps lamp 1 at (330, 250); expected a place clear of it",
+    BLOCK + 'name = "wall"\n' + BLOCK.replace("120", "150") + 'movable = true\nname = "box"\n': "block "
+    "2 (box) at (150, 200) overlaps block 1 (wall) at (120, 200); expected a place clear of it",
+    CYLINDER.replace("400", "595") + "movable = true\n": "cylinder 1 at (595, 250) overlaps the right "
+    "wall at x = 600; expected 7.5 mm further in",
+    "outline_mm = [[0, 0], [600, 0]]\n": "arena: outline_mm: 2 corners; expected 3 to 200",
+    "outline_mm = [[0, 0], [700, 0], [0, 500]]\n": "arena: outline_mm 2: 700: outside width and "
+    "height; expected 0 to 600",
+    "outline_mm = [[0, 0], [0, 0], [0, 500]]\n": "arena: outline_mm 1: same as the next "
+    "corner; expected each corner once",
+    "outline_mm = [[0, 0], [600, 500], [600, 0], [0, 500]]\n": "arena: outline_mm: edges 1 and 3 "
+    "meet; expected an outline that does not cross or touch itself",
+    "outline_mm = [[0, 0], [100, 0], [100, 50], [0, 50]]\n": "arena: outline_mm: 5000 mm2; "
+    "expected at least 10000",
+    "outline_mm = [[0, 0, 0], [100, 0], [100, 50]]\n": "arena: outline_mm 1; expected corners, "
+    "such as [[0, 0], [600, 0], [300, 500]]",
+    TRIANGLE + ROBOT.replace("300", "500").replace("250", "400"): "robot 1 at (500, 400) is "
+    "outside the arena's outline; expected a place within it",
+    TRIANGLE + ROBOT.replace("300", "100").replace("250", "390"): "robot 1 at (100, 390) overlaps "
+    "the wall after corner 2; expected a place further in",
+    "[[wall]]\npoints_mm = [[10, 10]]\n": "wall 1: points_mm; expected at least two points, such "
+    "as [[100, 100], [100, 300]]",
+    "[[wall]]\npoints_mm = [[10, 10], [10, 10]]\n": "wall 1: points_mm 1: same as the next "
+    "point; expected each point once",
+    WALL.replace("300, 100", "700, 100"): "wall 1: points_mm 2: 700: outside the arena; expected 0 to 600",
+    WALL + ROBOT.replace("250", "120"): "robot 1 at (300, 120) overlaps wall 1 at (200, 100); "
+    "expected a place clear of it",
+    "wall_height_mm = 14\n"
+    + ROBOT: "arena: wall_height_mm = 14: a robot drives over it at full speed; expected at least 15",
+    "wall_height_mm = 20\n" + ROBOT + 'turrets = ["gripper"]\n': "arena: wall_height_mm = 20: a "
+    "robot with a turret topples over it at full speed; expected at least 30",
+    "wall_thickness_mm = 9\n"
+    + CYLINDER
+    + "movable = true\n"
+    + ROBOT: "arena: wall_thickness_mm = 9: a robot presses movable things through it; expected at least 10",
+    CYLINDER
+    + "movable = true\nmass_g = 4\n"
+    + ROBOT: "cylinder 1: mass_g = 4: a robot presses it through walls; expected at least 5",
+    WALL + 'surface = "velvet"\n': f'wall 1: surface = "velvet": unknown; {SURFACES}',
+    "[[patch]]\nx_mm = 1\ny_mm = 1\nradius_mm = 9\nwidth_mm = 9\n": "patch 1: neither disc nor "
+    "rectangle; expected radius_mm alone, or length_mm and width_mm",
+    "[[patch]]\nx_mm = 1\ny_mm = 1\n": "patch 1: neither disc nor rectangle; expected radius_mm "
+    "alone, or length_mm and width_mm",
+    "[[spot]]\nx_mm = 1\ny_mm = 1\nheading_deg = 0\n": "spot 1: name is missing; expected 1 to "
+    "64 letters, digits, '_' or '-'",
+    SPOT.replace("250", "10"): "spot 1 (a) at (300, 10) overlaps the bottom wall at y = 0; "
+    "expected 17.5 mm further in",
+    SPOT + '[[robot]]\nspots = ["b"]\nx_mm = 300\ny_mm = 250\nheading_deg = 0\n': "robot 1: "
+    'spots: "b": unknown; (choices: a)',
+    '[[robot]]\nspots = ["b"]\n': 'robot 1: spots: "b": unknown; (choices: none)',
+    SPOT + SPOT.replace("300", "100"): 'spot 2 (a): name = "a": taken by spot 1 (a); expected a unique name',
+    LAMP + "on_s = [[5, 2]]\n": "lamp 1: on_s = [5, 2]; expected times that rise, from 0 on",
+    LAMP + "on_s = [[1, 4], [2, 5]]\n": "lamp 1: on_s = [2, 5]; expected times that rise, from 4 on",
+    LAMP + "rgb = [1, 2]\n": "lamp 1: rgb 3 is missing; expected three integers from 0 to 255",
+    BLOCK
+    + 'name = "a"\n'
+    + LAMP
+    + 'name = "a"\n': 'lamp 1 (a): name = "a": taken by block 1 (a); expected a unique name',
+    SPOT
+    + '[[robot]]\nname = "r"\nspots = ["a"]\n'
+    * 2: 'robot 2 (r): name = "r": taken by robot 1 (r); expected a unique name',
+    "[[patch]]\nx_mm = 9999\ny_mm = 99\nradius_mm = 9\n": "patch 1: x_mm = 9999: outside the arena; "
+    "expected 0 to 600",
+    '[[patch]]\nname = "q"\nx_mm = 99\ny_mm = 99\nradius_mm = 9\n' * 2: 'patch 2 (q): name = "q": taken '
+    "by patch 1 (q); expected a unique name",
+}
+"""What follows a good head and arena, and what is wrong with it."""
+
 WRONG = {
     "": "name is missing; expected 1 to 64 letters, digits, '_' or '-'",
     HEAD: "arena is missing; expected a table",
@@ -182,268 +327,10 @@ WRONG = {
     + "wdith = 3\n"
     + ARENA: f"wdith = 3: unknown key; (choices: {', '.join(playpens.schema()['properties'])})",
     HEAD + "arena = 3\n": "arena = 3; expected a table",
-    HEAD + ARENA + "widht_mm = 3\n": "arena: widht_mm = 3: unknown key; did you mean 'width_mm'? (choices: "
-    "width_mm, height_mm, outline_mm, wall_height_mm, wall_thickness_mm, surface, stripes)",
     HEAD + ARENA.replace("600", "60"): "arena: width_mm = 60; expected a number from 100 to 10000",
     HEAD + ARENA.replace("600", "20000"): "arena: width_mm = 20000; expected a number from 100 to 10000",
     HEAD + ARENA.replace("500", '"500"'): 'arena: height_mm = "500"; expected a number from 100 to 10000',
-    HEAD
-    + ARENA
-    + 'surface = "whit"\n': f"arena: surface = \"whit\": unknown; did you mean 'white'? {SURFACES}",
-    HEAD + ARENA + "[block]\nx_mm = 1\n": "block; expected [[block]], in two brackets each",
-    HEAD + ARENA + BLOCK.replace("120", "nan"): f"block 1: x_mm = nan; {PLACE}",
-    HEAD + ARENA + BLOCK.replace("120", "inf"): f"block 1: x_mm = inf; {PLACE}",
-    HEAD + ARENA + BLOCK.replace("120", "true"): f"block 1: x_mm = true; {PLACE}",
-    HEAD + ARENA + BLOCK.replace("120", "-1"): f"block 1: x_mm = -1; {PLACE}",
-    HEAD + ARENA + BLOCK.replace("120", "1979-05-27"): f"block 1: x_mm = 1979-05-27; {PLACE}",
-    HEAD + ARENA + BLOCK.replace("120", "650"): "block 1: x_mm = 650: outside the arena; expected 0 to 600",
-    HEAD
-    + ARENA
-    + BLOCK.replace("y_mm = 200\n", ""): "block 1: y_mm is missing; expected a number from 0 to 10000",
-    HEAD + ARENA + BLOCK.replace("60", "0"): "block 1: length_mm = 0; expected a number from 1 to 10000",
-    HEAD
-    + ARENA
-    + BLOCK.replace("= 50", "= 1001"): "block 1: height_mm = 1001; expected a number from 1 to 1000",
-    HEAD
-    + ARENA
-    + BLOCK
-    + "angle_deg = 400\n": "block 1: angle_deg = 400; expected a number from -360 to 360",
-    HEAD
-    + ARENA
-    + BLOCK
-    + "heigth_mm = 50\n": "block 1: heigth_mm = 50: unknown key; did you mean 'height_mm'? "
-    "(choices: name, x_mm, y_mm, angle_deg, length_mm, width_mm, height_mm, surface, stripes, movable, "
-    "mass_g)",
-    HEAD + ARENA + BLOCK + BLOCK + "movable = 1\n": "block 2: movable = 1; expected true or false",
-    HEAD
-    + ARENA
-    + BLOCK
-    + 'name = ""\n': "block 1: name = \"\"; expected 1 to 64 letters, digits, '_' or '-'",
-    HEAD
-    + ARENA
-    + BLOCK
-    + 'name = "b"\nsurface = "velvet"\n': f'block 1 (b): surface = "velvet": unknown; {SURFACES}',
-    HEAD
-    + ARENA
-    + CYLINDER
-    + "movable = true\nmass_g = 0\n": "cylinder 1: mass_g = 0; expected a number from 1 to 10000",
-    HEAD + ARENA + CYLINDER.replace("12.5", "12,5"): "not TOML: Expected newline or end of document after a "
-    "statement (at line 9, column 15)",
-    HEAD + ARENA + CYLINDER + "x_mm = 4\n": "not TOML: Cannot overwrite a value (at line 11, column 9)",
-    HEAD + ARENA + LAMP.replace("7", "2000"): "lamp 1: power_w = 2000; expected a number from 0 to 1000",
-    HEAD + ARENA + LAMP + "z_mm = 0\n": "lamp 1: z_mm = 0; expected a number from 1 to 1000",
-    HEAD + ARENA + LAMP.replace("450", "501"): "lamp 1: y_mm = 501: outside the arena; expected 0 to 500",
-    HEAD + ARENA + LAMP + "blink_duty = 2\n": "lamp 1: blink_duty = 2; expected a number from 0 to 1",
-    HEAD + ARENA + LAMP + "dim = -1\n": "lamp 1: dim = -1; expected a number from 0 to 1",
-    HEAD + ARENA + "[lighting]\nmax_angle_deg = 0\n": "lighting: max_angle_deg = 0; expected a number from 1 "
-    "to 180",
-    HEAD + ARENA + '[lighting]\nmode = "al"\n': "lighting: mode = \"al\": unknown; did you mean 'all'? "
-    "(choices: all, random, sequenced)",
-    HEAD
-    + ARENA
-    + ROBOT.replace("heading", "haeding"): "robot 1: heading_deg is missing; expected a number from "
-    "-360 to 360",
-    HEAD + ARENA + ROBOT + 'model = "khepera3"\n': 'robot 1: model = "khepera3": unknown; did you mean '
-    "'khepera2'? (choices: khepera1, khepera2)",
-    HEAD
-    + ARENA
-    + ROBOT.replace("300", "30")
-    + 'model = "khepera2"\n': "robot 1 at (30, 250) overlaps the left "
-    "wall at x = 0; expected 5 mm further in",
-    HEAD + ARENA + ROBOT + "mode = 4\n": "robot 1: mode = 4: mode 4 runs a user's program from the "
-    "robot's memory, and the twin runs no machine code; expected a running mode that the twin has "
-    "(0, 1, 2, 3, 7)",
-    HEAD + ARENA + ROBOT + 'mode = "1"\n': 'robot 1: mode = "1"; expected an integer from 0 to 15',
-    HEAD
-    + ARENA
-    + ROBOT
-    + "rom = 5.02\n": "robot 1: rom = 5.02: unknown; did you mean '5.02'? (choices: 5.02, 4.06, khepera2)",
-    HEAD + "[radio]\nloss = 1.1\n" + ARENA + ROBOT: "radio: loss = 1.1; expected a number from 0 to 1",
-    HEAD
-    + "[radio]\nrange_mm = -1\n"
-    + ARENA
-    + ROBOT: "radio: range_mm = -1; expected a number from 0 to 100000",
-    HEAD
-    + "[radio]\nair_time_ms = 0\n"
-    + ARENA
-    + ROBOT: "radio: air_time_ms = 0; expected a number above 0 up to 10000",
-    HEAD
-    + "[radio]\nrange = 5\n"
-    + ARENA
-    + ROBOT: "radio: range = 5: unknown key; did you mean 'range_mm'? (choices: range_mm, loss, air_time_ms)",
-    HEAD
-    + ARENA
-    + ROBOT
-    + 'turrets = ["griper"]\n': "robot 1: turrets = ['griper']: unknown turret 'griper'; "
-    f"did you mean 'gripper'? (choices: {', '.join(installed())})",
-    HEAD
-    + ARENA
-    + ROBOT
-    + 'turrets = ["gripper", "gripper"]\n': "robot 1: turrets = ['gripper', 'gripper']: turret 'gripper' is "
-    "named twice",
-    HEAD + ARENA + ROBOT + "battery_used_min = -1\n": "robot 1: battery_used_min = -1; expected a number "
-    "from 0 to 1000",
-    HEAD + ARENA + ROBOT + 'turrets = "gripper"\n': 'robot 1: turrets = "gripper"; expected names, '
-    'such as ["gripper"]',
-    HEAD
-    + ARENA
-    + ROBOT
-    + 'calibration = ""\n': 'robot 1: calibration = ""; expected the name of a calibration, or '
-    "the path of a file",
-    HEAD
-    + ARENA
-    + CARDBOARD.replace("cardboard", "white"): "surfaces white: built in; expected a name other than "
-    "white, grey, black, wood, styropor, sponge, copper, lego",
-    HEAD
-    + ARENA
-    + CARDBOARD.replace("0.6", "2.5"): "surfaces cardboard: reflectance = 2.5; expected a number from 0 to 2",
-    HEAD
-    + ARENA
-    + CARDBOARD.replace("180", "256"): "surfaces cardboard: rgb 1 = 256; expected three integers "
-    "from 0 to 255",
-    HEAD + ARENA + CARDBOARD.replace("180, ", ""): "surfaces cardboard: rgb 3 is missing; expected three "
-    "integers from 0 to 255",
-    HEAD
-    + ARENA
-    + CARDBOARD.replace("cardboard", '"card board"'): 'surfaces: "card board" is no name; expected 1 '
-    "to 64 letters, digits, '_' or '-'",
-    HEAD
-    + ARENA
-    + ROBOT.replace("300", "20"): "robot 1 at (20, 250) overlaps the left wall at x = 0; expected "
-    "7.5 mm further in",
-    HEAD
-    + ARENA
-    + ROBOT.replace("250", "480.25"): "robot 1 at (300, 480.25) overlaps the top wall at y = 500; "
-    "expected 7.8 mm further in",
-    HEAD
-    + ARENA
-    + ROBOT
-    + ROBOT.replace("300", "350"): "robot 2 at (350, 250) overlaps robot 1 at (300, 250); "
-    "expected a place clear of it",
-    HEAD
-    + ARENA
-    + BLOCK.replace("120", "290")
-    + "angle_deg = 60\n"
-    + ROBOT: "robot 1 at (300, 250) overlaps block 1 at (290, 200); expected a place clear of it",
-    HEAD
-    + ARENA
-    + LAMP.replace("50\ny_mm = 450", "330\ny_mm = 250")
-    + ROBOT: "robot 1 at (300, 250) overlaps lamp 1 at (330, 250); expected a place clear of it",
-    HEAD
-    + ARENA
-    + BLOCK
-    + 'name = "wall"\n'
-    + BLOCK.replace("120", "150")
-    + 'movable = true\nname = "box"\n': "block "
-    "2 (box) at (150, 200) overlaps block 1 (wall) at (120, 200); expected a place clear of it",
-    HEAD
-    + ARENA
-    + CYLINDER.replace("400", "595")
-    + "movable = true\n": "cylinder 1 at (595, 250) overlaps the right "
-    "wall at x = 600; expected 7.5 mm further in",
-    HEAD + ARENA + "outline_mm = [[0, 0], [600, 0]]\n": "arena: outline_mm: 2 corners; expected 3 to 200",
-    HEAD
-    + ARENA
-    + "outline_mm = [[0, 0], [700, 0], [0, 500]]\n": "arena: outline_mm 2: 700: outside width and "
-    "height; expected 0 to 600",
-    HEAD + ARENA + "outline_mm = [[0, 0], [0, 0], [0, 500]]\n": "arena: outline_mm 1: same as the next "
-    "corner; expected each corner once",
-    HEAD
-    + ARENA
-    + "outline_mm = [[0, 0], [600, 500], [600, 0], [0, 500]]\n": "arena: outline_mm: edges 1 and 3 "
-    "meet; expected an outline that does not cross or touch itself",
-    HEAD + ARENA + "outline_mm = [[0, 0], [100, 0], [100, 50], [0, 50]]\n": "arena: outline_mm: 5000 mm2; "
-    "expected at least 10000",
-    HEAD
-    + ARENA
-    + "outline_mm = [[0, 0, 0], [100, 0], [100, 50]]\n": "arena: outline_mm 1; expected corners, "
-    "such as [[0, 0], [600, 0], [300, 500]]",
-    HEAD + ARENA + TRIANGLE + ROBOT.replace("300", "500").replace("250", "400"): "robot 1 at (500, 400) is "
-    "outside the arena's outline; expected a place within it",
-    HEAD
-    + ARENA
-    + TRIANGLE
-    + ROBOT.replace("300", "100").replace("250", "390"): "robot 1 at (100, 390) overlaps "
-    "the wall after corner 2; expected a place further in",
-    HEAD
-    + ARENA
-    + "[[wall]]\npoints_mm = [[10, 10]]\n": "wall 1: points_mm; expected at least two points, such "
-    "as [[100, 100], [100, 300]]",
-    HEAD + ARENA + "[[wall]]\npoints_mm = [[10, 10], [10, 10]]\n": "wall 1: points_mm 1: same as the next "
-    "point; expected each point once",
-    HEAD
-    + ARENA
-    + WALL.replace("300, 100", "700, 100"): "wall 1: points_mm 2: 700: outside the arena; expected 0 to 600",
-    HEAD + ARENA + WALL + ROBOT.replace("250", "120"): "robot 1 at (300, 120) overlaps wall 1 at (200, 100); "
-    "expected a place clear of it",
-    HEAD
-    + ARENA
-    + "wall_height_mm = 14\n"
-    + ROBOT: "arena: wall_height_mm = 14: a robot drives over it at full speed; expected at least 15",
-    HEAD
-    + ARENA
-    + "wall_height_mm = 20\n"
-    + ROBOT
-    + 'turrets = ["gripper"]\n': "arena: wall_height_mm = 20: a "
-    "robot with a turret topples over it at full speed; expected at least 30",
-    HEAD
-    + ARENA
-    + "wall_thickness_mm = 9\n"
-    + CYLINDER
-    + "movable = true\n"
-    + ROBOT: "arena: wall_thickness_mm = 9: a robot presses movable things through it; expected at least 10",
-    HEAD
-    + ARENA
-    + CYLINDER
-    + "movable = true\nmass_g = 4\n"
-    + ROBOT: "cylinder 1: mass_g = 4: a robot presses it through walls; expected at least 5",
-    HEAD + ARENA + WALL + 'surface = "velvet"\n': f'wall 1: surface = "velvet": unknown; {SURFACES}',
-    HEAD
-    + ARENA
-    + "[[patch]]\nx_mm = 1\ny_mm = 1\nradius_mm = 9\nwidth_mm = 9\n": "patch 1: neither disc nor "
-    "rectangle; expected radius_mm alone, or length_mm and width_mm",
-    HEAD
-    + ARENA
-    + "[[patch]]\nx_mm = 1\ny_mm = 1\n": "patch 1: neither disc nor rectangle; expected radius_mm "
-    "alone, or length_mm and width_mm",
-    HEAD
-    + ARENA
-    + "[[spot]]\nx_mm = 1\ny_mm = 1\nheading_deg = 0\n": "spot 1: name is missing; expected 1 to "
-    "64 letters, digits, '_' or '-'",
-    HEAD + ARENA + SPOT.replace("250", "10"): "spot 1 (a) at (300, 10) overlaps the bottom wall at y = 0; "
-    "expected 17.5 mm further in",
-    HEAD + ARENA + SPOT + '[[robot]]\nspots = ["b"]\nx_mm = 300\ny_mm = 250\nheading_deg = 0\n': "robot 1: "
-    'spots: "b": unknown; (choices: a)',
-    HEAD + ARENA + '[[robot]]\nspots = ["b"]\n': 'robot 1: spots: "b": unknown; (choices: none)',
-    HEAD
-    + ARENA
-    + SPOT
-    + SPOT.replace("300", "100"): 'spot 2 (a): name = "a": taken by spot 1 (a); expected a unique name',
-    HEAD + ARENA + LAMP + "on_s = [[5, 2]]\n": "lamp 1: on_s = [5, 2]; expected times that rise, from 0 on",
-    HEAD
-    + ARENA
-    + LAMP
-    + "on_s = [[1, 4], [2, 5]]\n": "lamp 1: on_s = [2, 5]; expected times that rise, from 4 on",
-    HEAD + ARENA + LAMP + "rgb = [1, 2]\n": "lamp 1: rgb 3 is missing; expected three integers from 0 to 255",
-    HEAD
-    + ARENA
-    + BLOCK
-    + 'name = "a"\n'
-    + LAMP
-    + 'name = "a"\n': 'lamp 1 (a): name = "a": taken by block 1 (a); expected a unique name',
-    HEAD
-    + ARENA
-    + SPOT
-    + '[[robot]]\nname = "r"\nspots = ["a"]\n'
-    * 2: 'robot 2 (r): name = "r": taken by robot 1 (r); expected a unique name',
-    HEAD
-    + ARENA
-    + "[[patch]]\nx_mm = 9999\ny_mm = 99\nradius_mm = 9\n": "patch 1: x_mm = 9999: outside the arena; "
-    "expected 0 to 600",
-    HEAD
-    + ARENA
-    + '[[patch]]\nname = "q"\nx_mm = 99\ny_mm = 99\nradius_mm = 9\n' * 2: 'patch 2 (q): name = "q": taken '
-    "by patch 1 (q); expected a unique name",
+    **{HEAD + ARENA + text: line for text, line in WRONG_IN_ARENA.items()},
 }
 
 

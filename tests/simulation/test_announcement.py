@@ -1,6 +1,5 @@
 """Compilations are announced once, with their time and progress."""
 
-import importlib.util
 import math
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -8,8 +7,9 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from numba_marks import with_numba
 
-pytestmark = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="numba is not installed")
+pytestmark = with_numba
 
 
 class Dispatcher:

@@ -1,9 +1,8 @@
 """The stepping core: plain and compiled, in one call or in many, the same bits."""
 
-import importlib.util
-
 import pytest
 from notes import Events
+from numba_marks import with_numba
 from shares import share
 
 from checks.branches import LAMPS, ROBOTS, arena
@@ -11,7 +10,7 @@ from khep_twin.board.fault_injection import parse_fault
 from khep_twin.playpen import Playpen
 from khep_twin.world import World
 
-pytestmark = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="numba is not installed")
+pytestmark = with_numba
 
 WORDS = [f"{word}\n".encode() for word in "D,9,4 N O D,-3,8 L,0,2 H D,10,10 K C,900,500 B".split()]
 

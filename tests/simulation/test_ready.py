@@ -1,19 +1,19 @@
 """Compiled code is used when it is ready, and compiled beside a run when it is not."""
 
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from numba_marks import with_numba
 
 from khep_twin.playpen import Playpen
 from khep_twin.simulation import ready
 from khep_twin.step import DONE
 from khep_twin.world import World
 
-pytestmark = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="numba is not installed")
+pytestmark = with_numba
 
 
 def function(folder: Path) -> SimpleNamespace:

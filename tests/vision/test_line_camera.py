@@ -1,10 +1,10 @@
 """A line camera by plain and by compiled code, in playpens with all that moves."""
 
-import importlib.util
 from typing import Any
 
 import numpy as np
 import pytest
+from numba_marks import with_numba
 from shares import share
 
 from khep_twin.board.k213 import PIXELS, K213Register
@@ -26,15 +26,13 @@ CROWD = (
 )
 ARENA = 'stripes = [[31, "black"], [47, "white"]]\n'
 
-COMPILED = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="numba is not installed")
-
 
 def camera_of(scene: World, robot: int) -> LineCamera:
     body = scene.robots[robot].turret_bodies["k213"]
     return body._camera  # type: ignore[attr-defined]
 
 
-@COMPILED
+@with_numba
 @pytest.mark.parametrize("noise", share([True, False], 2))
 def test_plain_and_compiled_code_take_the_same_image(noise: bool) -> None:
     scene = world(CROWD, arena=ARENA, noise=noise, compiled=False)
@@ -56,7 +54,7 @@ def test_plain_and_compiled_code_take_the_same_image(noise: bool) -> None:
             assert len(set(plain.tolist())) > 5
 
 
-@COMPILED
+@with_numba
 def test_a_world_with_compiled_code_sees_the_same() -> None:
     images: list[list[int]] = []
     for compiled in (False, True):

@@ -1,8 +1,11 @@
 """A designer that listens, and a page that asks it."""
 
+import base64
 import json
+import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from http.client import HTTPConnection
 from pathlib import Path
@@ -13,6 +16,14 @@ import pytest
 
 from khep_twin.web.server import Server
 from tests.web.visit import CHROMIUM, Visit
+
+HANDSHAKE = {
+    "Connection": "Upgrade",
+    "Upgrade": "websocket",
+    "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": base64.b64encode(os.urandom(16)).decode(),
+}
+"""Headers of a request for a websocket."""
 
 
 @dataclass
@@ -69,11 +80,13 @@ class Asker:
         return status, json.loads(body) if body[:1] == b"{" else body
 
 
-@pytest.fixture
-def asker(tmp_path: Path) -> Iterator[Asker]:
-    """A server in its own folder."""
+@contextmanager
+def asked(
+    folder: Path, file: str | None = None, listen: str = "127.0.0.1:0", **options: Any
+) -> Generator[Asker]:
+    """A server of a folder, in a thread of its own."""
     ended = threading.Event()
-    server = Server(tmp_path, None, "127.0.0.1:0")
+    server = Server(folder, file, listen, **options)
     thread = threading.Thread(target=server.serve, args=(ended.is_set,))
     thread.start()
 
@@ -82,8 +95,47 @@ def asker(tmp_path: Path) -> Iterator[Asker]:
         thread.join(60)
         assert not thread.is_alive()
 
-    yield Asker(server, end)
-    end()
+    try:
+        yield Asker(server, end)
+    finally:
+        end()
+
+
+@pytest.fixture
+def asker(tmp_path: Path) -> Iterator[Asker]:
+    """A server in its own folder."""
+    with asked(tmp_path) as asker:
+        yield asker
+
+
+class Ear:
+    """Hears what is told, and waits for it."""
+
+    def __init__(self) -> None:
+        self.heard: list[Mapping[str, Any]] = []
+        self._news = threading.Condition()
+
+    def __call__(self, message: Mapping[str, Any]) -> None:
+        with self._news:
+            self.heard.append(message)
+            self._news.notify_all()
+
+    def wait(self, kind: str, fits: Any = lambda message: True) -> Mapping[str, Any]:
+        """The next message of a kind that fits."""
+        seen = 0
+        with self._news:
+            while True:
+                for message in self.heard[seen:]:
+                    if message["kind"] == kind and fits(message):
+                        del self.heard[: self.heard.index(message) + 1]
+                        return message
+                seen = len(self.heard)
+                assert self._news.wait(120), f"no {kind} among {[each['kind'] for each in self.heard]}"
+
+
+@pytest.fixture
+def ear() -> Ear:
+    return Ear()
 
 
 @pytest.fixture(scope="session")

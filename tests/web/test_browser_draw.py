@@ -1,10 +1,8 @@
 """Playpens are drawn in a real browser, saved, lost and found."""
 
 import re
-import threading
 import time
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +13,8 @@ from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUn
 
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.parts import Block
-from khep_twin.web.server import Server
 from tests.drawn_bitmap import drawn
-from tests.web.conftest import Asker
+from tests.web.conftest import Asker, asked
 from tests.web.visit import BROWSED, PICTURES, Visit, need_a_browser
 
 need_a_browser()
@@ -260,8 +257,8 @@ def test_a_draft_of_a_file_that_has_changed_since_does_not_replace_it_unasked(
 
 def test_a_new_file_of_any_name_is_drawn_and_saved(browser: Any, tmp_path: Path) -> None:
     context = browser.new_context(viewport={"width": 1280, "height": 720})
-    with designer(tmp_path, "my pen.toml") as url:
-        visit = Visit(context.new_page(), url)
+    with asked(tmp_path, "my pen.toml") as asker:
+        visit = Visit(context.new_page(), asker.server.url)
         assert visit.page.text_content("#file") == "my pen.toml"
         visit.add("block", (200, 200))
         visit.page.click("#save")
@@ -538,20 +535,6 @@ def test_a_drag_among_two_hundred_objects_ends_where_the_mouse_does(visit: Visit
 def drafts(folder: Path) -> list[str]:
     """Return the documents that have drafts, once for each draft."""
     return sorted(re.sub(r"\.[\d-]+\.draft$", "", path.name)[1:] for path in folder.glob(".*.draft"))
-
-
-@contextmanager
-def designer(folder: Path, file: str) -> Generator[str]:
-    """Serve a designer that was started with a file; give its URL."""
-    ended = threading.Event()
-    server = Server(folder, file, "127.0.0.1:0")
-    thread = threading.Thread(target=server.serve, args=(ended.is_set,))
-    thread.start()
-    try:
-        yield server.url
-    finally:
-        ended.set()
-        thread.join(60)
 
 
 def wait_for(happens: Callable[[], bool]) -> None:

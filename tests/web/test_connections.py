@@ -1,7 +1,6 @@
 """Connections that send half a request, take nothing or are too many: the page is answered all the same."""
 
 import asyncio
-import base64
 import logging
 import socket
 import subprocess
@@ -17,14 +16,7 @@ from websockets.typing import Origin
 
 from khep_twin.web import connections
 from khep_twin.web.connections import reported
-from tests.web.conftest import Asker
-
-HANDSHAKE = {
-    "Connection": "Upgrade",
-    "Upgrade": "websocket",
-    "Sec-WebSocket-Version": "13",
-    "Sec-WebSocket-Key": base64.b64encode(bytes(16)).decode(),
-}
+from tests.web.conftest import HANDSHAKE, Asker
 
 
 @pytest.fixture

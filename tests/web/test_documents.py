@@ -17,9 +17,8 @@ from khep_twin.errors import KhepTwinError, PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.drafts import blank, draft_of, problems_of
-from khep_twin.web.server import Server
 from tests.drawn_bitmap import drawn
-from tests.web.conftest import Asker
+from tests.web.conftest import Asker, asked
 
 MINE = """# My own.
 version = 1
@@ -204,12 +203,7 @@ def test_a_draft_of_an_earlier_version_is_still_offered_and_what_is_none_is_not(
     ],
 )
 def test_any_name_of_a_file_will_do(tmp_path: Path, file: str, name: str) -> None:
-    ended = threading.Event()
-    server = Server(tmp_path, file, "127.0.0.1:0")
-    thread = threading.Thread(target=server.serve, args=(ended.is_set,))
-    thread.start()
-    try:
-        asker = Asker(server, ended.set)
+    with asked(tmp_path, file) as asker:
         status, hello = asker.do("hello")
         assert (status, hello["file"], hello["draft"]["name"]) == (200, file, name)
         assert asker.do("keep", file=file, draft={"half": 1}, tab="7-7") == (200, {})
@@ -221,9 +215,6 @@ def test_any_name_of_a_file_will_do(tmp_path: Path, file: str, name: str) -> Non
         renamed = {**hello["draft"], "name": "other"}
         wanted = {"file": file, "draft": renamed, "version": saved[1]["version"], "base": {}, "rename": True}
         assert asker.do("save", **wanted)[1]["name"] == Playpen.load(tmp_path / file).name == name
-    finally:
-        ended.set()
-        thread.join(60)
 
 
 def test_a_page_loaded_again_gets_its_own_document(asker: Asker, tmp_path: Path) -> None:

@@ -1,9 +1,7 @@
 """Hostile requests: every route of the designer refuses them before anything else happens."""
 
-import base64
 import os
 import socket
-import threading
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
@@ -16,14 +14,7 @@ from khep_twin.web.documents import Documents
 from khep_twin.web.guard import FILE_LIMIT, JSON_LIMIT
 from khep_twin.web.routes import Page
 from khep_twin.web.server import Server
-from tests.web.conftest import Asker
-
-HANDSHAKE = {
-    "Connection": "Upgrade",
-    "Upgrade": "websocket",
-    "Sec-WebSocket-Version": "13",
-    "Sec-WebSocket-Key": base64.b64encode(os.urandom(16)).decode(),
-}
+from tests.web.conftest import HANDSHAKE, Asker, asked
 
 DRAFT: dict[str, Any] = {
     "version": 1,
@@ -192,22 +183,14 @@ def test_other_machines_are_let_in_on_demand_only(tmp_path: Path) -> None:
 
 
 def test_a_server_on_all_addresses_is_reached_by_each_of_them_and_by_no_other_name(tmp_path: Path) -> None:
-    ended = threading.Event()
-    server = Server(tmp_path, None, "0.0.0.0:0", allow_remote=True)
-    thread = threading.Thread(target=server.serve, args=(ended.is_set,))
-    thread.start()
-    asker = Asker(server, ended.set)
-    port = asker.host.rpartition(":")[2]
-    path = asker.base + "/"
-    try:
+    with asked(tmp_path, listen="0.0.0.0:0", allow_remote=True) as asker:
+        port = asker.host.rpartition(":")[2]
+        path = asker.base + "/"
         assert not asker.host.startswith("0.0.0.0")
         for host in (asker.host, f"127.0.0.1:{port}", f"localhost:{port}"):
             assert asker.raw("GET", path, {"Host": host})[0] == 200
         for host in (f"evil.example:{port}", f"0.0.0.0:{port}", f"198.51.100.7:{port}"):
             assert asker.raw("GET", path, {"Host": host})[0] == 403
-    finally:
-        ended.set()
-        thread.join(20)
 
 
 def test_each_server_has_a_token_of_its_own(tmp_path: Path) -> None:
@@ -221,14 +204,10 @@ def test_each_server_has_a_token_of_its_own(tmp_path: Path) -> None:
 
 def test_the_address_that_the_browser_is_given_works_once(tmp_path: Path) -> None:
     lines: list[str] = []
-    ended = threading.Event()
-    server = Server(tmp_path, None, "127.0.0.1:0", complain=lines.append)
-    thread = threading.Thread(target=server.serve, args=(ended.is_set,))
-    thread.start()
-    asker = Asker(server, lambda: None)
-    path = urlsplit(server.url_once).path
-    own = {"Host": asker.host, "Sec-Fetch-Site": "none"}
-    try:
+    with asked(tmp_path, complain=lines.append) as asker:
+        server = asker.server
+        path = urlsplit(server.url_once).path
+        own = {"Host": asker.host, "Sec-Fetch-Site": "none"}
         assert server.url_once != server.url
         for odd in ({**own, "Host": "evil.example"}, {**own, "Sec-Fetch-Site": "cross-site"}):
             assert asker.raw("GET", path, odd)[0] == 403
@@ -243,9 +222,6 @@ def test_the_address_that_the_browser_is_given_works_once(tmp_path: Path) -> Non
         assert len(lines) == 1
         assert lines[0].startswith("the address that the browser was given, which works once, was used again")
         assert asker.raw("GET", f"{asker.base}/", own)[0] == 200
-    finally:
-        ended.set()
-        thread.join(60)
 
 
 def test_what_cannot_be_sent_on_is_no_object_and_leaves_no_draft(asker: Asker, tmp_path: Path) -> None:

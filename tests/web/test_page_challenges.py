@@ -13,8 +13,7 @@ from khep_twin.web.challenges import Challenges
 from khep_twin.web.documents import Documents, OutsideError
 from khep_twin.web.requests import Request as Plain
 from khep_twin.web.requests import ScoreRequest, ScoreTableRequest
-from tests.web.conftest import Asker
-from tests.web.test_session import Ear
+from tests.web.conftest import Asker, Ear
 
 DRIVES = "def controller(robot):\n    robot.set_speed(5, 5)\n    print('driven')\n    robot.sleep(30)\n"
 FAILS = "def controller(robot):\n    robot.proximity()\n    nonsense()\n"
@@ -23,11 +22,6 @@ WAITS = (
     "Path(__file__).with_suffix('.pid').write_text(str(os.getpid()))\n"
     "print('here', flush=True)\ntime.sleep(600)\n"
 )
-
-
-@pytest.fixture
-def ear() -> Ear:
-    return Ear()
 
 
 @pytest.fixture

@@ -27,36 +27,7 @@ from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.jobs import Sensing, SeriesJob
 from khep_twin.web.session import RobotActor
 from khep_twin.web.twin_session import TwinActor
-
-
-class Ear:
-    """Hears what is told, and waits for it."""
-
-    def __init__(self) -> None:
-        self.heard: list[Mapping[str, Any]] = []
-        self._news = threading.Condition()
-
-    def __call__(self, message: Mapping[str, Any]) -> None:
-        with self._news:
-            self.heard.append(message)
-            self._news.notify_all()
-
-    def wait(self, kind: str, fits: Any = lambda message: True) -> Mapping[str, Any]:
-        """The next message of a kind that fits."""
-        seen = 0
-        with self._news:
-            while True:
-                for message in self.heard[seen:]:
-                    if message["kind"] == kind and fits(message):
-                        del self.heard[: self.heard.index(message) + 1]
-                        return message
-                seen = len(self.heard)
-                assert self._news.wait(120), f"no {kind} among {[each['kind'] for each in self.heard]}"
-
-
-@pytest.fixture
-def ear() -> Ear:
-    return Ear()
+from tests.web.conftest import Ear
 
 
 @pytest.fixture

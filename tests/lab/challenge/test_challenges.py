@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import khep_twin, told
+from command_line import good, khep_twin
 from PIL import Image
 from shares import share
 
@@ -209,7 +209,7 @@ def test_tables_made_by_one_and_by_two_processes_are_the_same_bytes(
     for jobs in (1, 2):
         monkeypatch.setenv("PYTHONHASHSEED", str(jobs))
         output = tmp_path / f"{jobs}.csv"
-        shown = told("challenge", "table", short, folder, "--jobs", jobs, "-o", output)
+        shown = good("challenge", "table", short, folder, "--jobs", jobs, "-o", output)
         made.append((shown.partition("\ntable ")[0], output.read_text()))
     assert made[0] == made[1]
     row, _ = csv.DictReader(made[0][1].splitlines())
@@ -241,7 +241,7 @@ def test_a_table_has_a_line_for_every_file_whatever_it_does(
     folder.mkdir()
     for name, text in {**{name: BROKEN[name][0] for name in broken}, **SCORED}.items():
         (folder / f"{name}.py").write_text(text)
-    shown = told("challenge", "table", short, folder, "-o", tmp_path / "class.csv")
+    shown = good("challenge", "table", short, folder, "-o", tmp_path / "class.csv")
     rows = {
         row["participant"]: row for row in csv.DictReader((tmp_path / "class.csv").read_text().splitlines())
     }
@@ -291,9 +291,9 @@ def test_what_a_file_starts_is_ended_with_it(short: Path, tmp_path: Path) -> Non
 def test_run_prints_score_and_result_and_keeps_a_log(short: Path, tmp_path: Path) -> None:
     (tmp_path / "returns.py").write_text(SCORED["returns"])
     log = tmp_path / "run.mcap"
-    shown = told("challenge", "run", short, tmp_path / "returns.py", "--runs", 1, "--log", log)
+    shown = good("challenge", "run", short, tmp_path / "returns.py", "--runs", 1, "--log", log)
     assert shown.splitlines()[1].startswith("passed     at least 0.05 m")
-    assert told("repeat", log).startswith("identical: 2.")
+    assert good("repeat", log).startswith("identical: 2.")
     (tmp_path / "prints.py").write_text(SCORED["prints"])
     done = khep_twin("challenge", "run", short, tmp_path / "prints.py", "--runs", 1)
     assert done.returncode == 4

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import told
+from command_line import good
 from log_rewriting import rewritten
 
 from khep_twin.lab.conformance.recording.conform import conform_recording
@@ -26,7 +26,7 @@ TEXT = "def controller(robot):\r\n    robot.set_speed(3, 4)  # für beide Räder
 def run(folder: Path, controller: object, *options: str) -> Path:
     """Runs a controller and returns the log."""
     log = folder / "run.mcap"
-    told("run", controller, "--seconds", 0.5, "--log", log, *options)
+    good("run", controller, "--seconds", 0.5, "--log", log, *options)
     return log
 
 
@@ -46,7 +46,7 @@ def test_a_users_file_is_attached_as_it_was_read_and_the_run_repeats(tmp_path: P
     assert data == logs[1].read_bytes()
     assert str(tmp_path).encode() not in data
     assert [line.text for line in read_log(logs[0]).robots["khepera0"].serial][:2] == ["D,3,4", "d"]
-    assert told("repeat", logs[0]).startswith("identical:")
+    assert good("repeat", logs[0]).startswith("identical:")
 
 
 def test_a_controller_in_a_log_is_never_run(tmp_path: Path) -> None:

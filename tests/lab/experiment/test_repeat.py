@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from command_line import khep_twin, told
+from command_line import good, khep_twin
 from log_rewriting import rewritten
 from relay_logs import relayed
 from served_twin import served
@@ -44,7 +44,7 @@ def again(path: Path) -> Divergence | None:
 def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log of ten seconds of a Braitenberg vehicle."""
     path = tmp_path_factory.mktemp("logs") / "run.mcap"
-    told("run", "--playpen", "obstacles", "--seconds", 10, "--seed", 5, "--log", path)
+    good("run", "--playpen", "obstacles", "--seconds", 10, "--seed", 5, "--log", path)
     return path
 
 
@@ -75,7 +75,7 @@ def test_a_run_with_noise_spread_and_faults_is_the_same_in_another_process(
         "        robot.sleep(0.1)\n"
     )
     options = ("--playpen", "obstacles", "--seed", 9, "--vary", "on", "--battery-used-min", 20)
-    told("run", program, *options, "--seconds", seconds, "--log", path, *words)
+    good("run", program, *options, "--seconds", seconds, "--log", path, *words)
     command = [sys.executable, "-m", "khep_twin", "repeat", str(path)]
     environment = {**os.environ, "PYTHONHASHSEED": "12"}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)

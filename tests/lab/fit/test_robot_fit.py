@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scenes
-from command_line import refusal, told
+from command_line import good, refusal
 from scenes import arena, hosted, table
 
 from khep_twin import playpen
@@ -135,7 +135,7 @@ def test_a_hidden_robot_is_found_and_tests_that_were_not_used_are_met(
     words, unused, folder = recorded
     checks = [part for word in unused for part in ("--check", word)]
     target, picture = folder / "mine.toml", folder / "fit.png"
-    shown = told("fit", *words, *checks, "-o", target, "--picture", picture)
+    shown = good("fit", *words, *checks, "-o", target, "--picture", picture)
     found = calibration.read(str(target))[0]
     assert found.name == "mine"
     assert found.wheels.radius_mm == pytest.approx(HIDDEN.wheels.radius_mm, rel=0.002)
@@ -253,7 +253,7 @@ def test_a_test_is_given_once_and_no_output_takes_its_place(
 
 def test_a_wrong_distance_is_asked_about(recorded: tuple[list[str], list[str], Path]) -> None:
     walls = [word for word in recorded[0] if "wall" in word]
-    shown = told("fit", *walls[:3], walls[3].replace("25mm", "19mm"), walls[4])
+    shown = good("fit", *walls[:3], walls[3].replace("25mm", "19mm"), walls[4])
     asked = [line for line in shown.splitlines() if "check the object and its distance" in line]
     assert any("wall@19mm" in line for line in asked)
 

@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 
 import pytest
-from command_line import told
+from command_line import good
 from test_robot_fit import Bench
 
 from khep_twin.errors import FitError
@@ -33,7 +33,7 @@ def test_hidden_wheels_are_found_an_unused_drive_is_met_and_a_twin_can_use_the_c
     left = left_over(Drive("other", *pulses(arc), distance=other), found.radius, found.base)
     assert abs(left) < 0.002
     words = [f"{straight}={distance * 1000:.0f}mm", f"{spin}={turned / 2 / math.pi:.3f}turns"]
-    assert "not used for the fit" in told("fit", *words, "--check", words[0], "-o", target)
+    assert "not used for the fit" in good("fit", *words, "--check", words[0], "-o", target)
     written = calibration.read(str(target))[0]
     assert written.name == "mine"
     assert written.wheels.radius_mm == pytest.approx(7.83, rel=0.003)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import refusal, told
+from command_line import refusal
 from mcap.writer import Writer
 from pyarrow import parquet  # pyright: ignore[reportMissingTypeStubs]
 from relay_logs import in_turn, relayed

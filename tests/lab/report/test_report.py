@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import refusal, told
+from command_line import good, refusal
 from relay_logs import in_turn, relayed
 from shadow_updates import updates
 
@@ -82,7 +82,7 @@ class Page(HTMLParser):
 
 
 def write(log: Path, output: Path) -> bytes:
-    assert told("report", log, "-o", output) == f"report  {output}\n"
+    assert good("report", log, "-o", output) == f"report  {output}\n"
     return output.read_bytes()
 
 
