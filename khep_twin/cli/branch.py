@@ -1,9 +1,8 @@
 """`khep-twin branch`: a logged run resumed at a moment, to go on from there with something changed."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import chdir
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,6 +19,7 @@ from khep_twin.cli.options import (
     tell_written,
     usage,
 )
+from khep_twin.cli.progress import of_part
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.signals import stopping
 
@@ -151,11 +151,7 @@ def _run_branches(plan: "BranchPlan", controller: str | None, paths: Sequence[Pa
             if number and controller is not None:  # a separate one for each branch
                 found = find_controller(controller, as_toolbox_form)
             each = replace(plan, change=replace(plan.change, seed=seeds[number]), controller=found)
-            part = None if show is None else partial(_share, show, number, runs)
             with chdir("."):  # a controller may go to another folder
-                trajectories.append(run_branch(each, path, progress=part, stop=asked))
+                shown = of_part(show, number, runs)
+                trajectories.append(run_branch(each, path, progress=shown, stop=asked))
     return trajectories
-
-
-def _share(show: Callable[[float], None], number: int, runs: int, part: float) -> None:
-    show((number + min(part, 1.0)) / runs)

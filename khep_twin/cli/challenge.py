@@ -9,22 +9,17 @@ import typer
 
 from khep_twin.cli import completion
 from khep_twin.cli.options import (
-    Commands,
     Force,
     check_new,
     check_picture,
     check_writable,
+    command_group,
     tell_written,
     usage,
 )
 from khep_twin.cli.progress import progress as progress_bar
 
-challenge_app = typer.Typer(
-    help="Score controller files in challenges, one or a whole class.",
-    cls=Commands,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
+challenge_app = command_group("Score controller files in challenges, one or a whole class.")
 
 ChallengeName = Annotated[
     str,

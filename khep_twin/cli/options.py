@@ -38,6 +38,11 @@ class Commands(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
+def command_group(help: str) -> typer.Typer:
+    """Return a group of commands."""
+    return typer.Typer(help=help, cls=Commands, no_args_is_help=True, rich_markup_mode=None)
+
+
 Faults = Annotated[
     list[str] | None,
     typer.Option(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli import completion
-from khep_twin.cli.options import Commands, Force, check_apart, check_new
+from khep_twin.cli.options import Force, check_apart, check_new, command_group
 from khep_twin.cli.run_logs import driven_paths
 from khep_twin.errors import CalibrationError, KhepTwinError
 from khep_twin.files.atomic import write_whole
@@ -18,12 +18,7 @@ if TYPE_CHECKING:
     from khep_twin.playpen.bitmap import Imported
     from khep_twin.playpen.bitmap_files import Bitmap
 
-playpen_app = typer.Typer(
-    help="List, check, compile, draw and import playpens.",
-    cls=Commands,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
+playpen_app = command_group("List, check, compile, draw and import playpens.")
 
 SpotSeed = Annotated[int, typer.Option(help="Seed by which robots are put on their spots.")]
 PlaypenName = Annotated[

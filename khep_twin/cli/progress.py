@@ -33,6 +33,11 @@ def progress() -> Generator[Callable[[float], None] | None, None, None]:
         yield show
 
 
+def of_part(show: Callable[[float], None] | None, number: int, count: int) -> Callable[[float], None] | None:
+    """Return a function that shows the share done of one of `count` equal parts; None without a bar."""
+    return None if show is None else lambda share: show((number + min(share, 1.0)) / count)
+
+
 def clock(seconds: float) -> str:
     """Return a duration as hours:minutes:seconds."""
     whole = round(seconds)

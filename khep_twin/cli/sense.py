@@ -13,6 +13,7 @@ import typer
 from khep_twin.cli.completion import ports
 from khep_twin.cli.option_groups import grouped
 from khep_twin.cli.options import Force, check_new, check_picture, check_writable, complain
+from khep_twin.cli.progress import of_part
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import KhepTwinError, SensorTestError
 from khep_twin.signals import stopping
@@ -215,15 +216,11 @@ def _drive(port: str, tests: "list[SensorTest]", text: str, keep: "Callable[[Sen
 
     with stopping() as stop, Khepera(port) as robot, progress_bar() as show:
         for number, test in enumerate(tests):
-            part = None if show is None else partial(_show_part, show, number, len(tests))
-            keep(drive(robot, test, text=text, progress=part, stop=stop))
+            shown = of_part(show, number, len(tests))
+            keep(drive(robot, test, text=text, progress=shown, stop=stop))
             if stop():
                 return True
     return False
-
-
-def _show_part(show: Callable[[float], None], number: int, count: int, part: float) -> None:
-    show((number + part) / count)
 
 
 def _keep(done: "list[SensorRun]", run: "SensorRun", names: list[list[Path]]) -> None:

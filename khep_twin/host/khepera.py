@@ -20,12 +20,13 @@ from typing import Any, Literal, Self, TypeVar, overload
 
 import serial
 
-from khep_twin.errors import PortError
-from khep_twin.host import commands, moves
+from khep_twin.errors import MoveError, PortError
+from khep_twin.host import commands
 from khep_twin.host.commands import HostCommand
 from khep_twin.host.line import Line
+from khep_twin.host.moves import LONGEST_WAY_PULSES, turn_pulses, way_pulses
 from khep_twin.host.results import MotionStatus as MotionStatus
-from khep_twin.host.results import Positions, SensorCounts, Speeds, Versions
+from khep_twin.host.results import MotorMode, Positions, SensorCounts, Speeds, Versions
 from khep_twin.host.results import WheelStatus as WheelStatus
 from khep_twin.units import WHEEL_BASE
 
@@ -36,6 +37,9 @@ D = TypeVar("D")
 
 BURST = 7
 """Number of commands that are sent without waiting, as public host programs do."""
+
+_PAUSE = 0.05
+"""Pause between two reads of the wheels in a move [s]."""
 
 
 class Khepera:
@@ -192,8 +196,8 @@ class Khepera:
             MoveError: It was not done after `timeout` [s], and the motors are stopped; or the counters cannot
                 reach the target.
         """
-        pulses = moves.way_pulses(distance)
-        return moves.drive_by(self, pulses, pulses, timeout)
+        pulses = way_pulses(distance)
+        return self._drive_by(pulses, pulses, timeout)
 
     def turn(self, angle: float, timeout: float = 30.0) -> Positions:
         """Turn on the spot by an angle [rad], left if it is above 0, and return when it is done.
@@ -202,8 +206,8 @@ class Khepera:
             MoveError: It was not done after `timeout` [s], and the motors are stopped; or the counters cannot
                 reach the target.
         """
-        pulses = moves.turn_pulses(angle, self._wheel_base)
-        return moves.drive_by(self, -pulses, pulses, timeout)
+        pulses = turn_pulses(angle, self._wheel_base)
+        return self._drive_by(-pulses, pulses, timeout)
 
     def wait_for_target(self, timeout: float = 30.0) -> None:
         """Wait until both wheels are where `set_target` has sent them.
@@ -211,7 +215,20 @@ class Khepera:
         Raises:
             MoveError: They were not after `timeout` [s], or have no target.
         """
-        moves.wait_for_target(self, timeout)
+        end = self.time + timeout
+        while not (status := self.status()).on_target:
+            both = zip(("left", "right"), status, strict=True)
+            moving = [(name, wheel) for name, wheel in both if not wheel.on_target]
+            for name, wheel in moving:
+                if wheel.mode != MotorMode.POSITION:
+                    raise MoveError(
+                        f"{self.name}: the {name} wheel goes to no target but is in {wheel.mode.name} mode; "
+                        "expected set_target before"
+                    )
+            if not self.time <= end:
+                names = " and ".join(name for name, _ in moving)
+                raise MoveError(f"{self.name}: not on target after {timeout:g} s ({names} wheel)")
+            self.sleep(_PAUSE)
 
     # Senses --------------------------------------------------------------------------------------------
 
@@ -291,6 +308,24 @@ class Khepera:
             ValueError: The request is more than one line.
         """
         return self._line.ask(request)
+
+    def _drive_by(self, left: int, right: int, timeout: float) -> Positions:
+        """Move the wheels on by so many pulses, and wait."""
+        start = self.position()
+        target = start.left + left, start.right + right
+        if max(map(abs, target)) > LONGEST_WAY_PULSES:
+            raise MoveError(
+                f"{self.name}: from counters {tuple(start)} to {target} pulses; "
+                f"expected a target within {LONGEST_WAY_PULSES} of 0"
+            )
+        self.set_target(*target)
+        try:
+            self.wait_for_target(timeout)
+        except MoveError as error:
+            self.set_speed(0, 0)
+            now = self.position()
+            raise MoveError(f"{error}; stopped at {tuple(now)} of {target} pulses") from None
+        return self.position()
 
     def _do(self, command: HostCommand[A]) -> A:
         return self._line.carry_out([command])[0]

@@ -77,12 +77,6 @@ class Request(TomlTable):
     tab: PageId = ""
 
 
-class Hello(Request):
-    """The first request of a page; `file` is the file of a page that is loaded again."""
-
-    file: FileName | None = None
-
-
 class Named(Request):
     """A request about a file."""
 
@@ -93,6 +87,10 @@ class MaybeNamed(Request):
     """A request about a file, or about a playpen without a file."""
 
     file: FileName | None = None
+
+
+class Hello(MaybeNamed):
+    """The first request of a page; `file` is the file of a page that is loaded again."""
 
 
 class Library(Request):

@@ -66,7 +66,8 @@ class SessionActions:
 
     def close(self) -> None:
         """End the session."""
-        self._end_session()
+        if self._actor is not None:
+            self._actor.end()
 
     def runs(self) -> dict[str, object] | None:
         """Return the playpen of the running twin, and its file; None without a twin."""
@@ -110,18 +111,14 @@ class SessionActions:
     def _replace(self, actor: WebSession) -> None:
         # Two simultaneous requests would both end the last one only.
         with self._changing:
-            self._end_session()
+            self.close()
             self._actor = actor
             actor.begin()
 
     def _end(self, asked: requests.Request) -> None:
         with self._changing:
-            self._end_session()
+            self.close()
             self._actor = None
-
-    def _end_session(self) -> None:
-        if self._actor is not None:
-            self._actor.end()
 
     def _pace(self, asked: requests.Pace) -> None:
         self._twin().set_pace(_speed(asked), asked.paused)

@@ -41,16 +41,11 @@ class TwinActor(WebSession):
 
     def __init__(self, playpen: Playpen, options: TwinOptions, log: Path | None, publish: Publish) -> None:
         super().__init__(publish)
-        self.playpen, self._options, self._log = playpen, options, log
+        self.playpen, self._options, self.log = playpen, options, log
         self._paced: PacedTwin | None = None
         self._turrets: list[TurretParts] = []
         self._scene: DrawnScene | None = None
         self.speed, self.paused = 1.0, False
-
-    @property
-    def log(self) -> Path | None:
-        """File of the log; None for none."""
-        return self._log
 
     def set_pace(self, speed: float, paused: bool) -> None:
         """Set the speed of time, and whether it is paused."""
@@ -126,8 +121,8 @@ class TwinActor(WebSession):
             ports = [stack.enter_context(closing(open_any(baud))) for baud in bauds]
             pairs = zip(twin.robots, ports, strict=True)
             hosts = [OutsideHost(twin, robot, port, self._note) for robot, port in pairs]
-            if self._log is not None:
-                twin.record(self._log)
+            if self.log is not None:
+                twin.record(self.log)
             with suppress(PortError):
                 what = f"twin in {self.playpen.name}, in a page"
                 stack.enter_context(registered([port.path for port in ports], what))
@@ -173,7 +168,7 @@ class TwinActor(WebSession):
                 }
                 for robot, port, entry in zip(twin.robots, ports, twin.world.playpen.robots, strict=True)
             ],
-            "log": None if self._log is None else self._log.name,
+            "log": None if self.log is None else self.log.name,
         }
 
     def _picture(self, twin: PacedTwin, hosts: list[OutsideHost]) -> messages.Picture:

@@ -42,7 +42,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-export, refused = partial(told, "export"), partial(refusal, "export")
+export, refused = partial(good, "export"), partial(refusal, "export")
 
 
 def minari_options(folder: Path, *more: object) -> list[object]:

@@ -59,7 +59,7 @@ def real(tmp_path: Path) -> Path:
     return relayed(tmp_path / "real.mcap", in_turn(*said))
 
 
-export, refused = partial(told, "export"), partial(refusal, "export")
+export, refused = partial(good, "export"), partial(refusal, "export")
 
 
 def test_a_csv_comes_back(run: Path, tmp_path: Path) -> None:
