@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from khep_twin.log.foxglove_live import FoxgloveServer
     from khep_twin.log.log_file import FileRecorder
     from khep_twin.playpen import Playpen
-    from khep_twin.ports.twin import TwinOptions
+    from khep_twin.ports.twin import Twin, TwinOptions
 
 
 ADDRESS = "127.0.0.1:8765"
@@ -221,3 +221,31 @@ class LiveViewOptions:
         server = stack.enter_context(closing(FoxgloveServer(host, port, f"khep_twin {name}")))
         complain(f"Foxglove connects to {server.address}; a layout to import there: {LAYOUT}")
         return server
+
+    def watching(
+        self, stack: ExitStack, name: str, *, viewer: bool, real_time: bool, allow_remote: bool = False
+    ) -> "Callable[[Twin], None]":
+        """Open the live view and MuJoCo's viewer that are wanted; return a function that shows a twin there.
+
+        Args:
+            stack: Context in which they are open.
+            name: Name that Foxglove shows.
+            viewer: True for MuJoCo's viewer.
+            real_time: True to slow down a twin that runs ahead of the wall clock.
+            allow_remote: Allow connections from other machines.
+        """
+        server, window = self.open(stack, name, allow_remote=allow_remote), None
+        if viewer:
+            from khep_twin.drawing.mujoco_viewer import MujocoViewer
+
+            window = stack.enter_context(closing(MujocoViewer(real_time=real_time)))
+
+        def watch(twin: "Twin") -> None:
+            if window is not None:
+                window.watch(twin.world)
+            if server is not None:
+                from khep_twin.log.foxglove_live import FoxgloveRecorder
+
+                twin.watch(FoxgloveRecorder(server, twin.world, real_time=real_time))
+
+        return watch

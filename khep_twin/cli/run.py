@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from khep_twin.lab.experiment.series import RobotSource
     from khep_twin.lab.experiment.series_files import SeriesFolder
     from khep_twin.lab.experiment.series_run import Plan
-    from khep_twin.log.foxglove_live import FoxgloveServer
     from khep_twin.playpen import Playpen
     from khep_twin.ports.twin import Twin, TwinOptions
 
@@ -156,7 +155,12 @@ def run(
             settings: dict[str, Any] = {"port": port}
         else:
             place = scene.load(own)
-            begin = _beginning(stack, logs, viewer, live_view.open(stack, place.name))
+            watch = live_view.watching(stack, place.name, viewer=viewer, real_time=True)
+
+            def begin(twin: "Twin", number: int | None) -> None:
+                logs.record(twin, number)
+                watch(twin)
+
             robot_source, settings = _twins(stack, place, options, series.start or [], plan.runs, begin)
         settings |= {"cycles": cycles, "seconds": plan.seconds, "pause": plan.pause, **source.identity}
         folder = None if series.save is None else SeriesFolder(series.save, settings, resume=series.resume)
@@ -244,28 +248,6 @@ def _twins(
         return FreshTwins(scene, options, places, begin), settings
     khepera = Khepera(Serial.of(open_twin(scene, options), timeout=1.0))
     return OneRobot(stack.enter_context(khepera), lambda twin: begin(twin, None)), settings
-
-
-def _beginning(
-    stack: ExitStack, logs: RunLogs, viewer: bool, server: "FoxgloveServer | None"
-) -> "Callable[[Twin, int | None], None]":
-    """Return the function called with each twin before it runs: start its log, the viewer and live view."""
-    window = None
-    if viewer:
-        from khep_twin.drawing.mujoco_viewer import MujocoViewer
-
-        window = stack.enter_context(closing(MujocoViewer(real_time=True)))
-
-    def begin(twin: "Twin", number: int | None) -> None:
-        logs.record(twin, number)
-        if window is not None:
-            window.watch(twin.world)
-        if server is not None:
-            from khep_twin.log.foxglove_live import FoxgloveRecorder
-
-            twin.watch(FoxgloveRecorder(server, twin.world, real_time=True))
-
-    return begin
 
 
 def _confirm(number: int, stop: Callable[[], bool]) -> None:

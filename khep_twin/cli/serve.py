@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
@@ -209,16 +209,8 @@ def _serve_twin(
         ExitStack() as stack,
     ):
         tell_kept(twin.recorder)
-        if viewer:
-            from khep_twin.drawing.mujoco_viewer import MujocoViewer
-
-            window = stack.enter_context(closing(MujocoViewer(real_time=False)))
-            window.watch(twin.world)
-        server = live_view.open(stack, name, allow_remote=endpoint.allow_remote)
-        if server is not None:
-            from khep_twin.log.foxglove_live import FoxgloveRecorder
-
-            twin.watch(FoxgloveRecorder(server, twin.world, real_time=False))
+        remote = endpoint.allow_remote
+        live_view.watching(stack, name, viewer=viewer, real_time=False, allow_remote=remote)(twin)
         if factor > 1 or factor == WIRE or len(twin.world.robots) >= MANY:
             # Before the first host, as loading compiled code takes half a second.
             twin.world.code.switch_if_ready()

@@ -81,7 +81,6 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         task: Task, or its name.
         render_mode: "rgb_array", or None for no pictures.
         view: View of pictures: "scene" by MuJoCo, "map", or "auto" (`renderer.Renderer`).
-        setup: Prepared task, instead of the task and options.
         options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, planar, compiled,
             normalize.
 
@@ -97,10 +96,9 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         *,
         render_mode: str | None = None,
         view: View = "auto",
-        setup: TaskSetup | None = None,
         **options: Any,
     ) -> None:
-        self._setup = setup or TaskSetup(task, **options)
+        self._setup = TaskSetup(task, **options)
         self._episode = TaskEpisode(self._setup)
         self._seed = 0
         self.render_mode = render_mode

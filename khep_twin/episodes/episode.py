@@ -29,7 +29,7 @@ from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.metrics import metrics_of
 from khep_twin.episodes.planar.planar_world import PlanarWorld
-from khep_twin.errors import DivergedError, MissingNumbaError, pip_install_required
+from khep_twin.errors import DivergedError, pip_install_required
 from khep_twin.playpen.starts import Start
 from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.world import World
@@ -84,10 +84,7 @@ class Episode:
         self._next_look = None
         run: stepping.Run | None = None
         if compiled:
-            try:
-                run = function_of(self._part)
-            except ImportError as error:
-                raise MissingNumbaError() from error
+            run = function_of(self._part)
         elif compiled is None and is_compiled(None):
             run = when_ready(self._part)
             self._next_look = 0 if run is None else None

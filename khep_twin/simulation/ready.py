@@ -7,6 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from khep_twin.errors import MissingNumbaError
 from khep_twin.machine import lower_priority
 
 CODE = {
@@ -39,7 +40,7 @@ def when_ready(part: str) -> Callable[..., Any] | None:
     """
     try:
         function: Any = function_of(part)
-    except ImportError:
+    except MissingNumbaError:
         return None
     if is_cached(function):
         return function
@@ -70,10 +71,13 @@ def function_of(part: str) -> Callable[..., Any]:
     """Return the function of a part, which is compiled when it is first called.
 
     Raises:
-        ImportError: numba is not installed.
+        MissingNumbaError: numba is not installed.
     """
     module, _, name = CODE[part].partition(":")
-    return getattr(import_module(module), name)
+    try:
+        return getattr(import_module(module), name)
+    except ImportError as error:
+        raise MissingNumbaError() from error
 
 
 def functions_of(part: str) -> list[Callable[..., Any]]:

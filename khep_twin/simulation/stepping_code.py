@@ -1,6 +1,5 @@
 """Choice of the code that steps a world: plain at first, compiled from where that saves time."""
 
-from khep_twin.errors import MissingNumbaError
 from khep_twin.simulation.ready import function_of, when_ready
 from khep_twin.simulation.simulation import Advance, Simulation
 
@@ -35,10 +34,7 @@ class SteppingCode:
         Raises:
             MissingNumbaError: numba is not installed.
         """
-        try:
-            self._use(function_of("world"))
-        except ImportError as error:
-            raise MissingNumbaError() from error
+        self._use(function_of("world"))
 
     def switch_if_ready(self) -> None:
         """Step by compiled code from now on if it is ready; if not, have it compiled, and look later."""

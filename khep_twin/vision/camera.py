@@ -133,7 +133,7 @@ def take_one() -> int:
     """Take an image of nothing by compiled code, which compiles it; return the reading of the light sensor.
 
     Raises:
-        ImportError: numba is not installed.
+        MissingNumbaError: numba is not installed.
     """
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
     nothing = moving_faces(model, 0), places(mujoco.MjData(model))

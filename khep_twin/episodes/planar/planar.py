@@ -196,12 +196,7 @@ def _thing(model: mujoco.MjModel, geom: int) -> list[float]:
 def _mount(model: mujoco.MjModel, camera: int) -> list[float]:
     """Return a row of `PlanarRobot.mounts`."""
     x, y, _ = model.cam_pos[camera].tolist()
-    ahead = _ahead(model, camera)
-    return [x, y, *ahead, math.hypot(x, y)]
-
-
-def _ahead(model: mujoco.MjModel, camera: int) -> tuple[float, float]:
-    """Return the direction of a camera in the robot's frame."""
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, model.cam_quat[camera])
-    return -float(turn[2]), -float(turn[5])
+    # A camera looks along its -z.
+    return [x, y, -float(turn[2]), -float(turn[5]), math.hypot(x, y)]
