@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import refusal
+from command_line import good, refusal
 
 from khep_twin.envs.tasks import find
 from khep_twin.errors import MissingExtraError

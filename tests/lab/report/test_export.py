@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import refusal
+from command_line import good, refusal
 from mcap.writer import Writer
 from pyarrow import parquet  # pyright: ignore[reportMissingTypeStubs]
 from relay_logs import in_turn, relayed
