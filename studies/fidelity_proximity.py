@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from khep_twin.lab.fit.infrared import MeasuredTable
 from khep_twin.units import BODY_RADIUS, N_SENSORS, SENSOR_HEADINGS, Sensor
 from studies.fidelity_comparison import Comparison, Floats, Outcome, at_rest, noise_variance
-from studies.infrared_fits import compare, fit_sampled, on_axis, rms, sampled
+from studies.infrared_fits import MeasuredTable, compare, fit_sampled, on_axis, rms, sampled
 from studies.infrared_picture import PEERS
 from studies.one_object import CYLINDER, WALL, Thing, scene
 from studies.sampled_world import along_axes

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from khep_twin.lab.fit.infrared import MeasuredTable, Optics, View, level, proximity
-from khep_twin.units import BODIES, COUNTS_LIMIT, N_SENSORS, SENSOR_HEADINGS
+from khep_twin.lab.fit.infrared import Optics, View, level
+from khep_twin.units import BODIES, COUNTS_LIMIT, N_SENSORS, SENSOR_HEADINGS, SENSOR_POSITIONS
 from tools.command_table import command_line
 
 Floats = NDArray[np.float64]
@@ -53,6 +53,34 @@ _SHARED, _SPREAD = np.array([4.0, 3.0]), np.array([4.0, 1.5])
 """Offset [mm] and lobe exponent of a usual sensor (assumed), which those of each are drawn to."""
 
 _OFFSET_PRIOR = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredTable:
+    """Readings of a robot in front of an object.
+
+    Attributes:
+        distances: Distances from the robot's edge to the object (n,) [m].
+        bearings: Bearings of the object, counter-clockwise from ahead (n,) [rad].
+        counts: Readings of the sensors (n, 8) [counts].
+        radius: Radius of the cylinder [m]; 0 for a wall.
+    """
+
+    distances: Floats
+    bearings: Floats
+    counts: Floats
+    radius: float
+
+    def view(self, sensor: int, heading: float) -> View:
+        """Return the view of a sensor with a heading [rad]."""
+        return View.of(SENSOR_POSITIONS[sensor], heading, self.distances, self.bearings, self.radius)
+
+
+def proximity(
+    view: View, optics: Optics, reflectance: float = 1.0, limit_counts: int = COUNTS_LIMIT
+) -> Floats:
+    """Return the counts of a sensor without noise, not rounded (n_places,)."""
+    return np.clip(level(view, optics, reflectance), 0, limit_counts)
 
 
 def reference() -> Path:

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from khep_twin.lab.fit.infrared import Optics, proximity
+from khep_twin.lab.fit.infrared import Optics
 from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
-from studies.infrared_fits import on_axis, reference, rms, sampled
+from studies.infrared_fits import on_axis, proximity, reference, rms, sampled
 from tools.command_table import command_line
 
 PEERS = {

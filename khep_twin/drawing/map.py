@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
+from typing import Literal
 
 import matplotlib.style
 import numpy as np
@@ -195,6 +196,13 @@ def thumbnail(playpen: Playpen, longer_side: int = 200) -> bytes:
     return data.getvalue()
 
 
+def sheet(width: float, height: float, layout: Literal["constrained"] | None = None) -> Figure:
+    """Return an empty figure or page of a size [inch]."""
+    figure = Figure(figsize=(width, height), facecolor="white", layout=layout)
+    FigureCanvasAgg(figure)
+    return figure
+
+
 def _sheet(playpen: Playpen, longer_side: float, *, scale: bool, entries: int) -> tuple[Figure, Axes, int]:
     """Return a figure, its axes in mm with room around them, and the number of columns of its legend."""
     arena = playpen.arena
@@ -206,8 +214,7 @@ def _sheet(playpen: Playpen, longer_side: float, *, scale: bool, entries: int) -
     columns = max(min(entries, int((left + width + right) / _ENTRY)), 1)
     bottom = 0.65 + 0.2 * -(-entries // columns) if entries > 1 else 0.55
     size = left + width + right, bottom + height + top
-    figure = Figure(figsize=size, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = sheet(*size)
     axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
     axes.set(xlim=(-rim_mm, arena.width_mm + rim_mm), ylim=(-rim_mm, arena.height_mm + rim_mm))
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")

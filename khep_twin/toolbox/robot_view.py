@@ -130,8 +130,9 @@ def _sheet() -> "tuple[Figure, Axes]":
     from matplotlib.lines import Line2D
     from matplotlib.patches import Circle, Polygon
 
+    from khep_twin.drawing.map import sheet
     from khep_twin.drawing.symbols import INK
-    from khep_twin.lab.sensor_test.sensor_figure import draw_body, sheet
+    from khep_twin.lab.sensor_test.sensor_figure import draw_body
 
     figure = sheet(4.2, 4.4)
     axes = figure.add_axes((0, 0.06, 1, 0.94))

@@ -102,10 +102,10 @@ class LimitedTime:
         Raises:
             StoppedError: The limit was before `time_ns`.
         """
-        if self.limit_ns is not None and time_ns > self.limit_ns:
-            self._world.advance_to(self.limit_ns)
-            raise StoppedError("the time of the challenge is over")
-        self._world.advance_to(time_ns)
+        limit_ns = time_ns if self.limit_ns is None else self.limit_ns
+        self._world.advance_to(min(time_ns, limit_ns))
+        if time_ns > limit_ns:
+            self.attend()
 
     def attend(self) -> None:
         """Refuse commands after the limit.

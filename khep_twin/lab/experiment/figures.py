@@ -13,12 +13,11 @@ from collections.abc import Sequence
 import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.drawing.map import STYLE
+from khep_twin.drawing.map import STYLE, sheet
 from khep_twin.drawing.map import draw as draw_map
 from khep_twin.drawing.symbols import INK
 from khep_twin.lab.experiment.branch import BranchPlan, Trajectory
@@ -47,8 +46,7 @@ def draw(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequence
     across = min(len(names), 2 if len(names) < 5 else 3)
     down = math.ceil(len(names) / across)
     with matplotlib.style.context(STYLE):
-        figure = Figure(figsize=(_WIDTH * across, _HEIGHT * down + 0.4), layout="constrained")
-        FigureCanvasAgg(figure)
+        figure = sheet(_WIDTH * across, _HEIGHT * down + 0.4, "constrained")
         panels: list[Axes] = [figure.add_subplot(down, across, place) for place in range(1, len(names) + 1)]
         for axes, name in zip(panels, names, strict=True):
             _panel(axes, labels, series, name)

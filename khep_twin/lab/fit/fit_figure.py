@@ -8,10 +8,9 @@ from collections.abc import Sequence
 import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 
-from khep_twin.drawing.map import STYLE
+from khep_twin.drawing.map import STYLE, sheet
 from khep_twin.drawing.symbols import INK
 from khep_twin.lab.fit.fit_inputs import Measured, SensorData
 from khep_twin.lab.fit.motor_fit import DutyDrive, driven
@@ -38,8 +37,7 @@ def draw_fit(tests: Measured, fit: RobotFit) -> Figure | None:
     if not heights:
         return None
     with matplotlib.style.context(STYLE):
-        figure = Figure(figsize=(10, sum(heights)), facecolor="white", layout="constrained")
-        FigureCanvasAgg(figure)
+        figure = sheet(10, sum(heights), "constrained")
         rows = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
         parts: list[SubFigure] = rows[:, 0].tolist()
         for part, (kind, runs) in zip(parts, kinds.items(), strict=False):

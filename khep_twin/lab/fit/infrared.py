@@ -13,7 +13,7 @@ import numpy as np
 from khep_twin.lab.fit.least_squares import Floats
 from khep_twin.sensing import lobes
 from khep_twin.sensing.calibration import ProximityCalibration
-from khep_twin.units import BODY_RADIUS, COUNTS_LIMIT, SENSOR_HEIGHT, SENSOR_POSITIONS
+from khep_twin.units import BODY_RADIUS, SENSOR_HEIGHT
 
 OBJECT_HEIGHT = 0.05
 """Height of walls and cylinders [m]: a playpen's default (not told of any that was measured)."""
@@ -108,27 +108,6 @@ class View:
 
 
 @dataclass(frozen=True, slots=True)
-class MeasuredTable:
-    """Readings of a robot in front of an object.
-
-    Attributes:
-        distances: Distances from the robot's edge to the object (n,) [m].
-        bearings: Bearings of the object, counter-clockwise from ahead (n,) [rad].
-        counts: Readings of the sensors (n, 8) [counts].
-        radius: Radius of the cylinder [m]; 0 for a wall.
-    """
-
-    distances: Floats
-    bearings: Floats
-    counts: Floats
-    radius: float
-
-    def view(self, sensor: int, heading: float) -> View:
-        """Return the view of a sensor with a heading [rad]."""
-        return View.of(SENSOR_POSITIONS[sensor], heading, self.distances, self.bearings, self.radius)
-
-
-@dataclass(frozen=True, slots=True)
 class Optics:
     """Calibration of one sensor's optics."""
 
@@ -148,15 +127,8 @@ class Optics:
         )
 
 
-def proximity(
-    view: View, optics: Optics, reflectance: float = 1.0, limit_counts: int = COUNTS_LIMIT
-) -> Floats:
-    """Return the counts of a sensor without noise, not rounded (n_places,)."""
-    return np.clip(level(view, optics, reflectance), 0, limit_counts)
-
-
 def level(view: View, optics: Optics, reflectance: float = 1.0) -> Floats:
-    """Return `proximity` before it is clipped (n_places,) [counts]."""
+    """Return the counts of a sensor without noise, not rounded and not clipped (n_places,)."""
     light = view.light(optics.offset_mm * 1e-3, optics.lobe_exponent)
     return optics.gain_counts_mm2 * 1e-6 * reflectance * light - optics.threshold_counts
 

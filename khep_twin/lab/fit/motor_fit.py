@@ -22,8 +22,8 @@ from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
 from khep_twin.lab.fit.least_squares import Floats, Parameter, least_squares
+from khep_twin.lab.fit.wheel_fit import transcript
 from khep_twin.log.channels import TextLine
-from khep_twin.log.reader import read_log
 from khep_twin.sensing.calibration import Calibration, MotorCalibration
 from khep_twin.units import PULSES_PER_TURN, TICK_NS
 from khep_twin.world import World
@@ -110,13 +110,10 @@ def read_drive(log: Path) -> DutyDrive:
         LogError: There is no log.
         FitError: It holds no steps of duty, or too few replies.
     """
-    robots = read_log(log).robots
-    if len(robots) != 1:
-        raise FitError(f"{log}: {len(robots)} robots; expected a log of one")
-    (track,) = robots.values()
-    sent = tuple((line.time_ns, line.text) for line in track.serial if line.name == "host")
+    lines = transcript(log)
+    sent = tuple((line.time_ns, line.text) for line in lines if line.name == "host")
     asked = [(time_ns, text) for time_ns, text in sent if text in ("E", "H")]
-    answers = [values for line in track.serial if (values := _values(line))]
+    answers = [values for line in lines if (values := _values(line))]
     duties = [text for _, text in sent if text.startswith("P,")]
     if not duties:
         raise FitError(

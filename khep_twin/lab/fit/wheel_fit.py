@@ -23,6 +23,7 @@ from scipy.optimize import least_squares
 from khep_twin.errors import FitError
 from khep_twin.lab.fit.least_squares import CONFIDENCE
 from khep_twin.lab.fit.placement import Ruler
+from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import read_log
 from khep_twin.sensing.calibration import WheelCalibration
 from khep_twin.units import PULSES_PER_TURN, WHEEL_BASE, WHEEL_RADIUS
@@ -126,11 +127,7 @@ def pulses(log: Path) -> tuple[int, int]:
         LogError: There is no log.
         FitError: The host has not sent H twice, or has set the counters between.
     """
-    robots = read_log(log).robots
-    if len(robots) != 1:
-        raise FitError(f"{log}: {len(robots)} robots; expected a log of one")
-    (track,) = robots.values()
-    lines = [line.text for line in track.serial]
+    lines = [line.text for line in transcript(log)]
     replies = [number for number, text in enumerate(lines) if text.startswith("h,")]
     if len(replies) < 2:
         raise FitError(f"{log}: the counters were not read twice; expected H before and after the drive")
@@ -139,6 +136,20 @@ def pulses(log: Path) -> tuple[int, int]:
         raise FitError(f"{log}: the counters were set during the drive; expected G only before the first H")
     first, last = (lines[replies[position]].split(",") for position in (0, -1))
     return int(last[1]) - int(first[1]), int(last[2]) - int(first[2])
+
+
+def transcript(log: Path) -> Sequence[TextLine]:
+    """Return what crossed the line of the only robot of a log.
+
+    Raises:
+        LogError: There is no log.
+        FitError: It has several robots, or none.
+    """
+    robots = read_log(log).robots
+    if len(robots) != 1:
+        raise FitError(f"{log}: {len(robots)} robots; expected a log of one")
+    (track,) = robots.values()
+    return track.serial
 
 
 def left_over(drive: Drive, radius: float, base: float) -> float:

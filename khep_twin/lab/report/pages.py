@@ -16,7 +16,7 @@ import matplotlib.style
 from matplotlib.figure import Figure
 
 from khep_twin.drawing import map as drawing
-from khep_twin.drawing.map import STYLE
+from khep_twin.drawing.map import STYLE, sheet
 from khep_twin.lab.report import shadow_section
 from khep_twin.lab.report.figure import (
     SENSOR_HEIGHT,
@@ -29,7 +29,6 @@ from khep_twin.lab.report.figure import (
 )
 from khep_twin.lab.report.report import Report, RobotReport
 from khep_twin.lab.report.rows import DEFINITIONS, Row
-from khep_twin.lab.sensor_test.sensor_figure import sheet
 
 _T = TypeVar("_T")
 
@@ -74,7 +73,8 @@ $body
 
 def html(report: Report) -> bytes:
     """Return a report as an HTML page in one file."""
-    parts = [_image(draw_map(report), "Paths in the playpen", "map")] if report.playpen is not None else []
+    figure = draw_map(report)
+    parts = [] if figure is None else [_image(figure, "Paths in the playpen", "map")]
     for robot in report.robots:
         parts += [f"<h2>{escape(robot.name)}</h2>", _table(robot.rows)]
         if robot.missing:
@@ -99,14 +99,10 @@ def html(report: Report) -> bytes:
     return _PAGE.substitute(title=escape(report.title), body="\n".join(parts)).encode("utf-8")
 
 
-def draw_map(report: Report) -> Figure:
-    """Draw the playpen with the robots' paths.
-
-    Raises:
-        ValueError: The log has no playpen.
-    """
+def draw_map(report: Report) -> Figure | None:
+    """Draw the playpen with the robots' paths; None if the log has no playpen."""
     if report.playpen is None:
-        raise ValueError("a report without a playpen has no map")
+        return None
     if report.shadow is not None:
         return shadow_section.draw_map(report.playpen, report.shadow)
     return drawing.draw(report.playpen, report.tracks)

@@ -14,14 +14,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from khep_twin.drawing import map as drawing
-from khep_twin.drawing.map import METADATA, STYLE
+from khep_twin.drawing.map import METADATA, STYLE, sheet
 from khep_twin.drawing.symbols import INK
 from khep_twin.lab.report import shadow_section
 from khep_twin.lab.report.figure import WIDTH
 from khep_twin.lab.report.pages import DPI, draw_map, listed, pictures
 from khep_twin.lab.report.report import Report
 from khep_twin.lab.report.rows import DEFINITIONS, Row
-from khep_twin.lab.sensor_test.sensor_figure import sheet
 
 _PAGE = (210 / 25.4, 297 / 25.4)
 """A4 [inch]."""
@@ -43,8 +42,8 @@ def pdf(report: Report) -> bytes:
     with matplotlib.style.context(STYLE):
         pages = _Pages()
         pages.text(report.title, _TITLE)
-        if report.playpen is not None:
-            pages.picture(drawing.picture(draw_map(report), "png", DPI))
+        if (playpen := draw_map(report)) is not None:
+            pages.picture(drawing.picture(playpen, "png", DPI))
         for robot in report.robots:
             pages.heading(robot.name, 0.25 * len(robot.rows))
             pages.table(robot.rows, _TEXT)

@@ -17,13 +17,12 @@ from typing import Any
 import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
-from khep_twin.drawing.map import STYLE
+from khep_twin.drawing.map import STYLE, sheet
 from khep_twin.drawing.symbols import INK, Look
 from khep_twin.errors import SensorTestError
 from khep_twin.lab.sensor_test.sensor_test import SensorRun
@@ -146,13 +145,6 @@ def _common(runs: Sequence[SensorRun]) -> tuple[float, float]:
     if not low < high:
         raise SensorTestError("the runs have no part of the path in common; expected runs over the same path")
     return low, high
-
-
-def sheet(width: float, height: float) -> Figure:
-    """Return an empty figure or page of a size [inch]."""
-    figure = Figure(figsize=(width, height), facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def draw_body(axes: Axes) -> None:

@@ -8,7 +8,7 @@ from scenes import arena, robot, table
 
 from khep_twin import playpen
 from khep_twin.board.kernel import PROXIMITY
-from khep_twin.lab.fit.infrared import MeasuredTable, Optics, proximity
+from khep_twin.lab.fit.infrared import Optics
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 from khep_twin.sensing import calibration
 from khep_twin.units import BODIES, BODY_RADIUS, SENSOR_HEADINGS
@@ -20,11 +20,13 @@ from studies.infrared_fits import (
     OBSTACLE_REFLECTANCE,
     OTHER_WOOD,
     SET_UP_BEARING,
+    MeasuredTable,
     compare,
     fit_sampled,
     khepera2_report,
     manual_residuals,
     peak,
+    proximity,
     rms,
     sampled,
 )
