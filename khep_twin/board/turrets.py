@@ -206,13 +206,15 @@ def find(names: Sequence[str]) -> tuple[TurretKind, ...]:
 def raised_by(kinds: Sequence[TurretKind]) -> tuple[float, ...]:
     """Return the height by which each turret of a stack is raised by those below it [m].
 
+    A turret without a body and a height has no place in the stack.
+
     Raises:
         TurretError: One does not fit on those below it.
     """
     heights: list[float] = []
     below, top = 0.0, None
     for kind in kinds:
-        if top is not None and takes_room(kind):
+        if top is not None and (kind.scene is not None or kind.height != 0):
             raise TurretError(
                 f"nothing fits on turret {top.name!r}; expected it last, not below {kind.name!r}"
             )
@@ -223,8 +225,3 @@ def raised_by(kinds: Sequence[TurretKind]) -> tuple[float, ...]:
             top = kind
         below += kind.height or 0.0
     return tuple(heights)
-
-
-def takes_room(kind: TurretKind) -> bool:
-    """Return whether a turret has a place in the stack: a body, or a height."""
-    return kind.scene is not None or kind.height != 0

@@ -67,7 +67,7 @@ class LineRecorder(FileRecorder):
         self._transcript = Transcript(self._file, [ROBOT])
         self._lines = {True: LineReader(), False: LineReader(_REPLY_LIMIT)}
         self._host_events: list[tuple[int, HostEvent]] = []
-        self._setpoints = (0, 0)
+        self._setpoints: tuple[int, ...] = (0, 0)
         self._frames = {
             topic: ArrayFrame(len(columns), kind, label) for topic, _, kind, label, columns in SAMPLED
         }
@@ -89,10 +89,10 @@ class LineRecorder(FileRecorder):
         if to_robot:
             self._host_events.append((time_ns, HostEvent(HostEventKind.SEND, time_ns, None, data)))
         for line in self._lines[to_robot].feed(data):
-            if to_robot:
-                self._take_setpoints(line)
-            else:
+            if not to_robot:
                 self._take_values(time_ns, line)
+            elif isinstance(command := parse(line), Command) and command.letter == "D":
+                self._setpoints = command.arguments
 
     def on_event(self, text: str) -> None:
         """Record an event; flush the file."""
@@ -118,13 +118,6 @@ class LineRecorder(FileRecorder):
         events, self._host_events = self._host_events, []
         if events:
             self._file.add(f"/{ROBOT}/host_events", INTEGERS, events[0][0], events_message(events))
-
-    def _take_setpoints(self, line: bytes) -> None:
-        match parse(line):
-            case Command("D", (int(left), int(right))):
-                self._setpoints = (left, right)
-            case _:
-                pass
 
     def _take_values(self, time_ns: int, line: bytes) -> None:
         head = next((each for each in _REPLIES if line.startswith(each)), None)

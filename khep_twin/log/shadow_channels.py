@@ -51,7 +51,8 @@ PROXIMITY, LIGHT, WHEELS, TIMING = slice(0, 8), slice(8, 16), slice(16, 18), 18
 PARTICLES = 100
 """Particles in a message, evenly chosen."""
 
-_ALARM_LINE = re.compile(r"([^:]+): (?:since ([0-9.]{1,20}) s, ([0-9.]{1,20}) % sure|ended.*)")
+_PLAIN = r"[0-9]{1,18}(?:\.[0-9]{1,9})?"
+_ALARM_LINE = re.compile(rf"([^:]+): (?:since ({_PLAIN}) s, ({_PLAIN}) % sure|ended.*)")
 
 _T = TypeVar("_T")
 
@@ -137,7 +138,7 @@ def alarms_of(lines: Iterable[TextLine]) -> list[Alarm]:
             continue
         fault, since, sure = found.groups()
         if since is not None:
-            since_ns, sureness = to_ns(_number(since)), _number(sure) / 100
+            since_ns, sureness = to_ns(float(since)), float(sure) / 100
             alarms.append(Alarm(fault, line.name, since_ns, line.time_ns, sureness))
             continue
         for index, alarm in enumerate(alarms):
@@ -213,10 +214,3 @@ def _floats(messages: Sequence[bytes], width: int) -> Floats:
     if not messages:
         return np.zeros((0, width))
     return np.asarray(read_arrays_of(messages, "d", width, " of a shadow"), np.float64)
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return 0.0

@@ -97,18 +97,13 @@ class ShadowLog(FileRecorder):
             return
         time_ns = self._time_ns = update.time_ns
         estimate = update.estimate
-        self._file.add(
-            "/shadow/pose",
-            UNSURE_POSE,
-            time_ns,
-            channels.pose_message(time_ns, estimate.pose, estimate.covariance),
-        )
+        message = channels.pose_message(time_ns, estimate.pose, estimate.covariance)
+        self._file.add("/shadow/pose", UNSURE_POSE, time_ns, message)
         self._file.add("/shadow/reckoned", POSE, time_ns, channels.pose_message(time_ns, update.reckoned))
         self._file.add("/tf", "tf2_msgs/msg/TFMessage", time_ns, self._ghost.message(time_ns, estimate.pose))
-        residuals = update.residuals
         self._add("expected", self._proximity, update.expected)
         self._add("measured", self._proximity, update.measured)
-        self._add("residuals", self._residuals, np.hstack(residuals))
+        self._add("residuals", self._residuals, np.hstack(update.residuals))
         if time_ns - self._particles_ns >= PARTICLES_NS:
             self._particles_ns = time_ns
             rows = np.linspace(0, len(update.particles) - 1, PARTICLES).round().astype(np.intp)

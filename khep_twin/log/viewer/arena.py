@@ -80,15 +80,9 @@ class Rays:
         colours[..., :3] = (_NOTHING + part * (_NEAR - _NOTHING))[:, :, None]
         colours[..., 3] = 255
         colours[~seen] = _UNLIT_RAY
-        lines = rr.LineStrips3D.columns(
-            strips=strips.reshape(-1, 2, 3),
-            colors=colours.reshape(-1, 4),
-            radii=np.full(n * len(Sensor) * _RAYS, 0.0004, np.float32),
-        )
-        times = time_column(track.times_ns)
-        place = f"/obstacles/{robot}_sensors"
-        moving = Chunk.from_columns(place, [times], lines.partition([len(Sensor) * _RAYS] * n))
-        return [in_frame(place, f"{robot}/base"), moving]
+        place, each = f"/obstacles/{robot}_sensors", len(Sensor) * _RAYS
+        lines = strips.reshape(-1, 2, 3), colours.reshape(-1, 4)
+        return line_chunks(place, f"{robot}/base", track.times_ns, *lines, 0.0004, each)
 
     def _cast(self, robot: str, poses: Poses, rows: NDArray[np.intp]) -> tuple[Floats, NDArray[np.bool_]]:
         """Return the ends of rays in the robot's frame (n, 8, rays, 3) [m], and which of them hit."""
@@ -143,13 +137,19 @@ def path_chunks(
         times_ns = times_ns[1:]
     if len(points) < 2:
         return []
-    n = len(points) - 1
-    lines = rr.LineStrips3D.columns(
-        strips=np.stack((points[:-1], points[1:]), axis=1).astype(np.float32),
-        colors=np.tile(np.array([colour], np.uint8), (n, 1)),
-        radii=np.full(n, 0.0015, np.float32),
-    )
-    return [in_frame(place, "world"), Chunk.from_columns(place, [time_column(times_ns)], lines)]
+    strips = np.stack((points[:-1], points[1:]), axis=1).astype(np.float32)
+    colours = np.tile(np.array([colour], np.uint8), (len(strips), 1))
+    return line_chunks(place, "world", times_ns, strips, colours, 0.0015, 1)
+
+
+def line_chunks(
+    place: str, frame: str, times_ns: NDArray[np.int64], strips: Any, colours: Any, radius: float, each: int
+) -> list[Chunk]:
+    """Return lines in a coordinate frame, `each` of them at each time."""
+    n = len(times_ns)
+    radii = np.full(n * each, radius, np.float32)
+    lines = rr.LineStrips3D.columns(strips=strips, colors=colours, radii=radii).partition([each] * n)
+    return [in_frame(place, frame), Chunk.from_columns(place, [time_column(times_ns)], lines)]
 
 
 def trail(robot: str) -> str:

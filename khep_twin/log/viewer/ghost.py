@@ -23,7 +23,7 @@ from khep_twin.log.channels import PLANAR
 from khep_twin.log.entries import Label
 from khep_twin.log.reader import hash_of, read_series
 from khep_twin.log.shadow_channels import LIGHT, PARTICLES, PROXIMITY, TIMING, WHEELS, is_shadow, planar
-from khep_twin.log.viewer.arena import REACH, in_frame, path_chunks, trail
+from khep_twin.log.viewer.arena import REACH, in_frame, line_chunks, path_chunks, trail
 from khep_twin.log.viewer.collected import Collector, Floats, time_column
 
 RESIDUALS = {
@@ -169,16 +169,9 @@ def _lines(
     place: str, times_ns: NDArray[np.int64], strips: list[Floats], colours: list[Any], radius: float
 ) -> Iterator[Chunk]:
     """Yield as many lines at each time as there are colours."""
-    n, k = len(times_ns), len(colours)
-    if not n:
-        return
-    columns = rr.LineStrips3D.columns(
-        strips=[strip.astype(np.float32) for strip in strips],
-        colors=colours * n,
-        radii=np.full(n * k, radius, np.float32),
-    )
-    yield in_frame(place, "world")
-    yield Chunk.from_columns(place, [time_column(times_ns)], columns.partition([k] * n))
+    if len(times_ns):
+        lines = [strip.astype(np.float32) for strip in strips], colours * len(times_ns)
+        yield from line_chunks(place, "world", times_ns, *lines, radius, len(colours))
 
 
 def _truth(label: Label, source: Path) -> tuple[NDArray[np.int64], Floats] | None:
