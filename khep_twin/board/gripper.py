@@ -70,25 +70,25 @@ class GripperElectronics:
         if isinstance(order, Malformed):
             return order.reply
         view = self._view
+        values: tuple[int, ...] = ()
         match order.letter, order.arguments:
             case "B", ():
-                return self._reply("B", VERSION, REVISION)
+                values = VERSION, REVISION
             case "D", (0 | 1 as closed,):
                 view[Register.FINGER_TARGET] = 0 if closed else FINGERS_OPEN
-                return self._reply("D")
             case "E", (position,):
                 view[Register.ARM_TARGET] = min(max(position, ARM_UP), ARM_DOWN)
-                return self._reply("E")
             case "F", ():
-                return self._reply("F", view[Register.RESISTIVITY])
+                values = (view[Register.RESISTIVITY],)
             case "G", ():
-                return self._reply("G", view[Register.BARRIER])
+                values = (view[Register.BARRIER],)
             case "H", (0 | 1 as arm,):
-                return self._reply("H", view[Register.ARM_POSITION if arm else Register.FINGER_POSITION])
+                values = (view[Register.ARM_POSITION if arm else Register.FINGER_POSITION],)
             case "J", ():
-                return self._reply("J", 0)
+                values = (0,)
             case _:
                 return PROTOCOL_ERROR
+        return turret_reply(GRIPPER_NUMBER, order.letter, *values)
 
     def tick(self) -> None:
         """Move both setpoints towards their targets."""
@@ -106,6 +106,3 @@ class GripperElectronics:
     def _approach(self, setpoint: Register, target: Register, speed: int) -> None:
         view = self._view
         view[setpoint] += clip(view[target] * FRACTION - view[setpoint], speed)
-
-    def _reply(self, letter: str, *values: int) -> bytes:
-        return turret_reply(GRIPPER_NUMBER, letter, *values)

@@ -121,13 +121,8 @@ class K213Electronics:
         view = self._view
         # A snapshot from outside may hold any number.
         fixed_ms = K213_PERIODS_MS[view[K213Register.PERIOD] % len(K213_PERIODS_MS)]
-        period_ms = fixed_ms or period_by_light(view[K213Register.LIGHT])
+        period_ms = fixed_ms or min(max(view[K213Register.LIGHT], SHORTEST_MS), LONGEST_MS)
         view[K213Register.SCAN] = view[K213Register.LEFT] = (period_ms + TICK_MS // 2) // TICK_MS
-
-
-def period_by_light(light: int) -> int:
-    """Return the duration of a scan at a reading of the light sensor [ms]."""
-    return min(max(light, SHORTEST_MS), LONGEST_MS)
 
 
 _LENGTHS = {"Q": 8, "R": 16}

@@ -156,12 +156,10 @@ class NetworkHost:
             self._finished = not data
             if len(self._beginning) < max(map(len, _OF_BROWSERS)):
                 self._beginning += data
-                self._refuse_browsers()
-
-    def _refuse_browsers(self) -> None:
-        if self._beginning.startswith(_OF_BROWSERS) and not self.fault:
-            self.fault = f"it begins with {self._beginning[:8]}, as a browser does; expected a robot's host"
-            self.lost = self._finished = True
+                if self._beginning.startswith(_OF_BROWSERS) and not self.fault:
+                    begin = self._beginning[:8]
+                    self.fault = f"it begins with {begin}, as a browser does; expected a robot's host"
+                    self.lost = self._finished = True
 
     def _flush(self) -> None:
         if self._waiting:

@@ -9,7 +9,7 @@ Times are those of the line that the shadow hears. The same updates give the sam
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
@@ -44,8 +44,6 @@ LIVE_FLUSH_NS = NS_PER_S // 2
 PARTICLES_NS = NS_PER_S
 """Time between two messages of particles [ns]."""
 
-_NONE: Mapping[str, str] = {}
-
 
 class ShadowLog(FileRecorder):
     """Log of a shadow.
@@ -55,13 +53,10 @@ class ShadowLog(FileRecorder):
         playpen: Playpen of the shadow.
         settings: Settings of the shadow.
         parent: Log that the shadow reads; None beside a robot.
-        facts: More metadata, such as the robot's device.
         flush_ns: Time between two flushes to the file system [ns].
-        on_failure: Function that takes the message if the log can no longer be written, after which the
-            shadow continues without it; None ends it by a `LogError`.
 
     Raises:
-        LogError: The file cannot be made, or the parent cannot be read.
+        LogError: The file cannot be made, or the parent cannot be read; in each method: it cannot be written.
     """
 
     def __init__(
@@ -71,9 +66,7 @@ class ShadowLog(FileRecorder):
         settings: ShadowSettings,
         *,
         parent: Path | None = None,
-        facts: Mapping[str, str] = _NONE,
         flush_ns: int = FLUSH_NS,
-        on_failure: Callable[[str], None] | None = None,
     ) -> None:
         named = {} if parent is None else {"parent": parent.name, "parent_sha256": hash_of(parent)}
         self._time_ns = self._flushed_ns = 0
@@ -87,8 +80,7 @@ class ShadowLog(FileRecorder):
         self._learned = ArrayFrame(len(VALUE_NAMES), "f8", ", ".join(VALUE_NAMES))
         self._particles = ArrayFrame(3 * PARTICLES, "f8", "x, y [m], heading [rad] of each particle")
         self._file = LogFile(path, lambda: self._time_ns)
-        self._begin(playpen, settings, {**named, **facts})
-        self._file.on_failure = on_failure
+        self._begin(playpen, settings, named)
         self._file.complete = self.close
 
     def write(self, update: Update) -> None:
@@ -108,7 +100,10 @@ class ShadowLog(FileRecorder):
             self._particles_ns = time_ns
             rows = np.linspace(0, len(update.particles) - 1, PARTICLES).round().astype(np.intp)
             self._add("particles", self._particles, update.particles[rows].ravel())
-        self._write_alarms(update)
+        for change in self._alarms.changes(time_ns, update.alarms, update.ended):
+            tell = begin_line if change.alarm.ended_ns is None else end_line
+            message = channels.line_message(tell(change.time_ns, change.alarm))
+            self._file.add("/shadow/alarms", LINES, change.time_ns, message)
         if time_ns - self._flushed_ns >= self._flush_ns:
             self._flushed_ns = time_ns
             self._file.flush()
@@ -136,13 +131,6 @@ class ShadowLog(FileRecorder):
     def _add(self, name: str, frame: ArrayFrame, values: NDArray[np.float64]) -> None:
         message = frame.messages(values[None])[0].tobytes()
         self._file.add(f"/shadow/{name}", FLOATS, self._time_ns, message)
-
-    def _write_alarms(self, update: Update) -> None:
-        """Write which alarms have begun and ended."""
-        for change in self._alarms.changes(update.time_ns, update.alarms, update.ended):
-            tell = begin_line if change.alarm.ended_ns is None else end_line
-            message = channels.line_message(tell(change.time_ns, change.alarm))
-            self._file.add("/shadow/alarms", LINES, change.time_ns, message)
 
     def _begin(self, playpen: Playpen, settings: ShadowSettings, named: Mapping[str, str]) -> None:
         attachments = {
