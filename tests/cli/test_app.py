@@ -150,39 +150,36 @@ def test_a_wrong_playpen_is_reported_file_table_key_and_value(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "line"),
+    ("typed", "line"),
     [
         (
-            ["run", "--playpen", "obstacle"],
+            "run --playpen obstacle",
             "obstacle: no such file; expected the path of a file or a shipped name; did",
         ),
-        (["run", "--port", "/dev/nope", "--seconds", "1"], "/dev/nope: cannot open this port: "),
-        (["run", "--port", "/dev/nope", "--log", "x.mcap"], "--log is for a twin in this process"),
-        (["run", "--picture", "x.png"], "--picture draws the path from the log"),
-        (["run", "--seconds", "0"], "--seconds and --cycles are above 0"),
-        (["run", "--seed", "-1"], "seed = -1; expected an integer from 0 to 2**63-1"),
-        (["run", "--robot", "1"], "robot = 1: not in playpen 'default'; (choices: 0)"),
-        (["run", "--log", "/nowhere/run.mcap"], "/nowhere/run.mcap: cannot write a log here: "),
-        (["run", "nobody.py"], "nobody.py: no such file"),
-        (["run", "nobody"], "nobody: no such controller"),
-        (["view", "nothing.mcap"], "nothing.mcap: "),
-        (["view", "a.mcap", "b.mcap", "--live"], "--live follows one log, not 2"),
-        (["view", "no/a.mcap", "--live"], "no/a.mcap: no run writes this log"),
-        (["view", "a.mcap", "--live", "--save", "a.rrd"], "--save and --live do not go together"),
-        (["view", "a.mcap", "--no-browser"], "--no-browser is for --web"),
-        (["view", "a.mcap", "--save", "b.mcap"], "--save b.mcap: expected a name that ends in .rrd"),
+        ("run --port /dev/nope --seconds 1", "/dev/nope: cannot open this port: "),
+        ("run --port /dev/nope --log x.mcap", "--log is for a twin in this process"),
+        ("run --picture x.png", "--picture draws the path from the log"),
+        ("run --seconds 0", "--seconds and --cycles are above 0"),
+        ("run --seed -1", "seed = -1; expected an integer from 0 to 2**63-1"),
+        ("run --robot 1", "robot = 1: not in playpen 'default'; (choices: 0)"),
+        ("run --log /nowhere/run.mcap", "/nowhere/run.mcap: cannot write a log here: "),
+        ("run nobody.py", "nobody.py: no such file"),
+        ("run nobody", "nobody: no such controller"),
+        ("view nothing.mcap", "nothing.mcap: "),
+        ("view a.mcap b.mcap --live", "--live follows one log, not 2"),
+        ("view no/a.mcap --live", "no/a.mcap: no run writes this log"),
+        ("view a.mcap --live --save a.rrd", "--save and --live do not go together"),
+        ("view a.mcap --no-browser", "--no-browser is for --web"),
+        ("view a.mcap --save b.mcap", "--save b.mcap: expected a name that ends in .rrd"),
         (
-            ["playpen", "compile", "default", "-o", "/nowhere/x.xml"],
+            "playpen compile default -o /nowhere/x.xml",
             "/nowhere/x.xml: cannot be written: there is no directory /nowhere",
         ),
-        (
-            ["playpen", "draw", "default", "-o", "x.jpeg"],
-            "x.jpeg: expected a name that ends in .png, .svg or .pdf",
-        ),
+        ("playpen draw default -o x.jpeg", "x.jpeg: expected a name that ends in .png, .svg or .pdf"),
     ],
 )
-def test_a_mistake_is_one_line_that_says_what_is_right(arguments: list[str], line: str) -> None:
-    assert complaint(*arguments).startswith(line)
+def test_a_mistake_is_one_line_that_says_what_is_right(typed: str, line: str) -> None:
+    assert complaint(*typed.split()).startswith(line)
 
 
 @pytest.mark.parametrize(

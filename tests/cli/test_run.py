@@ -340,26 +340,23 @@ def test_series_are_compared_and_drawn(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "line"),
+    ("typed", "line"),
     [
-        (("--resume",), "--resume goes on with a series that was saved; expected --save FOLDER, too"),
-        (("--save", "s", "--resume"), "s: no series to resume; expected a folder that --save made"),
-        (("--start", "5,5,0"), "start 5,5,0: robot 1 at (5, 5) overlaps the left wall"),
-        (("--start", "playpen", "--robot", "3"), "robot = 3: not in playpen 'default'; (choices: 0)"),
-        (("--lighting", "dark"), "lighting 'dark': unknown; (choices: all, random, sequenced, off)"),
-        (("--without-lamp", "1"), "--without-lamp 1: expected X,Y in mm, such as 50,450"),
-        (("--without-lamp", "1,1"), "default: no lamp is left; expected one to take away or move"),
-        (
-            ("--port", "khep://default", "--start", "random"),
-            "--start is for a twin in this process, not for one",
-        ),
-        (("--pause", "inf"), "a pause of inf s; expected 0 or more"),
-        (("--save", "mine.py"), "mine.py: no folder can be made here: File exists"),
+        ("--resume", "--resume goes on with a series that was saved; expected --save FOLDER, too"),
+        ("--save s --resume", "s: no series to resume; expected a folder that --save made"),
+        ("--start 5,5,0", "start 5,5,0: robot 1 at (5, 5) overlaps the left wall"),
+        ("--start playpen --robot 3", "robot = 3: not in playpen 'default'; (choices: 0)"),
+        ("--lighting dark", "lighting 'dark': unknown; (choices: all, random, sequenced, off)"),
+        ("--without-lamp 1", "--without-lamp 1: expected X,Y in mm, such as 50,450"),
+        ("--without-lamp 1,1", "default: no lamp is left; expected one to take away or move"),
+        ("--port khep://default --start random", "--start is for a twin in this process, not for one"),
+        ("--pause inf", "a pause of inf s; expected 0 or more"),
+        ("--save mine.py", "mine.py: no folder can be made here: File exists"),
     ],
 )
-def test_a_mistake_is_one_line(words: Sequence[str], line: str, tmp_path: Path) -> None:
+def test_a_mistake_is_one_line(typed: str, line: str, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(PLAIN)
-    assert complaint("run", "--cycles", "1", *words, folder=tmp_path).startswith(line)
+    assert complaint("run", "--cycles", "1", *typed.split(), folder=tmp_path).startswith(line)
 
 
 def test_a_new_controller_runs_as_it_stands(tmp_path: Path) -> None:

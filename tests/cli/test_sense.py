@@ -1,5 +1,6 @@
 """The command `khep-twin sense`: what it writes, draws and refuses."""
 
+import shlex
 import signal
 import subprocess
 import sys
@@ -111,36 +112,28 @@ def test_a_test_that_is_asked_to_end_keeps_its_data(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "line"),
+    ("typed", "line"),
     [
-        ([], "there is nothing to do; expected a PORT such as khep://default, or --overlay FILE"),
+        ("", "there is nothing to do; expected a PORT such as khep://default, or --overlay FILE"),
+        ("khep://default", "--linear and --rotate: none is given; expected one, --linear CM or --rotate DEG"),
+        ("khep://default --linear 5 --rotate 90", "--linear and --rotate: both is given"),
+        ("khep://default --linear 3", "linear = 3 cm; expected 5 to 60, or -5 to -60"),
+        ("khep://default --linear 5 --speed 0", "speed = 0; expected an integer from 1"),
+        ("khep://default --linear 5 --runs 0", "runs = 0; expected an integer from 1 to 100"),
+        ("khep://default --linear 5 -o a.txt", "a.txt; expected a name that ends in .csv"),
+        ("khep://default --linear 5 -o no/a.csv", "no/a.csv: cannot be written: there is no"),
+        ("khep://default --linear 5 -o a.csv -o ./a.csv", "a.csv: is given twice"),
+        ('khep://default --linear 5 --sensor "left 10"', "--sensor is for the picture"),
         (
-            ["khep://default"],
-            "--linear and --rotate: none is given; expected one, --linear CM or --rotate DEG",
-        ),
-        (["khep://default", "--linear", "5", "--rotate", "90"], "--linear and --rotate: both is given"),
-        (["khep://default", "--linear", "3"], "linear = 3 cm; expected 5 to 60, or -5 to -60"),
-        (["khep://default", "--linear", "5", "--speed", "0"], "speed = 0; expected an integer from 1"),
-        (
-            ["khep://default", "--linear", "5", "--runs", "0"],
-            "runs = 0; expected an integer from 1 to 100",
-        ),
-        (["khep://default", "--linear", "5", "-o", "a.txt"], "a.txt; expected a name that ends in .csv"),
-        (["khep://default", "--linear", "5", "-o", "no/a.csv"], "no/a.csv: cannot be written: there is no"),
-        (["khep://default", "--linear", "5", "-o", "a.csv", "-o", "./a.csv"], "a.csv: is given twice"),
-        (["khep://default", "--linear", "5", "--sensor", "left 10"], "--sensor is for the picture"),
-        (
-            ["khep://default", "--linear", "5", "--sensor", "left 11", "--picture", "a.png"],
+            'khep://default --linear 5 --sensor "left 11" --picture a.png',
             "sensor = left 11: no such sensor; did you mean 'left 10'?",
         ),
-        (["--linear", "5"], "--linear is for a robot; expected its PORT"),
-        (["--overlay", "no.csv", "--picture", "a.png"], "no.csv: cannot be read: No such file"),
+        ("--linear 5", "--linear is for a robot; expected its PORT"),
+        ("--overlay no.csv --picture a.png", "no.csv: cannot be read: No such file"),
     ],
 )
-def test_a_mistake_is_one_line_before_the_robot_moves(
-    arguments: list[str], line: str, tmp_path: Path
-) -> None:
-    result = khep_twin("sense", *arguments, folder=tmp_path)
+def test_a_mistake_is_one_line_before_the_robot_moves(typed: str, line: str, tmp_path: Path) -> None:
+    result = khep_twin("sense", *shlex.split(typed), folder=tmp_path)
     assert line_of(result, codes=[1]).startswith(line)
     assert not result.stdout
     assert not list(tmp_path.iterdir())

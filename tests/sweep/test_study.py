@@ -39,46 +39,38 @@ def loaded(folder: Path, text: str) -> studies.StudyFile:
         ('["default"]', '["gripper"]\nplanar = true', r"study.toml:3: playpens: \"gripper\": .*turrets"),
         ('["braitenberg"]', '["mine"]', r"study.toml:4: controllers.*\"mine\": unknown; .*braitenberg"),
         ('controllers = ["braitenberg"]', "", r"no controller; expected controllers, a \[\[network\]\]"),
+        ("", 'fitness = ["homing"]\n', r"study.toml:10: fitness = \"homing\": there is no \[home\]"),
+        ("", "[grid]\nnoise = []\n", r"study.toml:11: grid: noise; expected a list of true"),
+        ("", '[grid]\nstarts = ["1,2,3"]\n', r"study.toml:11: starts, in default: start 1,2,3: "),
+        ("", '[[network]]\nname = "n"\n', r"study.toml:10: network 1: has neither of genomes"),
         (
-            '"out"\n',
-            '"out"\nfitness = ["homing"]\n',
-            r"study.toml:10: fitness = \"homing\": there is no \[home\]",
-        ),
-        ('"out"\n', '"out"\n[grid]\nnoise = []\n', r"study.toml:11: grid: noise; expected a list of true"),
-        (
-            '"out"\n',
-            '"out"\n[grid]\nstarts = ["1,2,3"]\n',
-            r"study.toml:11: starts, in default: start 1,2,3: ",
-        ),
-        ('"out"\n', '"out"\n[[network]]\nname = "n"\n', r"study.toml:10: network 1: has neither of genomes"),
-        (
-            '"out"\n',
-            '"out"\n[[network]]\nname = "braitenberg"\ndrawn = 2\n',
+            "",
+            '[[network]]\nname = "braitenberg"\ndrawn = 2\n',
             r"study.toml:11: network 1: name = \"braitenberg\": taken",
         ),
         (
-            '"out"\n',
-            '"out"\n[[network]]\nname = "n"\ngenomes = "few.csv"\n',
+            "",
+            '[[network]]\nname = "n"\ngenomes = "few.csv"\n',
             r"study.toml:12: network 1: genomes = \"few.csv\": shape \(2, 3\); expected rows of 18 ",
         ),
         (
-            '"out"\n',
-            '"out"\n[[network]]\nname = "n"\ngenomes = "none.npy"\n',
+            "",
+            '[[network]]\nname = "n"\ngenomes = "none.npy"\n',
             r"study.toml:12: network 1: genomes = \"none.npy\": cannot be read: No such file",
         ),
         (
-            '"out"\n',
-            '"out"\n[[network]]\nname = "n"\ngenomes = "zip.npy"\n',
+            "",
+            '[[network]]\nname = "n"\ngenomes = "zip.npy"\n',
             r"study.toml:12: network 1: genomes = \"zip.npy\": cannot be read: the magic string is not",
         ),
         (
-            '"out"\n',
-            '"out"\n[[program]]\nname = "n"\nfile = "mine.py:steer"\ngenomes = "nan.csv"\n',
+            "",
+            '[[program]]\nname = "n"\nfile = "mine.py:steer"\ngenomes = "nan.csv"\n',
             r"study.toml:13: program 1: genomes = \"nan.csv\": NaN or infinity; expected finite",
         ),
         (
-            '"out"\n',
-            '"out"\n[[program]]\nname = "n"\nfile = "mine.py:stear"\n',
+            "",
+            '[[program]]\nname = "n"\nfile = "mine.py:stear"\n',
             r"study.toml:12: program 1: file = .*no function 'stear'; did you mean 'steer'",
         ),
     ],
@@ -92,7 +84,7 @@ def test_a_mistake_is_reported_by_file_line_key_and_value(
     (tmp_path / "mine.py").write_text("def steer(proximity, ambient, memory, genes):\n    return 1.0, 1.0\n")
     assert old in STUDY
     with pytest.raises(StudyError, match=message) as found:
-        work_of(loaded(tmp_path, STUDY.replace(old, new)))
+        work_of(loaded(tmp_path, STUDY.replace(old, new) if old else STUDY + new))
     assert "\n" not in str(found.value)
 
 

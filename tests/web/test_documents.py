@@ -35,9 +35,14 @@ heading_deg = 90
 """
 
 
-def test_comments_stay_in_a_file_that_is_saved(tmp_path: Path) -> None:
+@pytest.fixture
+def documents(tmp_path: Path) -> Documents:
+    """A folder with a playpen of one's own."""
     (tmp_path / "mine.toml").write_text(MINE)
-    documents = Documents(tmp_path)
+    return Documents(tmp_path)
+
+
+def test_comments_stay_in_a_file_that_is_saved(documents: Documents, tmp_path: Path) -> None:
     opened = documents.open("mine.toml")
     opened["draft"]["robot"][0]["x_mm"] = 200
     version = documents.save(
@@ -55,9 +60,7 @@ def test_a_playpen_of_the_library_keeps_its_comments_under_a_new_name(tmp_path: 
     assert "wedged nowhere" in (tmp_path / "new.toml").read_text()
 
 
-def test_a_file_that_has_changed_meanwhile_is_not_written_over(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text(MINE)
-    documents = Documents(tmp_path)
+def test_a_file_that_has_changed_meanwhile_is_not_written_over(documents: Documents, tmp_path: Path) -> None:
     opened = documents.open("mine.toml")
     (tmp_path / "mine.toml").write_text(MINE + "# by another\n")
     with pytest.raises(ConflictError):
@@ -69,17 +72,15 @@ def test_a_file_that_has_changed_meanwhile_is_not_written_over(tmp_path: Path) -
 
 
 def test_of_two_pages_that_save_at_once_one_is_told_of_the_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    documents: Documents, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "mine.toml").write_text(MINE)
-    files = Documents(tmp_path)
-    opened: Any = files.open("mine.toml")
+    opened: Any = documents.open("mine.toml")
     ends: dict[str, str] = {}
 
     def save(name: str) -> None:
         draft = {**opened["draft"], "name": name}
         try:
-            files.save("mine.toml", draft, version=opened["version"], base={}, page=name)
+            documents.save("mine.toml", draft, version=opened["version"], base={}, page=name)
             ends[name] = "saved"
         except ConflictError:
             ends[name] = "conflict"
@@ -100,11 +101,9 @@ def test_of_two_pages_that_save_at_once_one_is_told_of_the_other(
 
 
 def test_a_file_that_changes_while_its_new_text_is_made_is_not_written_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    documents: Documents, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "mine.toml").write_text(MINE)
-    files = Documents(tmp_path)
-    opened: Any = files.open("mine.toml")
+    opened: Any = documents.open("mine.toml")
 
     def made(*_: object) -> str:
         (tmp_path / "mine.toml").write_text(MINE.replace("600", "700"))
@@ -112,7 +111,7 @@ def test_a_file_that_changes_while_its_new_text_is_made_is_not_written_over(
 
     monkeypatch.setattr("khep_twin.web.documents.text_of", made)
     with pytest.raises(ConflictError, match=r"mine.toml: was changed by another page or program"):
-        files.save("mine.toml", opened["draft"], version=opened["version"], base={})
+        documents.save("mine.toml", opened["draft"], version=opened["version"], base={})
     assert "700" in (tmp_path / "mine.toml").read_text()
 
 
@@ -140,9 +139,7 @@ def test_what_was_worked_on_last_is_opened_first(asker: Asker, tmp_path: Path) -
     assert (hello["file"], [kept["draft"] for kept in hello["left"]]) == (None, [draft])
 
 
-def test_a_draft_with_a_mistake_leaves_the_file_as_it_was(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text(MINE)
-    documents = Documents(tmp_path)
+def test_a_draft_with_a_mistake_leaves_the_file_as_it_was(documents: Documents, tmp_path: Path) -> None:
     opened = documents.open("mine.toml")
     opened["draft"]["robot"][0]["x_mm"] = 5
     with pytest.raises(PlaypenError, match="overlaps the left wall"):
@@ -150,9 +147,7 @@ def test_a_draft_with_a_mistake_leaves_the_file_as_it_was(tmp_path: Path) -> Non
     assert (tmp_path / "mine.toml").read_text() == MINE
 
 
-def test_a_draft_is_kept_until_it_is_saved(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text(MINE)
-    documents = Documents(tmp_path)
+def test_a_draft_is_kept_until_it_is_saved(documents: Documents, tmp_path: Path) -> None:
     opened = documents.open("mine.toml")
     version = opened["version"]
     kept = {"draft": {**opened["draft"], "robot": "half"}, "version": version, "base": {"file": "mine.toml"}}
