@@ -113,7 +113,7 @@ def score_file(
             env={**os.environ, "PYTHONHASHSEED": "0", "PYTHONUNBUFFERED": "1"},
         )
         try:
-            in_time = _follow(process, printed, time.monotonic() + real_seconds, stop or _never)
+            in_time = _follow(process, printed, time.monotonic() + real_seconds, stop or (lambda: False))
         finally:
             _end(process)
         told = _read(result)
@@ -154,10 +154,6 @@ class _Printed:
         lines = [line for line in self._tail.decode("utf-8", "replace").splitlines() if line.strip()]
         shown = "".join(char if char.isprintable() else " " for char in (lines or [""])[-1]).strip()
         return shown if len(shown) <= 80 else f"{shown[:77]}..."
-
-
-def _never() -> bool:
-    return False
 
 
 def _follow(

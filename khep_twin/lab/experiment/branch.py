@@ -77,7 +77,12 @@ def branch(
         LogError: The parent's log lacks what that needs, or the new one cannot be written.
         KhepTwinError: The change, or the controller, cannot be used.
     """
-    end_ns = ends_at(plan) if plan.cycles is None else None
+    if plan.cycles is not None:
+        end_ns = None
+    elif plan.seconds is not None:
+        end_ns = plan.change.at_ns + round(plan.seconds * NS_PER_S)
+    else:
+        end_ns = run_end_ns(plan.log)
     source = plan.controller and source_of(plan.controller)
     more = Described(source.facts, source.attachments) if source else Described()
     same = plan.controller is None and not plan.change.text
@@ -100,13 +105,6 @@ def calibrations(log: Path, name: str, robot: int | None) -> dict[str, str]:
     wanted = setup.options.robot if robot is None else robot
     text = calibration.read(name)[1]
     return {each: text for index, each in enumerate(setup.label.robots) if wanted in (None, index)}
-
-
-def ends_at(plan: BranchPlan) -> int:
-    """Return the time at which a branch ends [ns]."""
-    if plan.seconds is not None:
-        return plan.change.at_ns + round(plan.seconds * NS_PER_S)
-    return run_end_ns(plan.log)
 
 
 def _take_over(

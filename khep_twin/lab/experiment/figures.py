@@ -106,7 +106,9 @@ def draw_fan(plan: BranchPlan, trajectories: Sequence[Trajectory]) -> Figure:
             axes.plot(*(1e3 * before[-1, :2]), "o", ms=4.5, mfc="white", mec=INK, zorder=7)
         panel = _panel_beside(figure)
         for index, name in enumerate(run.robots):
-            _draw_spread(panel, trajectories, index, _COLOURS[index % len(_COLOURS)], name)
+            colour, (times_s, rms, most) = _COLOURS[index % len(_COLOURS)], spread(trajectories, index)
+            panel.plot(times_s, 1e3 * rms, color=colour, lw=1.4, label=f"{name}, root mean square")
+            panel.plot(times_s, 1e3 * most, color=colour, lw=0.9, ls="--", label="95 % of the runs")
         _mark_moments(axes, panel, trajectories)
         panel.set(xlabel="time [s]", ylabel="distance from the runs' mean [mm]")
         panel.set_ylim(bottom=0)
@@ -115,20 +117,19 @@ def draw_fan(plan: BranchPlan, trajectories: Sequence[Trajectory]) -> Figure:
     return figure
 
 
-def spread(trajectories: Sequence[Trajectory], robot: int) -> tuple[Floats, Floats, Floats, Floats]:
+def spread(trajectories: Sequence[Trajectory], robot: int) -> tuple[Floats, Floats, Floats]:
     """Return how far trajectories spread, up to the end of the shortest one.
 
     Returns:
-        Times (n,) [s], mean positions (n, 2) [m], and the root mean square and the 95th percentile of the
-        distances from them (n,) [m].
+        Times (n,) [s], and the root mean square and the 95th percentile of the distances from the mean
+        positions (n,) [m].
     """
     length = min(len(trajectory.times_s) for trajectory in trajectories)
     places = np.stack([trajectory.poses[:length, robot, :2] for trajectory in trajectories])
-    mean: Floats = places.mean(axis=0)
-    away = np.hypot(*np.moveaxis(places - mean, 2, 0))
+    away = np.hypot(*np.moveaxis(places - places.mean(axis=0), 2, 0))
     rms: Floats = np.sqrt((away * away).mean(axis=0))
     most = np.asarray(np.percentile(away, 95, axis=0), np.float64)
-    return trajectories[0].times_s[:length], mean, rms, most
+    return trajectories[0].times_s[:length], rms, most
 
 
 def _panel_beside(figure: Figure) -> Axes:
@@ -142,13 +143,6 @@ def _panel_beside(figure: Figure) -> Axes:
     lowest = boxes[0]
     left = share + 0.55 / (width + _PANEL)
     return figure.add_axes((left, lowest.y0, 1 - left - 0.15 / (width + _PANEL), lowest.height))
-
-
-def _draw_spread(panel: Axes, trajectories: Sequence[Trajectory], robot: int, colour: str, name: str) -> None:
-    """Draw how far trajectories spread over time."""
-    times_s, _, rms, most = spread(trajectories, robot)
-    panel.plot(times_s, 1e3 * rms, color=colour, lw=1.4, label=f"{name}, root mean square")
-    panel.plot(times_s, 1e3 * most, color=colour, lw=0.9, ls="--", label="95 % of the runs")
 
 
 def _mark_moments(axes: Axes, panel: Axes, trajectories: Sequence[Trajectory]) -> None:

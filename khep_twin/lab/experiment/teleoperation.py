@@ -16,7 +16,7 @@ from khep_twin.errors import PortTimeout, ProtocolError
 from khep_twin.host import Khepera, SensorCounts, Speeds, commands
 from khep_twin.host.commands import HostCommand
 from khep_twin.sensing.bars import BARS
-from khep_twin.units import CONVERTER_COUNTS_PER_VOLT, N_SENSORS, speed
+from khep_twin.units import CONVERTER_COUNTS_PER_VOLT, N_SENSORS, SENSOR_LABELS, speed
 
 FIRST_HOLD = 0.7
 """Driving time of a first press [s]: most keyboards wait 0.25 to 0.66 s before they repeat a key."""
@@ -220,7 +220,6 @@ def _away_from_zero(value: float) -> int:
 WIDTH, HEIGHT = 64, 18
 """Size of the smallest terminal [characters]."""
 
-_NAMES = [name.replace("_", " ") for name in SensorCounts._fields]
 _LABEL, _COUNTS, _GAP = 12, 5, 3
 _ON = ("off", "on")
 
@@ -248,7 +247,7 @@ def draw(view: DriveView, name: str, width: int, height: int) -> list[str]:
             f"{sensor:{_LABEL}}"
             f"{_bar('proximity', near, bar)}{near:{_COUNTS}}{'':{_GAP}}"
             f"{_bar('light', dark, bar)}{dark:{_COUNTS}}"
-            for sensor, near, dark in zip(_NAMES, view.proximity, view.ambient, strict=True)
+            for sensor, near, dark in zip(SENSOR_LABELS, view.proximity, view.ambient, strict=True)
         ),
         "",
         f"{'wheels':{_LABEL}}left {view.measured.left:4}  right {view.measured.right:4} pulses/10 ms"

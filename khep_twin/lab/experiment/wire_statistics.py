@@ -50,11 +50,11 @@ def wire(lines: Sequence[TextLine]) -> Wire:
                 open_commands.append((name[:1].lower(), line.time_ns))
             continue
         refusal = line.text.startswith(_REFUSALS)
-        letters = [letter for letter, _ in open_commands]
+        letters, head = [letter for letter, _ in open_commands], line.text.partition(",")[0]
         # A refusal answers the oldest command; commands before an answered one stay unanswered.
-        place = 0 if refusal and letters else _find(letters, line.text)
-        if place is None:
+        if not letters or (not refusal and head not in letters):
             continue
+        place = 0 if refusal else letters.index(head)
         took_ns.append(line.time_ns - open_commands[place][1])
         refused += refusal
         unanswered += place
@@ -63,9 +63,3 @@ def wire(lines: Sequence[TextLine]) -> Wire:
     mean_s = sum(took_ns) / len(took_ns) / 1e9 if took_ns else 0.0
     ordered = dict(sorted(commands.items(), key=lambda item: (-item[1], item[0])))
     return Wire(ordered, len(took_ns), refused, unanswered, mean_s, max(took_ns, default=0) / 1e9)
-
-
-def _find(letters: list[str], text: str) -> int | None:
-    """Return the index of the open command that a reply answers, None without."""
-    letter, _, _ = text.partition(",")
-    return letters.index(letter) if letter in letters else None

@@ -89,39 +89,25 @@ class CalibrationSession:
             PortError: The port failed.
         """
         for number, step in enumerate(steps, 1):
-            title = f"step {number} of {len(steps)}"
-            if word := self.done(step):
+            title, word = f"step {number} of {len(steps)}", self.done(step)
+            if word:
                 show(f"{title}: done before: {word}")
-            elif not self._do(step, title, robot, person, show, stop):
-                return False
+            while not word:
+                show(f"{title}: {step.kind}")
+                told = person.place(step)
+                if told is None:
+                    show(f"{title}: skipped")
+                    break
+                self.folder.mkdir(parents=True, exist_ok=True)
+                if not record(robot, step, self.folder / step.file, stop):
+                    return False
+                measured = person.measure(step) if step.kind in ("straight", "turns") else told
+                if measured is None:
+                    continue  # the person wants it driven again
+                word = step.word(measured)
+                # What cannot be used is refused while the robot still stands there.
+                fit_inputs([str(self.folder / word)])
+                self.words.append(word)
+                write_whole(self.folder / TESTS, "".join(f"{each}\n" for each in self.words).encode("utf-8"))
+                show(f"{title}: {word}")
         return True
-
-    def _do(
-        self,
-        step: Step,
-        title: str,
-        robot: Khepera,
-        person: Person,
-        show: Callable[[str], None],
-        stop: Callable[[], bool],
-    ) -> bool:
-        """Do a step, again if the person wants; return False if asked to stop."""
-        while True:
-            show(f"{title}: {step.kind}")
-            told = person.place(step)
-            if told is None:
-                show(f"{title}: skipped")
-                return True
-            self.folder.mkdir(parents=True, exist_ok=True)
-            if not record(robot, step, self.folder / step.file, stop):
-                return False
-            measured = person.measure(step) if step.kind in ("straight", "turns") else told
-            if measured is None:
-                continue
-            word = step.word(measured)
-            # What cannot be used is refused while the robot still stands there.
-            fit_inputs([str(self.folder / word)])
-            self.words.append(word)
-            write_whole(self.folder / TESTS, "".join(f"{each}\n" for each in self.words).encode("utf-8"))
-            show(f"{title}: {word}")
-            return True
