@@ -32,14 +32,9 @@ _LONGEST = 40
 
 
 class IdlePolls:
-    """Polls of one robot's line.
-
-    Attributes:
-        asked: Number of polls.
-    """
+    """Polls of one robot's line."""
 
     def __init__(self) -> None:
-        self.asked = 0
         self._polls = cycle(_POLLS)
         self._quiet_since = self._sent_s = time.monotonic()
         self._held_since: float | None = None
@@ -55,7 +50,6 @@ class IdlePolls:
         slow = _LONGEST * BITS_PER_BYTE > HOLD_S * baud
         if self._letter or slow or now - self._quiet_since < IDLE_S or now - self._sent_s < _PERIOD_S:
             return b""
-        self.asked += 1
         self._sent_s = now
         command = next(self._polls)
         self._letter = command[:1].lower()

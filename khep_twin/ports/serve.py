@@ -173,14 +173,14 @@ class Flushed(Protocol):
 
 
 class Flush:
-    """Flush of a log, if there is one, to the file system each FLUSH_NS of wall time."""
+    """Flush of a log to the file system each FLUSH_NS of wall time."""
 
-    def __init__(self, log: Flushed | None) -> None:
+    def __init__(self, log: Flushed) -> None:
         self._log = log
         self._flushed_ns = time.monotonic_ns()
 
     def __call__(self) -> None:
         """Flush if it is time to."""
-        if self._log is not None and time.monotonic_ns() - self._flushed_ns > FLUSH_NS:
+        if time.monotonic_ns() - self._flushed_ns > FLUSH_NS:
             self._log.flush()
             self._flushed_ns = time.monotonic_ns()

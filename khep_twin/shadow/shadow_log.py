@@ -113,11 +113,6 @@ class ShadowLog(FileRecorder):
         if self._file.open:
             self._add("learned", self._learned, found.row)
 
-    def on_event(self, text: str) -> None:
-        """Write an event at the time of the last update."""
-        if self._file.open:
-            self._file.add_event(self._time_ns, ROBOT, text)
-
     def flush(self) -> None:
         """Hand everything so far to the file system."""
         if self._file.open:
