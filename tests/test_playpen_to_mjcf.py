@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from shares import share
 
 from khep_twin import playpen, units
 from khep_twin.board.kernel import PROXIMITY
@@ -87,7 +88,8 @@ def test_the_sensors_sit_and_look_as_the_constants_say(robot: mujoco.MjModel) ->
         assert axis == pytest.approx((math.cos(heading), math.sin(heading), 0), abs=1e-9)
 
 
-def test_the_rangefinders_take_turns_for_two_minutes() -> None:
+@pytest.mark.parametrize("minutes", share([2, 10], 2))
+def test_the_rangefinders_take_turns_for_minutes(minutes: int) -> None:
     spec = mujoco.MjSpec.from_file(str(ROBOT_FILE))
     spec.option.gravity = [0, 0, 0]
     for x, y in ((0.2, 0), (-0.3, 0), (0, 0.25), (0, -0.35)):
@@ -100,7 +102,7 @@ def test_the_rangefinders_take_turns_for_two_minutes() -> None:
     mujoco.mj_step(model, data)
     # The middle ray of each sensor; a look at the end of each minute.
     middle = data.sensordata[16::36]
-    for _ in range(2):
+    for _ in range(minutes):
         mujoco.mj_step(model, data, 8 * 2997)
         before = middle.copy()
         for step in range(16):

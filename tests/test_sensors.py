@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shares import share
 
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT, DEMO_SPEED_PULSES, DEMO_WEIGHTS, PROXIMITY
@@ -50,13 +51,14 @@ def test_a_robot_never_sees_its_own_wheels(tmp_path: Path, radius_mm: float, bas
 HALF_SCALE_MM = [23.8, 23.8, 22.5, 19.3, 25.2, 27.6, 22.5, 26.9]
 
 
+@pytest.mark.parametrize("off_deg", share([18, 180], 2))
 @pytest.mark.parametrize("sensor", range(8))
-def test_half_scale_before_a_wall_is_where_the_sampled_robot_has_it(sensor: int) -> None:
+def test_half_scale_before_a_wall_is_where_the_sampled_robot_has_it(sensor: int, off_deg: int) -> None:
     # Taken at the bearing where the sensor sees the wall best, which is about its own.
     ahead = round(KHEPERA1.heading_deg[sensor])
 
     def best(distance_mm: float) -> int:
-        return max(facing_wall(distance_mm, ahead + off)[sensor] for off in range(-18, 19, 6))
+        return max(facing_wall(distance_mm, ahead + off)[sensor] for off in range(-off_deg, off_deg + 1, 6))
 
     half_mm = HALF_SCALE_MM[sensor]
     assert best(half_mm + 2.5) < 511 < best(half_mm - 2.5)

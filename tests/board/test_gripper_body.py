@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scenes
 from scenes import arena, table
+from shares import share
 
 from khep_twin import playpen as playpens
 from khep_twin.board.gripper_body import GAP_CLOSED, GAP_OPEN, SERIES_RESISTANCE, resistivity
@@ -125,14 +126,15 @@ def test_resistivity_halves_at_the_series_resistance() -> None:
     assert [resistivity(g) for g in (0, 1 / SERIES_RESISTANCE, 1.0)] == [255, 128, 0]
 
 
-def test_what_is_gripped_stays_gripped(pair: tuple[Khepera, World]) -> None:
+@pytest.mark.parametrize("seconds", share([10, 60], 2))
+def test_what_is_gripped_stays_gripped(pair: tuple[Khepera, World], seconds: int) -> None:
     robot, world = pair
     gripper = grip(robot)
     gripper.lift()
     gripper.wait()
     (position, axis), height = cylinder(world), 0.06
     assert position[2] > height
-    robot.sleep(10)
+    robot.sleep(seconds)
     later, later_axis = cylinder(world)
     assert np.linalg.norm(later - position) < 0.0005
     assert math.degrees(math.acos(min(1.0, float(axis @ later_axis)))) < 1
@@ -188,7 +190,8 @@ def test_the_sensors_rays_meet_lowered_fingers_and_not_a_raised_hand() -> None:
         assert max(robot.proximity()) == 0
 
 
-def test_a_hand_touches_walls_and_other_robots() -> None:
+@pytest.mark.parametrize("seconds", share([6, 15], 2))
+def test_a_hand_touches_walls_and_other_robots(seconds: int) -> None:
     first, second = scenes.robot(100, 200, turrets=["gripper"]), scenes.robot(200, 200)
     two = playpens.parse(arena(400, 400) + first + second, "two.toml")
     robot, world = opened(two)
@@ -201,7 +204,7 @@ def test_a_hand_touches_walls_and_other_robots() -> None:
         first, second = world.robots[0].pose, world.robots[1].pose
         assert second[0] > 0.21
         assert second[0] - first[0] > 0.080
-        robot.sleep(6)
+        robot.sleep(seconds)
         assert world.robots[0].pose[0] < 0.4 - 0.06
 
 

@@ -18,6 +18,7 @@ from forked import Forked
 from log_contents import messages_of
 from log_rewriting import rewritten
 from mcap.writer import MCAP0_MAGIC, Writer
+from shares import share
 
 from khep_twin.errors import LogError
 from khep_twin.log.channels import CDR_HEADER
@@ -77,9 +78,10 @@ def test_a_finished_log_is_copied_message_by_message(tmp_path: Path, long_log: P
     assert recover(path).path == tmp_path / "run.recovered.2.mcap"
 
 
-def test_more_bytes_never_give_fewer_messages(tmp_path: Path, long_log: Path) -> None:
+@pytest.mark.parametrize("cuts", share([30, 300], 2))
+def test_more_bytes_never_give_fewer_messages(cuts: int, tmp_path: Path, long_log: Path) -> None:
     data = long_log.read_bytes()
-    points = [*sorted(random.Random(1).sample(range(len(data)), 30)), len(data)]
+    points = [*sorted(random.Random(1).sample(range(len(data)), cuts)), len(data)]
     before, opened = (0, 0), 0
     for point in points:
         records = WholeRecords(data[:point])
@@ -100,16 +102,17 @@ def test_more_bytes_never_give_fewer_messages(tmp_path: Path, long_log: Path) ->
             run = read_log(found.path)
             assert list(run.attachments) == ATTACHMENTS
             assert run.metadata["playpen"] == "obstacles"
-    assert opened > 6
+    assert opened > cuts // 5
     assert before[0] == len(whole)
 
 
-def test_flipped_bytes_lose_what_they_hit_and_nothing_false_is_kept(tmp_path: Path, long_log: Path) -> None:
+@pytest.mark.parametrize("flips", share([40, 300], 2))
+def test_flipped_bytes_lose_what_they_hit_and_nothing_false_is_kept(flips: int, long_log: Path) -> None:
     data = long_log.read_bytes()
     whole = {(topic, each.log_time, each.data) for topic, each in messages_of(long_log)}
     known = {each[1:] for each in whole}
     rng = random.Random(2)
-    for _ in range(40):
+    for _ in range(flips):
         place = rng.randrange(8, len(data))
         damaged = bytearray(data)
         damaged[place] ^= 1 << rng.randrange(8)

@@ -118,7 +118,7 @@ def test_the_log_itself_is_not_overwritten(log: Path) -> None:
     assert log.read_bytes() == before
 
 
-@pytest.mark.parametrize("size", [0, 30_000])
+@pytest.mark.parametrize("size", [0, 30_000, pytest.param(100_000, marks=pytest.mark.long)])
 def test_a_recording_that_fills_the_disk_is_an_error(log: Path, tmp_path: Path, size: int) -> None:
     program = (
         "import resource, sys; from pathlib import Path; from khep_twin.log.viewer.replay import view\n"

@@ -10,6 +10,7 @@ import termios
 
 import pytest
 from forked import Forked
+from shares import share
 
 from khep_twin.ports import pty as pty_module
 from khep_twin.ports.host_writes import Change
@@ -233,10 +234,11 @@ def test_a_host_that_is_still_closing_has_left_when_the_next_one_comes(
         os.close(host)
 
 
-def test_random_openings_and_closings_are_followed(port: PtyPort) -> None:
+@pytest.mark.parametrize("rounds", share([300, 2000], 2))
+def test_random_openings_and_closings_are_followed(rounds: int, port: PtyPort) -> None:
     rng = random.Random(1)
     held: list[int] = []
-    for _ in range(300):
+    for _ in range(rounds):
         before = len(held)
         for _ in range(rng.randrange(1, 4)):
             if held and rng.random() < 0.5:

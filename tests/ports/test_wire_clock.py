@@ -8,27 +8,30 @@ import pytest
 import serial
 from forked import run_python
 from served_twin import ask, served
+from shares import share
 
 from khep_twin.log.reader import read_log
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "01_braitenberg.py"
-CYCLES = 150
 
 
-def drive(log: Path) -> None:
+def drive(log: Path, cycles: int) -> None:
     """Runs the example's host on a twin by the wire clock."""
     with served("obstacles", "--clock", "wire", "--seed", "3", "--log", str(log)) as (_, path):
-        assert run_python([sys.executable, str(EXAMPLE), path, str(CYCLES)], timeout=600).returncode == 0
+        assert run_python([sys.executable, str(EXAMPLE), path, str(cycles)], timeout=600).returncode == 0
 
 
-def test_an_unmodified_host_takes_the_time_of_its_bytes_and_twice_the_same(tmp_path: Path) -> None:
+@pytest.mark.parametrize("cycles", share([150, 1000], 2))
+def test_an_unmodified_host_takes_the_time_of_its_bytes_and_twice_the_same(
+    cycles: int, tmp_path: Path
+) -> None:
     logs = [tmp_path / "one.mcap", tmp_path / "two.mcap"]
     for log in logs:
-        drive(log)
+        drive(log, cycles)
     one, two = (read_log(log).robots["khepera0"] for log in logs)
     assert one.serial == two.serial
     assert one.pose.tobytes() == two.pose.tobytes()
-    assert len(one.serial) == 4 * CYCLES + 2
+    assert len(one.serial) == 4 * cycles + 2
     # A host that asks again at once: no time passes but that of its bytes, eleven bits each. A request ends
     # with a line feed, a reply with two bytes. How fast that is on the wall is for `make bench`.
     n_bytes = sum(len(line.text) + 1 + (index % 2) for index, line in enumerate(one.serial))

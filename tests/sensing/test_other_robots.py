@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from shares import share
 
 from khep_twin import playpen
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
@@ -74,10 +75,11 @@ def test_it_sees_the_one_that_it_passes_as_that_one_sees_it() -> None:
     assert ahead == pytest.approx(ahead_of_other, abs=0.003)
 
 
-def test_a_robot_is_seen_the_more_the_nearer_it_passes() -> None:
-    peaks = [passed(250 + 55 + gap_mm)[1][:, 0, 0].max() for gap_mm in (4, 8, 40)]
+@pytest.mark.parametrize("gaps_mm", share([[4, 8, 40], [4, 8, 40, 6, 12]], 2), ids=len)
+def test_a_robot_is_seen_the_more_the_nearer_it_passes(gaps_mm: list[int]) -> None:
+    peaks = [passed(250 + 55 + gap_mm)[1][:, 0, 0].max() for gap_mm in sorted(gaps_mm)]
     assert peaks == sorted(peaks, reverse=True)
-    assert peaks[0] > 2 * peaks[1] or peaks[0] == 1023
+    assert peaks[0] > 2 * peaks[len(peaks) // 2] or peaks[0] == 1023
     assert peaks[-1] == 0
 
 

@@ -91,21 +91,23 @@ def test_a_transmission_is_lost_to_each_receiver_as_often_as_the_playpen_has_it(
         assert both == pytest.approx((1 - loss) ** 2, abs=4 * (0.25 / sent[1]) ** 0.5)
 
 
-def test_the_same_seed_gives_the_same_registers_and_another_seed_others(world: World) -> None:
+@pytest.mark.parametrize("count", share([100, 300], 2))
+def test_the_same_seed_gives_the_same_registers_and_another_seed_others(world: World, count: int) -> None:
     outcomes = []
     for seed in (7, 7, 8):
         air = Air(world, seed=seed, loss=0.4)
-        outcome = run(air, 100, seed=3, to=[1, 2, 3, 4, RADIO_ALL])
+        outcome = run(air, count, seed=3, to=[1, 2, 3, 4, RADIO_ALL])
         outcomes.append((outcome, air.registers()))
     assert outcomes[0] == outcomes[1]
     assert outcomes[0] != outcomes[2]
 
 
-def test_the_order_in_which_the_robots_of_a_period_run_changes_nothing(world: World) -> None:
+@pytest.mark.parametrize("count", share([200, 1000], 2))
+def test_the_order_in_which_the_robots_of_a_period_run_changes_nothing(world: World, count: int) -> None:
     outcomes = []
     for shuffled in (False, True):
         air = Air(world, seed=7, loss=0.4)
-        outcome = run(air, 200, seed=4, to=[1, 2, 3, 4, RADIO_ALL], shuffled=shuffled)
+        outcome = run(air, count, seed=4, to=[1, 2, 3, 4, RADIO_ALL], shuffled=shuffled)
         outcomes.append((outcome, air.registers()))
     assert outcomes[0] == outcomes[1]
 
@@ -197,10 +199,11 @@ def test_a_turret_without_power_neither_sends_nor_receives(world: World) -> None
     assert air.status(2) == RadioStatus.READY
 
 
-def test_registers_out_of_a_damaged_snapshot_are_no_error(world: World) -> None:
+@pytest.mark.parametrize("snapshots", share([40, 200], 2))
+def test_registers_out_of_a_damaged_snapshot_are_no_error(world: World, snapshots: int) -> None:
     rng = np.random.default_rng(6)
     extremes = np.array([-(2**63), -1, 0, 1, 2, 5, 255, TICK_NS, 2**63 - 1])
-    for _ in range(40):
+    for _ in range(snapshots):
         air = Air(world, loss=0.5)
         for each in air.electronics:
             each.registers[:] = rng.choice(extremes, len(each.registers))

@@ -4,8 +4,10 @@ import os
 import sys
 from pathlib import Path
 
+import pytest
 from forked import run_python
 from served_twin import served
+from shares import share
 
 from khep_twin.log.reader import read_log
 
@@ -19,8 +21,9 @@ def converted(text: str) -> str:
     )
 
 
-def test_without_sim_and_kheprom_it_drives_a_robot_behind_a_terminal(tmp_path: Path) -> None:
-    program = converted(EXAMPLE.read_text()).replace("500, 2, 0", "50, 2, 0")
+@pytest.mark.parametrize("cycles", share([50, 500], 2))
+def test_without_sim_and_kheprom_it_drives_a_robot_behind_a_terminal(cycles: int, tmp_path: Path) -> None:
+    program = converted(EXAMPLE.read_text()).replace("500, 2, 0", f"{cycles}, 2, 0")
     assert "sms(2, 1, 1)" in program
     assert "kheprom" not in program
     (tmp_path / "samp1.py").write_text(program)
@@ -33,5 +36,8 @@ def test_without_sim_and_kheprom_it_drives_a_robot_behind_a_terminal(tmp_path: P
     spoken = [line.text for line in track.serial]
     assert spoken[:3] == ["D,1,1", "d", "N"]
     # The cycles, its own stop, and the one with which the host closes the port.
-    assert spoken.count("N") == 100
+    assert spoken.count("N") == 2 * cycles
     assert spoken[-4:] == ["D,0,0", "d", "D,0,0", "d"]
+    if cycles == 500:  # it has come to a wall
+        assert "D,-1,1" in spoken
+        assert track.pose[-1, 1] > 0.40

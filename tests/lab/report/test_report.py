@@ -119,6 +119,12 @@ def test_the_same_log_gives_the_same_page_whatever_matplotlib_is_set_to(
         assert write(log, tmp_path / "again.html").decode("utf-8") == page
 
 
+@pytest.mark.long
+def test_the_same_log_gives_the_same_pdf(log: Path, line: Callable[..., Path], tmp_path: Path) -> None:
+    for each in (log, line((True, b"N\n"), (False, b"n,0,0,500,0,0,0,0,0\r\n"))):
+        assert write(each, tmp_path / "a.pdf") == write(each, tmp_path / "b.pdf")
+
+
 def test_the_pdf_has_pages_and_no_date(log: Path, tmp_path: Path) -> None:
     data = write(log, tmp_path / "run.pdf")
     assert data.startswith(b"%PDF-")
