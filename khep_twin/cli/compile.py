@@ -18,7 +18,7 @@ def compile_all(
 
     They find it in numba's cache.
     """
-    from khep_twin.simulation.ready import CODE, functions_of, is_cached
+    from khep_twin.simulation.ready import CODE, alone, functions_of, is_cached
 
     for part in parts or ():
         if part not in CODE:
@@ -30,7 +30,8 @@ def compile_all(
         raise MissingNumbaError() from error
     with ANNOUNCER.together(function for function in functions if not is_cached(function)):
         for part in parts or CODE:
-            _use(part)
+            with alone(part):
+                _use(part)
 
 
 def _use(part: str) -> None:

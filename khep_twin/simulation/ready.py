@@ -2,13 +2,14 @@
 
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from khep_twin.errors import MissingNumbaError
-from khep_twin.machine import lower_priority
+from khep_twin.machine import lock, lower_priority
 
 CODE = {
     "world": "khep_twin.simulation.compiled:advance",
@@ -65,6 +66,23 @@ def when_ready(part: str) -> Callable[..., Any] | None:
             flush=True,
         )
     return None
+
+
+@contextmanager
+def alone(part: str) -> Generator[None]:
+    """Wait while another process compiles a part, and keep others waiting meanwhile.
+
+    They find the code in numba's cache then; of a process that is killed the next one takes over.
+
+    Args:
+        part: Key of `CODE`.
+    """
+    function: Any = function_of(part)
+    with ExitStack() as stack:
+        if (folder := function.stats.cache_path) is not None:
+            with suppress(OSError):  # a file system without locks: each compiles
+                lock(stack.enter_context(Path(folder, f"compile-{part}.lock").open("ab")), waits=True)
+        yield
 
 
 def function_of(part: str) -> Callable[..., Any]:

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 from numba_marks import with_numba
 
+from khep_twin.machine import lock
 from khep_twin.playpen import Playpen
 from khep_twin.simulation import ready
 from khep_twin.step import DONE
@@ -56,6 +57,17 @@ def test_a_compilation_beside_the_run_is_announced_once_and_so_is_its_failure(
     assert len(started) == 1
     (tmp_path / "compiled._advance_0123-85.py311.1.nbc").touch()
     assert ready.when_ready("world") is found
+
+
+def test_one_process_at_a_time_compiles_a_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ready, "function_of", lambda part: function(tmp_path))
+    with ready.alone("world"), (tmp_path / "compile-world.lock").open("ab") as another:
+        with pytest.raises(BlockingIOError):
+            lock(another)
+        with ready.alone("plane"):  # another part
+            pass
+    with (tmp_path / "compile-world.lock").open("ab") as another:
+        lock(another)
 
 
 def test_where_no_code_can_be_kept_nothing_is_compiled_beside_a_run(
