@@ -58,7 +58,7 @@ def test_half_scale_before_a_wall_is_where_the_sampled_robot_has_it(sensor: int,
     ahead = round(KHEPERA1.heading_deg[sensor])
 
     def best(distance_mm: float) -> int:
-        return max(facing_wall(distance_mm, ahead + off)[sensor] for off in range(-off_deg, off_deg + 1, 6))
+        return max(facing_wall(distance_mm, (ahead + off) % 360)[sensor] for off in range(-off_deg, off_deg + 1, 6))
 
     half_mm = HALF_SCALE_MM[sensor]
     assert best(half_mm + 2.5) < 511 < best(half_mm - 2.5)
