@@ -55,10 +55,10 @@ HALF_SCALE_MM = [23.8, 23.8, 22.5, 19.3, 25.2, 27.6, 22.5, 26.9]
 @pytest.mark.parametrize("sensor", range(8))
 def test_half_scale_before_a_wall_is_where_the_sampled_robot_has_it(sensor: int, off_deg: int) -> None:
     # Taken at the bearing where the sensor sees the wall best, which is about its own.
-    ahead = round(KHEPERA1.heading_deg[sensor])
+    ahead, offs = round(KHEPERA1.heading_deg[sensor]), range(-off_deg, off_deg + 1, 6)
 
     def best(distance_mm: float) -> int:
-        return max(facing_wall(distance_mm, (ahead + off) % 360)[sensor] for off in range(-off_deg, off_deg + 1, 6))
+        return max(facing_wall(distance_mm, (ahead + off) % 360)[sensor] for off in offs)
 
     half_mm = HALF_SCALE_MM[sensor]
     assert best(half_mm + 2.5) < 511 < best(half_mm - 2.5)

@@ -1,15 +1,15 @@
 """Scenario `files`: whole files that are written again and again, on a disk with faults."""
 
-from collections.abc import Callable, Generator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
-from unittest.mock import patch
 
 from checks.simulate.disk import Disk
 from checks.simulate.kernel import Process
-from checks.simulate.mutants import Mutant
+from checks.simulate.mutants import Mutant, nothing, replaced
 from checks.simulate.simulation import Simulation
+from checks.simulate.system import SimulatedOs
 from khep_twin.errors import KhepTwinError
 from khep_twin.files import atomic
 
@@ -120,27 +120,17 @@ def _renamed_first(path: Path) -> Generator[BinaryIO]:
         yield file
 
 
-def _without(name: str) -> Callable[[], AbstractContextManager[object]]:
-    """Return a break of `atomic` that leaves a function of it out."""
-    return lambda: patch.object(atomic, name, lambda *_: None)
-
-
-@contextmanager
-def _without_fsync() -> Generator[None]:
-    def nothing(*_: object) -> None:
-        """Take a file for synchronized."""
-
-    with patch("checks.simulate.system.SimulatedOs.fsync", nothing):
-        yield
-
-
 SCENARIOS = {"files": files}
 
 MUTANTS = {
-    "files written in place": Mutant("files", "work", lambda: patch.object(atomic, "part_file", _in_place)),
+    "files written in place": Mutant("files", "work", replaced(atomic, part_file=_in_place)),
     "files renamed before they are whole": Mutant(
-        "files", "work", lambda: patch.object(atomic, "part_file", _renamed_first)
+        "files", "work", replaced(atomic, part_file=_renamed_first)
     ),
-    "files renamed before they are on the disk": Mutant("files", "work", _without_fsync),
-    "renames that a power cut takes back": Mutant("files", "work", _without("synchronize_folder")),
+    "files renamed before they are on the disk": Mutant(
+        "files", "work", replaced(SimulatedOs, fsync=nothing)
+    ),
+    "renames that a power cut takes back": Mutant(
+        "files", "work", replaced(atomic, synchronize_folder=nothing)
+    ),
 }

@@ -2,7 +2,11 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import NamedTuple
+from typing import Any, NamedTuple
+from unittest.mock import patch
+
+Broken = Callable[[], AbstractContextManager[object]]
+"""Function that returns a context in which the product is broken."""
 
 
 class Mutant(NamedTuple):
@@ -17,5 +21,14 @@ class Mutant(NamedTuple):
 
     scenario: str
     invariant: str
-    broken: Callable[[], AbstractContextManager[object]]
+    broken: Broken
     seconds: float = 200.0
+
+
+def replaced(owner: Any, **functions: Any) -> Broken:
+    """Return a break that puts other functions, or values, in the place of some of a class or module."""
+    return lambda: patch.multiple(owner, **functions)
+
+
+def nothing(*_: object) -> None:
+    """Do nothing, in the place of another function."""

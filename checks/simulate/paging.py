@@ -17,8 +17,7 @@ from checks.simulate.designer import Asked, Designer, Socket, UnreachedError, in
 from checks.simulate.kernel import NS_PER_S, OpenFile
 from checks.simulate.kernel_files import WritesThroughKernel
 from checks.simulate.ledger import Ledger, Sent, told
-from checks.simulate.mutants import Mutant
-from checks.simulate.page_mutants import MUTANTS as _MUTANTS
+from checks.simulate.page_mutants import MUTANTS as MUTANTS
 from checks.simulate.page_threads import Threading
 from checks.simulate.simulation import Simulation
 from khep_twin.drawing import render  # noqa: F401 - before a simulation
@@ -498,5 +497,3 @@ def _write(path: Path, text: str) -> None:
 
 
 SCENARIOS = {"page": pages}
-
-MUTANTS: dict[str, Mutant] = _MUTANTS

@@ -3,13 +3,12 @@
 # The breaks replace private functions.
 # pyright: reportPrivateUsage=false
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, nullcontext, suppress
+from collections.abc import Iterator
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
-from checks.simulate.mutants import Mutant
+from checks.simulate.mutants import Broken, Mutant, nothing, replaced
 from khep_twin.lab.experiment import repeat as repetition
 from khep_twin.log import log_file, recorder
 from khep_twin.log.log_file import LogFile, PartFile
@@ -17,17 +16,6 @@ from khep_twin.log.mcap_recovery import WholeRecords
 from khep_twin.log.recorder import Recorder
 from khep_twin.log.transcript import Transcript
 from khep_twin.ports.serve import Flush
-
-Broken = Callable[[], AbstractContextManager[object]]
-
-
-def _replaced(owner: object, name: str, function: object) -> Broken:
-    """Return a break that puts another function in the place of one."""
-    return lambda: patch.object(owner, name, function)
-
-
-def _nothing(*_: object) -> None:
-    """Do nothing."""
 
 
 def _write_once(self: Any, data: bytes) -> int:
@@ -96,25 +84,25 @@ def _remove(part: Path) -> Path | None:
 
 
 _broken: dict[str, tuple[str, Broken]] = {
-    "a short write is taken for whole": ("recovery", _replaced(PartFile, "write", _write_once)),
-    "a failed write is not taken back": ("recovery", _replaced(PartFile, "write", _write_without_truncation)),
-    "the next run overwrites the remains": ("leftovers", _replaced(log_file, "set_aside", _remove)),
-    "logs are renamed before the summary": ("recovery", _replaced(LogFile, "finish", _finish_early)),
+    "a short write is taken for whole": ("recovery", replaced(PartFile, write=_write_once)),
+    "a failed write is not taken back": ("recovery", replaced(PartFile, write=_write_without_truncation)),
+    "the next run overwrites the remains": ("leftovers", replaced(log_file, set_aside=_remove)),
+    "logs are renamed before the summary": ("recovery", replaced(LogFile, finish=_finish_early)),
     "logs are renamed before they are on the disk": (
         "recovery",
-        _replaced(LogFile, "finish", _finish_without_fsync),
+        replaced(LogFile, finish=_finish_without_fsync),
     ),
-    "lock-step runs are hardly ever flushed": ("recovery", _replaced(recorder, "_BATCH", 10**9)),
-    "served runs are never flushed": ("recovery", _replaced(Flush, "__call__", _nothing)),
-    "a recovery drops the last piece": ("recovery", _replaced(WholeRecords, "messages", _without_last)),
-    "a flush loses a line": ("recovery", _replaced(Transcript, "write", _lose_a_line)),
-    "errors of the file are swallowed": ("leftovers", _replaced(LogFile, "guarded", _forget_failures)),
+    "lock-step runs are hardly ever flushed": ("recovery", replaced(recorder, _BATCH=10**9)),
+    "served runs are never flushed": ("recovery", replaced(Flush, __call__=nothing)),
+    "a recovery drops the last piece": ("recovery", replaced(WholeRecords, messages=_without_last)),
+    "a flush loses a line": ("recovery", replaced(Transcript, write=_lose_a_line)),
+    "errors of the file are swallowed": ("leftovers", replaced(LogFile, guarded=_forget_failures)),
     "errors of the file are not put into words": (
         "errors",
-        _replaced(LogFile, "guarded", lambda _: nullcontext()),
+        replaced(LogFile, guarded=lambda _: nullcontext()),
     ),
-    "host events are left out": ("recovery", _replaced(Recorder, "on_host_event", _nothing)),
-    "repetition repeats nothing": ("repeat", _replaced(repetition, "repeat_event", _nothing)),
+    "host events are left out": ("recovery", replaced(Recorder, on_host_event=nothing)),
+    "repetition repeats nothing": ("repeat", replaced(repetition, repeat_event=nothing)),
 }
 
 MUTANTS = {name: Mutant("record", *broken, seconds=600) for name, broken in _broken.items()}

@@ -4,24 +4,18 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from checks.simulate.mutants import Mutant
+from checks.simulate.mutants import Broken, Mutant, nothing, replaced
 from khep_twin.errors import KhepTwinError
 from khep_twin.files.atomic import write_whole
 from khep_twin.sweep import ray_workers, results
 from khep_twin.sweep.results import SweepFolder
 from khep_twin.sweep.shards import Shard, Work
 
-
-def _patched(*changes: tuple[object, str, object]) -> AbstractContextManager[object]:
-    stack = ExitStack()
-    for place, name, changed in changes:
-        stack.enter_context(patch.object(place, name, changed))
-    return stack
+_read = SweepFolder._read
 
 
 def _joined_as_found(self: Any) -> None:
@@ -35,84 +29,76 @@ def _joined_as_found(self: Any) -> None:
     scratch.replace(self.table)
 
 
-def _twice() -> AbstractContextManager[object]:
-    def keep(self: Any, task: Shard, data: bytes) -> None:
-        path = self._part(task)
-        write_whole(path.with_suffix(".late.parquet") if path.exists() else path, data)
+def _keep_twice(self: Any, task: Shard, data: bytes) -> None:
+    path = self._part(task)
+    write_whole(path.with_suffix(".late.parquet") if path.exists() else path, data)
 
-    return _patched((SweepFolder, "keep", keep), (SweepFolder, "_join", _joined_as_found))
+
+def _coming_once(ray: Any, work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
+    remote = ray.remote(num_cpus=1, max_retries=0)(ray_workers._do)
+    for task in tasks:
+        each = remote.remote(work, task)
+        while not ray.wait([each], num_returns=1, timeout=10)[0]:
+            pass
+        try:
+            yield task, ray.get(each)[0]
+        except ray.exceptions.WorkerCrashedError:
+            continue
+
+
+def _is_there(_: Any, file: Path, *__: object) -> bool:
+    return file.exists()
+
+
+def _read_torn(self: Any, task: Shard) -> Any:
+    try:
+        return _read(self, task)
+    except KhepTwinError:
+        schema = pa.schema([])
+        for each in self._work.tasks:
+            try:
+                schema = _read(self, each).schema
+            except KhepTwinError:
+                continue
+        return schema.empty_table()
+
+
+def _write_leaving_part(path: Path, data: bytes) -> None:
+    scratch = path.with_name(f".{path.name}.part")
+    try:
+        with scratch.open("wb") as file:
+            file.write(data)
+    except OSError as error:
+        raise KhepTwinError(f"{path}: cannot be written: {error.strerror}") from error
+    scratch.replace(path)
+
+
+def _join_in_place(self: Any) -> None:
+    schema = self._read(self._work.tasks[0]).schema
+    with results.pq.ParquetWriter(self.table, schema) as writer:
+        for task in self._work.tasks:
+            writer.write_table(self._read(task))
 
 
 def _dropped() -> AbstractContextManager[object]:
-    def coming(ray: Any, work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
-        remote = ray.remote(num_cpus=1, max_retries=0)(ray_workers._do)
-        for task in tasks:
-            each = remote.remote(work, task)
-            while not ray.wait([each], num_returns=1, timeout=10)[0]:
-                pass
-            try:
-                yield task, ray.get(each)[0]
-            except ray.exceptions.WorkerCrashedError:
-                continue
-
-    return _patched((ray_workers, "_coming", coming), (SweepFolder, "_join", _joined_as_found))
+    stack = ExitStack()
+    stack.enter_context(replaced(ray_workers, _coming=_coming_once)())
+    stack.enter_context(replaced(SweepFolder, _join=_joined_as_found)())
+    return stack
 
 
-def _torn() -> AbstractContextManager[object]:
-    read = SweepFolder._read
-
-    def holds(self: Any, file: Path, *_: object) -> bool:
-        return file.exists()
-
-    def taken(self: Any, task: Shard) -> Any:
-        try:
-            return read(self, task)
-        except KhepTwinError:
-            schema = pa.schema([])
-            for each in self._work.tasks:
-                try:
-                    schema = read(self, each).schema
-                except KhepTwinError:
-                    continue
-            return schema.empty_table()
-
-    return _patched((SweepFolder, "_holds", holds), (SweepFolder, "_read", taken))
-
-
-def _left() -> AbstractContextManager[object]:
-    def write(path: Path, data: bytes) -> None:
-        scratch = path.with_name(f".{path.name}.part")
-        try:
-            with scratch.open("wb") as file:
-                file.write(data)
-        except OSError as error:
-            raise KhepTwinError(f"{path}: cannot be written: {error.strerror}") from error
-        scratch.replace(path)
-
-    return _patched((results, "write_whole", write))
-
-
-def _in_place() -> AbstractContextManager[object]:
-    def join(self: Any) -> None:
-        schema = self._read(self._work.tasks[0]).schema
-        with results.pq.ParquetWriter(self.table, schema) as writer:
-            for task in self._work.tasks:
-                writer.write_table(self._read(task))
-
-    return _patched((SweepFolder, "_join", join))
-
-
-MUTANTS: dict[str, Mutant] = {
-    "sweep-late-result-added": Mutant("sweep", "results", _twice),
-    "sweep-task-of-a-dead-worker-dropped": Mutant("sweep", "results", _dropped),
-    "sweep-torn-part-taken-as-whole": Mutant("sweep", "results", _torn),
-    "sweep-resumed-from-nothing": Mutant(
-        "sweep", "results", lambda: _patched((SweepFolder, "missing", lambda self: [*self._work.tasks]))
+_broken: dict[str, tuple[str, Broken]] = {
+    "sweep-late-result-added": ("results", replaced(SweepFolder, keep=_keep_twice, _join=_joined_as_found)),
+    "sweep-task-of-a-dead-worker-dropped": ("results", _dropped),
+    "sweep-torn-part-taken-as-whole": ("results", replaced(SweepFolder, _holds=_is_there, _read=_read_torn)),
+    "sweep-resumed-from-nothing": (
+        "results",
+        replaced(SweepFolder, missing=lambda self: [*self._work.tasks]),
     ),
-    "sweep-without-a-lock": Mutant(
-        "sweep", "errors", lambda: _patched((SweepFolder, "_lock", lambda self, descriptor: None))
-    ),
-    "sweep-leaves-a-part-on-a-full-disk": Mutant("sweep", "leftovers", _left),
-    "sweep-table-written-in-place": Mutant("sweep", "errors", _in_place),
+    "sweep-without-a-lock": ("errors", replaced(SweepFolder, _lock=nothing)),
+    "sweep-leaves-a-part-on-a-full-disk": ("leftovers", replaced(results, write_whole=_write_leaving_part)),
+    "sweep-table-written-in-place": ("errors", replaced(SweepFolder, _join=_join_in_place)),
 }
+
+MUTANTS = {name: Mutant("sweep", *broken) for name, broken in _broken.items()}
 """Broken builds, by name."""

@@ -21,9 +21,8 @@ from unittest.mock import patch
 import khep_twin.status_line  # noqa: F401 - before a simulation: compilation tells by it
 from checks.simulate import sweep_disk
 from checks.simulate.kernel import NS_PER_S, OpenFile, Process
-from checks.simulate.mutants import Mutant
 from checks.simulate.simulation import Simulation
-from checks.simulate.sweep_mutants import MUTANTS as _MUTANTS
+from checks.simulate.sweep_mutants import MUTANTS as MUTANTS
 from checks.simulate.workers import SimulatedRay, pool
 from khep_twin.sweep import ray_workers, shards, study, sweep
 from khep_twin.sweep.ray_workers import on_ray
@@ -337,5 +336,3 @@ def _open() -> int:
 
 
 SCENARIOS = {"sweep": sweeps}
-
-MUTANTS: dict[str, Mutant] = _MUTANTS
