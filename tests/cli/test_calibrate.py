@@ -10,6 +10,7 @@ import pytest
 from command_line import complaint, good
 from forked import Forked, run_python
 from served_twin import served
+from shares import share
 
 from khep_twin.files.toml_files import dump
 from khep_twin.sensing import calibration
@@ -35,12 +36,17 @@ def hidden(folder: Path) -> calibration.Calibration:
     return found
 
 
-def test_a_twin_that_nobody_knows_is_calibrated_by_one_command(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("walls_mm", "duty_s"), share([((12, 26), 0.4), ((12, 20, 26), 0.75)], 2))
+def test_a_twin_that_nobody_knows_is_calibrated_by_one_command(
+    walls_mm: tuple[int, ...], duty_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("khep_twin.lab.fit.session_steps._DUTY_S", duty_s)
     robot = hidden(tmp_path)
-    words = ["calibrate", "khep://bench.toml?seed=3", "-o", "mine.toml", "--walls", "12,20,26"]
+    walls = ",".join(map(str, walls_mm))
+    words = ["calibrate", "khep://bench.toml?seed=3", "-o", "mine.toml", "--walls", walls]
     lines = good(*words, "--picture", "fit.png", folder=tmp_path).splitlines()
-    assert "step 1 of 6: straight" in lines
-    assert "Put the robot with its front 20 mm from a flat white wall, looking straight at it." in lines
+    assert f"step 1 of {3 + len(walls_mm)}: straight" in lines
+    assert "Put the robot with its front 26 mm from a flat white wall, looking straight at it." in lines
     found = calibration.read(str(tmp_path / "mine.toml"))[0]
     assert found.wheels.radius_mm == pytest.approx(robot.wheels.radius_mm, rel=0.004)
     assert found.wheels.base_mm == pytest.approx(robot.wheels.base_mm, rel=0.005)
@@ -48,8 +54,8 @@ def test_a_twin_that_nobody_knows_is_calibrated_by_one_command(tmp_path: Path) -
     assert all(math.isclose(one, other, rel_tol=0.15) for one, other in gains)
     assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
     recordings = {each.name for each in (tmp_path / "mine-session").iterdir()}
-    walls = {"wall-12.csv", "wall-20.csv", "wall-26.csv"}
-    assert recordings == {"straight.mcap", "turns.mcap", "duty.mcap", "tests.txt"} | walls
+    others = {f"wall-{distance_mm}.csv" for distance_mm in walls_mm}
+    assert recordings == {"straight.mcap", "turns.mcap", "duty.mcap", "tests.txt"} | others
     assert "mine.toml: is there already" in complaint(*words, folder=tmp_path, codes=[2])
 
 
