@@ -74,7 +74,7 @@ def test_a_playpen_is_built_by_keys_alone(visit: Visit, tmp_path: Path) -> None:
     page.keyboard.press("Control+s")
     page.fill("#dialog input", "keys")
     page.keyboard.press("Enter")
-    visit.wait("document.querySelector('#file').textContent === 'keys.toml'")
+    visit.wait_file("keys.toml")
     made = Playpen.load(tmp_path / "keys.toml")
     for default in ("mass_g", "movable", "[lighting]", "surface", "calibration", "mode"):
         assert default not in (tmp_path / "keys.toml").read_text()
@@ -191,9 +191,7 @@ def test_a_draft_is_offered_for_its_own_playpen_only_and_outlives_another(
     wait_for(lambda: drafts(tmp_path) == ["unnamed"])
     visit.open()
     page.wait_for_selector("text=A draft of a new playpen was never saved")
-    page.click("#open")
-    page.click("#dialog .main")
-    visit.wait("document.querySelector('#file').textContent === 'mine.toml'")
+    visit.open_file("mine.toml")
     assert visit.count("text=Continue it") == 0
     page.click("#save")
     page.wait_for_selector("text=Saved as mine.toml")
@@ -295,10 +293,7 @@ def test_a_designer_that_ends_during_a_run_says_so_once_and_what_needs_it_is_off
     page = visit.page
     visit.add("block", (200, 200))
     visit.add("robot", (400, 200))
-    page.click('[data-tab="run"]')
-    page.fill("#cycles", "100000")
-    page.click("#run")
-    visit.wait_driven()
+    visit.drive()
     asker.end()
     page.wait_for_selector("text=The designer has ended, and the twin with it")
     assert page.inner_text("#clock") == "not running"
@@ -408,10 +403,10 @@ def test_saves_that_follow_each_other_at_once_do_not_disagree(visit: Visit, tmp_
     visit.save_as("mine.toml")
     visit.add("block", (200, 200))
     visit.page.evaluate("for (let number = 0; number < 3; number++) document.querySelector('#save').click()")
-    visit.wait("document.querySelector('#file').textContent === 'mine.toml'")
+    visit.wait_file("mine.toml")
     visit.add("lamp", (400, 200))
     visit.page.click("#save")
-    visit.wait("document.querySelector('#file').textContent === 'mine.toml'")
+    visit.wait_file("mine.toml")
     assert "[[lamp]]" in (tmp_path / "mine.toml").read_text()
     assert visit.count(".banner.error") == 0
 
@@ -668,7 +663,7 @@ def test_undo_brings_back_the_former_playpen_with_its_file_and_what_was_not_save
     visit.drop(picture)
     page.wait_for_selector("#dialog input")
     page.click("#dialog .main")
-    visit.wait("document.querySelector('#file').textContent === 'new playpen *'")
+    visit.wait_file("new playpen *")
     # Import and New are taken back, one after the other, and the file is the former one.
     page.click("#undo")
     assert page.text_content("#file") == "new playpen"
@@ -680,7 +675,7 @@ def test_undo_brings_back_the_former_playpen_with_its_file_and_what_was_not_save
     assert (page.text_content("#file"), page.evaluate("location.hash")) == ("new playpen", "#new")
     page.click("#undo")
     page.click("#save")
-    visit.wait("document.querySelector('#file').textContent === 'first.toml'")
+    visit.wait_file("first.toml")
     assert len(Playpen.load(tmp_path / "first.toml").blocks) == 2
     # The history goes on before it: the second block, then the first one.
     page.click("#undo")
@@ -740,7 +735,7 @@ def test_a_large_draft_is_kept_when_the_page_is_hidden(visit: Visit, tmp_path: P
     page.click("#dialog .main")
     visit.wait("document.querySelectorAll('.kind-cylinder').length === 600")
     visit.add("lamp", (1060, 560))
-    visit.wait("document.querySelector('#file').textContent === 'many.toml *'")
+    visit.wait_file("many.toml *")
     # As when another tab is shown.
     page.evaluate(
         "Object.defineProperty(document, 'hidden', { value: true, configurable: true });"

@@ -28,7 +28,7 @@ robot = [{ x_mm = 300, y_mm = 330, heading_deg = 90 }]
 def test_the_pictures_of_the_guide_are_the_pages_own(visit: Visit, tmp_path: Path) -> None:
     page = visit.page
     shutil.copy(ASSETS.parent / "playpens" / "obstacles.toml", tmp_path / "mine.toml")
-    open_file(visit, "mine.toml")
+    visit.open_file("mine.toml")
     visit.click(590, 435)
     visit.picture("designer")
 
@@ -75,7 +75,7 @@ def test_the_pictures_of_the_guide_are_the_pages_own(visit: Visit, tmp_path: Pat
     visit.end()
 
     (tmp_path / "bench.toml").write_text(BENCH)
-    open_file(visit, "bench.toml")
+    visit.open_file("bench.toml")
     page.click('[data-tab="run"]')
     page.select_option("#speed", "0")
     page.click('[data-tab="sense"]')
@@ -87,9 +87,8 @@ def test_the_pictures_of_the_guide_are_the_pages_own(visit: Visit, tmp_path: Pat
 
     page.click('[data-tab="run"]')
     visit.end()
-    open_file(visit, "mine.toml")
-    page.click("#start")
-    page.wait_for_selector(".live")
+    visit.open_file("mine.toml")
+    visit.start()
     page.mouse.move(*visit.at(120, 290))
     page.mouse.down()
     page.mouse.move(*visit.at(410, 440), steps=5)
@@ -113,11 +112,3 @@ def test_the_pictures_of_the_guide_are_the_pages_own(visit: Visit, tmp_path: Pat
     for name in shown:
         with Image.open(PAGE.parent / "pictures" / name) as kept, Image.open(PICTURES / name) as made:
             assert (kept.mode, kept.size) == (made.mode, made.size), name
-
-
-def open_file(visit: Visit, name: str) -> None:
-    visit.page.click("#open")
-    visit.page.select_option("#dialog select", name)
-    visit.page.click("#dialog .main")
-    visit.wait(f"document.querySelector('#file').textContent === '{name}'")
-    visit.page.wait_for_selector("#problems.none")

@@ -54,9 +54,7 @@ def test_ten_objects_are_drawn_saved_run_lifted_and_stopped(visit: Visit, tmp_pa
 
     # Reopened, it is the same.
     visit.open()
-    page.click("#open")
-    page.select_option("#dialog select", "ten.toml")
-    page.click("#dialog .main")
+    visit.open_file("ten.toml")
     visit.wait("document.querySelectorAll('.drawn').length === 10")
 
     # A minute of Braitenberg, ten times as fast.
@@ -174,10 +172,7 @@ def test_a_sensor_test_is_driven_and_shown(visit: Visit, tmp_path: Path) -> None
 def test_an_outside_host_shares_the_line_of_the_robot_that_runs(visit: Visit) -> None:
     page = visit.page
     visit.add("robot", (300, 200))
-    page.click('[data-tab="run"]')
-    page.fill("#cycles", "100000")
-    page.click("#run")
-    visit.wait_driven()
+    visit.drive()
     host = Khepera(page.text_content("#port"))
     try:
         for _ in range(5):
@@ -219,9 +214,7 @@ def test_a_page_loaded_anew_shows_what_runs_and_what_was_drawn(visit: Visit) -> 
     visit.add("block", (300, 400))
     page.click('[data-tab="run"]')
     page.select_option("#speed", "2")
-    page.fill("#cycles", "100000")
-    page.click("#run")
-    visit.wait_driven()
+    visit.drive()
     page.click("#pause")
     visit.wait("document.querySelector('#clock').textContent.includes('paused')")
     visit.open()
@@ -236,9 +229,7 @@ def test_a_page_loaded_anew_shows_what_runs_and_what_was_drawn(visit: Visit) -> 
 def test_fingers_lift_the_robot_that_runs_and_turn_it(tablet: Visit, tmp_path: Path) -> None:
     page = tablet.page
     tablet.add("robot", (300, 200))
-    page.click('[data-tab="run"]')
-    page.fill("#log", "run.mcap")
-    page.click("#start")
+    tablet.start("run.mcap")
     tablet.wait("/^[0-9.]+ s/.test(document.querySelector('#clock').textContent)")
     there, beside, above = map(tablet.at, (300, 400, 300), (200, 200, 300))
     tablet.touch(there)
@@ -389,8 +380,7 @@ def test_line_images_are_a_strip_below_the_readings(visit: Visit) -> None:
     page = visit.page
     visit.add("robot", (300, 200))
     page.check("#field-robot-turrets input[value=k213]")
-    page.click('[data-tab="run"]')
-    page.click("#start")
+    visit.start()
     pixels = "document.querySelector('#vision').getContext('2d').getImageData(0, {}, 64, 1).data"
     # Rows rise: the first one has come up from the bottom after a second.
     visit.wait(f"!document.querySelector('#vision').hidden && {pixels.format(90)}[3] === 255")
@@ -403,10 +393,7 @@ def test_line_images_are_a_strip_below_the_readings(visit: Visit) -> None:
 def test_after_a_run_its_log_and_report_are_kept_and_the_command_that_views_it_is_shown(visit: Visit) -> None:
     page = visit.page
     visit.add("robot", (300, 200))
-    page.click('[data-tab="run"]')
-    page.fill("#log", "run.mcap")
-    page.click("#start")
-    page.wait_for_selector(".live")
+    visit.start("run.mcap")
     assert page.is_hidden("#logged")
     visit.wait_seconds(0.5)
     page.click("#end")
@@ -425,7 +412,7 @@ def test_curves_show_the_readings_of_the_selected_robot_and_their_values_at_the_
     page.click('[data-tab="run"]')
     assert page.is_hidden("#curves")
     page.click("#run")
-    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 2")
+    visit.wait_seconds(2)
     page.click("#pause")
     visit.wait("document.querySelector('#clock').textContent.includes('paused')")
     page.check("#curves input[value=light]")
@@ -524,10 +511,8 @@ def test_undo_during_a_run_puts_a_lifted_robot_back_and_switches_a_lamp_again(
     page = visit.page
     visit.add("robot", (300, 200))
     visit.add("lamp", (60, 440))
-    page.click('[data-tab="run"]')
-    page.fill("#log", "run.mcap")
-    page.click("#start")
-    visit.wait("parseFloat(document.querySelector('#clock').textContent) > 0")
+    visit.start("run.mcap")
+    visit.wait_seconds(0)
     assert page.is_disabled("#undo")
     visit.lift(450, 350)
     stands_at(visit, 450, 350)

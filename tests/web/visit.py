@@ -88,22 +88,42 @@ class Visit:
         self.page.click("#save-as")
         self.page.fill("#dialog input", name)
         self.page.click("#dialog .main")
+        self.wait_file(name)
+
+    def open_file(self, name: str) -> None:
+        """Opens a file of the folder, and waits until it is checked."""
+        self.page.click("#open")
+        self.page.select_option("#dialog select", name)
+        self.page.click("#dialog .main")
+        self.wait_file(name)
+        self.page.wait_for_selector("#problems.none")
+
+    def wait_file(self, name: str) -> None:
+        """Waits until this file is open, without changes."""
         self.wait(f"document.querySelector('#file').textContent === '{name}'")
 
     def new(self) -> None:
         """Opens the chosen playpen of the library, and waits for it."""
         self.page.click("#dialog .main")
-        self.wait("document.querySelector('#file').textContent === 'new playpen'")
+        self.wait_file("new playpen")
 
     def show_3d(self) -> None:
         self.page.click("#three-d")
         self.page.wait_for_selector("#solid[data-shapes]")
 
-    def start(self) -> None:
-        """Starts a twin of what is drawn, and waits until it is shown."""
+    def start(self, log: str = "") -> None:
+        """Starts a twin of what is drawn, with a log of this name, and waits until it is shown."""
         self.page.click('[data-tab="run"]')
+        self.page.fill("#log", log)
         self.page.click("#start")
         self.page.wait_for_selector(".live")
+
+    def drive(self) -> None:
+        """Starts a program that does not end by itself, and waits until it drives."""
+        self.page.click('[data-tab="run"]')
+        self.page.fill("#cycles", "100000")
+        self.page.click("#run")
+        self.wait_driven()
 
     def choose_program(self, name: str) -> None:
         """Chooses a controller's file, as soon as it is offered."""
