@@ -56,13 +56,8 @@ def text_of(number: int) -> str:
     ]
     if rng.random() < 0.3:
         tip = rng.uniform(0.05, 0.95) * height
-        corners = [
-            [0, 0],
-            [width // 1, 0],
-            [width * 0.6 // 1, tip // 1],
-            [width // 1, height // 1],
-            [0, height // 1],
-        ]
+        right, top = width // 1, height // 1
+        corners = [[0, 0], [right, 0], [width * 0.6 // 1, tip // 1], [right, top], [0, top]]
         lines.append(f"outline_mm = {corners}")
     for _ in range(rng.choice((0, 1, 2))):
         points = [

@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 
 from checks.fuzz.libfuzzer import fuzz
 from checks.fuzz.log_mutations import Record, taken_apart
-from checks.fuzz.logs import DAMAGED, ODD, STEP, cooked, folder, said
+from checks.fuzz.logs import ODD, STEP, cooked, folder, said, write_steps
 
 MODULES = (
     "khep_twin.log.viewer.replay",
@@ -187,12 +187,9 @@ USES: list[Callable[[Path], None]] = [view, repeat, branch_same, branch_changed,
 
 def seeds(target: Path) -> None:
     """Write seed inputs: each use, each kind of step, and words of each attachment."""
+    write_steps(target, len(USES))
     for use in range(len(USES)):
-        (target / f"use{use}").write_bytes(bytes([use]))
         for kind in range(0, 256, 24):
-            step = struct.pack("<BBHH", kind, 3 * kind % 256, kind % 40, kind)
-            (target / f"step{use}-{kind}").write_bytes(bytes([use]) + step)
-            (target / f"file{use}-{kind}").write_bytes(bytes([use | DAMAGED]) + step * 2)
             text = struct.pack("<BHHB", kind // 24, 7 * kind, kind, 0)
             (target / f"text{use}-{kind}").write_bytes(bytes([use | IN_TEXT]) + text)
 

@@ -261,7 +261,12 @@ USES: list[Callable[[Path], None]] = [read_whole, read_series, read_recorded, ex
 
 def seeds(target: Path) -> None:
     """Write seed inputs: each use, and each kind of step."""
-    for use in range(len(USES)):
+    write_steps(target, len(USES))
+
+
+def write_steps(target: Path, n_uses: int) -> None:
+    """Write seed inputs of so many uses, and of each kind of step."""
+    for use in range(n_uses):
         (target / f"use{use}").write_bytes(bytes([use]))
         for kind in range(0, 256, 24):
             step = struct.pack("<BBHH", kind, 3 * kind % 256, kind % 40, kind)

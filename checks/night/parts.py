@@ -113,6 +113,12 @@ def files(kind: str, what: str, wanted: float) -> Part:
     return Part(f"fuzz-{kind}", what, "files", wanted, 25_000, words, done, r"the slowest .*$")
 
 
+def numbered(name: str, what: str, unit: str, wanted: float, share: float) -> Part:
+    """Return a part whose cases have numbers."""
+    words = f"-m checks {name} {{count}} --first {{first}}"
+    return Part(name, what, unit, wanted, share, words, rf"^(\d+) {unit}[ ,]", r"\d+ findings$")
+
+
 def whole(
     name: str, what: str, words: str, variables: str = "", figures: str = r"(?!)", *, alone: bool = False
 ) -> Part:
@@ -180,33 +186,20 @@ PARTS = (
     fuzzed("fuzz-log-uses", "changed logs, viewed, repeated, branched and checked", 50_000, 5_000),
     fuzzed("fuzz-page", "requests to the designer's page", 100_000, 10_000),
     fuzzed("fuzz-rfc2217", "negotiations over network ports", 1_000_000, 100_000),
-    Part(
+    numbered(
         "edges",
         "random playpens at the edge of what the check lets pass, driven through at full speed",
         "playpens",
         2_000,
         100,
-        "-m checks edges {count} --first {first}",
-        done=r"^(\d+) playpens from ",
     ),
-    Part(
-        "branches",
-        "random logs resumed at random moments, unchanged and changed",
-        "logs",
-        200,
-        20,
-        "-m checks branches {count} --first {first}",
-        done=r"^(\d+) logs from ",
-        figures=r"\d+ findings$",
-    ),
-    Part(
+    numbered("branches", "random logs resumed at random moments, unchanged and changed", "logs", 200, 20),
+    numbered(
         "recordings",
         "logs of sound robots with random hosts, in which conform must find nothing",
         "logs",
         300,
         50,
-        "-m checks recordings {count} --first {first}",
-        done=r"^(\d+) logs, ",
     ),
     whole(
         "docs-blocks",

@@ -52,7 +52,6 @@ class Disk:
         self._journal = Journal(self._root)
         self._open: dict[int, DiskFile] = {}
         self._full_until_ns = self._read_only_until_ns = 0
-        self._off = False
         self.on_power_cut: Callable[[], object] = lambda: None
         self.cuts = 0
         simulation.system.os.disk = self

@@ -192,12 +192,8 @@ class _RawFile(io.RawIOBase):
         self._system, self._process = system, system.kernel.current
         self._reads = "+" in mode
         flags = os.O_RDWR if self._reads else os.O_WRONLY
-        flags |= {
-            "w": os.O_CREAT | os.O_TRUNC,
-            "x": os.O_CREAT | os.O_EXCL,
-            "a": os.O_CREAT | os.O_APPEND,
-        }.get(mode.strip("bt+"), 0)
-        self._descriptor = system.open(path, flags | os.O_CLOEXEC, 0o666)
+        flags |= _FLAGS[mode.strip("bt+")] | os.O_CLOEXEC
+        self._descriptor = system.open(path, flags, 0o666)
 
     def _is_over(self) -> bool:
         return self._process is not self._system.kernel.current

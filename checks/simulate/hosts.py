@@ -243,13 +243,14 @@ class Session:
         else:
             self.read(robot, truth, read_image(), read_light(), read_region(rng.randint(0, 48), 16))
             turret.set_period(rng.randrange(8))
-            (
-                turret.brightest(),
-                turret.darkest(),
-                turret.every_second(),
-                turret.every_fourth(),
-                turret.coarse(),
-            )
+            for ask in (
+                turret.brightest,
+                turret.darkest,
+                turret.every_second,
+                turret.every_fourth,
+                turret.coarse,
+            ):
+                ask()
 
 
 def ending(rng: random.Random) -> BaseException:

@@ -195,13 +195,11 @@ class Kernel:
         self.now_ns = NS_PER_S
         self.processes: list[Process] = []
         self.current: Process | None = None
-        self.n_calls = 0
         self._held_until_ns = 0
         self._events: list[tuple[int, int, Process | None, int, Callable[[], object] | None]] = []
         self._until_ns = 0
         self._numbers = count()
         self._pids = count(1000)
-        self._main = getcurrent()
         self._rng = random.Random(mixed(seed, "kernel"))
 
     # Processes and events ------------------------------------------------------------------------------
@@ -299,7 +297,6 @@ class Kernel:
         if process.dying:
             raise Killed
         self._throw(process)
-        self.n_calls += 1
         if process.on_call is not None:
             process.on_call()
         delay_ns = process.rng.randrange(*_CALL_NS)

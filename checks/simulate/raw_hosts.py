@@ -80,7 +80,9 @@ class Raw:
                     lines = []
                     while (got_lines := _TELNET.sub(b"", got).count(b"\n")) < asked:
                         if not (data := host.recv(4096)):
-                            self._cut_off(truth, got_lines)
+                            if not self.may_fail():
+                                told = f"raw host {self.number} was cut off after {got_lines} replies"
+                                self.simulation.violate("answers", told)
                             return
                         got += data
                     self._compare(truth, got)
@@ -98,12 +100,6 @@ class Raw:
         except OSError as error:
             if not self.may_fail():
                 self.simulation.violate("answers", f"raw host {self.number} on a sound line got {error!r}")
-
-    def _cut_off(self, truth: Truth, got_lines: int) -> None:
-        if not self.may_fail():
-            self.simulation.violate(
-                "answers", f"raw host {self.number} was cut off after {got_lines} replies"
-            )
 
     def _compare(self, truth: Truth, got: bytes) -> None:
         """Check that all that came are the replies to this host's lines, in order."""
@@ -234,23 +230,11 @@ class Raw:
 
     def garbage(self) -> None:
         """Send random bytes and broken negotiation."""
-        pieces = [
-            b"\xff\xfa,\x01\x00\x00\x25\x80\xff\xf0",
-            b"\xff\xfa,\x01\x00\xff\xf0",
-            b"\xff\xf0",
-            b"\xff\xfb,",
-        ]
-        pieces += [
-            b"\xff\xfa" + b"x" * 300,
-            b"\xff\xfa,\x03\x09\xff\xf0",
-            b"\xff\xfa,\x02\x04\xff\xf0",
-            b"\n",
-        ]
-        pieces += [
-            b"\xff\xfa,\x01\x00\x00\x00\x01\xff\xf0",
-            b"\xff\xfa,\x05\x63\xff\xf0",
-            self.rng.randbytes(40),
-        ]
+        begin, end = b"\xff\xfa", b"\xff\xf0"
+        pieces = [begin + b",\x01\x00\x00\x25\x80" + end, begin + b",\x01\x00" + end, end, b"\xff\xfb,"]
+        pieces += [begin + b"x" * 300, begin + b",\x03\x09" + end, begin + b",\x02\x04" + end, b"\n"]
+        pieces += [begin + b",\x01\x00\x00\x00\x01" + end, begin + b",\x05\x63" + end]
+        pieces.append(self.rng.randbytes(40))
         with self.connect() as host:
             for _ in range(self.rng.randint(1, 20)):
                 host.sendall(self.rng.choice(pieces))

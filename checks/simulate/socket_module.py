@@ -126,9 +126,6 @@ class Socket:
     def gettimeout(self) -> float | None:
         return self._timeout
 
-    def getblocking(self) -> bool:
-        return self._timeout != 0
-
     def setsockopt(self, level: int, option: int, value: int | bytes) -> None:
         self._file().options[level, option] = value
 

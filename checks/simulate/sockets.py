@@ -49,7 +49,6 @@ class Network:
         self.kernel, self.faults = kernel, faults
         self.listeners: dict[int, TcpFile] = {}
         self.spoil: Callable[[str, bool, bytes], bytes] | None = None
-        self.connections: list[tuple[TcpFile, TcpFile]] = []
         self._numbers = count(32_768)
 
     def free_port(self) -> int:
@@ -66,16 +65,6 @@ class Network:
             way.sender.watch_silence()
         if duration_ns is not None:
             self.kernel.at(self.kernel.now_ns + duration_ns, lambda: [way.mend() for way in ways])
-
-    def established(self) -> list[tuple[int, int]]:
-        """Return the port numbers of the ends of connections, the own one first, as /proc/net/tcp does."""
-        self.connections = [pair for pair in self.connections if not all(each.is_gone for each in pair)]
-        return [
-            (end.port, end.peer.port)
-            for pair in self.connections
-            for end in pair
-            if end.peer is not None and not end.is_gone and not end.has_ended and not end.is_shut
-        ]
 
 
 class _Way:
@@ -391,7 +380,6 @@ class TcpFile(OpenFile):
             end.way.receiver, self.way.receiver = self, end
             end.heard_ns = self.heard_ns = now_ns
             listener.queue.append(end)
-            self.network.connections.append((self, end))
             listener.changed()
             self.kernel.at(now_ns + self.rng.randrange(*_TRANSIT_NS), self._accepted)
 

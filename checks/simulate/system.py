@@ -391,9 +391,6 @@ class SimulatedPoll:
     def register(self, descriptor: Any, mask: int = select.POLLIN | select.POLLPRI | select.POLLOUT) -> None:
         self._masks[_number(descriptor)] = mask
 
-    def unregister(self, descriptor: Any) -> None:
-        del self._masks[_number(descriptor)]
-
     def poll(self, timeout_ms: float | None = None) -> list[tuple[int, int]]:
         kernel = self._kernel
         process = kernel.called()

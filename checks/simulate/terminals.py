@@ -47,7 +47,7 @@ MOST_SLOW = 1e-3
 
 _TIOCGEXCL = getattr(termios, "TIOCGEXCL", 0x80045440)
 
-_SPEED, _VMIN = termios.B38400, 1
+_SPEED = termios.B38400
 
 
 class Way:
