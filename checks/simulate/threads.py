@@ -53,9 +53,6 @@ class SimulatedQueue(Shim):
 class _Shared(OpenFile):
     """What several threads wait for; it is no file, but processes wait for nothing else."""
 
-    def __init__(self, kernel: Kernel) -> None:
-        super().__init__(kernel)
-
     def _wait(self, ready: Callable[[], bool], timeout: float | None) -> bool:
         kernel = self.kernel
         end_ns = None if timeout is None or timeout < 0 else kernel.now_ns + round(timeout * NS_PER_S)
