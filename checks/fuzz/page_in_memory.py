@@ -95,8 +95,8 @@ class Session(twin_session.TwinActor):
         self._open = ExitStack()
         self._is_alive = True
         twin = self._open.enter_context(open_twin(self.playpen, self._options))
-        if self._log is not None:
-            twin.record(self._log)
+        if self.log is not None:
+            twin.record(self.log)
         self._paced = Requests(twin)  # pyright: ignore
 
     @property
