@@ -5,6 +5,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -150,6 +151,7 @@ class MujocoScene:
         return stopped / len(points)
 
 
+@cache
 def points_of_a_bulb(number: int) -> Floats:
     """Return points of a disc of radius 1 (n, 2): FEW decide between all and nothing, MANY give the part."""
     if number == FEW:  # its centre, and points near its edge
