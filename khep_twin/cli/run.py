@@ -122,7 +122,6 @@ def run(
     from khep_twin.lab.experiment.controllers import LoopingController
     from khep_twin.lab.experiment.series import OneRobot
     from khep_twin.lab.experiment.series_files import SeriesFolder
-    from khep_twin.lab.experiment.series_run import Plan
     from khep_twin.toolbox.form import as_toolbox_form
 
     typed = given(context)
@@ -136,14 +135,11 @@ def run(
         found = find_controller(controller, as_toolbox_form)
         gone_to = Path.cwd()
     user_function = None if series.on_run_end is None else find_on_run_end(series.on_run_end, found)
-    seconds, cycles, own = length.seconds, length.cycles, None
+    plan, own = _plan(length, series, in_cycles=isinstance(found, LoopingController)), None
     if isinstance(found, LoopingController):
-        # Its own loops count cycles; the toolbox's windows begin at 500.
-        cycles = 500 if cycles is None and seconds is None else cycles
         options = replace(options, unpaced=found.unpaced)
         found.port_id = int(port) if port in {*map(str, PORT_IDS)} else None
         own = None if "playpen" in typed else found.playpen
-    plan = Plan(series.runs, cycles, 60.0 if seconds is None and cycles is None else seconds, series.pause)
     source = source_of(found)
     logs = RunLogs(logging, picture, source)
     logs.check_new(plan.runs if series.start else None, logging.force, series.resume)
@@ -162,10 +158,24 @@ def run(
                 watch(twin)
 
             robot_source, settings = _twins(stack, place, options, series.start or [], plan.runs, begin)
-        settings |= {"cycles": cycles, "seconds": plan.seconds, "pause": plan.pause, **source.identity}
+        settings |= {"cycles": plan.cycles, "seconds": plan.seconds, "pause": plan.pause, **source.identity}
         folder = None if series.save is None else SeriesFolder(series.save, settings, resume=series.resume)
         stopped = _run_series(found, robot_source, plan, folder, logs, series.confirm, gone_to, user_function)
     logs.finish()
+    _tell_end(folder, plan, stopped=stopped)
+
+
+def _plan(length: LengthOptions, series: SeriesOptions, *, in_cycles: bool) -> "Plan":
+    """Return the plan of the runs, by default of 60 s, or of 500 cycles as the toolbox's windows."""
+    from khep_twin.lab.experiment.series_run import Plan
+
+    seconds, cycles = length.seconds, length.cycles
+    if seconds is None and cycles is None:
+        seconds, cycles = (None, 500) if in_cycles else (60.0, None)
+    return Plan(series.runs, cycles, seconds, series.pause)
+
+
+def _tell_end(folder: "SeriesFolder | None", plan: "Plan", *, stopped: bool) -> None:
     if folder is not None:
         tell_written("series", [folder.path], command("series", folder.path))
     if stopped:

@@ -23,7 +23,7 @@ from khep_twin.web import requests
 from khep_twin.web.answers import Actions, on
 from khep_twin.web.documents import Documents
 from khep_twin.web.messages import Publish, Scored, Scoring
-from khep_twin.web.session import Printed
+from khep_twin.web.session import PrintBuffer
 
 _ENDING_S = 5.0
 """Longest time for a process to end with the designer [s]; a file that hangs takes 3.5."""
@@ -82,7 +82,7 @@ class Challenges:
         file = _shipped(asked.challenge)
         path = file.solution if asked.program is None else self._program(asked.program)
         name = "reference solution" if asked.program is None else asked.program
-        printed, told = Printed(self._publish, "score-printed"), 0.0
+        printed, told = PrintBuffer(self._publish, "score-printed"), 0.0
         decoder = getincrementaldecoder("utf-8")("replace")
 
         def work(over: Over) -> None:

@@ -34,7 +34,7 @@ _LOOK = 0.08
 """Interval at which the readings of a robot at a port are requested [s]."""
 
 
-class Printed:
+class PrintBuffer:
     """Text that a program prints, sent to the page at intervals; of long text, the end."""
 
     def __init__(self, publish: Publish, kind: Literal["printed", "score-printed"]) -> None:
@@ -64,7 +64,7 @@ class WebSession:
         self.job: Job | None = None
         # The completed part of the job goes with the pictures, as jobs report it at each cycle.
         self._part = 0.0
-        self.printed = Printed(self.publish, "printed")
+        self.printed = PrintBuffer(self.publish, "printed")
         self._n_forks = n_forks()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="stage", daemon=True)
