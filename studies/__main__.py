@@ -8,6 +8,7 @@ STUDIES = {
     "fidelity": "fidelity",
     "behaviour": "behaviour",
     "infrared-fits": "infrared_fits",
+    "khepera2-fits": "khepera2_fits",
     "infrared-picture": "infrared_picture",
     "lamp-fits": "lamp_fits",
     "lamp-picture": "lamp_picture",

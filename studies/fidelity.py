@@ -43,7 +43,7 @@ _INTRODUCTIONS = {
         counts) / 500.""",
     "Noise": """
         The twin is turned in a room with a lamp that flickers, as the robot was (`python -m
-        studies.noise_fits`); differences along the bearings tell the noise from the curve.""",
+        studies noise-fits`); differences along the bearings tell the noise from the curve.""",
     "Odometry": """
         Deviations of the motion at constant speeds, and of the part of 100 robots of the same make that come
         home by odometry after 30 s of driving (`python -m studies home-test`).""",

@@ -4,6 +4,8 @@ A sensor's distance is that from its own face to a wall; before a Khepera II, fr
 """
 
 import math
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,23 +13,31 @@ import numpy as np
 from khep_twin.playpen import Arena, Cylinder, Playpen, RobotEntry
 from khep_twin.playpen.surfaces import Surface
 from khep_twin.sensing import calibration
+from khep_twin.units import N_SENSORS
 from studies.fidelity_comparison import Comparison, Floats, Outcome, at_rest, columns
 from studies.fidelity_proximity import peer_curve, sensor_name
 from studies.infrared_fits import (
     MANUAL_SURFACES,
     OBSTACLE_REFLECTANCE,
-    Report,
-    khepera2_report,
     materials,
     rms,
 )
 from studies.infrared_picture import PEERS
+from studies.khepera2_fits import (
+    FACING_DEG,
+    FITTED_DAYS,
+    ON_AXIS,
+    Report,
+    khepera2_report,
+    pykhepera_wall,
+)
 
-_FACING = (2, 3), (5,)
+_FACING = ON_AXIS, (5,)
 """Sensors of a Khepera II that face what stands ahead, and what stands at its right side."""
 
 _MANUAL = "Khepera manual 5.02"
 _REPORT = "K-Team's report on the Khepera II, 2002"
+_PYKHEPERA = "two of five days of pykhepera's calibration, Edinburgh 2013; wall of unknown material"
 _SIDE_MM = 3000.0
 _SURFACES = {"obstacle": Surface(reflectance=OBSTACLE_REFLECTANCE, rgb=(255, 255, 255))}
 _SIX = range(6)
@@ -105,14 +115,19 @@ def figure_13(folder: Path) -> Outcome:
 
 def khepera2_facing(folder: Path) -> Outcome:
     """Compare the sensors of a Khepera II that face white paper."""
-    errors: list[Floats] = []
-    others: dict[str, list[Floats]] = {name: [] for name in PEERS}
+    errors: dict[str, list[Floats]] = {name: [] for name in ("khepera2-manual", "khepera2", *PEERS)}
     for curve in khepera2_report(folder):
         if not curve.is_robot and curve.sensor in _FACING[curve.is_aside]:
-            errors.append(_read(curve) - curve.counts)
-            for name in PEERS:
-                others[name].append(peer_curve(name, curve.distances) - curve.counts)
-    return Outcome(rms(errors), None, {name: rms(each) for name, each in others.items()})
+            for name in errors:
+                counts = peer_curve(name, curve.distances) if name in PEERS else _read(curve, name)
+                errors[name].append(counts - curve.counts)
+    own, middle, *_ = figures = {name: rms(each) for name, each in errors.items()}
+    return Outcome(
+        figures[own],
+        None,
+        {name: figures[name] for name in PEERS},
+        f"`khepera2`, the middle of two robots, {figures[middle]:.0f}",
+    )
 
 
 def khepera2_oblique(folder: Path) -> Outcome:
@@ -142,31 +157,27 @@ def khepera2_robot(folder: Path) -> Outcome:
     )
 
 
-def pykhepera(folder: Path) -> Outcome:
-    """Compare the front sensors of yet another Khepera II that drives away from a wall."""
-    table = columns(folder / "data" / "khepera2_pykhepera_distance_calibration.csv")
-    robot = _robot("khepera2")
-    arena = Arena(width_mm=_SIDE_MM, height_mm=_SIDE_MM)
-    gaps = np.unique(table["dist_index_x10mm_from_start_contact"]).astype(float)
-    starts = [[_SIDE_MM - robot.body.radius * 1e3 - gap, _SIDE_MM / 2, 0.0] for gap in gaps]
-    modelled, _ = at_rest(_playpen(arena, robot), np.array(starts))
-    errors: list[Floats] = []
-    days: list[Floats] = []
-    others: dict[str, list[Floats]] = {name: [] for name in PEERS}
-    for sensor in (2, 3):
-        for gap, counts in zip(gaps, modelled[:, sensor], strict=True):
-            own = (table["sensor"] == sensor) & (table["dist_index_x10mm_from_start_contact"] == gap)
-            measured = table["reading_max_of_2"][own].astype(float)
-            errors.append(np.array([counts - measured.mean()]))
-            days.append(measured - measured.mean())
-            for name in PEERS:
-                others[name].append(peer_curve(name, np.array([gap / 1e3])) - measured.mean())
-    return Outcome(rms(errors), rms(days), {name: rms(each) for name, each in others.items()})
+def pykhepera(folder: Path, sensors: Sequence[int]) -> Outcome:
+    """Compare sensors of yet another Khepera II, each turned to a wall, on the days that were not fitted."""
+    wall = pykhepera_wall(folder)
+    robot, arena = _robot("khepera2"), Arena(width_mm=_SIDE_MM, height_mm=_SIDE_MM)
+    unseen = [day for day in np.unique(wall.days).tolist() if day not in FITTED_DAYS]
+    errors: dict[str, list[Floats]] = {name: [] for name in ("twin", "days", *PEERS)}
+    for sensor in sensors:
+        gaps, measured = wall.means(sensor, unseen)
+        away = _SIDE_MM - robot.body.radius * 1e3 - gaps * 1e3
+        starts = [[each, _SIDE_MM / 2, -FACING_DEG[sensor]] for each in away]
+        errors["twin"].append(at_rest(_playpen(arena, robot), np.array(starts))[0][:, sensor] - measured)
+        errors["days"] += [wall.means(sensor, [day])[1] - measured for day in unseen]
+        for name in PEERS:
+            errors[name].append(peer_curve(name, gaps) - measured)
+    figure, floor, *others = (rms(each) for each in errors.values())
+    return Outcome(figure, floor, dict(zip(PEERS, others, strict=True)))
 
 
-def _read(curve: Report) -> Floats:
+def _read(curve: Report, name: str = "khepera2-manual") -> Floats:
     """Return a Khepera II's counts before a wall of white paper or a robot, so far from its foremost face."""
-    robot, sensor = _robot("khepera2"), curve.sensor
+    robot, sensor = _robot(name), curve.sensor
     turn = 90.0 if curve.is_aside else 0.0
     reach = max(-left if curve.is_aside else ahead for ahead, left in robot.body.sensor_positions) * 1e3
     arena = Arena(width_mm=_SIDE_MM, height_mm=_SIDE_MM)
@@ -188,7 +199,7 @@ def _best(errors: dict[int, Floats]) -> Outcome:
 
 
 def _robot(name: str) -> RobotEntry:
-    model = "khepera2" if name == "khepera2" else "khepera1"
+    model = "khepera2" if name.startswith("khepera2") else "khepera1"
     return RobotEntry(x_mm=1000, y_mm=1500, heading_deg=0, model=model, calibration=name)
 
 
@@ -223,10 +234,17 @@ COMPARISONS = (
     ),
     Comparison(
         "another Khepera II, wall ahead",
-        "pykhepera's calibration on five days, Edinburgh 2013; wall of unknown material",
-        "predicted",
+        _PYKHEPERA,
+        "fitted: one gain, between it and the report's robot; readings at rest; on three other days",
         "counts",
-        pykhepera,
+        partial(pykhepera, sensors=ON_AXIS),
+    ),
+    Comparison(
+        "another Khepera II, wall at its other sensors",
+        _PYKHEPERA,
+        "predicted; readings at rest fitted on three other days",
+        "counts",
+        partial(pykhepera, sensors=[sensor for sensor in range(N_SENSORS) if sensor not in ON_AXIS]),
     ),
     Comparison(
         "Khepera II, white paper aside",

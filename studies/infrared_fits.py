@@ -1,4 +1,4 @@
-"""Fits of the infrared optics to measured tables, and what is left.
+"""Fits of the infrared optics of the Khepera 1 to measured tables, and what is left.
 
 The tables are not part of the project; the environment variable KHEP_TWIN_REFERENCE_DATA names the folder in
 which they lie (data/ and manual_data/). The printed values are those in khep_twin/assets/calibration.
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from khep_twin.lab.fit.infrared import Optics, View, level
-from khep_twin.units import BODIES, COUNTS_LIMIT, N_SENSORS, SENSOR_HEADINGS, SENSOR_POSITIONS
+from khep_twin.units import COUNTS_LIMIT, N_SENSORS, SENSOR_HEADINGS, SENSOR_POSITIONS
 from tools.command_table import command_line
 
 Floats = NDArray[np.float64]
@@ -49,10 +49,10 @@ PEAK_DEG = 6
 
 _ON_AXIS_WEIGHT = 8.0
 _PRIOR = 200.0
-_SHARED, _SPREAD = np.array([4.0, 3.0]), np.array([4.0, 1.5])
+USUAL, _SPREAD = np.array([4.0, 3.0]), np.array([4.0, 1.5])
 """Offset [mm] and lobe exponent of a usual sensor (assumed), which those of each are drawn to."""
 
-_OFFSET_PRIOR = 3.0
+OFFSET_PRIOR = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,9 +109,9 @@ def fit_sampled(tables: Sequence[MeasuredTable], sensor: int, heading: float) ->
         optics = Optics(x[1] * 1e5, x[2] * 100, *x[3:])
         errors = [proximity(table.view(sensor, x[0]), optics) - table.counts[:, sensor] for table in tables]
         means = [_ON_AXIS_WEIGHT * (axis @ error) for axis, error in zip(axes, errors, strict=True)]
-        return np.concatenate([*errors, *means, _PRIOR * (x[3:] - _SHARED) / _SPREAD])
+        return np.concatenate([*errors, *means, _PRIOR * (x[3:] - USUAL) / _SPREAD])
 
-    start = [heading, 9, 6, *_SHARED]
+    start = [heading, 9, 6, *USUAL]
     low, high = [-np.inf, 1, 0, 0, 0], [np.inf, 80, 20, 15, 8]
     x = least_squares(left, start, bounds=(low, high), x_scale=[0.05, 3, 1, 1, 1], max_nfev=60).x
     return float(x[0]), Optics(x[1] * 1e5, x[2] * 100, *x[3:])
@@ -233,96 +233,23 @@ def fit_manual(folder: Path) -> tuple[list[Optics], dict[str, float]]:
     def left(x: Floats) -> Floats:
         eleven, twelve, thirteen = manual_residuals(folder, *split(x))
         # Figure 12 has ten points, the others ten times as many.
-        prior = _OFFSET_PRIOR * (x[12:18] - _SHARED[0])
+        prior = OFFSET_PRIOR * (x[12:18] - USUAL[0])
         return np.concatenate([*eleven, twelve, *(1.5 * each for each in thirteen), prior])
 
-    start = [*[10.0] * 6, *[4.0] * 6, *[_SHARED[0]] * 6, 1.5, *[0.8] * len(names)]
+    start = [*[10.0] * 6, *[4.0] * 6, *[USUAL[0]] * 6, 1.5, *[0.8] * len(names)]
     low = [*[1.0] * 6, *[0.0] * 6, *[0.0] * 6, 0.0, *[0.01] * len(names)]
     high = [*[80.0] * 6, *[20.0] * 6, *[15.0] * 6, 8.0, *[2.0] * len(names)]
     return split(least_squares(left, start, bounds=(low, high), max_nfev=60).x)
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
-    """Curve of K-Team's report on the Khepera II at its basic gain.
-
-    Attributes:
-        sensor: Number of the sensor.
-        is_aside: Whether the target stands at the right side, not ahead.
-        is_robot: Whether it is another robot, not white paper.
-        distances: Distances from the face of the sensor that looks straight at it (n,) [m].
-        counts: Readings (n,) [counts].
-    """
-
-    sensor: int
-    is_aside: bool
-    is_robot: bool
-    distances: Floats
-    counts: Floats
-
-    def view(self, heading: float) -> View:
-        """Return the view of the sensor with a heading [rad]."""
-        body = BODIES["khepera2"]
-        faces = body.sensor_positions
-        bearings = np.full(len(self.distances), np.radians(-90 if self.is_aside else 0))
-        edge, radius = -faces[5][1] if self.is_aside else faces[2][0], body.radius if self.is_robot else 0.0
-        return View.of(faces[self.sensor], heading, self.distances, bearings, radius, edge)
-
-
-def khepera2_report(folder: Path) -> list[Report]:
-    """Return the curves of the Khepera II's sensors before white paper and another robot."""
-    path = folder / "manual_data" / "iran_proximity_curves.csv"
-    rows = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
-    found: list[Report] = []
-    for target in ("paper", "robot"):
-        for side in ("front", "side"):
-            part = rows[(rows["test"] == f"A0_12_{target}_{side}") & (rows["kind"] == "marker")]
-            for sensor in np.unique(part["sensor_fig7_number"]).tolist():
-                mine = part[part["sensor_fig7_number"] == sensor]
-                away, counts = mine["distance_mm"] / 1e3, mine["mean_raw"].astype(np.float64)
-                found.append(Report(int(sensor), side == "side", target == "robot", away, counts))
-    return found
-
-
-def fit_khepera2(
-    folder: Path, headings: Sequence[float], lobe: float = 4.0
-) -> tuple[dict[int, Optics], float]:
-    """Fit the sensors 1 to 5 of the Khepera II with a lobe, and the reflectance of another robot's shell."""
-    curves, limit = khepera2_report(folder), 1020
-
-    def split(x: Floats) -> tuple[dict[int, Optics], float]:
-        each = {i + 1: Optics(x[i] * 1e5, -x[5 + i] * 100, x[10 + i], lobe) for i in range(5)}
-        return each, float(x[15])
-
-    def left(x: Floats) -> Floats:
-        sensors, shell = split(x)
-        errors = [
-            np.minimum(
-                level(
-                    curve.view(headings[curve.sensor]),
-                    sensors[curve.sensor],
-                    shell if curve.is_robot else 1.0,
-                ),
-                limit,
-            )
-            - curve.counts
-            for curve in curves
-        ]
-        return np.concatenate([*errors, _OFFSET_PRIOR * (x[10:15] - _SHARED[0])])
-
-    start = [*[2.5] * 5, *[0.9] * 5, *[_SHARED[0]] * 5, 0.2]
-    low, high = [*[0.3] * 5, *[0.0] * 10, 0.01], [*[20.0] * 5, *[3.0] * 5, *[15.0] * 5, 2.0]
-    return split(least_squares(left, start, bounds=(low, high), max_nfev=60).x)
-
-
 def main() -> None:
-    """Fit the three robots and print the values of their calibrations, and what is left."""
+    """Fit both robots and print the values of their calibrations, and what is left."""
     command_line(__doc__).parse_args()
     folder = reference()
     tables = sampled(folder)
     fits = [fit_sampled(tables, sensor, SENSOR_HEADINGS[sensor]) for sensor in range(N_SENSORS)]
     print("khepera1\nheading_deg =", [round(float(np.degrees(heading)), 1) for heading, _ in fits])
-    _show([optics for _, optics in fits])
+    show_optics([optics for _, optics in fits])
     for table in tables:
         _residuals(f"radius {table.radius}", table, fits)
     for known, unseen in (tables, tables[::-1]):
@@ -330,16 +257,14 @@ def main() -> None:
         _residuals(f"radius {unseen.radius}, not fitted", unseen, alone)
     sensors, reflectances = fit_manual(folder)
     print("\nkhepera1-manual")
-    _show(sensors)
+    show_optics(sensors)
     print({name: round(value, 3) for name, value in reflectances.items()})
     eleven, twelve, thirteen = manual_residuals(folder, sensors, reflectances)
     print(f"figure 11 {rms(eleven):.1f}, figure 12 {rms([twelve]):.1f}, figure 13 {rms(thirteen):.1f}")
-    found, shell = fit_khepera2(folder, np.radians([90, 45, 10, -10, -45, -90]).tolist())
-    print(f"\nkhepera2, sensors 1 to 5; reflectance of a robot's shell {shell:.3f}")
-    _show(list(found.values()))
 
 
-def _show(sensors: Sequence[Optics]) -> None:
+def show_optics(sensors: Sequence[Optics]) -> None:
+    """Print optics as a calibration has them."""
     print("gain_counts_mm2 =", [round(optics.gain_counts_mm2, -3) for optics in sensors])
     print("threshold_counts =", [round(optics.threshold_counts) for optics in sensors])
     for name in ("offset_mm", "lobe_exponent"):

@@ -77,20 +77,21 @@ def test_dark_surfaces_reflect_less() -> None:
     assert black == 0
 
 
-def pair(model: str, x_mm: float, y_mm: float) -> np.ndarray:
+def pair(calibrated: str, x_mm: float, y_mm: float) -> np.ndarray:
     """Proximity of a robot that looks along x, with another one at a place beside its centre."""
+    model = calibrated.partition("-")[0]
     text = (
         scene(x_mm=500, y_mm=500)
         + scene(x_mm=500 + x_mm, y_mm=500 + y_mm).partition("1000\nheight_mm = 1000\n")[2]
     )
     return counts(
-        text.replace("[[robot]]", f'[[robot]]\nmodel = "{model}"\ncalibration = "{model}"'), PROXIMITY
+        text.replace("[[robot]]", f'[[robot]]\nmodel = "{model}"\ncalibration = "{calibrated}"'), PROXIMITY
     )
 
 
 def test_a_khepera_ii_reads_another_one_as_the_manufacturers_report_has_it() -> None:
     # 10 mm from the faces of the front sensors, and of the right one, to the other's shell.
-    ahead, tangential = pair("khepera2", 30 + 10 + 35, 0), pair("khepera2", 0, -26.6 - 10 - 35)
+    ahead, tangential = (pair("khepera2-manual", *at) for at in ((30 + 10 + 35, 0), (0, -26.6 - 10 - 35)))
     assert ahead[1:5].tolist() == pytest.approx([105, 223, 271, 102], abs=22)
     assert tangential[5] == pytest.approx(274, abs=12)
 
@@ -131,11 +132,11 @@ def test_a_rod_of_4_mm_moved_sideways_changes_proximity_smoothly(calibrated: str
 def test_lower_things_are_read_the_weaker_the_lower_they_are() -> None:
     heights = (2, 5, 7, 9, 11, 13, 14, 16, 20, 30, 50)
     text = [
-        scene(block_ahead(height)).replace("[[robot]]", '[[robot]]\ncalibration = "khepera2"')
+        scene(block_ahead(height)).replace("[[robot]]", '[[robot]]\ncalibration = "khepera2-manual"')
         for height in heights
     ]
     found = [counts(each, PROXIMITY)[2] for each in text]
-    empty = counts(scene().replace("[[robot]]", '[[robot]]\ncalibration = "khepera2"'), PROXIMITY)[2]
+    empty = counts(scene().replace("[[robot]]", '[[robot]]\ncalibration = "khepera2-manual"'), PROXIMITY)[2]
     assert found == sorted(found)
     assert found[0] - empty < 30 < found[1] - empty < (found[-1] - empty) / 4
 
@@ -221,7 +222,8 @@ def test_a_khepera_2_never_reads_0_with_noise_in_the_dark_and_in_bright_light(la
     for scan in range(200):
         world.advance_to((scan + 1) * 20_000_000)
         seen += world.robots[0].registers[PROXIMITY].tolist()
-    assert min(seen) == 4
+    # In bright light nothing is left but the lowest step.
+    assert min(seen) == 4 if lamp else min(seen) > 4
 
 
 def test_a_reading_is_as_old_as_the_sensors_turn_in_the_scan() -> None:

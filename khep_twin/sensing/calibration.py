@@ -44,6 +44,11 @@ _EightOrOne = Field(
 )
 
 
+GAIN_SPREAD, THRESHOLD_SPREAD, LAMP_SPREAD = 0.13, 0.14, 0.055
+"""Relative standard deviations of gain and threshold over the eight sensors of the sampled robot, and of
+their gain for lamps (4 to 7 % measured); that of the threshold where a calibration gives no other."""
+
+
 def _for_each(value: object) -> object:
     """Return counts eight times, for eight sensors; all else as it is."""
     fits = isinstance(value, int | float) and 0 <= value <= COUNTS_LIMIT
@@ -56,6 +61,7 @@ class ProximityCalibration(TomlTable):
     Attributes:
         gain_counts_mm2: Counts at 1 mm before an endless white wall, face to face.
         threshold_counts: Counts that are subtracted; below 0 the reading with nothing in reach.
+        threshold_spread: Relative standard deviation of the thresholds among robots of the same make.
         offset_mm: Offset of the chip behind the sensor's face.
         lobe_exponent: Exponent of the cosine off the sensor's axis, in azimuth.
         limit_counts: Highest reading.
@@ -67,6 +73,7 @@ class ProximityCalibration(TomlTable):
 
     gain_counts_mm2: Annotated[tuple[_Gain, ...], _Eight]
     threshold_counts: Annotated[tuple[_Threshold, ...], _Eight]
+    threshold_spread: Annotated[float, Field(ge=0, le=1)] = THRESHOLD_SPREAD
     offset_mm: Annotated[tuple[_Offset, ...], _Eight]
     lobe_exponent: Annotated[tuple[_Exponent, ...], _Eight]
     limit_counts: Annotated[int, Field(ge=1, le=COUNTS_LIMIT)] = COUNTS_LIMIT
@@ -181,10 +188,6 @@ class Calibration(TomlTable):
         return self
 
 
-GAIN_SPREAD, THRESHOLD_SPREAD, LAMP_SPREAD = 0.13, 0.14, 0.055
-"""Relative standard deviations of gain and threshold over the eight sensors of the sampled robot, and of
-their gain for lamps (4 to 7 % measured)."""
-
 COMMON_GAIN_SPREAD = 0.3
 """Standard deviation of the logarithm of a gain common to a robot's sensors (assumed: the two Kheperas known,
 with half the scale at 24 and 33 mm, give 0.4; no robot is known to see farther than 33 mm)."""
@@ -211,9 +214,8 @@ _MOST = 4.0
 
 def varied(calibration: Calibration, rng: np.random.Generator) -> Calibration:
     """Return a robot of the same make: sensors, wheels and motors drawn around a calibration."""
-    gains, thresholds = 1 + np.array([[GAIN_SPREAD], [THRESHOLD_SPREAD]]) * rng.standard_normal(
-        (2, N_SENSORS)
-    )
+    spreads = np.array([[GAIN_SPREAD], [calibration.proximity.threshold_spread]])
+    gains, thresholds = 1 + spreads * rng.standard_normal((2, N_SENSORS))
     lamps = 1 + LAMP_SPREAD * rng.standard_normal(N_SENSORS)
     turns = HEADING_SPREAD_DEG * rng.standard_normal((2, N_SENSORS))
     common = np.exp(COMMON_GAIN_SPREAD * rng.standard_normal())

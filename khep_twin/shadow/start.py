@@ -59,7 +59,7 @@ def begun(
     planes.set_wheels(*wheels.T)
     traits = np.zeros((count, 8, 3))
     traits[:, :, 0] = rng.standard_normal((count, 1)) * spread.gain
-    thresholds = calibration.THRESHOLD_SPREAD * planes.proximity["threshold"]
+    thresholds = setup.calibration.proximity.threshold_spread * planes.proximity["threshold"]
     prior = np.zeros((8, 3, 3))
     prior[:, 0, 0], prior[:, 1, 1] = calibration.GAIN_SPREAD**2, HEADING_DEVIATION**2
     prior[:, 2, 2] = thresholds**2

@@ -23,13 +23,13 @@ from studies.infrared_fits import (
     MeasuredTable,
     compare,
     fit_sampled,
-    khepera2_report,
     manual_residuals,
     peak,
     proximity,
     rms,
     sampled,
 )
+from studies.khepera2_fits import khepera2_report
 
 KHEPERA1 = calibration.read("khepera1")[0]
 SENSORS = range(8)
@@ -153,7 +153,7 @@ def test_one_calibration_meets_all_of_the_manuals_figures_of_proximity(reference
     assert figure_13(reference).figure <= 8
 
 
-KHEPERA2 = {"model": "khepera2", "calibration": "khepera2"}
+KHEPERA2 = {"model": "khepera2", "calibration": "khepera2-manual"}
 
 
 @pytest.mark.parametrize("is_robot", [False, True], ids=["paper", "robot"])

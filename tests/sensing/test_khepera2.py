@@ -1,0 +1,82 @@
+"""The Khepera II beside what is published of real ones: at rest, before a wall, and following walls."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes import arena, robot
+
+from khep_twin import playpen
+from khep_twin.board.kernel import PROXIMITY
+from khep_twin.sensing import calibration
+from khep_twin.units import SCAN_NS
+from khep_twin.world import World
+
+MADE = calibration.read("khepera2")[0].proximity
+
+
+def world(x_mm: float, *, noise: bool = True, calibrated: str = "khepera2") -> World:
+    """A Khepera II in an empty arena of 3 m that looks along x."""
+    own = robot(x_mm, 1500, model="khepera2", calibration=calibrated)
+    return World(playpen.parse(arena(3000, 3000) + own, "empty"), seed=1, noise=noise)
+
+
+def test_readings_at_rest_have_the_noise_and_the_means_of_real_robots() -> None:
+    empty = world(1500)
+    seen: list[list[int]] = []
+    for scan in range(400):
+        empty.advance_to((scan + 1) * SCAN_NS)
+        seen.append(empty.robots[0].registers[PROXIMITY].tolist())
+    read = np.array(seen)
+    # Single readings of three robots vary by 5 to 20; means of a hundred are 56 to 133 by sensor, 84 in all.
+    assert ((read.std(axis=0) > 5) & (read.std(axis=0) < 20)).all()
+    assert ((read.mean(axis=0) >= 56) & (read.mean(axis=0) <= 133)).all()
+    assert read.mean() == pytest.approx(84, abs=5)
+
+
+def net(calibrated: str) -> NDArray[np.float64]:
+    """Front sensors' counts above rest, 20 mm before a wall."""
+    near, far = (
+        world(x_mm, noise=False, calibrated=calibrated).robots[0].registers[PROXIMITY][2:4]
+        for x_mm in (3000 - 35 - 20, 1500)
+    )
+    return (near - far).astype(np.float64)
+
+
+def test_the_gain_is_in_the_middle_of_the_robots_that_were_measured() -> None:
+    # pykhepera's robot has 85 and 108 counts above rest there, by the means of five days.
+    middle = np.sqrt(net("khepera2-manual") * (85, 108))
+    assert net("khepera2").tolist() == pytest.approx(middle.tolist(), rel=0.1)
+
+
+def test_robots_of_the_same_make_span_the_robots_that_were_measured() -> None:
+    drawn = [
+        calibration.varied(calibration.read("khepera2")[0], np.random.default_rng(seed)).proximity
+        for seed in range(100)
+    ]
+    gains = np.array([each.gain_counts_mm2 for each in drawn]) / MADE.gain_counts_mm2
+    rests = -np.array([each.threshold_counts for each in drawn])
+    # The manufacturer's robot has 1 / 0.61 times the gain, pykhepera's 0.37 / 0.61.
+    assert np.quantile(gains, 0.03) < 0.37 / 0.61
+    assert np.quantile(gains, 0.97) > 1 / 0.61
+    assert np.quantile(rests, 0.1) < 56
+    assert np.quantile(rests, 0.95) > 125
+
+
+def test_a_published_wall_follower_drives_straight_through_an_empty_arena() -> None:
+    """The rules of AngusP/Khepera-II-IAR: stuck from 112 ahead, 192 aside; follows what is aside from 160."""
+    empty, followed = world(1500), False
+    orders: list[tuple[int, int]] = []
+    for step in range(100):
+        read = empty.robots[0].registers[PROXIMITY].tolist()
+        if max(read[1], read[4]) > 192 or max(read[2:4]) > 112:
+            order, followed = (8, -8), False
+        elif max(read[0], read[5]) > 160 or (followed and max(read[0], read[5]) >= 80):
+            order, followed = (8, 2) if read[0] > read[5] else (2, 8), True
+        else:
+            order, followed = (8, 8), False
+        if order != (orders[-1] if orders else None):
+            empty.robots[0].send(b"D,%d,%d\n" % order)
+            orders.append(order)
+        empty.advance_to((step + 1) * 100_000_000)
+    assert orders == [(8, 8)]
+    assert empty.robots[0].pose[0] == pytest.approx(1.5 + 0.64, abs=0.01)
