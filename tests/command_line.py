@@ -29,7 +29,8 @@ def khep_twin(*words: object, folder: Path | str = ".") -> "subprocess.Completed
         except SystemExit as end:
             code = int(end.code or 0)
     # In a fresh checkout a compilation is announced.
-    told = re.sub(r"khep_twin: (compiling with numba|numba compiles in the background).*\n", "", errors.getvalue())
+    compiling = r"khep_twin: (compiling with numba|numba compiles in the background).*\n"
+    told = re.sub(compiling, "", errors.getvalue())
     return subprocess.CompletedProcess(words, code, out.getvalue(), told)
 
 
