@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
@@ -55,15 +56,25 @@ def pytest_configure() -> None:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
 
 
+_COMPILATION = pytest.StashKey["subprocess.Popen[bytes]"]()
+
+
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile the stepping core once, before all workers do so at the same time."""
+    """Compile the stepping core once, before all workers do so at the same time, while they collect."""
     config = session.config
     if (
         config.getoption("numprocesses", None)  # not in a worker, nor without any
         and any(Path(each).is_dir() for each in config.args)
         and importlib.util.find_spec("numba") is not None
     ):
-        subprocess.run([sys.executable, "-m", "khep_twin", "compile"], check=False)
+        config.stash[_COMPILATION] = subprocess.Popen([sys.executable, "-m", "khep_twin", "compile"])
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_node_collection_finished(node: Any) -> None:
+    """Wait for that before tests are handed out."""
+    if (process := node.config.stash.get(_COMPILATION, None)) is not None:
+        process.wait()
 
 
 def pytest_collection_finish() -> None:
