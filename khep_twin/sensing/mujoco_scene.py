@@ -25,6 +25,9 @@ PAINT = 0.0005
 _ROUNDING = 1e-9
 """Margin for rounding [m]."""
 
+_AROUND = 0.1
+"""Way of a robot's sensors after which the fixed geoms around them are looked up again [m]."""
+
 _PLANE, _BOX = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)
 _SPHERE, _CAPSULE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
@@ -51,6 +54,11 @@ class MujocoScene:
         seen = visible(model)
         self._shapes = [fixed(model, geom) for geom in seen]
         self._bodies: NDArray[np.int32] = model.geom_bodyid[seen]
+        self._bounds: Floats = model.geom_rbound[seen]
+        circles: Floats = np.column_stack([model.geom_pos[seen, :2], self._bounds])
+        self._circles: list[tuple[float, float, float]] = circles.tolist()
+        # By the body of the robot: where the fixed geoms around it were looked up, those, and all that move.
+        self._around: dict[int, tuple[float, float, list[int], NDArray[np.int64]]] = {}
         self._reflectances: list[float] = model.geom_user[seen, 0].tolist()
         self._geoms = np.array(seen, np.int64)
         self._discs = [points_of_a_bulb(number) for number in (FEW, MANY)]
@@ -109,13 +117,22 @@ class MujocoScene:
     def surfaces(self, sensors: RobotSensors, channel: int, chip: Chip, needed: float) -> int:
         """Answer the query `surfaces`."""
         found, count, model, data = sensors.proximity.found, 0, self._model, self._data
-        ways: Floats = data.geom_xpos[self._geoms, :2] - (chip.x, chip.y)
-        away: Floats = np.sqrt((ways * ways).sum(axis=1)) - model.geom_rbound[self._geoms]
-        away[self._bodies == sensors.base] = math.inf  # the robot itself
+        still, others = self._geoms_around(sensors, chip)
+        away: list[tuple[int, float]] = []
+        for index in still:
+            x, y, bound = self._circles[index]
+            dx, dy = x - chip.x, y - chip.y
+            away.append((index, math.sqrt(dx * dx + dy * dy) - bound))
+        if len(others):
+            ways: Floats = data.geom_xpos[self._geoms[others], :2] - (chip.x, chip.y)
+            distances: Floats = np.sqrt((ways * ways).sum(axis=1)) - self._bounds[others]
+            away = sorted([*away, *zip(others.tolist(), distances.tolist(), strict=True)])
         near = math.sqrt(sensors.proximity.bound[channel] / needed) if needed else math.inf
-        if not (away <= near + _ROUNDING).any():
+        if not any(distance <= near + _ROUNDING for _, distance in away):
             return 0
-        for index in (away <= chip.reach + _ROUNDING).nonzero()[0].tolist():
+        for index, distance in away:
+            if distance > chip.reach + _ROUNDING:
+                continue
             shape = self._shapes[index]
             if shape is None:
                 geom = int(self._geoms[index])
@@ -123,6 +140,18 @@ class MujocoScene:
                 shape = upright(int(model.geom_type[geom]), model.geom_size[geom].tolist(), place, matrix)
             count = add_upright(found, count, chip, shape, self._reflectances[index])
         return count
+
+    def _geoms_around(self, sensors: RobotSensors, chip: Chip) -> tuple[list[int], NDArray[np.int64]]:
+        """Return the fixed geoms that a chip may see, and those of other bodies that move."""
+        x, y, still, others = self._around.get(sensors.base, (math.inf, 0.0, [], np.empty(0, np.int64)))
+        if not math.hypot(x - chip.x, y - chip.y) <= _AROUND:
+            x, y = chip.x, chip.y
+            far = max(sensors.proximity.reach) + 2 * _AROUND
+            near = [math.hypot(each - x, other - y) - bound <= far for each, other, bound in self._circles]
+            still = np.flatnonzero(np.array(near, np.bool_) & (self._bodies == 0)).tolist()
+            others = np.flatnonzero((self._bodies != 0) & (self._bodies != sensors.base))
+            self._around[sensors.base] = x, y, still, others
+        return still, others
 
     def stopped(self, sensors: RobotSensors, channel: int, way: Triple, glass: float) -> bool:
         """Answer the query `stopped`."""
