@@ -1,11 +1,14 @@
 """A physics-based digital twin of the Khepera miniature robot.
 
-Importing this package registers the port `khep://` with pyserial and has no other effect.
+Importing this package registers the port `khep://` with pyserial, and the environments with Gymnasium if that
+is loaded, or when it is; it has no other effect.
 """
 
 from typing import TYPE_CHECKING
 
 import serial
+
+from khep_twin.envs.registration import register as _register
 
 if TYPE_CHECKING:
     from khep_twin import board as board
@@ -65,3 +68,4 @@ __version__ = "1.0.0"
 
 if "khep_twin.ports" not in serial.protocol_handler_packages:
     serial.protocol_handler_packages.append("khep_twin.ports")
+_register()

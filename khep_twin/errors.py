@@ -25,7 +25,8 @@
 
 Each message gives the location, the value found there and the expected one; programs find what is known as
 `file`, `line`, `key`, `value` and `expected`, and all problems of a file as `problems`. Mistakes of
-the calling program (a wrong type, a negative time) stay `TypeError` and `ValueError`.
+the calling program (a wrong type, a negative time, two threads in one object) stay `TypeError`, `ValueError`
+and `RuntimeError`.
 """
 
 import shlex
@@ -227,14 +228,26 @@ EXTRAS = {"matplotlib": "pictures", "scipy": "fit"}
 
 
 class MissingNumbaError(KhepTwinError):
-    """Compiled code was asked for where numba, a dependency of khep_twin, is not installed."""
+    """Compiled code was asked for where numba, a dependency of khep_twin, is not installed, or switched off.
 
-    def __init__(self) -> None:
-        super().__init__(f"numba is not installed; to install it: {pip_install_required('numba')}")
+    Args:
+        is_off: True if numba is there, and compiles nothing.
 
-    def __reduce__(self) -> tuple[type[Self], tuple[()]]:
+    Attributes:
+        found: Reason, without the remedy.
+        remedy: Words on what to do.
+    """
+
+    def __init__(self, is_off: bool = False) -> None:
+        self.is_off = is_off
+        self.found, self.remedy = "numba is not installed", f"to install it: {pip_install_required('numba')}"
+        if is_off:
+            self.found, self.remedy = "NUMBA_DISABLE_JIT switches numba off", "expected it unset, or 0"
+        super().__init__(f"{self.found}; {self.remedy}")
+
+    def __reduce__(self) -> tuple[type[Self], tuple[bool]]:
         """Return how it is made in another process."""
-        return type(self), ()
+        return type(self), (self.is_off,)
 
 
 class SeedError(KhepTwinError, ValueError):

@@ -18,7 +18,9 @@ from khep_twin.board.fault_injection import WHEEL, Fault
 from khep_twin.board.turrets import TurretBody
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import to_ns
+from khep_twin.copies import NotCopied
 from khep_twin.errors import DivergedError, SnapshotError
+from khep_twin.one_thread import new_guard, one_thread
 from khep_twin.playpen import Lamp, Lighting, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import position, resume, stream
@@ -52,7 +54,7 @@ class Observer(Protocol):
         """Observe a logged event."""
 
 
-class World:
+class World(NotCopied):
     """A simulated playpen.
 
     The robots are switched on a scan and a step before time 0, so that every register holds a conversion.
@@ -81,7 +83,10 @@ class World:
         lamps: Lamps of the world.
         robots: Robots in the playpen's order.
         observers: Observers of the world.
+        guard: Guard of its methods.
     """
+
+    INSTEAD = "another World of the same playpen, and restore(world.snapshot()) in it"
 
     def __init__(
         self,
@@ -97,8 +102,8 @@ class World:
         shared: bool = False,
     ) -> None:
         # MuJoCo would write its warnings into a file in the working directory; they are checked here.
-        mujoco.set_mju_user_warning(keep_quiet)
-        made = playpen
+        mujoco.set_mju_user_warning(lambda warning: None)
+        made, self.guard = playpen, new_guard()
         if not isinstance(made, SceneModel):
             made = SceneModel.of(at_spots(Playpen.load(made), seed))
         self._base, self.spec, self.timing = made.playpen, made.spec, made.timing
@@ -118,6 +123,7 @@ class World:
         )
         self.reset(seed, noise=noise, vary=vary)
 
+    @one_thread
     def reset(
         self,
         seed: int = 0,
@@ -198,6 +204,7 @@ class World:
         mujoco.mj_kinematics(self.model, self.data)
         observer.sample(self)
 
+    @one_thread
     def advance_to(self, time_ns: int) -> None:
         """Advance the world to `time_ns` [ns].
 
@@ -223,6 +230,7 @@ class World:
         """Advance the world to the end of the present step, or of some steps, as `advance_to` does."""
         self.advance_to((self.simulation.steps + n_steps) * self.timing.step_ns)
 
+    @one_thread
     def finish_steps(self, reason: int, until: int) -> None:
         """Act for a return of the stepping core that was not called here, and run on to a step.
 
@@ -236,6 +244,7 @@ class World:
         """True if nothing outside the stepping core acts amid a run: no turret, LED, fault or observer."""
         return self._stepper.is_self_contained
 
+    @one_thread
     def scan(self) -> None:
         """Convert all sensors of all robots now, without advancing time."""
         for look in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
@@ -272,6 +281,7 @@ class World:
         """True if no step has begun without having ended, so that the state is whole."""
         return bool(self.simulation.counters[step.PHASE] == step.DONE)
 
+    @one_thread
     def state(self, since_ns: int = -1) -> WorldState:
         """Return the whole state, with the replies that reach a host after a time [ns].
 
@@ -293,6 +303,7 @@ class World:
             "" if self._stepper.failure is None else str(self._stepper.failure),
         )
 
+    @one_thread
     def set_state(self, state: WorldState) -> None:
         """Take over a state.
 
@@ -320,6 +331,7 @@ class World:
         for index, robot in enumerate(self.robots):
             robot.reseed_line(partial(stream, seed, "robot", index))
 
+    @one_thread
     def set_lamps(
         self, lamps: Sequence[Lamp], lighting: Lighting | None = None, *, keep_switched: bool = False
     ) -> None:
@@ -385,7 +397,3 @@ class World:
             mujoco.mj_kinematics(self.model, self.data)
             for observer in self.observers:
                 observer.sample(self)
-
-
-def keep_quiet(warning: str) -> None:
-    """Ignore a warning, which the check of MuJoCo's counters finds."""

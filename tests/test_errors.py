@@ -114,6 +114,6 @@ def test_fields_pass_from_process_to_process() -> None:
     assert Problem((), "text", file="a.toml").key is None
 
 
-@pytest.mark.parametrize("error", [MissingExtraError("dask", "cluster"), MissingNumbaError()])
+@pytest.mark.parametrize("error", [MissingExtraError("dask", "cluster"), MissingNumbaError(is_off=True)])
 def test_an_error_about_what_is_missing_comes_back_from_a_worker(error: KhepTwinError) -> None:
     assert str(pickle.loads(pickle.dumps(error))) == str(error)

@@ -57,9 +57,12 @@ def test_a_name_that_is_not_there_is_told_as_by_any_module() -> None:
         exec("from khep_twin import Kephera")
 
 
-def test_importing_the_package_loads_nothing_but_the_port() -> None:
-    loaded = {name for name in loaded_by("import khep_twin") if name.startswith("khep_twin")}
-    assert loaded == {"khep_twin", "khep_twin.lazy"}
+def test_importing_the_package_loads_nothing_but_the_port_and_names_for_gymnasium() -> None:
+    loaded = loaded_by("import khep_twin")
+    assert {name for name in loaded if name.startswith("khep_twin")} == {
+        *("khep_twin", "khep_twin.lazy", "khep_twin.envs", "khep_twin.envs.registration")
+    }
+    assert not loaded & {"gymnasium", "numpy"}
 
 
 def test_a_robot_on_a_cable_needs_no_simulator() -> None:

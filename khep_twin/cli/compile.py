@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.options import usage
-from khep_twin.errors import MissingNumbaError, choices
+from khep_twin.errors import KhepTwinError, choices
 
 
 def compile_all(
@@ -18,16 +18,16 @@ def compile_all(
 
     They find it in numba's cache.
     """
-    from khep_twin.simulation.ready import CODE, alone, functions_of, is_cached
+    from khep_twin.simulation.ready import CODE, NOT_KEPT, alone, can_be_kept, functions_of, is_cached
 
     for part in parts or ():
         if part not in CODE:
             raise usage(f"part {part!r}: unknown; {choices(part, CODE)}")
-    try:
-        functions = [function for part in parts or CODE for function in functions_of(part)]
-        from khep_twin.simulation.announcement import ANNOUNCER
-    except ImportError as error:
-        raise MissingNumbaError() from error
+    functions = [function for part in parts or CODE for function in functions_of(part)]
+    if not all(map(can_be_kept, functions)):
+        raise KhepTwinError(f"nothing is compiled, as {NOT_KEPT}")
+    from khep_twin.simulation.announcement import ANNOUNCER
+
     with ANNOUNCER.together(function for function in functions if not is_cached(function)):
         for part in parts or CODE:
             with alone(part):

@@ -10,6 +10,8 @@ Observations are the task's terms by name (`tasks.TERMS`). An action is the spee
 1 is 20 pulses/10 ms, 160 mm/s. Both are normalized to -1 to 1, or in the robot's own units with
 `normalize=False`. One step is one control period, 50 ms by default. An episode ends with discount 1 at its
 time limit, with 0 when the charge has run out.
+
+`load` also takes its options as dm_control's `suite.load` does, in `task_kwargs` and `environment_kwargs`.
 """
 
 # dm_control and dm_env are not typed.
@@ -17,17 +19,20 @@ time limit, with 0 when the charge has run out.
 # pyright: reportUnknownArgumentType=false, reportUntypedBaseClass=false, reportIncompatibleMethodOverride=false
 
 from collections import OrderedDict
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SETPOINTS
+from khep_twin.copies import MadeAnew, NotCopied
 from khep_twin.envs.task_episode import StepResult, TaskEpisode
-from khep_twin.envs.task_setup import TaskSetup
+from khep_twin.envs.task_setup import TaskSetup, episode_seed
 from khep_twin.envs.tasks import TERMS, Task
 from khep_twin.episodes import version_check
 from khep_twin.errors import KhepTwinError
+from khep_twin.one_thread import one_thread
 from khep_twin.randomness import stream
 
 version_check.check()
@@ -39,7 +44,7 @@ from dm_control.rl import control  # noqa: E402
 from dm_env import specs  # noqa: E402
 
 
-class Physics(mujoco.Physics):
+class Physics(NotCopied, mujoco.Physics):
     """An episode's scene in dm_control, `named.data.xpos["khepera0/base"]`, with accessors for the robot.
 
     Time advances by whole control periods: sensors and control loops are part of the step.
@@ -51,10 +56,13 @@ class Physics(mujoco.Physics):
         episode: Simulated episode.
         outcome: Result of the last period; None at an episode's start.
         observation: Observation, all terms concatenated (n,).
+        guard: Guard of its methods, its episode's.
     """
 
+    INSTEAD = "another environment with the same seed, whose episode is repeated by its actions"
+
     def __init__(self, episode: TaskEpisode) -> None:
-        self.episode = episode
+        self.guard, self.episode = episode.guard, episode
         self.outcome: StepResult | None = None
         self.observation = episode.begin(0)[0]
         self._action: object = (0.0, 0.0)
@@ -80,6 +88,7 @@ class Physics(mujoco.Physics):
         """Return the episode's simulated time [s]."""
         return self.episode.time_s
 
+    @one_thread
     def begin(self, seed: int) -> None:
         """Start an episode."""
         self.observation, self.outcome = self.episode.begin(seed)[0], None
@@ -91,6 +100,7 @@ class Physics(mujoco.Physics):
         """Set the action of the next period (2,): speeds, not voltages."""
         self._action = control
 
+    @one_thread
     def step(self, nstep: int = 1) -> None:
         """Advance by control periods."""
         for _ in range(nstep):
@@ -107,17 +117,14 @@ class Physics(mujoco.Physics):
     def after_reset(self) -> None:
         """Do nothing: an episode that has begun must not change."""
 
-    def __deepcopy__(self, memo: dict[int, object]) -> "Physics":
-        """Raise a `TypeError`, as `copy` does."""
-        return self.copy()
+    @one_thread
+    def render(self, *given: Any, **options: Any) -> Any:
+        """Return a picture, as dm_control's `Physics.render` does."""
+        return super().render(*given, **options)
 
-    def copy(self, share_model: bool = False) -> "Physics":
-        """Raise a `TypeError`, as an episode cannot be copied.
-
-        Raises:
-            TypeError: Always; an episode is repeated by its seed and actions.
-        """
-        raise TypeError("an episode cannot be copied; expected another environment with the same seed")
+    def copy(self, share_model: bool = False) -> NoReturn:
+        """Raise a `TypeError`, as `copy.copy` does."""
+        self.__reduce_ex__(None)
 
     @property
     def _scene(self) -> object:
@@ -130,12 +137,16 @@ class TrialTask(control.Task):
     Args:
         setup: Prepared task.
         seed: Seed of the sequence of episodes.
+
+    Attributes:
+        seed: Seed of the episode.
+        bounds: Lower and upper bounds of all observation terms concatenated (n,), (n,).
     """
 
     def __init__(self, setup: TaskSetup, seed: int) -> None:
         self._setup, self._terms = setup, {name: TERMS[name] for name in setup.task.observation_terms}
         self._rng = stream(seed, "trials")
-        self.seed = 0
+        self.seed, self.bounds = 0, setup.task.bounds(setup.normalize)
 
     def initialize_episode(self, physics: Physics) -> None:
         """Start an episode with the next seed."""
@@ -179,20 +190,76 @@ class TrialTask(control.Task):
         return 1.0 if physics.episode.over else None
 
 
-def load(task: Task | str, *, seed: int = 0, **options: Any) -> dm_env.Environment:
+class Environment(MadeAnew, control.Environment):
+    """A task as dm_control's environment.
+
+    A copy, also by `pickle`, is one of the same arguments, with the same episodes from the first on.
+
+    Args:
+        task: Task, or its name.
+        seed: Seed of its episodes.
+        flat_observation: Whether to observe all terms concatenated, as "observations".
+        options: Options of `TaskSetup`.
+    """
+
+    def __init__(
+        self, task: Task | str, seed: int, *, flat_observation: bool = False, **options: Any
+    ) -> None:
+        setup = TaskSetup(task, **options)
+        if setup.planar:
+            raise KhepTwinError(
+                "planar = True: dm_env shows MuJoCo's physics; expected False, or Gymnasium's environments"
+            )
+        physics, trial = Physics(TaskEpisode(setup)), TrialTask(setup, seed)
+        super().__init__(physics, trial, flat_observation=flat_observation)
+
+    def observation_spec(self) -> Any:
+        """Return the bounds of an observation, by its names."""
+        of_terms = super().observation_spec()
+        if not self._flat_observation:
+            return of_terms
+        low, high = self._task.bounds
+        name = control.FLAT_OBSERVATION_KEY
+        return OrderedDict({name: specs.BoundedArray(low.shape, np.float32, low, high, name=name)})
+
+
+_OF_SUITE = {"random": "seed", "time_limit": "seconds"}
+"""Names of our options in the tasks of dm_control's suite."""
+
+
+def load(
+    task: Task | str,
+    *,
+    seed: int = 0,
+    task_kwargs: Mapping[str, Any] | None = None,
+    environment_kwargs: Mapping[str, Any] | None = None,
+    visualize_reward: bool = False,
+    **options: Any,
+) -> dm_env.Environment:
     """Return an environment.
 
     Args:
         task: Task, or its name.
         seed: Seed of its episodes; the same seed and actions give the same steps.
+        task_kwargs: More options, also as those of dm_control's suite: `random`, the seed, and `time_limit`,
+            the seconds.
+        environment_kwargs: `flat_observation` alone; the task decides on the others of dm_control's.
+        visualize_reward: False, as no scene shows rewards.
         options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, compiled, normalize.
 
     Raises:
-        KhepTwinError: The task is unknown, or in a plane.
+        KhepTwinError: The task or an option is unknown, or the task is in a plane.
+        ValueError: The seed is no integer from 0 to 2**63-1.
     """
-    setup = TaskSetup(task, **options)
-    if setup.planar:
-        raise KhepTwinError(
-            "planar = True: dm_env shows MuJoCo's physics; expected False, or Gymnasium's environments"
-        )
-    return control.Environment(Physics(TaskEpisode(setup)), TrialTask(setup, seed))
+    if visualize_reward:
+        raise KhepTwinError(key="visualize_reward", value=True, expected="False, as no scene shows rewards")
+    for name in environment_kwargs or {}:
+        if name != "flat_observation":
+            raise KhepTwinError(
+                f"environment_kwargs: {name!r}: unknown; expected 'flat_observation', or seconds and "
+                "period_ns as options of the task"
+            )
+    of_task = {_OF_SUITE.get(name, name): value for name, value in (task_kwargs or {}).items()}
+    given: dict[str, Any] = {"seed": seed, **options, **of_task, **(environment_kwargs or {})}
+    given["seed"] = episode_seed(given, 0)
+    return Environment(task, **given)

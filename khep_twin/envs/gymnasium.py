@@ -8,8 +8,8 @@
 
     many = khep_twin.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=8)
 
-`make` and `make_vec` are those of Gymnasium. A program that has them from there imports this module first,
-names it: `gymnasium.make("khep_twin.envs.gymnasium:khep_twin/ObstacleAvoidance-v0")`.
+`make` and `make_vec` are those of Gymnasium. A program that has them from there imports `khep_twin`, before
+or after, or names it: `gymnasium.make("khep_twin:khep_twin/ObstacleAvoidance-v0")` (`registration`).
 
 Observation: the task's terms, each number normalized to -1 to 1 (`tasks.TERMS` has order and ranges).
 Action: speeds of left and right wheel, -1 to 1; 1 is 20 pulses/10 ms, 160 mm/s.
@@ -25,11 +25,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.copies import MadeAnew
+from khep_twin.envs.registration import register
 from khep_twin.envs.renderer import Picture, Renderer, View
 from khep_twin.envs.task_episode import TaskEpisode
 from khep_twin.envs.task_setup import TaskSetup, episode_seed
-from khep_twin.envs.tasks import TASKS, Observation, Task
+from khep_twin.envs.tasks import Observation, Task
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
+from khep_twin.one_thread import one_thread
 
 try:
     import gymnasium
@@ -69,10 +72,11 @@ def rendering(render_mode: str | None, setup: TaskSetup) -> Info:
     return {"render_modes": list(RENDER_MODES), "render_fps": 1e9 / setup.period_ns}
 
 
-class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
+class KheperaEnvironment(MadeAnew, gymnasium.Env[Observation, NDArray[np.float32]]):
     """A task for one robot.
 
-    An episode is truncated at its time limit, and terminates when the robot's charge has run out.
+    An episode is truncated at its time limit, and terminates when the robot's charge has run out. A copy,
+    also by `pickle`, has the same arguments and random numbers; its episodes begin with `reset`.
 
     `info` has ground truth, unknown to the robot: "x" and "y" [m], "heading" [rad], "time" [s], and "seed",
     which repeats the episode: `reset(options={"seed": ...})`.
@@ -86,8 +90,10 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     Attributes:
         labels: Labels of the observation's numbers.
+        guard: Guard of its methods.
     """
 
+    KEPT = ("spec", "_np_random", "_np_random_seed")
     metadata: Info = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
 
     def __init__(
@@ -100,26 +106,39 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> None:
         self._setup = TaskSetup(task, **options)
         self._episode = TaskEpisode(self._setup)
-        self._seed = 0
+        self.guard, self._over, self._seed = self._episode.guard, True, 0
         self.render_mode = render_mode
         self.metadata = rendering(render_mode, self._setup)
         self._painter = Renderer(self._setup.playpen, view, self._setup.planar)
         self.labels = self._setup.task.labels
         self.observation_space, self.action_space = spaces(self._setup)
 
+    @one_thread
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Observation, Info]:
         """Start an episode; a seed makes it and all later episodes reproducible."""
         super().reset(seed=seed)
         drawn = int(self.np_random.integers(2**31))
         self._seed = episode_seed(options, drawn)
-        return self._episode.begin(self._seed)[0], ground_truth(self._episode, 0, self._seed)
+        seen = self._episode.begin(self._seed)[0]
+        self._over = False
+        return seen, ground_truth(self._episode, 0, self._seed)
 
+    @one_thread
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
-        """Advance by a control period with these speeds of left and right wheel (2,)."""
-        (outcome,) = self._episode.step([action])
-        info = ground_truth(self._episode, 0, self._seed)
-        return outcome.observation, outcome.reward, outcome.ended, self._episode.over, info
+        """Advance by a control period with these speeds of left and right wheel (2,).
 
+        Raises:
+            ValueError: The episode is over, or none has begun, or the action is not two numbers.
+        """
+        if self._over:
+            raise ValueError("the episode is over, or none has begun; expected reset() first")
+        (outcome,) = self._episode.step([action])
+        late = self._episode.over
+        self._over = late or outcome.ended
+        info = ground_truth(self._episode, 0, self._seed)
+        return outcome.observation, outcome.reward, outcome.ended, late, info
+
+    @one_thread
     def render(self) -> Picture | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return a picture of the present state; None without a render mode."""
         if self.render_mode is None:
@@ -127,21 +146,10 @@ class KheperaEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         scene = None if self._setup.planar else self._episode.data
         return self._painter.picture(scene, self._episode.poses)
 
+    @one_thread
     def close(self) -> None:
         """Release the resources of rendering."""
         self._painter.close()
-
-
-def register() -> None:
-    """Register the tasks with Gymnasium as khep_twin/NAME-v0."""
-    for name in TASKS:
-        if (known := f"khep_twin/{name}-v0") not in gymnasium.registry:
-            gymnasium.register(
-                known,
-                entry_point=f"{__name__}:{KheperaEnvironment.__name__}",
-                vector_entry_point=f"{__name__}_vector:KheperaVectorEnvironment",
-                kwargs={"task": name},
-            )
 
 
 register()

@@ -21,13 +21,16 @@ from typing import Any, SupportsIndex
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.copies import MadeAnew
 from khep_twin.envs.gymnasium import Info, rendering, spaces
 from khep_twin.envs.renderer import Renderer, View
 from khep_twin.envs.task_batch import TaskBatch
 from khep_twin.envs.task_setup import TaskSetup, episode_seed
 from khep_twin.envs.tasks import Observation, Task
+from khep_twin.episodes.episode_options import checked_count
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 from khep_twin.machine import n_cores
+from khep_twin.one_thread import one_thread
 
 try:
     from gymnasium.utils.seeding import np_random
@@ -37,7 +40,7 @@ except ModuleNotFoundError as error:
     raise MissingExtraError("gymnasium", "rl") from error
 
 
-class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[np.generic]]):
+class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float32], NDArray[np.generic]]):
     """Many robots, each in its own playpen, stepped by threads.
 
     Each gives the same results as a single environment, for any number of threads: robot i starts with the
@@ -48,6 +51,8 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
                     own last ones as "final_obs" and "final_info"
         DISABLED    `reset(options={"reset_mask": over})` starts the episodes of a mask (num_envs,)
 
+    A copy, also by `pickle`, has the same arguments and random numbers; its episodes begin with `reset`.
+
     Args:
         num_envs: Number of environments.
         task: Task, or its name.
@@ -57,7 +62,10 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
 
     Attributes:
         labels: Labels of an observation's numbers.
+        guard: Guard of its methods.
     """
+
+    KEPT = ("spec", "_rngs")
 
     def __init__(
         self,
@@ -71,9 +79,8 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         **options: Any,
     ) -> None:
         self.closed = True  # nothing to close if an argument is wrong
-        for name, number in (("environments", num_envs), ("threads", 1 if threads is None else threads)):
-            if number < 1:
-                raise ValueError(f"{number} {name}; expected 1 or more")
+        num_envs = checked_count(num_envs, "environments")
+        most = n_cores() if threads is None else checked_count(threads, "threads")
         self._autoreset_mode = _checked_mode(autoreset_mode)
         setup = TaskSetup(task, **options)
         self._painters = [Renderer(setup.playpen, view, setup.planar) for _ in range(num_envs)]
@@ -83,12 +90,14 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         self.single_observation_space, self.single_action_space = spaces(setup)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        cores = n_cores()
-        self._batch = TaskBatch(setup, num_envs, min(threads or cores, num_envs))
-        self._rows, self._over = np.arange(num_envs), np.zeros(num_envs, np.bool_)
+        self._batch = TaskBatch(setup, num_envs, min(most, num_envs))
+        self.guard, self._rows = self._batch.guard, np.arange(num_envs)
+        self._over = np.zeros(num_envs, np.bool_)
+        self._unbegun = ~self._over
         self._rngs: list[Any] = [None] * num_envs
         self.closed = False
 
+    @one_thread
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Info | None = None
     ) -> tuple[Observation, Info]:
@@ -104,6 +113,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         self._begin(chosen, seeds, episode_seed(others, None))
         return self._seen(), self._infos(chosen)
 
+    @one_thread
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
@@ -112,6 +122,9 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
         if np.shape(actions) != (self.num_envs, 2):
             raise ValueError(f"actions of shape {np.shape(actions)}; expected ({self.num_envs}, 2)")
         rows = self._rows
+        if self._unbegun.any():
+            unbegun = np.flatnonzero(self._unbegun).tolist()
+            raise ValueError(f"no episode has begun in environments {unbegun}; expected reset() first")
         if self._over.any():
             if mode is AutoresetMode.DISABLED:
                 raise ValueError(
@@ -134,6 +147,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
             self._begin(over)
         return self._seen(), rewards, terminated, truncated, {**final, **self._infos(self._rows)}
 
+    @one_thread
     def render(self) -> tuple[Any, ...]:
         """Return a picture of each environment."""
         if self.render_mode is None:
@@ -145,6 +159,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
             for painter, scene, pose in zip(self._painters, scenes, batch.poses[:, 0].tolist(), strict=True)
         )
 
+    @one_thread
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads, and release the resources of rendering."""
         self._batch.close()
@@ -162,7 +177,7 @@ class KheperaVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArr
                 self._rngs[row] = np_random(seed)[0]
             drawn.append(int(self._rngs[row].integers(2**31)))
         self._batch.begin(rows, drawn if episode is None else [episode] * len(drawn))
-        self._over[rows] = False
+        self._over[rows] = self._unbegun[rows] = False
 
     def _seen(self) -> Observation:
         """Return a copy of the observations (num_envs, n)."""

@@ -19,12 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.copies import MadeAnew
 from khep_twin.envs.gymnasium import Info, ground_truth, rendering, spaces
 from khep_twin.envs.renderer import Picture, Renderer, View
 from khep_twin.envs.task_episode import TaskEpisode
 from khep_twin.envs.task_setup import TaskSetup, episode_seed
 from khep_twin.envs.tasks import Observation, Task
 from khep_twin.errors import KhepTwinError, MissingExtraError
+from khep_twin.one_thread import one_thread
 
 try:
     from gymnasium.spaces import Space
@@ -34,8 +36,10 @@ except ModuleNotFoundError as error:
     raise MissingExtraError("pettingzoo", "rl") from error
 
 
-class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
+class ParallelEnvironment(MadeAnew, ParallelEnv[str, Observation, NDArray[np.float32]]):
     """A task for several robots.
+
+    A copy, also by `pickle`, has the same arguments and random numbers; its episodes begin with `reset`.
 
     Args:
         task: Task, or its name.
@@ -44,7 +48,12 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         view: View of pictures: "scene" by MuJoCo, "map", or "auto".
         options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, planar (one robot),
             compiled, normalize.
+
+    Attributes:
+        guard: Guard of its methods.
     """
+
+    KEPT = ("_rng",)
 
     def __init__(
         self,
@@ -59,7 +68,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         self._episode = TaskEpisode(self._setup)
         self._painter = Renderer(self._setup.playpen, view, self._setup.planar)
         self._rng = seeding.np_random(None)[0]
-        self._seed = 0
+        self.guard, self._seed, self._begun = self._episode.guard, 0, False
         self.render_mode = render_mode
         self.metadata: Info = {
             "name": f"khep_twin/{self._setup.task.name}-v0",
@@ -81,6 +90,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         """Return the action space of a robot."""
         return self.action_spaces[agent]
 
+    @one_thread
     def reset(
         self, seed: int | None = None, options: Info | None = None
     ) -> tuple[dict[str, Observation], dict[str, Info]]:
@@ -91,8 +101,10 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         self._seed = episode_seed(options, drawn)
         self.agents = list(self.possible_agents)
         seen = self._episode.begin(self._seed)
+        self._begun = True
         return dict(zip(self.agents, seen, strict=True)), self._infos()
 
+    @one_thread
     def step(
         self, actions: Mapping[str, NDArray[np.float32]]
     ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]:
@@ -100,8 +112,10 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
 
         Raises:
             KhepTwinError: There is no action for an agent.
-            ValueError: An action is not two numbers.
+            ValueError: An action is not two numbers, or no episode has begun.
         """
+        if not self._begun:
+            raise ValueError("no episode has begun; expected reset() first")
         if not self.agents:
             return {}, {}, {}, {}, {}
         given: list[object] = [(0.0, 0.0)] * len(self.possible_agents)
@@ -123,6 +137,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
             infos,
         )
 
+    @one_thread
     def render(self) -> Picture | None:
         """Return a picture of the present state; None without a render mode."""
         if self.render_mode is None:
@@ -130,6 +145,7 @@ class ParallelEnvironment(ParallelEnv[str, Observation, NDArray[np.float32]]):
         scene = None if self._setup.planar else self._episode.data
         return self._painter.picture(scene, self._episode.poses)
 
+    @one_thread
     def close(self) -> None:
         """Release the resources of rendering."""
         self._painter.close()

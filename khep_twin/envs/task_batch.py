@@ -18,16 +18,18 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.clock import to_ns
+from khep_twin.copies import NotCopied
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, State
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_batch import EpisodeBatch
 from khep_twin.episodes.episode_options import EpisodeOptions
+from khep_twin.one_thread import one_thread
 
 _ENCODERS = [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]
 
 
-class TaskBatch:
+class TaskBatch(NotCopied):
     """Episodes of a task; each one begins with `begin`.
 
     Args:
@@ -43,12 +45,15 @@ class TaskBatch:
         periods: Control periods since the start (n,); those of a whole episode before the first.
         seeds: Seed of each episode (n,).
         poses: True x, y [m] and heading [rad] of the robots, live (n, n_robots, 3).
+        guard: Guard of its methods, its episodes'.
     """
+
+    INSTEAD = "another TaskBatch of the same setup, begun with the same seeds"
 
     def __init__(self, setup: TaskSetup, count: int = 1, threads: int = 1) -> None:
         self.setup = setup
         self._batch = EpisodeBatch([setup.episode() for _ in range(count)], threads)
-        self.poses = self._batch.poses
+        self.guard, self.poses = self._batch.guard, self._batch.poses
         shape = count, len(setup.playpen.robots)
         self.observations: Observation = np.zeros((*shape, len(setup.task.labels)), np.float32)
         self.rewards, self.ended = np.zeros(shape), np.zeros(shape, np.bool_)
@@ -57,6 +62,7 @@ class TaskBatch:
         self._charge_ns = to_ns(setup.task.charge_s)
         self._charges_ns = np.zeros(shape, np.int64)
 
+    @one_thread
     def begin(self, rows: NDArray[np.int64], seeds: Iterable[int]) -> None:
         """Start some episodes.
 
@@ -79,6 +85,7 @@ class TaskBatch:
         self.rewards[rows], self.ended[rows] = 0.0, False
         self._observe(rows, self._state(rows))
 
+    @one_thread
     def step(self, rows: NDArray[np.int64], actions: object) -> None:
         """Advance some episodes by a control period.
 

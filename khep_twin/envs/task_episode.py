@@ -19,9 +19,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.copies import NotCopied
 from khep_twin.envs.task_batch import TaskBatch
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation
+from khep_twin.one_thread import one_thread
 
 _ROW = np.zeros(1, np.int64)
 
@@ -41,18 +43,25 @@ class StepResult:
     ended: bool
 
 
-class TaskEpisode:
+class TaskEpisode(NotCopied):
     """One episode at a time; `begin` starts a new one.
 
     Args:
         setup: Prepared task.
+
+    Attributes:
+        guard: Guard of its methods.
     """
+
+    INSTEAD = "another TaskEpisode of the same setup, begun with the same seed"
 
     def __init__(self, setup: TaskSetup) -> None:
         self.setup = setup
         self._batch = TaskBatch(setup)
+        self.guard = self._batch.guard
         self._n_robots = len(setup.playpen.robots)
 
+    @one_thread
     def begin(self, seed: int) -> list[Observation]:
         """Start an episode; return each robot's observation.
 
@@ -63,6 +72,7 @@ class TaskEpisode:
         self._batch.begin(_ROW, [seed])
         return list(self._batch.observations[0])
 
+    @one_thread
     def step(self, actions: Sequence[object]) -> list[StepResult]:
         """Advance by a control period.
 
@@ -77,7 +87,7 @@ class TaskEpisode:
         """
         batch = self._batch
         if self.over:
-            raise ValueError("the episode is over; expected begin() first")
+            raise ValueError("the episode is over, or none has begun; expected begin() first")
         if len(actions) != self._n_robots:
             raise ValueError(f"{len(actions)} actions; expected {self._n_robots}, one for each robot")
         batch.step(_ROW, [actions])

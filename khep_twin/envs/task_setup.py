@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.clock import n_steps, to_ns
+from khep_twin.copies import MadeAnew
 from khep_twin.envs.tasks import TOP_SPEED, Task, find
 from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import checked_count
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError, PlaypenError, choices
 from khep_twin.playpen import Playpen, PlaypenLike
@@ -29,7 +31,7 @@ PERIOD_NS = 50_000_000
 """Default control period [ns]."""
 
 
-class TaskSetup:
+class TaskSetup(MadeAnew):
     """A prepared task; any number of episodes, in any threads, may share it.
 
     Args:
@@ -68,8 +70,7 @@ class TaskSetup:
         compiled: bool | None = None,
         normalize: bool = True,
     ) -> None:
-        if robots < 1:
-            raise ValueError(f"{robots} robots; expected 1 or more")
+        robots = checked_count(robots, "robots")
         if period_ns <= 0 or period_ns % units.TICK_NS:
             raise ValueError(f"control period of {period_ns / 1e6:g} ms; expected whole ticks of 10 ms")
         switches = {"noise": noise, "vary": vary, "planar": planar, "normalize": normalize}

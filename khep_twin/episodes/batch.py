@@ -25,7 +25,12 @@ from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.episodes.controllers import Driver, Floats, Network, Policy
 from khep_twin.episodes.episode import Episode, is_compiled
 from khep_twin.episodes.episode_batch import EpisodeBatch
-from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions, check_numbers
+from khep_twin.episodes.episode_options import (
+    DEFAULT_OPTIONS,
+    EpisodeOptions,
+    check_numbers,
+    checked_count,
+)
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.metrics import METRICS
 from khep_twin.errors import DivergedError
@@ -116,12 +121,11 @@ def rollout(
     setup = playpen if isinstance(playpen, EpisodeSetup) else EpisodeSetup(playpen)
     count = len(seeds)
     n_robots = len(setup.playpen.robots)
-    if threads is not None and threads < 1:
-        raise ValueError(f"{threads} threads; expected 1 or more")
+    most = n_cores() if threads is None else checked_count(threads, "threads")
     batch = _Batch(setup, seeds, seconds, options, genes, starts, lamps)
     batch.check(driver)
     results = _Results(count, n_robots, len(movable_names(setup.playpen)))
-    workers = (threads or n_cores()) if fast else 1
+    workers = most if fast else 1
     room = min(BATCH_SIZE if isinstance(driver, Policy) else workers, count)
     episodes = [Episode(setup, driver, compiled=fast) for _ in range(room)]
     if isinstance(driver, Policy) and count:

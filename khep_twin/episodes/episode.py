@@ -13,7 +13,6 @@ With `EpisodeSetup(..., planar=True)` the robot moves in a plane (`planar`), for
 and sensors, thirty times faster and more, and similar trajectories.
 """
 
-import importlib.util
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -23,15 +22,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board import kernel
+from khep_twin.copies import NotCopied
 from khep_twin.episodes import stepping
 from khep_twin.episodes.controllers import ConstantSpeed, Driver, Floats, controllers_of
 from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.metrics import metrics_of
 from khep_twin.episodes.planar.planar_world import PlanarWorld
-from khep_twin.errors import DivergedError, pip_install_required
+from khep_twin.errors import DivergedError
+from khep_twin.one_thread import one_thread
 from khep_twin.playpen.starts import Start
-from khep_twin.simulation.ready import function_of, when_ready
+from khep_twin.simulation.ready import function_of, what_is_missing, when_ready
 from khep_twin.world import World
 
 _LOOK = 2000
@@ -39,25 +40,25 @@ _LOOK = 2000
 
 
 class SlowerWarning(UserWarning):
-    """Warning that episodes run uncompiled, with the same results, as numba is not installed."""
+    """Warning that episodes run uncompiled, with the same results, as numba is not installed, or off."""
 
 
 def is_compiled(wanted: bool | None) -> bool:
     """Return whether episodes run compiled; None means if numba is installed, with a warning if not."""
     if wanted is not None:
         return wanted
-    if importlib.util.find_spec("numba") is not None:
+    if (missing := what_is_missing()) is None:
         return True
     warnings.warn(
-        "numba is not installed: episodes run uncompiled, many times slower, with the same results; "
-        f"to install it: {pip_install_required('numba')}",
+        f"{missing.found}: episodes run uncompiled, many times slower, with the same results; "
+        f"{missing.remedy}",
         SlowerWarning,
         stacklevel=3,
     )
     return False
 
 
-class Episode:
+class Episode(NotCopied):
     """One episode at a time; `begin` starts a new one in the same memory.
 
     Args:
@@ -69,7 +70,10 @@ class Episode:
     Attributes:
         boards: State of each board (n_robots, N_REGISTERS).
         registers: State of the first board (N_REGISTERS,).
+        guard: Guard of its methods, its world's.
     """
+
+    INSTEAD = "another Episode of the same setup, begun with the same seed"
 
     def __init__(
         self,
@@ -97,12 +101,13 @@ class Episode:
             )
         else:
             self._world = PlanarWorld(setup.scene_model, setup.planar_scene)
-        self._simulation = self._world.simulation
+        self.guard, self._simulation = self._world.guard, self._world.simulation
         self._simulation.step_with(self._advance, self._compiled)
         self.boards: NDArray[np.int64] = self._simulation.records["registers"]
         self.registers: NDArray[np.int64] = self.boards[0]
         self._begun = False
 
+    @one_thread
     def begin(self, seed: int = 0, options: EpisodeOptions = DEFAULT_OPTIONS) -> None:
         """Start an episode.
 
@@ -189,6 +194,7 @@ class Episode:
         """
         self.step(self._setup.periods(seconds) * self._setup.steps_per_period)
 
+    @one_thread
     def step(self, steps: int) -> None:
         """Run the episode for some steps; errors are those of `run`."""
         self._insist()
@@ -198,6 +204,7 @@ class Episode:
             self._controllers.sums[:] = before.sums
         self._world.advance_to((self.steps + steps) * self._setup.step_ns)
 
+    @one_thread
     def drive(self, left: float, right: float, robot: int = 0) -> None:
         """Set both speeds of a robot [pulses/10 ms], as a controller does.
 
@@ -236,6 +243,7 @@ class Episode:
         """Copy the robots' registers and poses into a joint run's arrays."""
         stepping.observe(self._simulation.plain, joint, row)
 
+    @one_thread
     def metrics(self, robot: int = 0) -> dict[str, float]:
         """Return a robot's metrics so far (`metrics.METRICS`); "homing" is NaN without a home."""
         self._insist()

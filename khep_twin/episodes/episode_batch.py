@@ -19,17 +19,19 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.copies import NotCopied
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.stepping import JointRun, Run, run
 from khep_twin.errors import DivergedError
+from khep_twin.one_thread import new_guard, one_thread
 from khep_twin.step import DONE, NO_SPEED
 
 Rows = Sequence[int] | NDArray[np.int64]
 """Indices of episodes (n_rows,)."""
 
 
-class EpisodeBatch:
+class EpisodeBatch(NotCopied):
     """Episodes of one setup without controllers.
 
     Args:
@@ -41,10 +43,13 @@ class EpisodeBatch:
         speeds: Speeds of the wheels, which each step sets first (n, n_robots, 2) [pulses/10 ms].
         registers: States of the boards (n, n_robots, N_REGISTERS).
         poses: True x, y [m] and heading [rad] of the robots (n, n_robots, 3).
+        guard: Guard of its methods.
     """
 
+    INSTEAD = "another EpisodeBatch of new episodes, begun with the same seeds"
+
     def __init__(self, episodes: Sequence[Episode], threads: int) -> None:
-        self.episodes = episodes
+        self.guard, self.episodes = new_guard(), episodes
         count, n_robots = len(episodes), len(episodes[0].boards)
         self._joint = JointRun.of(count, n_robots, 0)
         self.speeds, self.registers, self.poses = self._joint.speeds, self._joint.registers, self._joint.poses
@@ -55,12 +60,14 @@ class EpisodeBatch:
         self._shapes: list[tuple[int, ...]] = []
         self._runs_jointly = np.zeros(count, np.bool_)
 
+    @one_thread
     def begin(self, index: int, seed: int, options: EpisodeOptions = DEFAULT_OPTIONS) -> None:
         """Start an episode; errors are those of `Episode.begin`."""
         self._runs_jointly[index], self._joint.untils[index] = False, 0
         self.episodes[index].begin(seed, options)
         self._take(index)
 
+    @one_thread
     def step(self, rows: Rows, steps: int) -> dict[int, DivergedError]:
         """Set the speeds of some episodes and run them for some steps; return the failures by episode."""
         joint, chosen = self._joint, np.asarray(rows, np.int64)

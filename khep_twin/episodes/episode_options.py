@@ -1,7 +1,9 @@
 """Options of one episode, which a batch has in common or gives each of its episodes."""
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import SupportsIndex
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,3 +69,10 @@ def check_numbers(name: str, given: object, what: str, shape: tuple[int, ...]) -
     if not fits:
         count = " x ".join(map(str, shape))
         raise ValueError(f"{name} = {given!r}; expected {what}, {count} finite numbers")
+
+
+def checked_count(given: object, things: str) -> int:
+    """Return a number of things; raise a `ValueError` unless it is an integer from 1."""
+    if isinstance(given, SupportsIndex) and (count := operator.index(given)) >= 1:
+        return count
+    raise ValueError(f"{given!r} {things}; expected a whole number, 1 or more")

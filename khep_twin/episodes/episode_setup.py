@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from functools import partial
 from operator import index
 
 from khep_twin import units
@@ -82,6 +83,14 @@ class EpisodeSetup:
         self.calibration = calibration.read(self.entry.calibration)[0]
         self.indices = RobotIndices.of(self.model, "khepera0")
         self.planar_scene = PlanarScene(playpen, self.model, self.indices, step_ns) if planar else None
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Return how a copy is made, as MuJoCo's scene cannot be copied."""
+        planar, faults = self.planar_scene is not None, self.faults
+        make = partial(
+            EpisodeSetup, step_ns=self.step_ns, period_ns=self.period_ns, planar=planar, faults=faults
+        )
+        return make, (self.playpen,)
 
     def periods(self, seconds: float) -> int:
         """Return the number of control periods in a time [s].

@@ -13,11 +13,12 @@ from khep_twin.board import battery, kernel
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.episodes.planar.planar_world import PlanarForms
-from khep_twin.errors import MissingNumbaError, PlaypenError
+from khep_twin.errors import PlaypenError
 from khep_twin.randomness import stream
 from khep_twin.sensing.buffers import as_records
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.light import Bulb, Hidden
+from khep_twin.simulation.ready import module_of
 
 Floats = NDArray[np.float64]
 
@@ -73,11 +74,7 @@ class Planes:
     def __init__(self, setup: EpisodeSetup, count: int) -> None:
         if setup.planar_scene is None:
             raise ValueError("the setup is not planar; expected EpisodeSetup(playpen, planar=True)")
-        try:
-            from khep_twin.shadow import compiled
-        except ImportError as error:
-            raise MissingNumbaError() from error
-        self._code: Any = compiled
+        self._code: Any = module_of("shadow")
         forms = PlanarForms(setup.scene_model, setup.planar_scene)
         forms.put(None)
         state = forms.robot_states()[0]
@@ -106,7 +103,7 @@ class Planes:
             as_records(light.bulbs, Bulb()),
             as_records(light.hidden, Hidden()),
         )
-        drive = compiled.MotorDrive(
+        drive = self._code.MotorDrive(
             flat.LEFT_ANGLE, flat.RIGHT_ANGLE, flat.LEFT_ANGLE, flat.RIGHT_ANGLE, state.motor_constant
         )
         self._drive = as_records([drive], drive)

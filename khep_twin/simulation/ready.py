@@ -1,11 +1,14 @@
 """Compiled code, when it is ready: numba compiles in a process beside the run, which goes on meanwhile."""
 
+import importlib.util
 import subprocess
 import sys
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from khep_twin.errors import MissingNumbaError
@@ -26,6 +29,12 @@ BESIDE = (
 )
 """Announcement of a compilation beside a run."""
 
+NOT_KEPT = (
+    "numba can keep no code: neither the package's folder nor your cache folder can be written; expected one "
+    "that can be in NUMBA_CACHE_DIR"
+)
+"""Reason and remedy where compiled code is lost with its process."""
+
 _PROCESSES: dict[str, "subprocess.Popen[bytes] | None"] = {}
 """Processes that compile a part; None once one has failed."""
 
@@ -45,8 +54,9 @@ def when_ready(part: str) -> Callable[..., Any] | None:
         return None
     if is_cached(function):
         return function
-    if function.stats.cache_path is None:
-        return None  # nothing can be kept for this process or the next
+    if not can_be_kept(function):  # neither for this process nor for the next
+        _tell_once(f"khep_twin: this run stays uncompiled, with the same results, as {NOT_KEPT}")
+        return None
     if part not in _PROCESSES:
         print(BESIDE, file=sys.stderr, flush=True)
         process = _PROCESSES[part] = subprocess.Popen(
@@ -86,35 +96,55 @@ def alone(part: str) -> Generator[None]:
 
 
 def function_of(part: str) -> Callable[..., Any]:
-    """Return the function of a part, which is compiled when it is first called.
+    """Return the function of a part, which is compiled when it is first called; errors are `module_of`'s."""
+    return getattr(module_of(part), CODE[part].partition(":")[2])
+
+
+def module_of(part: str) -> ModuleType:
+    """Return the module of a part.
 
     Raises:
-        MissingNumbaError: numba is not installed.
+        MissingNumbaError: numba is not installed, or switched off.
     """
-    module, _, name = CODE[part].partition(":")
+    if (missing := what_is_missing()) is not None:
+        raise missing
     try:
-        return getattr(import_module(module), name)
+        return import_module(CODE[part].partition(":")[0])
     except ImportError as error:
         raise MissingNumbaError() from error
 
 
-def functions_of(part: str) -> list[Callable[..., Any]]:
-    """Return all compiled functions of a part.
+def what_is_missing() -> MissingNumbaError | None:
+    """Return why nothing can be compiled here; None if it can."""
+    if importlib.util.find_spec("numba") is None:
+        return MissingNumbaError()
+    numba: Any = import_module("numba")
+    return MissingNumbaError(is_off=True) if numba.config.DISABLE_JIT else None
 
-    Raises:
-        ImportError: numba is not installed.
-    """
-    module = import_module(CODE[part].partition(":")[0])
+
+def functions_of(part: str) -> list[Callable[..., Any]]:
+    """Return all compiled functions of a part; errors are those of `module_of`."""
+    module = module_of(part)
     own = (each for each in vars(module).values() if getattr(each, "__module__", "") == module.__name__)
     return [each for each in own if hasattr(each, "py_func")]
+
+
+def can_be_kept(function: Any) -> bool:
+    """Return whether numba has a folder for a function's compiled code."""
+    return function.stats.cache_path is not None
 
 
 def is_cached(function: Any) -> bool:
     """Return whether a function is compiled, in this process or in numba's cache."""
     if function.signatures:
         return True
-    if function.stats.cache_path is None:
+    if not can_be_kept(function):
         return False
     # numba names the files of a function's code by its name, which has a stamp of the sources.
     files = Path(function.stats.cache_path).glob(f"*{function.py_func.__qualname__}*.nbc")
     return next(files, None) is not None
+
+
+@cache
+def _tell_once(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

@@ -21,6 +21,8 @@ from khep_twin.envs.task_episode import TaskEpisode
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import TASKS, State, batched
 from khep_twin.episodes import version_check
+from khep_twin.episodes.batch import rollout
+from khep_twin.episodes.controllers import Braitenberg
 from khep_twin.errors import DivergedError, KhepTwinError, MissingExtraError, PlaypenError
 from khep_twin.playpen import Playpen, Spot
 
@@ -129,6 +131,26 @@ def test_without_dm_control_the_import_is_one_line_that_says_how_to_install_it(
     monkeypatch.setattr(version_check.metadata, "version", version)
     with pytest.raises(KhepTwinError, match=r"^dm-control is not installed; .* --no-deps .*==1\.0\.50$"):
         importlib.import_module("khep_twin.envs.dm_env")
+
+
+def test_dm_env_takes_its_options_as_the_suite_does_too() -> None:
+    suite = dm("LightSeeking", task_kwargs={"random": 3, "time_limit": 1.0, "vary": True})
+    ours = dm("LightSeeking", seed=3, seconds=1.0, vary=True)
+    assert (suite.reset().observation["light"] == ours.reset().observation["light"]).all()
+    flat = dm("LightSeeking", seed=3, vary=True, environment_kwargs={"flat_observation": True})
+    (spec,) = flat.observation_spec().values()
+    (numbers,) = flat.reset().observation.values()
+    spec.validate(numbers)
+    assert (numbers[8:16] == dm("LightSeeking", seed=3, vary=True).reset().observation["light"]).all()
+
+
+def test_what_of_the_suite_has_no_effect_is_refused() -> None:
+    with pytest.raises(KhepTwinError, match=r"^visualize_reward = True; expected False"):
+        dm("Homing", visualize_reward=True)
+    with pytest.raises(KhepTwinError, match=r"^environment_kwargs: 'time_limit': unknown; .* seconds"):
+        dm("Homing", environment_kwargs={"time_limit": 5})
+    with pytest.raises(ValueError, match=r"seed = RandomState.*; expected an integer from 0"):
+        dm("Homing", task_kwargs={"random": np.random.RandomState(1)})
 
 
 # Gymnasium ----------------------------------------------------------------------------------------------
@@ -446,6 +468,23 @@ def test_gymnasium_and_dm_env_are_the_same_episode() -> None:
     assert (np.concatenate(list(first.observation.values())) == seen).all()
 
 
+@pytest.mark.parametrize("charge_s", [0.0, 0.1])
+def test_a_step_before_a_reset_or_after_the_end_asks_for_a_reset(charge_s: float) -> None:
+    task = dataclasses.replace(TASKS["Homing"], charge_s=charge_s)
+    environment = type(gym("Homing").unwrapped)(task, planar=True, **SHORT)
+    many = gyms(2, planar=True)
+    together = zoo("ObstacleAvoidance", 1, planar=True)
+    for each, action in ((environment, [0, 0]), (many, [[0, 0], [0, 0]]), (together, {"khepera0": [0, 0]})):
+        with pytest.raises(ValueError, match=r"begun.*; expected reset\(\) first"):
+            each.step(np.array(action) if isinstance(action, list) else action)
+    environment.reset(seed=1)
+    while not any(environment.step(np.zeros(2))[2:4]):
+        pass
+    with pytest.raises(ValueError, match=r"^the episode is over, .* expected reset\(\) first"):
+        environment.step(np.zeros(2))
+    many.close()
+
+
 # PettingZoo ---------------------------------------------------------------------------------------------
 
 
@@ -526,6 +565,18 @@ def test_an_action_that_is_not_two_speeds_is_an_error_of_one_line(action: Any) -
             ValueError, match=rf"action .*; expected two speeds, left and right, from {limits}"
         ):
             setup.speeds(action)
+
+
+@pytest.mark.parametrize("count", [0, -1, 1.5, "2"])
+def test_a_number_of_threads_or_robots_is_a_whole_one(count: Any) -> None:
+    expected = r"; expected a whole number, 1 or more"
+    for options in ({"threads": count}, {"num_envs": count}):
+        with pytest.raises(ValueError, match=rf"^{count!r} (threads|environments){expected}"):
+            pytest.importorskip("khep_twin.envs.gymnasium_vector").KheperaVectorEnvironment(**options)
+    with pytest.raises(ValueError, match=f"^{count!r} robots{expected}"):
+        TaskSetup("Homing", robots=count)
+    with pytest.raises(ValueError, match=f"^{count!r} threads{expected}"):
+        rollout("obstacles", Braitenberg(), [1], 0.02, threads=count)
 
 
 def test_as_many_actions_as_environments_are_wanted() -> None:

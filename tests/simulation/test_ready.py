@@ -8,8 +8,15 @@ from types import SimpleNamespace
 import pytest
 from numba_marks import with_numba
 
+from khep_twin.cli.compile import compile_all
+from khep_twin.episodes.batch import rollout
+from khep_twin.episodes.controllers import Function
+from khep_twin.episodes.episode import SlowerWarning
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.errors import KhepTwinError, MissingNumbaError
 from khep_twin.machine import lock
 from khep_twin.playpen import Playpen
+from khep_twin.shadow.planes import Planes
 from khep_twin.simulation import ready
 from khep_twin.step import DONE
 from khep_twin.world import World
@@ -70,8 +77,8 @@ def test_one_process_at_a_time_compiles_a_part(tmp_path: Path, monkeypatch: pyte
         lock(another)
 
 
-def test_where_no_code_can_be_kept_nothing_is_compiled_beside_a_run(
-    monkeypatch: pytest.MonkeyPatch,
+def test_where_no_code_can_be_kept_nothing_is_compiled_in_advance_and_users_are_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from numba.core import caching
 
@@ -81,8 +88,16 @@ def test_where_no_code_can_be_kept_nothing_is_compiled_beside_a_run(
     made = compiled(lambda x: 2 * x, ())
     monkeypatch.setattr(ready, "function_of", lambda part: made)
     monkeypatch.setattr(ready, "_PROCESSES", {})
-    assert ready.when_ready("world") is None
+    ready._tell_once.cache_clear()
+    for _ in range(2):
+        assert ready.when_ready("world") is None
+    told = capsys.readouterr().err
+    assert told.count("this run stays uncompiled") == 1
+    assert told.endswith("expected one that can be in NUMBA_CACHE_DIR\n")
     assert not ready._PROCESSES
+    monkeypatch.setattr(ready, "functions_of", lambda part: [made])
+    with pytest.raises(KhepTwinError, match=r"^nothing is compiled, as numba can keep no code: neither"):
+        compile_all(["world"])
     assert made(3) == 6
     assert ready.when_ready("world") is made
 
@@ -137,3 +152,23 @@ def test_what_cannot_be_compiled_is_refused_in_one_line() -> None:
         "khep-twin: part 'wrold': unknown; did you mean 'world'? (choices: world, episodes, plane, vision, "
         "shadow)\n"
     )
+
+
+def test_where_numba_is_switched_off_runs_are_plain_and_what_must_be_compiled_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("numba.config.DISABLE_JIT", 1)
+    setup = EpisodeSetup("obstacles", planar=True)
+    with pytest.warns(SlowerWarning, match=r"^NUMBA_DISABLE_JIT switches numba off: episodes run uncompiled"):
+        found = rollout(setup, Function(lambda *readings: (5.0, 5.0)), [1, 2], 0.2, threads=2)
+    assert found.metrics["distance_m"][0] > 0
+    for part in ready.CODE:
+        assert ready.when_ready(part) is None
+    for call in (
+        lambda: compile_all(["shadow"]),
+        lambda: World("obstacles", compiled=True),
+        lambda: rollout(setup, Function(max), [1], 0.2, compiled=True),
+        lambda: Planes(setup, 1),
+    ):
+        with pytest.raises(MissingNumbaError, match=r"^NUMBA_DISABLE_JIT switches numba off; expected"):
+            call()

@@ -17,6 +17,7 @@ from khep_twin.episodes.planar import plane as flat
 from khep_twin.episodes.planar.casting import PlaneScene
 from khep_twin.episodes.planar.planar import PlanarScene
 from khep_twin.episodes.planar.plane import PlanarRobot, Plane
+from khep_twin.one_thread import new_guard, one_thread
 from khep_twin.playpen import Lamp, Lighting
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import stream
@@ -198,14 +199,17 @@ class PlanarWorld:
         timing: Divisions of time.
         simulation: State that the stepping core works on.
         forms: State of the plane.
+        guard: Guard of its methods.
     """
 
     def __init__(self, scene_model: SceneModel, planar_scene: PlanarScene) -> None:
+        self.guard = new_guard()
         self.playpen, self.timing = scene_model.playpen, scene_model.timing
         self.forms = PlanarForms(scene_model, planar_scene)
         self.simulation = Simulation(self.forms, self.timing)
         self.reset()
 
+    @one_thread
     def reset(
         self,
         seed: int = 0,
@@ -230,6 +234,7 @@ class PlanarWorld:
         simulation.set_lamps(lit, playpen.lighting)
         simulation.switch_on()
 
+    @one_thread
     def advance_to(self, time_ns: int) -> None:
         """Advance to a time [ns], in whole steps.
 
@@ -239,6 +244,7 @@ class PlanarWorld:
         while self.simulation.advance(time_ns // self.timing.step_ns) != DONE:
             pass
 
+    @one_thread
     def finish_steps(self, reason: int, until: int) -> None:
         """Act for a return of the stepping core, and run on to a step, as `World.finish_steps` does."""
         self.simulation.checked(reason)

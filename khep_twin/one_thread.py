@@ -1,0 +1,58 @@
+"""Objects that one thread at a time may be inside of: a second one gets an error, at once.
+
+An object may pass from thread to thread between calls.
+"""
+
+from collections.abc import Callable
+from functools import wraps
+from threading import RLock
+from typing import Concatenate, ParamSpec, Protocol, TypeVar
+
+
+class Guard(Protocol):
+    """Lock that the thread that has it may take again: `threading.RLock()`."""
+
+    def acquire(self, blocking: bool = True) -> bool:
+        """Take the lock; return whether it was free."""
+        ...
+
+    def release(self) -> None:
+        """Give the lock back."""
+        ...
+
+
+class Guarded(Protocol):
+    """Object with a guard, which it may share with objects that it consists of."""
+
+    guard: Guard
+
+
+Own = TypeVar("Own", bound=Guarded)
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+
+def new_guard() -> Guard:
+    """Return a guard that no thread has."""
+    return RLock()
+
+
+def one_thread(
+    method: Callable[Concatenate[Own, Given], Result],
+) -> Callable[Concatenate[Own, Given], Result]:
+    """Return a method that raises a `RuntimeError` while another thread is inside of its object."""
+
+    @wraps(method)
+    def guarded(self: Own, /, *given: Given.args, **options: Given.kwargs) -> Result:
+        guard = self.guard
+        if not guard.acquire(False):
+            raise RuntimeError(
+                f"{method.__name__}: another thread is inside this {type(self).__name__}; expected one "
+                "thread at a time, or an object for each"
+            )
+        try:
+            return method(self, *given, **options)
+        finally:
+            guard.release()
+
+    return guarded

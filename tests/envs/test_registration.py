@@ -1,0 +1,36 @@
+"""Gymnasium knows the tasks once both packages are imported, in either order."""
+
+import subprocess
+import sys
+
+import pytest
+
+from khep_twin.envs.tasks import TASKS
+
+PROGRAM = """
+import sys
+import {first}
+import {then}
+names = [name for name in gymnasium.registry if name.startswith("khep_twin/")]
+module = sys.modules["gymnasium.envs.registration"]
+print(*names)
+print("mujoco" in sys.modules, type(module.__loader__).__name__, module.__loader__ is module.__spec__.loader)
+print([finder for finder in sys.meta_path if type(finder).__module__.startswith("khep_twin")])
+"""
+
+
+@pytest.mark.parametrize(("first", "then"), [("khep_twin", "gymnasium"), ("gymnasium", "khep_twin")])
+def test_gymnasium_knows_the_tasks_whichever_is_imported_first(first: str, then: str) -> None:
+    pytest.importorskip("gymnasium", reason="gymnasium, the extra [rl], is not installed")
+    words = [sys.executable, "-c", PROGRAM.format(first=first, then=then)]
+    told = subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert told[0].split() == [f"khep_twin/{task}-v0" for task in TASKS]
+    # Its module is as if it had been imported alone, and nothing waits any longer.
+    assert told[1:] == ["False SourceFileLoader True", "[]"]
+
+
+def test_an_environment_is_made_by_its_module_and_name() -> None:
+    gymnasium = pytest.importorskip("gymnasium", reason="gymnasium, the extra [rl], is not installed")
+    options = {"planar": True, "compiled": False}
+    environment = gymnasium.make("khep_twin:khep_twin/ObstacleAvoidance-v0", **options)
+    assert environment.spec.id == "khep_twin/ObstacleAvoidance-v0"
