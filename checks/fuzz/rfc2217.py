@@ -15,7 +15,21 @@ IAC, SE, SB, WILL, DONT, OPTION = 0xFF, 0xF0, 0xFA, 0xFB, 0xFE, 0x2C
 BEGIN = b"\xff\xfa\x2c"
 END = b"\xff\xf0"
 
-WELL_FORMED = ["01 00 00 25 80", "01 00 00 00 00", "02 08", "03 01", "04 02", "05 08", "06", "07", "0b ff ff"]
+WELL_FORMED = [
+    "00",
+    "00 41",
+    "05 0d",
+    "05 11",
+    "01 00 00 25 80",
+    "01 00 00 00 00",
+    "02 08",
+    "03 01",
+    "04 02",
+    "05 08",
+    "06",
+    "07",
+    "0b ff ff",
+]
 """Content between `BEGIN` and `END`."""
 
 ODD = ["01 01", "01 ff ff ff ff ff ff ff ff", "02", "02 4d", "03 4d", "04 09", "05", "0a", "0c"]
@@ -28,7 +42,7 @@ VALUE_SIZES = {1: 4, 2: 1, 3: 1, 4: 1, 10: 1, 11: 1}
 """Commands that are only answered with a whole value; pyserial ignores a short value of the others."""
 
 ANSWER_SIZES = {101: 4, 102: 1, 103: 1, 104: 1, 105: 1, 106: 1, 107: 1, 110: 1, 111: 1, 112: 1}
-"""Answers of the robot's end, and the lengths of their values."""
+"""Answers of the robot's end, and the lengths of their values; 100, a signature, has any."""
 
 
 def check(data: bytes) -> None:
@@ -120,7 +134,8 @@ def check_answers(answers: bytes) -> None:
         while answers[at:end].count(IAC) % 2 == 0:  # an escape and its byte
             end = answers.index(END, end + 1)
         value = answers[at + 4 : end].replace(b"\xff\xff", b"\xff")
-        assert len(value) == ANSWER_SIZES[answers[at + 3]], answers[at:end]
+        kind = answers[at + 3]
+        assert kind == 100 or len(value) == ANSWER_SIZES[kind], answers[at:end]
         at = end + len(END)
 
 

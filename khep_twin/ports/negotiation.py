@@ -23,6 +23,7 @@ from serial.rfc2217 import (
     SET_CONTROL_DTR_ON,
     SET_CONTROL_REQ_BREAK_STATE,
     SET_CONTROL_REQ_DTR,
+    SET_CONTROL_REQ_FLOW_SETTING,
     SET_CONTROL_REQ_RTS,
     SET_CONTROL_RTS_OFF,
     SET_CONTROL_RTS_ON,
@@ -31,16 +32,23 @@ from serial.rfc2217 import (
     PortManager,
 )
 
+from khep_twin import __version__
 from khep_twin.board.uart import LineSettings
 
 LOWEST_BAUD, HIGHEST_BAUD = 50, 4_000_000
 """Speeds that a host may set, those of Linux's constants [baud]."""
+
+SIGNATURE = f"khep_twin {__version__}".encode()
+"""Name that a host is told where it asks."""
 
 LONGEST = 256
 """Bytes between the two ends of one negotiation; only a signature is longer than a few."""
 
 _WANTED = {"baudrate": range(LOWEST_BAUD, HIGHEST_BAUD + 1), "bytesize": range(5, 9)}
 """Values of a line's settings that are accepted."""
+
+_ASK_SIGNATURE, _SERVER_SIGNATURE = b"\x00", b"\x64"
+"""Command that asks for a signature or tells one, and that of the answer; pyserial has neither."""
 
 _SHOWN = 16
 
@@ -119,6 +127,13 @@ class _Manager(PortManager):
             name, on, off = _STATES[suboption[2:3]]
             state = on if getattr(self.serial, name) else off
             self.rfc2217_send_subnegotiation(SERVER_SET_CONTROL, state)
+        elif suboption[:1] == COM_PORT_OPTION and command == SET_CONTROL and suboption[2:3] in _INBOUND:
+            self.rfc2217_send_subnegotiation(SERVER_SET_CONTROL, _NO_INBOUND)
+        elif suboption[:1] == COM_PORT_OPTION and command == SET_CONTROL and suboption[2:3] in _BY_LINES:
+            super()._telnet_process_subnegotiation(suboption[:2] + SET_CONTROL_REQ_FLOW_SETTING)
+        elif suboption == COM_PORT_OPTION + _ASK_SIGNATURE:
+            # With a text it is the host's own, which needs no answer.
+            self.rfc2217_send_subnegotiation(_SERVER_SIGNATURE, SIGNATURE)
 
 
 _STATES = {
@@ -127,6 +142,12 @@ _STATES = {
     SET_CONTROL_REQ_RTS: ("rts", SET_CONTROL_RTS_ON, SET_CONTROL_RTS_OFF),
 }
 """Questions about states of the line, which pyserial does not answer: state, answers for on and off."""
+
+_INBOUND, _NO_INBOUND = (b"\x0d", b"\x0e", b"\x0f", b"\x10", b"\x12"), b"\x0e"
+"""Values of SET-CONTROL for flow control of what the host receives; there is none of it, the second."""
+
+_BY_LINES = b"\x11", b"\x13"
+"""Values of SET-CONTROL for flow control by DCD and by DSR: the answer is what is in force."""
 
 
 class _Line:

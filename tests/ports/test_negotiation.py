@@ -12,7 +12,7 @@ from checks.fuzz.libfuzzer import run_libfuzzer
 from checks.fuzz.rfc2217 import BEGIN, END, ODD, WELL_FORMED, check, seeds
 from khep_twin.board.uart import LineSettings
 from khep_twin.log.reader import read_log
-from khep_twin.ports.negotiation import HIGHEST_BAUD, LONGEST, LOWEST_BAUD, Negotiator
+from khep_twin.ports.negotiation import HIGHEST_BAUD, LONGEST, LOWEST_BAUD, SIGNATURE, Negotiator
 
 SHARE = 2_000
 
@@ -82,6 +82,20 @@ def test_states_of_the_line_are_told() -> None:
     asked = b"".join(BEGIN + bytes((5, state)) + END for state in (4, 7, 10, 8, 9, 7))
     told = b"".join(BEGIN + bytes((105, state)) + END for state in (6, 8, 11, 8, 9, 9))
     assert negotiated(asked)[1] == told
+
+
+def test_the_twin_signs_where_it_is_asked_to() -> None:
+    taken, answers, negotiator = negotiated(BEGIN + b"\0" + END + BEGIN + b"\0a host" + END + b"B\n")
+    assert answers == BEGIN + b"\x64" + SIGNATURE + END
+    assert SIGNATURE.startswith(b"khep_twin ")
+    assert (taken, negotiator.fault) == (b"B\n", "")
+
+
+@pytest.mark.parametrize(
+    ("asked", "in_force"), [*((value, 14) for value in (13, 14, 15, 16, 18)), (17, 1), (19, 1)]
+)
+def test_flow_control_that_there_is_not_is_answered_with_what_is_in_force(asked: int, in_force: int) -> None:
+    assert negotiated(BEGIN + bytes((5, asked)) + END)[1] == BEGIN + bytes((105, in_force)) + END
 
 
 @pytest.mark.parametrize("baud", [LOWEST_BAUD, 19200, HIGHEST_BAUD])

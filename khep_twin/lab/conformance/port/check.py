@@ -22,6 +22,9 @@ SILENCE = 0.1
 SETTLE = 0.2
 """Silence that ends a banner [s]."""
 
+_STOPPING = 0.3
+"""Time in which a robot stops, or drives by several pulses [s]."""
+
 _NUMBER = re.compile("-?(0|[1-9][0-9]*)")
 
 _FIRST_BYTE = 0.010
@@ -35,6 +38,10 @@ class Deviation(KhepTwinError):
     """Error raised where a reply deviates from the protocol."""
 
 
+class NotPossibleError(KhepTwinError):
+    """Error raised where the robot's place or state leaves a check without an answer."""
+
+
 @dataclass(frozen=True, slots=True)
 class Check:
     """One check.
@@ -45,6 +52,7 @@ class Check:
         moves: Motion of the robot during the check; empty if it stands still.
         body: Function that runs the check.
         turret: Number of the turret that it asks; None for the robot itself.
+        at_rest: Whether the robot must be at rest unless the check moves it.
     """
 
     name: str
@@ -52,13 +60,14 @@ class Check:
     moves: str
     body: Callable[["CheckedPort"], None]
     turret: int | None = None
+    at_rest: bool = False
 
 
 def check(
-    name: str, section: str, moves: str = "", turret: int | None = None
+    name: str, section: str, moves: str = "", turret: int | None = None, *, at_rest: bool = False
 ) -> Callable[[Callable[["CheckedPort"], None]], Check]:
     """Return a decorator that makes a check of a function; the arguments are attributes of `Check`."""
-    return lambda body: Check(name, section, moves, body, turret)
+    return lambda body: Check(name, section, moves, body, turret, at_rest or bool(moves))
 
 
 class CheckedPort:
@@ -145,6 +154,19 @@ class CheckedPort:
         """Return the port's own time [s]."""
         time_ns = getattr(self.port, "time_ns", None)
         return (time.monotonic_ns() if time_ns is None else time_ns) / NS_PER_S
+
+
+def moves_by_itself(line: CheckedPort) -> bool:
+    """Return whether the robot drives without an order, as in its demonstration, and D does not stop it."""
+    for orders in ((), ("D,0,0",)):
+        line.order(*orders, pause=_STOPPING if orders else 0.0)
+        before = line.numbers("H", 2)
+        line.sleep(_STOPPING)
+        after, speeds = line.numbers("H", 2), line.numbers("E", 2)
+        # Both tell of it: one alone may be wrong.
+        if not any((now - then) * speed > 0 for then, now, speed in zip(before, after, speeds, strict=True)):
+            return False
+    return True
 
 
 def expect_range(request: str, values: list[int], low: int, high: int) -> None:

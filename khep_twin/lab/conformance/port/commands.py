@@ -31,7 +31,7 @@ def profile(line: CheckedPort) -> None:
     line.order("J,20,64,20,64")
 
 
-@check("G sets the counters that H reads, all 32 bits of them", "A, commands G and H")
+@check("G sets the counters that H reads, all 32 bits of them", "A, commands G and H", at_rest=True)
 def counters(line: CheckedPort) -> None:
     for left, right in ((0, 0), (1000, -1000), (2**31 - 1, -(2**31)), (0, 0)):
         line.order(f"G,{left},{right}")
@@ -39,7 +39,7 @@ def counters(line: CheckedPort) -> None:
             raise Deviation(f"after G,{left},{right} H gave {numbers}")
 
 
-@check("E reads two speeds, which are 0 for a robot at rest", "A, command E")
+@check("E reads two speeds, which are 0 for a robot at rest", "A, command E", at_rest=True)
 def speeds(line: CheckedPort) -> None:
     line.order("D,0,0", pause=0.3)
     expect_range("E", line.numbers("E", 2), -1, 1)
@@ -50,7 +50,7 @@ def setters(line: CheckedPort) -> None:
     line.order("D,0,0", "P,0,0", "G,0,0", "C,0,0", "D,0,0")
 
 
-@check("K reads target, mode and error of both wheels", "A, command K")
+@check("K reads target, mode and error of both wheels", "A, command K", at_rest=True)
 def status(line: CheckedPort) -> None:
     modes: list[int] = []
     for *before, request in (("D,0,0",), ("G,0,0", "C,0,0"), ("P,0,0",)):
@@ -127,7 +127,9 @@ def tools(line: CheckedPort) -> None:
             )
 
 
-@check("restart shows the banner within half a second and resets everything", "3.2, tool restart")
+@check(
+    "restart shows the banner within half a second and resets everything", "3.2, tool restart", at_rest=True
+)
 def restart(line: CheckedPort) -> None:
     line.order("G,55,66", "J,5,5,5,5")
     line.send("restart\n")

@@ -12,17 +12,32 @@ from dataclasses import asdict, dataclass
 from khep_twin.errors import PORT_FAILURES, PortError
 from khep_twin.host import Khepera
 from khep_twin.lab.conformance.port.catalogue import CHECKS
-from khep_twin.lab.conformance.port.check import Check, CheckedPort, Deviation
+from khep_twin.lab.conformance.port.check import (
+    Check,
+    CheckedPort,
+    Deviation,
+    NotPossibleError,
+    moves_by_itself,
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """Result of a check; `deviation` is empty if it passed, or if the robot has not the turret it asks."""
+    """Result of a check.
+
+    Attributes:
+        name: Tested statement.
+        section: Section of the manual.
+        deviation: Deviation from it; empty if the check passed or was not possible.
+        absent: Whether it asks a turret that the robot has not.
+        impossible: Reason why it was not possible on this robot or at this place; empty if it was.
+    """
 
     name: str
     section: str
     deviation: str
     absent: bool = False
+    impossible: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,15 +63,19 @@ class ConformanceReport:
         """Return the report as readable text."""
         failed = [result for result in self.results if result.deviation]
         absent = [result for result in self.results if result.absent]
+        impossible = [result for result in self.results if result.impossible]
         lines = [
-            f"{'FAIL' if result.deviation else 'none' if result.absent else 'ok  '}  "
+            f"{'FAIL' if result.deviation else 'none' if result.absent or result.impossible else 'ok  '}  "
             f"{result.name} [{result.section}]"
             for result in self.results
         ]
         lines += [f"skip  {name} (moves the robot; enable with --move)" for name in self.skipped]
+        reasons = {result.impossible: result.name for result in impossible[::-1]}
+        lines += [f"\n{name}\n    {reason}" for reason, name in reasons.items()]
         lines += [f"\n{result.name}\n    {result.deviation}" for result in failed]
-        passed = len(self.results) - len(failed) - len(absent)
-        told = f", {len(absent)} of turrets that are absent" if absent else ""
+        passed = len(self.results) - len(failed) - len(absent) - len(impossible)
+        told = f", {len(impossible)} not possible here" if impossible else ""
+        told += f", {len(absent)} of turrets that are absent" if absent else ""
         lines.append(f"\n{self.port}: {passed} passed, {len(failed)} failed{told}")
         return "\n".join(lines)
 
@@ -80,26 +99,34 @@ def conform(url: str, *, move: bool = False, baudrate: int = 9600) -> Conformanc
 
 def examine(line: CheckedPort, name: str, *, move: bool = False) -> ConformanceReport:
     """Run the checks on an open line."""
-    results = tuple(run_check(check, line) for check in checks(move))
-    skipped = () if move else tuple(check.name for check in checks(True) if check.moves)
+    moving = run_check(Check("the robot waits for commands", "", "", _expect_waiting), line).impossible
+    results = tuple(
+        Result(each.name, each.section, "", impossible=moving)
+        if moving and each.at_rest
+        else run_check(each, line)
+        for each in checks(move)
+    )
+    skipped = () if move else tuple(each.name for each in checks(True) if each.moves)
     return ConformanceReport(name, results, skipped)
 
 
 def checks(move: bool) -> Iterator[Check]:
     """Return all checks, with or without those that move the robot."""
-    return (check for check in CHECKS if move or not check.moves)
+    return (each for each in CHECKS if move or not each.moves)
 
 
-def run_check(check: Check, line: CheckedPort) -> Result:
+def run_check(asked: Check, line: CheckedPort) -> Result:
     """Run one check on a quiet line and leave the line quiet."""
-    deviation, absent = "", False
+    deviation, absent, impossible = "", False, ""
     try:
         line.port.reset_input_buffer()
         try:
-            absent = check.turret is not None and line.ask(f"T,{check.turret},B").startswith("z,")
+            absent = asked.turret is not None and line.ask(f"T,{asked.turret},B").startswith("z,")
             if not absent:
-                check.body(line)
+                asked.body(line)
             line.silent("after the last reply")
+        except NotPossibleError as error:
+            impossible = str(error)
         except Deviation as error:
             deviation = str(error)
             # Leftovers of a wrong answer must not reach the next check.
@@ -107,4 +134,11 @@ def run_check(check: Check, line: CheckedPort) -> Result:
             line.read_for(0.3)
     except PORT_FAILURES as error:
         deviation = f"the port failed: {error}"
-    return Result(check.name, check.section, deviation, absent)
+    return Result(asked.name, asked.section, deviation, absent, impossible)
+
+
+def _expect_waiting(line: CheckedPort) -> None:
+    if moves_by_itself(line):
+        raise NotPossibleError(
+            "the robot moves by itself, as in its demonstration (mode 0); needs one that waits for commands"
+        )

@@ -52,7 +52,7 @@ def wrong_parameters(line: CheckedPort) -> None:
         line.expect(request, "z,Protocol error")
 
 
-@check("numbers may carry a sign and leading zeros", "A")
+@check("numbers may carry a sign and leading zeros", "A", at_rest=True)
 def signed_numbers(line: CheckedPort) -> None:
     line.order("G,+5,-005")
     if (numbers := line.numbers("H", 2)) != [5, -5]:
@@ -67,7 +67,7 @@ def long_line(line: CheckedPort) -> None:
     line.order("G,3,4")
 
 
-@check("commands work again after rubbish", "3.2")
+@check("commands work again after rubbish", "3.2", at_rest=True)
 def binary_rubbish(line: CheckedPort) -> None:
     line.send(bytes(byte for byte in range(256) if byte not in b"\r\n").decode("latin-1") + "\n")
     line.reply("binary rubbish")

@@ -1,0 +1,46 @@
+"""Checks of a robot whose place or state leaves them open: they are not deviations, and say why."""
+
+import json
+import re
+
+import pytest
+
+from khep_twin.host import Khepera
+from khep_twin.lab.conformance.port.check import CheckedPort
+from khep_twin.lab.conformance.port.conform import conform, run_check
+from khep_twin.lab.conformance.port.motion import sensor_order
+
+
+def test_a_robot_that_moves_by_itself_passes_what_it_can_be_asked() -> None:
+    report = conform("khep://default?mode=0", move=True)
+    assert report.passed
+    told = report.text()
+    assert told.count("the robot moves by itself, as in its demonstration (mode 0)") == 1
+    assert re.search(r"\d+ passed, 0 failed, \d+ not possible here, 13 of turrets that are absent$", told)
+    open_ones = [each["name"] for each in json.loads(report.json())["results"] if each["impossible"]]
+    assert "E reads two speeds, which are 0 for a robot at rest" in open_ones
+    assert "N reads eight proximity values of 10 bits" not in open_ones
+
+
+@pytest.mark.parametrize(
+    ("place", "reason"),
+    [
+        ("stripes", "no sensor saw anything within 40 cm"),
+        # A wall that stands askew: seen ahead, but not by the sensors at its side.
+        ("obstacles", "the object was out of sight after a turn"),
+    ],
+)
+def test_without_a_wall_ahead_the_order_of_the_sensors_is_not_judged(place: str, reason: str) -> None:
+    with Khepera(f"khep://{place}") as robot:
+        result = run_check(sensor_order, CheckedPort(robot.port))
+    assert result.deviation == ""
+    assert (
+        result.impossible == f"{reason}; needs a light-coloured wall straight ahead, with nothing else near"
+    )
+
+
+@pytest.mark.parametrize("place", ["default", "gripper", "default?model=khepera2"])
+def test_before_a_thing_the_order_of_the_sensors_is_found(place: str) -> None:
+    with Khepera(f"khep://{place}") as robot:
+        result = run_check(sensor_order, CheckedPort(robot.port))
+    assert (result.deviation, result.impossible) == ("", "")
