@@ -85,7 +85,9 @@ def test_a_episode_is_the_worlds_bit_for_bit(scene: Playpen, options: dict[str, 
 @with_numba
 @pytest.mark.parametrize("planar", [False, True])
 def test_a_khepera_2_never_reads_0_without_a_line_plain_and_compiled(planar: bool) -> None:
-    setup = EpisodeSetup(arena(model="khepera2", calibration="khepera2"), planar=planar)
+    # A lamp that saturates the sensors leaves their lowest reading.
+    lamp = "\n[[lamp]]\nx_mm = 100\ny_mm = 100\nz_mm = 100\npower_w = 100\n"
+    setup = EpisodeSetup(arena(lamp, model="khepera2", calibration="khepera2"), planar=planar)
     lowest: list[list[int]] = []
     for compiled in (False, True):
         episode = Episode(setup, Braitenberg(), compiled=compiled)
