@@ -45,6 +45,7 @@ def behind_a_pty(url: str) -> Iterator[Any]:
 
 def play(transcript: Path, port: Any) -> None:
     wait = getattr(port, "sleep", time.sleep)
+    asked, until = b"", 0.0
     for number, line in enumerate(transcript.read_text().splitlines(), 1):
         kind, _, text = line.partition(" ")
         place = f"{transcript.name}, line {number}: {line}"
@@ -52,17 +53,24 @@ def play(transcript: Path, port: Any) -> None:
             case "#" | "":
                 pass
             case ">":
-                port.write(text.encode() + b"\n")
+                asked = text.encode() + b"\n"
+                port.write(asked)
             case ">>":
                 port.write(text.encode().decode("unicode_escape").encode("latin-1"))
             case "<":
                 reply = port.read_until(b"\n")
                 pattern = re.escape(text).replace(r"\*", "[^,]*") + "\r\n"
+                # On a busy machine a served twin may be behind: what follows a wait is asked again.
+                while time.monotonic() < until and not re.fullmatch(pattern, reply.decode("ascii")):
+                    port.write(asked)
+                    reply = port.read_until(b"\n")
                 assert re.fullmatch(pattern, reply.decode("ascii")), f"{place}: came {reply!r}"
                 if text.startswith("serial "):
                     port.baudrate = int(text.removeprefix("serial "))
+                until = 0.0
             case "~":
                 wait(float(text))
+                until = time.monotonic() + 10.0 if wait is time.sleep else 0.0
             case ".":
                 before, port.timeout = port.timeout, float(text)
                 assert port.read(1) == b"", place
