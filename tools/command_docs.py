@@ -18,7 +18,8 @@ from tools.command_table import command_line
 
 INTRODUCTION = """
 No command replaces a finished log, playpen, calibration or table, unless you give `--force`; `run --resume`
-does with the log of a run that it repeats. Pictures, pages and rerun recordings are replaced without asking.
+does with the log of a run that it repeats. Pictures and pages that no one has changed since they were drawn
+are drawn again. A file that appears while a command runs is kept, too: the result gets another name.
 `khep-twin --install-completion` lets the shell complete playpens, controllers, calibrations and ports.
 """
 

@@ -116,7 +116,7 @@ def branch(
         raise usage("--at and --seconds are above 0 and finite")
     paths = own_files(output, runs)
     picture = picture or (output.with_suffix(".png") if runs > 1 else None)
-    check_new(force, *paths)
+    check_new(force, *paths, picture)
     check_picture(picture, output)
     check_apart([log], *paths, picture)
     plan = BranchPlan(log, change.at(at, log, robot), found, robot, seconds, cycles)
@@ -127,7 +127,7 @@ def branch(
         from khep_twin.drawing.map import save
         from khep_twin.lab.experiment.figures import draw_fan
 
-        save(draw_fan(plan, trajectories), picture)
+        save(draw_fan(plan, trajectories), picture, force)
         typer.echo(f"picture  {picture}")
     tell_written("log", paths[: len(trajectories)])
     if len(trajectories) < runs:

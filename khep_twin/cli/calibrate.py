@@ -84,7 +84,9 @@ def calibrate(
     if not session.words:
         raise FitError("every step was skipped; expected one at least")
     typer.echo(f"again with    {command('fit', *session.paths, '-o', output)}")
-    fit_and_write(fit_inputs(session.paths), Measured(), before, ruler, output, picture, len(session.words))
+    fit_and_write(
+        fit_inputs(session.paths), Measured(), before, ruler, output, picture, len(session.words), force
+    )
 
 
 def _distances(text: str) -> list[float]:

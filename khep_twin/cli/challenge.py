@@ -56,6 +56,7 @@ def list_challenges() -> None:
 def show(
     name: ChallengeName,
     picture: Annotated[Path | None, typer.Option(help="Draw the challenge in this PNG file.")] = None,
+    force: Force = False,
 ) -> None:
     """Print a challenge: task, playpen, scoring, and its files."""
     from khep_twin.lab.challenge.challenge import load
@@ -63,6 +64,7 @@ def show(
     if picture is not None and picture.suffix.lower() != ".png":
         raise usage(f"--picture {picture}: expected a name that ends in .png")
     check_picture(picture)
+    check_new(force, picture)
     file = load(name)
     challenge = file.challenge
     typer.echo(f"{challenge.name}: {challenge.title}\n\n{challenge.description.strip()}\n")
@@ -84,7 +86,7 @@ def show(
     if picture is not None:
         from khep_twin.lab.challenge.picture import save
 
-        save(file, picture)
+        save(file, picture, force)
         typer.echo(f"picture    {picture}")
 
 
@@ -184,7 +186,7 @@ def table(
         )
     typer.echo(as_text(file.challenge, found))
     if output is not None:
-        write_whole(output, to_csv(file.challenge, found))
+        write_whole(output, to_csv(file.challenge, found), force)
         typer.echo(f"table  {output}")
 
 

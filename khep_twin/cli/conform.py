@@ -49,6 +49,6 @@ def conform(
         outcome = check_port(port, move=move, baudrate=baudrate)
     typer.echo(outcome.text())
     if report is not None:
-        write_whole(report, outcome.json().encode("utf-8"))
+        write_whole(report, outcome.json().encode("utf-8"), force)
     if not outcome.passed:
         raise typer.Exit(1)

@@ -90,7 +90,7 @@ def fit(
     if picture is not None and not (data.objects or data.lamps or data.motors):
         wanted = "expected a sensor test or steps of duty, too"
         raise FitError(f"{picture}: measured drives give no picture; {wanted}")
-    fit_and_write(data, unused, calibration.read(start)[0], ruler, output, picture, len(tests))
+    fit_and_write(data, unused, calibration.read(start)[0], ruler, output, picture, len(tests), force)
 
 
 def _fit_learned(path: Path, playpen: str | None, output: Path | None, force: bool) -> None:
@@ -115,7 +115,7 @@ def _fit_learned(path: Path, playpen: str | None, output: Path | None, force: bo
         typer.echo(line)
     if output is not None:
         after = named(fit.calibration, output.stem, f"learned by a shadow in {path.name}")
-        write_whole(output, dump(after).encode("utf-8"))
+        write_whole(output, dump(after).encode("utf-8"), force)
         typer.echo(f"calibration   {output}")
 
 
@@ -131,7 +131,7 @@ def check_outputs(
             raise FitError(f"{path}: this is a recorded test; expected a separate file")
     check_picture(picture)
     check_apart([start], output, picture)
-    check_new(force, output)
+    check_new(force, output, picture)
 
 
 def fit_and_write(
@@ -142,6 +142,7 @@ def fit_and_write(
     output: Path | None,
     picture: Path | None,
     count: int,
+    force: bool,
 ) -> None:
     """Fit a robot to tests, print the values and residuals, write the calibration and the picture."""
     from khep_twin.files.toml_files import dump
@@ -156,12 +157,12 @@ def fit_and_write(
         typer.echo(f"{line} off, not used for the fit")
     if output is not None:
         after = named(found.calibration, output.stem, f"fitted to {count} tests")
-        write_whole(output, dump(after).encode("utf-8"))
+        write_whole(output, dump(after).encode("utf-8"), force)
         typer.echo(f"calibration   {output}")
     if picture is not None:
         from khep_twin.drawing import map as drawing
         from khep_twin.lab.fit.fit_figure import draw_fit
 
         if (figure := draw_fit(data, found)) is not None:
-            drawing.save(figure, picture)
+            drawing.save(figure, picture, force)
             typer.echo(f"picture       {picture}")

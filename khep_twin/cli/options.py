@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 
 from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError, choices
 from khep_twin.files.atomic import is_same, unusable
+from khep_twin.files.drawings import is_replaceable
 from khep_twin.invocation import command
 
 if TYPE_CHECKING:
@@ -73,12 +74,9 @@ def refuse(context: typer.Context, options: Set[str], reason: str) -> None:
 
 
 def check_new(force: bool, *paths: Path | None) -> None:
-    """Refuse to replace files, unless that is wanted or they are empty.
-
-    Pictures, pages and recordings for rerun are drawn again from data that stays, so commands leave them out.
-    """
+    """Refuse to replace files, unless that is wanted, or they are empty or unchanged drawings."""
     for path in paths:
-        if path is not None and not force and path.is_file() and path.stat().st_size:
+        if path is not None and not force and path.is_file() and not is_replaceable(path):
             raise usage(f"{path}: is there already; expected another name, or --force to replace it")
 
 

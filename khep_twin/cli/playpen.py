@@ -12,6 +12,7 @@ from khep_twin.cli.options import Force, check_apart, check_new, command_group
 from khep_twin.cli.run_logs import driven_paths
 from khep_twin.errors import CalibrationError, KhepTwinError
 from khep_twin.files.atomic import write_whole
+from khep_twin.files.drawings import write_drawing
 
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
@@ -71,7 +72,7 @@ def compile_playpen(
 
     check_apart([playpen], output)
     check_new(force, output)
-    _write(to_mjcf(at_spots(Playpen.load(playpen), seed)), output, "scene")
+    _write(to_mjcf(at_spots(Playpen.load(playpen), seed)), output, "scene", force)
 
 
 @playpen_app.command()
@@ -83,6 +84,7 @@ def draw(
         bool, typer.Option("--perspective", help="Draw the view of a camera above it; needs OpenGL.")
     ] = False,
     seed: SpotSeed = 0,
+    force: Force = False,
 ) -> None:
     """Draw a playpen to scale, to NAME.png by default.
 
@@ -95,19 +97,20 @@ def draw(
     found = Playpen.load(playpen)
     target = output or Path(f"{found.name}.png")
     check_apart([playpen, *([] if log is None else [log])], target)
+    check_new(force, target)
     if perspective:
         from khep_twin.drawing.render import render
 
         if log is not None:
             raise KhepTwinError("--log draws on a map; expected no --perspective")
-        write_whole(target, render(at_spots(found, seed), target))
+        write_drawing(target, render(at_spots(found, seed), target), force)
     else:
         paths = ()
         if log is not None:
             if (name := read_label(log).metadata.get("playpen", found.name)) != found.name:
                 raise KhepTwinError(f"{log}: a run in playpen {name}; expected one in {found.name}")
             paths = driven_paths([log])
-        drawing.save(drawing.draw(at_spots(found, seed), paths), target)
+        drawing.save(drawing.draw(at_spots(found, seed), paths), target, force)
     typer.echo(f"picture  {target}")
 
 
@@ -122,7 +125,7 @@ def schema(output: Output = None, force: Force = False) -> None:
     from khep_twin import playpen as playpens
 
     check_new(force, output)
-    _write(json.dumps(playpens.schema(), indent=2) + "\n", output, "schema")
+    _write(json.dumps(playpens.schema(), indent=2) + "\n", output, "schema", force)
 
 
 @playpen_app.command("random")
@@ -146,15 +149,16 @@ def random_playpen(
     field = obstacle_field(f"field-{seed}", width_mm, height_mm, density, stream(seed, "obstacle field"))
     options = f"--density {density!r} --seed {seed} --width-mm {width_mm!r} --height-mm {height_mm!r}"
     text = f"# khep-twin playpen random {options}\n\n{playpens.dump(field)}"
-    _write(text, output, "playpen", f": {len(field.blocks)} blocks, {len(field.cylinders)} cylinders")
+    more = f": {len(field.blocks)} blocks, {len(field.cylinders)} cylinders"
+    _write(text, output, "playpen", force, more)
 
 
-def _write(text: str, output: Path | None, kind: str, more: str = "") -> None:
+def _write(text: str, output: Path | None, kind: str, force: bool, more: str = "") -> None:
     """Write a text and print what it is, or write it to standard output."""
     if output is None:
         typer.echo(text, nl=False)
     else:
-        write_whole(output, text.encode("utf-8"))
+        write_whole(output, text.encode("utf-8"), force)
         typer.echo(f"{kind:7}  {output}{more}")
 
 
@@ -216,7 +220,7 @@ def import_bitmap(
     except BitmapError as error:
         raise BitmapError(f"{file}: {error}") from None
     head = f"# Imported from {toml_files.show(file.name)} by khep-twin playpen import.\n\n"
-    write_whole(target, (head + playpens.dump(made.playpen)).encode("utf-8"))
+    write_whole(target, (head + playpens.dump(made.playpen)).encode("utf-8"), force)
     for line in _summary(found, made, upside_down, mm_per_pixel):
         typer.echo(line)
     typer.echo(f"robot    {_robot(made.playpen, wanted=robot != 'none')}")

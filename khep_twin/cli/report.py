@@ -11,7 +11,8 @@ from khep_twin.cli.completion import logs
 from khep_twin.cli.options import Force, check_new, check_writable
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import is_same, whole_file, write_whole
+from khep_twin.files.atomic import is_same, whole_file
+from khep_twin.files.drawings import write_drawing
 
 LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="A log, FILE.mcap.", autocompletion=logs)]
 
@@ -100,7 +101,7 @@ def _export_tables(
     if output is not None:
         if kind != ".mat" and not found:
             raise LogError(f"{log}: {name} has no samples; expected --transcript, or -o FILE.mat")
-        with whole_file(output) as file, progress_bar() as progress:
+        with whole_file(output, force) as file, progress_bar() as progress:
             if kind == ".mat":
                 data, n_rows = tables.matrices(log, name, found, progress)
                 file.write(data)
@@ -109,7 +110,7 @@ def _export_tables(
         what = ", ".join(channel.name for channel in found) or "no samples"
         typer.echo(f"table       {output}: {name}: {what}; {n_rows} rows")
     if transcript is not None:
-        with whole_file(transcript) as file, progress_bar() as progress:
+        with whole_file(transcript, force) as file, progress_bar() as progress:
             n_lines = tables.write_transcript(log, name, file, progress)
         typer.echo(f"transcript  {transcript}: {name}: {n_lines} lines")
 
@@ -147,6 +148,7 @@ def _export_dataset(
 def report(
     log: LogFile,
     output: Annotated[Path, typer.Option("--output", "-o", help="Page to write: .html or .pdf.")],
+    force: Force = False,
 ) -> None:
     """Write a page about a run.
 
@@ -156,6 +158,7 @@ def report(
     if kind not in (".html", ".pdf"):
         raise LogError(f"{output}: expected a name that ends in .html or .pdf")
     _check_outputs(log, output)
+    check_new(force, output)
     from khep_twin.lab.report.report import report as report_on
     from khep_twin.log.reader import read_series
     from khep_twin.log.shadow_channels import is_shadow, read_shadow
@@ -166,7 +169,7 @@ def report(
         from khep_twin.lab.report.pages import html as pages
     else:
         from khep_twin.lab.report.pdf import pdf as pages
-    write_whole(output, pages(found))
+    write_drawing(output, pages(found), force)
     typer.echo(f"report  {output}")
 
 

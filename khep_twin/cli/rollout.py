@@ -77,7 +77,7 @@ def rollout(
 
     check_picture(picture)
     check_apart([scene.playpen], picture, logging.log)
-    check_new(logging.force, logging.log)
+    check_new(logging.force, logging.log, picture)
     if planar and logging.log is not None:
         raise usage("--log and --planar: a plane has no scene to replay; expected one of them")
     options = replace(twin.options(None), faults=tuple(fault or ()))
@@ -111,7 +111,7 @@ def rollout(
         paths = _run(episode, setup, function, periods, picture is not None)
     _print_metrics(episode, periods)
     if target is not None:
-        _draw(playpen, paths, setup.period_ns, target)
+        _draw(playpen, paths, setup.period_ns, target, logging.force)
         typer.echo(f"picture  {picture}")
     logging.check(recorder)
     if logging.log is not None:
@@ -169,7 +169,7 @@ def _print_metrics(episode: "Episode", periods: int) -> None:
             typer.echo(f"{name.replace('_', ' '):20}{row}".rstrip())
 
 
-def _draw(playpen: "Playpen", paths: list[list[Pose]], period_ns: int, picture: Path) -> None:
+def _draw(playpen: "Playpen", paths: list[list[Pose]], period_ns: int, picture: Path, replace: bool) -> None:
     """Draw the robots' paths."""
     import numpy as np
 
@@ -179,7 +179,7 @@ def _draw(playpen: "Playpen", paths: list[list[Pose]], period_ns: int, picture: 
     drawn = [
         DrawnPath(f"khepera{robot}", times, 1000 * np.array(path)[:, :2]) for robot, path in enumerate(paths)
     ]
-    save(draw(playpen, drawn), picture)
+    save(draw(playpen, drawn), picture, replace)
 
 
 def _speeds(function: Callable[..., Any], episode: "Episode", robot: int) -> tuple[float, float]:

@@ -49,6 +49,7 @@ class RunLogs:
         """
         from khep_twin.lab.experiment.series_run import numbered
 
+        check_new(force, self._picture)
         if self._path is not None:
             paths = [self._path] if runs is None else [numbered(self._path, i + 1) for i in range(runs)]
             check_new(force, *(path for path in paths if not (resume and self._is_own(path))))
@@ -78,19 +79,19 @@ class RunLogs:
         if not paths:
             return
         if self._picture is not None:
-            draw_logs(paths, self._picture)
+            draw_logs(paths, self._picture, self._options.force)
             typer.echo(f"picture  {self._picture}")
         tell_written("log", paths)
 
 
-def draw_logs(logs: Sequence[Path], picture: Path) -> None:
+def draw_logs(logs: Sequence[Path], picture: Path, replace: bool) -> None:
     """Draw the playpen and the driven paths of logs."""
     from khep_twin.drawing import map as drawing
     from khep_twin.log.attached import playpen_of
     from khep_twin.log.reader import read_label
 
     found = playpen_of(read_label(logs[0]).attachments, logs[0])
-    drawing.save(drawing.draw(found, driven_paths(logs)), picture)
+    drawing.save(drawing.draw(found, driven_paths(logs)), picture, replace)
 
 
 def driven_paths(logs: Sequence[Path]) -> "list[DrawnPath]":

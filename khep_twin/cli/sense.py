@@ -105,7 +105,7 @@ class PictureOptions:
         expected = [SensorRun(test, end, np.zeros(2)) for test, end in zip(tests, ends, strict=True)]
         sensor_figure.check([*earlier, *expected], sensor=self.sensor, y_min=self.y_min or 0)
 
-    def draw(self, runs: "list[SensorRun]") -> None:
+    def draw(self, runs: "list[SensorRun]", force: bool) -> None:
         """Draw runs, where a picture is wanted."""
         if self.picture is None or not runs:
             return
@@ -113,7 +113,7 @@ class PictureOptions:
         from khep_twin.lab.sensor_test import sensor_figure
 
         figure = sensor_figure.draw(runs, sensor=self.sensor, y_min=self.y_min or 0, grid=self.grid)
-        drawing.save(figure, self.picture)
+        drawing.save(figure, self.picture, force)
         typer.echo(f"picture  {self.picture}")
 
 
@@ -150,7 +150,7 @@ def sense(
     for path in outputs:
         sensor_files.checked_suffix(path)
     _check_distinct([*outputs, *pictures, *(drawn.overlay or [])])
-    check_new(force, *outputs)
+    check_new(force, *outputs, *pictures)
     earlier = [sensor_files.load(path, what.value if what else None) for path in drawn.overlay or []]
     for path, run in zip(drawn.overlay or [], earlier, strict=True):
         if what is not None and run.test.what != what.value:
@@ -162,11 +162,11 @@ def sense(
     stopped = False
     if port is not None:
         try:
-            stopped = _drive(port, tests, drive.text or "", lambda run: _keep(done, run, names))
+            stopped = _drive(port, tests, drive.text or "", lambda run: _keep(done, run, names, force))
         except BrokenOffError as error:
-            _keep(done, error.run, names)
+            _keep(done, error.run, names, force)
             broken = error
-    drawn.draw([*earlier, *done])
+    drawn.draw([*earlier, *done], force)
     if broken is not None:
         raise broken
     if stopped:
@@ -223,7 +223,7 @@ def _drive(port: str, tests: "list[SensorTest]", text: str, keep: "Callable[[Sen
     return False
 
 
-def _keep(done: "list[SensorRun]", run: "SensorRun", names: list[list[Path]]) -> None:
+def _keep(done: "list[SensorRun]", run: "SensorRun", names: list[list[Path]], force: bool) -> None:
     """Write a run's files, and print a summary of its readings."""
     from khep_twin.lab.sensor_test.sensor_files import save
 
@@ -234,7 +234,7 @@ def _keep(done: "list[SensorRun]", run: "SensorRun", names: list[list[Path]]) ->
     paths, failures = names[len(done) - 1], list[str]()
     for path in paths:
         try:
-            save(path, run)
+            save(path, run, force)
         except KhepTwinError as error:
             failures.append(str(error))
     way = f"{run.travelled[-1]:.1f} {run.test.unit}"

@@ -27,6 +27,7 @@ def series(
         typer.Option(help="Show only these, such as fitness,distance_m; without, all that are numbers."),
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw them in this PNG, SVG or PDF file.")] = None,
+    force: Force = False,
 ) -> None:
     """Print the metrics of series of runs, and how they differ.
 
@@ -36,6 +37,7 @@ def series(
     from khep_twin.lab.experiment.series_statistics import measured, table
 
     check_picture(picture)
+    check_new(force, picture)
     found = [read_series(folder)[1] for folder in folders]
     for folder, rows in zip(folders, found, strict=True):
         if not rows:
@@ -50,7 +52,7 @@ def series(
         from khep_twin.drawing.map import save
         from khep_twin.lab.experiment.figures import draw, shown
 
-        save(draw(labels, found, shown(names) if wanted is None else names), picture)
+        save(draw(labels, found, shown(names) if wanted is None else names), picture, force)
         typer.echo(f"picture  {picture}")
 
 
@@ -65,6 +67,6 @@ def new(
     if file.suffix != ".py":
         raise usage(f"{file}: expected a name that ends in .py")
     check_new(force, file)
-    write_template(kind.value, file)
+    write_template(kind.value, file, force)
     length = ("--seconds", 20) if kind is Kind.CONTROLLER else ("--cycles", 500)
     typer.echo(f"{kind}  {file}      run it: {command('run', file, '--playpen', 'obstacles', *length)}")

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.completion import logs as known_logs
-from khep_twin.cli.options import complain, tell_written, usage
+from khep_twin.cli.options import Force, check_new, complain, tell_written, usage
 from khep_twin.cli.progress import clock, progress
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
@@ -41,12 +41,14 @@ def view(
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="With --web: only print the page's address.")
     ] = False,
+    force: Force = False,
 ) -> None:
     """Show a log in rerun, or several side by side.
 
     The views are arena, robots from above, curves and transcript.
     """
     _check(logs, save, png, live, web, no_browser)
+    check_new(force, save, png)
     if live:
         # Closing the window is no error to report, though it cuts rerun's connection; rerun reads this once.
         os.environ.setdefault("RUST_LOG", "off")
@@ -55,13 +57,13 @@ def view(
     if png is not None:
         from khep_twin.log.viewer.replay import view_still
 
-        view_still(logs, png, at, progress)
+        view_still(logs, png, at, progress, force)
         typer.echo(f"picture  {png}")
         return
     from khep_twin.log.viewer.replay import view as view_logs
 
     if save is not None:
-        view_logs(logs, save, bar=progress)
+        view_logs(logs, save, bar=progress, replace=force)
         tell_written("recording", [save], command(save, program="rerun"))
         return
     from khep_twin.log.viewer.process import Web

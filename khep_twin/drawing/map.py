@@ -44,7 +44,7 @@ from khep_twin.drawing.symbols import (
     surface_look,
 )
 from khep_twin.errors import KhepTwinError
-from khep_twin.files.atomic import write_whole
+from khep_twin.files.drawings import write_drawing
 from khep_twin.playpen import Playpen
 from khep_twin.units import BODY_RADIUS
 
@@ -158,8 +158,8 @@ def draw(
     return figure
 
 
-def save(figure: Figure, file: str | Path) -> None:
-    """Write a drawing as PNG, SVG or PDF, by the file's suffix.
+def save(figure: Figure, file: str | Path, replace: bool = True) -> None:
+    """Write a drawing as PNG, SVG or PDF, by the file's suffix; `replace` as for `write_drawing`.
 
     Raises:
         KhepTwinError: The suffix is another one, or the file cannot be written.
@@ -168,7 +168,7 @@ def save(figure: Figure, file: str | Path) -> None:
     kind = file.suffix.lower().removeprefix(".")
     if kind not in METADATA:
         raise KhepTwinError(f"{file}: expected a name that ends in .png, .svg or .pdf")
-    write_whole(file, picture(figure, kind))
+    write_drawing(file, picture(figure, kind), replace)
 
 
 def picture(figure: Figure, kind: str, dpi: float = 160) -> bytes:

@@ -7,7 +7,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.machine import flags
@@ -70,41 +70,43 @@ def unusable(path: Path) -> str:
     return ""
 
 
-def write_whole(path: Path, data: bytes) -> None:
+def write_whole(path: Path, data: bytes, replace: bool = True) -> None:
     """Write a file beside `path` and rename it when it is whole; a link is followed.
 
     After a power failure, too, the previous or the new file is there, and after the return the new one.
 
     Raises:
-        KhepTwinError: It cannot be written; the previous file is unchanged.
+        KhepTwinError: It cannot be written; the previous file is unchanged. With `replace` false also: a file
+            that is not empty is there by now, and the new one has another name.
     """
-    with undisturbed(), whole_file(path) as file:
+    with undisturbed(), whole_file(path, replace) as file:
         file.write(data)
 
 
 @contextmanager
-def whole_file(path: Path) -> Generator[BinaryIO]:
+def whole_file(path: Path, replace: bool = True) -> Generator[BinaryIO]:
     """Open a file for writing that is renamed to `path` when it is whole; a link is followed.
 
     Raises:
-        KhepTwinError: It cannot be written; the previous file is unchanged.
+        KhepTwinError: As `write_whole`.
     """
     if reason := unusable(path):
         raise KhepTwinError(f"{path}: cannot be written: {reason}")
     try:
-        with part_file(path) as file:
+        with part_file(path, replace) as file:
             yield file
     except OSError as error:
         raise KhepTwinError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 @contextmanager
-def part_file(path: Path) -> Generator[BinaryIO]:
+def part_file(path: Path, replace: bool = True) -> Generator[BinaryIO]:
     """Do the same as `whole_file`, for callers that report errors in their own words.
 
     Raises:
         OSError: It cannot be written; the previous file is unchanged, or the new one there in spite of a disk
             that fails.
+        KhepTwinError: With `replace` false, another file was there at the end.
     """
     target = path.resolve()
     with undisturbed():
@@ -118,11 +120,88 @@ def part_file(path: Path) -> Generator[BinaryIO]:
             os.fsync(file.fileno())
         if target.exists() and (mode := target.stat().st_mode) != part.stat().st_mode:
             part.chmod(stat.S_IMODE(mode))
-        os.replace(part, target)
+        placed, there = target, Identity.of(target)
+        if replace:
+            os.replace(part, target)
+        else:
+            placed = put(part, target, there if there and not there.size else None)
         synchronize_folder(target.parent)
+        if placed != target:
+            raise KhepTwinError(kept_both(path, placed))
     finally:
         clear()
         forget()
+
+
+class Identity(NamedTuple):
+    """What tells a file from another one that has taken its name."""
+
+    device: int
+    inode: int
+    size: int
+    changed_ns: int
+
+    @classmethod
+    def of(cls, path: Path) -> "Identity | None":
+        """Return that of a file; None if there is none."""
+        try:
+            found = path.stat()
+        except FileNotFoundError:
+            return None
+        return cls(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+
+
+def put(part: Path, target: Path, before: Identity | None, word: str = "kept") -> Path:
+    """Rename a file to `target`, or to a free name like it if another file than `before` is there.
+
+    Returns:
+        Its new name.
+
+    Raises:
+        OSError: It cannot be renamed.
+    """
+    if before is not None and Identity.of(target) in (before, None):
+        os.replace(part, target)
+        return target
+    place = target
+    while True:
+        try:
+            _rename_to_new(part, place)
+            return place
+        except FileExistsError:
+            place = free_name(target, word)
+
+
+def free_name(path: Path, word: str) -> Path:
+    """Return a name, or the first free one like it: NAME.word.mcap, NAME.word.2.mcap and so on."""
+    found, number = path, 1
+    while os.path.lexists(found):
+        count = "" if number == 1 else f".{number}"
+        found, number = path.with_name(f"{path.stem}.{word}{count}{path.suffix}"), number + 1
+    return found
+
+
+def kept_both(path: Path, placed: Path) -> str:
+    """Return the line about a file that was written under another name, as its own was taken."""
+    shown = placed if path.is_symlink() else path.with_name(placed.name)
+    return f"{path}: another file is there by now, and stays; what was to be written is {shown}"
+
+
+def _rename_to_new(part: Path, name: Path) -> None:
+    """Rename a file without replacing another, as a hard link can; some file systems have none."""
+    try:
+        os.link(part, name)
+    except OSError as error:
+        if error.errno not in _NO_LINKS:
+            raise
+        os.close(os.open(name, flags("O_WRONLY", "O_CREAT", "O_EXCL")))
+        os.replace(part, name)
+    else:
+        os.unlink(part)
+
+
+_NO_LINKS = errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK
+"""Errors of file systems without hard links, such as FAT."""
 
 
 def synchronize_folder(folder: Path) -> None:

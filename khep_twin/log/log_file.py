@@ -1,7 +1,8 @@
 """File of a log: checks of its path, writing, and handling of write errors.
 
 It is written as NAME.mcap.part and renamed when it is whole. Written data is never lost: a full disk, another
-run of the same name and the remains of a crash do no harm to existing data.
+run of the same name, the remains of a crash and a file that appears under the name meanwhile do no harm to
+existing data.
 """
 
 import errno
@@ -15,7 +16,7 @@ from mcap.writer import MCAP0_MAGIC
 from khep_twin import __version__
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import open_regular, unusable
+from khep_twin.files.atomic import Identity, kept_both, open_regular, put, unusable
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.output import Output
 from khep_twin.machine import flags, lock, n_forks
@@ -106,7 +107,7 @@ def set_aside(part: Path) -> Path | None:
         if not MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC))):
             raise LogError(f"{part}: this is no unfinished log; expected another name for the log")
         number = 1
-        while (kept := part.with_name(f"{part.name}.{number}")).exists():
+        while os.path.lexists(kept := part.with_name(f"{part.name}.{number}")):
             number += 1
         # As long as it is locked, no other run moves it, and none begins under its name.
         os.rename(part, kept)
@@ -153,6 +154,7 @@ class LogFile(Output):
         # Links are followed, so that they stay links; resolved now, as a controller may change the directory.
         self._target = path.resolve() if path.is_symlink() else path.absolute()
         self.part = self._target.with_name(self._target.name + ".part")
+        self._before = Identity.of(self._target)
         self._now = now
         self.on_failure: Callable[[str], None] | None = None
         self.complete = self.discard
@@ -167,13 +169,15 @@ class LogFile(Output):
             super().__init__(BatchWriter(self._file, "ros2", f"khep_twin {__version__}"))
 
     def finish(self) -> None:
-        """Complete the file and rename it to its path."""
+        """Complete the file and rename it to its path, or beside it if another file has appeared there."""
         with self.guarded():
             self._writer.finish()
             # A log under its own name is whole, also after a power failure; that may take the name back.
             self._file.synchronize()
-            os.replace(self.part, self._target)
+            placed = put(self.part, self._target, self._before)
             self._close()
+            if placed != self._target:
+                self._fail(LogError(kept_both(self.path, placed)))
 
     def discard(self) -> None:
         """Remove the file, for a run that has not begun; a disk that fails keeps it, as a killed run's."""
@@ -196,13 +200,17 @@ class LogFile(Output):
                 return
             with suppress(OSError):
                 self._close()
-            self.failure = LogError(
+            reason = (
                 f"{self.path}: the log cannot be written any more at {self._now() / NS_PER_S:.2f} s: "
                 f"{error.strerror}; what came before is kept in {self.part}"
             )
-            if self.on_failure is None:
-                raise self.failure from error
-            self.on_failure(f"{self.failure}; the run goes on without it")
+            self._fail(LogError(reason), "; the run goes on without it")
+
+    def _fail(self, failure: LogError, more: str = "") -> None:
+        self.failure = failure
+        if self.on_failure is None:
+            raise failure
+        self.on_failure(f"{failure}{more}")
 
     def _close(self) -> None:
         self.open = False

@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, Writer
 from khep_twin import __version__
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import open_regular, unusable
+from khep_twin.files.atomic import free_name, open_regular, put, unusable
 from khep_twin.log.channels import INTEGERS
 from khep_twin.log.decoding import LATEST_NS, DecodeError, read_line, read_transforms, readable
 from khep_twin.log.entries import robot_names, run_facts
@@ -27,6 +27,7 @@ from khep_twin.log.snapshots import read_states
 from khep_twin.machine import lock
 
 _PART = re.compile(r"\.part(\.[0-9]+)?$")
+_WORD = "recovered"
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,18 +72,19 @@ def recover(path: Path, progress: Progress = None) -> Recovery:
     records = WholeRecords(_content(path), progress and (lambda share: progress(share / 2)))
     if not (records.attachments or records.metadata or any(True for _ in records.messages())):
         raise LogError(f"{path}: nothing to rescue: no record of an MCAP file is whole")
-    target = _target(path)
+    wanted = path.with_name(_PART.sub("", path.name))
+    target = free_name(wanted, _WORD)
     if reason := unusable(target):
         raise LogError(f"{target}: cannot be written: {reason}")
     try:
-        # It is renamed only when it is whole; if the name was taken meanwhile, that is an error.
+        # It is renamed only when it is whole.
         with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as folder:
             whole = Path(folder) / target.name
             size, recovery = _write(records, whole, CompressionType.ZSTD, progress)
             if size > whole.stat().st_size * _RATIO:
                 whole.unlink()
                 _, recovery = _write(records, whole, CompressionType.NONE, progress)
-            target.hardlink_to(whole)
+            target = put(whole, wanted, None, _WORD)
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
     return replace(recovery, path=target)
@@ -98,16 +100,6 @@ def _content(path: Path) -> bytes | mmap:
         except OSError:
             pass  # some network file systems have no locks
         return mmap(file.fileno(), 0, access=ACCESS_READ) if os.fstat(file.fileno()).st_size else b""
-
-
-def _target(path: Path) -> Path:
-    """Return the finished log's own name, or the first free one like it."""
-    wanted = path.with_name(_PART.sub("", path.name))
-    found, number = wanted, 1
-    while found.exists() or found.is_symlink():
-        count = "" if number == 1 else f".{number}"
-        found, number = wanted.with_name(f"{wanted.stem}.recovered{count}{wanted.suffix}"), number + 1
-    return found
 
 
 def _write(

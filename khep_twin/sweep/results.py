@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 
 from khep_twin import __version__
 from khep_twin.errors import StudyError
-from khep_twin.files.atomic import is_part, open_regular, read_regular, write_whole
+from khep_twin.files.atomic import is_part, kept_both, open_regular, put, read_regular, write_whole
 from khep_twin.machine import lock
 from khep_twin.sweep.run_shard import Columns
 from khep_twin.sweep.shards import Shard, Work
@@ -178,11 +178,13 @@ class SweepFolder:
             # The table must be on disk before the parts are deleted, in case of a power failure.
             with scratch.open("rb") as file:
                 os.fsync(file.fileno())
-            os.replace(scratch, self.table)
+            placed = put(scratch, self.table, None)
         except OSError as error:
             raise StudyError(f"{self.table}: cannot be written: {error.strerror or error}") from error
         finally:
             scratch.unlink(missing_ok=True)
+        if placed != self.table:
+            raise StudyError(kept_both(self.table, placed))
 
     def _read(self, task: Shard) -> pa.Table:
         """Return a part; check that it has each of its episodes once."""

@@ -111,15 +111,17 @@ def disonel(
 def dataprnt(file: str | Path = "graph_data.pdf") -> Path:
     """Write the latest graph on a page to print: as PDF, or as PNG or SVG by the name's suffix.
 
+    A file of the default name that is no graph, or a changed one, is kept; the graph gets another name.
+
     Raises:
         SensorTestError: There is no graph yet.
-        KhepTwinError: The file cannot be written, or has another suffix.
+        KhepTwinError: The file cannot be written, or has another suffix, or a file is kept.
     """
     from khep_twin.drawing import map as drawing
 
     if not _graphs:
         raise SensorTestError("there is no graph yet; expected ddl, ddlg, ddr, ddrg or disonel before")
-    drawing.save(_graphs[-1], Path(file))
+    drawing.save(_graphs[-1], Path(file), replace=str(file) not in ("graph_data.pdf", "graph_data.svg"))
     return Path(file)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from khep_twin.errors import KhepTwinError
-from khep_twin.files.atomic import write_whole
+from khep_twin.files.drawings import is_replaceable, write_drawing
 from khep_twin.sensing.bars import BARS
 from khep_twin.toolbox.windows import refresh, show
 from khep_twin.units import SENSOR_POSITIONS, WHEEL_BASE
@@ -92,6 +92,8 @@ class _View:
         self._speed = [_bar(axes, np.array(foot), _SPEED, below=True) for foot in beside]
         self._picture = Path("khepbase.png") if picture is None else picture
         self._window = picture is None and show(self.figure, "khepbase")
+        if picture is None and not self._window and not is_replaceable(self._picture):
+            raise KhepTwinError(f"khepbase: {self._picture}: is there already; expected picture='NAME.png'")
 
     def set(self, proximity: Floats, light: Floats, speed: Floats) -> None:
         """Set the lengths of the bars."""
@@ -110,7 +112,7 @@ class _View:
             return None
         from khep_twin.drawing import map as drawing
 
-        write_whole(self._picture, drawing.picture(self.figure, "png", _DPI))
+        write_drawing(self._picture, drawing.picture(self.figure, "png", _DPI))
         return self._picture
 
 

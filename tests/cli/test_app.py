@@ -199,12 +199,26 @@ def test_a_mistake_is_one_line_that_says_what_is_right(typed: str, line: str) ->
         "playpen schema -o mine",
         "playpen random -o mine",
         "playpen import mine.png",
+        "playpen draw mine.toml",
+        "playpen draw default --perspective -o mine.png",
+        "run --log a.mcap --picture mine.png",
+        "rollout --picture mine.png",
+        "branch a.mcap --at 1 --runs 2 -o mine.mcap",
+        "series folder --picture mine.png",
+        "sense khep://default --linear 5 --picture mine.png",
+        "fit a.mcap=998mm --picture mine.png",
+        "challenge show stop --picture mine.png",
+        "report a.mcap -o mine.html",
+        "view a.mcap --save mine.rrd",
+        "view a.mcap --png mine.png",
     ],
 )
 def test_a_file_that_is_there_is_kept(typed: str, tmp_path: Path) -> None:
-    names = ("mine", "mine.csv", "mine.py", "mine.toml", "series-002.mcap")
-    for name in names:
-        (tmp_path / name).write_text("a year's work")
+    kept = dict.fromkeys(("mine", "mine.csv", "mine.py", "mine.png", "series-002.mcap"), "a year's work")
+    kept |= dict.fromkeys(("mine.html", "mine.rrd"), "a year's work")
+    kept["mine.toml"] = GOOD.replace('name = "obstacles"', 'name = "mine"')
+    for name, text in kept.items():
+        (tmp_path / name).write_text(text)
     with chdir(tmp_path):
         result = CliRunner().invoke(app, typed.split())
     assert result.exit_code == 2, result.output
@@ -212,9 +226,7 @@ def test_a_file_that_is_there_is_kept(typed: str, tmp_path: Path) -> None:
         r"khep-twin: (mine|series-002)\S*: is there already; expected another name, or --force to replace it"
     )
     assert re.fullmatch(expected, result.stderr.strip())
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(
-        names, "a year's work"
-    )
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == kept
 
 
 def test_a_file_is_replaced_by_force_or_where_it_is_empty(tmp_path: Path) -> None:

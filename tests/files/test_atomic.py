@@ -13,7 +13,7 @@ from mcap.writer import MCAP0_MAGIC
 from khep_twin import playpen
 from khep_twin.cli import app as cli
 from khep_twin.errors import KhepTwinError, LogError
-from khep_twin.files.atomic import write_whole
+from khep_twin.files.atomic import whole_file, write_whole
 from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.series_files import read_series
 from khep_twin.lab.sensor_test import sensor_files
@@ -191,7 +191,7 @@ def test_a_file_is_on_the_disk_before_it_is_renamed_and_its_name_after(
 ) -> None:
     """Otherwise a power failure leaves an empty file in the place of the old one, or the old one again."""
     done: list[str] = []
-    synchronize, rename = os.fsync, os.replace
+    synchronize, rename, new_name = os.fsync, os.replace, os.link
 
     def fsync(descriptor: int) -> None:
         done.append("folder" if os.path.isdir(f"/proc/self/fd/{descriptor}") else "file")
@@ -202,15 +202,20 @@ def test_a_file_is_on_the_disk_before_it_is_renamed_and_its_name_after(
         done.append("rename")
         rename(before, after)
 
+    def link(before: Path, after: Path) -> None:
+        done.append("name")
+        new_name(before, after)
+
     monkeypatch.setattr(os, "fsync", fsync)
     monkeypatch.setattr(os, "replace", replace)
+    monkeypatch.setattr(os, "link", link)
     write_whole(tmp_path / "file", b"four")
     assert done == ["file", "rename", "folder"]
     done.clear()
     twin = open_twin("default", TwinOptions(log=str(tmp_path / "run.mcap")))
     monkeypatch.setattr(os, "fsync", lambda descriptor: done.append("file"))
     twin.close()
-    assert done == ["file", "rename"]
+    assert done == ["file", "name"]
 
 
 def test_a_file_that_is_replaced_keeps_who_may_read_it(tmp_path: Path) -> None:
@@ -219,3 +224,25 @@ def test_a_file_that_is_replaced_keeps_who_may_read_it(tmp_path: Path) -> None:
     write_whole(path, b"new")
     assert path.read_bytes() == b"new"
     assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_file_that_appears_while_another_is_written_is_kept(tmp_path: Path) -> None:
+    """As under the name of a table that a command is still computing."""
+    path = tmp_path / "table.csv"
+
+    def write() -> None:
+        with whole_file(path, replace=False) as file:
+            file.write(b"rows")
+            path.write_text("a year's work")
+
+    for number in ("", ".2"):
+        with pytest.raises(KhepTwinError, match=rf"what was to be written is .*/table\.kept{number}\.csv"):
+            write()
+    path.write_bytes(b"")
+    with whole_file(path, replace=False) as file:
+        file.write(b"new")
+    assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {
+        "table.csv": b"new",
+        "table.kept.csv": b"rows",
+        "table.kept.2.csv": b"rows",
+    }

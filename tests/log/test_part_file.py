@@ -10,6 +10,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
 from khep_twin.log.log_file import LogFile, PartFile, set_aside
+from khep_twin.log.reader import read_label
 
 
 def test_the_remains_of_a_crash_are_locked_until_they_are_renamed(
@@ -89,3 +90,49 @@ def test_a_log_that_cannot_be_removed_does_not_hide_why_its_run_has_not_begun(
     monkeypatch.setattr(Path, "unlink", refuse)
     log.discard()
     assert not log.open
+
+
+@pytest.mark.parametrize("there", ["nothing", "an earlier log", "a link"])
+@pytest.mark.parametrize("links", [True, False])
+def test_a_file_that_appears_under_a_logs_name_meanwhile_is_kept(
+    there: str, links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, file = tmp_path / "run.mcap", tmp_path / ("other.mcap" if there == "a link" else "run.mcap")
+    if there == "a link":
+        path.symlink_to(file)
+    if there == "an earlier log":
+        path.write_bytes(MCAP0_MAGIC)
+    if not links:
+        monkeypatch.setattr(os, "link", _no_links)
+    log = LogFile(path, lambda: 0)
+    log.describe({}, {"robots": "khepera0"})
+    file.write_text("a year's work")
+    kept = file.with_name(f"{file.stem}.kept.mcap")
+    with pytest.raises(LogError) as error:
+        log.finish()
+    assert str(error.value) == (
+        f"{path}: another file is there by now, and stays; what was to be written is {kept}"
+    )
+    assert file.read_text() == "a year's work"
+    assert read_label(kept).robots == ("khepera0",)
+    assert sorted(tmp_path.iterdir()) == sorted({path, file, kept})
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_a_log_takes_the_place_of_what_was_there_at_its_beginning(
+    links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not links:
+        monkeypatch.setattr(os, "link", _no_links)
+    for before in (None, b"", MCAP0_MAGIC):
+        if before is not None:
+            (tmp_path / "run.mcap").write_bytes(before)
+        log = LogFile(tmp_path / "run.mcap", lambda: 0)
+        log.describe({}, {"robots": "khepera0"})
+        log.finish()
+        assert read_label(tmp_path / "run.mcap").robots == ("khepera0",)
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+
+
+def _no_links(*_: object) -> None:
+    raise OSError(errno.EPERM, "this file system has no hard links")

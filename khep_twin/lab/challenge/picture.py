@@ -10,7 +10,7 @@ from matplotlib.patches import Circle
 from PIL import Image
 
 from khep_twin.drawing import map as drawing
-from khep_twin.files.atomic import write_whole
+from khep_twin.files.drawings import write_drawing
 from khep_twin.lab.challenge.challenge import ChallengeFile
 
 _LONGER_SIDE = 3.0
@@ -23,8 +23,10 @@ _COLOURS = 128
 _GOAL = "#b3261e"
 
 
-def save(file: ChallengeFile, path: Path) -> None:
+def save(file: ChallengeFile, path: Path, replace: bool = True) -> None:
     """Draw a challenge as PNG, its goals as dashed circles, with numbers if there are several.
+
+    `replace` is as for `write_drawing`.
 
     Raises:
         KhepTwinError: The file cannot be written.
@@ -41,4 +43,4 @@ def save(file: ChallengeFile, path: Path) -> None:
     full = Image.open(BytesIO(drawing.picture(figure, "png", _DPI))).convert("RGB")
     small = BytesIO()
     full.quantize(_COLOURS).save(small, "PNG", optimize=True)
-    write_whole(path, small.getvalue())
+    write_drawing(path, small.getvalue(), replace)

@@ -26,6 +26,7 @@ import numpy as np
 from khep_twin.envs.gymnasium import register
 from khep_twin.envs.tasks import Task
 from khep_twin.errors import KhepTwinError, MissingExtraError
+from khep_twin.files.atomic import free_name, kept_both
 from khep_twin.lab.dataset.episodes import OfflineEpisode
 from khep_twin.signals import clear_at_end
 
@@ -98,7 +99,7 @@ def write_dataset(
     target = check_new_dataset(folder, dataset_id, force)
     observations, actions = spaces or (None, None)
     try:
-        with _part_of(target) as part:
+        with _part_of(target, force) as part:
             storage = MinariStorage.new(part, observations, actions, spec, data_format="hdf5")
             storage.update_metadata(
                 {
@@ -133,8 +134,12 @@ def _buffer(episode: OfflineEpisode) -> Any:
 
 
 @contextmanager
-def _part_of(target: Path) -> Generator[Path]:
-    """Make the folder of a dataset's data, and rename the dataset to `target` when it is whole."""
+def _part_of(target: Path, force: bool) -> Generator[Path]:
+    """Make the folder of a dataset's data, and rename the dataset to `target` when it is whole.
+
+    Raises:
+        KhepTwinError: Without `force`, something was there at the end.
+    """
     made = [each for each in (target.parent, *target.parent.parents) if not each.exists()]
     target.parent.mkdir(parents=True, exist_ok=True)
     # Minari joins relative paths twice.
@@ -144,9 +149,12 @@ def _part_of(target: Path) -> Generator[Path]:
     try:
         (part / "new" / "data").mkdir(parents=True)
         yield part / "new" / "data"
-        if target.exists():
-            os.replace(target, part / "old")
-        os.replace(part / "new", target)
+        placed = target if force else free_name(target, "kept")
+        if placed.exists():
+            os.replace(placed, part / "old")
+        os.replace(part / "new", placed)
+        if placed != target:
+            raise KhepTwinError(kept_both(target, placed))
     finally:
         clear()
         forget()

@@ -209,9 +209,9 @@ def variables(controller: Controller) -> dict[str, object]:
     return found
 
 
-def write_template(kind: Literal["controller", "toolbox"], file: Path) -> None:
+def write_template(kind: Literal["controller", "toolbox"], file: Path, replace: bool = False) -> None:
     """Write a commented controller template, as a class or in the Khepera Toolbox's form."""
-    write_whole(file, (files("khep_twin") / "assets" / f"{kind}_template.py").read_bytes())
+    write_whole(file, (files("khep_twin") / "assets" / f"{kind}_template.py").read_bytes(), replace)
 
 
 def _plain(value: bool | int | float) -> bool | int | float:

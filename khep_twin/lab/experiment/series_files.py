@@ -74,6 +74,8 @@ class SeriesFolder:
                 self._compare(before)
         elif resume:
             raise ControllerError(f"{path}: no series to resume; expected a folder that --save made")
+        elif taken := sorted([*path.glob("run-*.mat"), *path.glob("runs.*")]):
+            raise ControllerError(f"{path}: holds {taken[0].name} and no {_INDEX}; expected another folder")
         self._write()
 
     def keep(self, run: SeriesRun) -> bool:

@@ -43,6 +43,8 @@ class CalibrationSession:
         self.words: list[str] = []
         path = folder / TESTS
         if not path.exists():
+            if folder.is_dir() and (found := sorted(each.name for each in folder.iterdir())):
+                raise FitError(f"{folder}: holds {found[0]} and no {TESTS}; expected another folder")
             return
         try:
             text = read_regular(path)[:_LIMIT].decode("utf-8")
@@ -98,7 +100,7 @@ class CalibrationSession:
                 if told is None:
                     show(f"{title}: skipped")
                     break
-                self.folder.mkdir(parents=True, exist_ok=True)
+                self._write()
                 if not record(robot, step, self.folder / step.file, stop):
                     return False
                 measured = person.measure(step) if step.kind in ("straight", "turns") else told
@@ -108,6 +110,11 @@ class CalibrationSession:
                 # What cannot be used is refused while the robot still stands there.
                 fit_inputs([str(self.folder / word)])
                 self.words.append(word)
-                write_whole(self.folder / TESTS, "".join(f"{each}\n" for each in self.words).encode("utf-8"))
+                self._write()
                 show(f"{title}: {word}")
         return True
+
+    def _write(self) -> None:
+        """Write the words, by which the folder is known as a session's."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_whole(self.folder / TESTS, "".join(f"{each}\n" for each in self.words).encode("utf-8"))

@@ -39,8 +39,8 @@ _TITLE = "# khep-twin: sensor test"
 _ROBOT = "khepera0"
 
 
-def save(path: Path, run: SensorRun) -> None:
-    """Write a run as CSV, MAT or MCAP, by the file's suffix.
+def save(path: Path, run: SensorRun, replace: bool = True) -> None:
+    """Write a run as CSV, MAT or MCAP, by the file's suffix; `replace` as for `write_whole`.
 
     Raises:
         SensorTestError: The suffix is another one, or the run has no rows, or no times for a log.
@@ -50,9 +50,9 @@ def save(path: Path, run: SensorRun) -> None:
     if not len(run.dv):
         raise SensorTestError(f"{path}: the test has no rows; expected a run with rows")
     if kind == ".csv":
-        write_whole(path, _csv(run).encode("utf-8"))
+        write_whole(path, _csv(run).encode("utf-8"), replace)
     elif kind == ".mat":
-        write_whole(path, _mat(run))
+        write_whole(path, _mat(run), replace)
     else:
         _write_log(path, run)
 

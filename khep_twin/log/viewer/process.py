@@ -20,7 +20,7 @@ from typing import IO, TYPE_CHECKING
 from urllib.parse import quote
 
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import write_whole
+from khep_twin.files.drawings import write_drawing
 from khep_twin.log.viewer.collected import TIMELINE
 from khep_twin.signals import clear_at_end, undisturbed
 
@@ -180,8 +180,8 @@ _WIDTH = 1600
 """Width of a still [pixels]."""
 
 
-def still(recording: Path, at_s: float, target: Path) -> None:
-    """Write a still of a recording in rerun's viewer at a time.
+def still(recording: Path, at_s: float, target: Path, replace: bool) -> None:
+    """Write a still of a recording in rerun's viewer at a time; `replace` as for `write_drawing`.
 
     Raises:
         LogError: The viewer does not start, does not answer or cannot draw.
@@ -211,7 +211,7 @@ def still(recording: Path, at_s: float, target: Path) -> None:
             f"{target}: rerun's viewer cannot draw here: {_first_line(error)}; expected Vulkan, of a "
             "graphics driver or of the package mesa-vulkan-drivers"
         ) from error
-    write_whole(target, picture)
+    write_drawing(target, picture, replace)
 
 
 def _show(viewer: "rx.ViewerClient", recording: Path, at_s: float) -> None:

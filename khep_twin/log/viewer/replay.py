@@ -58,6 +58,7 @@ def view(
     web: Web | None = None,
     stop: Callable[[], bool] = lambda: False,
     bar: Bar = nullcontext,
+    replace: bool = True,
 ) -> None:
     """Show logs in rerun's viewer until its window is closed, or save them as one rerun recording.
 
@@ -67,30 +68,36 @@ def view(
         web: Settings of the viewer in a browser; None opens a window.
         stop: Function called now and then that returns whether to end.
         bar: Function that makes a progress bar, such as `cli_progress.progress`.
+        replace: True to replace a file that is there when the recording is written.
 
     Raises:
         LogError: A log cannot be read, the recording cannot be written, or no window opens.
     """
     if save is not None:
-        _save(paths, save, bar)
+        _save(paths, save, bar, replace)
         return
     with _saved(paths, bar) as recording, open_viewer(str(paths[0]), web, recording) as viewer:
         viewer.wait(stop)
 
 
 def view_still(
-    paths: Sequence[Path], target: Path, at_s: float | None = None, bar: Bar = nullcontext
+    paths: Sequence[Path],
+    target: Path,
+    at_s: float | None = None,
+    bar: Bar = nullcontext,
+    replace: bool = True,
 ) -> None:
     """Write a still of logs, from left to right, in the viewer as PNG, without a screen.
 
-    It is at a simulated time [s]; for None at the end, where the whole run is seen.
+    It is at a simulated time [s]; for None at the end, where the whole run is seen. `replace` is as for
+    `write_drawing`.
 
     Raises:
         LogError: A log cannot be read, or the viewer is not available.
     """
     with _saved(paths, bar) as recording:
         end_s = max(map(read_end_ns, paths)) / NS_PER_S
-        still(recording, end_s if at_s is None else at_s, target)
+        still(recording, end_s if at_s is None else at_s, target, replace)
 
 
 def standing_chunks(label: Label) -> list[Chunk]:
@@ -142,7 +149,7 @@ def _saved(paths: Sequence[Path], bar: Bar) -> Generator[Path, None, None]:
         yield recording
 
 
-def _save(paths: Sequence[Path], save: Path, bar: Bar) -> None:
+def _save(paths: Sequence[Path], save: Path, bar: Bar, replace: bool = True) -> None:
     if save.is_dir() or any(is_same(save, path) for path in paths):
         what = "a directory" if save.is_dir() else "the log itself"
         raise LogError(f"{save}: this is {what}; expected the name of a file, such as {paths[0].stem}.rrd")
@@ -154,7 +161,7 @@ def _save(paths: Sequence[Path], save: Path, bar: Bar) -> None:
             copies = [Path(folder) / f"{number}.mcap" for number in range(len(paths))]
             labels = [_checked(*each) for each in zip(paths, copies, shares, strict=False)]
             recording = _recording(paths, copies, labels, shares[len(paths) :])
-        with part_file(save) as file:
+        with part_file(save, replace) as file:
             file.write(recording)
     except OSError as error:
         raise LogError(f"{save}: the recording cannot be written: {error.strerror}") from error

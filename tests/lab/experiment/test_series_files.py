@@ -184,3 +184,11 @@ def test_a_folder_that_cannot_be_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ControllerError, match="no series to resume"):
         SeriesFolder(tmp_path, SETTINGS, resume=True)
     assert json.loads((SeriesFolder(tmp_path, SETTINGS).path / "series.json").read_text())["runs"] == []
+
+
+@pytest.mark.parametrize("name", ["runs.csv", "run-007.mat"])
+def test_a_new_series_keeps_files_of_the_names_that_it_would_write(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text("a year's work")
+    with pytest.raises(ControllerError, match=rf"holds {name} and no series.json; expected another folder"):
+        SeriesFolder(tmp_path, SETTINGS)
+    assert [path.name for path in tmp_path.iterdir()] == [name]

@@ -222,3 +222,14 @@ def test_every_step_has_a_file_and_a_word_of_its_own() -> None:
         "lamp-60.csv=lamp:2W:15mm@12.5mm",
     ]
     assert {step.sign for step in found if step.kind == "wall"} == {1, -1}
+
+
+def test_a_session_takes_no_folder_of_others(tmp_path: Path) -> None:
+    (tmp_path / STRAIGHT.file).write_text("a year's work")
+    with pytest.raises(FitError, match=r"holds straight.mcap and no tests.txt; expected another folder"):
+        CalibrationSession(tmp_path)
+    with bench() as robot:
+        assert not CalibrationSession(tmp_path / "new").run(
+            [STRAIGHT], robot, simulated(robot), lambda _: None, lambda: True
+        )
+    assert CalibrationSession(tmp_path / "new").words == []
