@@ -14,6 +14,8 @@ from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, ChunkIndex, Footer, McapRecord, MetadataIndex, Statistics
 from mcap.writer import MCAP0_MAGIC
 
+from khep_twin.log.chunk_index import ENTRY_BYTES
+
 HEAD = struct.Struct("<BQ")
 CHUNK_HEAD = struct.Struct("<QQQI")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
@@ -97,7 +99,8 @@ def put_together(records: Sequence[Record]) -> bytes:
     """Return a whole log of records, with an index of them."""
     data = bytearray(MCAP0_MAGIC)
     index: list[bytes] = []
-    counts = {Opcode.MESSAGE: 0, Opcode.CHUNK: 0, Opcode.ATTACHMENT: 0, Opcode.METADATA: 0}
+    kinds = (Opcode.MESSAGE, Opcode.CHANNEL, Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA)
+    counts = dict.fromkeys(kinds, 0)
     known: list[bytes] = []
     last_ns = 0
     for record in records:
@@ -119,7 +122,7 @@ def put_together(records: Sequence[Record]) -> bytes:
     start = len(data)
     statistics = Statistics(
         attachment_count=counts[Opcode.ATTACHMENT],
-        channel_count=0,
+        channel_count=counts[Opcode.CHANNEL],
         channel_message_counts={},
         chunk_count=counts[Opcode.CHUNK],
         message_count=counts[Opcode.MESSAGE],
@@ -141,7 +144,7 @@ def _chunk_index(record: Record, offset: int, length: int) -> bytes:
             compression="zstd",
             compressed_size=0,
             message_end_time=max(times_ns),
-            message_index_length=0,
+            message_index_length=ENTRY_BYTES * len(times_ns),
             message_index_offsets={},
             message_start_time=min(times_ns),
             uncompressed_size=0,

@@ -164,7 +164,12 @@ def _write(text: str, output: Path | None, kind: str, force: bool, more: str = "
 
 @playpen_app.command("import")
 def import_bitmap(
-    file: Annotated[Path, typer.Argument(help="Scan of the Khepera Toolbox (MAT), or picture (PNG).")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="Scan of the Khepera Toolbox (MAT), or a picture (PNG, TIFF, GIF, BMP, PBM, JPEG)."
+        ),
+    ],
     output: Output = None,
     mm_per_pixel: Annotated[float, typer.Option(metavar="MM", help="Side of a pixel [mm].")] = 1.0,
     flip: Annotated[
@@ -172,7 +177,7 @@ def import_bitmap(
         typer.Option(
             "--flip/--no-flip",
             help="Take the first row as the bottom: by default in a MAT file, since the toolbox scans upside "
-            "down, and not in a PNG.",
+            "down, and not in a picture.",
         ),
     ] = None,
     variable: Annotated[

@@ -21,7 +21,7 @@ COMPRESSION = b"zstd"
 _CHUNK_FRAME = struct.calcsize("<BQQQQII4sQ")
 """Size of a chunk's record without its compressed content [bytes]."""
 
-_INDEX_FRAME = struct.calcsize("<BQHI")
+INDEX_FRAME = struct.calcsize("<BQHI")
 """Size of a message index without its entries [bytes]."""
 
 _BLOCK = 512
@@ -74,7 +74,7 @@ def _record(row: list[int]) -> bytes:
     for channel, count in zip(pairs[::2], pairs[1::2], strict=True):
         if count:  # Channels of other rows of the block have 0 here.
             offsets += channel, at
-            at += _INDEX_FRAME + ENTRY_BYTES * count
+            at += INDEX_FRAME + ENTRY_BYTES * count
     places = struct.pack(f"<{len(offsets) // 2 * 'HQ'}", *offsets)
     head = struct.pack("<QQQQI", start_ns, end_ns, place, length, len(places))
     tail = struct.pack(

@@ -12,9 +12,10 @@ from itertools import chain
 from typing import BinaryIO
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Metadata, Statistics
+from mcap.records import Attachment, Header, Metadata, Statistics
 from mcap.writer import MCAP0_MAGIC
 
+from khep_twin.log.chunk_index import ENTRY_BYTES, INDEX_FRAME
 from khep_twin.log.decoding import LATEST_NS, DecodeError
 from khep_twin.log.entries import Entry, EntryReader
 from khep_twin.log.record_bytes import (
@@ -25,6 +26,7 @@ from khep_twin.log.record_bytes import (
     SLACK,
     RecordBytes,
     parsed,
+    records_in,
     unpacked,
 )
 
@@ -35,6 +37,9 @@ _FOOTER = struct.Struct("<QQI")
 _CHUNK_PLACE = struct.Struct("<QQQQI")
 _CHANNEL_PLACE = struct.Struct("<H8x")
 _PLACE = struct.Struct("<QQ")
+
+_LOOSE = 4 << 20
+"""Most bytes of messages outside chunks that are read together, besides a single one."""
 
 
 class Content:
@@ -52,13 +57,17 @@ class Content:
         self._size = os.fstat(file.fileno()).st_size
         self._unpacked = 0
         self._reader = EntryReader()
-        self._end_ns: int | None = None
+        self._end_ns = 0
         self._count: int | None = None
         self._chunks: list[tuple[int, int, int]] = []
-        self._first: dict[int, tuple[int, int, int]] = {}
+        self._loose: set[int] = set()
+        self._first: dict[int, tuple[int, tuple[int, int, int]]] = {}
         self._named: dict[int, list[tuple[int, int]]] = {Opcode.ATTACHMENT: [], Opcode.METADATA: []}
         self._end = self._size - len(MCAP0_MAGIC) - HEAD.size - _FOOTER.size
-        self._indexed = self._read_summary()
+        self._knows_chunks = self._knows_named = False
+        self._times_ns: dict[int, int] = {}
+        self._in_order = True
+        self._read_summary()
 
     def messages(self) -> Iterator[Entry]:
         """Yield the messages in the order of the file."""
@@ -69,7 +78,8 @@ class Content:
 
         Without such a message, yield none, and then all messages.
         """
-        pieces = self._chunks if self._indexed else [(0, 0, 0)]
+        self._find_chunks()
+        pieces = self._chunks if self._in_order else self._chunks[:1]
         early = (number for number, (start_ns, _, _) in enumerate(pieces) if start_ns <= time_ns)
         for number in reversed([*early] if self._reader.knows(topic) else []):
             held = [each for _, piece in self.chunks(pieces[number : number + 1]) for each in piece]
@@ -85,8 +95,9 @@ class Content:
 
     def first_messages(self) -> Iterator[Entry]:
         """Yield the first message of each channel, from the chunks that have them by the index."""
+        self._find_chunks()
         seen: set[str] = set()
-        chunks = sorted(set(self._first.values())) or self._chunks
+        chunks = sorted({chunk for _, chunk in self._first.values()})
         for _, entries in self.chunks(chunks):
             for entry in sorted(entries, key=lambda each: each.time_ns):
                 if entry.topic not in seen:
@@ -100,8 +111,9 @@ class Content:
         """
         held: list[Entry] = []
         size, count, split_ns = 0, 0, 0
+        self._find_chunks()
         # A late reply alone may be a chunk, before one that begins earlier.
-        for number, (start_ns, entries) in enumerate(self.chunks(sorted(self._chunks) or None)):
+        for number, (start_ns, entries) in enumerate(self.chunks(sorted(self._chunks))):
             if size > length and start_ns > split_ns:
                 split_ns, size = start_ns, 0
                 yield number / len(self._chunks), [each for each in held if each.time_ns < split_ns]
@@ -132,15 +144,14 @@ class Content:
             yield found
 
     def end_ns(self) -> int:
-        """Return the time of the last message by the index [ns]."""
-        if self._end_ns is None:
-            raise DecodeError("no statistics", "them in the index")
+        """Return the time of the last message [ns]."""
+        self._find_chunks()
         if self._end_ns > LATEST_NS:
             raise DecodeError(f"message_end_time = {self._end_ns} in the statistics", f"at most {LATEST_NS}")
         return self._end_ns
 
-    def _read_summary(self) -> bool:
-        """Read the index; return whether it lists chunks."""
+    def _read_summary(self) -> None:
+        """Read the index, and find whether it names all that the file has, by its statistics."""
         magic = len(MCAP0_MAGIC)
         if self._end < magic or self._bytes(0, magic) != MCAP0_MAGIC:
             raise DecodeError("no MCAP file", "one that begins and ends as such")
@@ -151,19 +162,23 @@ class Content:
             raise DecodeError(f"record {opcode} of {length} bytes at the end", "a footer")
         start, _, _ = _FOOTER.unpack(self._bytes(self._end + HEAD.size, _FOOTER.size))
         if start == 0:
-            return False
+            return
         if not magic <= start <= self._end:
             raise DecodeError(f"index at byte {start}", f"it between {magic} and {self._end}")
         lengths: dict[int, int] = {}
+        found, n_messages, has_definitions = None, 0, True
         for opcode, offset, size in self._walk(start, self._end):
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._reader.define(opcode, self._content(offset, size), offset)
+                try:
+                    self._reader.define(opcode, self._content(offset, size), offset)
+                except DecodeError:
+                    has_definitions = False
                 continue
             if opcode == Opcode.STATISTICS:
                 statistics = parsed(opcode, self._content(offset, size))
                 if not isinstance(statistics, Statistics):
                     raise DecodeError(f"definition at byte {offset}", "texts of the lengths that they say")
-                self._end_ns, self._count = statistics.message_end_time, statistics.message_count
+                found = statistics
                 continue
             if opcode == Opcode.CHUNK_INDEX:
                 content = self._content(offset, size)
@@ -173,9 +188,10 @@ class Content:
                     raise DecodeError(
                         f"{channels} bytes of channels at byte {offset}", "those that are there"
                     )
-                ids = _CHANNEL_PLACE.iter_unpack(content[_CHUNK_PLACE.size :][:channels])
+                ids = [*_CHANNEL_PLACE.iter_unpack(content[_CHUNK_PLACE.size :][:channels])]
                 for (number,) in ids:
-                    self._first[number] = min(chunk, self._first.get(number, chunk))
+                    self._first[number] = min((start_ns, chunk), self._first.get(number, (start_ns, chunk)))
+                n_messages += _indexed(content, _CHUNK_PLACE.size + channels, len(ids))
             elif opcode in (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX):
                 named = _numbers(_PLACE, self._content(offset, size), offset)
                 kind = Opcode.ATTACHMENT if opcode == Opcode.ATTACHMENT_INDEX else Opcode.METADATA
@@ -192,29 +208,115 @@ class Content:
                 raise DecodeError(found, f"it between {free} and {start}")
             free = offset + length
         self._chunks.sort(key=lambda chunk: chunk[1])
-        return bool(self._chunks)
+        if found is None:
+            return
+        self._end_ns, self._count = found.message_end_time, found.message_count
+        counts = len(self._chunks), n_messages, self._reader.n_channels
+        # What other tools wrote may also be in another order, which only its messages tell.
+        self._knows_chunks = (
+            self._is_own()
+            and has_definitions
+            and counts
+            == (
+                found.chunk_count,
+                found.message_count,
+                found.channel_count,
+            )
+        )
+        self._knows_named = [*map(len, self._named.values())] == [
+            found.attachment_count,
+            found.metadata_count,
+        ]
 
     def chunks(
         self, chunks: Sequence[tuple[int, int, int]] | None = None
     ) -> Iterator[tuple[int, Iterator[Entry]]]:
         """Yield the start [ns] and the messages of each chunk; by default of all, as the file has them."""
-        if not self._indexed:
+        self._find_chunks()
+        if not self._in_order:
             if chunks is None or chunks:
-                yield 0, self._unindexed()
+                parts = chain.from_iterable(self._entries(each) for each in self._chunks)
+                yield 0, iter(sorted(parts, key=lambda each: (each.time_ns, each.topic)))
             return
-        for start_ns, offset, length in self._chunks if chunks is None else chunks:
-            yield start_ns, self._reader.entries(self._chunk(offset, length), offset, start_ns)
+        for chunk in self._chunks if chunks is None else chunks:
+            yield chunk[0], self._entries(chunk)
 
-    def _unindexed(self) -> Iterator[Entry]:
-        for opcode, offset, size in self._walk(len(MCAP0_MAGIC), self._end):
-            if opcode == Opcode.DATA_END:
-                return
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._reader.define(opcode, self._content(offset, size), offset)
-            elif opcode == Opcode.MESSAGE:
-                yield self._reader.entry(self._content(offset, size), 0, size, offset)
+    def _entries(self, chunk: tuple[int, int, int]) -> Iterator[Entry]:
+        start_ns, offset, length = chunk
+        read = self._bytes if offset in self._loose else self._chunk
+        return self._reader.entries(read(offset, length), offset, start_ns)
+
+    def _find_chunks(self) -> None:
+        """Find all chunks, if the index may leave some out: MCAP requires none of it.
+
+        Messages outside chunks are read in parts of consecutive records, as if each was a chunk. Those of a
+        file of another tool in which a channel goes back in time are read in order of time, as one chunk.
+        """
+        if self._knows_chunks:
+            return
+        named, self._chunks, self._first, self._end_ns = self._chunks, [], {}, 0
+        begin = end = 0
+        for opcode, offset, size in self._data():
+            after = offset + HEAD.size + size
+            is_loose = opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+            if end > begin and not (is_loose and after - begin <= _LOOSE):
+                self._loose.add(begin)
+                self._note(begin, end - begin, self._bytes(begin, end - begin))
+                begin = end
+            if is_loose:
+                begin, end = (begin if end == offset and begin < end else offset), after
             elif opcode == Opcode.CHUNK:
-                yield from self._reader.entries(self._chunk(offset, HEAD.size + size), offset)
+                self._note(offset, after - offset, self._chunk(offset, after - offset))
+        _check_found([each[1:] for each in named], [each[1:] for each in self._chunks])
+        self._knows_chunks = True
+        self._in_order = self._in_order or self._is_own()
+        # It is unpacked again when it is read.
+        self._unpacked = 0
+
+    def _find_named(self) -> None:
+        """Find all attachments and metadata, if the index may leave some out."""
+        if self._knows_named:
+            return
+        named = self._named
+        self._named = {opcode: list[tuple[int, int]]() for opcode in named}
+        for opcode, offset, size in self._data():
+            if opcode in named:
+                self._named[opcode].append((offset, HEAD.size + size))
+        for opcode, places in named.items():
+            _check_found(places, self._named[opcode])
+        self._knows_named = True
+
+    def _data(self) -> Iterator[tuple[int, int, int]]:
+        """Yield opcode, offset and length of the content of all records of the data, up to its end."""
+        for record in self._walk(len(MCAP0_MAGIC), self._end):
+            yield record
+            if record[0] == Opcode.DATA_END:
+                return
+        yield Opcode.DATA_END, self._end, 0
+
+    def _note(self, offset: int, length: int, records: bytes) -> None:
+        """Note the times and channels of a chunk's messages, and its definitions."""
+        first: dict[int, int] = {}
+        for opcode, start, end in records_in(records):
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._reader.define(opcode, records[start:end], offset)
+            elif opcode == Opcode.MESSAGE and end - start >= MESSAGE.size:
+                number, _, time_ns, _ = MESSAGE.unpack_from(records, start)
+                first[number] = min(time_ns, first.get(number, time_ns))
+                self._end_ns = max(self._end_ns, time_ns)
+                self._in_order &= time_ns >= self._times_ns.get(number, 0)
+                self._times_ns[number] = time_ns
+        chunk = min(first.values(), default=0), offset, length
+        self._chunks.append(chunk)
+        for number, time_ns in first.items():
+            self._first[number] = min((time_ns, chunk), self._first.get(number, (time_ns, chunk)))
+
+    def _is_own(self) -> bool:
+        """Return whether khep_twin has written the file, by its header."""
+        place = len(MCAP0_MAGIC)
+        opcode, size = HEAD.unpack(self._bytes(place, HEAD.size))
+        header = parsed(opcode, self._content(place, size)) if opcode == Opcode.HEADER else None
+        return isinstance(header, Header) and header.library.startswith("khep_twin ")
 
     def _chunk(self, offset: int, length: int) -> bytes:
         """Return the records of a chunk."""
@@ -236,12 +338,7 @@ class Content:
 
     def _records(self, wanted: Opcode) -> Iterator[tuple[int, bytes]]:
         """Yield offsets and records of a kind, heads included."""
-        if not self._indexed:
-            for opcode, offset, size in self._walk(len(MCAP0_MAGIC), self._end):
-                if opcode == wanted:
-                    yield offset, self._content(offset, size)
-                elif opcode == Opcode.DATA_END:
-                    return
+        self._find_named()
         for offset, length in self._named[wanted]:
             self._check_head(offset, length, wanted, f"record {wanted:d}")
             yield offset, self._content(offset, length - HEAD.size)
@@ -283,6 +380,18 @@ def _last(entries: Sequence[Entry], topic: str, time_ns: int) -> int | None:
     """Return the place of the last message of a topic up to a time [ns]; None without one."""
     places = [place for place, each in enumerate(entries) if each.topic == topic and each.time_ns <= time_ns]
     return places[-1] if places else None
+
+
+def _indexed(content: bytes, place: int, n_channels: int) -> int:
+    """Return the number of messages of a chunk, of which its index has the size of their indexes."""
+    size = int.from_bytes(content[place : place + 8], "little")
+    return max(size - n_channels * INDEX_FRAME, 0) // ENTRY_BYTES
+
+
+def _check_found(named: Sequence[tuple[int, ...]], found: Sequence[tuple[int, ...]]) -> None:
+    """Refuse an index that names a record that is not there."""
+    for offset, length in sorted({*named}.difference(found)):
+        raise DecodeError(f"record at byte {offset} of {length} bytes in the index", "one that is there")
 
 
 def _numbers(layout: struct.Struct, content: bytes, offset: int) -> tuple[int, ...]:

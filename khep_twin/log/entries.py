@@ -60,6 +60,11 @@ class EntryReader:
                     f"definition at byte {offset}", "printable names, of the lengths that they say"
                 )
 
+    @property
+    def n_channels(self) -> int:
+        """Number of channels that are defined."""
+        return len(self._channels)
+
     def knows(self, topic: str) -> bool:
         """Return whether a channel of a topic is defined."""
         return any(known == topic for known, _, _ in self._channels.values())

@@ -233,7 +233,8 @@ def _opened(path: Path) -> Generator[Content, None, None]:
 def _label(path: Path, content: Content) -> Label:
     metadata = run_facts(content.metadata())
     if "robots" not in metadata:
-        raise LogError(f"{path}: an MCAP file, but no log of khep_twin")
+        missing = "it has no metadata record run that names the robots"
+        raise LogError(f"{path}: an MCAP file, but no log of khep_twin: {missing}")
     attachments: dict[str, str] = {}
     for each in content.attachments():
         try:

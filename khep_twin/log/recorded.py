@@ -155,19 +155,39 @@ _CHANGES = TypeAdapter(tuple[BranchPoint, ...])
 def events_in(
     path: Path, pieces: Iterable[Sequence[Entry]], robots: Sequence[str]
 ) -> Iterator[RecordedEvent]:
-    """Yield the host events of a log's pieces, each in order of time."""
+    """Yield the host events of a log's pieces, each in order of time.
+
+    As khep_twin writes it, a piece is a chunk, with one message of each robot at most. Other tools have other
+    chunks: then a piece ends before the second message of a robot, and after an event that ends it.
+    """
     topics = {f"/{name}/host_events": index for index, name in enumerate(robots)}
-    for piece in pieces:
-        held: list[RecordedEvent] = []
-        last: RecordedEvent | None = None
+    held: list[RecordedEvent] = []
+    last: RecordedEvent | None = None
+    told: set[int] = set()
+    ended_in = 0
+    for chunk, piece in enumerate(pieces):
         for entry in piece:
-            if (index := topics.get(entry.topic)) is not None:
-                try:
-                    events = [(at_ns, index, event) for at_ns, event in read_events(entry.data)]
-                except DecodeError as error:
-                    raise error.at(path, entry.topic, entry.time_ns) from None
-                held += events
-                if events and events[-1][2].kind in PIECE_ENDS:
-                    last = events[-1]
-        # What has ended its piece was the last of those at the same time.
-        yield from sorted(held, key=lambda each: (each[0], each is last))
+            if (index := topics.get(entry.topic)) is None:
+                continue
+            try:
+                events = [(at_ns, index, event) for at_ns, event in read_events(entry.data)]
+            except DecodeError as error:
+                raise error.at(path, entry.topic, entry.time_ns) from None
+            if not events:
+                continue
+            begin_ns, end_ns = events[0][0], events[-1][0]
+            if index in told or (
+                last is not None and begin_ns >= last[0] and (chunk > ended_in or end_ns > last[0])
+            ):
+                yield from _ordered(held, last)
+                held, last, told = [], None, set[int]()
+            held += events
+            told.add(index)
+            if events[-1][2].kind in PIECE_ENDS:
+                last, ended_in = events[-1], chunk
+    yield from _ordered(held, last)
+
+
+def _ordered(events: list[RecordedEvent], last: RecordedEvent | None) -> list[RecordedEvent]:
+    # What has ended its piece was the last of those at the same time.
+    return sorted(events, key=lambda each: (each[0], each is last))

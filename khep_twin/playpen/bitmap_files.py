@@ -1,4 +1,4 @@
-"""Bitmaps from files: scanned playpens of the Khepera Toolbox (MAT), and pictures (PNG).
+"""Bitmaps from files: scanned playpens of the Khepera Toolbox (MAT), and pictures.
 
 The first bytes identify the format. Files are not trusted: sizes are checked before anything is decoded, and
 of a PNG only the chunks that make its pixels reach the decoder.
@@ -34,6 +34,17 @@ CHUNK_LIMIT = 100_000
 """Most chunks of a PNG."""
 
 _PNG = b"\x89PNG\r\n\x1a\n"
+_PICTURES = {
+    "PNG": (_PNG,),
+    "TIFF": (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
+    "GIF": (b"GIF87a", b"GIF89a"),
+    "BMP": (b"BM",),
+    "JPEG": (b"\xff\xd8\xff",),
+    "PPM": tuple(b"P%d%c" % (kind, space) for kind in range(1, 7) for space in b"\n\r\t #"),
+}
+"""First bytes of pictures, by Pillow's name of their format; PPM is also PBM and PGM."""
+
+_EXPECTED = "a MAT file of Matlab 4 to 7.2, or a PNG, TIFF, GIF, BMP, JPEG, PBM, PGM or PPM"
 _PIXEL_CHUNKS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
 
 
@@ -56,7 +67,7 @@ def read(path: str | os.PathLike[str], variable: str | None = None, solid: int |
     """Read the bitmap in a file.
 
     Args:
-        path: Path of a MAT or PNG file.
+        path: Path of a MAT file or a picture.
         variable: Variable of a MAT file; by default btmap1, or else the only one that can be a bitmap.
         solid: Value of the solid pixels; 44 by default.
 
@@ -80,16 +91,17 @@ def decode(data: bytes, variable: str | None = None, solid: int | None = None) -
 
     Raises:
         BitmapError: There is none.
-        MatError: The data is neither a PNG nor a whole MAT file.
+        MatError: The data is neither a picture nor a whole MAT file.
     """
     if len(data) > SIZE_LIMIT:
         raise BitmapError(f"larger than {SIZE_LIMIT} bytes, the most that is read")
-    if data[: len(_PNG)] == _PNG:
+    kind = next((kind for kind, heads in _PICTURES.items() if data.startswith(heads)), None)
+    if kind is not None:
         if variable is not None or solid is not None:
-            raise BitmapError("a PNG; expected a MAT file for --variable and --solid")
-        return Bitmap(_dark(data), "picture", False)
-    if data[:1] in (b"\xff", b"G", b"B", b"%", b"\x89") and data[:4] != b"\x89HDF":
-        raise BitmapError(f"begins {data[:8]!r}; expected a MAT file of Matlab 4 to 7.2 or a PNG")
+            raise BitmapError(f"a {kind}; expected a MAT file for --variable and --solid")
+        return Bitmap(_dark(data, kind), "picture", False)
+    if not _may_be_mat(data):
+        raise BitmapError(f"begins {data[:8]!r}; expected {_EXPECTED}")
     name, matrix = _chosen(read_variables(data), variable)
     value = SOLID if solid is None else solid
     pixels: Pixels = np.asarray(matrix == value)
@@ -146,27 +158,48 @@ def _plain(name: str) -> str:
     return "".join(each if each.isprintable() else "?" for each in name)[:63]
 
 
-def _dark(data: bytes) -> Pixels:
-    """Return the dark pixels of a PNG: luminance, over white if transparent, below one half."""
+def _may_be_mat(data: bytes) -> bool:
+    """Return whether bytes begin as a MAT file of any version, whole or not."""
+    low, high = (int.from_bytes(data[:4], order) for order in ("little", "big"))
+    return (
+        data[:4] in (b"\x89HDF", b"MATL")
+        or data[_BYTE_ORDER : _BYTE_ORDER + 2] in (b"IM", b"MI")
+        or min(low, high) < _LARGEST_KIND
+    )
+
+
+_BYTE_ORDER = 126
+"""Place of the order of bytes in a file of Matlab 5 to 7."""
+
+_LARGEST_KIND = 10_000
+"""Numbers below begin a file of Matlab 4: the kind of its first matrix."""
+
+
+def _dark(data: bytes, kind: str) -> Pixels:
+    """Return the dark pixels of a picture: luminance, over white if transparent, below one half."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            with Image.open(BytesIO(_pixel_chunks(data)), formats=["PNG"]) as picture:
+            plain = _pixel_chunks(data) if kind == "PNG" else data
+            with Image.open(BytesIO(plain), formats=[kind]) as picture:
+                _check_size(*picture.size)
                 dark = _dark_pixels(picture)
     except BitmapError:
         raise
     except UnidentifiedImageError:
-        raise BitmapError("no whole PNG: its head is damaged; expected the file as saved") from None
+        raise BitmapError(f"no whole {kind}: its head is damaged; expected the file as saved") from None
     # Pillow raises arbitrary exceptions for a damaged file.
     except Exception as error:
         reason = str(error).split("\n")[0][:100] or type(error).__name__
-        raise BitmapError(f"no whole PNG: {reason}; expected the file as saved") from None
+        raise BitmapError(f"no whole {kind}: {reason}; expected the file as saved") from None
     if not dark.any():
         raise BitmapError("no pixel is dark; expected a picture with dark walls or blocks on a bright floor")
     return dark
 
 
 def _dark_pixels(picture: Image.Image) -> Pixels:
+    if picture.mode == "F" or (picture.mode == "I" and picture.format == "TIFF"):
+        raise BitmapError("pixels of 32 bits; expected black and white, greys or colours of 8 or 16 bits")
     if picture.mode.startswith("I"):
         # 16 bits of grey; one value of them may stand for transparent.
         deep = np.asarray(picture)
@@ -190,7 +223,7 @@ def _pixel_chunks(data: bytes) -> bytes:
             break
         size, kind = struct.unpack(">I4s", data[place : place + 8])
         if count == 1:
-            _check_size(kind, data[place + 8 : place + 16])
+            _check_header(kind, data[place + 8 : place + 16])
         if kind in _PIXEL_CHUNKS:
             kept.append(data[place : place + 12 + size])
         place += 12 + size
@@ -199,9 +232,12 @@ def _pixel_chunks(data: bytes) -> bytes:
     return b"".join(kept)
 
 
-def _check_size(kind: bytes, header: bytes) -> None:
+def _check_header(kind: bytes, header: bytes) -> None:
     if kind != b"IHDR" or len(header) != 8:
         raise BitmapError("no whole PNG: begins without its size; expected the file as saved")
-    width, height = struct.unpack(">II", header)
+    _check_size(*struct.unpack(">II", header))
+
+
+def _check_size(width: int, height: int) -> None:
     if not (1 <= width <= SIDE_LIMIT and 1 <= height <= SIDE_LIMIT):
         raise BitmapError(f"{height} x {width} pixels; expected 1 to {SIDE_LIMIT} rows and columns")

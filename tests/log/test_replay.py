@@ -285,7 +285,7 @@ def test_a_still_shows_the_end_of_the_run_unless_a_time_is_given(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[float] = []
-    monkeypatch.setattr(replay, "still", lambda recording, at_s, target: asked.append(at_s))
+    monkeypatch.setattr(replay, "still", lambda recording, at_s, *_: asked.append(at_s))
     assert CliRunner().invoke(app, ["view", str(log), "--png", str(tmp_path / "a.png")]).exit_code == 0
     assert (
         CliRunner().invoke(app, ["view", str(log), "--png", str(tmp_path / "a.png"), "--at", "0"]).exit_code
