@@ -45,6 +45,7 @@ def list_playpens() -> None:
 def check(playpen: PlaypenName) -> None:
     """Check a playpen; print one line per problem."""
     from khep_twin.playpen import Playpen
+    from khep_twin.playpen.model import MANY_ROBOTS
     from khep_twin.sensing import calibration
 
     found = Playpen.load(playpen)
@@ -57,6 +58,11 @@ def check(playpen: PlaypenName) -> None:
     there = [(kind, len(items)) for kind, items in found.tables.items() if items]
     counts = [f"{count} {kind if count == 1 else plural[kind]}" for kind, count in there]
     typer.echo(f"{found.name}: {', '.join(counts) or 'an empty arena'}: no problem")
+    if len(found.robots) > MANY_ROBOTS:
+        typer.echo(
+            f"note: with more than {MANY_ROBOTS} robots a scene takes long to make, a minute with 500, and "
+            "runs many times slower than real time"
+        )
 
 
 @playpen_app.command("compile")

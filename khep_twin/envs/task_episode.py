@@ -23,7 +23,6 @@ from khep_twin.copies import NotCopied
 from khep_twin.envs.task_batch import TaskBatch
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation
-from khep_twin.one_thread import one_thread
 
 _ROW = np.zeros(1, np.int64)
 
@@ -50,7 +49,7 @@ class TaskEpisode(NotCopied):
         setup: Prepared task.
 
     Attributes:
-        guard: Guard of its methods.
+        guard: Guard of its methods, its batch's.
     """
 
     INSTEAD = "another TaskEpisode of the same setup, begun with the same seed"
@@ -61,7 +60,6 @@ class TaskEpisode(NotCopied):
         self.guard = self._batch.guard
         self._n_robots = len(setup.playpen.robots)
 
-    @one_thread
     def begin(self, seed: int) -> list[Observation]:
         """Start an episode; return each robot's observation.
 
@@ -72,7 +70,6 @@ class TaskEpisode(NotCopied):
         self._batch.begin(_ROW, [seed])
         return list(self._batch.observations[0])
 
-    @one_thread
     def step(self, actions: Sequence[object]) -> list[StepResult]:
         """Advance by a control period.
 

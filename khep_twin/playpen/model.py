@@ -16,6 +16,9 @@ from khep_twin.files.toml_files import PROBLEM_LIMIT, Problems, Table
 from khep_twin.playpen.checks import assigned, completed, following, playpen_problems
 from khep_twin.playpen.tables import PlaypenTables
 
+MANY_ROBOTS = 100
+"""Number of robots above which a scene takes long to make: 100 take 1 s, 200 take 3 s, 500 a minute."""
+
 
 class Playpen(PlaypenTables):
     """A whole playpen."""

@@ -2,7 +2,9 @@
 
 import copy
 import math
+import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NamedTuple, Self, cast
 
 import mujoco
@@ -14,6 +16,7 @@ from khep_twin.board.battery import CHARGER
 from khep_twin.board.kernel import N_PROCESSOR, N_REGISTERS
 from khep_twin.clock import n_steps
 from khep_twin.playpen import Lighting, Playpen, RobotEntry
+from khep_twin.playpen.model import MANY_ROBOTS
 from khep_twin.playpen.starts import Start
 from khep_twin.playpen_to_mjcf import set_step, to_spec
 from khep_twin.sensing import calibration
@@ -28,6 +31,7 @@ from khep_twin.sensors import proximity_optics
 from khep_twin.simulation.fitted_robots import FittedRobots
 from khep_twin.simulation.physics_state import IN_A_RUN, fingerprint
 from khep_twin.simulation.simulation import NO_LIGHT
+from khep_twin.status_line import announced
 from khep_twin.step import WARNED, RobotState, Timing
 
 Floats = NDArray[np.float64]
@@ -54,10 +58,11 @@ class SceneModel(NamedTuple):
     @classmethod
     def of(cls, playpen: Playpen, step_ns: int = units.STEP_NS) -> Self:
         """Return the model of a playpen at a step [ns] that divides a control tick."""
-        spec = to_spec(playpen)
-        if step_ns != units.STEP_NS:
-            set_step(spec, step_ns)
-        model = spec.compile()
+        with _announced(len(playpen.robots)):
+            spec = to_spec(playpen)
+            if step_ns != units.STEP_NS:
+                set_step(spec, step_ns)
+            model = spec.compile()
         # Rangefinders are for MuJoCo alone, as sensors see surfaces; a turret may have its own.
         if model.nsensor == units.N_SENSORS * len(playpen.robots):
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
@@ -259,3 +264,15 @@ def robot_state(
         voltage=np.zeros(1),
         noise=np.zeros(2, np.int64),
     )
+
+
+def _announced(n_robots: int) -> AbstractContextManager[None]:
+    """Announce that the scene of many robots is made, which takes long."""
+    if n_robots <= MANY_ROBOTS:
+        return nullcontext()
+    begin, making = time.monotonic(), f"khep_twin: making the scene of {n_robots} robots"
+
+    def passed() -> str:
+        return f"{making}: {time.monotonic() - begin:.0f} s"
+
+    return announced(f"{making}, which takes long", passed, passed)

@@ -11,7 +11,9 @@ from drawn_bitmap import drawn, seen_from_above
 from PIL import Image
 from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
+from khep_twin.cli.playpen import check
 from khep_twin.playpen import Playpen
+from khep_twin.world import World
 
 DRAWN = drawn()
 PAGE = (Path(__file__).parents[2] / "docs" / "import.md").read_text()
@@ -149,6 +151,23 @@ def test_a_calibration_that_is_missing_is_named_with_its_playpen_and_robot(tmp_p
     )
     done = khep_twin("playpen", "check", "arena.toml", folder=tmp_path)
     assert re.match(r"khep-twin: arena.toml: robot 1: calibration = .*none.toml: ", done.stderr), done.stderr
+
+
+def test_a_scene_of_many_robots_is_announced_and_a_check_warns_of_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    check("default")
+    World("default")
+    told = capsys.readouterr()
+    assert (told.out, told.err) == ("default: 1 robot: no problem\n", "")
+    for module in ("khep_twin.playpen.model", "khep_twin.simulation.mujoco_forms"):
+        monkeypatch.setattr(f"{module}.MANY_ROBOTS", 0)
+    check("default")
+    World("default")
+    told = capsys.readouterr()
+    assert told.out.splitlines()[1].startswith("note: with more than 0 robots a scene takes long to make")
+    making = "khep_twin: making the scene of 1 robots"
+    assert re.fullmatch(rf"{making}, which takes long\n{making}: \d+ s\n", told.err)
 
 
 def test_a_log_of_another_playpen_is_not_drawn(tmp_path: Path) -> None:
