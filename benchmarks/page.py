@@ -61,7 +61,7 @@ class Twin:
         draft = self.post("library", name=PLAYPEN)["draft"]
         self.post("start", draft=draft, speed=0)
         self.look()
-        self.post("run", controller="braitenberg", cycles=10**9)
+        self.post("run", controllers=["braitenberg"], cycles=10**9)
 
     def post(self, action: str, **wanted: Any) -> Any:
         """Send the designer a request, as its page does."""

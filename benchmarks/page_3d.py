@@ -93,7 +93,7 @@ def show(page: Any, twin: Twin, folder: Path) -> None:
     twin.post("end")
     twin.post("start", draft=draft(), file="maze.toml", speed=1)
     twin.look()
-    twin.post("run", controller="braitenberg", cycles=10**9)
+    twin.post("run", controllers=["braitenberg"], cycles=10**9)
     page.goto(twin.url)
     page.wait_for_selector("html[data-ready]")
     page.click("#three-d")

@@ -115,7 +115,7 @@ class Requests:
     """Time source that stands still, and does each request when it comes."""
 
     def __init__(self, twin: Any) -> None:
-        self.world, self.robot = twin.world, twin.robot
+        self.world, self.robots = twin.world, twin.robots
         self.speed, self.paused = 1.0, False
 
     def request(self, action: Callable[[], None]) -> None:

@@ -46,7 +46,7 @@ ACTIONS: dict[str, dict[str, Any]] = {
     "put": {"robot": 0, "x_mm": 200, "y_mm": 200, "heading_deg": 45},
     "room": {"robot": 0, "x_mm": 100, "y_mm": 100},
     "switch": {"lamp": 0, "on": False},
-    "run": {"controller": "prog.py", "runs": 2, "cycles": 5, "pause": 0.1, "folder": "results"},
+    "run": {"controllers": ["prog.py"], "runs": 2, "cycles": 5, "pause": 0.1, "folder": "results"},
     "sense": {"what": "light", "motion": "rotational", "amount": 90, "speed": 5, "return": True, "text": "t"},
     "figure": {"sensor": "left 90", "y_min": 0, "grid": True},
     "save-sensed": {"file": "sensed.csv"},

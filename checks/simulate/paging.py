@@ -446,8 +446,8 @@ class Browser:
                 [
                     ("pace", {"speed": 2.0, "paused": self._rng.random() < 0.5}),
                     ("put", {"robot": 0, "x_mm": 150.0, "y_mm": 150.0, "heading_deg": 90.0}),
-                    ("run", {"controller": "braitenberg", "cycles": 10, "runs": 2}),
-                    ("run", {"controller": "braitenberg", "seconds": 100}),
+                    ("run", {"controllers": ["braitenberg"], "cycles": 10, "runs": 2}),
+                    ("run", {"controllers": ["braitenberg"], "seconds": 100}),
                     ("stop", {}),
                     ("step", {}),
                     ("room", {"robot": 0, "x_mm": 10.0, "y_mm": 10.0}),

@@ -1,7 +1,8 @@
 """Actions of the page: what takes a request and returns an answer, each a POST with JSON and JSON back.
 
 A user's error is answered 400 with its line, a file that has changed meanwhile 409, a path outside the
-folder 403.
+folder 403. The page itself, which asks by a header, gets these as 200: browsers report any other status in
+their console, as a fault of the page.
 """
 
 from collections.abc import Awaitable, Callable, Mapping
@@ -15,7 +16,13 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.web.documents import ConflictError, OutsideError
 from khep_twin.web.requests import Asked, Request, request_of
 
+QUIET = "Khepera-Quiet"
+"""Header of requests whose refusals are answered 200."""
+
 Endpoint = Callable[[HttpRequest], Awaitable[Response]]
+
+Shown = Callable[[str], str]
+"""Function that returns an error's text as users are shown it."""
 
 
 class Action(NamedTuple):
@@ -39,17 +46,20 @@ def on(kind: type[Asked], do: Callable[[Asked], object]) -> Action:
     return Action(kind, do)
 
 
-def endpoint(name: str, action: Action) -> Endpoint:
+def endpoint(name: str, action: Action, shown: Shown) -> Endpoint:
     """Return the endpoint of an action."""
-    return with_body(lambda body, _: action.do(request_of(body, action.kind, name)))
+    return with_body(lambda body, _: action.do(request_of(body, action.kind, name)), shown)
 
 
-def with_body(act: Callable[[bytes, HttpRequest], object]) -> Endpoint:
+def with_body(act: Callable[[bytes, HttpRequest], object], shown: Shown) -> Endpoint:
     """Return the endpoint of a function of a request's body, which runs in a thread of its own."""
 
     async def answer(request: HttpRequest) -> Response:
         body = await request.body()
-        return await run_in_threadpool(answered, lambda: act(body, request))
+        response = await run_in_threadpool(answered, lambda: act(body, request), shown)
+        if QUIET in request.headers:
+            response.status_code = 200
+        return response
 
     return answer
 
@@ -59,19 +69,19 @@ async def failed(request: HttpRequest, error: Exception) -> Response:
     return refused(f"the designer failed: {type(error).__name__}: {error}", 500)
 
 
-def answered(act: Callable[[], object]) -> Response:
-    """Return the response of an action, or of its error."""
+def answered(act: Callable[[], object], shown: Shown) -> Response:
+    """Return the response of an action, or of its error as it is shown."""
     try:
         answer = act()
         return answer if isinstance(answer, Response) else JSONResponse({} if answer is None else answer)
     except OutsideError as error:
-        return refused(error.plain, 403)
+        return refused(shown(error.plain), 403)
     except ConflictError as error:
-        return refused(error.plain, 409, conflict=True)
+        return refused(shown(error.plain), 409, conflict=True)
     except OSError as error:  # such as a name that is too long
         return refused(error.strerror or str(error))
     except KhepTwinError as error:
-        return refused(error.plain)
+        return refused(shown(error.plain))
 
 
 def refused(text: str, status: int = 400, **more: bool) -> Response:

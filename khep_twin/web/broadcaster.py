@@ -24,6 +24,7 @@ class Broadcaster:
         self._watchers: list[_Watcher] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._begun: str | None = None
+        self._picture: Message | None = None
 
     @property
     def is_watched(self) -> bool:
@@ -33,13 +34,13 @@ class Broadcaster:
     def publish(self, message: Message) -> None:
         """Send a message to all pages; from any thread."""
         kind = message["kind"]
-        if kind == "picture" and not self._watchers:
-            return
-        text = json.dumps(message, allow_nan=False, separators=(",", ":"))
-        if kind in ("twin", "robot"):
-            self._begun = text
-        elif kind == "ended":
-            self._begun = None
+        if kind == "picture":
+            self._picture = message
+            if not self._watchers:
+                return
+        text = _text(message)
+        if kind in ("twin", "robot", "ended"):
+            self._begun, self._picture = None if kind == "ended" else text, None
         if self._loop is not None:
             with suppress(RuntimeError):  # the server is at its end
                 self._loop.call_soon_threadsafe(self._broadcast, kind, text)
@@ -51,6 +52,8 @@ class Broadcaster:
         watcher = _Watcher()
         if self._begun is not None:
             watcher.take("begun", self._begun)
+            if (picture := self._picture) is not None:  # the next one may be long in coming
+                watcher.take("picture", _text(picture))
         self._watchers.append(watcher)
         sending = asyncio.create_task(self._send(socket, watcher))
         try:
@@ -75,6 +78,10 @@ class Broadcaster:
         with suppress(WebSocketDisconnect, RuntimeError):
             while True:
                 await socket.send_text(await watcher.next())
+
+
+def _text(message: Message) -> str:
+    return json.dumps(message, allow_nan=False, separators=(",", ":"))
 
 
 class _Watcher:

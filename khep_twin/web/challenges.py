@@ -133,8 +133,8 @@ class Challenges:
 
     def _named(self, found: Attempt) -> Attempt:
         """Return an attempt whose file has its name in the folder."""
-        above = f"{self._documents.root}/"
-        return replace(found, file=found.file.removeprefix(above), reason=found.reason.replace(above, ""))
+        relative = self._documents.relative
+        return replace(found, file=relative(found.file), reason=relative(found.reason))
 
     def _begin(self, message: Scoring, work: Callable[[Over], None]) -> None:
         """Start a thread that scores.

@@ -85,6 +85,10 @@ class Documents:
             raise OutsideError(f"{name}: leads out of the folder that the designer was started in")
         return found
 
+    def relative(self, text: str) -> str:
+        """Return a text in which files are named from the folder on."""
+        return text.replace(f"{self.root}/", "")
+
     def new_path(self, name: str, *endings: str) -> Path:
         """Return the path of a new file; an empty file may be replaced.
 
@@ -153,7 +157,7 @@ class Documents:
         return {"file": name, "version": version_of(text), "draft": draft, "left": self.left(name)}
 
     def new(self, name: str | None) -> dict[str, object]:
-        """Return an empty playpen for a file that does not exist yet, and the file's drafts."""
+        """Return a new playpen for a file that does not exist yet, and the file's drafts."""
         draft = blank(Path(name or "playpen.toml").stem)
         return {"file": name, "version": None, "draft": draft, "left": self.left(name)}
 

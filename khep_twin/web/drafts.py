@@ -12,8 +12,11 @@ from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 
 Draft = dict[str, object]
 
-BLANK = 'version = 1\nname = "{name}"\n\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
-"""Text of an empty playpen: the toolbox's four walls [mm]."""
+BLANK = (
+    'version = 1\nname = "{name}"\n\n[arena]\nwidth_mm = 600\nheight_mm = 500\n\n'
+    "[[robot]]\nx_mm = 300\ny_mm = 250\nheading_deg = 90\n"
+)
+"""Text of a new playpen: the toolbox's four walls, and a robot in the middle [mm]."""
 
 
 def name_of(stem: str) -> str:
@@ -23,7 +26,7 @@ def name_of(stem: str) -> str:
 
 
 def blank(stem: str) -> Draft:
-    """Return an empty playpen for a file whose name without ending is `stem`."""
+    """Return a new playpen for a file whose name without ending is `stem`."""
     name = name_of(stem)
     return draft_of(playpens.parse(BLANK.format(name=name), name))
 

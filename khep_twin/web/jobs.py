@@ -46,12 +46,14 @@ class SeriesJob:
         controller: Controller to run.
         plan: Plan of the series.
         folder: Folder for each run's metrics and variables; None to save nothing.
+        robot: Number of the robot that it drives.
     """
 
     name: str
     controller: AnyController
     plan: Plan
     folder: Path | None
+    robot: int = 0
 
     def do(self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
         """Run the series."""
@@ -65,6 +67,7 @@ class SeriesJob:
             publish(
                 {
                     "kind": "run",
+                    "robot": self.robot,
                     "number": run.number,
                     "stopped": stopped,
                     "cycles": run.cycles,
@@ -104,13 +107,32 @@ class Sensing:
         publish({"kind": "sensed", "warning": run.warning})
 
 
-def series(asked: RunRequest, documents: Documents) -> SeriesJob:
-    """Return the series that the page requests.
+@dataclass(frozen=True, slots=True)
+class FileJob:
+    """A series whose controller is read when it begins: a file may print, and need not end.
+
+    Attributes:
+        asked: Request of the page.
+        documents: Files of the folder.
+        robot: Number of the robot that it drives.
+    """
+
+    asked: RunRequest
+    documents: Documents
+    robot: int
+
+    def do(self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
+        """Read the controller and run the series."""
+        series(self.asked, self.documents, self.robot).do(robot, publish, progress, stop)
+
+
+def series(asked: RunRequest, documents: Documents, robot: int = 0) -> SeriesJob:
+    """Return the series that the page requests for a robot.
 
     Raises:
         KhepTwinError: There is no such controller or plan, or a file is not below the folder.
     """
-    name = asked.controller
+    name = asked.controllers[robot]
     if name in BUILT_IN:
         found = find_controller(name, as_toolbox_form)
     else:
@@ -119,7 +141,10 @@ def series(asked: RunRequest, documents: Documents) -> SeriesJob:
         forget_modules_beside(path)
         found = find_controller(f"{path}:{function}" if function else str(path), as_toolbox_form)
     plan = Plan(asked.runs, asked.cycles, asked.seconds, asked.pause)
-    return SeriesJob(name, found, plan, documents.path(asked.folder, "") if asked.folder else None)
+    folder = documents.path(asked.folder, "") if asked.folder else None
+    if folder is not None and len(asked.controllers) > 1:
+        folder /= f"khepera{robot}"
+    return SeriesJob(name, found, plan, folder, robot)
 
 
 def sensing(asked: SenseRequest, keep: Callable[[SensorRun], None]) -> Sensing:

@@ -118,6 +118,7 @@ class RunDone(TypedDict):
     """A run of a series is over."""
 
     kind: Literal["run"]
+    robot: int
     number: int
     stopped: bool
     cycles: int
@@ -228,6 +229,9 @@ KINDS: frozenset[str] = frozenset(
     kind for message in get_args(Message) for kind in get_args(get_type_hints(message)["kind"])
 )
 """All kinds of messages."""
+
+REPORTS = ("error", "note", "refused", "score-ended")
+"""Those whose "text" is the designer's, and may name files."""
 
 Publish = Callable[[Message], None]
 """Function that takes a message for the page."""

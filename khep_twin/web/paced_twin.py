@@ -123,16 +123,15 @@ class PacedTwin:
     Attributes:
         world: World of the twin.
         robots: Robots of the twin.
-        robot: First of them.
-        view: Twin for the port of a program; closing it keeps the world.
+        view: Twin for the ports of programs; closing it keeps the world.
         speed: Simulated seconds per second; inf for as fast as possible.
         paused: True if time stands still.
         ended: True if the twin must end.
-        busy: True if a program in lock-step uses the first robot's line.
+        driven: Robots whose lines are used by programs in lock-step.
     """
 
     def __init__(self, twin: Twin, hosts: Sequence[OutsideHost], show: Callable[[], None]) -> None:
-        self.world, self.robots, self.robot = twin.world, twin.robots, twin.robot
+        self.world, self.robots = twin.world, twin.robots
         self.view = Twin(twin.world, twin.robots, twin.options, self)
         self._twin = twin
         # Loading compiled code would stop the picture for a moment.
@@ -140,7 +139,7 @@ class PacedTwin:
         self.speed = 1.0
         self.paused = False
         self.ended = False
-        self.busy = False
+        self.driven: Sequence[Robot] = []
         self._hosts, self._show_picture = hosts, show
         self._requests: deque[Callable[[], None]] = deque()
         self._steps_left_ns = 0
@@ -198,17 +197,17 @@ class PacedTwin:
             self._picture()
             self._wait(LONGEST_WAIT)
         late = self.ended or (self._stop_at is not None and time.monotonic() > self._stop_at)
-        if self.busy and late and not self._broken_off:
+        if self.driven and late and not self._broken_off:
             # Only once: the commands that stop the motors must still pass.
             self._broken_off = True
             raise SessionEndedError("stopped within a cycle")
-        if not self.busy:
+        if not self.driven:
             for host in self._hosts:
                 host.exchange(None if self.paused else self._due_ns)
         elif time.monotonic() - self._listened >= _LISTENING_INTERVAL:
             self._listened = time.monotonic()
             for host in self._hosts:
-                if host.robot is self.robot:
+                if host.robot in self.driven:
                     host.speak_between(self._slice)
                 else:
                     host.exchange(None)
@@ -224,7 +223,7 @@ class PacedTwin:
         if pacer is not None and not self.paused and not self.stopping():
             while (left := pacer.wait(time_ns)) > 0 and not self._requests and not self._wait(left):
                 pass
-            if not self.busy:
+            if not self.driven:
                 # Bytes of a host that arrived meanwhile must not wait until then.
                 time_ns = max(min(pacer.due_ns(), time_ns), self.world.time_ns)
         self.world.advance_to(time_ns)
@@ -245,7 +244,7 @@ class PacedTwin:
 
     def _wait(self, duration: float) -> bool:
         """Wait for a duration, or until a host sends; return whether one did."""
-        descriptors = [] if self.busy else [each for host in self._hosts for each in host.descriptors()]
+        descriptors = [] if self.driven else [each for host in self._hosts for each in host.descriptors()]
         return bool(select.select(descriptors, [], [], min(duration, LONGEST_WAIT))[0])
 
     def _picture(self) -> None:

@@ -196,11 +196,12 @@ class SwitchRequest(Request):
 
 
 class RunRequest(Request):
-    """A series of runs of a controller."""
+    """A series of runs of a controller, or of one for each robot; a robot stands where its name is empty."""
 
-    controller: Annotated[
-        str, Field(min_length=1, max_length=1024, description="the name of a controller or of its file")
-    ] = "braitenberg"
+    controllers: Annotated[
+        tuple[Word, ...],
+        Field(min_length=1, max_length=1000, description="names of controllers or of their files"),
+    ] = ("braitenberg",)
     runs: Annotated[int, Field(ge=1, le=100_000)] = 1
     cycles: Annotated[int | None, Field(ge=1, le=10**9, description="an integer from 1 to 1000000000")] = None
     seconds: Annotated[float | None, Field(gt=0, le=100_000)] = None

@@ -3,6 +3,7 @@
 import asyncio
 from dataclasses import asdict
 from pathlib import Path
+from typing import cast
 
 from starlette.applications import Starlette
 from starlette.requests import Request
@@ -23,6 +24,7 @@ from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.challenges import Challenges
 from khep_twin.web.documents import Documents
 from khep_twin.web.file_actions import FileActions, Programs, imported
+from khep_twin.web.messages import REPORTS, Message
 from khep_twin.web.scene import at_start
 from khep_twin.web.session import shape
 from khep_twin.web.session_actions import SessionActions
@@ -44,19 +46,26 @@ class Page:
     def __init__(self, documents: Documents, file: str | None, *, writes_programs: bool = True) -> None:
         self._documents = documents
         self._broadcaster = Broadcaster()
-        publish = self._broadcaster.publish
+
+        def publish(message: Message) -> None:
+            """Send a message, with files in what it reports named from the folder on."""
+            if message["kind"] in REPORTS:
+                message = cast(Message, {**message, "text": documents.relative(str(message.get("text")))})
+            self._broadcaster.publish(message)
+
         self._files = FileActions(documents, Programs(documents, writes_programs), publish, file)
         self._session = SessionActions(documents, publish)
         self._challenges = Challenges(documents, publish, lambda: self._broadcaster.is_watched)
 
     def app(self) -> Starlette:
         """Return the application, to be wrapped in a guard."""
+        shown = self._documents.relative
         routes = [
             Route("/", _asset, methods=["GET"]),
             Route("/static/{name}", _asset, methods=["GET"]),
-            Route("/import", with_body(imported), methods=["POST"]),
+            Route("/import", with_body(imported, shown), methods=["POST"]),
             *(
-                Route(f"/do/{name}", endpoint(name, action), methods=["POST"])
+                Route(f"/do/{name}", endpoint(name, action, shown), methods=["POST"])
                 for name, action in self.actions.items()
             ),
             WebSocketRoute("/live", self._broadcaster.serve),

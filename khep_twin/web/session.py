@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from ctypes import c_ulong, py_object, pythonapi
 from typing import Literal, TextIO
 
 from khep_twin.errors import KhepTwinError, PortError, ProtocolError
@@ -24,6 +25,8 @@ from khep_twin.web.messages import Message, Publish, RobotShape
 
 _ENDING_S = 5.0
 """Longest time for a session to end: its controller has a second for its cycle [s]."""
+
+_HANGS = "the program does not end; it is left to itself, and its session is over: Run begins another"
 
 _PRINT_LIMIT = 20_000
 """Longest text that is sent at once [characters]."""
@@ -53,16 +56,19 @@ class PrintBuffer:
 
 
 class WebSession:
-    """Common part of twin and robot sessions: a thread with one job at a time.
+    """Common part of twin and robot sessions: a thread with one job at a time for each robot.
 
-    The thread calls `publish` with messages for the page. `job` is the current job, None without.
+    The thread calls `publish` with messages for the page. `jobs` are the current jobs, with None for a robot
+    that stands; empty without any.
     """
 
     def __init__(self, publish: Publish) -> None:
         self._publish = publish
-        self._left = False
-        self.job: Job | None = None
-        # The completed part of the job goes with the pictures, as jobs report it at each cycle.
+        self._left, self._leaving = False, threading.Lock()
+        self.jobs: tuple[Job | None, ...] = ()
+        self._stopped: tuple[Job | None, ...] = ()
+        self._at_work: set[int] = set()
+        # The completed part of the jobs goes with the pictures, as jobs report it at each cycle.
         self._part = 0.0
         self.printed = PrintBuffer(self.publish, "printed")
         self._n_forks = n_forks()
@@ -75,32 +81,48 @@ class WebSession:
 
     @property
     def alive(self) -> bool:
-        """True if its thread is still running."""
-        return self._thread.is_alive()
+        """True if its thread is still running, and was not abandoned."""
+        return not self._left and self._thread.is_alive()
 
-    def start(self, job: Job) -> None:
-        """Start a job.
+    def start(self, *jobs: Job | None) -> None:
+        """Start jobs, the first one for the first robot; None lets a robot stand.
 
         Raises:
-            PortError: The session has a job already, or has ended.
+            PortError: The session has jobs already, or has ended.
         """
-        if self.job is not None or not self.alive:
+        if self.jobs or not self.alive:
             raise PortError("the robot is busy; expected a stopped robot" if self.alive else "it has ended")
         self._part = 0.0
-        self.job = job
+        self.jobs = jobs
 
     def stop(self) -> None:
-        """End the job and stop the motors."""
-        raise NotImplementedError
+        """End the jobs and stop the motors; abandon a thread whose jobs do not end in time."""
+        if (jobs := self.jobs) and jobs is not self._stopped:
+            self._stopped = jobs
+            timer = threading.Timer(_ENDING_S, lambda: self.jobs is jobs and self._leave())
+            timer.daemon = True
+            timer.start()
+        self._halt_motors()
 
     def end(self) -> None:
-        """End the session; abandon a thread that does not end in time, and drop its messages."""
+        """End the session; abandon a thread that does not end in time."""
         self._ended.set()
-        self._thread.join(_ENDING_S)
-        if self.alive:
-            self.publish({"kind": "error", "text": "the program does not end; it is left to itself"})
-            self.publish({"kind": "ended"})
+        if not self._left:
+            self._thread.join(_ENDING_S)
+        if self._thread.is_alive():
+            self._leave()
+
+    def _leave(self) -> None:
+        """Abandon the thread: drop its messages, and interrupt its programs if they execute Python."""
+        with self._leaving:
+            if self._left:
+                return
             self._left = True
+            self._ended.set()
+            for thread in list(self._at_work):
+                pythonapi.PyThreadState_SetAsyncExc(c_ulong(thread), py_object(SystemExit))
+            self._publish({"kind": "error", "text": _HANGS})
+            self._publish({"kind": "ended"})
 
     def publish(self, message: Message) -> None:
         """Send a message to the page, unless this session was abandoned."""
@@ -116,8 +138,12 @@ class WebSession:
             self.publish({"kind": "error", "text": f"{type(error).__name__}: {error}"})
             raise
         finally:
-            self.job = None
+            self.jobs = ()
             self.publish({"kind": "ended"})
+
+    def _halt_motors(self) -> None:
+        """Have the jobs end and the motors stop."""
+        raise NotImplementedError
 
     def _live(self) -> None:
         raise NotImplementedError
@@ -131,10 +157,9 @@ class WebSession:
         if n_forks() != self._n_forks:
             os._exit(0)
 
-    def _do(self, robot: Khepera, stop: Callable[[], bool]) -> None:
-        """Do the job; report its errors and continue."""
-        if (job := self.job) is None:
-            return
+    def _do(self, job: Job, robot: Khepera, stop: Callable[[], bool]) -> None:
+        """Do a job; report its errors and continue."""
+        self._at_work.add(threading.get_ident())
         try:
             with captured_by(self.printed.add):
                 job.do(robot, self.publish, self._progress, stop)
@@ -142,10 +167,14 @@ class WebSession:
             if not stop():
                 self.publish({"kind": "error", "text": error.plain})
         finally:
+            self._at_work.discard(threading.get_ident())
             self._leave_a_fork()
-            self.job = None
-            self.printed.tell()
-            self.publish({"kind": "done"})
+
+    def _done(self) -> None:
+        """Report the end of the jobs."""
+        self.jobs = ()
+        self.printed.tell()
+        self.publish({"kind": "done"})
 
 
 def shape(model: str, sensors: str) -> RobotShape:
@@ -199,8 +228,7 @@ class RobotActor(WebSession):
         self._vision: Vision | None = None
         self._began = self._looked = 0.0
 
-    def stop(self) -> None:
-        """End the job and stop the motors."""
+    def _halt_motors(self) -> None:
         self._halt.set()
 
     def _live(self) -> None:
@@ -219,8 +247,12 @@ class RobotActor(WebSession):
                     robot.set_speed(0, 0)
                     self._halt.clear()
                 self._look(robot)
-                if self.job is not None:
-                    self._do(robot, self._stopping)
+                for job in self.jobs[:1]:
+                    try:
+                        if job is not None:
+                            self._do(job, robot, self._stopping)
+                    finally:
+                        self._done()
                 self._halt.wait(_LOOK)
 
     def _stopping(self) -> bool:
@@ -241,9 +273,9 @@ class RobotActor(WebSession):
             "speed": [*speed],
             "leds": [0, 0],
         }
-        if self._vision is not None and self.job is None:  # a program's turns are not to wait for an image
+        if self._vision is not None and not self.jobs:  # a program's turns are not to wait for an image
             reading["vision"] = [*self._vision.image()]
-        time_s, busy = robot.time - self._began, self.job is not None
+        time_s, busy = robot.time - self._began, bool(self.jobs)
         self.publish(
             {"kind": "picture", "time": time_s, "busy": busy, "part": self._part, "robots": [reading]}
         )

@@ -11,6 +11,7 @@ from starlette.responses import Response
 from khep_twin.errors import PortError, choices
 from khep_twin.host.discovery import found_ports
 from khep_twin.invocation import command
+from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.lab.sensor_test import sensor_files
 from khep_twin.lab.sensor_test.sensor_test import SensorRun
 from khep_twin.playpen.starts import at_spots
@@ -20,7 +21,7 @@ from khep_twin.web import drafts, jobs, requests, scene
 from khep_twin.web.answers import Actions, on
 from khep_twin.web.documents import Documents
 from khep_twin.web.messages import Publish
-from khep_twin.web.session import RobotActor, WebSession, captured_by
+from khep_twin.web.session import RobotActor, WebSession
 from khep_twin.web.twin_session import TwinActor
 
 
@@ -42,7 +43,6 @@ class SessionActions:
         self._sensed: deque[SensorRun] = deque(maxlen=1)  # the latest test
         self.runs_in: str | None = None
         self._runs_version: str | None = None
-        self._reading = threading.Lock()
 
     @property
     def actions(self) -> Actions:
@@ -124,17 +124,16 @@ class SessionActions:
         self._twin().set_pace(_speed(asked), asked.paused)
 
     def _run(self, asked: requests.RunRequest) -> None:
-        actor = self._running()
-        # A file that never ends when it is imported must not take one thread of the server after another.
-        if not self._reading.acquire(blocking=False):
-            wanted = "expected to wait for it, or programs that end when they are imported"
-            raise PortError(f"a program is still being read; {wanted}")
-        try:
-            with captured_by(actor.printed.add):  # a file may print when it is imported
-                job = jobs.series(asked, self._documents)
-        finally:
-            self._reading.release()
-        actor.start(job)
+        actor, names = self._running(), asked.controllers
+        count = len(actor.playpen.robots) if isinstance(actor, TwinActor) else 1
+        if len(names) > count or not any(names):
+            wanted = f"expected 1 to {count}, one for each robot"
+            raise requests.RequestError(f"{len(names)} controllers; {wanted}")
+        for name in names:
+            if name and name not in BUILT_IN:
+                self._documents.path(name.partition(":")[0], ".py")
+        numbered = enumerate(names)
+        actor.start(*(jobs.FileJob(asked, self._documents, n) if name else None for n, name in numbered))
 
     def _put(self, asked: requests.Put) -> None:
         twin = self._twin()

@@ -4,19 +4,19 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SPEEDS, Board
 from khep_twin.errors import KhepTwinError, PortError
-from khep_twin.host import Khepera
 from khep_twin.interventions.move_robot import current_playpen, put
 from khep_twin.interventions.switching import switch
+from khep_twin.lab.experiment.multi_robot import drive_together
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import no_room
 from khep_twin.ports.endpoints import open_any
 from khep_twin.ports.event_sources import exact_timeouts
 from khep_twin.ports.host_port import HostPort
-from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.service_registry import registered
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.units import BODIES
@@ -85,20 +85,19 @@ class TwinActor(WebSession):
             raise PortError(_NOT_YET)
         return self._scene
 
-    def stop(self) -> None:
-        """End the job; without one, stop the motors."""
-        if self.job is not None and self._paced is not None:
-            self._paced.stop_program()
-        else:
-            self._request(lambda twin: twin.robot.send(b"D,0,0\n"))
-
     def end(self) -> None:
         """End the twin and complete its log."""
         if self._paced is not None:
             self._paced.ended = True
         super().end()
 
-    def _request(self, action: Callable[[PacedTwin], None], page: str = "") -> None:
+    def _halt_motors(self) -> None:
+        if self.jobs and self._paced is not None:
+            self._paced.stop_program()
+        else:
+            self._request(lambda twin: [robot.send(b"D,0,0\n") for robot in twin.robots])
+
+    def _request(self, action: Callable[[PacedTwin], object], page: str = "") -> None:
         """Have something done to the twin, for a page or for all."""
         twin = self._paced
         if twin is None:
@@ -139,17 +138,20 @@ class TwinActor(WebSession):
             self._scene = DrawnScene(twin.world.model, twin.world.data)
             self._paced = paced
             self.publish(self._cast(paced, ports))
+            show()
             while not (paced.ended or self._ended.is_set()):
-                if self.job is None:
+                if not self.jobs:
                     paced.idle()
                     continue
-                paced.busy = True
-                paced.stop_program(False)
+                show()  # a program may let no time pass
+                jobs = {index: job for index, job in enumerate(self.jobs) if job is not None}
+                paced.driven = [twin.robots[index] for index in jobs]
+                do = {index: partial(self._do, job, stop=paced.stopping) for index, job in jobs.items()}
                 try:
-                    with Khepera(Serial.of(paced.view, timeout=1.0)) as robot:
-                        self._do(robot, paced.stopping)
+                    drive_together(paced.view, do)
                 finally:
-                    paced.busy = False
+                    paced.driven = []
+                    self._done()
                     paced.stop_program(False)
 
     def _cast(self, twin: PacedTwin, ports: Sequence[HostPort]) -> messages.TwinBegins:
@@ -200,7 +202,7 @@ class TwinActor(WebSession):
         return {
             "kind": "picture",
             "time": world.time_ns / 1e9,
-            "busy": twin.busy,
+            "busy": bool(self.jobs),
             "paused": twin.paused,
             "speed": twin.speed if math.isfinite(twin.speed) else 0,
             "part": self._part,

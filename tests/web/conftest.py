@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from khep_twin.web import drafts
 from khep_twin.web.server import Server
 from tests.web.visit import CHROMIUM, Visit
 
@@ -151,7 +152,13 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
-def visit(browser: Any, asker: Asker) -> Iterator[Visit]:
+def empty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """New playpens without a robot, as a test draws its own ones."""
+    monkeypatch.setattr(drafts, "BLANK", drafts.BLANK.partition("[[robot]]")[0])
+
+
+@pytest.fixture
+def visit(browser: Any, empty: None, asker: Asker) -> Iterator[Visit]:
     """A page of a separate designer, 1280 x 720; its console has to stay empty."""
     context = browser.new_context(viewport={"width": 1280, "height": 720})
     visit = Visit(context.new_page(), asker.server.url)
@@ -161,7 +168,7 @@ def visit(browser: Any, asker: Asker) -> Iterator[Visit]:
 
 
 @pytest.fixture
-def tablet(browser: Any, asker: Asker) -> Iterator[Visit]:
+def tablet(browser: Any, empty: None, asker: Asker) -> Iterator[Visit]:
     """The same for fingers, 820 x 1180."""
     context = browser.new_context(viewport={"width": 820, "height": 1180}, has_touch=True)
     visit = Visit(context.new_page(), asker.server.url)

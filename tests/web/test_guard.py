@@ -1,7 +1,9 @@
 """Hostile requests: every route of the designer refuses them before anything else happens."""
 
+import json
 import os
 import socket
+import time
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from khep_twin.errors import PortError
+from khep_twin.web.answers import QUIET
 from khep_twin.web.documents import Documents
 from khep_twin.web.guard import FILE_LIMIT, JSON_LIMIT
 from khep_twin.web.routes import Page
@@ -232,6 +235,36 @@ def test_what_cannot_be_sent_on_is_no_object_and_leaves_no_draft(asker: Asker, t
     assert not (tmp_path / ".unnamed.toml.draft").exists()
     (tmp_path / ".unnamed.toml.draft").write_bytes(rb'{"name": "\ud800"}')
     assert asker.do("hello")[0] == 200
+
+
+def test_a_refusal_is_answered_200_where_the_page_asks_so(asker: Asker) -> None:
+    """A browser reports any other status in its console."""
+    for action, body in (
+        ("open", b'{"file": "none.toml"}'),
+        ("open", b'{"file": "../x.toml"}'),
+        ("run", b"{}"),
+    ):
+        for more, expected in (({}, (400, 403)), ({QUIET: "yes"}, (200,))):
+            headers = asker.own() | more
+            status, told = asker.raw("POST", f"{asker.base}/do/{action}", headers, body)
+            assert (status in expected, "error" in json.loads(told)) == (True, True), (action, more)
+
+
+def test_what_is_reported_names_files_from_the_folder_on(asker: Asker, tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").write_bytes(b"no log")
+    (tmp_path / "wide.toml").write_bytes(b"\xff\xfe")
+    for action, file in (("report", "run.mcap"), ("open", "wide.toml"), ("open", "none.toml")):
+        told = asker.do(action, file=file)[1]["error"]
+        assert (str(tmp_path) in told, file in told) == (False, True), told
+    heard: list[str] = []
+    page = asker.server._page  # pyright: ignore[reportPrivateUsage]
+    page._broadcaster.publish = lambda message: heard.append(message.get("text", ""))  # type: ignore[method-assign]
+    (tmp_path / "fails.py").write_text("def controller(robot):\n    nonsense()\n")
+    assert asker.do("start", draft=DRAFT)[0] == 200
+    assert asker.do("run", controllers=["fails.py"], cycles=1)[0] == 200
+    while not any(heard):
+        time.sleep(0.01)
+    assert "".join(heard).startswith("fails.py:2: NameError")
 
 
 def test_a_name_that_is_too_long_is_reported(asker: Asker) -> None:

@@ -11,7 +11,7 @@ def test_a_program_has_the_modules_beside_it_as_they_are_now(tmp_path: Path) -> 
     """Not those of an earlier run, nor those of a program in another folder."""
 
     def speed(folder: str) -> object:
-        asked = RunRequest(controller=f"{folder}/mine.py", cycles=1)
+        asked = RunRequest(controllers=(f"{folder}/mine.py",), cycles=1)
         return series(asked, Documents(tmp_path)).controller(None)  # type: ignore[operator, arg-type]
 
     for folder, text in (("a", "1"), ("b", "22")):

@@ -1,19 +1,19 @@
 """Controllers are edited in the page by the rules of playpens."""
 
 import os
-import threading
 import time
 from pathlib import Path
 
 import pytest
 
-from khep_twin.errors import KhepTwinError
+from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.playpen import Playpen
 from khep_twin.web.documents import Documents, OutsideError, version_of
 from khep_twin.web.drafts import draft_of
 from khep_twin.web.file_actions import TEMPLATE, Programs
 from khep_twin.web.server import Server
-from tests.web.conftest import Asker
+from khep_twin.web.session_actions import SessionActions
+from tests.web.conftest import Asker, Ear
 
 TEXT = "def controller(robot):\n    robot.set_speed(3, 3)  # ü\n"
 
@@ -73,23 +73,40 @@ def test_a_page_for_other_machines_writes_no_programs(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_one_program_at_a_time_is_read_that_one_without_an_end_takes_no_more_threads(
-    asker: Asker, tmp_path: Path
+@pytest.mark.parametrize("before", ["", "def controller(robot):\n    "])
+def test_a_program_without_an_end_is_left_after_a_stop_and_the_next_one_runs(
+    ear: Ear, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str
 ) -> None:
-    (tmp_path / "endless.py").write_text(
-        "import pathlib, time\n"
-        f"folder = pathlib.Path({str(tmp_path)!r})\n"
-        "(folder / 'begun').touch()\n"
-        "while not (folder / 'go').exists():\n    time.sleep(0.02)\n"
-    )
-    assert asker.do("start", draft=draft_of(Playpen.load("two-lamps")))[0] == 200
-    first = threading.Thread(target=asker.do, args=["run"], kwargs={"controller": "endless.py"})
-    first.start()
-    try:
-        while first.is_alive() and not (tmp_path / "begun").exists():
-            time.sleep(0.02)
-        status, told = asker.do("run", controller="endless.py")
-        assert (status, told["error"][:30]) == (400, "a program is still being read;")
-    finally:
-        (tmp_path / "go").touch()
-        first.join()
+    """It may have none when it is read, or in a cycle."""
+    monkeypatch.setattr("khep_twin.web.session._ENDING_S", 0.2)
+    (tmp_path / "endless.py").write_text(f"{before}open({str(tmp_path / 'begun')!r}, 'w').close()\n")
+    with (tmp_path / "endless.py").open("a") as file:
+        file.write(f"{' ' * 4 * bool(before)}while True: pass\n")
+    (tmp_path / "mended.py").write_text("def controller(robot):\n    robot.set_speed(5, 5)\n")
+    session = SessionActions(Documents(tmp_path), ear)
+
+    def do(name: str, **wanted: object) -> None:
+        action = session.actions[name]
+        action.do(action.kind(**wanted))
+
+    do("start", draft=draft_of(Playpen.load("default")))
+    ear.wait("twin")
+    do("run", controllers=("endless.py",), cycles=1)
+    while not (tmp_path / "begun").exists():
+        time.sleep(0.01)
+    assert ear.wait("picture", lambda told: told["busy"])["robots"][0]["x_mm"] == pytest.approx(300, abs=1)
+    hung = session._actor._thread  # type: ignore[union-attr]
+    with pytest.raises(PortError, match="busy"):
+        do("run", controllers=("mended.py",), cycles=5)
+    do("stop")
+    assert "left to itself" in ear.wait("error")["text"]
+    ear.wait("ended")
+    assert session.runs() is None
+    do("start", draft=draft_of(Playpen.load("default")), speed=0.0)
+    ear.wait("twin")
+    do("run", controllers=("mended.py",), cycles=5)
+    assert ear.wait("run")["cycles"] == 5
+    session.close()
+    # It executes Python, so that it could be interrupted, and takes no time from what comes after it.
+    hung.join(30)
+    assert not hung.is_alive()

@@ -1,5 +1,7 @@
 """What runs for the page: twins that are watched, lifted, switched, shared and repeated; robots at ports."""
 
+import asyncio
+import json
 import math
 import os
 import signal
@@ -10,9 +12,10 @@ from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
+from starlette.websockets import WebSocketDisconnect
 
 from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera
@@ -24,8 +27,12 @@ from khep_twin.log.recorded import read_recorded
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.web.broadcaster import Broadcaster
+from khep_twin.web.documents import Documents
+from khep_twin.web.drafts import draft_of
 from khep_twin.web.jobs import Sensing, SeriesJob
+from khep_twin.web.requests import Request, RequestError, RunRequest, StartRequest
 from khep_twin.web.session import RobotActor
+from khep_twin.web.session_actions import SessionActions
 from khep_twin.web.twin_session import TwinActor
 from tests.web.conftest import Ear
 
@@ -111,12 +118,64 @@ def test_a_controller_that_never_ends_its_cycle_is_broken_off_and_the_motors_sta
 
     ear.wait("twin")
     actor.start(SeriesJob("stubborn", stubborn, Plan(cycles=5), None))
-    ear.wait("picture", lambda told: told["busy"])
+    ear.wait("picture", lambda told: told["busy"] and told["robots"][0]["speed"] == [5, 5])
     actor.stop()
     row = ear.wait("run")
     assert (row["number"], row["stopped"], row["cycles"], row["seconds"] > 0) == (1, True, 0, True)
     ear.wait("done")
     assert ear.wait("picture", lambda told: told["robots"][0]["speed"] == [0, 0])
+
+
+def test_each_robot_has_a_controller_of_its_own_and_a_stop_ends_all(ear: Ear, tmp_path: Path) -> None:
+    draft = draft_of(Playpen.load("default"))
+    draft["robot"] = [{"x_mm": x_mm, "y_mm": 250, "heading_deg": 90} for x_mm in (150, 300, 450)]
+    (tmp_path / "back.py").write_text(
+        "def controller(robot):\n    print('back')\n    robot.set_speed(-3, -3)\n    robot.sleep(0.05)\n"
+    )
+    (tmp_path / "stubborn.py").write_text(
+        "def controller(robot):\n    print('on')\n    while True:\n        robot.set_speed(5, 5)\n"
+    )
+    session = SessionActions(Documents(tmp_path), ear)
+    run = session.actions["run"]
+    session.actions["start"].do(StartRequest(draft=draft, speed=0))
+    ear.wait("twin")
+    names = ("back.py", "", "stubborn.py")
+    with pytest.raises(RequestError, match="4 controllers; expected 1 to 3"):
+        run.do(RunRequest(controllers=(*names, "back.py"), cycles=10**6))
+    run.do(RunRequest(controllers=names, cycles=10**6, folder="kept"))
+    told = ear.wait("picture", lambda told: told["time"] > 0.5)
+    assert [robot["speed"][0] for robot in told["robots"]] == pytest.approx([-3, 0, 5], abs=2)
+    session.actions["stop"].do(Request())
+    assert sorted(ear.wait("run")["robot"] for _ in range(2)) == [0, 2]
+    ear.wait("done")
+    ear.wait("picture", lambda told: all(robot["speed"] == [0, 0] for robot in told["robots"]))
+    run.do(RunRequest(controllers=("back.py", "", "back.py"), cycles=2, folder="kept"))
+    ear.wait("done")
+    assert sorted(path.name for path in (tmp_path / "kept").iterdir()) == ["khepera0", "khepera2"]
+    session.close()
+
+
+def test_a_page_that_is_opened_has_the_last_picture_at_once() -> None:
+    """The next one may be long in coming, as a program may let no time pass."""
+    broadcaster = Broadcaster()
+    broadcaster.publish({"kind": "twin", "playpen": "default", "robots": [], "log": None})
+    broadcaster.publish({"kind": "picture", "time": 2.5, "busy": True, "part": 0, "robots": []})
+
+    class Socket:
+        sent: ClassVar[list[Any]] = []
+
+        async def accept(self) -> None: ...
+
+        async def send_text(self, text: str) -> None:
+            self.sent.append(json.loads(text))
+
+        async def receive_text(self) -> str:
+            while len(self.sent) < 2:
+                await asyncio.sleep(0)
+            raise WebSocketDisconnect
+
+    asyncio.run(broadcaster.serve(Socket()))  # type: ignore[arg-type]
+    assert [(told["kind"], told.get("time")) for told in Socket.sent] == [("twin", None), ("picture", 2.5)]
 
 
 def test_an_outside_host_has_the_line_alone(actor: TwinActor, ear: Ear) -> None:
@@ -321,8 +380,8 @@ def test_a_program_that_does_not_end_is_left_and_the_next_twin_comes_up_beside_i
     go_on.set()
     second.set_pace(2.0, False)
     ear.wait("picture", lambda picture: picture["speed"] == 2)
-    while first.alive:
-        time.sleep(0.01)
+    assert not first.alive
+    first._thread.join(30)  # pyright: ignore[reportPrivateUsage]
     assert "ended" not in [message["kind"] for message in ear.heard]
     second.end()
     ear.wait("ended")

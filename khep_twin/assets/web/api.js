@@ -3,6 +3,8 @@
 const base = location.pathname.replace(/[^/]*$/, "");
 export const tab = crypto.getRandomValues(new Uint32Array(2)).join("-");
 
+const QUIET = { "Khepera-Quiet": "yes" }; // a refusal is no error of the page, which its console would show
+
 const KEPT_ALIVE = 60_000; // browsers refuse more than 64 KiB of a request that outlives its page [bytes]
 
 export async function post(action, wanted = {}, more = {}) {
@@ -10,7 +12,7 @@ export async function post(action, wanted = {}, more = {}) {
   const keepalive = more.keepalive === true && new Blob([body]).size < KEPT_ALIVE;
   const answer = await reach(`${base}do/${action}`, {
     method: "POST",
-    headers: { "Content-Type": "application/json" },
+    headers: { "Content-Type": "application/json", ...QUIET },
     body,
     ...more,
     keepalive,
@@ -22,7 +24,7 @@ export async function upload(file, mm) {
   const query = new URLSearchParams({ name: file.name.replace(/[^\w.-]/g, "-"), mm });
   const answer = await reach(`${base}import?${query}`, {
     method: "POST",
-    headers: { "Content-Type": "application/octet-stream" },
+    headers: { "Content-Type": "application/octet-stream", ...QUIET },
     body: file,
   });
   return read(answer);
@@ -46,7 +48,7 @@ async function read(answer) {
   } catch {
     found = { error: text };
   }
-  if (!answer.ok) throw Object.assign(new Error(found.error), { conflict: found.conflict === true });
+  if (!answer.ok || found.error !== undefined) throw Object.assign(new Error(found.error), { conflict: found.conflict === true });
   return found;
 }
 

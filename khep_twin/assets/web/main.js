@@ -125,7 +125,7 @@ async function chooseFromLibrary() {
     const [title, told] = [document.createElement("strong"), document.createElement("span")];
     title.textContent = name;
     told.textContent = line;
-    card.append(choice, Object.assign(document.createElement("img"), { alt: "", src: thumbnails.get(name) ?? "" }), title, told);
+    card.append(choice, Object.assign(document.createElement("img"), { alt: "", src: thumbnails.get(name) ?? "static/icon.svg" }), title, told);
     card.addEventListener("dblclick", () => $("#dialog").close("ok"));
     cards.append(card);
   }
@@ -295,7 +295,7 @@ async function preview() {
 }
 
 function title() {
-  $("#file").textContent = `${model.file ?? "new playpen"}${model.changed ? " *" : ""}`;
+  $("#file").textContent = $("#file").title = `${model.file ?? "new playpen"}${model.changed ? " *" : ""}`;
   document.title = `${$("#file").textContent} – Khepera designer`;
 }
 
@@ -498,7 +498,7 @@ document.addEventListener("visibilitychange", () => document.hidden && keepNow({
 
 async function programs() {
   const found = await post("list");
-  renew($("#controller"), [...hello.controllers, ...found.programs].map((name) => new Option(name, name)));
+  running.offer([...hello.controllers, ...found.programs], renew);
   challenges.programs(found.programs, renew);
   renew($("#ports"), found.ports.map(({ url, what }) => new Option(what, url)));
 }
@@ -587,7 +587,7 @@ async function begin() {
   }
   drawing.surfaces = hello.surfaces;
   drawing.shapes = hello.shapes;
-drawing.turrets = hello.turrets;
+  drawing.turrets = hello.turrets;
   running.panel.limits(hello.bars, $("#bars"));
   running.curves.limits(hello.bars, hello.colours);
   new Fields(model, hello.surfaces, hello.turrets);

@@ -94,9 +94,8 @@ export class Program {
       const { file } = this.#shown;
       this.#shown.failed = 0;
       this.#show();
-      if (![...$("#controller").options].some(({ value }) => value === file)) $("#controller").append(new Option(file, file));
-      $("#controller").value = file;
-      $("#run").click();
+      this.running.choose(file);
+      await this.attempt(() => this.running.run(), "run");
     }, "program");
   }
 

@@ -16,7 +16,7 @@ const WHEN = {
   running: ({ active }) => active,
   twin: ({ twin }) => twin,
   "no-twin": ({ twin }) => !twin,
-  idle: ({ busy }) => !busy,
+  idle: ({ busy, asking }) => !busy && !asking,
 };
 
 // Path of a robot so far: of many short paths only the last is drawn anew.
@@ -47,12 +47,14 @@ class Trail {
 export class Running {
   active = false;
   busy = false;
+  asking = false; // for a program or a sensor test to begin
   paused = false;
   robots = [];
   hands = new Hands();
   #held = null;
   #trails = [];
   #starts = 0;
+  #offered = [];
 
   constructor(drawing, model, banner, attempt) {
     Object.assign(this, { drawing, model, banner, attempt });
@@ -65,8 +67,8 @@ export class Running {
     press("#reset", () => this.start(), "run");
     press("#pause", () => this.pause());
     press("#step", () => this.step());
-    press("#run", () => this.#run(), "run");
-    press("#gather", () => this.#gather(), "run");
+    press("#run", () => this.run(), "run");
+    press("#gather", () => this.#begin(() => this.#gather()), "run");
     press("#display", () => this.#figure(), "figure");
     press("#save-sensed", async () => {
       await post("save-sensed", { file: $("#sensed-file").value });
@@ -82,7 +84,9 @@ export class Running {
     $("#speed").addEventListener("change", () => attempt(() => this.#pace(), "pace"));
     $("#which").addEventListener("change", () => this.#shape());
     model.addEventListener("change", ({ detail }) => {
-      if (detail === "whole" && this.active) this.#live();
+      if (detail !== "whole") return;
+      if (this.active) this.#live();
+      this.#choices();
     });
     this.#buttons();
   }
@@ -123,25 +127,72 @@ export class Running {
     if (this.active && !this.real) await post("pace", { speed: +$("#speed").value, paused: this.paused });
   }
 
+  // Offers programs, one for each robot; `renew` replaces a list that has changed.
+  offer(names, renew) {
+    Object.assign(this, { renew });
+    this.#offered = names;
+    this.#choices();
+  }
+
+  #choices() {
+    const count = Math.max(this.active ? this.robots.length : this.model.list("robot").length, 1);
+    $("#first").textContent = count > 1 ? "robot 1" : "program";
+    const others = $("#others");
+    while (others.childElementCount > count - 1) others.lastChild.remove();
+    while (others.childElementCount < count - 1) {
+      const label = Object.assign(document.createElement("label"), { className: "wide", textContent: `robot ${others.childElementCount + 2} ` });
+      label.append(document.createElement("select"));
+      others.append(label);
+    }
+    const choices = this.#offered.map((name) => [name, name]);
+    if (count > 1) choices.push(["none: it stands", ""]);
+    for (const list of this.#programs) this.renew?.(list, choices.map(([text, value]) => new Option(text, value)));
+  }
+
+  // Chooses a program for the first robot, if no robot has it.
+  choose(file) {
+    if (!this.#offered.includes(file)) this.#offered.push(file);
+    this.#choices();
+    if (!this.#programs.some(({ value }) => value === file)) $("#controller").value = file;
+  }
+
+  // The lists of programs, the first robot's first.
+  get #programs() {
+    return [$("#controller"), ...document.querySelectorAll("#others select")];
+  }
+
+  run() {
+    if (this.busy) throw new Error("A program is running: Stop ends it, within five seconds.");
+    return this.#begin(() => this.#run());
+  }
+
+  // Starts a twin, if none is running, and what is wanted on it; meanwhile a second click does nothing.
+  async #begin(act) {
+    if (this.asking) return;
+    this.asking = true;
+    this.#buttons();
+    try {
+      if (!this.active) await this.start();
+      if (!(await this.#there())) return;
+      await act();
+      this.busy = true;
+    } finally {
+      this.asking = false;
+      this.#buttons();
+    }
+  }
+
   async #run() {
     $('[data-tab="run"]').click();
-    if (!this.active) await this.start();
-    if (!(await this.#there())) return;
     $("#runs-done tbody").replaceChildren();
     $("#printed").textContent = "";
     $("#printed").hidden = true;
     $("#part").value = 0;
-    await post("run", { controller: $("#controller").value, cycles: number("#cycles"), seconds: number("#seconds"), runs: number("#runs") ?? 1, pause: number("#between") ?? 0, folder: $("#keep").value || null });
-    this.busy = true;
-    this.#buttons();
+    await post("run", { controllers: this.#programs.map(({ value }) => value), cycles: number("#cycles"), seconds: number("#seconds"), runs: number("#runs") ?? 1, pause: number("#between") ?? 0, folder: $("#keep").value || null });
   }
 
   async #gather() {
-    if (!this.active) await this.start();
-    if (!(await this.#there())) return;
     await post("sense", { what: $("#what").value, motion: $("#motion").value, amount: number("#amount"), speed: number("#sense-speed"), acceleration: number("#sense-acceleration"), return: $("#return").checked, text: $("#text").value });
-    this.busy = true;
-    this.#buttons();
   }
 
   async #figure() {
@@ -202,6 +253,7 @@ export class Running {
     for (const part of [this.drawing.svg, $("#arena")]) part.classList.toggle("running", !real);
     this.#shape();
     if (!real) this.#live();
+    this.#choices();
     this.#buttons();
     this.stage?.changed();
   }
@@ -217,6 +269,7 @@ export class Running {
       });
       node.classList.add("live", "thing");
       node.dataset.live = index;
+      if (this.last) place(node, this.last.robots[index]);
       return { node, rays, turrets: node.querySelectorAll(".turret") };
     });
     drawing.live.replaceChildren(...this.#trails.map(({ node }) => node), ...this.nodes.map(({ node }) => node));
@@ -285,7 +338,8 @@ export class Running {
   #ran(message) {
     const { fitness, distance_m } = message.metrics;
     const row = document.createElement("tr");
-    const cells = [`${message.number}${message.stopped ? ", stopped" : ""}`, message.cycles, message.seconds.toFixed(1), fitness?.toPrecision(3) ?? "–", distance_m?.toPrecision(3) ?? "–"];
+    const whose = this.robots.length > 1 ? `robot ${message.robot + 1}: ` : "";
+    const cells = [`${whose}${message.number}${message.stopped ? ", stopped" : ""}`, message.cycles, message.seconds.toFixed(1), fitness?.toPrecision(3) ?? "–", distance_m?.toPrecision(3) ?? "–"];
     row.append(...cells.map((text) => Object.assign(document.createElement("td"), { textContent: text })));
     $("#runs-done tbody").append(row);
   }
@@ -310,6 +364,7 @@ export class Running {
     $("#part").value = 0;
     $("#port").textContent = "–";
     $("#host").textContent = "";
+    this.#choices();
     this.#buttons();
     this.stage?.changed();
   }

@@ -13,12 +13,15 @@ the same run, bit for bit.
 """
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextvars import copy_context
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from khep_twin.errors import PortError
+from khep_twin.clock import TimeSource
+from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera
 from khep_twin.playpen import Playpen
 from khep_twin.ports.protocol_khep import Serial
@@ -47,15 +50,42 @@ def run_together(
     with open_twin(playpen, replace(options, robot=None)) as twin:
         if len(scripts) != len(twin.robots):
             raise PortError(f"{len(scripts)} scripts for {len(twin.robots)} robots; expected one for each")
-        seats = [_Seat(twin, index, script) for index, script in enumerate(scripts)]
-        while waiting := [seat for seat in seats if not seat.done]:
-            seat = min(waiting, key=lambda seat: (seat.goal_ns, seat.index))
+        return drive_together(twin, dict(enumerate(scripts)))
+
+
+def drive_together(twin: Twin, scripts: Mapping[int, Callable[[Khepera], Result]]) -> list[Result]:
+    """Run scripts for some robots of a twin, by their numbers, until all have ended; return their results.
+
+    A single one runs in the caller's thread. An error of the twin, such as its end, breaks off all of them.
+
+    Raises:
+        Exception: Exception of the first script that failed, once all have ended.
+    """
+    if len(scripts) == 1:
+        [(index, script)] = scripts.items()
+        with _robot_of(twin, index, twin.time_source) as robot:
+            return [script(robot)]
+    seats = [_Seat(twin, index, script) for index, script in scripts.items()]
+    while waiting := [seat for seat in seats if not seat.done]:
+        seat = min(waiting, key=lambda seat: (seat.goal_ns, seat.index))
+        try:
             twin.advance_to(seat.goal_ns)
-            seat.resume()
+        except KhepTwinError as error:
+            if any(each.broken_off for each in waiting):
+                raise
+            for each in waiting:
+                each.broken_off = error
+        seat.resume()
     for seat in seats:
         if seat.error is not None:
             raise seat.error
     return [seat.result for seat in seats]
+
+
+def _robot_of(twin: Twin, index: int, time_source: TimeSource) -> Khepera:
+    """Return a robot of a twin on a port of its own; closing it keeps the world for the others."""
+    view = Twin(twin.world, (twin.robots[index],), twin.options, time_source)
+    return Khepera(Serial.of(view, timeout=TIMEOUT))
 
 
 class _Seat(Generic[Result]):
@@ -67,13 +97,14 @@ class _Seat(Generic[Result]):
         self.done = False
         self.result: Result
         self.error: BaseException | None = None
+        self.broken_off: KhepTwinError | None = None
+        self._told = False
         self._world, self._script = twin.world, script
-        # Its port closes this view; the world goes on for the other scripts.
-        view = Twin(twin.world, (twin.robots[index],), twin.options, self)
-        self._robot = Khepera(Serial.of(view, timeout=TIMEOUT))
+        self._robot = _robot_of(twin, index, self)
         self._turn, self._pause = threading.Semaphore(0), threading.Semaphore(0)
-        # The thread waits for its turn.
-        threading.Thread(target=self._run, name=f"khepera{index}", daemon=True).start()
+        # The thread waits for its turn; what it prints goes where the caller's goes.
+        run = partial(copy_context().run, self._run)
+        threading.Thread(target=run, name=f"khepera{index}", daemon=True).start()
 
     def resume(self) -> None:
         """Run the script until it waits again or ends."""
@@ -86,6 +117,9 @@ class _Seat(Generic[Result]):
             self.goal_ns = time_ns
             self._pause.release()
             self._turn.acquire()
+            if self.broken_off is not None and not self._told:
+                self._told = True  # only once: the commands that stop the motors must still pass
+                raise self.broken_off
 
     def attend(self) -> None:
         """Do nothing: the other scripts take their turns while this one waits."""
