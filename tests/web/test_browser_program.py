@@ -159,3 +159,36 @@ def test_the_line_of_the_program_that_failed_is_marked_and_not_that_of_one_whose
     assert page.input_value("#program-file") == "mine.py"
     page.click('[data-tab="run"]')
     visit.end()
+
+
+def test_a_program_without_an_end_is_left_after_a_stop_and_the_mended_one_runs(
+    visit: Visit, tmp_path: Path
+) -> None:
+    page = visit.page
+    (tmp_path / "mine.py").write_text("def controller(robot):\n    while True: pass\n")
+    visit.add("robot", (300, 250))
+    page.wait_for_selector("#problems.none")
+    edit(visit, "mine.py")
+    page.dblclick("#run")
+    visit.wait_driven()
+    page.click('[data-tab="program"]')
+    page.press("#code", "Control+Enter")
+    page.wait_for_selector(".banner.error >> text=A program is running: Stop ends it")
+    # A page that is opened now shows where the robot is, and can stop it.
+    second = Visit(page.context.new_page(), visit.url)
+    second.wait_driven()
+    assert second.robot() == (300, 250)
+    assert (second.page.is_disabled("#run"), second.count(".banner.error")) == (True, 0)
+    second.page.click("#stop")
+    for each in (visit, second):
+        each.page.wait_for_selector(".banner.error >> text=the program does not end")
+        each.wait("document.querySelector('#clock').textContent === 'not running'")
+        assert each.page.is_enabled("#run")
+        assert (each.count(".live"), each.count("#tools[inert]")) == (0, 0)
+    second.page.close()
+    page.fill("#code", "def controller(robot):\n    print('mended')\n    robot.set_speed(3, 3)\n")
+    page.press("#code", "Control+Enter")
+    page.wait_for_selector("#printed >> text=mended", state="attached")
+    assert second.trouble == []
+    visit.stop()
+    visit.end()

@@ -73,6 +73,29 @@ def test_a_running_twin_is_followed(visit: Visit) -> None:
     page.wait_for_selector("#follow[hidden]", state="attached")
 
 
+def test_a_lamp_lights_the_floor_but_not_behind_an_object_and_the_robot_has_a_shadow(visit: Visit) -> None:
+    visit.add("robot", (450, 250))
+    visit.page.wait_for_selector("#problems.none")
+    visit.show_3d()
+    visit.page.wait_for_timeout(500)
+    pictures = [seen(visit).astype(int)]
+    floor = np.median(pictures[0][-150:-100, 300:400], axis=(0, 1))
+    near = pictures[0].sum(axis=2) - floor.sum()
+    assert ((near < -20) & (near > -200)).sum() > 100  # a soft edge at the foot of walls and of the robot
+    visit.page.click("#three-d")
+    for tool, place in (("lamp", (200, 250)), ("cylinder", (260, 250))):
+        visit.add(tool, place)
+        visit.page.wait_for_selector("#problems.none")
+        visit.show_3d()
+        visit.page.wait_for_timeout(1000)
+        pictures.append(seen(visit).astype(int))
+        visit.picture(f"3d-{tool}")
+        visit.page.click("#three-d")
+    dark, lit, hidden = (picture.sum(axis=2) for picture in pictures)
+    assert (lit > dark + 30).sum() > 2000
+    assert (hidden < lit - 30).sum() > 500
+
+
 def test_a_dark_system_gets_a_dark_page(visit: Visit) -> None:
     page = visit.page
     visit.add("robot", (300, 250))

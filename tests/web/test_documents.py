@@ -130,7 +130,8 @@ def test_a_read_only_file_is_not_written_over_and_keeps_its_draft(tmp_path: Path
 
 def test_what_was_worked_on_last_is_opened_first(asker: Asker, tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(MINE)
-    assert asker.do("hello")[1]["file"] is None
+    new = asker.do("hello")[1]
+    assert (new["file"], len(new["draft"]["robot"])) == (None, 1)
     draft = asker.do("open", file="mine.toml")[1]["draft"]
     assert asker.do("hello")[1]["file"] == "mine.toml"
     draft["robot"][0]["x_mm"] = 100

@@ -62,7 +62,7 @@ export class Stage {
     const { twin } = this.running;
     if (!twin && this.model.problems.length) return; // which are told; the last scene stays
     const scene = await post("scene", twin ? {} : { draft: this.model.draft });
-    if (asked === this.#asked) this.#view.load(scene, this.running.travellers);
+    if (asked === this.#asked) this.#view.load(scene, this.running.travellers, this.model.list("lamp").map(({ power_w, dim = 1 }) => power_w * dim));
     this.#buttons();
   }
 

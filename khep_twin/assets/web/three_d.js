@@ -1,6 +1,7 @@
 // The scene in 3-D: what stands still is one mesh, and each body that moves another; drawn only when it has changed.
 
 import { Lit } from "./lit.js";
+import { Shades } from "./shades.js";
 import { merged } from "./solids.js";
 import * as THREE from "./three.module.js";
 import { OrbitControls } from "./three.orbit.js";
@@ -59,6 +60,7 @@ export class ThreeD {
   #solid = new Lit();
   #scene = new THREE.Scene();
   #still = new THREE.Group();
+  #shades = new Shades();
   #bodies = [];
   #lamps = [];
   #robots = [];
@@ -86,7 +88,7 @@ export class ThreeD {
     this.controls = new OrbitControls(this.camera, canvas);
     Object.assign(this.controls, { maxPolarAngle: Math.PI / 2, minDistance: 0.05, maxDistance: 30 });
     this.controls.addEventListener("change", () => this.draw());
-    this.#scene.add(this.#still);
+    this.#scene.add(this.#still, this.#shades.node);
     this.material = {
       solid: this.#solid,
       floor: new Lit(this.#solid.uniforms),
@@ -98,8 +100,8 @@ export class ThreeD {
     this.#size();
   }
 
-  // Takes a scene in place of the one before; robots are those of a running twin.
-  load(scene, robots) {
+  // Takes a scene in place of the one before; robots are those of a running twin, powers those of the lamps [W].
+  load(scene, robots, powers) {
     const before = this.#extent.clone();
     this.#clear();
     this.#paint();
@@ -134,6 +136,7 @@ export class ThreeD {
     if (this.followed !== null && !this.#robots[this.followed]) this.followed = null;
     this.#to = scene.poses;
     this.#put(1);
+    this.#shades.load(scene, lamps.map((lamp, index) => ({ ...lamp, lit: this.#lamps[index].userData.lit })), powers);
     this.#extent.setFromObject(this.#still);
     this.#solid.light(scene, this.#extent.getCenter(new THREE.Vector3()));
     if (!this.#extent.equals(before)) this.fit();
@@ -157,6 +160,8 @@ export class ThreeD {
       colours.needsUpdate = true;
       trail.add(x_mm / 1e3, y_mm / 1e3);
     });
+    this.#shades.move(bodies);
+    this.#shades.shine(lamps.map(({ power_w }) => power_w));
     lamps.forEach(({ power_w }, index) => {
       const bulb = this.#lamps[index];
       if (bulb) power_w ? bulb.material.color.copy(bulb.userData.lit) : bulb.material.color.setScalar(0.25);
@@ -172,6 +177,7 @@ export class ThreeD {
       const part = Math.min((now - this.#arrived) / this.#gap, 1);
       this.#put(part);
       this.renderer.render(this.#scene, this.camera);
+      requestAnimationFrame((next) => this.#shades.measure(next - now));
       if (part < 1) this.draw();
     });
   }
