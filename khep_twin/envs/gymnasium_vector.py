@@ -102,6 +102,7 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
         self, *, seed: int | Sequence[int | None] | None = None, options: Info | None = None
     ) -> tuple[Observation, Info]:
         """Start an episode in each environment, or in those of the option "reset_mask" (num_envs,)."""
+        self._insist_on_threads()
         if seed is None or isinstance(seed, SupportsIndex):
             seeds = [None if seed is None else operator.index(seed) + index for index in range(self.num_envs)]
         else:
@@ -118,6 +119,7 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
         self, actions: NDArray[np.float32]
     ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
         """Advance all by a control period with these speeds of left and right wheel (num_envs, 2)."""
+        self._insist_on_threads()
         batch, mode = self._batch, self._autoreset_mode
         if np.shape(actions) != (self.num_envs, 2):
             raise ValueError(f"actions of shape {np.shape(actions)}; expected ({self.num_envs}, 2)")
@@ -165,6 +167,10 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
         self._batch.close()
         for painter in self._painters:
             painter.close()
+
+    def _insist_on_threads(self) -> None:
+        if self.closed:
+            raise ValueError("the environments are closed; expected new ones")
 
     def _begin(
         self, rows: NDArray[np.int64], seeds: Sequence[int | None] = (), episode: int | None = None

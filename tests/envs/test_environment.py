@@ -483,6 +483,9 @@ def test_a_step_before_a_reset_or_after_the_end_asks_for_a_reset(charge_s: float
     with pytest.raises(ValueError, match=r"^the episode is over, .* expected reset\(\) first"):
         environment.step(np.zeros(2))
     many.close()
+    for call in (many.reset, lambda: many.step(np.zeros((2, 2)))):
+        with pytest.raises(ValueError, match=r"^the environments are closed; expected new ones$"):
+            call()
 
 
 # PettingZoo ---------------------------------------------------------------------------------------------
