@@ -307,7 +307,7 @@ def main() -> int:
     )
     parser.add_argument("--jobs", type=int, default=CORES, help="processes at once")
     parser.add_argument("--folder", type=Path, default=OUT)
-    wish = parser.parse_args()
+    wish = parser.parse_intermixed_args()
     if unknown := sorted(set(wish.parts) - set(names)):
         parser.error(f"{unknown[0]}: no such part; expected some of {', '.join(names)}")
     if not 0 < wish.share <= 1 or wish.jobs < 1:

@@ -183,6 +183,16 @@ def test_quick_parts_run_with_a_tiny_share(tmp_path: Path) -> None:
     assert page.count("| not run |") == len(PARTS) - len(QUICK)
 
 
+def test_parts_may_follow_the_options_as_make_gives_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["night", "list", "--folder", str(tmp_path), "fuzz-board", "nothing"]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit):
+        night.main()
+    assert "nothing: no such part" in capsys.readouterr().err
+
+
 def test_shares_of_a_part_draw_other_things() -> None:
     for found in PARTS:
         if found.wanted == found.share:  # which is one thing
