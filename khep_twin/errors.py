@@ -29,6 +29,7 @@ the calling program (a wrong type, a negative time, two threads in one object) s
 and `RuntimeError`.
 """
 
+import builtins
 import shlex
 import sys
 from collections.abc import Iterable, Sequence
@@ -36,6 +37,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib import metadata
 from os import PathLike
+from traceback import walk_tb
 from typing import Self
 
 Location = tuple[str | int, ...]
@@ -286,7 +288,19 @@ def in_a_line(error: BaseException) -> str:
         text = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
     except Exception as trouble:  # its own text may fail, too
         text = f"(its text fails: {type(trouble).__name__})"
-    return f"{type(error).__name__}: {text}".removesuffix(": ")
+    return f"{type(error).__name__}: {text}".removesuffix(": ") + _suggestion(error)
+
+
+def _suggestion(error: BaseException) -> str:
+    """Return the name that was probably meant, as Python adds it to a traceback only."""
+    name, known = getattr(error, "name", None), set[str]()
+    if isinstance(error, AttributeError):
+        known.update(dir(error.obj))
+    elif isinstance(error, NameError) and error.__traceback__ is not None:
+        *_, (frame, _) = walk_tb(error.__traceback__)
+        known.update(frame.f_locals, frame.f_globals, dir(builtins))
+    near = get_close_matches(name, sorted(known), 1, 0.75) if isinstance(name, str) else []
+    return f". Did you mean: {near[0]!r}?" if near else ""
 
 
 def choices(given: object, valid: Iterable[object]) -> str:

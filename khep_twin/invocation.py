@@ -15,7 +15,18 @@ def command(*words: object, program: str = "khep-twin") -> str:
         program: Name of a program of this installation. The bare name is used if the shell finds that
             program by it, else its path.
     """
-    return f"{shlex.quote(_found(program))} {shlex.join(map(str, words))}".rstrip()
+    return " ".join(quoted(str(word)) for word in (_found(program), *words))
+
+
+def quoted(word: str) -> str:
+    """Return a word as a shell takes it; the bytes of a name that is no text are written in octal."""
+    try:
+        word.encode()
+        return shlex.quote(word)
+    except UnicodeEncodeError:
+        plain = set(range(32, 127)) - set(b"%'\\")
+        octal = (chr(byte) if byte in plain else f"\\{byte:03o}" for byte in os.fsencode(word))
+        return f"\"$(printf '{''.join(octal)}')\""
 
 
 def _found(name: str) -> str:

@@ -1,10 +1,12 @@
 """The bottom line of a terminal, rewritten in place; whole lines of output appear above it."""
 
+import os
 import shutil
+import stat
 import sys
 import threading
 from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TextIO, cast
 
 _CLEAR = "\r\033[K"
@@ -72,7 +74,7 @@ _open_lines: list[StatusLine] = []
 
 @contextmanager
 def status_line() -> Generator[StatusLine | None, None, None]:
-    """Open a status line on standard error; None where that is not a terminal."""
+    """Open a status line on standard error; None where that is no terminal of this program's alone."""
     terminal = _terminal()
     if terminal is None:
         yield None
@@ -130,9 +132,19 @@ def _print(text: str) -> None:
 
 
 def _terminal() -> TextIO | None:
-    """Return the terminal at standard error, if there is one."""
+    """Return the terminal at standard error, if there is one, with this program's output alone."""
     # Programs without a console have no standard streams.
     if sys.stderr is None or not sys.stderr.isatty():  # pyright: ignore[reportUnnecessaryComparison]
         return None
+    # One without control sequences, such as an editor's, could not erase the line.
+    if os.environ.get("TERM") == "dumb" or _is_piped():
+        return None
     stream = cast("TextIO | _Above", sys.stderr)
     return stream._stream if isinstance(stream, _Above) else stream  # pyright: ignore[reportPrivateUsage]
+
+
+def _is_piped() -> bool:
+    """Return whether standard output goes to a program, such as `tee`, which may print on the terminal."""
+    with suppress(AttributeError, OSError, ValueError):
+        return stat.S_ISFIFO(os.fstat(sys.stdout.fileno()).st_mode)
+    return False

@@ -87,6 +87,21 @@ def test_an_output_that_is_no_terminal_is_left_alone() -> None:
     assert piped.getvalue() == "data\n"
 
 
+def test_no_line_is_shown_where_another_program_may_print_on_the_terminal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    reader, writer = os.pipe()
+    with at_a_terminal() as terminal, open(writer, "w") as piped, redirect_stdout(piped):
+        with status_line() as line, announced("begun", lambda: "amid", lambda: "ended"):
+            assert line is None
+        assert terminal.getvalue() == "begun\nended\n"
+    os.close(reader)
+    monkeypatch.setenv("TERM", "dumb")
+    with at_a_terminal() as terminal, progress() as show:
+        assert show is None
+    assert terminal.getvalue() == ""
+
+
 def test_long_work_shows_its_progress_in_place_of_the_bar_which_comes_back() -> None:
     looks = iter(range(100))
     with at_a_terminal() as terminal:
@@ -119,7 +134,10 @@ def test_where_nobody_looks_long_work_is_a_line_at_its_begin_and_one_at_its_end_
         pass
 
 
-def test_a_run_on_a_real_terminal_has_its_lines_to_themselves(tmp_path: Path) -> None:
+def test_a_run_on_a_real_terminal_has_its_lines_to_themselves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TERM", "xterm")
     file = tmp_path / "mine.py"
     file.write_text("def turn(robot):\n    robot.sleep(0.2)\n    print('from the controller')\n")
     words = ["-m", "khep_twin", "run", f"{file}:turn", "--cycles", "2", "--runs", "2"]

@@ -304,6 +304,9 @@ class RobotEnd(OpenFile):
         """Return the descriptor that becomes readable when bytes come."""
         return [self._descriptor] if room else []
 
+    def set_baud(self, baud: int) -> None:
+        """Do nothing: a host sets its own speed."""
+
     def settings(self) -> LineSettings | None:
         """Return None: a robot cannot see the other end."""
         return None

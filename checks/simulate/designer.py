@@ -80,6 +80,9 @@ class QuietPort:
         """Return none."""
         return []
 
+    def set_baud(self, baud: int) -> None:
+        """Do nothing."""
+
     def settings(self) -> None:
         """Return none."""
 

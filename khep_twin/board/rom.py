@@ -13,6 +13,9 @@ DEMO = "demo"
 SELF_TEST = "test"
 """Name of the self-test among the ROM's functions."""
 
+SELF_TEST_MODE = 7
+"""Running mode of the self-test."""
+
 BAUD_RATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 """Speeds that the tool `serial` sets [baud] (assumed: the usual ones of hosts)."""
 
@@ -46,7 +49,7 @@ _COMMON_MODES: Mapping[int, RunningMode] = {
     4: RunningMode(refusal=_USER),
     5: RunningMode(refusal=_LOADER),
     6: RunningMode(refusal=_LOADER),
-    7: RunningMode(function=SELF_TEST),
+    SELF_TEST_MODE: RunningMode(function=SELF_TEST),
 }
 """Modes that both robots have. In modes 0 and 7 the twin answers the protocol, too (assumed)."""
 

@@ -1,7 +1,6 @@
 """`khep-twin branch`: a logged run resumed at a moment, to go on from there with something changed."""
 
 from collections.abc import Sequence
-from contextlib import chdir
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -151,7 +150,6 @@ def _run_branches(plan: "BranchPlan", controller: str | None, paths: Sequence[Pa
             if number and controller is not None:  # a separate one for each branch
                 found = find_controller(controller, as_toolbox_form)
             each = replace(plan, change=replace(plan.change, seed=seeds[number]), controller=found)
-            with chdir("."):  # a controller may go to another folder
-                shown = of_part(show, number, runs)
-                trajectories.append(run_branch(each, path, progress=shown, stop=asked))
+            shown = of_part(show, number, runs)
+            trajectories.append(run_branch(each, path, progress=shown, stop=asked))
     return trajectories

@@ -1,6 +1,5 @@
 """The command line's part for guided calibrations: `khep-twin calibrate`."""
 
-import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -10,7 +9,7 @@ import typer
 
 from khep_twin.cli.completion import calibrations, ports
 from khep_twin.cli.fit import BearingDeg, RulerMm, check_outputs, fit_and_write
-from khep_twin.cli.options import Force, complain, typed_line
+from khep_twin.cli.options import Force, asked, complain
 from khep_twin.errors import FitError
 from khep_twin.invocation import command
 from khep_twin.signals import stopping
@@ -123,14 +122,9 @@ class _StoppedError(Exception):
 
 def _ask(question: str, stop: Callable[[], bool]) -> str:
     """Ask at the terminal; return the answer without its end."""
-    typer.echo(f"{question}: ", nl=False)
-    entered = typed_line(stop)
+    entered = asked(f"{question}: ", stop)
     if entered is None:
-        typer.echo()
         raise _StoppedError
     if not entered.endswith(b"\n"):
-        typer.echo()
         raise FitError(f"the input ended at the question {question!r}; expected an answer")
-    if not sys.stdin.isatty():
-        typer.echo()
     return entered.decode("utf-8", "replace").rstrip("\r\n")

@@ -1,6 +1,7 @@
 """Completions for the shell, and choices for a message about a missing argument."""
 
 import os
+import re
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from io import StringIO
@@ -82,6 +83,20 @@ def missing(error: Any) -> str:
         return told
     more = ["..."] if len(offers) > _MOST_CHOICES else []
     return f"{told} {choices('', offers[:_MOST_CHOICES] + more)}"
+
+
+def surplus(error: Any, text: str) -> str:
+    """Return the message of typer's error about a surplus argument, with the options that may be meant."""
+    options = [each for each in error.ctx.command.params if each.param_type_name == "option"]
+    word = re.sub(r".*\((\S*).*\)", r"\1", text, flags=re.DOTALL)
+    meant = {".toml": "playpen", ".mcap": "log", ".py": "controller"}.get(Path(word).suffix, "playpen")
+    for name in ("output", *((meant,) if Path(word).suffix or word in dict(playpens()) else ())):
+        for option in options:
+            if option.name == name:
+                return f"{text}; expected {min(option.opts, key=len)} {word}"
+    usage = " ".join(error.ctx.command.collect_usage_pieces(error.ctx))
+    path = error.ctx.command_path
+    return f"{text}; expected {path} {usage}, see {path} --help"
 
 
 def complete_in_bash(complete: Callable[[], object]) -> None:

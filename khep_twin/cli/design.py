@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.options import complain, usage
+from khep_twin.files.atomic import resolved
 from khep_twin.signals import stopping
 
 
@@ -36,9 +37,9 @@ def design(
     folder = Path.cwd()
     name = None
     if file is not None:
-        if not file.resolve().is_relative_to(folder.resolve()):
+        if not resolved(file).is_relative_to(resolved(folder)):
             raise usage(f"{file}: outside the folder; expected a file below {folder}, or to start there")
-        name = str(file.resolve().relative_to(folder.resolve()))
+        name = str(resolved(file).relative_to(resolved(folder)))
     with stopping() as stop:
         server = Server(folder, name, listen, allow_remote=allow_remote, complain=complain)
         if allow_remote:

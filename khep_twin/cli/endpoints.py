@@ -65,7 +65,10 @@ class EndpointOptions:
                 stack.enter_context(registered([port.path for port in ports], what))
             except PortError as error:
                 complain(f"not listed by khep-twin ports: {error}")
-            complain(f"serving a {what}; hosts open what the next lines name; Ctrl-C ends it")
+            where = "hosts open what the next lines name"
+            if self.link and not os.path.dirname(self.link):
+                where += f", in a private directory (--link ./{self.link} is in this one)"
+            complain(f"serving a {what}; {where}; Ctrl-C ends it")
             paths = "".join(f"{port.path}\n" for port in ports)
             typer.echo(paths, nl=False)
             if self.ready_fd is not None:

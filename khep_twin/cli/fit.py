@@ -10,6 +10,7 @@ from khep_twin.cli.options import Force, check_apart, check_new, check_picture, 
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import FitError
 from khep_twin.files.atomic import is_same, write_whole
+from khep_twin.files.text import encodable
 
 if TYPE_CHECKING:
     from khep_twin.lab.fit.fit_inputs import Measured
@@ -114,7 +115,7 @@ def _fit_learned(path: Path, playpen: str | None, output: Path | None, force: bo
     for line in fit.lines:
         typer.echo(line)
     if output is not None:
-        after = named(fit.calibration, output.stem, f"learned by a shadow in {path.name}")
+        after = named(fit.calibration, output.stem, f"learned by a shadow in {encodable(path.name)}")
         write_whole(output, dump(after).encode("utf-8"), force)
         typer.echo(f"calibration   {output}")
 

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError, choices
-from khep_twin.files.atomic import is_same, unusable
+from khep_twin.files.atomic import is_same, resolved, unusable
 from khep_twin.files.drawings import is_replaceable
 from khep_twin.invocation import command
 
@@ -102,7 +102,7 @@ def check_picture(picture: Path | None, log: Path | None = None) -> None:
         raise MissingExtraError("matplotlib", EXTRAS["matplotlib"])
     if picture.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise usage(f"--picture {picture}: expected a name that ends in .png, .svg or .pdf")
-    if log is not None and picture.resolve() == log.resolve():
+    if log is not None and resolved(picture) == resolved(log):
         raise usage(f"--picture {picture}: this is the log; expected a separate file")
     if not picture.parent.is_dir():
         raise usage(f"--picture {picture}: there is no directory {picture.parent}")
@@ -148,8 +148,22 @@ def tell_written(
     typer.echo(f"{name:{width}}  {paths[0]}{more}      look at it: {look}", err=err)
 
 
-def typed_line(stop: Callable[[], bool]) -> bytes | None:
-    """Return a line of standard input, without its end where the input ended; None if `stop` came first."""
+def asked(prompt: str, stop: Callable[[], bool], *, err: bool = False) -> bytes | None:
+    """Ask on standard output, or with `err` on standard error, whose next line begins after the answer.
+
+    Returns:
+        A line of standard input, without its end where the input ended; None if `stop` came first.
+    """
+    typer.echo(prompt, nl=False, err=err)
+    entered = _typed_line(stop)
+    stream = sys.stderr if err else sys.stdout
+    # A terminal has shown the Enter itself.
+    is_shown = entered is not None and entered.endswith(b"\n") and sys.stdin.isatty() and stream.isatty()
+    typer.echo("\r" if is_shown else "\n", nl=False, err=err)
+    return entered
+
+
+def _typed_line(stop: Callable[[], bool]) -> bytes | None:
     entered = b""
     while not entered.endswith(b"\n"):
         if stop():

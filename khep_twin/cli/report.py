@@ -11,7 +11,7 @@ from khep_twin.cli.completion import logs
 from khep_twin.cli.options import Force, check_new, check_writable
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import is_same, whole_file
+from khep_twin.files.atomic import is_same, resolved, whole_file
 from khep_twin.files.drawings import write_drawing
 
 LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="A log, FILE.mcap.", autocompletion=logs)]
@@ -65,7 +65,8 @@ def export(
             raise LogError(f"{name} {given}: expected it with --minari alone")
     if minari is None:
         if len(log) > 1:
-            raise LogError(f"{len(log)} logs; expected one for a table, or --minari for a dataset")
+            table = f"-o {log[-1]}" if log[-1].suffix != ".mcap" else "one"
+            raise LogError(f"{len(log)} logs; expected {table} for a table, or --minari for a dataset")
         _export_tables(log[0], output, channels, robot, transcript, force)
         return
     if channels is not None or transcript is not None:
@@ -179,5 +180,5 @@ def _check_outputs(log: Path, *outputs: Path) -> None:
         check_writable(path)
         if is_same(path, log):
             raise LogError(f"{path}: this is the log; expected a separate file")
-    if len({path.resolve() for path in outputs}) < len(outputs):
+    if len({resolved(path) for path in outputs}) < len(outputs):
         raise LogError(f"{outputs[0]}: named twice; expected a separate file for each")

@@ -71,7 +71,7 @@ def rollout(
     """
     from khep_twin.board.fault_injection import parse_fault
     from khep_twin.episodes import Braitenberg, ConstantSpeed, Episode, EpisodeOptions, EpisodeSetup
-    from khep_twin.lab.experiment.controller_files import find_function
+    from khep_twin.lab.experiment.controller_files import find_rule
     from khep_twin.playpen.starts import at_spots
     from khep_twin.ports.twin import Twin, equipped
 
@@ -82,12 +82,10 @@ def rollout(
         raise usage("--log and --planar: a plane has no scene to replay; expected one of them")
     options = replace(twin.options(None), faults=tuple(fault or ()))
     playpen = scene.load()
-    # A controller may go to another folder.
-    target, log = (None if path is None else path.absolute() for path in (picture, logging.log))
     _check_time("--period", period)
     _check_time("--step", step)
     is_built_in = controller == "braitenberg"
-    function = None if is_built_in else find_function(controller, "proximity and ambient light", 2)
+    function = None if is_built_in else find_rule(controller)
     playpen, _ = equipped(at_spots(playpen, options.seed), options)
     check_body(options.rom, playpen.robots)
     try:
@@ -97,21 +95,23 @@ def rollout(
         periods = length.cycles or setup.periods(60.0 if length.seconds is None else length.seconds)
         driver = Braitenberg() if is_built_in else ConstantSpeed()
         compiled = None if is_compiled() else False
-        episode = Episode(setup, driver, compiled=compiled, observed=log is not None)
+        episode = Episode(setup, driver, compiled=compiled, observed=logging.log is not None)
     except ValueError as error:
         raise usage(str(error)) from None
     episode.begin(options.seed, EpisodeOptions(noise=options.noise, vary=options.vary))
     recorder = None
     with ExitStack() as stack:
-        if log is not None:
+        if logging.log is not None:
             recorded = stack.enter_context(Twin(episode.world, episode.world.robots, options))
-            recorded.record(log, facts={"controller": controller, **NO_LINE}, on_failure=logging.on_failure)
+            recorded.record(
+                logging.log, facts={"controller": controller, **NO_LINE}, on_failure=logging.on_failure
+            )
             recorder = recorded.recorder
             tell_kept(recorder)
         paths = _run(episode, setup, function, periods, picture is not None)
     _print_metrics(episode, periods)
-    if target is not None:
-        _draw(playpen, paths, setup.period_ns, target, logging.force)
+    if picture is not None:
+        _draw(playpen, paths, setup.period_ns, picture, logging.force)
         typer.echo(f"picture  {picture}")
     logging.check(recorder)
     if logging.log is not None:

@@ -1,8 +1,7 @@
 """`khep-twin run`: a controller on a robot or a twin, once or in a series."""
 
-import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, chdir, closing
+from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,6 +22,7 @@ from khep_twin.cli.option_groups import (
 from khep_twin.cli.options import (
     Faults,
     Viewer,
+    asked,
     check_apart,
     check_body,
     check_picture,
@@ -30,13 +30,13 @@ from khep_twin.cli.options import (
     given,
     refuse,
     tell_written,
-    typed_line,
     usage,
 )
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.cli.run_logs import RunLogs
 from khep_twin.cli.streams import has_no_reader
 from khep_twin.errors import ControllerError, StoppedError
+from khep_twin.files.atomic import resolved
 from khep_twin.invocation import command
 from khep_twin.signals import answered, stopping
 
@@ -80,7 +80,7 @@ class SeriesOptions:
         """Refuse a folder that could not be used."""
         if self.resume and self.save is None:
             raise usage("--resume goes on with a series that was saved; expected --save FOLDER, too")
-        if log is not None and self.save is not None and log.resolve() == self.save.resolve():
+        if log is not None and self.save is not None and resolved(log) == resolved(self.save):
             raise usage(f"--save {self.save}: this is the log; expected a separate folder")
 
 
@@ -130,10 +130,7 @@ def run(
     _check(scene.playpen, logging.log, picture)
     series.check(logging.log)
     options = replace(twin.options(robot), faults=tuple(fault or ()))
-    # Typed paths are relative to this folder, even if a controller changes it; the runs use the controller's.
-    with chdir("."):
-        found = find_controller(controller, as_toolbox_form)
-        gone_to = Path.cwd()
+    found = find_controller(controller, as_toolbox_form)
     user_function = None if series.on_run_end is None else find_on_run_end(series.on_run_end, found)
     plan, own = _plan(length, series, in_cycles=isinstance(found, LoopingController)), None
     if isinstance(found, LoopingController):
@@ -160,7 +157,7 @@ def run(
             robot_source, settings = _twins(stack, place, options, series.start or [], plan.runs, begin)
         settings |= {"cycles": plan.cycles, "seconds": plan.seconds, "pause": plan.pause, **source.identity}
         folder = None if series.save is None else SeriesFolder(series.save, settings, resume=series.resume)
-        stopped = _run_series(found, robot_source, plan, folder, logs, series.confirm, gone_to, user_function)
+        stopped = _run_series(found, robot_source, plan, folder, logs, series.confirm, user_function)
     logs.finish()
     _tell_end(folder, plan, stopped=stopped)
 
@@ -199,7 +196,6 @@ def _run_series(
     folder: "SeriesFolder | None",
     logs: RunLogs,
     confirm: bool,
-    gone_to: Path,
     user_function: Callable[..., Any] | None,
 ) -> bool:
     """Run the series, and print and keep each run; return whether it was stopped before its end."""
@@ -208,11 +204,11 @@ def _run_series(
 
     first, last = 1 if folder is None else robot_source.first(len(folder.rows), controller), 0
     awaited = "stopping the motors, waiting for the end of this cycle"
-    with stopping(awaited, robot_source.hold) as asked, progress_bar() as show, chdir(gone_to):
+    with stopping(awaited, robot_source.hold) as interrupted, progress_bar() as show:
 
         def stop() -> bool:
             # A controller that catches every error catches the log's, too.
-            return asked() or logs.failed()
+            return interrupted() or logs.failed()
 
         before = partial(_confirm, stop=stop) if confirm else None
         with closing(
@@ -227,7 +223,7 @@ def _run_series(
                         call_on_run_end(user_function, each)
                     if has_no_reader():
                         break
-                return asked() and last < plan.runs
+                return interrupted() and last < plan.runs
             except (KeyboardInterrupt, StoppedError):
                 return True  # amid a cycle
 
@@ -262,12 +258,6 @@ def _twins(
 
 def _confirm(number: int, stop: Callable[[], bool]) -> None:
     """Wait for the user to press Enter, or for the end of the series."""
-    typer.echo(f"run {number}: put the robot right, then press Enter ", nl=False, err=True)
-    entered = typed_line(stop)
-    if entered is None:
-        typer.echo(err=True)
-        return
-    if not entered.endswith(b"\n"):
+    entered = asked(f"run {number}: put the robot right, then press Enter ", stop, err=True)
+    if entered is not None and not entered.endswith(b"\n"):
         raise ControllerError(f"--confirm: the input ended before run {number}; expected a terminal")
-    # A terminal has shown the Enter itself.
-    typer.echo("\r" if sys.stdin.isatty() else "\n", nl=False, err=True)

@@ -21,7 +21,6 @@ class RunLogs:
 
     def __init__(self, options: LogOptions, picture: Path | None, source: "Source") -> None:
         self._options, self._path, self._picture, self._source = options, options.log, picture, source
-        self._folder = Path.cwd()  # a controller may go to another one
         self._recorders: list[Recorder] = []
 
     def record(self, twin: "Twin", number: int | None = None) -> None:
@@ -32,7 +31,7 @@ class RunLogs:
             return
         path = self._path if number is None else numbered(self._path, number)
         twin.record(
-            self._folder / path,
+            path,
             facts=self._source.facts,
             attachments=self._source.attachments,
             on_failure=self._options.on_failure,
@@ -74,8 +73,7 @@ class RunLogs:
         """Print where the logs are and draw them; end the command if one has failed."""
         for recorder in self._recorders:
             self._options.check(recorder)
-        typed = self._path is not None and self._path.is_absolute()
-        paths = [each.path if typed else each.path.relative_to(self._folder) for each in self._recorders]
+        paths = [each.path for each in self._recorders]
         if not paths:
             return
         if self._picture is not None:

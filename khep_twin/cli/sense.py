@@ -16,6 +16,7 @@ from khep_twin.cli.options import Force, check_new, check_picture, check_writabl
 from khep_twin.cli.progress import of_part
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import KhepTwinError, SensorTestError
+from khep_twin.files.atomic import resolved
 from khep_twin.signals import stopping
 
 if TYPE_CHECKING:
@@ -203,9 +204,9 @@ def _numbered(paths: list[Path], number: int, count: int) -> list[Path]:
 
 
 def _check_distinct(paths: list[Path]) -> None:
-    resolved = [path.resolve() for path in paths]
+    places = [resolved(path) for path in paths]
     for number, path in enumerate(paths):
-        if resolved[number] in resolved[:number]:
+        if places[number] in places[:number]:
             raise SensorTestError(f"{path}: is given twice; expected a name for each file")
 
 

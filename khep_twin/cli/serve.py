@@ -150,10 +150,14 @@ def serve(
 
 def _open(playpen: str, options: "TwinOptions", logging: LogOptions) -> "Twin":
     """Open the twin of a playpen, and begin its log."""
+    from khep_twin.board.rom import SELF_TEST_MODE
     from khep_twin.ports.twin import open_twin
 
     twin = open_twin(playpen, options)
-    check_body(options.rom, (twin.world.playpen.robots[robot.index] for robot in twin.robots))
+    robots = [twin.world.playpen.robots[robot.index] for robot in twin.robots]
+    check_body(options.rom, robots)
+    if any(robot.mode == SELF_TEST_MODE for robot in robots):
+        complain("mode 7: the self-test has run at power-up; hosts that send restart get its report")
     if logging.log is not None:
         twin.record(logging.log, on_failure=logging.on_failure)
     return twin

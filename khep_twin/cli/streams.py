@@ -5,6 +5,7 @@ exit code says it. A reader that has gone, as `head` does, is not reported, as t
 Also here: the number of descriptors that there may be.
 """
 
+import codecs
 import errno
 import io
 import os
@@ -98,13 +99,25 @@ def exit_code(code: int) -> int:
     return 128 + _SIGPIPE if all(each.errno == errno.EPIPE for each in troubles) else 1
 
 
+def _as_named(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Write the bytes of a name that is no text, as the system has them, and anything else as its code."""
+    try:
+        return codecs.lookup_error("surrogateescape")(error)
+    except UnicodeError:
+        return codecs.backslashreplace_errors(error)
+
+
+_AS_NAMED = "khep_twin_as_named"
+codecs.register_error(_AS_NAMED, _as_named)
+
+
 def _guarded(descriptor: int, stream: io.TextIOWrapper | Any) -> UnclosableStream:
     raw = GuardedOutput(descriptor)
     _streams.append(raw)
     guarded = UnclosableStream(
         io.BufferedWriter(raw),
         encoding=getattr(stream, "encoding", "utf-8"),
-        errors=getattr(stream, "errors", "backslashreplace"),
+        errors=_AS_NAMED,
         line_buffering=getattr(stream, "line_buffering", True),
         write_through=getattr(stream, "write_through", False),
     )

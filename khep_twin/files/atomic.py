@@ -4,12 +4,14 @@ import errno
 import os
 import stat
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from khep_twin.errors import KhepTwinError
+from khep_twin.invocation import quoted
 from khep_twin.machine import flags
 from khep_twin.signals import clear_at_end, undisturbed
 
@@ -21,7 +23,10 @@ def open_regular(path: Path, buffering: int = -1) -> BinaryIO:
         OSError: It cannot be opened, or is no regular file.
     """
     # Check before opening, which alone may act on a device, and after, as the file may be another by then.
-    _check_regular(os.stat(path))
+    try:
+        _check_regular(os.stat(path))
+    except FileNotFoundError as error:
+        raise FileNotFoundError(errno.ENOENT, f"{error.strerror}{_nearest(path)}", str(path)) from None
     descriptor = os.open(path, flags("O_RDONLY", "O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC"))
     try:
         _check_regular(os.fstat(descriptor))
@@ -41,10 +46,16 @@ def read_regular(path: Path) -> bytes:
         return file.read()
 
 
+def resolved(path: Path) -> Path:
+    """Return a path without links; it need not exist, and links in a circle stay, for its use to report."""
+    # Path.resolve raises another error for such links, on some versions of Python only.
+    return Path(os.path.realpath(path))
+
+
 def is_same(path: Path, other: Path) -> bool:
     """Return whether two paths name the same file, which need not exist yet."""
     try:
-        return path.resolve() == other.resolve() or path.samefile(other)
+        return resolved(path) == resolved(other) or path.samefile(other)
     except (OSError, ValueError):  # a missing file is not the same as any other
         return False
 
@@ -58,12 +69,15 @@ def unusable(path: Path) -> str:
         if not path.name or path.is_dir():
             return "this is a directory; expected the name of a file"
         if not path.parent.is_dir():
-            return f"there is no directory {path.parent}"
+            return f"there is no directory {path.parent}; to make it: mkdir -p {quoted(str(path.parent))}"
         if path.exists() and not path.is_file():
             return "this is no regular file; expected the name of a file"
         if path.exists() and not (path.stat().st_mode & 0o222 and os.access(path, os.W_OK)):
             return "the file is read-only"
-        if not os.access(path.resolve().parent, os.W_OK):
+        if path.is_symlink() and not path.exists():
+            with suppress(FileNotFoundError):  # of a link to a new file; any other error is a reason
+                path.stat()
+        if not os.access(resolved(path).parent, os.W_OK):
             return f"nothing can be written in {path.parent}"
     except (OSError, ValueError) as error:
         return getattr(error, "strerror", None) or str(error)
@@ -108,7 +122,7 @@ def part_file(path: Path, replace: bool = True) -> Generator[BinaryIO]:
             that fails.
         KhepTwinError: With `replace` false, another file was there at the end.
     """
-    target = path.resolve()
+    target = resolved(path)
     with undisturbed():
         part = _new_part(target)
         clear = partial(part.unlink, missing_ok=True)
@@ -244,8 +258,18 @@ def _new_part(target: Path) -> Path:
             number += 1
 
 
+def _nearest(path: Path) -> str:
+    """Return the question about a file of the same folder and kind that was probably meant; empty without."""
+    with suppress(OSError):
+        there = [each for each in os.listdir(path.parent) if Path(each).suffix == path.suffix]
+        for name in get_close_matches(path.name, there, n=1):
+            return f"; did you mean {str(path.with_name(name))!r}?"
+    return ""
+
+
 def _check_regular(found: os.stat_result) -> None:
     if stat.S_ISDIR(found.st_mode):
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        reason = os.strerror(errno.EISDIR)
+        raise IsADirectoryError(errno.EISDIR, f"{reason}; expected the name of a file")
     if not stat.S_ISREG(found.st_mode):
         raise OSError(errno.EINVAL, "this is no regular file; expected the name of a file")

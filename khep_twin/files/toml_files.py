@@ -23,8 +23,10 @@ from pydantic_core import ErrorDetails
 
 from khep_twin.errors import Expected, KhepTwinError, Location, Problem, choices
 from khep_twin.files.atomic import open_regular
+from khep_twin.files.text import decode
 from khep_twin.files.toml_edit import change
 from khep_twin.files.toml_lines import LineNumbers
+from khep_twin.invocation import command
 
 SIZE_LIMIT = 2**20
 """Largest file that is read [bytes]."""
@@ -96,9 +98,9 @@ def read(kind: str, name: str | Path, error: type[KhepTwinError]) -> tuple[str, 
     if len(data) > SIZE_LIMIT:
         raise error(f"larger than {SIZE_LIMIT} bytes, the most that is read", file=source)
     try:
-        return data.decode("utf-8-sig"), source
-    except UnicodeDecodeError as trouble:
-        raise error(f"byte {trouble.start} is no UTF-8 text", file=source) from None
+        return decode(data), source
+    except ValueError as trouble:
+        raise error(str(trouble), file=source) from None
 
 
 def validate(
@@ -118,7 +120,8 @@ def validate(
     try:
         data = frozen(tomllib.loads(text))
     except tomllib.TOMLDecodeError as trouble:
-        raise error(f"not TOML: {trouble}", file=source) from None
+        run = f"; to run a controller: {command('run', source)}" if source.endswith(".py") else ""
+        raise error(f"not TOML: {trouble}", run, file=source) from None
     except ValueError:
         raise error("not TOML that can be read: a number has thousands of digits", file=source) from None
     except RecursionError:

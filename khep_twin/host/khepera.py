@@ -74,7 +74,10 @@ class Khepera:
             raise ValueError(f"timeout = {timeout}; expected a finite number from 0")
         if not 0 < wheel_base < math.inf:
             raise ValueError(f"wheel_base = {wheel_base}; expected a number above 0")
-        self._line = Line(url, timeout / 2, baudrate, retries)
+        try:
+            self._line = Line(url, timeout / 2, baudrate, retries)
+        except PortError as error:
+            raise error.with_traceback(None) from None  # where it is opened is all that its reader needs
         self._wheel_base = wheel_base
         self._mode_codes: tuple[int, int, int] | None = None
         self.name: str = self._line.name

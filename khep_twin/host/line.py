@@ -20,6 +20,7 @@ import serial
 from khep_twin.board.protocol import MOVING
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PORT_FAILURES, PortError, PortTimeout, ProtocolError, StoppedError
+from khep_twin.files.atomic import resolved
 from khep_twin.host.commands import HostCommand
 from khep_twin.host.opening import SPEEDS, find_speed, numbered, open_port
 from khep_twin.signals import clear_at_end
@@ -353,7 +354,7 @@ class Line:
         if self._url is None or hasattr(self.port, "time_ns"):
             return "this port is not opened again"
         path = Path(self._url)
-        if "://" in self._url or not path.resolve().is_relative_to("/dev/pts"):
+        if "://" in self._url or not resolved(path).is_relative_to("/dev/pts"):
             return ""
         if sys.platform == "win32":
             return ""

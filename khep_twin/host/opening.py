@@ -6,6 +6,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from urllib.parse import quote
 
 import serial
 
@@ -143,6 +144,7 @@ def _link_of(name: str) -> str:
 
 def _why_not_opened(url: str, error: Exception) -> tuple[str, str]:
     """Return the reason, and what to add to it on the command line."""
+    from khep_twin.files.toml_files import names
     from khep_twin.ports.network import address_fault
 
     text = str(error)
@@ -151,6 +153,16 @@ def _why_not_opened(url: str, error: Exception) -> tuple[str, str]:
     if "://" not in url and isinstance(error, serial.SerialException):
         if path := _link_of(url):
             return f"{url}: no such port here; the twin served under this name is at {path}", ""
-        hint = f"; `{command('serve')}` makes one, khep://default needs none"
-        return f"{url}: cannot open this port: {text}", hint
+        if url in names("playpens") or url.endswith((".toml", ".mcap")):
+            return f"{url}: no port; expected khep://{quote(url)} for a twin in it", ""
+        hint = (
+            f"; `{command('ports')}` lists those that are here, `{command('serve')}` makes one, "
+            "khep://default needs none"
+        )
+        return f"{url}: cannot open this port: {_reason(error)}", hint
     return (text if text.startswith(url) else f"{url}: {text}"), ""
+
+
+def _reason(error: serial.SerialException) -> str:
+    """Return the system's reason alone; pyserial's own text has it twice, with the name of the port."""
+    return os.strerror(error.errno) if error.errno else str(error)

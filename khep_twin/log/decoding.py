@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, LogError
+from khep_twin.invocation import command
 from khep_twin.log.channels import CDR_HEADER, TextLine
 
 LATEST_NS = 2**63 - 1
@@ -76,7 +77,9 @@ def readable(path: Path) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from error
+        make = f"; to make one: {command('run', '--log', path)}"
+        is_missing = isinstance(error, FileNotFoundError) and path.suffix == ".mcap"
+        raise LogError(f"{path}: cannot be read: {error.strerror}", make if is_missing else "") from error
 
 
 def first_line(error: KhepTwinError) -> str:

@@ -16,7 +16,7 @@ from mcap.writer import MCAP0_MAGIC
 from khep_twin import __version__
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import Identity, kept_both, open_regular, put, unusable
+from khep_twin.files.atomic import Identity, kept_both, open_regular, put, resolved, unusable
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.output import Output
 from khep_twin.machine import flags, lock, n_forks
@@ -152,7 +152,7 @@ class LogFile(Output):
             raise LogError(f"{path}: cannot write a log here: {reason}")
         self.path = path
         # Links are followed, so that they stay links; resolved now, as a controller may change the directory.
-        self._target = path.resolve() if path.is_symlink() else path.absolute()
+        self._target = resolved(path) if path.is_symlink() else path.absolute()
         self.part = self._target.with_name(self._target.name + ".part")
         self._before = Identity.of(self._target)
         self._now = now

@@ -11,10 +11,12 @@ from os import PathLike
 from pathlib import Path
 
 import numpy as np
+from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
+from khep_twin.invocation import command
 from khep_twin.log.channels import FLOATS, IMAGE, TextLine
 from khep_twin.log.content import Content
 from khep_twin.log.decoding import DecodeError, readable
@@ -227,7 +229,12 @@ def _opened(path: Path) -> Generator[Content, None, None]:
         try:
             yield Content(file)
         except DecodeError as error:
-            raise LogError(f"{path}: no whole log: {error}") from None
+            # What begins as a log was torn or damaged, and can be rescued.
+            file.seek(0)
+            is_torn = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+            rescue = f"; to rescue what is left: {command('recover', path)}"
+            make = f"; to make a log: {command('run', '--log', 'run.mcap')}"
+            raise LogError(f"{path}: no whole log: {error}", rescue if is_torn else make) from None
 
 
 def _label(path: Path, content: Content) -> Label:

@@ -14,7 +14,7 @@ from mcap.records import Metadata
 from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import open_regular
+from khep_twin.files.atomic import open_regular, resolved
 from khep_twin.invocation import command
 from khep_twin.log.decoding import DecodeError, readable
 from khep_twin.log.entries import Entry, EntryReader, Label, label_of, run_facts
@@ -48,7 +48,7 @@ class GrowingLog:
 
     def __init__(self, path: Path) -> None:
         self.path = path.with_suffix("") if path.suffix == ".part" else path
-        target = self.path.resolve()
+        target = resolved(self.path)
         self.part = target.with_name(f"{target.name}.part")
         try:
             self._file = open_regular(self.part, buffering=0)

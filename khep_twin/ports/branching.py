@@ -8,6 +8,7 @@ from typing import NamedTuple
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError, PortError
 from khep_twin.files.atomic import is_same
+from khep_twin.files.text import encodable
 from khep_twin.log.entries import Label
 from khep_twin.log.reader import hash_of, read_end_ns
 from khep_twin.log.recorded import BRANCH, BranchPoint, changes_of, changes_text
@@ -61,7 +62,7 @@ def branch_off(
     begun: list[Twin] = []
 
     def start(twin: Twin, label: Label, beginning: Beginning) -> None:
-        told = replace(change, parent=path.name, sha256=hash_of(path))
+        told = replace(change, parent=encodable(path.name), sha256=hash_of(path))
         facts = {
             **label.metadata,
             **versions(),

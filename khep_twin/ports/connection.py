@@ -16,6 +16,7 @@ class Connection:
         self._robot = robot
         self._cable = port
         self._notify = notify
+        self._baud = 0
 
     @property
     def has_room(self) -> bool:
@@ -57,6 +58,9 @@ class Connection:
         robot, port, uart = self._robot, self._cable, self._robot.uart
         # Of an unfinished line no reply comes, even if its bytes are underway: the wire clock stands still.
         answered = uart.tx.next_ns is None and self._command_ns() == NEVER_NS
+        if self._baud != robot.firmware.baud:
+            self._baud = robot.firmware.baud
+            port.set_baud(self._baud)
         received = port.receive(uart.room, answered)
         if received is NOTHING:
             return 0

@@ -45,6 +45,10 @@ class HostPort(Protocol):
         """True if a host is there, as far as that can be known."""
         ...
 
+    def set_baud(self, baud: int) -> None:
+        """Take the speed of the robot's line, which a host has that sets none [baud]."""
+        ...
+
     def descriptors(self, room: bool) -> Sequence[int]:
         """Return the descriptors that become readable when a host comes, goes or, if `room`, writes."""
         ...

@@ -71,6 +71,10 @@ class TcpPort:
         host = self._host.descriptor if self._host is not None and room else None
         return [self._server.fileno(), *([] if host is None else [host])]
 
+    def set_baud(self, baud: int) -> None:
+        """Take the speed of the robot's line, from which the next host's negotiation begins [baud]."""
+        self._baud = self._baud and baud
+
     def settings(self) -> LineSettings | None:
         """Return the line settings of the host; None without RFC 2217."""
         return None if self._host is None else self._host.settings()

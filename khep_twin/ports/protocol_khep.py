@@ -268,6 +268,8 @@ def _values_of(url: str) -> tuple[str, dict[str, Any]]:
         raise TwinPortError(f"{url}: no URL: {error}") from None
     if parts.fragment:
         raise TwinPortError(f"{url}: '#' ends a URL; expected %23 in its place")
+    if parts.query.endswith((".toml", ".mcap")) and "=" not in parts.query:
+        raise TwinPortError(f"{url}: '?' begins the options of a URL; expected %3F in a name")
     if parts.scheme != "khep":
         raise TwinPortError(f"{url}: another scheme; expected khep://, such as khep://default")
     playpen = unquote(parts.netloc + parts.path)

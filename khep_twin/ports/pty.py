@@ -83,8 +83,7 @@ class PtyPort:
             raise PortError(
                 f"no pseudo-terminal can be had: {error.strerror}; expected a free one, or --tcp HOST:PORT"
             ) from error
-        self._baud = baud
-        self._raw = self._make_raw(host_side)
+        self._raw = self._make_raw(host_side, baud)
         os.set_blocking(self.descriptor, False)
         self.name = self.path = os.ttyname(host_side)
         self.dropped = 0
@@ -117,6 +116,13 @@ class PtyPort:
     def occupied(self) -> bool:
         """True if a host has it open."""
         return self._hosts.hosts > 0
+
+    def set_baud(self, baud: int) -> None:
+        """Take the speed of the robot's line, which a host has that sets none [baud]."""
+        if self._raw[_OUT_SPEED] != (speed := _constant(baud)):
+            self._raw[_IN_SPEED] = self._raw[_OUT_SPEED] = speed
+            # Also where no host is there to leave.
+            self._left_s = time.monotonic() if self._left_s is None else self._left_s
 
     def descriptors(self, room: bool) -> Sequence[int]:
         """Return the descriptors that become readable when a host comes, goes or, if `room`, writes."""
@@ -271,12 +277,16 @@ class PtyPort:
             f"the port is open {self._hosts.hosts} times at once; each reader takes bytes from the others",
         )
 
-    def _make_raw(self, host_side: int) -> list[int | list[bytes | int]]:
+    def _make_raw(self, host_side: int, baud: int) -> list[int | list[bytes | int]]:
         """Make it raw, at the robot's own speed: a host that sets none counts as matching."""
         tty.setraw(host_side)
         flags = termios.tcgetattr(host_side)
         flags[_CONTROL] |= termios.CSTOPB
-        speed = getattr(termios, f"B{self._baud}", termios.B9600)
-        flags[_IN_SPEED] = flags[_OUT_SPEED] = speed
+        flags[_IN_SPEED] = flags[_OUT_SPEED] = _constant(baud)
         termios.tcsetattr(host_side, termios.TCSANOW, flags)
         return termios.tcgetattr(host_side)
+
+
+def _constant(baud: int) -> int:
+    """Return the system's constant for a speed [baud]."""
+    return getattr(termios, f"B{baud}", termios.B9600)

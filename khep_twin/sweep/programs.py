@@ -19,6 +19,7 @@ import numpy as np
 from khep_twin.episodes.controllers import Driver, Floats, Function
 from khep_twin.errors import ControllerError, choices, in_a_line
 from khep_twin.files.atomic import read_regular
+from khep_twin.files.text import decode
 from khep_twin.files.toml_files import show
 from khep_twin.randomness import stream
 from khep_twin.signals import is_interruption
@@ -102,5 +103,5 @@ def _read(path: Path) -> Floats:
     if path.suffix == ".csv":
         if not data.strip():
             raise ValueError("it is empty")
-        return np.loadtxt(io.StringIO(data.decode("utf-8-sig")), delimiter=",", ndmin=2)
+        return np.loadtxt(io.StringIO(decode(data)), delimiter=",", ndmin=2)
     raise ValueError("expected a .npy or .csv file")

@@ -19,6 +19,7 @@ from khep_twin.episodes.controllers import Braitenberg, Driver, Floats
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError
 from khep_twin.files.atomic import read_regular
+from khep_twin.files.text import decode
 from khep_twin.lab.experiment import start_poses
 from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
@@ -174,10 +175,10 @@ def _program(file: StudyFile, kind: str, index: int, name: str, memory: int = 0)
     path, _, function = name.rpartition(":")
     place, key = (kind, index, "file"), f'{kind} {index + 1}: file = "{name}"'
     try:
-        program = Program(read_regular(file.folder / path).decode("utf-8"), path, function, memory)
+        program = Program(decode(read_regular(file.folder / path)), path, function, memory)
         function_of(program)
-    except (OSError, UnicodeDecodeError) as trouble:
-        reason = getattr(trouble, "strerror", None) or "no UTF-8 text"
+    except (OSError, ValueError) as trouble:
+        reason = getattr(trouble, "strerror", None) or trouble
         raise file.error(place, f"{key}: cannot be read: {reason}") from None
     except ControllerError as error:
         raise checked(file, place, key, error) from None

@@ -213,7 +213,7 @@ def load(path: Path) -> StudyFile:
     Raises:
         StudyError: There is no file, or it cannot be used; one line per problem.
     """
-    if not path.exists():
+    if not (path.exists() or path.is_symlink()):
         raise StudyError("no such file", file=path, expected="the path of a study")
     text, source = toml_files.read("studies", path, StudyError)
     study = toml_files.validate(Study, text, source, StudyError)

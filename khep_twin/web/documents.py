@@ -19,7 +19,7 @@ from pathlib import Path
 from khep_twin import playpen as playpens
 from khep_twin.errors import KhepTwinError, PlaypenError
 from khep_twin.files import toml_files
-from khep_twin.files.atomic import unusable, write_whole
+from khep_twin.files.atomic import resolved, unusable, write_whole
 from khep_twin.files.toml_files import SIZE_LIMIT
 from khep_twin.playpen import Playpen
 from khep_twin.web.drafts import Draft, blank, draft_of, text_of
@@ -47,7 +47,7 @@ class Documents:
     """Playpens below a folder; names of files are from there on."""
 
     def __init__(self, root: Path) -> None:
-        self.root = root.resolve()
+        self.root = resolved(root)
         self._saving = threading.Lock()
 
     def path(self, name: str, *endings: str) -> Path:
@@ -80,7 +80,7 @@ class Documents:
         wanted = Path(name)
         if wanted.is_absolute() or ".." in wanted.parts:
             raise OutsideError(f"{name}: outside the folder that the designer was started in")
-        found = (self.root / wanted).resolve()
+        found = resolved(self.root / wanted)
         if not found.is_relative_to(self.root):
             raise OutsideError(f"{name}: leads out of the folder that the designer was started in")
         return found

@@ -14,6 +14,7 @@ from khep_twin import playpen as playpens
 from khep_twin.drawing.render import render
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError, choices
 from khep_twin.files.atomic import read_regular, unusable, write_whole
+from khep_twin.files.text import decode
 from khep_twin.host.discovery import found_ports
 from khep_twin.playpen import Playpen, bitmap, bitmap_files
 from khep_twin.playpen.starts import at_spots
@@ -77,9 +78,9 @@ class Programs:
         if path.stat().st_size > PROGRAM_LIMIT:
             raise ControllerError(f"{name}: {path.stat().st_size} bytes; expected at most {PROGRAM_LIMIT}")
         try:
-            return read_regular(path).decode("utf-8")
-        except UnicodeDecodeError as error:
-            raise ControllerError(f"{name}: no UTF-8: {error.reason}; expected a Python file") from None
+            return decode(read_regular(path))
+        except ValueError as error:
+            raise ControllerError(f"{name}: {error}") from None
 
 
 class FileActions:

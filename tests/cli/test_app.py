@@ -61,6 +61,14 @@ def test_the_version_and_the_help_come_at_once() -> None:
         ("run --seconds abc", "Invalid value for '--seconds': "),
         ("run --seed", "Option '--seed' requires an argument"),
         ("conform", "Missing argument 'port'"),
+        ("playpen random my.toml", "Got unexpected extra argument(s) (my.toml); expected -o my.toml"),
+        ("playpen draw obstacles my.png", "Got unexpected extra argument(s) (my.png); expected -o my.png"),
+        ("run braitenberg swarm", "Got unexpected extra argument(s) (swarm); expected --playpen swarm"),
+        ("ports x", "Got unexpected extra argument(s) (x); expected khep-twin ports [OPTIONS], see "),
+        ("run -o x.mcap", "No such option: -o; see khep-twin run --help"),
+        ("export a.mcap b.csv", "2 logs; expected -o b.csv for a table"),
+        ("series nowhere", "nowhere: no series here, as it has no series.json; to make one: "),
+        ("serve mine.py", "mine.py: no such file; expected the path of a file or a shipped name"),
     ],
 )
 def test_what_is_typed_wrong_gets_one_line(typed: str, told: str) -> None:

@@ -18,6 +18,7 @@ from scipy.io import loadmat
 from served_twin import served
 from shares import share
 
+from khep_twin.files import toml_files
 from khep_twin.log.reader import read_log
 from khep_twin.playpen import Playpen, dump
 from stand_ins.fake_robot import FakeRobot
@@ -239,7 +240,8 @@ def test_before_each_run_a_person_is_waited_for(tmp_path: Path) -> None:
     assert result.stderr.count("put the robot right, then press Enter") == 2
     ended = run_python(command, cwd=tmp_path, input="\n", timeout=60)
     assert ended.returncode == 1
-    assert "--confirm: the input ended before run 2; expected a terminal" in ended.stderr
+    error = "khep-twin: --confirm: the input ended before run 2; expected a terminal"
+    assert ended.stderr.splitlines()[-2:] == ["run 2: put the robot right, then press Enter ", error]
 
 
 def test_ctrl_c_ends_the_wait_for_a_person(tmp_path: Path) -> None:
@@ -328,7 +330,7 @@ def test_series_are_compared_and_drawn(tmp_path: Path) -> None:
     assert lines[-1] == "picture  s.png"
     assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")
     for words, line in (
-        (("one", "none"), "none/series.json: cannot be read: No such file"),
+        (("one", "none"), "none: no series here, as it has no series.json; to make one: "),
         (
             ("one", "--columns", "fitnes"),
             "column fitnes: not a number in these runs; did you mean 'fitness'?",
@@ -526,7 +528,10 @@ def test_files_lie_where_they_were_typed_wherever_a_controller_goes(when: str, t
         "    os.path.isdir('away') and os.chdir('away')\n    robot.set_speed(5, 5)\n"
     )
     (folder / "then.py").write_text("def after(run):\n    open('own', 'w').close()\n")
-    (folder / "arena.toml").write_text(dump(Playpen.load("default")))
+    (folder / "mine.toml").write_text((toml_files.folder("calibration") / "khepera1.toml").read_text())
+    text = dump(Playpen.load("default"))
+    (folder / "arena.toml").write_text(text.replace('calibration = "khepera1"', 'calibration = "mine.toml"'))
+    assert "mine.toml" in (folder / "arena.toml").read_text()
     words = ("--playpen", "arena.toml", "--start", "playpen", "--runs", "2", "--cycles", "3")
     files = ("--on-run-end", "then.py", "--log", "run.mcap", "--picture", "run.png", "--save", "series")
     told = good("run", "goes.py", *words, *files, folder=folder)
@@ -534,7 +539,8 @@ def test_files_lie_where_they_were_typed_wherever_a_controller_goes(when: str, t
     assert told.splitlines()[-2].startswith("log      run-001.mcap to run-002.mcap")
     assert told.splitlines()[-1].startswith("series   series ")
     made = {"run-001.mcap", "run-002.mcap", "run.png", "series"}
-    assert {path.name for path in folder.iterdir()} == {"goes.py", "then.py", "arena.toml", "away", *made}
+    typed = {"goes.py", "then.py", "arena.toml", "mine.toml", "away"}
+    assert {path.name for path in folder.iterdir()} == typed | made
     assert len(rows(folder / "series")) == 2
     assert (folder / "away" / "away" / "own").exists()
     assert read_log(folder / "run-002.mcap").robots["khepera0"].serial

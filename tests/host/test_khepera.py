@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+import traceback
 from pathlib import Path
 from typing import Any
 
@@ -187,7 +188,11 @@ def test_a_wrong_answer_is_reported_with_the_exchange(answer: bytes) -> None:
 @pytest.mark.parametrize(
     ("url", "message"),
     [
-        ("/dev/no-such-port", "/dev/no-such-port: cannot open this port: .*No such file.*khep-twin serve"),
+        (
+            "/dev/no-such-port",
+            "^/dev/no-such-port: cannot open this port: No such file or directory; .*khep-twin ports. lists",
+        ),
+        ("obstacles", "^obstacles: no port; expected khep://obstacles for a twin in it$"),
         ("khep://nowhere", "khep://nowhere: nowhere: no such file"),
         ("nonsense://x", "nonsense://x: .*not known"),
         ("socket://localhost", "^socket://localhost: expected socket://HOST:PORT, such as"),
@@ -196,8 +201,9 @@ def test_a_wrong_answer_is_reported_with_the_exchange(answer: bytes) -> None:
     ],
 )
 def test_a_port_that_cannot_be_opened_says_what_would_be_right(url: str, message: str) -> None:
-    with pytest.raises(PortError, match=message):
+    with pytest.raises(PortError, match=message) as caught:
         Khepera(url)
+    assert len(traceback.extract_tb(caught.value.__traceback__)) == 2
 
 
 def test_the_host_loads_no_simulator() -> None:

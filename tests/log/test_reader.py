@@ -110,10 +110,18 @@ def test_the_label_is_read_without_the_run(log: Path) -> None:
 def test_what_is_no_log_is_one_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes(content)
-    with pytest.raises(
-        LogError, match=r"x\.mcap: no whole log: no MCAP file; expected one that begins and ends as such$"
-    ):
+    with pytest.raises(LogError) as caught:
         read_log(path)
+    told = f"{path}: no whole log: no MCAP file; expected one that begins and ends as such"
+    assert caught.value.plain == told
+    remedy = " recover " if content.startswith(b"\x89MCAP0") else " run --log run.mcap"
+    assert remedy in str(caught.value).removeprefix(told)
+
+
+def test_a_missing_log_names_the_one_that_was_probably_meant(tmp_path: Path) -> None:
+    (tmp_path / "run-001.mcap").touch()
+    with pytest.raises(LogError, match=r"No such file or directory; did you mean '.*/run-001.mcap'\?"):
+        read_log(tmp_path / "run-01.mcap")
 
 
 def test_a_foreign_mcap_file_is_distinguished(tmp_path: Path) -> None:

@@ -436,7 +436,8 @@ def test_a_missing_file_is_reported_with_what_ships(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "line"),
     [
-        (b"\xff\xfe", "byte 0 is no UTF-8 text"),
+        (b"\xff\xfe", "this is text in UTF-16; expected UTF-8, as which an editor can save it"),
+        (b"v\xe4", "byte 1 is no UTF-8 text; expected UTF-8, as which an editor can save it"),
         (b"#" * (2**20 + 1), "larger than 1048576 bytes, the most that is read"),
     ],
 )

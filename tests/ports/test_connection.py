@@ -35,6 +35,9 @@ class Cable:
     def descriptors(self, room: bool) -> Sequence[int]:
         return [self.descriptor]
 
+    def set_baud(self, baud: int) -> None:
+        pass
+
     def settings(self) -> LineSettings | None:
         return None
 

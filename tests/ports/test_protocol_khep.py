@@ -258,6 +258,7 @@ def test_a_url_is_taken_apart() -> None:
         ("khep://nowhere", "nowhere: no such file"),
         ("khep://[", "khep://[: no URL: "),
         ("khep://default?log=a#b", "'#' ends a URL; expected %23 in its place"),
+        ("khep://a?b.toml", "'?' begins the options of a URL; expected %3F in a name"),
         ("khep://default?seed=1_0", "seed = '1_0'; expected an integer"),
         ("khep://default?log=", ": cannot write a log here: this is a directory"),
         ("khep://default?log=/no/such/place/run.mcap", "/no/such/place/run.mcap: cannot write a log here"),

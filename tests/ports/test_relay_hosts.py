@@ -42,6 +42,9 @@ class Hosts:
     def descriptors(self, room: bool) -> list[int]:
         return []
 
+    def set_baud(self, baud: int) -> None:
+        """Its hosts set none."""
+
     def settings(self) -> None:
         return None
 

@@ -296,9 +296,13 @@ def test_who_opens_a_bare_name_sees_where_that_link_lies(
 
 def test_a_bare_link_lies_in_a_private_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with served("default", "--link", "khepera") as (_, path):
+    with served("default", "--link", "khepera", "--mode", "7") as (process, path):
         assert path == str(tmp_path / "khep_twin" / "khepera")
         assert (tmp_path / "khep_twin").stat().st_mode & 0o777 == 0o700
+        assert b"Self test" in exchange(path, b"restart\n", bytes(150))
+        _, errors = stop(process)
+    assert "mode 7: the self-test has run at power-up; hosts that send restart get its report" in errors
+    assert "next lines name, in a private directory (--link ./khepera is in this one)" in errors
 
 
 def test_a_descriptor_reports_when_hosts_may_come() -> None:
@@ -370,6 +374,25 @@ def test_the_notice_of_another_speed_names_the_mode_and_one_stop_bit_is_no_reaso
     assert "the host has its line at 38400 baud, the robot's has 9600" in told[0]
     assert "serve --mode 3" in told[0]
     assert "serve --model khepera2 --mode 8" in told[1]
+
+
+def test_after_the_tool_serial_the_next_host_finds_the_robots_speed() -> None:
+    def speed(path: str) -> int:
+        descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        try:
+            return termios.tcgetattr(descriptor)[5]
+        finally:
+            os.close(descriptor)
+
+    with served("default", "--strict-line") as (process, path):
+        assert speed(path) == termios.B9600
+        assert exchange(path, b"serial 38400\n", b"serial 38400\r\n") == b"serial 38400\r\n"
+        end = time.monotonic() + TIMEOUT_S
+        while speed(path) != termios.B38400 and time.monotonic() < end:
+            time.sleep(0.05)
+        assert exchange(path, b"B\n", VERSIONS) == VERSIONS
+        _, errors = stop(process)
+    assert "baud" not in errors
 
 
 def test_a_speed_without_a_constant_is_reported_as_it_is() -> None:

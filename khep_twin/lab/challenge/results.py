@@ -8,9 +8,9 @@ from io import StringIO
 from pathlib import Path
 
 from khep_twin.errors import ChallengeError
+from khep_twin.files.text import encodable
 from khep_twin.lab.challenge.attempt import REAL_SECONDS, Attempt, score_file
 from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile
-from khep_twin.lab.experiment.controllers import readable
 
 
 def participants(folder: Path) -> list[Path]:
@@ -93,7 +93,7 @@ def table(challenge: Challenge, found: Sequence[Attempt]) -> str:
     for rank, each in ranked(challenge, found):
         value = "" if each.score is None else f"{each.score.value:.4g}"
         passed = _passed(challenge, each)
-        row = f"{rank or '-':>4}  {_name(each):{width}}  {value:>8}  {passed:6}  {readable(each.note)}"
+        row = f"{rank or '-':>4}  {_name(each):{width}}  {value:>8}  {passed:6}  {encodable(each.note)}"
         lines.append(row.rstrip())
     return "\n".join(lines)
 
@@ -109,13 +109,13 @@ def to_csv(challenge: Challenge, found: Sequence[Attempt]) -> bytes:
     for rank, each in ranked(challenge, found):
         score = each.score
         value, *of_runs = [""] * (1 + runs) if score is None else [score.value, *score.runs]
-        note = _plain(readable(each.note))
+        note = _plain(encodable(each.note))
         writer.writerow([rank or "", _name(each), value, _passed(challenge, each), note, *of_runs])
     return text.getvalue().encode("utf-8")
 
 
 def _name(attempt: Attempt) -> str:
-    return readable(Path(attempt.file).stem)
+    return encodable(Path(attempt.file).stem)
 
 
 def _passed(challenge: Challenge, attempt: Attempt) -> str:

@@ -26,7 +26,7 @@ import numpy as np
 from khep_twin.envs.gymnasium import register
 from khep_twin.envs.tasks import Task
 from khep_twin.errors import KhepTwinError, MissingExtraError
-from khep_twin.files.atomic import free_name, kept_both
+from khep_twin.files.atomic import free_name, kept_both, resolved
 from khep_twin.lab.dataset.episodes import OfflineEpisode
 from khep_twin.signals import clear_at_end
 
@@ -143,7 +143,7 @@ def _part_of(target: Path, force: bool) -> Generator[Path]:
     made = [each for each in (target.parent, *target.parent.parents) if not each.exists()]
     target.parent.mkdir(parents=True, exist_ok=True)
     # Minari joins relative paths twice.
-    part = Path(mkdtemp(prefix=f".{target.name}.part-", dir=target.parent.resolve()))
+    part = Path(mkdtemp(prefix=f".{target.name}.part-", dir=resolved(target.parent)))
     clear = partial(shutil.rmtree, part, ignore_errors=True)
     forget = clear_at_end(clear)
     try:

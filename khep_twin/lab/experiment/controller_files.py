@@ -5,12 +5,17 @@ import inspect
 import os
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
 
-from khep_twin.errors import ControllerError, choices, in_a_line
+from khep_twin.errors import ControllerError, choices
+from khep_twin.files.atomic import open_regular, resolved
+from khep_twin.files.text import check_encoding
+from khep_twin.files.toml_files import names
+from khep_twin.invocation import command
 from khep_twin.lab.experiment.controller_source import ReadOnceLoader
 from khep_twin.lab.experiment.controllers import (
     BUILT_IN,
@@ -20,11 +25,12 @@ from khep_twin.lab.experiment.controllers import (
     LoopingController,
     call,
     defining,
-    line_in,
+    failed,
     name_of,
     source_file,
 )
 from khep_twin.lab.experiment.series_run import SeriesRun
+from khep_twin.lab.experiment.users_folder import begin_here, users_folder
 from khep_twin.signals import is_interruption
 
 Offered = TypeVar("Offered", bound=type[Controller] | AnyFunction)
@@ -43,30 +49,33 @@ def find_controller(
     """
     if name in BUILT_IN:
         return BUILT_IN[name]
-    wish = f"FILE.py, FILE.py:NAME or a built-in name; {choices(name, BUILT_IN)}"
-    path, wanted = _file_and_name(name, f"no such controller; expected {wish}")
-    offers = _offers_of(_module_of(path))
+    path, wanted = _file_and_name(name, f"no such controller; expected {_wish(name)}")
+    begin_here()
+    module = _module_of(path)
+    offers = _offers_of(module)
     classes = {each: offer for each, offer in offers.items() if isinstance(offer, type)}
     if not wanted and len(classes) == 1 and "controller" not in offers:
         offers = classes  # beside a single class, functions are its tools
-    taking = "a robot, and no such subclass of Controller"
-    wanted, found = _chosen(path, wanted, offers, "controller", taking)
+    wanted, found = _chosen(path, wanted, module, offers, _CONTROLLER)
     if isinstance(found, type):
         return _made(path, wanted, found)
     adapted = adapt(found)
     return adapted if adapted is not found else _plain(path, wanted, found, "robot")
 
 
-def find_function(name: str, taking: str, n_parameters: int) -> AnyFunction:
-    """Find a function of `n_parameters`, described by `taking`, as FILE.py or FILE.py:NAME.
+def find_rule(name: str) -> AnyFunction:
+    """Find a function of proximity and ambient light, as FILE.py or FILE.py:NAME.
 
     Without NAME, the file's `controller` is used, or its only public function.
     """
     path, wanted = _file_and_name(name)
-    functions = _functions_of(_offers_of(_module_of(path)))
-    wanted, found = _chosen(path, wanted, functions, "controller", taking)
-    if len(inspect.signature(found).parameters) != n_parameters:
-        raise ControllerError(f"{path}: {wanted!r} takes {inspect.signature(found)}; expected {taking}")
+    begin_here()
+    module = _module_of(path)
+    wanted, found = _chosen(path, wanted, module, _functions_of(_offers_of(module)), _RULE)
+    if (count := len(inspect.signature(found).parameters)) != 2:
+        other = f"; for one of a robot: {command('run', name)}" if count == 1 else ""
+        takes = f"{path}: {wanted!r} takes {inspect.signature(found)}; expected {_RULE.taking}"
+        raise ControllerError(takes, other)
     return found
 
 
@@ -78,9 +87,9 @@ def find_on_run_end(name: str, controller: AnyController) -> AnyFunction:
     """
     path, wanted = _file_and_name(name)
     module = inspect.getmodule(defining(controller))
-    same = module is not None and Path(module.__file__ or "") == path.absolute()
-    functions = _functions_of(_offers_of(module if module is not None and same else _module_of(path)))
-    wanted, found = _chosen(path, wanted, functions, "after", "a run")
+    if module is None or Path(module.__file__ or "") != path.absolute():
+        module = _module_of(path)
+    wanted, found = _chosen(path, wanted, module, _functions_of(_offers_of(module)), _AFTER)
     if isinstance(controller, LoopingController):
         return _returning(path, wanted, found, "after each run")
     return _plain(path, wanted, found, "run")
@@ -116,17 +125,68 @@ def _file_and_name(
     return Path(path), name
 
 
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """Kind of object that is wanted of a user's file.
+
+    Attributes:
+        usual: Its usual name.
+        taking: Its parameters, in words.
+        example: Smallest example.
+    """
+
+    usual: str
+    taking: str
+    example: str
+
+
+_CONTROLLER = _Wanted(
+    "controller",
+    "a robot, and no such subclass of Controller",
+    "def controller(robot):\n    robot.set_speed(5, 5)",
+)
+_RULE = _Wanted(
+    "controller",
+    "proximity and ambient light",
+    "def controller(proximity, ambient):\n    return 5, 5",
+)
+_AFTER = _Wanted("after", "a run", "def after(run):\n    print(run.metrics)")
+
+
 def _chosen(
-    path: Path, wanted: str, offers: Mapping[str, Offered], usual: str, taking: str
+    path: Path, name: str, module: ModuleType, offers: Mapping[str, Offered], wanted: _Wanted
 ) -> tuple[str, Offered]:
     """Return an object of a user's file by its name, else the usual one or the only one, and its name."""
-    if not wanted:
-        wanted = usual if usual in offers or len(offers) != 1 else next(iter(offers))
-    if wanted not in offers:
-        raise ControllerError(
-            f"{path}: no function {wanted!r} that takes {taking}; {choices(wanted, offers)}"
-        )
-    return wanted, offers[wanted]
+    chosen = name or (wanted.usual if wanted.usual in offers or len(offers) != 1 else next(iter(offers)))
+    if chosen in offers:
+        return chosen, offers[chosen]
+    missing = f"{path}: no function {chosen!r} that takes {wanted.taking}"
+    if offers:
+        which = "" if name else f"expected one of these, such as {path}:{next(iter(offers))} "
+        raise ControllerError(f"{missing}; {which}{choices(chosen, offers)}")
+    there = ", ".join(_contents(module)) or "nothing"
+    base = "a class of khep_twin.Controller, or " if wanted is _CONTROLLER and "class " in there else ""
+    raise ControllerError(f"{missing}; in it: {there}; expected {base}two lines such as\n{wanted.example}")
+
+
+def _contents(module: ModuleType) -> list[str]:
+    """Return the public names that a file defines, and the kinds of those that are no variables."""
+    found = {name: each for name, each in vars(module).items() if not name.startswith("_")}
+    own = {name: each for name, each in found.items() if not isinstance(each, ModuleType)}
+    kinds = {name: "class " for name, each in own.items() if isinstance(each, type)}
+    kinds |= {name: "function " for name, each in own.items() if inspect.isfunction(each)}
+    return [
+        f"{kinds.get(name, '')}{name}"
+        for name, each in own.items()
+        if name not in kinds or each.__module__ == module.__name__
+    ]
+
+
+def _wish(name: str) -> str:
+    """Return what a controller is called on the command line, where `name` is none."""
+    if name.endswith(".toml") or name in names("playpens"):
+        return f"FILE.py, FILE.py:NAME or a built-in name, and for a playpen --playpen {name}"
+    return f"FILE.py, FILE.py:NAME or a built-in name; {choices(name, BUILT_IN)}"
 
 
 def _functions_of(offers: Mapping[str, type[Controller] | AnyFunction]) -> dict[str, AnyFunction]:
@@ -137,7 +197,9 @@ def _plain(path: Path, name: str, function: AnyFunction, taking: str) -> AnyFunc
     """Return a user's function; raise a `ControllerError` unless it has one parameter and returns."""
     if len(inspect.signature(function).parameters) != 1:
         takes = inspect.signature(function)
-        raise ControllerError(f"{path}: {name!r} takes {takes}; expected one {taking}")
+        is_rule = taking == "robot" and len(takes.parameters) == 2
+        other = f"; for one of readings: {command('rollout', f'{path}:{name}')}" if is_rule else ""
+        raise ControllerError(f"{path}: {name!r} takes {takes}; expected one {taking}", other)
     return _returning(path, name, function, "each cycle" if taking == "robot" else "after each run")
 
 
@@ -151,12 +213,12 @@ def _returning(path: Path, name: str, function: AnyFunction, when: str) -> AnyFu
 def _made(path: Path, name: str, kind: type[Controller]) -> Controller:
     """Return an object of a user's class."""
     try:
-        return kind()
+        with users_folder():
+            return kind()
     except BaseException as error:
         if is_interruption(error):
             raise
-        reason = in_a_line(error)
-        raise ControllerError(f"{path}{line_in(error, path)}: {name}() failed: {reason}") from error
+        raise failed(path, error, f"{name}() failed: ") from error
 
 
 def _offers_of(module: ModuleType) -> dict[str, type[Controller] | AnyFunction]:
@@ -172,9 +234,16 @@ def _offers_of(module: ModuleType) -> dict[str, type[Controller] | AnyFunction]:
 
 def _module_of(path: Path) -> ModuleType:
     """Run a user's file as a module and return it."""
-    if not path.is_file():
-        odd = "this is no regular file; expected the name of a file" if path.exists() else "no such file"
-        raise ControllerError(f"{path}: {odd}")
+    try:
+        with open_regular(path) as file:
+            check_encoding(file.read(2))
+    except FileNotFoundError:
+        remedy = f"; to make one: {command('new', 'controller', path)}"
+        raise ControllerError(f"{path}: no such file", remedy) from None
+    except (OSError, ValueError) as error:
+        raise ControllerError(
+            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from None
     # Files of the same name in two folders are two modules.
     place = sha256(os.fsencode(path.absolute())).hexdigest()[:8]
     name = f"khep_twin_controller_{place}_{path.stem}"
@@ -186,14 +255,15 @@ def _module_of(path: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     # A program can import modules beside it, as when Python runs it.
-    folder = str(path.parent.resolve())
+    folder = str(resolved(path.parent))
     if folder not in sys.path:
         sys.path.insert(0, folder)
     try:
-        spec.loader.exec_module(module)
+        with users_folder():
+            spec.loader.exec_module(module)
     except BaseException as error:
         # A user's file may fail in any way; report location and reason.
         if is_interruption(error):
             raise
-        raise ControllerError(f"{path}{line_in(error, path)}: {in_a_line(error)}") from error
+        raise failed(path, error) from error
     return module

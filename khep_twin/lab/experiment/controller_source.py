@@ -12,7 +12,8 @@ from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType
 
-from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController, defining, name_of, readable
+from khep_twin.files.text import encodable
+from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController, defining, name_of
 
 MOST_BYTES = 2**20
 """Longest source kept in a log [bytes]; programs written by hand have less than a tenth (assumed)."""
@@ -61,7 +62,7 @@ def source_of(controller: AnyController) -> Source:
     defined = defining(controller)
     file = inspect.getsourcefile(defined) or ""
     # The folder is specific to the machine and no part of the run.
-    name = readable(Path(file).name)
+    name = encodable(Path(file).name)
     built_in = next((each for each, function in BUILT_IN.items() if function is controller), None)
     facts = {"controller": built_in or f"{name}:{name_of(controller)}"}
     try:

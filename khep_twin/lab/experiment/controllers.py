@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 
 from khep_twin.board.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
 from khep_twin.errors import ControllerError, KhepTwinError, in_a_line
-from khep_twin.files.atomic import write_whole
+from khep_twin.files.atomic import resolved, write_whole
+from khep_twin.files.text import encodable
 from khep_twin.host import Khepera
+from khep_twin.lab.experiment.users_folder import users_folder
 from khep_twin.playpen import Playpen
 from khep_twin.signals import is_interruption
 
@@ -80,7 +82,7 @@ class FunctionController(Controller):
 
     def told(self) -> dict[str, object]:
         """Return the mapping that the function returned last."""
-        return {readable(str(name)): value for name, value in self._told.items()}
+        return {encodable(str(name)): value for name, value in self._told.items()}
 
 
 class LoopingController(FunctionController):
@@ -142,14 +144,14 @@ def call(place: Callable[P, Returned], *given: P.args, **named: P.kwargs) -> Ret
         ControllerError: It failed, with file and line.
     """
     try:
-        return place(*given, **named)
+        with users_folder():
+            return place(*given, **named)
     except KhepTwinError:
         raise
     except BaseException as error:
         if is_interruption(error):
             raise
-        file = source_file(place)
-        raise ControllerError(f"{file}{line_in(error, Path(file))}: {in_a_line(error)}") from error
+        raise failed(source_file(place), error) from error
 
 
 @contextmanager
@@ -173,19 +175,24 @@ def source_file(controller: AnyController | AnyFunction) -> str:
         return ""
 
 
-def line_in(error: BaseException, path: Path) -> str:
-    """Return the line of a file in which an error arose, as ":LINE"."""
-    if isinstance(error, SyntaxError):
-        return "" if error.lineno is None else f":{error.lineno}"  # none in a binary file
+def failed(file: str | Path, error: BaseException, what: str = "") -> ControllerError:
+    """Return the error about a user's file that has failed, with the line in it, and in a file beside it."""
+    there = resolved(Path(file))
     frames = traceback.walk_tb(error.__traceback__)
-    there = path.resolve()
-    lines = [line for frame, line in frames if Path(frame.f_code.co_filename).resolve() == there]
-    return f":{lines[-1]}" if lines else ""
+    places = [(resolved(Path(frame.f_code.co_filename)), line) for frame, line in frames]
+    is_invalid = isinstance(error, SyntaxError)
+    if isinstance(error, SyntaxError) and error.filename and error.lineno is not None:
+        places.append((resolved(Path(error.filename)), error.lineno))
+    lines = [line for place, line in places if place == there]
+    line = f":{lines[-1]}" if lines else ""
+    beside = [each for each in places if each[0].parent == there.parent]
+    # Python itself names the file of a syntax error.
+    inner = "" if is_invalid or not beside or beside[-1][0] == there else _place(*beside[-1])
+    return ControllerError(f"{file}{line}: {what}{in_a_line(error)}{inner}")
 
 
-def readable(text: str) -> str:
-    """Return a text whose characters that no file can hold, such as lone surrogates, are codes."""
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+def _place(path: Path, line: int) -> str:
+    return f" ({path.name}, line {line})"
 
 
 def variables(controller: Controller) -> dict[str, object]:
@@ -199,7 +206,7 @@ def variables(controller: Controller) -> dict[str, object]:
         if name.startswith("_"):
             continue
         if isinstance(value, str):
-            found[name] = readable(value)
+            found[name] = encodable(value)
         elif isinstance(value, bool | int | float):
             found[name] = _plain(value)
         elif isinstance(value, np.generic | np.ndarray | list | tuple):

@@ -25,6 +25,7 @@ import numpy as np
 from khep_twin.errors import ControllerError
 from khep_twin.files.atomic import read_regular, write_whole
 from khep_twin.files.mat_file import mat_bytes
+from khep_twin.invocation import command
 from khep_twin.lab.experiment.measures import UNITS
 from khep_twin.lab.experiment.series_run import SeriesRun
 
@@ -135,6 +136,9 @@ def read_series(path: Path) -> tuple[dict[str, object], list[Row]]:
             plain = {type(value) for value in row.values()} <= {*_SINGLE}
             if row["run"] != number or not plain:
                 raise ValueError(f"runs: entry {number} is not run {number}")
+    except FileNotFoundError:
+        remedy = f"; to make one: {command('run', '--runs', 5, '--save', path)}"
+        raise ControllerError(f"{path}: no series here, as it has no {_INDEX}", remedy) from None
     except OSError as error:
         raise ControllerError(f"{file}: cannot be read: {error.strerror}") from error
     except (ValueError, TypeError, LookupError, RecursionError) as error:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from khep_twin.errors import FitError
 from khep_twin.files.atomic import read_regular, write_whole
+from khep_twin.files.text import decode
 from khep_twin.host import Khepera
 from khep_twin.lab.fit.fit_inputs import fit_inputs
 from khep_twin.lab.fit.session_people import Person
@@ -47,9 +48,10 @@ class CalibrationSession:
                 raise FitError(f"{folder}: holds {found[0]} and no {TESTS}; expected another folder")
             return
         try:
-            text = read_regular(path)[:_LIMIT].decode("utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise FitError(f"{path}: cannot be read: {error}") from error
+            text = decode(read_regular(path)[:_LIMIT])
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise FitError(f"{path}: cannot be read: {reason}") from error
         self.words = [line for line in text.split("\n") if line]
         for line in self.words:
             file = line.rpartition("=")[0]

@@ -24,6 +24,7 @@ from khep_twin import __version__
 from khep_twin.errors import LogError, SensorTestError
 from khep_twin.files.atomic import read_regular, write_whole
 from khep_twin.files.mat_file import mat_bytes
+from khep_twin.files.text import decode
 from khep_twin.lab.sensor_test.sensor_mat import read_mat
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, What, check_what
 from khep_twin.log.channels import FLOATS, IMAGE, ArrayFrame, ImageFrame
@@ -151,16 +152,19 @@ def _csv(run: SensorRun) -> str:
 
 def _from_csv(data: bytes) -> SensorRun:
     try:
-        lines = data.decode("utf-8-sig").replace("\r\n", "\n").split("\n")
-    except UnicodeDecodeError:
-        raise SensorTestError("not a text file; expected a table that khep-twin sense has written") from None
-    if lines[0].rstrip(",") != _TITLE:
+        lines = decode(data).replace("\r\n", "\n").split("\n")
+    except ValueError as error:
+        raise SensorTestError(str(error)) from None
+    if lines[0].rstrip(",;") != _TITLE:
         raise SensorTestError(f"line 1: {lines[0][:40]!r}; expected {_TITLE!r}")
     if lines[-1]:
         raise SensorTestError(f"line {len(lines)}: incomplete; expected a line feed at its end")
     words: dict[str, str] = {}
     text: list[str] = []
     head = list(takewhile(lambda line: line.startswith("#"), lines[1:]))
+    if ";" in lines[0] + lines[1 + len(head)]:
+        found = "fields with ';' between them, as a spreadsheet writes them where numbers have a comma"
+        raise SensorTestError(f"line {2 + len(head)}: {found}; expected ',', and '.' in numbers")
     for number, line in enumerate(head, 2):
         parts = re.fullmatch("# ([a-z_]+): ?(.*)", line, re.DOTALL)
         if parts is None:

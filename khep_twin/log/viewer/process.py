@@ -20,6 +20,7 @@ from typing import IO, TYPE_CHECKING
 from urllib.parse import quote
 
 from khep_twin.errors import LogError
+from khep_twin.files.atomic import resolved
 from khep_twin.files.drawings import write_drawing
 from khep_twin.log.viewer.collected import TIMELINE
 from khep_twin.signals import clear_at_end, undisturbed
@@ -216,7 +217,7 @@ def still(recording: Path, at_s: float, target: Path, replace: bool) -> None:
 
 def _show(viewer: "rx.ViewerClient", recording: Path, at_s: float) -> None:
     """Open a recording and wait until a time of it is shown."""
-    viewer.open(str(recording.resolve()))
+    viewer.open(str(resolved(recording)))
     deadline = time.monotonic() + _OPENING_TIMEOUT_S
     while True:
         try:

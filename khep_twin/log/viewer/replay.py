@@ -21,7 +21,8 @@ from rerun.chunk import Chunk
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
-from khep_twin.files.atomic import is_same, part_file
+from khep_twin.files.atomic import is_same, part_file, resolved
+from khep_twin.files.text import encodable
 from khep_twin.log.attached import playpen_of, shapes_of
 from khep_twin.log.mcap_recovery import Progress
 from khep_twin.log.reader import Label, read_end_ns, read_with_messages
@@ -109,9 +110,9 @@ def standing_chunks(label: Label) -> list[Chunk]:
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
     """Return the files' names without suffix; equal ones with their folders, or else with numbers."""
-    stems = [path.stem for path in paths]
+    stems = [encodable(path.stem) for path in paths]
     names = [
-        stem if stems.count(stem) == 1 else f"{path.resolve().parent.name}/{stem}"
+        stem if stems.count(stem) == 1 else f"{encodable(resolved(path).parent.name)}/{stem}"
         for path, stem in zip(paths, stems, strict=True)
     ]
     seen: Counter[str] = Counter()
@@ -144,7 +145,7 @@ def _checked(path: Path, copy: Path, progress: Progress) -> Label:
 def _saved(paths: Sequence[Path], bar: Bar) -> Generator[Path, None, None]:
     """Provide a temporary recording."""
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
-        recording = Path(folder) / f"{paths[0].stem}.rrd"
+        recording = Path(folder) / f"{encodable(paths[0].stem)}.rrd"
         _save(paths, recording, bar)
         yield recording
 

@@ -10,7 +10,7 @@ from shares import share
 from khep_twin.board.kernel import SETPOINTS
 from khep_twin.errors import ControllerError
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment.controller_files import find_controller
+from khep_twin.lab.experiment.controller_files import find_controller, find_rule
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.experiment import run
 from khep_twin.log.reader import read_log
@@ -86,7 +86,13 @@ def test_a_controller_is_found_by_name_or_in_a_file(tmp_path: Path) -> None:
         ),
         ("\n1 / 0", "{file}", r"mine.py:2: ZeroDivisionError"),
         ("def f(robot): ...", "{file}:g", r"no function 'g' that takes a robot.*choices: f"),
-        ("def f(r): ...\ndef g(r): ...", "{file}", r"no function 'controller' .*choices: f, g"),
+        ("def f(r): ...\ndef g(r): ...", "{file}", r"no function 'controller' .*mine.py:f \(choices: f, g"),
+        ("a, b, *_ = 'proximity'.splt()", "{file}", r"attribute 'splt'. Did you mean: 'split'\?$"),
+        ("speed = 1\nspeeed", "{file}", r"'speeed' is not defined. Did you mean: 'speed'\?$"),
+        ("def f(a, b): ...", "{file}", r"'f' takes \(a, b\); expected one robot; .* rollout .*mine.py:f$"),
+        ("", "obstacles", r"obstacles: no such controller; .* for a playpen --playpen obstacles$"),
+        ("", "{folder}/none.py", r"none.py: no such file; to make one: .* new controller .*none.py$"),
+        ("", "{folder}/folder.py", r"folder.py: cannot be read: Is a directory; expected the name of"),
     ],
 )
 def test_a_controller_that_cannot_be_used_says_where_and_why(
@@ -94,6 +100,39 @@ def test_a_controller_that_cannot_be_used_says_where_and_why(
 ) -> None:
     file = tmp_path / "mine.py"
     file.write_text(text)
+    (tmp_path / "folder.py").mkdir()
     with pytest.raises(ControllerError, match=message) as caught:
         find_controller(name.format(file=file, folder=tmp_path))
     assert "\n" not in str(caught.value)
+
+
+def test_a_file_without_a_controller_says_what_is_in_it_and_what_two_lines_it_needs(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("import math\nspeed = 5\nclass Avoider:\n    def cycle(self, robot): ...\n")
+    with pytest.raises(ControllerError) as caught:
+        find_controller(str(file))
+    told, *lines = str(caught.value).splitlines()
+    expected = "expected a class of khep_twin.Controller, or two lines such as"
+    assert told.endswith(f"in it: speed, class Avoider; {expected}")
+    file.write_text("\n".join(lines))
+    assert find_controller(str(file))
+    with pytest.raises(ControllerError, match=r"takes \(robot\); .*for one of a robot: .* run "):
+        find_rule(str(file))
+
+
+def test_an_error_in_a_module_that_a_controller_imports_has_both_places(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("\nimport beside_it\n")
+    for text, told in (
+        ("x = 1\n\ndef go(robot:\n    pass\n", r"SyntaxError: .*\(beside_it.py, line 3\)$"),
+        ("x = 1\ny = x.real.imagg\n", r"AttributeError: .*'imag'\? \(beside_it.py, line 2\)$"),
+    ):
+        (tmp_path / "beside_it.py").write_text(text)
+        with pytest.raises(ControllerError, match=rf"mine\.py:2: {told}"):
+            find_controller(str(tmp_path / "mine.py"))
+
+
+def test_a_controller_in_utf_16_is_named_as_such(tmp_path: Path) -> None:
+    for encoding in ("utf-16", "utf-16-le", "utf-16-be"):
+        (tmp_path / "mine.py").write_bytes("def f(robot): ...\n".encode(encoding))
+        with pytest.raises(ControllerError, match=r"mine.py: cannot be read: .* UTF-16; expected UTF-8"):
+            find_controller(str(tmp_path / "mine.py"))

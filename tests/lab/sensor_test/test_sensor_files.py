@@ -93,6 +93,24 @@ def test_a_packed_mat_file_is_read(tmp_path: Path) -> None:
     assert load(tmp_path / "x.mat").test == SensorTest(linear_cm=10, speed=None, acceleration=None)
 
 
+def test_a_table_that_a_spreadsheet_has_rewritten_says_how(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    save(path, made_up(LINEAR, ""))
+    title, *rest = path.read_text().splitlines()
+    rows = [line if line.startswith("#") else line.replace(",", ";").replace(".", ",") for line in rest]
+    for text, encoding, told in (
+        (
+            [f"{title};;;", *rows, ""],
+            "utf-8",
+            "fields with ';' between them.*expected ',', and '.' in numbers",
+        ),
+        ([title, *rest, ""], "utf-16", "this is text in UTF-16; expected UTF-8"),
+    ):
+        path.write_bytes("\n".join(text).encode(encoding))
+        with pytest.raises(SensorTestError, match=rf"run.csv: .*{told}"):
+            load(path)
+
+
 def test_a_log_has_positions_and_counts_under_our_names(tmp_path: Path) -> None:
     save(tmp_path / "run.mcap", made_up(LINEAR))
     assert read_label(tmp_path / "run.mcap").metadata["linear_cm"] == "-12.5"
