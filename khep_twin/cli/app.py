@@ -18,7 +18,7 @@ from khep_twin.cli.branch import branch
 from khep_twin.cli.calibrate import calibrate
 from khep_twin.cli.challenge import challenge_app
 from khep_twin.cli.compile import compile_all
-from khep_twin.cli.completion import complete_in_bash, missing, surplus
+from khep_twin.cli.completion import complete_in_bash, explained
 from khep_twin.cli.conform import conform
 from khep_twin.cli.design import design
 from khep_twin.cli.drive import drive
@@ -109,13 +109,7 @@ def _run() -> int:
         else:
             raise
     except TyperException as error:
-        text, code = error.format_message(), error.exit_code
-        if text.startswith("Missing "):
-            text = missing(error)
-        elif text.startswith("Got unexpected extra argument"):
-            text = surplus(error, text)
-        elif text.startswith("No such option") and "Possible" not in text and error.ctx is not None:
-            text += f"; see {error.ctx.command_path} --help"
+        text, code = explained(error, error.format_message()), error.exit_code
         if "\n" in text:  # the help, where nothing was typed
             print(text, file=sys.stderr)
             return code

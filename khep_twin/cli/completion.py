@@ -74,8 +74,19 @@ def summary(playpen: str) -> str:
     return toml_files.summary("playpens", playpen)
 
 
-def missing(error: Any) -> str:
-    """Return the message of typer's error about a missing argument or option, with its choices."""
+def explained(error: Any, text: str) -> str:
+    """Return the message of typer's error about what was typed, with what could be typed instead."""
+    if text.startswith("Missing "):
+        return _missing(error)
+    if text.startswith("Got unexpected extra argument"):
+        return _surplus(error, text)
+    if text.startswith("No such option") and "Possible" not in text:
+        return f"{text}; see {error.ctx.command_path} --help"
+    return text
+
+
+def _missing(error: Any) -> str:
+    """Return the message about a missing argument or option, with its choices."""
     parameter = error.param
     offers = [item.value for item in parameter.shell_complete(error.ctx, "")]
     told = f"Missing {parameter.param_type_name} {parameter.get_error_hint()}: {parameter.help or ''}".strip()
@@ -85,8 +96,8 @@ def missing(error: Any) -> str:
     return f"{told} {choices('', offers[:_MOST_CHOICES] + more)}"
 
 
-def surplus(error: Any, text: str) -> str:
-    """Return the message of typer's error about a surplus argument, with the options that may be meant."""
+def _surplus(error: Any, text: str) -> str:
+    """Return the message about a surplus argument, with the option that may be meant."""
     options = [each for each in error.ctx.command.params if each.param_type_name == "option"]
     word = re.sub(r".*\((\S*).*\)", r"\1", text, flags=re.DOTALL)
     meant = {".toml": "playpen", ".mcap": "log", ".py": "controller"}.get(Path(word).suffix, "playpen")

@@ -117,10 +117,13 @@ def test_what_cannot_be_imported_is_reported_in_one_line_and_nothing_is_written(
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        ("none.mat", "none.mat: cannot be read: No such file or directory"),
+        ("none.mat", "none.mat: cannot be read: No such file or directory; did you mean 'scan.mat'?"),
         ("painted.png --solid 1", "painted.png: a PNG; expected a MAT file for --variable and --solid"),
         ("painted.png --robot 1,2", '--robot 1,2: expected X,Y,HEADING, such as 300,250,90, or "none"'),
-        ("painted.png -o no/out.toml", "no/out.toml: cannot be written: there is no directory no"),
+        (
+            "painted.png -o no/out.toml",
+            "no/out.toml: cannot be written: there is no directory no; to make it: mkdir -p no",
+        ),
     ],
 )
 def test_a_mistake_in_the_command_is_reported_in_one_line(words: str, line: str, folder: Path) -> None:
