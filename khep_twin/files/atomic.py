@@ -261,9 +261,9 @@ def _new_part(target: Path) -> Path:
 def _nearest(path: Path) -> str:
     """Return the question about a file of the same folder and kind that was probably meant; empty without."""
     with suppress(OSError):
-        there = [each for each in os.listdir(path.parent) if Path(each).suffix == path.suffix]
-        for name in get_close_matches(path.name, there, n=1):
-            return f"; did you mean {str(path.with_name(name))!r}?"
+        there = [Path(name).stem for name in os.listdir(path.parent) if Path(name).suffix == path.suffix]
+        for stem in get_close_matches(path.stem, there, n=1):
+            return f"; did you mean {str(path.with_stem(stem))!r}?"
     return ""
 
 

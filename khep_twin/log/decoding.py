@@ -79,7 +79,8 @@ def readable(path: Path) -> Generator[None]:
     except OSError as error:
         make = f"; to make one: {command('run', '--log', path)}"
         is_missing = isinstance(error, FileNotFoundError) and path.suffix == ".mcap"
-        raise LogError(f"{path}: cannot be read: {error.strerror}", make if is_missing else "") from error
+        needs = is_missing and "did you mean" not in str(error)
+        raise LogError(f"{path}: cannot be read: {error.strerror}", make if needs else "") from error
 
 
 def first_line(error: KhepTwinError) -> str:

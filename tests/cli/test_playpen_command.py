@@ -117,7 +117,7 @@ def test_what_cannot_be_imported_is_reported_in_one_line_and_nothing_is_written(
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        ("none.mat", "none.mat: cannot be read: No such file or directory; did you mean 'scan.mat'?"),
+        ("none.mat", "none.mat: cannot be read: No such file or directory"),
         ("painted.png --solid 1", "painted.png: a PNG; expected a MAT file for --variable and --solid"),
         ("painted.png --robot 1,2", '--robot 1,2: expected X,Y,HEADING, such as 300,250,90, or "none"'),
         (

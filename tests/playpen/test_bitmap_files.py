@@ -295,7 +295,8 @@ def test_the_largest_bitmaps_take_less_than_two_seconds_and_512_mb(kind: str, tm
 
 
 def test_a_file_that_is_not_there_is_reported_by_its_path(tmp_path: Path) -> None:
-    for path, reason in ((tmp_path / "none.mat", "No such file or directory"), (tmp_path, "Is a directory")):
+    directory = "Is a directory; expected the name of a file"
+    for path, reason in ((tmp_path / "none.mat", "No such file or directory"), (tmp_path, directory)):
         with pytest.raises(BitmapError) as caught:
             bitmap_files.read(path)
         assert str(caught.value) == f"{path}: cannot be read: {reason}"
