@@ -125,7 +125,7 @@ def test_what_is_no_file_is_refused_at_once(reader: str, kind: str, tmp_path: Pa
     assert name in told
     assert "\n" not in told
     expected = "this is no regular file; expected the name of a file"
-    assert ("s a directory" if kind == "directory" and reader != "controller" else expected) in told
+    assert ("s a directory" if kind == "directory" else expected) in told
 
 
 def test_a_log_moves_nothing_away_but_logs(tmp_path: Path, field: playpen.Playpen) -> None:
