@@ -14,6 +14,7 @@ from khep_twin.cli.options import (
     check_picture,
     check_writable,
     command_group,
+    complain,
     tell_written,
     usage,
 )
@@ -166,6 +167,7 @@ def table(
 ) -> None:
     """Score every controller file of a folder, and print them by rank."""
     from khep_twin.files.atomic import write_whole
+    from khep_twin.lab.challenge.attempt import Attempt
     from khep_twin.lab.challenge.challenge import load
     from khep_twin.lab.challenge.results import attempts, participants, to_csv
     from khep_twin.lab.challenge.results import table as as_text
@@ -174,20 +176,27 @@ def table(
     files = participants(folder)
     check_new(force, output)
     check_writable(output)
-    with progress_bar() as bar:
-        found = attempts(
-            file,
-            files,
-            runs=runs,
-            seed=seed,
-            real_seconds=real_seconds,
-            jobs=jobs,
-            done=None if bar is None else lambda _, part: bar(part),
-        )
-    typer.echo(as_text(file.challenge, found))
-    if output is not None:
-        write_whole(output, to_csv(file.challenge, found), force)
-        typer.echo(f"table  {output}")
+    found: list[Attempt] = []
+    try:
+        with progress_bar() as bar:
+
+            def done(each: Attempt, part: float) -> None:
+                found.append(each)
+                if bar is not None:
+                    bar(part)
+
+            attempts(file, files, runs=runs, seed=seed, real_seconds=real_seconds, jobs=jobs, done=done)
+    finally:
+        # Of a table that is stopped, there is what was found so far.
+        if found:
+            typer.echo(as_text(file.challenge, found))
+            if output is not None:
+                write_whole(output, to_csv(file.challenge, found), force)
+                typer.echo(f"table  {output}")
+
+
+_SHOWN = 200_000
+"""Most bytes of what a controller prints that are shown."""
 
 
 class _Printer:
@@ -196,9 +205,11 @@ class _Printer:
     def __init__(self) -> None:
         self._decoder = getincrementaldecoder("utf-8")("replace")
         self._in_line = False
+        self._left = _SHOWN
 
     def show(self, data: bytes, final: bool = False) -> None:
-        """Print a piece."""
+        """Print a piece, as long as it is not too much for a terminal."""
+        self._left, data = self._left - len(data), data[: max(self._left, 0)]
         if text := self._decoder.decode(data, final):
             self._in_line = not text.endswith("\n")
             sys.stdout.write(text)
@@ -209,3 +220,5 @@ class _Printer:
         self.show(b"", final=True)
         if self._in_line:
             typer.echo()
+        if self._left < 0:
+            complain(f"{-self._left} more bytes that it printed are not shown")

@@ -49,7 +49,7 @@ def whole(told: Mapping[str, object]) -> bool:
 
 
 def is_gone(folder: Path) -> bool:
-    """Whether the process that waits there has been ended; it is a child of this one, which reaps it."""
+    """Whether the process that waits there has been ended; its keeper reaps it."""
     try:
         os.kill(int((folder / "waits.pid").read_text()), 0)
     except ProcessLookupError:

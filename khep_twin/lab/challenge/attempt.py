@@ -1,9 +1,10 @@
-"""A participant's file scored in its own process, which is ended if it hangs.
+"""A participant's file scored in its own process, with limits of its time, its memory and its output.
 
     python -m khep_twin.lab.challenge.attempt JSON    # the process itself; JSON has its settings
 
 Whatever the file does, an `Attempt` has its score, or one line that says why there is none. The process keeps
 no one from reading files or using the network: it protects a table from mistakes, not a machine from malice.
+Its parent is a `keeper`, so that a file that kills its parent does not end the table.
 """
 
 import json
@@ -33,7 +34,13 @@ from khep_twin.simulation.ready import when_ready
 REAL_SECONDS = 60.0
 """Longest real time of a file [s]; the longest reference solution takes a tenth (measured)."""
 
-_PRINTED_LIMIT = 4096
+MEMORY_GIB = 2
+"""Most memory of a file's process, besides shared libraries; reference solutions take a fifth (measured)."""
+
+PRINTED_MB = 2
+"""Most text that a file may print."""
+
+_KEPT = 4096
 """Length of printed text that is kept [bytes]."""
 
 
@@ -103,7 +110,8 @@ def score_file(
     printed = _Printed(show)
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
         result = Path(folder) / "result.json"
-        words = [sys.executable, "-P", "-m", __name__, json.dumps({**settings, "result": str(result)})]
+        words = [sys.executable, "-P", str(Path(__file__).with_name("keeper.py")), str(MEMORY_GIB << 30)]
+        words += [sys.executable, "-P", "-m", __name__, json.dumps({**settings, "result": str(result)})]
         process = subprocess.Popen(
             words,
             stdin=subprocess.DEVNULL,
@@ -113,17 +121,21 @@ def score_file(
             env={**os.environ, "PYTHONHASHSEED": "0", "PYTHONUNBUFFERED": "1"},
         )
         try:
-            in_time = _follow(process, printed, time.monotonic() + real_seconds, stop or (lambda: False))
+            ended = _follow(process, printed, time.monotonic() + real_seconds, stop or (lambda: False))
         finally:
             _end(process)
         told = _read(result)
-    given, reason = None, ""
-    if "score" in told:
-        given = Score(told["score"]["value"], tuple(told["score"]["runs"]), told["score"]["metrics"])
+    given, reason = _score(told), ""
+    if given is not None:
+        pass
+    elif printed.size > PRINTED_MB * 10**6:
+        reason = f"{controller}: printed {printed.lines} lines; expected at most {PRINTED_MB} MB of text"
     elif "reason" in told:
         path = controller.partition(":")[0]
         reason = str(told["reason"]).replace(os.path.abspath(path), path)
-    elif not in_time:
+        if "MemoryError" in reason:
+            reason = f"{reason.rstrip(': ')}; expected at most {MEMORY_GIB} GiB"
+    elif not ended:
         wanted = "cycles that end, and loops that ask the robot something or call robot.sleep"
         reason = f"{controller}: not finished after {real_seconds:g} s of real time; expected {wanted}"
     else:
@@ -136,17 +148,19 @@ class _Printed:
 
     Attributes:
         lines: Number of lines.
+        size: Length [bytes].
     """
 
     def __init__(self, show: Callable[[bytes], None] | None) -> None:
-        self._show, self._tail, self.lines = show, b"", 0
+        self._show, self._tail, self.lines, self.size = show, b"", 0, 0
 
     def add(self, data: bytes) -> None:
         """Add a piece of it."""
         if self._show is not None:
             self._show(data)
         self.lines += data.count(b"\n")
-        self._tail = (self._tail + data)[-_PRINTED_LIMIT:]
+        self.size += len(data)
+        self._tail = (self._tail + data)[-_KEPT:]
 
     @property
     def last_line(self) -> str:
@@ -159,7 +173,7 @@ class _Printed:
 def _follow(
     process: "subprocess.Popen[bytes]", printed: _Printed, deadline: float, stop: Callable[[], bool]
 ) -> bool:
-    """Read what a process prints until it has ended; return False if that takes longer.
+    """Read what a process prints until it has ended; return False if it takes longer, or prints too much.
 
     Raises:
         StoppedError: `stop` has returned True.
@@ -167,7 +181,7 @@ def _follow(
     assert process.stdout is not None
     output = process.stdout.fileno()
     is_open = True
-    while (left := deadline - time.monotonic()) > 0:
+    while (left := deadline - time.monotonic()) > 0 and printed.size <= PRINTED_MB * 10**6:
         if stop():
             raise StoppedError("the attempt was stopped")
         ended = _has_ended(process)
@@ -194,13 +208,13 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
 
     Until it is waited for, no other group can have its number.
     """
-    if not _has_ended(process):
+    for _ in range(2):  # the keeper passes on the first one, and kills the file's process by the second
+        if _has_ended(process):
+            break
         with suppress(ProcessLookupError):
             os.kill(process.pid, signal.SIGTERM)
         deadline = time.monotonic() + INTERRUPTION_S + 2 * EXIT_S
-        while time.monotonic() < deadline:
-            if _has_ended(process):
-                break
+        while time.monotonic() < deadline and not _has_ended(process):
             time.sleep(0.02)
     with suppress(ProcessLookupError, PermissionError):
         if sys.platform != "win32":
@@ -213,9 +227,19 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
 def _read(result: Path) -> dict[str, Any]:
     """Return what the process has written, empty if it is not there or damaged."""
     try:
-        return json.loads(result.read_bytes())
+        found = json.loads(result.read_bytes())
     except (OSError, ValueError):
-        return {}
+        found = None
+    return found if isinstance(found, dict) else {}  # pyright: ignore[reportUnknownVariableType]
+
+
+def _score(told: dict[str, Any]) -> Score | None:
+    """Return the score that the process has written; None without."""
+    try:
+        found = told["score"]
+        return Score(float(found["value"]), tuple(map(float, found["runs"])), dict(found["metrics"]))
+    except (LookupError, TypeError, ValueError):
+        return None
 
 
 def _ending(code: int) -> str:

@@ -59,7 +59,10 @@ def attempts(
         return ended.is_set() or (stop is not None and stop())
 
     def one(path: Path) -> Attempt:
-        return score_file(file, str(path), runs=runs, seed=seed, real_seconds=real_seconds, stop=is_over)
+        try:
+            return score_file(file, str(path), runs=runs, seed=seed, real_seconds=real_seconds, stop=is_over)
+        except OSError as error:  # no process can be started now, as others have taken all there may be
+            return Attempt(str(path), None, f"{path}: cannot be run: {error.strerror}")
 
     with ThreadPoolExecutor(jobs) as pool:
         waiting = [pool.submit(one, path) for path in files]

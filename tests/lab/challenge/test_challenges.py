@@ -5,7 +5,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,11 @@ from PIL import Image
 from shares import share
 
 from khep_twin.errors import ChallengeError, ControllerError, StoppedError
+from khep_twin.lab.challenge import results
 from khep_twin.lab.challenge.attempt import Attempt, score_file
 from khep_twin.lab.challenge.challenge import load, names
 from khep_twin.lab.challenge.results import attempts, table, to_csv
-from khep_twin.lab.challenge.scoring import score
+from khep_twin.lab.challenge.scoring import Score, score
 from tools import tutorial
 
 SHORT = """
@@ -55,6 +56,15 @@ BROKEN = {
     "divides": (
         "def controller(robot):\n    robot.proximity()\n    1 / 0\n",
         "divides.py:3: ZeroDivisionError: division by zero",
+    ),
+    "kills_its_parent": (
+        "import os, signal, time\nos.kill(os.getppid(), signal.SIGKILL)\ntime.sleep(60)\n",
+        "kills_its_parent.py: its process was ended by SIGKILL",
+    ),
+    "takes_much": ("x = bytearray(4 << 30)\n", "takes_much.py:1: MemoryError; expected at most 2 GiB"),
+    "floods": (
+        "print('x' * 3_000_000)\n",
+        "floods.py: printed 0 lines; expected at most 2 MB of text",
     ),
     "idles": ("def controller(robot):\n    pass\n", "idles.py: controller: a cycle lets no time pass"),
     "signal": (
@@ -233,7 +243,11 @@ def test_attempts_that_are_stopped_leave_no_process(short: Path, tmp_path: Path)
             os.kill(pid, 0)
 
 
-@pytest.mark.parametrize("broken", share([["divides", "crashes"], [*BROKEN]], 2), ids=["some", "all"])
+@pytest.mark.parametrize(
+    "broken",
+    share([["kills_its_parent", "takes_much"], [*BROKEN]], 2),
+    ids=["some", "all"],
+)
 def test_a_table_has_a_line_for_every_file_whatever_it_does(
     broken: Collection[str], short: Path, tmp_path: Path
 ) -> None:
@@ -260,11 +274,10 @@ def test_a_table_has_a_line_for_every_file_whatever_it_does(
         [
             "import signal, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\ntime.sleep(600)\n",
             "def controller(robot):\n    while True:\n        pass\n",
-            "def controller(robot):\n    while True:\n        print('x' * 10_000)\n",
         ],
-        3,
+        2,
     ),
-    ids=["waits", "loops", "floods"],
+    ids=["waits", "loops"],
 )
 def test_a_file_that_hangs_is_ended_and_has_a_line(short: Path, tmp_path: Path, text: str) -> None:
     (tmp_path / "hangs.py").write_text(text)
@@ -286,6 +299,30 @@ def test_what_a_file_starts_is_ended_with_it(short: Path, tmp_path: Path) -> Non
     while status.exists() and status.read_text().rpartition(")")[2].split()[0] != "Z":
         assert time.monotonic() < deadline, "it still runs"
         time.sleep(0.05)
+
+
+def test_a_table_that_is_stopped_has_the_rows_that_are_done(
+    short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(file: object, files: list[Path], *, done: Callable[[Attempt, float], None], **_: Any) -> None:
+        done(Attempt(str(files[0]), Score(0.5, (0.5,))), 0.5)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(results, "attempts", stopped)
+    for name in ("one", "two"):
+        (tmp_path / f"{name}.py").touch()
+    shown = khep_twin("challenge", "table", short, tmp_path, "-o", tmp_path / "class.csv")
+    assert shown.returncode == 130
+    assert "one" in shown.stdout
+    assert "one,0.5,yes" in (tmp_path / "class.csv").read_text()
+
+
+def test_no_more_is_shown_of_what_a_file_prints_than_a_terminal_takes(short: Path, tmp_path: Path) -> None:
+    (tmp_path / "prints.py").write_text("print('x' * 1_000_000)\n" + SCORED["returns"])
+    done = khep_twin("challenge", "run", short, tmp_path / "prints.py", "--runs", 1)
+    assert done.returncode == 0
+    assert done.stdout.count("x") == 200_000
+    assert done.stderr == "khep-twin: 800001 more bytes that it printed are not shown\n"
 
 
 def test_run_prints_score_and_result_and_keeps_a_log(short: Path, tmp_path: Path) -> None:
