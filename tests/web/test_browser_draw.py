@@ -341,7 +341,7 @@ def test_an_error_stays_until_its_cause_is_gone(visit: Visit, tmp_path: Path) ->
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (820, 1180), (390, 844), (390, 600)])
 def test_banners_cover_neither_arena_nor_tools_nor_legend(
-    browser: Any, asker: Asker, tmp_path: Path, width: int, height: int
+    browser: Any, empty: None, asker: Asker, tmp_path: Path, width: int, height: int
 ) -> None:
     (tmp_path / "notes.png").write_text("no picture")
     context = browser.new_context(viewport={"width": width, "height": height}, has_touch=width < 1280)
