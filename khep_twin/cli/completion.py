@@ -80,8 +80,10 @@ def explained(error: Any, text: str) -> str:
         return _missing(error)
     if text.startswith("Got unexpected extra argument"):
         return _surplus(error, text)
-    if text.startswith("No such option") and "Possible" not in text:
-        return f"{text}; see {error.ctx.command_path} --help"
+    context = getattr(error, "ctx", None)
+    is_open = text.startswith("No such option") and "Possible" not in text
+    if context is not None and (is_open or text.startswith(("Invalid value", "Option "))):
+        return f"{text.rstrip('.')}; see {context.command_path} --help"
     return text
 
 

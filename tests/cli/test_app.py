@@ -65,6 +65,10 @@ def test_the_version_and_the_help_come_at_once() -> None:
         ("playpen draw obstacles my.png", "Got unexpected extra argument(s) (my.png); expected -o my.png"),
         ("run braitenberg swarm", "Got unexpected extra argument(s) (swarm); expected --playpen swarm"),
         ("ports x", "Got unexpected extra argument(s) (x); expected khep-twin ports [OPTIONS], see "),
+        (
+            "new mine.py",
+            "Invalid value for 'kind': Value error, 'mine.py' is not one of 'controller', 'toolbox'; see ",
+        ),
         ("run -o x.mcap", "No such option: -o; see khep-twin run --help"),
         ("export a.mcap b.csv", "2 logs; expected -o b.csv for a table"),
         ("series nowhere", "nowhere: no series here, as it has no series.json; to make one: "),
