@@ -57,7 +57,7 @@ def test_no_other_file_is_read_or_written(tmp_path: Path, name: str) -> None:
 def test_what_is_no_text_is_refused_in_a_line(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_bytes(b"\xff\xfe")
     programs = Programs(Documents(tmp_path), True)
-    with pytest.raises(KhepTwinError, match=r"mine.py: no UTF-8: .*expected a Python file"):
+    with pytest.raises(KhepTwinError, match=r"mine.py: this is text in UTF-16; expected UTF-8"):
         programs.open("mine.py")
     (tmp_path / "mine.py").write_bytes(b"#" * 900_000)
     with pytest.raises(KhepTwinError, match=r"900000 bytes; expected at most"):
