@@ -8,7 +8,6 @@ package, so that it costs no time.
 """
 
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -22,12 +21,12 @@ _MORE = 1000
 
 def main(memory: int, words: list[str]) -> None:
     """Run a program, and end as it does."""
-    _limit(resource.RLIMIT_DATA, memory)
-    _limit(resource.RLIMIT_CORE, 0)
-    with suppress(OSError):  # only Linux has the number of all there are
-        _limit(resource.RLIMIT_NPROC, int(Path("/proc/loadavg").read_text().split()[3].split("/")[1]) + _MORE)
+    last = signal.SIGTERM
+    if sys.platform != "win32":  # which has neither
+        _limit(memory)
+        last = signal.SIGKILL
     program = subprocess.Popen(words)
-    orders = chain([signal.SIGTERM], repeat(signal.SIGKILL))
+    orders = chain([signal.SIGTERM], repeat(last))
     signal.signal(signal.SIGTERM, lambda number, frame: program.send_signal(next(orders)))
     code = program.wait()
     if code < 0:
@@ -37,10 +36,19 @@ def main(memory: int, words: list[str]) -> None:
     os._exit(code)
 
 
-def _limit(which: int, value: int) -> None:
-    """Lower a limit."""
-    soft, hard = (each if each != resource.RLIM_INFINITY else value for each in resource.getrlimit(which))
-    resource.setrlimit(which, (min(soft, value), min(hard, value)))
+if sys.platform != "win32":
+    import resource
+
+    def _limit(memory: int) -> None:
+        """Limit memory [bytes], dumps and processes; no limit is raised."""
+        limits = {resource.RLIMIT_DATA: memory, resource.RLIMIT_CORE: 0}
+        with suppress(OSError):  # only Linux has the number of all there are
+            n_now = int(Path("/proc/loadavg").read_text().split()[3].split("/")[1])
+            limits[resource.RLIMIT_NPROC] = n_now + _MORE
+        for which, most in limits.items():
+            present = resource.getrlimit(which)
+            soft, hard = (most if each == resource.RLIM_INFINITY else min(each, most) for each in present)
+            resource.setrlimit(which, (soft, hard))
 
 
 if __name__ == "__main__":
