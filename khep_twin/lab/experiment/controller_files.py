@@ -47,10 +47,10 @@ def find_controller(
     Raises:
         ControllerError: There is no such controller, or its file fails.
     """
+    begin_here()
     if name in BUILT_IN:
         return BUILT_IN[name]
     path, wanted = _file_and_name(name, f"no such controller; expected {_wish(name)}")
-    begin_here()
     module = _module_of(path)
     offers = _offers_of(module)
     classes = {each: offer for each, offer in offers.items() if isinstance(offer, type)}

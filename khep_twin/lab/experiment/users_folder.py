@@ -12,6 +12,9 @@ _changed: list[str] = []
 def users_folder() -> Generator[None]:
     """Run a user's program in the directory that it was in last; afterwards the one before is back."""
     before, there = _here(), _changed.copy()
+    if before is None:  # nothing leads back to a directory that is gone
+        yield
+        return
     _changed.clear()  # what it calls here stays where it is
     for folder in there:
         os.chdir(folder)
@@ -19,7 +22,7 @@ def users_folder() -> Generator[None]:
         yield
     finally:
         after = _here()
-        if before is not None and after != before:
+        if after != before:
             _changed[:] = [] if after is None else [after]
             os.chdir(before)
 
