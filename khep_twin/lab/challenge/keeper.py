@@ -21,11 +21,9 @@ _MORE = 1000
 
 def main(memory: int, words: list[str]) -> None:
     """Run a program, and end as it does."""
-    last = signal.SIGTERM
-    if sys.platform != "win32":  # which has neither
-        _limit(memory)
-        last = signal.SIGKILL
+    _limit(memory)
     program = subprocess.Popen(words)
+    last = signal.SIGTERM if sys.platform == "win32" else signal.SIGKILL
     orders = chain([signal.SIGTERM], repeat(last))
     signal.signal(signal.SIGTERM, lambda number, frame: program.send_signal(next(orders)))
     code = program.wait()
@@ -36,19 +34,20 @@ def main(memory: int, words: list[str]) -> None:
     os._exit(code)
 
 
-if sys.platform != "win32":
+def _limit(memory: int) -> None:
+    """Limit memory [bytes], dumps and processes; no limit is raised."""
+    if sys.platform == "win32":
+        return  # it has no such limits
     import resource
 
-    def _limit(memory: int) -> None:
-        """Limit memory [bytes], dumps and processes; no limit is raised."""
-        limits = {resource.RLIMIT_DATA: memory, resource.RLIMIT_CORE: 0}
-        with suppress(OSError):  # only Linux has the number of all there are
-            n_now = int(Path("/proc/loadavg").read_text().split()[3].split("/")[1])
-            limits[resource.RLIMIT_NPROC] = n_now + _MORE
-        for which, most in limits.items():
-            present = resource.getrlimit(which)
-            soft, hard = (most if each == resource.RLIM_INFINITY else min(each, most) for each in present)
-            resource.setrlimit(which, (soft, hard))
+    limits = {resource.RLIMIT_DATA: memory, resource.RLIMIT_CORE: 0}
+    with suppress(OSError):  # only Linux has the number of all there are
+        n_now = int(Path("/proc/loadavg").read_text().split()[3].split("/")[1])
+        limits[resource.RLIMIT_NPROC] = n_now + _MORE
+    for which, most in limits.items():
+        present = resource.getrlimit(which)
+        soft, hard = (most if each == resource.RLIM_INFINITY else min(each, most) for each in present)
+        resource.setrlimit(which, (soft, hard))
 
 
 if __name__ == "__main__":
