@@ -107,13 +107,13 @@ def _check(simulation: Simulation, documents: list[_Document]) -> None:
 
 
 @contextmanager
-def _in_place(path: Path) -> Generator[BinaryIO]:
+def _in_place(path: Path, replace: bool = True) -> Generator[BinaryIO]:
     with path.open("w+b") as file:
         yield file
 
 
 @contextmanager
-def _renamed_first(path: Path) -> Generator[BinaryIO]:
+def _renamed_first(path: Path, replace: bool = True) -> Generator[BinaryIO]:
     part = path.with_name(f".{path.name}.part")
     with part.open("w+b") as file:
         part.replace(path)
