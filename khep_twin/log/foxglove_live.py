@@ -61,7 +61,7 @@ class FoxgloveServer:
         self._channels: list[Channel] = []
         self._ids: dict[tuple[str, str], int] = {}
         self._standing: dict[int, bytes] = {}
-        self._time_ns = 0
+        self._has_begun, self._time_ns = False, 0
         try:
             self._server = start_server(
                 name=name,
@@ -80,9 +80,9 @@ class FoxgloveServer:
 
     def begin(self, time_ns: int) -> None:
         """Begin another run; clients forget the one before."""
-        if self._time_ns:
+        if self._has_begun:
             self._server.clear_session()
-        self._time_ns = time_ns
+        self._has_begun, self._time_ns = True, time_ns
 
     def attach(self, name: str, text: str) -> None:
         """Pass over an attachment, which only logs have."""

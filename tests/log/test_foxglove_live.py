@@ -126,7 +126,6 @@ def test_a_client_that_never_reads_holds_no_run_up(server: FoxgloveServer) -> No
         assert ended.wait(300)
 
 
-@pytest.mark.long  # it takes up to a minute until the client is told, and sometimes longer; to be mended
 def test_another_run_begins_a_new_session(server: FoxgloveServer) -> None:
     with client(server.address) as watcher:
         said: dict[str, object] = {}
