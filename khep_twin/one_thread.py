@@ -9,32 +9,15 @@ from threading import RLock
 from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 
-class Guard(Protocol):
-    """Lock that the thread that has it may take again: `threading.RLock()`."""
-
-    def acquire(self, blocking: bool = True) -> bool:
-        """Take the lock; return whether it was free."""
-        ...
-
-    def release(self) -> None:
-        """Give the lock back."""
-        ...
-
-
 class Guarded(Protocol):
-    """Object with a guard, which it may share with objects that it consists of."""
+    """Object with a lock, which it may share with objects that it consists of."""
 
-    guard: Guard
+    guard: RLock
 
 
 Own = TypeVar("Own", bound=Guarded)
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
-
-
-def new_guard() -> Guard:
-    """Return a guard that no thread has."""
-    return RLock()
 
 
 def one_thread(

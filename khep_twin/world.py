@@ -7,6 +7,7 @@ fall between them. Only `World.advance_to` advances time.
 import copy
 from collections.abc import Sequence
 from functools import cache, partial
+from threading import RLock
 from typing import Protocol
 
 import mujoco
@@ -20,7 +21,7 @@ from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import to_ns
 from khep_twin.copies import NotCopied
 from khep_twin.errors import DivergedError, SnapshotError
-from khep_twin.one_thread import new_guard, one_thread
+from khep_twin.one_thread import one_thread
 from khep_twin.playpen import Lamp, Lighting, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import position, resume, stream
@@ -103,7 +104,7 @@ class World(NotCopied):
     ) -> None:
         # MuJoCo would write its warnings into a file in the working directory; they are checked here.
         mujoco.set_mju_user_warning(lambda warning: None)
-        made, self.guard = playpen, new_guard()
+        made, self.guard = playpen, RLock()
         if not isinstance(made, SceneModel):
             made = SceneModel.of(at_spots(Playpen.load(made), seed))
         self._base, self.spec, self.timing = made.playpen, made.spec, made.timing

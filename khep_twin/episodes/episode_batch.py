@@ -14,6 +14,7 @@ ones, lamps that change, turrets, faults to come) are run one by one from Python
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from threading import RLock
 from typing import Any, cast
 
 import numpy as np
@@ -24,7 +25,7 @@ from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.stepping import JointRun, Run, run
 from khep_twin.errors import DivergedError
-from khep_twin.one_thread import new_guard, one_thread
+from khep_twin.one_thread import one_thread
 from khep_twin.step import DONE, NO_SPEED
 
 Rows = Sequence[int] | NDArray[np.int64]
@@ -49,7 +50,7 @@ class EpisodeBatch(NotCopied):
     INSTEAD = "another EpisodeBatch of new episodes, begun with the same seeds"
 
     def __init__(self, episodes: Sequence[Episode], threads: int) -> None:
-        self.guard, self.episodes = new_guard(), episodes
+        self.guard, self.episodes = RLock(), episodes
         count, n_robots = len(episodes), len(episodes[0].boards)
         self._joint = JointRun.of(count, n_robots, 0)
         self.speeds, self.registers, self.poses = self._joint.speeds, self._joint.registers, self._joint.poses

@@ -148,7 +148,7 @@ def part_file(path: Path, replace: bool = True) -> Generator[BinaryIO]:
 
 
 class Identity(NamedTuple):
-    """What tells a file from another one that has taken its name."""
+    """Identity of a file, beside another one that has taken its name."""
 
     device: int
     inode: int
@@ -157,7 +157,7 @@ class Identity(NamedTuple):
 
     @classmethod
     def of(cls, path: Path) -> "Identity | None":
-        """Return that of a file; None if there is none."""
+        """Return the identity of a file; None if there is none."""
         try:
             found = path.stat()
         except FileNotFoundError:

@@ -39,7 +39,7 @@ LOWEST_BAUD, HIGHEST_BAUD = 50, 4_000_000
 """Speeds that a host may set, those of Linux's constants [baud]."""
 
 SIGNATURE = f"khep_twin {__version__}".encode()
-"""Name that a host is told where it asks."""
+"""Reply to a host that asks for the signature."""
 
 LONGEST = 256
 """Bytes between the two ends of one negotiation; only a signature is longer than a few."""

@@ -4,6 +4,7 @@ import copy
 import math
 from collections.abc import Sequence
 from functools import cache, partial
+from threading import RLock
 from typing import Any
 
 import mujoco
@@ -17,7 +18,7 @@ from khep_twin.episodes.planar import plane as flat
 from khep_twin.episodes.planar.casting import PlaneScene
 from khep_twin.episodes.planar.planar import PlanarScene
 from khep_twin.episodes.planar.plane import PlanarRobot, Plane
-from khep_twin.one_thread import new_guard, one_thread
+from khep_twin.one_thread import one_thread
 from khep_twin.playpen import Lamp, Lighting
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import stream
@@ -203,7 +204,7 @@ class PlanarWorld:
     """
 
     def __init__(self, scene_model: SceneModel, planar_scene: PlanarScene) -> None:
-        self.guard = new_guard()
+        self.guard = RLock()
         self.playpen, self.timing = scene_model.playpen, scene_model.timing
         self.forms = PlanarForms(scene_model, planar_scene)
         self.simulation = Simulation(self.forms, self.timing)

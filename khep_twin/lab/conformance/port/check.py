@@ -163,7 +163,7 @@ def moves_by_itself(line: CheckedPort) -> bool:
         before = line.numbers("H", 2)
         line.sleep(_STOPPING)
         after, speeds = line.numbers("H", 2), line.numbers("E", 2)
-        # Both tell of it: one alone may be wrong.
+        # Both show it: one alone may be wrong.
         if not any((now - then) * speed > 0 for then, now, speed in zip(before, after, speeds, strict=True)):
             return False
     return True
