@@ -211,22 +211,12 @@ class Content:
         if found is None:
             return
         self._end_ns, self._count = found.message_end_time, found.message_count
-        counts = len(self._chunks), n_messages, self._reader.n_channels
+        counted = found.chunk_count, found.message_count, found.channel_count
+        is_whole = has_definitions and (len(self._chunks), n_messages, self._reader.n_channels) == counted
         # What other tools wrote may also be in another order, which only its messages tell.
-        self._knows_chunks = (
-            self._is_own()
-            and has_definitions
-            and counts
-            == (
-                found.chunk_count,
-                found.message_count,
-                found.channel_count,
-            )
-        )
-        self._knows_named = [*map(len, self._named.values())] == [
-            found.attachment_count,
-            found.metadata_count,
-        ]
+        self._knows_chunks = self._is_own() and is_whole
+        n_named = found.attachment_count, found.metadata_count
+        self._knows_named = tuple(map(len, self._named.values())) == n_named
 
     def chunks(
         self, chunks: Sequence[tuple[int, int, int]] | None = None

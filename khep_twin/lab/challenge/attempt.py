@@ -125,9 +125,8 @@ def score_file(
         finally:
             _end(process)
         told = _read(result)
-    given, reason = _score(told), ""
-    if given is not None:
-        pass
+    if (given := _score(told)) is not None:
+        reason = ""
     elif printed.size > PRINTED_MB * 10**6:
         reason = f"{controller}: printed {printed.lines} lines; expected at most {PRINTED_MB} MB of text"
     elif "reason" in told:
