@@ -15,13 +15,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import entry_points
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.errors import TurretError, choices
+from khep_twin.files.paths import StrPath
 
 if TYPE_CHECKING:
     import mujoco
@@ -148,7 +148,7 @@ class TurretKind:
     description: str
     revision: str
     make: Callable[[], Turret]
-    scene: Path | None = None
+    scene: StrPath | None = None
     fit: Callable[[TurretContext], TurretBody] | None = None
     reach: float = 0.0
     names: tuple[str, ...] = ()

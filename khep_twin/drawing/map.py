@@ -45,6 +45,7 @@ from khep_twin.drawing.symbols import (
 )
 from khep_twin.errors import KhepTwinError
 from khep_twin.files.drawings import write_drawing
+from khep_twin.files.paths import StrPath
 from khep_twin.playpen import Playpen
 from khep_twin.units import BODY_RADIUS
 
@@ -158,7 +159,7 @@ def draw(
     return figure
 
 
-def save(figure: Figure, file: str | Path, replace: bool = True) -> None:
+def save(figure: Figure, file: StrPath, replace: bool = True) -> None:
     """Write a drawing as PNG, SVG or PDF, by the file's suffix; `replace` as for `write_drawing`.
 
     Raises:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from khep_twin.errors import KhepTwinError
+from khep_twin.files.paths import StrPath
 from khep_twin.invocation import quoted
 from khep_twin.machine import flags
 from khep_twin.signals import clear_at_end, undisturbed
@@ -60,11 +61,12 @@ def is_same(path: Path, other: Path) -> bool:
         return False
 
 
-def unusable(path: Path) -> str:
+def unusable(path: StrPath) -> str:
     """Return the reason why nothing can be written under a name; empty if it can.
 
     Devices, pipes and directories are refused: a rename to their name would replace them.
     """
+    path = Path(path)
     try:
         if not path.name or path.is_dir():
             return "this is a directory; expected the name of a file"

@@ -14,13 +14,13 @@ process, in lock-step.
 
 import math
 from collections.abc import Callable
-from os import PathLike
 from types import TracebackType
 from typing import Any, Literal, Self, TypeVar, overload
 
 import serial
 
 from khep_twin.errors import MoveError, PortError
+from khep_twin.files.paths import StrPath
 from khep_twin.host import commands
 from khep_twin.host.commands import HostCommand
 from khep_twin.host.line import Line
@@ -63,7 +63,7 @@ class Khepera:
 
     def __init__(
         self,
-        url: str | PathLike[str] | serial.SerialBase,
+        url: StrPath | serial.SerialBase,
         timeout: float = 1.0,
         baudrate: int | Literal["auto"] = 9600,
         *,

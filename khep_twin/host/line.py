@@ -21,6 +21,7 @@ from khep_twin.board.protocol import MOVING
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PORT_FAILURES, PortError, PortTimeout, ProtocolError, StoppedError
 from khep_twin.files.atomic import resolved
+from khep_twin.files.paths import StrPath
 from khep_twin.host.commands import HostCommand
 from khep_twin.host.opening import SPEEDS, find_speed, numbered, open_port
 from khep_twin.signals import clear_at_end
@@ -64,7 +65,7 @@ class Line:
 
     def __init__(
         self,
-        url: str | os.PathLike[str] | serial.SerialBase,
+        url: StrPath | serial.SerialBase,
         timeout: float | None,
         baudrate: int | Literal["auto"],
         retries: int,

@@ -7,7 +7,6 @@ import hashlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
+from khep_twin.files.paths import StrPath
 from khep_twin.invocation import command
 from khep_twin.log.channels import FLOATS, IMAGE, TextLine
 from khep_twin.log.content import Content
@@ -84,7 +84,7 @@ class Recording:
     lines: Mapping[str, list[TextLine]]
 
 
-def read_log(path: str | PathLike[str]) -> LoggedRun:
+def read_log(path: StrPath) -> LoggedRun:
     """Read a log as arrays."""
     path = Path(path)
     with _opened(path) as content:
@@ -103,8 +103,9 @@ def read_log(path: str | PathLike[str]) -> LoggedRun:
     return LoggedRun(label.metadata, label.attachments, robots, messages.lines("/events"))
 
 
-def read_label(path: Path) -> Label:
+def read_label(path: StrPath) -> Label:
     """Read metadata and attachments of a log; fast for any length of the run."""
+    path = Path(path)
     with _opened(path) as content:
         return _label(path, content)
 
@@ -124,8 +125,9 @@ def hash_of(path: Path) -> str:
     return digest.hexdigest()
 
 
-def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]]:
+def read_arrays(path: StrPath) -> tuple[Label, dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]]:
     """Read a log's label and its floats and images by topic: times (n,) [ns] and values (n, length)."""
+    path = Path(path)
     with _opened(path) as content:
         label = _label(path, content)
         messages = Messages(path, (each for each in content.messages() if each.schema in (FLOATS, IMAGE)))
@@ -133,8 +135,9 @@ def read_arrays(path: Path) -> tuple[Label, dict[str, tuple[NDArray[np.int64], N
     return label, {topic: (each.times_ns, each.values.astype(np.float64)) for topic, each in series.items()}
 
 
-def read_series(path: Path) -> Recording:
+def read_series(path: StrPath) -> Recording:
     """Read a log with each channel at its own times."""
+    path = Path(path)
     with _opened(path) as content:
         return _recording(path, _label(path, content), content.messages())
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S, Pacer
+from khep_twin.files.paths import StrPath
 from khep_twin.log.channels import BYTES, FLOATS, INTEGERS
 from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import FileRecorder, LogFile
@@ -195,14 +196,15 @@ class Recorder(WorldRecorder, FileRecorder):
 
     def __init__(
         self,
-        path: Path,
+        path: StrPath,
         world: World,
         run: RunDescription,
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
         self._world = world
-        self._file = LogFile(path, lambda: self._world.time_ns)
-        self.path, self.part = path, self._file.part
+        self.path = Path(path)
+        self._file = LogFile(self.path, lambda: self._world.time_ns)
+        self.part = self._file.part
         super().__init__(self._file, world, run)
         # An error at the very start of a log is always raised.
         self._file.on_failure = on_failure

@@ -4,7 +4,6 @@ The first bytes identify the format. Files are not trusted: sizes are checked be
 of a PNG only the chunks that make its pixels reach the decoder.
 """
 
-import os
 import struct
 import warnings
 from collections.abc import Mapping
@@ -19,6 +18,7 @@ from PIL import Image, UnidentifiedImageError
 from khep_twin.errors import BitmapError, MatError, choices
 from khep_twin.files.atomic import open_regular
 from khep_twin.files.mat_file import SIZE_LIMIT, Foreign, Variable, read_variables
+from khep_twin.files.paths import StrPath
 from khep_twin.playpen.bitmap import SIDE_LIMIT, Pixels
 
 SCAN = "btmap1"
@@ -63,7 +63,7 @@ class Bitmap:
     scanned: bool
 
 
-def read(path: str | os.PathLike[str], variable: str | None = None, solid: int | None = None) -> Bitmap:
+def read(path: StrPath, variable: str | None = None, solid: int | None = None) -> Bitmap:
     """Read the bitmap in a file.
 
     Args:

@@ -1,6 +1,5 @@
 """Model of a whole playpen: reading, checking and writing of playpen files."""
 
-import os
 from collections.abc import Mapping
 from functools import partial
 from itertools import islice
@@ -12,6 +11,7 @@ from pydantic import SerializerFunctionWrapHandler, ValidationInfo, model_serial
 
 from khep_twin.errors import PlaypenError
 from khep_twin.files import toml_files
+from khep_twin.files.paths import StrPath
 from khep_twin.files.toml_files import PROBLEM_LIMIT, Problems, Table
 from khep_twin.playpen.checks import assigned, completed, following, playpen_problems
 from khep_twin.playpen.tables import PlaypenTables
@@ -56,7 +56,7 @@ class Playpen(PlaypenTables):
         return self
 
 
-PlaypenLike = Playpen | str | os.PathLike[str]
+PlaypenLike = Playpen | StrPath
 """A playpen, the bare name of a shipped one, or the path of a file."""
 
 

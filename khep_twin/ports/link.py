@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 from khep_twin.errors import PortError
+from khep_twin.files.paths import StrPath
 from khep_twin.machine import lock
 from khep_twin.ports.service_registry import private_folder
 from khep_twin.signals import clear_at_end, undisturbed
@@ -32,7 +33,7 @@ class Link:
         PortError: There is something else under this name, or the link cannot be made.
     """
 
-    def __init__(self, wanted: str | Path, target: str) -> None:
+    def __init__(self, wanted: StrPath, target: str) -> None:
         if not str(wanted):
             raise PortError("--link '': expected a name")
         # A Path drops a leading ./, which asks for a link in the current directory.
@@ -65,7 +66,7 @@ class Link:
         self._forget()
         os.close(self._lock)
 
-    def _take(self, wanted: str | Path) -> None:
+    def _take(self, wanted: StrPath) -> None:
         try:
             lock(self._lock)
         except BlockingIOError:

@@ -18,7 +18,6 @@ import time
 import tty
 from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Self
 
 if sys.platform == "win32":
@@ -26,6 +25,7 @@ if sys.platform == "win32":
 
 from khep_twin.board.uart import LineSettings
 from khep_twin.errors import PortError
+from khep_twin.files.paths import StrPath
 from khep_twin.ports.event_sources import open_events
 from khep_twin.ports.host_port import NOTHING, Received
 from khep_twin.ports.host_writes import Change, Reading, divide_at_leaving
@@ -76,7 +76,7 @@ class PtyPort:
         PortError: There is no terminal, or the link cannot be made.
     """
 
-    def __init__(self, link: str | Path | None = None, baud: int = 9600) -> None:
+    def __init__(self, link: StrPath | None = None, baud: int = 9600) -> None:
         try:
             self.descriptor, host_side = os.openpty()
         except OSError as error:

@@ -7,13 +7,13 @@ words give the same run.
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Self
 
 from khep_twin.board.fault_injection import parse_fault
 from khep_twin.board.rom import ROMS
 from khep_twin.clock import TimeSource
 from khep_twin.errors import PortError
+from khep_twin.files.paths import StrPath
 from khep_twin.log.recorder import Recorder, WorldRecorder
 from khep_twin.log.run_description import Beginning, RunDescription
 from khep_twin.playpen import Playpen, PlaypenLike
@@ -53,7 +53,7 @@ class TwinOptions:
     unpaced: bool = False
     strict_line: bool = False
     faults: tuple[str, ...] = ()
-    log: str | None = None
+    log: StrPath | None = None
     model: str | None = None
 
     def __post_init__(self) -> None:
@@ -123,7 +123,7 @@ class Twin:
 
     def record(
         self,
-        path: Path,
+        path: StrPath,
         *,
         facts: Mapping[str, str] | None = None,
         attachments: Mapping[str, str] | None = None,
@@ -211,7 +211,7 @@ def open_twin(playpen: PlaypenLike, options: TwinOptions | None = None) -> Twin:
     )
     twin = Twin(world, tuple(world.robots[index] for index in on_the_line), options)
     if options.log is not None:
-        twin.record(Path(options.log))
+        twin.record(options.log)
     return twin
 
 

@@ -29,6 +29,7 @@ from khep_twin.episodes.fitness import TOP_SPEED_PULSES
 from khep_twin.episodes.metrics import METRICS
 from khep_twin.errors import KhepTwinError, Location, Problem, StudyError
 from khep_twin.files import toml_files
+from khep_twin.files.paths import StrPath
 from khep_twin.files.toml_files import Name, Problems, TomlTable, show
 from khep_twin.files.toml_lines import LineNumbers
 from khep_twin.randomness import SEED_LIMIT
@@ -207,12 +208,13 @@ class StudyFile:
         return StudyError(problems=[problem])
 
 
-def load(path: Path) -> StudyFile:
+def load(path: StrPath) -> StudyFile:
     """Load a study by its path.
 
     Raises:
         StudyError: There is no file, or it cannot be used; one line per problem.
     """
+    path = Path(path)
     if not (path.exists() or path.is_symlink()):
         raise StudyError("no such file", file=path, expected="the path of a study")
     text, source = toml_files.read("studies", path, StudyError)

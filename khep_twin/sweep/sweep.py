@@ -2,7 +2,7 @@
 
     from khep_twin.sweep import study, sweep
 
-    table = sweep.run_sweep(study.load(Path("noise.toml")))
+    table = sweep.run_sweep(study.load("noise.toml"))
 
 Workers only return bytes; this process alone writes them. So a task may be repeated as often as workers die,
 and the folder shows the missing tasks.
@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
+from khep_twin.files.paths import StrPath
 from khep_twin.sweep.results import SweepFolder, encoded
 from khep_twin.sweep.run_shard import run_shard
 from khep_twin.sweep.shards import Shard, Work, work_of
@@ -34,7 +35,7 @@ def run_locally(threads: int | None = None) -> Executor:
 def run_sweep(
     file: StudyFile,
     *,
-    output: Path | None = None,
+    output: StrPath | None = None,
     resume: bool = False,
     executor: Executor | None = None,
     begin: Callable[[Work, Sequence[Shard]], None] | None = None,
@@ -57,7 +58,7 @@ def run_sweep(
         StudyError: The study or the folder cannot be used.
         KhepTwinError: The episodes cannot be run; finished tasks are kept.
     """
-    place = (output or file.output).absolute()  # a program of the study may change the working directory
+    place = Path(output or file.output).absolute()  # a program of the study may change the working directory
     work = work_of(file)
     folder = SweepFolder(place, work)
     with folder.opened(resume):

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.errors import SensorTestError
+from khep_twin.files.paths import StrPath
 from khep_twin.lab.sensor_test.sensor_test import (
     PULSES_PER_CM,
     PULSES_PER_DEGREE,
@@ -108,7 +109,7 @@ def disonel(
     return _drawn(dv, khep_pos, motion, what, speed, sensor=sensor, y_min=y_min, grid=grid)
 
 
-def dataprnt(file: str | Path = "graph_data.pdf") -> Path:
+def dataprnt(file: StrPath = "graph_data.pdf") -> Path:
     """Write the latest graph on a page to print: as PDF, or as PNG or SVG by the name's suffix.
 
     A file of the default name that is no graph, or a changed one, is kept; the graph gets another name.
@@ -125,7 +126,7 @@ def dataprnt(file: str | Path = "graph_data.pdf") -> Path:
     return Path(file)
 
 
-def datameta(file: str | Path = "graph_data.svg") -> Path:
+def datameta(file: StrPath = "graph_data.svg") -> Path:
     """Write the latest graph for a text: as SVG, which scales as the toolbox's metafile does."""
     return dataprnt(file)
 

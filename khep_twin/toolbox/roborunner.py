@@ -11,11 +11,13 @@
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from khep_twin.errors import ControllerError, KhepTwinError
 from khep_twin.files.atomic import write_whole
+from khep_twin.files.paths import StrPath
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment import series_files
 from khep_twin.lab.experiment.controller_files import call_on_run_end, find_controller, find_on_run_end
@@ -44,7 +46,7 @@ def roborun2(
     cycles_per_run: int = 500,
     runs: int = 1,
     pause: float = 0.0,
-    save: str | Path | None = None,
+    save: StrPath | None = None,
     user: UserFunction | Sequence[UserFunction] = (),
 ) -> list[SeriesRun]:
     """Run a control algorithm again and again; without one, open the page that has RoboRunner's controls.
@@ -90,7 +92,7 @@ def roborun2(
     return list(_runs)
 
 
-def getstat(*, runs: Sequence[SeriesRun] | str | Path | None = None) -> dict[str, Summary]:
+def getstat(*, runs: Sequence[SeriesRun] | StrPath | None = None) -> dict[str, Summary]:
     """Return the statistics of runs: mean, standard deviation and confidence of each metric, by its name.
 
     The runs are those of `roborun2`, or the folder that keeps them; without, those of the latest `roborun2`.
@@ -103,7 +105,7 @@ def getstat(*, runs: Sequence[SeriesRun] | str | Path | None = None) -> dict[str
 
 
 def plotrun(
-    *names: str, runs: Sequence[SeriesRun] | str | Path | None = None, picture: str | Path | None = None
+    *names: str, runs: Sequence[SeriesRun] | StrPath | None = None, picture: StrPath | None = None
 ) -> "Figure":
     """Draw the metrics of runs, run after run, in a window where there is a screen.
 
@@ -127,7 +129,7 @@ def plotrun(
     return figure
 
 
-def user1(*, runs: Sequence[SeriesRun] | str | Path | None = None, save: str | Path | None = None) -> None:
+def user1(*, runs: Sequence[SeriesRun] | StrPath | None = None, save: StrPath | None = None) -> None:
     """Print the statistics of runs as `getstat` takes them, and save their table as CSV, Parquet or MAT.
 
     Raises:
@@ -143,7 +145,7 @@ def user1(*, runs: Sequence[SeriesRun] | str | Path | None = None, save: str | P
         write_whole(Path(save), tables[Path(save).suffix.lower()])
 
 
-def template(file: str | Path) -> Path:
+def template(file: StrPath) -> Path:
     """Write the toolbox's template, a function to fill in and to pass to `roborun2` or `khep-twin run`.
 
     Raises:
@@ -158,7 +160,7 @@ def template(file: str | Path) -> Path:
     return Path(file)
 
 
-def play_pen(file: str | Path | None = None) -> None:
+def play_pen(file: StrPath | None = None) -> None:
     """Open the page in which playpens are built and robots are run, until Ctrl-C, as `khep-twin design` does.
 
     It opens a playpen file below the current folder, which may still have to be made.
@@ -198,9 +200,9 @@ def _robot(controller: AnyController, port_id: Port | None) -> Khepera:
     return robot_at(port_id)
 
 
-def _rows(runs: Sequence[SeriesRun] | str | Path | None) -> list[series_files.Row]:
+def _rows(runs: Sequence[SeriesRun] | StrPath | None) -> list[series_files.Row]:
     """Return runs as rows of a table."""
-    if isinstance(runs, str | Path):
+    if isinstance(runs, str | PathLike):
         rows = series_files.read_series(Path(runs))[1]
     else:
         rows = [series_files.row_of(run) for run in (_runs if runs is None else runs)]

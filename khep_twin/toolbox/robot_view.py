@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.files.drawings import is_replaceable, write_drawing
+from khep_twin.files.paths import StrPath
 from khep_twin.sensing.bars import BARS
 from khep_twin.toolbox.windows import refresh, show
 from khep_twin.units import SENSOR_POSITIONS, WHEEL_BASE
@@ -43,7 +44,7 @@ def khepbase(
     light_data: ArrayLike | None = None,
     motor_speed: ArrayLike | None = None,
     *,
-    picture: str | Path | None = None,
+    picture: StrPath | None = None,
 ) -> Path | None:
     """Open the view of the robot, or update the readings and speeds in it.
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.errors import SensorTestError
+from khep_twin.files.paths import StrPath
 from khep_twin.host import Khepera
 from khep_twin.lab.sensor_test import sensor_files
 from khep_twin.lab.sensor_test.sensor_test import (
@@ -42,7 +43,7 @@ def tstsense(
     max_speed: int = DEFAULT_SPEED,
     max_acc: int = DEFAULT_ACCELERATION,
     return_to_zero: bool = False,
-    save: str | Path | None = None,
+    save: StrPath | None = None,
     dlgstr: str = "",
 ) -> tuple[NDArray[np.int64], int]:
     """Drive a robot straight or turn it, and read its sensors on the way.
@@ -81,7 +82,7 @@ def simsense(
     max_speed: int = DEFAULT_SPEED,
     max_acc: int = DEFAULT_ACCELERATION,
     return_to_zero: bool = False,
-    save: str | Path | None = None,
+    save: StrPath | None = None,
     dlgstr: str = "",
     port_id: int = 1,
 ) -> tuple[NDArray[np.int64], int]:
@@ -121,7 +122,7 @@ _latest: list[SensorRun] = []
 
 
 def _driven(
-    robot: Khepera, test: SensorTest, save: str | Path | None, dlgstr: str
+    robot: Khepera, test: SensorTest, save: StrPath | None, dlgstr: str
 ) -> tuple[NDArray[np.int64], int]:
     if save is not None:
         sensor_files.checked_suffix(Path(save))  # before the robot moves
@@ -133,7 +134,7 @@ def _driven(
     return lasttest()
 
 
-def _keep(run: SensorRun, save: str | Path | None) -> None:
+def _keep(run: SensorRun, save: StrPath | None) -> None:
     """Keep the readings of a test, in a file if one is given."""
     _latest[:] = [run]
     if save is not None and len(run.dv):

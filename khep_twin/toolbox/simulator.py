@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.errors import BitmapError, PlaypenError, PortError
+from khep_twin.files.paths import StrPath
 from khep_twin.host import Khepera
 from khep_twin.interventions.move_robot import scan
 from khep_twin.lab.experiment.start_poses import lit
@@ -76,7 +77,7 @@ def open_default(
     noise: bool = True,
     rom: str | None = None,
     lighting: str | None = None,
-    log: str | Path | None = None,
+    log: StrPath | None = None,
 ) -> OpenPlaypen:
     """Open four walls with a robot in their middle, RoboRunner's Open Default; close what was open.
 
@@ -86,13 +87,13 @@ def open_default(
 
 
 def open_custom(
-    playpen: str | Path | Playpen | NDArray[np.generic],
+    playpen: StrPath | Playpen | NDArray[np.generic],
     *,
     seed: int = 0,
     noise: bool = True,
     rom: str | None = None,
     lighting: str | None = None,
-    log: str | Path | None = None,
+    log: StrPath | None = None,
 ) -> OpenPlaypen:
     """Open a playpen, RoboRunner's Open Custom; close what was open.
 
@@ -247,7 +248,7 @@ def _robot(port_id: int) -> Khepera:
     return scene.robots[scene.index(port_id)]
 
 
-def _playpen(source: str | Path | Playpen | NDArray[np.generic]) -> Playpen:
+def _playpen(source: StrPath | Playpen | NDArray[np.generic]) -> Playpen:
     """Return a playpen from any of its sources."""
     if isinstance(source, Playpen):
         return source

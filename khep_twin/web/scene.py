@@ -8,6 +8,7 @@ frame of their robot.
 import math
 from collections.abc import Iterator, Mapping
 from functools import cache
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -150,7 +151,7 @@ def at_start(name: str) -> list[dict[str, object]]:
     try:
         model = mujoco.MjModel.from_xml_path(str(kind.scene))
     except ValueError as error:
-        raise TurretError(f"turret {name}: {kind.scene.name} cannot be compiled: {error}") from error
+        raise TurretError(f"turret {name}: {Path(kind.scene).name} cannot be compiled: {error}") from error
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     rgb = (255 * model.geom_rgba[:, :3]).round().astype(int).tolist()

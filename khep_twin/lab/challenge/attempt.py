@@ -25,6 +25,7 @@ from typing import Any
 
 from khep_twin.errors import KhepTwinError, StoppedError
 from khep_twin.files.atomic import write_whole
+from khep_twin.files.paths import StrPath
 from khep_twin.lab.challenge.challenge import ChallengeFile, load
 from khep_twin.lab.challenge.scoring import Score, is_worth_compiling, score
 from khep_twin.shutdown import EXIT_S, INTERRUPTION_S
@@ -77,7 +78,7 @@ def score_file(
     *,
     runs: int | None = None,
     seed: int | None = None,
-    log: Path | None = None,
+    log: StrPath | None = None,
     real_seconds: float = REAL_SECONDS,
     show: Callable[[bytes], None] | None = None,
     stop: Callable[[], bool] | None = None,

@@ -1,6 +1,6 @@
 """Episodes of a task from logs, as arrays: observations, actions, rewards and how they end.
 
-    for episode in episodes_of(Path("run.mcap"), find("ObstacleAvoidance"), 50_000_000):
+    for episode in episodes_of("run.mcap", find("ObstacleAvoidance"), 50_000_000):
         print(episode.observations.shape, episode.rewards.mean())
 
 They are those that the task's environment returns for the same drive (`khep_twin.envs.gymnasium`), normalized
@@ -19,6 +19,7 @@ from khep_twin import units
 from khep_twin.clock import n_steps, to_ns
 from khep_twin.envs.tasks import TOP_SPEED, Observation, State, Task
 from khep_twin.errors import LogError
+from khep_twin.files.paths import StrPath
 from khep_twin.lab.dataset import replies, samples
 from khep_twin.lab.dataset.periods import Periods, check_period
 from khep_twin.lab.report.export import chosen_robot
@@ -51,7 +52,7 @@ class OfflineEpisode:
 
 
 def episodes_of(
-    path: Path,
+    path: StrPath,
     task: Task,
     period_ns: int,
     robot: str | None = None,
@@ -72,7 +73,7 @@ def episodes_of(
     Raises:
         LogError: The log is not whole, or lacks what the task needs; the period does not fit the task.
     """
-    limit_ns = to_ns(task.seconds)
+    path, limit_ns = Path(path), to_ns(task.seconds)
     check_period(period_ns, limit_ns)
     recording = read_heads(path)
     robots = recording.label.robots if robot is None else (chosen_robot(recording, robot),)

@@ -27,6 +27,7 @@ from khep_twin.envs.gymnasium import register
 from khep_twin.envs.tasks import Task
 from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.files.atomic import free_name, kept_both, resolved
+from khep_twin.files.paths import StrPath
 from khep_twin.lab.dataset.episodes import OfflineEpisode
 from khep_twin.signals import clear_at_end
 
@@ -73,7 +74,7 @@ def check_new_dataset(folder: Path, dataset_id: str, force: bool) -> Path:
 
 
 def write_dataset(
-    folder: Path,
+    folder: StrPath,
     dataset_id: str,
     episodes: Iterable[OfflineEpisode],
     spec: EnvSpec | None,
@@ -96,7 +97,7 @@ def write_dataset(
     Raises:
         KhepTwinError: The dataset is there already, or cannot be written; nothing of it stays.
     """
-    target = check_new_dataset(folder, dataset_id, force)
+    target = check_new_dataset(Path(folder), dataset_id, force)
     observations, actions = spaces or (None, None)
     try:
         with _part_of(target, force) as part:

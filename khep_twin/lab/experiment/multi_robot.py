@@ -17,13 +17,12 @@ from collections.abc import Callable, Mapping, Sequence
 from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Generic, TypeVar
 
 from khep_twin.clock import TimeSource
 from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.host import Khepera
-from khep_twin.playpen import Playpen
+from khep_twin.playpen import PlaypenLike
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
@@ -34,7 +33,7 @@ TIMEOUT = 1.0
 
 
 def run_together(
-    playpen: str | Path | Playpen, scripts: Sequence[Callable[[Khepera], Result]], options: TwinOptions
+    playpen: PlaypenLike, scripts: Sequence[Callable[[Khepera], Result]], options: TwinOptions
 ) -> list[Result]:
     """Run a script for each robot of a playpen, all on one world; return their results.
 

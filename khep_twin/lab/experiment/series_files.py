@@ -25,6 +25,7 @@ import numpy as np
 from khep_twin.errors import ControllerError
 from khep_twin.files.atomic import read_regular, write_whole
 from khep_twin.files.mat_file import mat_bytes
+from khep_twin.files.paths import StrPath
 from khep_twin.invocation import command
 from khep_twin.lab.experiment.measures import UNITS
 from khep_twin.lab.experiment.series_run import SeriesRun
@@ -54,8 +55,8 @@ class SeriesFolder:
         KhepTwinError: It cannot be written.
     """
 
-    def __init__(self, path: Path, settings: Mapping[str, object], *, resume: bool = False) -> None:
-        self.path = path
+    def __init__(self, path: StrPath, settings: Mapping[str, object], *, resume: bool = False) -> None:
+        self.path = path = Path(path)
         self._place = path.absolute()  # a controller may go to another folder
         self.rows: list[Row] = []
         # Round trip through JSON, to compare with settings read from the file.
@@ -121,12 +122,13 @@ class SeriesFolder:
             write_whole(self._place / f"runs{suffix}", data)
 
 
-def read_series(path: Path) -> tuple[dict[str, object], list[Row]]:
+def read_series(path: StrPath) -> tuple[dict[str, object], list[Row]]:
     """Read the settings and the runs of a folder.
 
     Raises:
         ControllerError: There is no series in it.
     """
+    path = Path(path)
     file = path / _INDEX
     try:
         found = json.loads(read_regular(file).decode("utf-8"))

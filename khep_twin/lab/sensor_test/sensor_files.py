@@ -24,6 +24,7 @@ from khep_twin import __version__
 from khep_twin.errors import LogError, SensorTestError
 from khep_twin.files.atomic import read_regular, write_whole
 from khep_twin.files.mat_file import mat_bytes
+from khep_twin.files.paths import StrPath
 from khep_twin.files.text import decode
 from khep_twin.lab.sensor_test.sensor_mat import read_mat
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, What, check_what
@@ -40,13 +41,14 @@ _TITLE = "# khep-twin: sensor test"
 _ROBOT = "khepera0"
 
 
-def save(path: Path, run: SensorRun, replace: bool = True) -> None:
+def save(path: StrPath, run: SensorRun, replace: bool = True) -> None:
     """Write a run as CSV, MAT or MCAP, by the file's suffix; `replace` as for `write_whole`.
 
     Raises:
         SensorTestError: The suffix is another one, or the run has no rows, or no times for a log.
         KhepTwinError: The file cannot be written.
     """
+    path = Path(path)
     kind = checked_suffix(path)
     if not len(run.dv):
         raise SensorTestError(f"{path}: the test has no rows; expected a run with rows")
@@ -58,7 +60,7 @@ def save(path: Path, run: SensorRun, replace: bool = True) -> None:
         _write_log(path, run)
 
 
-def load(path: Path, what: What | None = None) -> SensorRun:
+def load(path: StrPath, what: What | None = None) -> SensorRun:
     """Read a run that `save` has written, or a MAT file of the Khepera Toolbox.
 
     A MAT file that does not state the quantity of its readings has that of `what`, by default proximity.
@@ -66,6 +68,7 @@ def load(path: Path, what: What | None = None) -> SensorRun:
     Raises:
         SensorTestError: There is no such file, or it holds no sensor test.
     """
+    path = Path(path)
     kind = checked_suffix(path)
     try:
         data = read_regular(path)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from khep_twin.files.paths import StrPath
 from khep_twin.lab.conformance.recording.catalogue import CHECKS
 from khep_twin.lab.conformance.recording.check import Finding
 from khep_twin.lab.conformance.recording.recorded_line import RecordedLine, recorded_lines
@@ -81,13 +82,13 @@ class RecordingReport:
         return json.dumps({"passed": self.passed, "log": self.log, "robots": robots}, indent=2)
 
 
-def conform_recording(path: Path) -> RecordingReport:
+def conform_recording(path: StrPath) -> RecordingReport:
     """Check the replies of all robots of a log.
 
     Raises:
         LogError: There is no log, it is not whole, or nothing crossed a line in it.
     """
-    return RecordingReport(str(path), tuple(map(_checked, recorded_lines(path))))
+    return RecordingReport(str(path), tuple(map(_checked, recorded_lines(Path(path)))))
 
 
 def _checked(line: RecordedLine) -> CheckedRobot:
