@@ -29,13 +29,18 @@ def one_thread(
     def guarded(self: Own, /, *given: Given.args, **options: Given.kwargs) -> Result:
         guard = self.guard
         if not guard.acquire(False):
-            raise RuntimeError(
-                f"{method.__name__}: another thread is inside this {type(self).__name__}; expected one "
-                "thread at a time, or an object for each"
-            )
+            raise entered_twice(self, method.__name__)
         try:
             return method(self, *given, **options)
         finally:
             guard.release()
 
     return guarded
+
+
+def entered_twice(entered: object, method: str) -> RuntimeError:
+    """Return the error about a second thread in a method of an object."""
+    return RuntimeError(
+        f"{method}: another thread is inside this {type(entered).__name__}; expected one thread at a time, "
+        "or an object for each"
+    )

@@ -72,10 +72,12 @@ class World(NotCopied):
         compiled: Whether to step by compiled code, with the same results; None to change over to it in a long
             run, once it is compiled.
         shared: True to share the model of a `SceneModel` with other worlds, until a run with `vary`; LEDs are
-            not shown then, and there are no observers. With faults of wheels it has a model of its own.
+            not shown then, there are no observers, and `reset` switches the robots on. With faults of wheels
+            it has a model of its own.
 
     Attributes:
         playpen: Playpen with the robots' starts.
+        time_ns: Current time [ns].
         timing: Divisions of time.
         simulation: State that the stepping core works on.
         code: Code that steps it.
@@ -104,7 +106,7 @@ class World(NotCopied):
     ) -> None:
         # MuJoCo would write its warnings into a file in the working directory; they are checked here.
         mujoco.set_mju_user_warning(lambda warning: None)
-        made, self.guard = playpen, RLock()
+        made, self.guard, self.time_ns = playpen, RLock(), 0
         if not isinstance(made, SceneModel):
             made = SceneModel.of(at_spots(Playpen.load(made), seed))
         self._base, self.spec, self.timing = made.playpen, made.spec, made.timing
@@ -118,11 +120,11 @@ class World(NotCopied):
         self._robot_settings = RobotSettings(unpaced, strict_line, tuple(faults))
         self.simulation = Simulation(self._forms, self.timing)
         self.code = SteppingCode(self.simulation, compiled)
-        has_turrets = any(entry.turrets for entry in self._base.robots)
-        self._stepper = Stepper(
-            self, self.simulation, self.code, has_turrets=has_turrets, shows_leds=not shared
-        )
-        self.reset(seed, noise=noise, vary=vary)
+        turrets = any(entry.turrets for entry in self._base.robots)
+        self._stepper = Stepper(self, self.simulation, self.code, has_turrets=turrets, shows_leds=not shared)
+        self._rewind(seed, noise, vary, None, None)
+        if not shared:
+            self._stepper.begin(self.robots)
 
     @one_thread
     def reset(
@@ -146,6 +148,13 @@ class World(NotCopied):
         Raises:
             DivergedError: The physics leaves its bounds at once.
         """
+        self._rewind(seed, noise, vary, starts, lamps)
+        self._stepper.begin(self.robots)
+
+    def _rewind(
+        self, seed: int, noise: bool, vary: bool, starts: Sequence[Start] | None, lamps: Sequence[Lamp] | None
+    ) -> None:
+        """Return to time 0, with the robots not switched on yet; arguments are those of `reset`."""
         forms, simulation = self._forms, self.simulation
         self.observers: list[Observer] = []
         self._untold: list[tuple[int | None, str]] = []
@@ -155,21 +164,13 @@ class World(NotCopied):
         self.model = forms.model
         playpen = at_spots(self._base, seed) if starts is None else forms.started(starts)
         forms.reset(playpen)
-        if lamps is not None:
-            playpen = playpen.model_copy(update={"lamps": tuple(lamps)})
-        self.playpen = playpen
-        self.lamps = Lamps(playpen, cache(partial(stream, seed, "lamps")))
+        self.playpen = playpen if lamps is None else playpen.model_copy(update={"lamps": tuple(lamps)})
+        self.lamps = Lamps(self.playpen, cache(partial(stream, seed, "lamps")))
         self.robots: tuple[Robot, ...] = tuple(
             Robot(self, index, at, state, partial(stream, seed, "robot", index), self._robot_settings)
             for index, (at, state) in enumerate(zip(forms.indices, simulation.records, strict=True))
         )
-        simulation.set_lamps(self.lamps, playpen.lighting)
-        self._stepper.begin(self.robots)
-
-    @property
-    def time_ns(self) -> int:
-        """Current time [ns]."""
-        return self._stepper.time_ns
+        simulation.set_lamps(self.lamps, self.playpen.lighting)
 
     @property
     def poses(self) -> list[tuple[float, float, float]]:
@@ -205,7 +206,6 @@ class World(NotCopied):
         mujoco.mj_kinematics(self.model, self.data)
         observer.sample(self)
 
-    @one_thread
     def advance_to(self, time_ns: int) -> None:
         """Advance the world to `time_ns` [ns].
 

@@ -190,7 +190,7 @@ def _constants(scene: PlanarScene) -> dict[str, Any]:
 
 
 class PlanarWorld:
-    """One robot in a plane.
+    """One robot in a plane; runs begin with `reset`.
 
     Args:
         scene_model: Compiled model of a playpen with one robot, at the step of the plane.
@@ -208,7 +208,6 @@ class PlanarWorld:
         self.playpen, self.timing = scene_model.playpen, scene_model.timing
         self.forms = PlanarForms(scene_model, planar_scene)
         self.simulation = Simulation(self.forms, self.timing)
-        self.reset()
 
     @one_thread
     def reset(

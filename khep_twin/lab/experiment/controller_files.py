@@ -30,7 +30,7 @@ from khep_twin.lab.experiment.controllers import (
     source_file,
 )
 from khep_twin.lab.experiment.series_run import SeriesRun
-from khep_twin.lab.experiment.users_folder import begin_here, users_folder
+from khep_twin.lab.experiment.users_folder import begin_here, in_users_folder
 from khep_twin.signals import is_interruption
 
 Offered = TypeVar("Offered", bound=type[Controller] | AnyFunction)
@@ -213,8 +213,7 @@ def _returning(path: Path, name: str, function: AnyFunction, when: str) -> AnyFu
 def _made(path: Path, name: str, kind: type[Controller]) -> Controller:
     """Return an object of a user's class."""
     try:
-        with users_folder():
-            return kind()
+        return in_users_folder(kind)
     except BaseException as error:
         if is_interruption(error):
             raise
@@ -259,8 +258,7 @@ def _module_of(path: Path) -> ModuleType:
     if folder not in sys.path:
         sys.path.insert(0, folder)
     try:
-        with users_folder():
-            spec.loader.exec_module(module)
+        in_users_folder(spec.loader.exec_module, module)
     except BaseException as error:
         # A user's file may fail in any way; report location and reason.
         if is_interruption(error):

@@ -22,7 +22,7 @@ from khep_twin.errors import ControllerError, KhepTwinError, in_a_line
 from khep_twin.files.atomic import resolved, write_whole
 from khep_twin.files.text import encodable
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment.users_folder import users_folder
+from khep_twin.lab.experiment.users_folder import in_users_folder
 from khep_twin.playpen import Playpen
 from khep_twin.signals import is_interruption
 
@@ -144,8 +144,7 @@ def call(place: Callable[P, Returned], *given: P.args, **named: P.kwargs) -> Ret
         ControllerError: It failed, with file and line.
     """
     try:
-        with users_folder():
-            return place(*given, **named)
+        return in_users_folder(place, *given, **named)
     except KhepTwinError:
         raise
     except BaseException as error:

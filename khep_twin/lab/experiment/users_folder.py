@@ -1,29 +1,29 @@
 """Working directory of a user's programs, apart from that of the command, whose paths keep their meaning."""
 
 import os
-from collections.abc import Generator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+Given = ParamSpec("Given")
+Returned = TypeVar("Returned")
 
 _changed: list[str] = []
 """Directory to which a user's program has changed; empty if it has not."""
 
 
-@contextmanager
-def users_folder() -> Generator[None]:
-    """Run a user's program in the directory that it was in last; afterwards the one before is back."""
-    before, there = _here(), _changed.copy()
-    if before is None:  # nothing leads back to a directory that is gone
-        yield
-        return
-    _changed.clear()  # what it calls here stays where it is
-    for folder in there:
-        os.chdir(folder)
+def in_users_folder(
+    program: Callable[Given, Returned], /, *given: Given.args, **named: Given.kwargs
+) -> Returned:
+    """Call a user's program in the directory that it was in last; afterwards the one before is back."""
+    if not (before := _here()):  # nothing leads back to a directory that is gone
+        return program(*given, **named)
+    if _changed:
+        os.chdir(_changed.pop())  # what it calls here stays where it is
     try:
-        yield
+        return program(*given, **named)
     finally:
-        after = _here()
-        if after != before:
-            _changed[:] = [] if after is None else [after]
+        if (after := _here()) != before:
+            _changed[:] = [after] if after else []
             os.chdir(before)
 
 
@@ -32,7 +32,9 @@ def begin_here() -> None:
     _changed.clear()
 
 
-def _here() -> str | None:
-    with suppress(OSError):  # it may have been removed
+def _here() -> str:
+    """Return the working directory; empty if it has been removed."""
+    try:
         return os.getcwd()
-    return None
+    except OSError:
+        return ""
