@@ -92,10 +92,10 @@ def _light_at_start(playpen: Playpen, x_mm: Floats, y_mm: Floats) -> Floats:
     return light / len(playpen.lamps) if playpen.lighting.mode == "random" else light
 
 
-def draw_object(axes: Axes, playpen: Playpen, item: Block | Cylinder) -> None:
+def draw_object(axes: Axes, playpen: Playpen, item: Block | Cylinder) -> Patch:
     """Draw a block or cylinder from above."""
     look = surface_look(playpen, item.surface, item.movable)
-    _draw_shape(axes, item.footprint, zorder=3, **look)
+    return _draw_shape(axes, item.footprint, zorder=3, **look)
 
 
 def draw_wall(axes: Axes, playpen: Playpen, wall: Wall) -> None:
@@ -196,25 +196,28 @@ def _draw_lamp(axes: Axes, lamp: Lamp, *, on: bool) -> None:
         axes.add_line(ray)
 
 
-def draw_robot(axes: Axes, labels: Labels, robot: RobotEntry, name: str) -> None:
-    """Draw a robot with its wheels, its front and its name."""
+def draw_robot(axes: Axes, labels: Labels, robot: RobotEntry, name: str) -> list[Patch]:
+    """Draw a robot with its wheels, its front and its name; return its parts but for the name."""
     radius = 1000 * robot.body.radius
     heading = np.radians(robot.heading_deg)
     centre = np.array((robot.x_mm, robot.y_mm))
     ahead = np.array((np.cos(heading), np.sin(heading)))
     left = np.array((-ahead[1], ahead[0]))
-    axes.add_patch(
+    parts: list[Patch] = [
         Circle((robot.x_mm, robot.y_mm), radius, facecolor=_BOARD, edgecolor=INK, lw=0.9, zorder=5)
-    )
+    ]
     tyre = 1000 * np.array(
         [(a * WHEEL_RADIUS, b * WHEEL_WIDTH / 2) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     )
     for side in (1, -1):
         offset = centre + side * 500 * WHEEL_BASE * left
-        axes.add_patch(Polygon(offset + tyre @ np.array((ahead, left)), facecolor=INK, zorder=5))
+        parts.append(Polygon(offset + tyre @ np.array((ahead, left)), facecolor=INK, zorder=5))
     wedge = radius * np.array(((0.88, 0.0), (0.42, 0.34), (0.42, -0.34)))
-    axes.add_patch(Polygon(centre + wedge @ np.array((ahead, left)), facecolor="white", zorder=6))
+    parts.append(Polygon(centre + wedge @ np.array((ahead, left)), facecolor="white", zorder=6))
+    for part in parts:
+        axes.add_patch(part)
     labels.add(robot.x_mm, robot.y_mm, radius + 4, name)
+    return parts
 
 
 def surface_look(playpen: Playpen, surface: str, movable: bool) -> Look:

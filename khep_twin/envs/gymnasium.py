@@ -109,7 +109,7 @@ class KheperaEnvironment(MadeAnew, gymnasium.Env[Observation, NDArray[np.float32
         self.guard, self._over, self._seed = self._episode.guard, True, 0
         self.render_mode = render_mode
         self.metadata = rendering(render_mode, self._setup)
-        self._painter = Renderer(self._setup.playpen, view, self._setup.planar)
+        self._painter = Renderer(view)
         self.labels = self._setup.task.labels
         self.observation_space, self.action_space = spaces(self._setup)
 
@@ -143,8 +143,7 @@ class KheperaEnvironment(MadeAnew, gymnasium.Env[Observation, NDArray[np.float32
         """Return a picture of the present state; None without a render mode."""
         if self.render_mode is None:
             return None
-        scene = None if self._setup.planar else self._episode.data
-        return self._painter.picture(scene, self._episode.poses)
+        return self._painter.picture(self._episode.episode)
 
     @one_thread
     def close(self) -> None:

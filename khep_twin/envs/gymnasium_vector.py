@@ -83,7 +83,7 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
         most = n_cores() if threads is None else checked_count(threads, "threads")
         self._autoreset_mode = _checked_mode(autoreset_mode)
         setup = TaskSetup(task, **options)
-        self._painters = [Renderer(setup.playpen, view, setup.planar) for _ in range(num_envs)]
+        self._painters = [Renderer(view) for _ in range(num_envs)]
         self.labels = setup.task.labels
         self.num_envs, self.render_mode = num_envs, render_mode
         self.metadata = {**rendering(render_mode, setup), "autoreset_mode": self._autoreset_mode}
@@ -154,12 +154,8 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
         """Return a picture of each environment."""
         if self.render_mode is None:
             return (None,) * self.num_envs
-        batch = self._batch
-        scenes = [None if batch.setup.planar else episode.data for episode in batch.episodes]
-        return tuple(
-            painter.picture(scene, [tuple(pose)])
-            for painter, scene, pose in zip(self._painters, scenes, batch.poses[:, 0].tolist(), strict=True)
-        )
+        pairs = zip(self._painters, self._batch.episodes, strict=True)
+        return tuple(painter.picture(episode) for painter, episode in pairs)
 
     @one_thread
     def close_extras(self, **kwargs: Any) -> None:

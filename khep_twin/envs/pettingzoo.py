@@ -66,7 +66,7 @@ class ParallelEnvironment(MadeAnew, ParallelEnv[str, Observation, NDArray[np.flo
     ) -> None:
         self._setup = TaskSetup(task, robots=robots, **options)
         self._episode = TaskEpisode(self._setup)
-        self._painter = Renderer(self._setup.playpen, view, self._setup.planar)
+        self._painter = Renderer(view)
         self._rng = seeding.np_random(None)[0]
         self.guard, self._seed, self._begun = self._episode.guard, 0, False
         self.render_mode = render_mode
@@ -142,8 +142,7 @@ class ParallelEnvironment(MadeAnew, ParallelEnv[str, Observation, NDArray[np.flo
         """Return a picture of the present state; None without a render mode."""
         if self.render_mode is None:
             return None
-        scene = None if self._setup.planar else self._episode.data
-        return self._painter.picture(scene, self._episode.poses)
+        return self._painter.picture(self._episode.episode)
 
     @one_thread
     def close(self) -> None:

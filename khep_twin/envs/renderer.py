@@ -1,23 +1,29 @@
-"""Pictures of an episode as arrays: the scene rendered by MuJoCo, or, without GL, a map.
+"""Pictures of an episode as arrays: the scene rendered by MuJoCo, or a map.
 
 MuJoCo renders without a screen by EGL or OSMesa if `MUJOCO_GL=egl` or `MUJOCO_GL=osmesa` is set before mujoco
 is imported.
 """
 
+import copy
+import math
 import os
 import sys
 import warnings
 from collections.abc import Sequence
-from io import BytesIO
-from math import degrees
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError, choices
-from khep_twin.playpen import Playpen
+from khep_twin.playpen import Lamp
+from khep_twin.simulation.mujoco_forms import movable_names
+
+if TYPE_CHECKING:
+    from khep_twin.drawing.moving_map import MovingMap
 
 Pose = tuple[float, float, float]
 """x, y [m] and heading [rad]."""
@@ -31,52 +37,44 @@ VIEWS = ("auto", "scene", "map")
 WIDTH, HEIGHT = 640, 480
 """Size of a rendered scene [pixels]: MuJoCo's offscreen buffer; a map has its own size."""
 
-_MAP_DPI = 100.0
-
 
 class MapWarning(UserWarning):
     """Warning that pictures are maps, as MuJoCo cannot render here."""
 
 
 class Renderer:
-    """Renderer of pictures of one playpen.
+    """Renderer of pictures of episodes.
+
+    What does not change from one picture to the next is drawn once.
 
     Args:
-        playpen: Playpen.
-        view: "scene" rendered by MuJoCo, "map", or "auto" for a map where there is no screen and no
-            `MUJOCO_GL`, else a scene if possible, and if not a map with a warning.
-        planar: Whether the episodes are in a plane, of which there are only maps.
+        view: "scene" rendered by MuJoCo, "map", or "auto" for a map in a plane, and where there is no screen
+            and no `MUJOCO_GL`, else a scene if possible, and if not a map with a warning.
 
     Attributes:
         view: View of the pictures; "auto" before the first.
 
     Raises:
-        KhepTwinError: The view is unknown, or a scene in a plane.
+        KhepTwinError: The view is unknown.
     """
 
-    def __init__(self, playpen: Playpen, view: View = "auto", planar: bool = False) -> None:
+    def __init__(self, view: View = "auto") -> None:
         if view not in VIEWS:
             raise KhepTwinError(f"view {view!r}: unknown; {choices(view, VIEWS)}")
-        if planar and view == "scene":
-            raise KhepTwinError("view 'scene': a plane has no MuJoCo scene; expected 'map' or 'auto'")
-        self._playpen = playpen
-        self.view: View = "map" if planar or (view == "auto" and not _may_render()) else view
+        self.view: View = "map" if view == "auto" and not _may_render() else view
         self._renderer: mujoco.Renderer | None = None
         self._own: mujoco.MjData | None = None
+        self._map: tuple[EpisodeSetup, tuple[Lamp, ...], MovingMap] | None = None
 
-    def picture(self, data: mujoco.MjData | None, poses: Sequence[Pose]) -> Picture:
-        """Return a picture of a state, which is not changed.
-
-        Args:
-            data: State of the scene; None in a plane.
-            poses: Poses of the robots.
+    def picture(self, episode: Episode) -> Picture:
+        """Return a picture of an episode's state, which is not changed.
 
         Raises:
             KhepTwinError: The view is "scene", and MuJoCo cannot render here.
         """
-        if self.view != "map" and data is not None:
+        if self.view == "scene" or (self.view == "auto" and episode.setup.planar_scene is None):
             try:
-                picture = self._scene(data)
+                picture = self._scene(episode)
             except Exception as error:  # each GL backend raises its own errors
                 if self.view == "scene":
                     raise KhepTwinError(f"MuJoCo cannot render here ({_told(error)}); {_REMEDY}") from error
@@ -89,7 +87,7 @@ class Renderer:
             else:
                 self.view = "scene"
                 return picture
-        return self._map(poses)
+        return self._moving_map(episode).picture(episode.poses, _poses(episode.objects))
 
     def close(self) -> None:
         """Release the resources of rendering."""
@@ -97,16 +95,23 @@ class Renderer:
             self._renderer.close()
             self._renderer = None
 
-    def _scene(self, data: mujoco.MjData) -> Picture:
-        model = data.model
+    def _scene(self, episode: Episode) -> Picture:
+        planar = episode.setup.planar_scene is not None
+        model = episode.setup.model if planar else episode.data.model
         if self._renderer is None or self._own is None or self._own.model is not model:
             self.close()
-            self._renderer, self._own = mujoco.Renderer(model, HEIGHT, WIDTH), mujoco.MjData(model)
-        own = self._own
-        own.qpos[:] = data.qpos
+            looks = copy.copy(model)
+            visual: Any = looks.vis
+            # Without a graphics card, three times faster than by what stills have.
+            visual.quality.shadowsize, visual.quality.offsamples = 2048, 0
+            self._renderer, self._own = mujoco.Renderer(looks, HEIGHT, WIDTH), mujoco.MjData(model)
+        own, arena = self._own, episode.setup.playpen.arena
+        if planar:
+            _place(own, ["khepera0/base", *movable_names(episode.setup.playpen)], episode)
+        else:
+            own.qpos[:] = episode.data.qpos
         mujoco.mj_kinematics(model, own)
         mujoco.mj_camlight(model, own)
-        arena = self._playpen.arena
         width, depth = arena.width_mm / 1e3, arena.height_mm / 1e3
         camera = mujoco.MjvCamera()
         camera.lookat[:] = width / 2, depth / 2, 0
@@ -115,20 +120,28 @@ class Renderer:
         self._renderer.update_scene(own, camera)
         return self._renderer.render()
 
-    def _map(self, poses: Sequence[Pose]) -> Picture:
-        from PIL import Image
+    def _moving_map(self, episode: Episode) -> "MovingMap":
+        """Return the map of an episode's playpen and lamps, drawn anew if they are others than before."""
+        from khep_twin.drawing.moving_map import MovingMap
 
-        from khep_twin.drawing.map import draw, picture
+        setup, playpen = episode.setup, episode.playpen
+        if self._map is None or self._map[0] is not setup or self._map[1] != playpen.lamps:
+            self._map = setup, playpen.lamps, MovingMap(playpen)
+        return self._map[2]
 
-        robots = tuple(
-            robot.model_copy(
-                update={"x_mm": x * 1e3, "y_mm": y * 1e3, "heading_deg": degrees(heading), "spots": ()}
-            )
-            for robot, (x, y, heading) in zip(self._playpen.robots, poses, strict=True)
-        )
-        figure = draw(self._playpen.model_copy(update={"robots": robots}))
-        with Image.open(BytesIO(picture(figure, "png", _MAP_DPI))) as image:
-            return np.array(image.convert("RGB"))
+
+def _place(data: mujoco.MjData, bodies: Sequence[str], episode: Episode) -> None:
+    """Place the robot and the movable objects of an episode in a plane, in MuJoCo's scene."""
+    model = data.model
+    data.qpos[:] = model.qpos0
+    for name, (x, y, heading) in zip(bodies, (*episode.poses, *_poses(episode.objects)), strict=True):
+        first = model.jnt_qposadr[model.body_jntadr[model.body(name).id]]
+        data.qpos[[first, first + 1]] = x, y
+        data.qpos[first + 3 : first + 7] = math.cos(heading / 2), 0, 0, math.sin(heading / 2)
+
+
+def _poses(rows: NDArray[np.float64]) -> list[Pose]:
+    return [(x, y, heading) for x, y, heading in rows.tolist()]
 
 
 def _may_render() -> bool:

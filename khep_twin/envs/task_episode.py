@@ -23,6 +23,7 @@ from khep_twin.copies import NotCopied
 from khep_twin.envs.task_batch import TaskBatch
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation
+from khep_twin.episodes.episode import Episode
 
 _ROW = np.zeros(1, np.int64)
 
@@ -110,6 +111,11 @@ class TaskEpisode(NotCopied):
     def registers(self) -> Sequence[NDArray[np.int64]]:
         """Registers of each robot's board (N_REGISTERS,), live."""
         return list(self._batch.episodes[0].boards)
+
+    @property
+    def episode(self) -> Episode:
+        """Episode of the robots, for its playpen, poses and objects."""
+        return self._batch.episodes[0]
 
     @property
     def data(self) -> mujoco.MjData:

@@ -31,6 +31,7 @@ from khep_twin.episodes.metrics import metrics_of
 from khep_twin.episodes.planar.planar_world import PlanarWorld
 from khep_twin.errors import DivergedError
 from khep_twin.one_thread import one_thread
+from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import Start
 from khep_twin.simulation.ready import function_of, what_is_missing, when_ready
 from khep_twin.world import World
@@ -105,7 +106,7 @@ class Episode(NotCopied):
         self._simulation.step_with(self._advance, self._compiled)
         self.boards: NDArray[np.int64] = self._simulation.records["registers"]
         self.registers: NDArray[np.int64] = self.boards[0]
-        self._begun = False
+        self._begun, self._lamps = False, DEFAULT_OPTIONS.lamps
 
     @one_thread
     def begin(self, seed: int = 0, options: EpisodeOptions = DEFAULT_OPTIONS) -> None:
@@ -119,7 +120,7 @@ class Episode(NotCopied):
             ControllerError: The genes do not fit the controller.
             DivergedError: The physics leaves its bounds at once.
         """
-        self._genes = np.asarray(options.genes, np.float64)
+        self._genes, self._lamps = np.asarray(options.genes, np.float64), options.lamps
         self._home = np.array(options.home_in_metres, np.float64)
         if self._next_look is not None:
             self._look()
@@ -131,6 +132,17 @@ class Episode(NotCopied):
         if isinstance(self._driver, ConstantSpeed) and (self._driver.left or self._driver.right):
             for robot in range(len(self.boards)):
                 self.drive(self._driver.left, self._driver.right, robot)
+
+    @property
+    def setup(self) -> EpisodeSetup:
+        """Setup of the episodes."""
+        return self._setup
+
+    @property
+    def playpen(self) -> Playpen:
+        """Playpen of the episode, with its own lamps; the robots are where `poses` has them."""
+        playpen = self._setup.playpen
+        return playpen if self._lamps is None else playpen.model_copy(update={"lamps": tuple(self._lamps)})
 
     @property
     def world(self) -> World:

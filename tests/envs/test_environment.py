@@ -413,7 +413,7 @@ def test_in_the_plane_the_observations_are_like_those_of_mujoco() -> None:
     assert seen == pytest.approx(there, abs=0.05)
 
 
-def test_in_the_plane_a_picture_is_a_map_and_a_scene_is_refused() -> None:
+def test_in_the_plane_a_picture_is_a_map() -> None:
     environment = gym("ObstacleAvoidance", planar=True, render_mode="rgb_array")
     environment.reset(seed=1)
     assert environment.render().shape[2] == 3
@@ -422,8 +422,6 @@ def test_in_the_plane_a_picture_is_a_map_and_a_scene_is_refused() -> None:
     many.reset(seed=1)
     assert (many.render()[0] == environment.render()).all()
     many.close()
-    with pytest.raises(KhepTwinError, match=r"view 'scene': a plane has no MuJoCo scene; expected 'map'"):
-        gym("ObstacleAvoidance", planar=True, view="scene")
 
 
 def test_what_a_plane_has_not_is_refused_in_one_line() -> None:
@@ -596,12 +594,12 @@ def test_as_many_actions_as_environments_are_wanted() -> None:
 
 def test_a_map_shows_where_the_robot_is_and_looking_changes_nothing() -> None:
     episodes = [TaskEpisode(TaskSetup("LoopingMaze", **SHORT)) for _ in range(2)]
-    renderer = Renderer(episodes[0].setup.playpen, "map")
+    renderer = Renderer("map")
     for episode in episodes:
         episode.begin(1)
     pictures = []
     for _ in range(5):
-        pictures.append(renderer.picture(episodes[0].data, episodes[0].poses))
+        pictures.append(renderer.picture(episodes[0].episode))
         looked, not_looked = (episode.step([(1, 0.75)])[0].observation for episode in episodes)
         assert (looked == not_looked).all()
     assert all(picture.dtype == np.uint8 and picture.shape == pictures[0].shape for picture in pictures)
@@ -619,7 +617,7 @@ def test_where_there_is_no_screen_the_checker_warns_of_nothing_and_pictures_are_
 
     check_env(environment.unwrapped)
     assert environment.unwrapped._painter.view == "map"
-    assert Renderer(Playpen.load("default"), "scene").view == "scene"
+    assert Renderer("scene").view == "scene"
 
 
 def test_without_gl_auto_is_a_map_with_a_warning_and_a_scene_is_refused(
@@ -632,15 +630,15 @@ def test_without_gl_auto_is_a_map_with_a_warning_and_a_scene_is_refused(
     monkeypatch.setenv("MUJOCO_GL", "egl")
     episode = TaskEpisode(TaskSetup("LoopingMaze", **SHORT))
     episode.begin(0)
-    renderer = Renderer(episode.setup.playpen, "auto")
+    renderer = Renderer("auto")
     with pytest.warns(MapWarning, match=r"cannot render here \(no library\); expected MUJOCO_GL"):
-        drawn = renderer.picture(episode.data, episode.poses)
+        drawn = renderer.picture(episode.episode)
     assert renderer.view == "map"
-    assert (renderer.picture(episode.data, episode.poses) == drawn).all()
+    assert (renderer.picture(episode.episode) == drawn).all()
     with pytest.raises(KhepTwinError, match="MuJoCo cannot render here"):
-        Renderer(episode.setup.playpen, "scene").picture(episode.data, episode.poses)
+        Renderer("scene").picture(episode.episode)
     with pytest.raises(KhepTwinError, match="choices: auto, scene, map"):
-        Renderer(episode.setup.playpen, "film")  # type: ignore[arg-type]
+        Renderer("film")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
