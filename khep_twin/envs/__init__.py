@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from khep_twin.envs.gymnasium import make_vec as make_vec
     from khep_twin.envs.gymnasium_vector import KheperaVectorEnvironment as KheperaVectorEnvironment
     from khep_twin.envs.pettingzoo import ParallelEnvironment as ParallelEnvironment
+    from khep_twin.envs.randomization import Randomization as Randomization
     from khep_twin.envs.task_episode import TaskEpisode as TaskEpisode
     from khep_twin.envs.task_setup import TaskSetup as TaskSetup
     from khep_twin.envs.tasks import TASKS as TASKS
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from khep_twin.envs.tasks import State as State
     from khep_twin.envs.tasks import Task as Task
     from khep_twin.envs.tasks import batched as batched
+    from khep_twin.envs.tasks import with_parts as with_parts
 else:
     from khep_twin import lazy
 

@@ -27,8 +27,9 @@ from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SETPOINTS
 from khep_twin.copies import MadeAnew, NotCopied
+from khep_twin.envs.reset_options import checked_seed
 from khep_twin.envs.task_episode import StepResult, TaskEpisode
-from khep_twin.envs.task_setup import TaskSetup, episode_seed
+from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import TERMS, Task
 from khep_twin.episodes import version_check
 from khep_twin.errors import KhepTwinError
@@ -210,6 +211,10 @@ class Environment(MadeAnew, control.Environment):
             raise KhepTwinError(
                 "planar = True: dm_env shows MuJoCo's physics; expected False, or Gymnasium's environments"
             )
+        if setup.details:
+            raise KhepTwinError(
+                "details = True: dm_env has no infos; expected False, or Gymnasium's environments"
+            )
         physics, trial = Physics(TaskEpisode(setup)), TrialTask(setup, seed)
         super().__init__(physics, trial, flat_observation=flat_observation)
 
@@ -245,7 +250,8 @@ def load(
             the seconds.
         environment_kwargs: `flat_observation` alone; the task decides on the others of dm_control's.
         visualize_reward: False, as no scene shows rewards.
-        options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, compiled, normalize.
+        options: Options of `TaskSetup`: playpen, start, lamps, randomize, noise, vary, period_ns,
+            seconds, compiled, normalize.
 
     Raises:
         KhepTwinError: The task or an option is unknown, or the task is in a plane.
@@ -261,5 +267,5 @@ def load(
             )
     of_task = {_OF_SUITE.get(name, name): value for name, value in (task_kwargs or {}).items()}
     given: dict[str, Any] = {"seed": seed, **options, **of_task, **(environment_kwargs or {})}
-    given["seed"] = episode_seed(given, 0)
+    given["seed"] = checked_seed(0 if given["seed"] is None else given["seed"])
     return Environment(task, **given)

@@ -26,10 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.copies import MadeAnew
+from khep_twin.envs.info import Info, ground_truth, of_end, of_start, of_step
 from khep_twin.envs.registration import register
 from khep_twin.envs.renderer import Picture, Renderer, View
+from khep_twin.envs.reset_options import ResetOptions
 from khep_twin.envs.task_episode import TaskEpisode
-from khep_twin.envs.task_setup import TaskSetup, episode_seed
+from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, Task
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 from khep_twin.one_thread import one_thread
@@ -42,16 +44,7 @@ except ModuleNotFoundError as error:
 
 make, make_vec = gymnasium.make, gymnasium.make_vec
 
-Info = dict[str, Any]
-"""Gymnasium's type of metadata, options and ground truth."""
-
 RENDER_MODES = ("rgb_array",)
-
-
-def ground_truth(episode: TaskEpisode, robot: int, seed: int) -> Info:
-    """Return what a robot's trial has in `info`."""
-    x, y, heading = episode.poses[robot]
-    return {"x": x, "y": y, "heading": heading, "time": episode.time_s, "seed": seed}
 
 
 def spaces(setup: TaskSetup) -> tuple[Space[Any], Space[Any]]:
@@ -79,14 +72,14 @@ class KheperaEnvironment(MadeAnew, gymnasium.Env[Observation, NDArray[np.float32
     also by `pickle`, has the same arguments and random numbers; its episodes begin with `reset`.
 
     `info` has ground truth, unknown to the robot: "x" and "y" [m], "heading" [rad], "time" [s], and "seed",
-    which repeats the episode: `reset(options={"seed": ...})`.
+    which repeats the episode: `reset(options={"seed": ...})`. Its other contents are those of `info`.
 
     Args:
         task: Task, or its name.
         render_mode: "rgb_array", or None for no pictures.
         view: View of pictures: "scene" by MuJoCo, "map", or "auto" (`renderer.Renderer`).
-        options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, planar, compiled,
-            normalize.
+        options: Options of `TaskSetup`: playpen, start, lamps, randomize, noise, vary, period_ns, seconds,
+            planar, compiled, normalize, details.
 
     Attributes:
         labels: Labels of the observation's numbers.
@@ -106,7 +99,7 @@ class KheperaEnvironment(MadeAnew, gymnasium.Env[Observation, NDArray[np.float32
     ) -> None:
         self._setup = TaskSetup(task, **options)
         self._episode = TaskEpisode(self._setup)
-        self.guard, self._over, self._seed = self._episode.guard, True, 0
+        self.guard, self._over = self._episode.guard, True
         self.render_mode = render_mode
         self.metadata = rendering(render_mode, self._setup)
         self._painter = Renderer(view)
@@ -115,13 +108,19 @@ class KheperaEnvironment(MadeAnew, gymnasium.Env[Observation, NDArray[np.float32
 
     @one_thread
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Observation, Info]:
-        """Start an episode; a seed makes it and all later episodes reproducible."""
+        """Start an episode; a seed makes it and all later episodes reproducible.
+
+        Args:
+            seed: Seed of this and all later episodes.
+            options: What replaces the environment's own in this episode: seed, start, lamps, playpen
+                (`ResetOptions`).
+        """
+        given = ResetOptions.of(options)
         super().reset(seed=seed)
         drawn = int(self.np_random.integers(2**31))
-        self._seed = episode_seed(options, drawn)
-        seen = self._episode.begin(self._seed)[0]
-        self._over = False
-        return seen, ground_truth(self._episode, 0, self._seed)
+        seen = self._episode.begin(drawn if given.seed is None else given.seed, given)[0]
+        self._over, batch = False, self._episode.batch
+        return seen, ground_truth(batch) | of_start(batch)
 
     @one_thread
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
@@ -134,8 +133,10 @@ class KheperaEnvironment(MadeAnew, gymnasium.Env[Observation, NDArray[np.float32
             raise ValueError("the episode is over, or none has begun; expected reset() first")
         (outcome,) = self._episode.step([action])
         late = self._episode.over
-        self._over = late or outcome.ended
-        info = ground_truth(self._episode, 0, self._seed)
+        self._over, batch = late or outcome.ended, self._episode.batch
+        info = ground_truth(batch) | of_step(batch)
+        if self._over:
+            info |= of_end(batch)
         return outcome.observation, outcome.reward, outcome.ended, late, info
 
     @one_thread

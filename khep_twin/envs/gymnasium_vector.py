@@ -15,22 +15,26 @@ computed as arrays (`task_batch`).
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 
 import operator
-from collections.abc import Sequence
-from typing import Any, SupportsIndex
+from collections.abc import Mapping, Sequence
+from typing import Any, SupportsIndex, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.copies import MadeAnew
-from khep_twin.envs.gymnasium import Info, rendering, spaces
+from khep_twin.envs.gymnasium import rendering, spaces
+from khep_twin.envs.info import Info, of_end, of_start
 from khep_twin.envs.renderer import Renderer, View
+from khep_twin.envs.reset_options import ResetOptions
 from khep_twin.envs.task_batch import TaskBatch
-from khep_twin.envs.task_setup import TaskSetup, episode_seed
+from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, Task
+from khep_twin.episodes.episode_batch import Rows
 from khep_twin.episodes.episode_options import checked_count
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
 from khep_twin.machine import n_cores
 from khep_twin.one_thread import one_thread
+from khep_twin.playpen import PlaypenLike
 
 try:
     from gymnasium.utils.seeding import np_random
@@ -58,7 +62,9 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
         task: Task, or its name.
         threads: Number of threads; by default one per core.
         autoreset_mode: Autoreset mode, or its value.
-        options: Options of `KheperaEnvironment`.
+        playpen: Playpen instead of the task's, or a list of them: environment i has the i-th, and so on from
+            the first one again.
+        options: Other options of `KheperaEnvironment`.
 
     Attributes:
         labels: Labels of an observation's numbers.
@@ -76,13 +82,20 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
         view: View = "auto",
         threads: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        playpen: PlaypenLike | Sequence[PlaypenLike] | None = None,
         **options: Any,
     ) -> None:
         self.closed = True  # nothing to close if an argument is wrong
         num_envs = checked_count(num_envs, "environments")
         most = n_cores() if threads is None else checked_count(threads, "threads")
         self._autoreset_mode = _checked_mode(autoreset_mode)
-        setup = TaskSetup(task, **options)
+        playpens = cast(list[Any], list(playpen) if isinstance(playpen, list | tuple) else [playpen])
+        if not playpens:
+            raise KhepTwinError(
+                key="playpen", value=playpen, expected="one playpen, or a list of at least one"
+            )
+        setups = [TaskSetup(task, playpen=each, **options) for each in playpens[:num_envs]]
+        setup = setups[0]
         self._painters = [Renderer(view) for _ in range(num_envs)]
         self.labels = setup.task.labels
         self.num_envs, self.render_mode = num_envs, render_mode
@@ -90,7 +103,7 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
         self.single_observation_space, self.single_action_space = spaces(setup)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._batch = TaskBatch(setup, num_envs, min(most, num_envs))
+        self._batch = TaskBatch(setups, num_envs, min(most, num_envs))
         self.guard, self._rows = self._batch.guard, np.arange(num_envs)
         self._over = np.zeros(num_envs, np.bool_)
         self._unbegun = ~self._over
@@ -101,7 +114,13 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Info | None = None
     ) -> tuple[Observation, Info]:
-        """Start an episode in each environment, or in those of the option "reset_mask" (num_envs,)."""
+        """Start an episode in each environment, or in those of the option "reset_mask" (num_envs,).
+
+        Args:
+            seed: Seed of the first environment's episodes, or a list with one for each.
+            options: The mask, and what replaces the environments' own in these episodes: seed, start, lamps,
+                playpen (`ResetOptions`), each for all, or a list with one for each environment.
+        """
         self._insist_on_threads()
         if seed is None or isinstance(seed, SupportsIndex):
             seeds = [None if seed is None else operator.index(seed) + index for index in range(self.num_envs)]
@@ -111,8 +130,8 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
             raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments; expected {self.num_envs}")
         others = dict(options or {})
         chosen = self._chosen(others.pop("reset_mask", None))
-        self._begin(chosen, seeds, episode_seed(others, None))
-        return self._seen(), self._infos(chosen)
+        self._begin(chosen, seeds, ResetOptions.of_each(others, self.num_envs))
+        return self._seen(), self._infos(chosen, begun=chosen)
 
     @one_thread
     def step(
@@ -123,7 +142,7 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
         batch, mode = self._batch, self._autoreset_mode
         if np.shape(actions) != (self.num_envs, 2):
             raise ValueError(f"actions of shape {np.shape(actions)}; expected ({self.num_envs}, 2)")
-        rows = self._rows
+        rows, begun = self._rows, self._rows[:0]
         if self._unbegun.any():
             unbegun = np.flatnonzero(self._unbegun).tolist()
             raise ValueError(f"no episode has begun in environments {unbegun}; expected reset() first")
@@ -134,20 +153,24 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
                     'expected reset(options={"reset_mask": ...}) first'
                 )
             if mode is AutoresetMode.NEXT_STEP:
-                rows = np.flatnonzero(~self._over)
-                self._begin(np.flatnonzero(self._over))
+                rows, begun = np.flatnonzero(~self._over), np.flatnonzero(self._over)
+                self._begin(begun)
         if len(rows):
             batch.step(rows, np.asarray(actions)[rows, None])
         rewards, terminated, truncated = batch.rewards[:, 0].copy(), batch.ended[:, 0].copy(), batch.over
         self._over = terminated | truncated
-        final: Info = {}
-        if mode is AutoresetMode.SAME_STEP and self._over.any():
-            over, last = np.flatnonzero(self._over), np.full(self.num_envs, None, object)
-            last[over] = list(batch.observations[over, 0])
-            final = {"final_obs": last, "_final_obs": self._over.copy()}
-            final |= {"final_info": self._infos(over), "_final_info": self._over.copy()}
-            self._begin(over)
-        return self._seen(), rewards, terminated, truncated, {**final, **self._infos(self._rows)}
+        ended = np.flatnonzero(self._over)
+        if mode is not AutoresetMode.SAME_STEP or not len(ended):
+            infos = self._infos(self._rows, rows, ended, begun)
+            return self._seen(), rewards, terminated, truncated, infos
+        last = np.full(self.num_envs, None, object)
+        last[ended] = list(batch.observations[ended, 0])
+        final = {"final_obs": last, "_final_obs": self._over.copy()}
+        final |= {"final_info": self._infos(ended, ended, ended), "_final_info": self._over.copy()}
+        going_on = np.flatnonzero(~self._over)
+        self._begin(ended)
+        infos = final | self._infos(self._rows, going_on, begun=ended)
+        return self._seen(), rewards, terminated, truncated, infos
 
     @one_thread
     def render(self) -> tuple[Any, ...]:
@@ -169,31 +192,68 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
             raise ValueError("the environments are closed; expected new ones")
 
     def _begin(
-        self, rows: NDArray[np.int64], seeds: Sequence[int | None] = (), episode: int | None = None
+        self,
+        rows: NDArray[np.int64],
+        seeds: Sequence[int | None] = (),
+        options: Sequence[ResetOptions] = (),
     ) -> None:
-        """Start some episodes, as `KheperaEnvironment.reset` with the seeds of all environments does."""
-        drawn: list[int] = []
+        """Start some episodes, as `KheperaEnvironment.reset` with each seed and options does."""
+        chosen: list[int] = []
         for row in map(int, rows):
             seed = seeds[row] if seeds else None
             if self._rngs[row] is None or seed is not None:
                 self._rngs[row] = np_random(seed)[0]
-            drawn.append(int(self._rngs[row].integers(2**31)))
-        self._batch.begin(rows, drawn if episode is None else [episode] * len(drawn))
+            drawn, given = int(self._rngs[row].integers(2**31)), options[row].seed if options else None
+            chosen.append(drawn if given is None else given)
+        self._batch.begin(rows, chosen, options)
         self._over[rows] = self._unbegun[rows] = False
 
     def _seen(self) -> Observation:
         """Return a copy of the observations (num_envs, n)."""
         return self._batch.observations[:, 0].copy()
 
-    def _infos(self, rows: NDArray[np.int64]) -> Info:
-        """Return the ground truth of some environments, in Gymnasium's form, with the mask of each array."""
-        batch, infos, mask = self._batch, Info(), np.zeros(self.num_envs, np.bool_)
-        mask[rows] = True
+    def _infos(
+        self,
+        rows: NDArray[np.int64],
+        stepped: Rows = (),
+        ended: Rows = (),
+        begun: Rows = (),
+    ) -> Info:
+        """Return the infos of some environments, in Gymnasium's form, with the mask of each array.
+
+        Args:
+            rows: Environments, all those of the others among them.
+            stepped: Those that were stepped.
+            ended: Those whose episode is over.
+            begun: Those whose episode has begun.
+        """
+        batch, infos = self._batch, Info()
         x, y, heading = batch.poses[:, 0].T
         truth = {"x": x, "y": y, "heading": heading, "time": batch.times, "seed": batch.seeds}
-        for name, numbers in truth.items():
-            infos[name], infos[f"_{name}"] = np.where(mask, numbers, 0), mask.copy()
+        self._put(infos, truth, rows)
+        if batch.setup.details and len(stepped):
+            if batch.parts:
+                parts = self._put({}, {name: part[:, 0] for name, part in batch.parts.items()}, stepped)
+                infos |= {"reward_parts": parts, "_reward_parts": self._mask(stepped)}
+            self._put(infos, {"contact": batch.touches[:, 0]}, stepped)
+        for row in begun:
+            self._add_info(infos, of_start(batch, int(row)), int(row))
+        for row in ended:
+            self._add_info(infos, of_end(batch, 0, int(row)), int(row))
         return infos
+
+    def _put(self, infos: Info, arrays: Mapping[str, NDArray[Any]], rows: Rows) -> Info:
+        """Add arrays of some environments, each with its mask; return the infos."""
+        mask, are_all = self._mask(rows), len(rows) == self.num_envs
+        for name, numbers in arrays.items():
+            infos[name] = numbers.copy() if are_all else np.where(mask, numbers, numbers.dtype.type(0))
+            infos[f"_{name}"] = mask.copy()
+        return infos
+
+    def _mask(self, rows: Rows) -> NDArray[np.bool_]:
+        mask = np.zeros(self.num_envs, np.bool_)
+        mask[np.asarray(rows, np.int64)] = True
+        return mask
 
     def _chosen(self, mask: NDArray[np.bool_] | None) -> NDArray[np.int64]:
         """Return the indices of the environments of a reset mask."""

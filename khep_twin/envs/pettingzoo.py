@@ -20,10 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.copies import MadeAnew
-from khep_twin.envs.gymnasium import Info, ground_truth, rendering, spaces
+from khep_twin.envs.gymnasium import rendering, spaces
+from khep_twin.envs.info import Info, ground_truth, of_end, of_start, of_step
 from khep_twin.envs.renderer import Picture, Renderer, View
+from khep_twin.envs.reset_options import ResetOptions
 from khep_twin.envs.task_episode import TaskEpisode
-from khep_twin.envs.task_setup import TaskSetup, episode_seed
+from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, Task
 from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.one_thread import one_thread
@@ -46,8 +48,8 @@ class ParallelEnvironment(MadeAnew, ParallelEnv[str, Observation, NDArray[np.flo
         robots: Number of robots; a playpen with spots has room for as many as it has spots.
         render_mode: "rgb_array", or None for no pictures.
         view: View of pictures: "scene" by MuJoCo, "map", or "auto".
-        options: Options of `TaskSetup`: playpen, noise, vary, period_ns, seconds, planar (one robot),
-            compiled, normalize.
+        options: Options of `TaskSetup`: playpen, start (one for each robot), lamps, randomize, noise, vary,
+            period_ns, seconds, planar (one robot), compiled, normalize, details.
 
     Attributes:
         guard: Guard of its methods.
@@ -68,7 +70,7 @@ class ParallelEnvironment(MadeAnew, ParallelEnv[str, Observation, NDArray[np.flo
         self._episode = TaskEpisode(self._setup)
         self._painter = Renderer(view)
         self._rng = seeding.np_random(None)[0]
-        self.guard, self._seed, self._begun = self._episode.guard, 0, False
+        self.guard, self._begun = self._episode.guard, False
         self.render_mode = render_mode
         self.metadata: Info = {
             "name": f"khep_twin/{self._setup.task.name}-v0",
@@ -94,15 +96,23 @@ class ParallelEnvironment(MadeAnew, ParallelEnv[str, Observation, NDArray[np.flo
     def reset(
         self, seed: int | None = None, options: Info | None = None
     ) -> tuple[dict[str, Observation], dict[str, Info]]:
-        """Start an episode; a seed makes it and all later episodes reproducible."""
+        """Start an episode; a seed makes it and all later episodes reproducible.
+
+        Args:
+            seed: Seed of this and all later episodes.
+            options: What replaces the environment's own in this episode: seed, start (one for each robot),
+                lamps, playpen.
+        """
+        # PettingZoo's own test gives an option "options".
+        given = ResetOptions.of({name: value for name, value in (options or {}).items() if name != "options"})
         if seed is not None:
             self._rng = seeding.np_random(seed)[0]
         drawn = int(self._rng.integers(2**31))
-        self._seed = episode_seed(options, drawn)
-        self.agents = list(self.possible_agents)
-        seen = self._episode.begin(self._seed)
-        self._begun = True
-        return dict(zip(self.agents, seen, strict=True)), self._infos()
+        seen = self._episode.begin(drawn if given.seed is None else given.seed, given)
+        self.agents, self._begun = list(self.possible_agents), True
+        begun = of_start(self._episode.batch)
+        infos = {agent: ground_truth(self._episode.batch, robot) | begun for agent, robot in self._present()}
+        return dict(zip(self.agents, seen, strict=True)), infos
 
     @one_thread
     def step(
@@ -126,8 +136,12 @@ class ParallelEnvironment(MadeAnew, ParallelEnv[str, Observation, NDArray[np.flo
                 )
             given[self.possible_agents.index(agent)] = actions[agent]
         became = dict(zip(self.possible_agents, self._episode.step(given), strict=True))
-        outcomes, infos = {agent: became[agent] for agent in self.agents}, self._infos()
-        late = self._episode.over
+        outcomes, late = {agent: became[agent] for agent in self.agents}, self._episode.over
+        infos, batch = dict[str, Info](), self._episode.batch
+        for agent, robot in self._present():
+            infos[agent] = ground_truth(batch, robot) | of_step(batch, robot)
+            if late or outcomes[agent].ended:
+                infos[agent] |= of_end(batch, robot)
         self.agents = [] if late else [agent for agent, outcome in outcomes.items() if not outcome.ended]
         return (
             {agent: outcome.observation for agent, outcome in outcomes.items()},
@@ -149,11 +163,7 @@ class ParallelEnvironment(MadeAnew, ParallelEnv[str, Observation, NDArray[np.flo
         """Release the resources of rendering."""
         self._painter.close()
 
-    def _infos(self) -> dict[str, Info]:
-        """Return the ground truth of each present agent."""
+    def _present(self) -> list[tuple[str, int]]:
+        """Return the present agents and their robots."""
         robots = enumerate(self.possible_agents)
-        return {
-            agent: ground_truth(self._episode, robot, self._seed)
-            for robot, agent in robots
-            if agent in self.agents
-        }
+        return [(agent, robot) for robot, agent in robots if agent in self.agents]

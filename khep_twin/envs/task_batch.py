@@ -10,7 +10,9 @@ Compiled code steps all episodes in one call for each thread; speeds, rewards an
 are computed as arrays. An episode depends on its seed and its actions alone, not on the others.
 """
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +21,11 @@ from khep_twin import units
 from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.clock import to_ns
 from khep_twin.copies import NotCopied
-from khep_twin.envs.task_setup import TaskSetup
+from khep_twin.envs.reset_options import ResetOptions
+from khep_twin.envs.task_setup import Beginning, TaskSetup
 from khep_twin.envs.tasks import Observation, State
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_batch import EpisodeBatch
-from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.one_thread import one_thread
 
 _ENCODERS = [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]
@@ -33,26 +35,35 @@ class TaskBatch(NotCopied):
     """Episodes of a task; each one begins with `begin`.
 
     Args:
-        setup: Prepared task.
+        setup: Prepared task, or several that differ in their playpens: episode i has the i-th of them, and
+            so on from the first one again.
         count: Number of episodes.
         threads: Number of threads.
 
     Attributes:
-        setup: Prepared task.
+        setup: Prepared task, the first.
         observations: Observations of the robots (n, n_robots, n_numbers).
         rewards: Rewards of the last control period, 0 to 1 (n, n_robots).
         ended: Whether the charge has run out (n, n_robots).
         periods: Control periods since the start (n,); those of a whole episode before the first.
         seeds: Seed of each episode (n,).
+        beginnings: Beginning of each episode (n,); None before the first.
+        parts: Parts of the rewards by name, if the setup has `details`, as the next two (n, n_robots).
+        returns: Sums of the rewards since the start (n, n_robots).
+        touches: Whether each robot touches something but the floor (n, n_robots).
         poses: True x, y [m] and heading [rad] of the robots, live (n, n_robots, 3).
         guard: Guard of its methods, its episodes'.
     """
 
     INSTEAD = "another TaskBatch of the same setup, begun with the same seeds"
 
-    def __init__(self, setup: TaskSetup, count: int = 1, threads: int = 1) -> None:
-        self.setup = setup
-        self._batch = EpisodeBatch([setup.episode() for _ in range(count)], threads)
+    def __init__(self, setup: TaskSetup | Sequence[TaskSetup], count: int = 1, threads: int = 1) -> None:
+        setups = [setup] if isinstance(setup, TaskSetup) else setup
+        self.setup = setup = setups[0]
+        self._own = [setups[index % len(setups)] for index in range(count)]
+        self._used = list(self._own)
+        self._idle = defaultdict[TaskSetup, list[Episode]](list)
+        self._batch = EpisodeBatch([each.episode() for each in self._own], threads)
         self.guard, self.poses = self._batch.guard, self._batch.poses
         shape = count, len(setup.playpen.robots)
         self.observations: Observation = np.zeros((*shape, len(setup.task.labels)), np.float32)
@@ -61,26 +72,37 @@ class TaskBatch(NotCopied):
         self._pulses = np.zeros((*shape, 2), np.int64)
         self._charge_ns = to_ns(setup.task.charge_s)
         self._charges_ns = np.zeros(shape, np.int64)
+        self._goals, self._ends = np.zeros((count, 2)), np.zeros((2, *shape))
+        for row, each in enumerate(self._own):
+            self._know(row, each)
+        self.beginnings: list[Beginning | None] = [None] * count
+        self.returns, self.touches = np.zeros(shape), np.zeros(shape, np.bool_)
+        self.parts: dict[str, NDArray[np.float64]] = {}
 
     @one_thread
-    def begin(self, rows: NDArray[np.int64], seeds: Iterable[int]) -> None:
+    def begin(
+        self, rows: NDArray[np.int64], seeds: Iterable[int], options: Sequence[ResetOptions] = ()
+    ) -> None:
         """Start some episodes.
 
         Args:
             rows: Indices of the episodes (n_rows,).
             seeds: Seed of each.
+            options: What replaces the setup's own in each episode (n,); nothing, if empty.
 
         Raises:
             PlaypenError: There is no room for the robots.
             ValueError: A seed is negative or too large.
         """
-        setup = self.setup
-        for row, seed in zip(rows.tolist(), seeds, strict=True):
-            robots = setup.started(seed).robots
-            starts = [(robot.x_mm, robot.y_mm, robot.heading_deg) for robot in robots]
-            self._batch.begin(row, seed, EpisodeOptions(start=starts, noise=setup.noise, vary=setup.vary))
-            self.seeds[row] = seed
-        self.periods[rows], self._charges_ns[rows] = 0, self._charge_ns
+        given = options or [ResetOptions()] * len(self._own)
+        numbers: list[int] = rows.tolist()
+        pairs = list(zip(numbers, seeds, strict=True))
+        # All of them first, so that a mistake changes nothing.
+        beginnings = [self._own[row].beginning(seed, given[row]) for row, seed in pairs]
+        for (row, seed), begun in zip(pairs, beginnings, strict=True):
+            self._batch.begin(row, seed, begun.options, self._exchanged(row, begun.setup))
+            self.seeds[row], self.beginnings[row] = seed, begun
+        self.periods[rows], self._charges_ns[rows], self.returns[rows] = 0, self._charge_ns, 0.0
         self._pulses[rows] = self._batch.registers[rows][..., _ENCODERS]
         self.rewards[rows], self.ended[rows] = 0.0, False
         self._observe(rows, self._state(rows))
@@ -109,6 +131,8 @@ class TaskBatch(NotCopied):
             raise next(iter(failed.values()))
         state = self._state(rows)
         self.rewards[rows] = self.setup.task.rewards(state).reshape(shape)
+        if self.setup.details:
+            self._note_details(rows, state)
         if self._charge_ns:
             self.ended[rows] = (state.charge <= 0).reshape(shape)
         self._observe(rows, state)
@@ -128,9 +152,40 @@ class TaskBatch(NotCopied):
         """Simulated time of each episode (n,) [s]."""
         return self.periods * self.setup.period_ns / 1e9
 
+    def drawn(self, row: int) -> dict[str, Any]:
+        """Return what the randomization has drawn for an episode, by name."""
+        begun = self.beginnings[row]
+        return begun.drawn if begun else {}
+
     def close(self) -> None:
         """End the threads."""
         self._batch.close()
+
+    def _exchanged(self, row: int, setup: TaskSetup) -> Episode | None:
+        """Return an episode of a setup if another one is in use, which is kept for later."""
+        used = self._used[row]
+        if used is setup:
+            return None
+        another = self._idle[setup].pop() if self._idle[setup] else setup.episode()
+        self._idle[used].append(self._batch.episodes[row])
+        self._used[row] = setup
+        self._know(row, setup)
+        return another
+
+    def _know(self, row: int, setup: TaskSetup) -> None:
+        """Take the numbers of a setup that an episode's states depend on."""
+        self._goals[row] = setup.goal
+        self._ends[0, row], self._ends[1, row] = setup.dark, setup.floor
+
+    def _note_details(self, rows: NDArray[np.int64], state: State) -> None:
+        """Add the rewards to the returns, and take their parts and the contacts."""
+        self.returns[rows] += self.rewards[rows]
+        for name, part in self.setup.task.reward_parts(state).items():
+            self.parts.setdefault(name, np.zeros(self.rewards.shape))[rows] = part.reshape(len(rows), -1)
+        numbers: list[int] = rows.tolist()
+        for row in numbers:
+            episode = self._batch.episodes[row]
+            self.touches[row] = [episode.touches(robot) for robot in range(self.touches.shape[1])]
 
     def _state(self, rows: NDArray[np.int64]) -> State:
         """Return the state of all robots of some episodes; count what their wheels and charges have done."""
@@ -141,7 +196,7 @@ class TaskBatch(NotCopied):
         self._pulses[rows] = counted
         at_goal, charge = np.zeros(counted.shape[:2], np.bool_), np.ones(counted.shape[:2])
         if setup.task.goal:
-            dx, dy = self.poses[rows, :, 0] - setup.goal[0], self.poses[rows, :, 1] - setup.goal[1]
+            dx, dy = np.moveaxis(self.poses[rows, :, :2] - self._goals[rows, None], 2, 0)
             at_goal = dx * dx + dy * dy <= units.metres(setup.task.reach_mm) ** 2
         if self._charge_ns:
             left_ns = np.maximum(self._charges_ns[rows] - setup.period_ns, 0)
@@ -150,7 +205,9 @@ class TaskBatch(NotCopied):
             self._charges_ns[rows], charge = charges_ns, charges_ns / self._charge_ns
         left, right = speeds.reshape(-1, 2).T
         boards = registers.reshape(-1, registers.shape[2]).T
-        return State(boards, left, right, setup.dark, setup.floor, at_goal.reshape(-1), charge.reshape(-1))
+        ends = self._ends if len(rows) == len(self._own) else self._ends[:, rows]
+        dark, floor = ends.reshape(2, -1)
+        return State(boards, left, right, dark, floor, at_goal.reshape(-1), charge.reshape(-1))
 
     def _observe(self, rows: NDArray[np.int64], state: State) -> None:
         """Set the observations of some episodes; arrays of earlier ones stay as they are."""

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.copies import NotCopied
+from khep_twin.envs.reset_options import ResetOptions
 from khep_twin.envs.task_batch import TaskBatch
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation
@@ -50,6 +51,7 @@ class TaskEpisode(NotCopied):
         setup: Prepared task.
 
     Attributes:
+        batch: Batch of this episode alone.
         guard: Guard of its methods, its batch's.
     """
 
@@ -57,19 +59,23 @@ class TaskEpisode(NotCopied):
 
     def __init__(self, setup: TaskSetup) -> None:
         self.setup = setup
-        self._batch = TaskBatch(setup)
-        self.guard = self._batch.guard
+        self.batch = TaskBatch(setup)
+        self.guard = self.batch.guard
         self._n_robots = len(setup.playpen.robots)
 
-    def begin(self, seed: int) -> list[Observation]:
+    def begin(self, seed: int, options: ResetOptions | None = None) -> list[Observation]:
         """Start an episode; return each robot's observation.
+
+        Args:
+            seed: Seed of the episode.
+            options: What replaces the setup's own; its seed is not used.
 
         Raises:
             PlaypenError: There is no room for the robots.
             ValueError: The seed is negative or too large.
         """
-        self._batch.begin(_ROW, [seed])
-        return list(self._batch.observations[0])
+        self.batch.begin(_ROW, [seed], [options] if options else ())
+        return list(self.batch.observations[0])
 
     def step(self, actions: Sequence[object]) -> list[StepResult]:
         """Advance by a control period.
@@ -83,7 +89,7 @@ class TaskEpisode(NotCopied):
             ValueError: The episode is over, the number of actions is not that of the robots, or one of them
                 is not two numbers.
         """
-        batch = self._batch
+        batch = self.batch
         if self.over:
             raise ValueError("the episode is over, or none has begun; expected begin() first")
         if len(actions) != self._n_robots:
@@ -95,27 +101,27 @@ class TaskEpisode(NotCopied):
     @property
     def over(self) -> bool:
         """True if the time is over, or no episode has begun."""
-        return bool(self._batch.over[0])
+        return bool(self.batch.over[0])
 
     @property
     def time_s(self) -> float:
         """Simulated time [s]."""
-        return float(self._batch.times[0])
+        return float(self.batch.times[0])
 
     @property
     def poses(self) -> Sequence[tuple[float, float, float]]:
         """True x, y [m] and heading [rad] of the robots."""
-        return [(x, y, heading) for x, y, heading in self._batch.poses[0].tolist()]
+        return [(x, y, heading) for x, y, heading in self.batch.poses[0].tolist()]
 
     @property
     def registers(self) -> Sequence[NDArray[np.int64]]:
         """Registers of each robot's board (N_REGISTERS,), live."""
-        return list(self._batch.episodes[0].boards)
+        return list(self.batch.episodes[0].boards)
 
     @property
     def episode(self) -> Episode:
         """Episode of the robots, for its playpen, poses and objects."""
-        return self._batch.episodes[0]
+        return self.batch.episodes[0]
 
     @property
     def data(self) -> mujoco.MjData:
@@ -124,4 +130,4 @@ class TaskEpisode(NotCopied):
         Raises:
             ValueError: The episode is in a plane.
         """
-        return self._batch.episodes[0].data
+        return self.batch.episodes[0].data

@@ -4,10 +4,12 @@ Actions and observations are normalized to -1 to 1, or, with `TaskSetup(..., nor
 of the robot: pulses/10 ms, and counts.
 """
 
+import inspect
 import math
-import operator
-from collections.abc import Mapping
-from typing import SupportsIndex, TypeVar
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +17,36 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.clock import n_steps, to_ns
 from khep_twin.copies import MadeAnew
+from khep_twin.envs.randomization import Randomization, placed_at, starts_of
+from khep_twin.envs.reset_options import ResetOptions, checked_lamps, checked_playpen
 from khep_twin.envs.tasks import TOP_SPEED, Task, find
 from khep_twin.episodes.episode import Episode
-from khep_twin.episodes.episode_options import checked_count
+from khep_twin.episodes.episode_options import EpisodeOptions, Home, check_numbers, checked_count
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import KhepTwinError, PlaypenError, choices
-from khep_twin.playpen import Playpen, PlaypenLike
-from khep_twin.playpen.starts import anywhere, at_spots
-from khep_twin.randomness import SEED_LIMIT
+from khep_twin.playpen import Lamp, Playpen, PlaypenLike
+from khep_twin.playpen.starts import Start, anywhere, at_spots
 from khep_twin.sensing import calibration
-
-Drawn = TypeVar("Drawn", int, None)
 
 PERIOD_NS = 50_000_000
 """Default control period [ns]."""
+
+_AS_IT_IS = ResetOptions()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beginning:
+    """How an episode begins.
+
+    Attributes:
+        setup: Setup of its playpen.
+        options: Options of the episode.
+        drawn: What was drawn by a randomization, by name.
+    """
+
+    setup: "TaskSetup"
+    options: EpisodeOptions
+    drawn: dict[str, Any] = field(default_factory=dict[str, Any])
 
 
 class TaskSetup(MadeAnew):
@@ -38,6 +56,9 @@ class TaskSetup(MadeAnew):
         task: Task, or its name.
         playpen: Playpen instead of the task's, as a name, path or object.
         robots: Number of robots.
+        start: Start x, y [mm] and heading [deg] instead of the task's, or one for each robot.
+        lamps: Lamps instead of the playpen's.
+        randomize: What each episode draws by its seed, a `Randomization` or a mapping of its attributes.
         noise: Whether sensors are noisy.
         vary: Whether each episode has another robot of the same make, by its seed.
         period_ns: Control period [ns], whole ticks of 10 ms.
@@ -46,12 +67,15 @@ class TaskSetup(MadeAnew):
         compiled: Whether to run compiled; None if numba is installed.
         normalize: Whether actions and observations are normalized to -1 to 1; else actions are in pulses/10
             ms, and observations in the units of `tasks.TERMS`.
+        details: Whether `info` has the parts of the reward, contacts, and the return of an episode.
+        unknown: None, as any other option is an error.
 
     Attributes:
         action_limit: Upper bound of an action, and the lower one with its sign changed.
 
     Raises:
-        KhepTwinError: The task is unknown, or the playpen has no such goal.
+        KhepTwinError: The task or an option is unknown, or the playpen has no such goal, or no room at the
+            start.
         PlaypenError: The playpen cannot be used, or has a feature that a plane does not support.
         ValueError: A number is out of range.
     """
@@ -62,6 +86,9 @@ class TaskSetup(MadeAnew):
         *,
         playpen: PlaypenLike | None = None,
         robots: int = 1,
+        start: Start | Sequence[Start] | None = None,
+        lamps: Sequence[Lamp] | None = None,
+        randomize: Randomization | dict[str, Any] | None = None,
         noise: bool = True,
         vary: bool = False,
         period_ns: int = PERIOD_NS,
@@ -69,21 +96,29 @@ class TaskSetup(MadeAnew):
         planar: bool = False,
         compiled: bool | None = None,
         normalize: bool = True,
+        details: bool = False,
+        **unknown: object,
     ) -> None:
+        for name in unknown:
+            raise KhepTwinError(f"option {name!r}: unknown; {choices(name, OPTIONS)}")
         robots = checked_count(robots, "robots")
         if period_ns <= 0 or period_ns % units.TICK_NS:
             raise ValueError(f"control period of {period_ns / 1e6:g} ms; expected whole ticks of 10 ms")
         switches = {"noise": noise, "vary": vary, "planar": planar, "normalize": normalize}
+        switches["details"] = details
         for name, value in (switches | ({} if compiled is None else {"compiled": compiled})).items():
             if value not in (True, False):
                 raise ValueError(f"{name} = {value!r}; expected True or False")
         self.task = find(task)
         given = self.task.playpen if playpen is None else playpen
-        self.playpen = with_robots(Playpen.load(given), robots)
+        self.playpen = with_robots(Playpen.load(checked_playpen(given)), robots)
         if robots > 1 and self.task.starts == "playpen" and not self.playpen.robots[0].spots:
             found = f"{self.playpen.name}: robot 1 has no spots"
             raise PlaypenError(f"{found}; expected spots, at which {robots} robots start")
         self.noise, self.vary, self.period_ns, self.normalize = noise, vary, period_ns, normalize
+        self.details, self.randomize = details, Randomization.of(randomize)
+        self._start = None if start is None else self._starts(start)
+        self._lamps = None if lamps is None else checked_lamps(lamps)
         self.action_limit = 1.0 if normalize else TOP_SPEED
         self.seconds = self.task.seconds if seconds is None else seconds
         if not 0 < self.seconds < math.inf or to_ns(self.seconds) % period_ns:
@@ -92,12 +127,20 @@ class TaskSetup(MadeAnew):
                 f"{period_ns / 1e6:g} ms"
             )
         self.n_steps = n_steps(to_ns(self.seconds), period_ns)
-        self.goal = _place_of(self.playpen, self.task.goal) if self.task.goal else (0.0, 0.0)
+        self.goal, self._home = (0.0, 0.0), None
+        if self.task.goal:
+            x_mm, y_mm = _place_of(self.playpen, self.task.goal)
+            self.goal = units.metres(x_mm), units.metres(y_mm)
+            if self.task.charge_s and self.task.reach_mm:
+                self._home: Home | None = x_mm, y_mm, self.task.reach_mm, self.task.charge_s
         self.planar, self._compiled = planar, compiled
         self._setup = EpisodeSetup(self.playpen, period_ns=period_ns, planar=planar)
         self.steps_per_period = self._setup.steps_per_period
         ambient = calibration.read(self.playpen.robots[0].calibration)[0].ambient
         self.dark, self.floor = ambient.dark_counts, ambient.floor_counts
+        if self._start is not None:
+            placed_at(self.playpen, self._start)
+        self._variants: list[tuple[PlaypenLike, Self]] = []
 
     def episode(self) -> Episode:
         """Return the memory of an episode without a controller."""
@@ -131,18 +174,72 @@ class TaskSetup(MadeAnew):
         """
         return (anywhere if self.task.starts == "anywhere" else at_spots)(self.playpen, seed)
 
+    def beginning(self, seed: int, given: ResetOptions = _AS_IT_IS) -> Beginning:
+        """Return how the episode of a seed begins.
 
-def episode_seed(options: Mapping[str, object] | None, drawn: Drawn) -> int | Drawn:
-    """Return the seed of an episode that the options of `reset` choose, or else the one that was drawn.
+        Args:
+            seed: Seed of the episode.
+            given: What replaces the setup's own, and its randomization of that.
 
-    Raises:
-        ValueError: It is no integer from 0 to 2**63-1.
-    """
-    if (given := (options or {}).get("seed")) is None:
-        return drawn
-    if isinstance(given, SupportsIndex) and 0 <= (seed := operator.index(given)) < SEED_LIMIT:
-        return seed
-    raise ValueError(f"options: seed = {given!r}; expected an integer from 0 to 2**63-1")
+        Raises:
+            PlaypenError: There is no room for the robots, or the playpen cannot be used.
+            KhepTwinError: There is no room at the start, or the playpen has no such goal.
+        """
+        setup, random, drawn = self, self.randomize or _NOTHING, dict[str, Any]()
+        if given.playpen is not None:
+            setup = self._with_playpen(given.playpen)
+        elif random.blocks_mm:
+            drawn["playpen"] = random.chosen(seed)
+            setup = self._with_playpen(self._pool[drawn["playpen"]])
+        lamps = self._lamps if given.lamps is None else given.lamps
+        if random.lamps is not None and given.lamps is None:
+            lit = setup.playpen
+            lamps = random.relit(lit if lamps is None else lit.model_copy(update={"lamps": lamps}), seed)
+            drawn["lamps"] = tuple((lamp.x_mm, lamp.y_mm, lamp.power_w) for lamp in lamps)
+        noise = random.is_noisy(seed, self.noise)
+        if random.noise is not None:
+            drawn["noise"] = noise
+        start = self._start if given.start is None else self._starts(given.start)
+        if random.starts is not None and given.start is None:
+            start = random.placed(setup.playpen, seed, start)
+        elif start is not None:
+            placed_at(setup.playpen, start)
+        else:
+            start = starts_of(setup.started(seed))
+        options = EpisodeOptions(
+            start=start, noise=noise, vary=self.vary or random.robots, lamps=lamps, home=setup._home
+        )
+        return Beginning(setup, options, drawn)
+
+    def _starts(self, start: Any) -> list[Start]:
+        """Return the start of each robot; raise a `ValueError` unless there is one for each."""
+        count = len(self.playpen.robots)
+        table = [start] if count == 1 and np.ndim(start) == 1 else start
+        what = "x, y [mm] and heading [deg]" + (f" of {count} robots" if count > 1 else "")
+        check_numbers("start", table, what, (count, 3))
+        return [(x_mm, y_mm, heading_deg) for x_mm, y_mm, heading_deg in np.asarray(table, float).tolist()]
+
+    def _with_playpen(self, playpen: PlaypenLike) -> Self:
+        """Return the setup of the same task in another playpen, which is prepared once."""
+        for known, setup in self._variants:
+            if known is playpen or known == playpen:
+                return setup
+        arguments, options = self._arguments
+        given: Any = {**options, "playpen": playpen}
+        setup = type(self)(*arguments, **given)  # pyright: ignore[reportArgumentType]
+        self._variants.append((playpen, setup))
+        return setup
+
+    @cached_property
+    def _pool(self) -> tuple[Playpen, ...]:
+        """Playpens that the randomization draws from."""
+        return (self.randomize or _NOTHING).pool(self.playpen)
+
+
+_NOTHING = Randomization()
+
+OPTIONS = tuple(inspect.signature(TaskSetup.__init__).parameters)[2:-1]
+"""Names of the options of a task."""
 
 
 def with_robots(playpen: Playpen, count: int) -> Playpen:
@@ -158,11 +255,9 @@ def with_robots(playpen: Playpen, count: int) -> Playpen:
 
 
 def _place_of(playpen: Playpen, name: str) -> tuple[float, float]:
-    """Return the position of a playpen's named patch or cylinder [m]."""
+    """Return the position of a playpen's named patch or cylinder [mm]."""
     positions = {
-        item.name: (units.metres(item.x_mm), units.metres(item.y_mm))
-        for item in (*playpen.patches, *playpen.cylinders)
-        if item.name
+        item.name: (item.x_mm, item.y_mm) for item in (*playpen.patches, *playpen.cylinders) if item.name
     }
     if name not in positions:
         raise KhepTwinError(f"{playpen.name}: has no patch or cylinder {name!r}; {choices(name, positions)}")

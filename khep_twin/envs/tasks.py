@@ -15,7 +15,7 @@ numbers are arrays of all robots. Observations are computed for all robots at on
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar, get_args
 
@@ -50,8 +50,8 @@ class State:
     registers: NDArray[np.int64]
     left: Number
     right: Number
-    dark: float
-    floor: float
+    dark: Number
+    floor: Number
     at_goal: Any
     charge: Number
 
@@ -71,8 +71,8 @@ class State:
             self.registers[:, index].copy(),
             float(self.left[index]),
             float(self.right[index]),
-            self.dark,
-            self.floor,
+            float(self.dark[index]),
+            float(self.floor[index]),
             bool(self.at_goal[index]),
             float(self.charge[index]),
         )
@@ -82,13 +82,27 @@ Reward = Callable[[State], Number]
 """Function of a state that returns the reward of a control period, 0 to 1."""
 RewardType = TypeVar("RewardType", bound=Reward)
 
+Parts = Callable[[State], Mapping[str, Number]]
+"""Function of a state of n robots that returns the parts of their rewards by name, (n,) each."""
+
 _BATCHED: list[Reward] = []
+_PARTS: dict[Reward, Parts] = {}
 
 
 def batched(reward: RewardType) -> RewardType:
     """Mark a reward as one that takes a state of n robots, too, and returns (n,) then; return the reward."""
     _BATCHED.append(reward)
     return reward
+
+
+def with_parts(parts: Parts) -> Callable[[RewardType], RewardType]:
+    """Mark a reward as one with parts, which `info` has as "reward_parts" on request."""
+
+    def mark(reward: RewardType) -> RewardType:
+        _PARTS[reward] = parts
+        return reward
+
+    return mark
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +242,32 @@ class Task:
         each = (self.reward(state.of_robot(index)) for index in range(len(state.left)))
         return np.array([float(reward) for reward in each])
 
+    def reward_parts(self, state: State) -> dict[str, NDArray[np.float64]]:
+        """Return the parts of the reward of n robots by name, (n,) each; empty if it has none."""
+        if self.reward not in _PARTS:
+            return {}
+        return {name: np.asarray(part, np.float64) for name, part in _PARTS[self.reward](state).items()}
 
+
+def _parts_of_avoiding_either_way(state: State) -> dict[str, Number]:
+    left, right = (np.clip(speed / TOP_SPEED, -1, 1) for speed in (state.left, state.right))
+    return {
+        "speed": (abs(left) + abs(right)) / 2,
+        "straightness": 1 - np.sqrt(abs(left - right) / 2),
+        "clearance": 1 - state.nearest,
+    }
+
+
+def _parts_of_avoiding(state: State) -> dict[str, Number]:
+    return {**_parts_of_avoiding_either_way(state), "forwards": state.left + state.right > 0}
+
+
+def _parts_of_homing(state: State) -> dict[str, Number]:
+    parts = _parts_of_avoiding_either_way(state)
+    return {name: parts[name] for name in ("speed", "clearance")} | {"away": np.logical_not(state.at_goal)}
+
+
+@with_parts(_parts_of_avoiding)
 @batched
 def avoiding(state: State) -> Number:
     """Return V (1 - sqrt(dV)) (1 - i) forwards, 0 backwards.
@@ -238,24 +277,28 @@ def avoiding(state: State) -> Number:
     return avoiding_either_way(state) * (state.left + state.right > 0)
 
 
+@with_parts(_parts_of_avoiding_either_way)
 @batched
 def avoiding_either_way(state: State) -> Number:
     """Return V (1 - sqrt(dV)) (1 - i) as published: see `fitness.obstacle_avoidance`."""
     return fitness.obstacle_avoidance(state.left, state.right, state.nearest)
 
 
+@with_parts(lambda state: {"brightness": state.brightness})
 @batched
 def seeking_light(state: State) -> Number:
     """Return the brightness."""
     return state.brightness
 
 
+@with_parts(_parts_of_homing)
 @batched
 def homing(state: State) -> Number:
     """Return V (1 - i) away from home, 0 at home."""
     return fitness.homing(state.left, state.right, state.nearest) * np.logical_not(state.at_goal)
 
 
+@with_parts(lambda state: {"at_goal": state.at_goal})
 @batched
 def staying(state: State) -> Number:
     """Return 1 at the goal, 0 elsewhere."""

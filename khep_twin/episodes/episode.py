@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from khep_twin.board import kernel
 from khep_twin.copies import NotCopied
 from khep_twin.episodes import stepping
+from khep_twin.episodes.contacts import in_contact
 from khep_twin.episodes.controllers import ConstantSpeed, Driver, Floats, controllers_of
 from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
@@ -254,6 +255,12 @@ class Episode(NotCopied):
     def observe(self, joint: stepping.JointRun, row: int) -> None:
         """Copy the robots' registers and poses into a joint run's arrays."""
         stepping.observe(self._simulation.plain, joint, row)
+
+    def touches(self, robot: int = 0) -> bool:
+        """Return whether a robot touches anything but the floor in the last step."""
+        if isinstance(self._world, PlanarWorld):
+            return self._world.is_pushed
+        return in_contact(self.data, f"khepera{robot}/base")
 
     @one_thread
     def metrics(self, robot: int = 0) -> dict[str, float]:

@@ -8,7 +8,8 @@
     failures = batch.step(range(32), setup.steps_per_period)
     print(batch.registers[:, 0, PROXIMITY], batch.poses[:, 0])
 
-Results are those of the single episodes, bit for bit. Episodes that compiled code cannot run alone (plain
+Results are those of the single episodes, bit for bit. Episodes whose arrays differ in shape, such as those of
+different playpens, are run by one call for each group. Episodes that compiled code cannot run alone (plain
 ones, lamps that change, turrets, faults to come) are run one by one from Python.
 """
 
@@ -33,10 +34,10 @@ Rows = Sequence[int] | NDArray[np.int64]
 
 
 class EpisodeBatch(NotCopied):
-    """Episodes of one setup without controllers.
+    """Episodes without controllers, of setups that have their number of robots in common.
 
     Args:
-        episodes: Episodes.
+        episodes: Episodes, all in MuJoCo or all in the plane.
         threads: Number of threads.
 
     Attributes:
@@ -50,7 +51,7 @@ class EpisodeBatch(NotCopied):
     INSTEAD = "another EpisodeBatch of new episodes, begun with the same seeds"
 
     def __init__(self, episodes: Sequence[Episode], threads: int) -> None:
-        self.guard, self.episodes = RLock(), episodes
+        self.guard, self.episodes = RLock(), list(episodes)
         count, n_robots = len(episodes), len(episodes[0].boards)
         self._joint = JointRun.of(count, n_robots, 0)
         self.speeds, self.registers, self.poses = self._joint.speeds, self._joint.registers, self._joint.poses
@@ -58,12 +59,21 @@ class EpisodeBatch(NotCopied):
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None  # beside the caller's
         self._run: Run = run
         self._given: list[tuple[Any, ...]] = [()] * count  # keeps the arrays
-        self._shapes: list[tuple[int, ...]] = []
+        self._groups: dict[tuple[tuple[int, ...], ...], int] = {}  # by the shapes of their arrays
+        self._group_of = np.zeros(count, np.int64)
         self._runs_jointly = np.zeros(count, np.bool_)
 
     @one_thread
-    def begin(self, index: int, seed: int, options: EpisodeOptions = DEFAULT_OPTIONS) -> None:
-        """Start an episode; errors are those of `Episode.begin`."""
+    def begin(
+        self,
+        index: int,
+        seed: int,
+        options: EpisodeOptions = DEFAULT_OPTIONS,
+        episode: Episode | None = None,
+    ) -> None:
+        """Start an episode, or another `episode` in its place; errors are those of `Episode.begin`."""
+        if episode is not None:
+            self.episodes[index] = episode
         self._runs_jointly[index], self._joint.untils[index] = False, 0
         self.episodes[index].begin(seed, options)
         self._take(index)
@@ -127,28 +137,34 @@ class EpisodeBatch(NotCopied):
             return
         self._run, given = found
         arrays = list(_arrays(given))
-        shapes = [each.shape for each in arrays]
-        if not self._shapes:
-            self._shapes = shapes
+        if not self._groups:
             addresses = np.zeros((len(self.episodes), len(arrays)), np.int64)
             self._joint = self._joint._replace(addresses=addresses)
-        if shapes != self._shapes:  # as with another number of lamps
-            return
+        shapes = tuple(each.shape for each in arrays)
+        self._group_of[index] = self._groups.setdefault(shapes, len(self._groups))
         self._given[index] = given
         self._joint.addresses[index] = [each.ctypes.data for each in arrays]
         self._runs_jointly[index] = True
 
     def _run_jointly(self, rows: NDArray[np.int64]) -> None:
-        run, given = self._run, self._given[int(rows[0])]
+        if len(self._groups) > 1:
+            rows = rows[np.argsort(self._group_of[rows], kind="stable")]
         if self._pool is None:
-            run(given, 0, 0, self._joint._replace(rows=rows))
+            self._run_share(rows)
             return
-        split = np.array_split(rows, min(self._threads, len(rows)))
-        shares = [self._joint._replace(rows=share) for share in split]
-        others = [self._pool.submit(run, given, 0, 0, share) for share in shares[1:]]
-        run(given, 0, 0, shares[0])
+        shares = np.array_split(rows, min(self._threads, len(rows)))
+        others = [self._pool.submit(self._run_share, share) for share in shares[1:]]
+        self._run_share(shares[0])
         for other in others:
             other.result()
+
+    def _run_share(self, rows: NDArray[np.int64]) -> None:
+        """Run episodes that are sorted by their groups."""
+        groups = [rows]
+        if len(self._groups) > 1:
+            groups = np.split(rows, np.flatnonzero(np.diff(self._group_of[rows])) + 1)
+        for group in groups:
+            self._run(self._given[int(group[0])], 0, 0, self._joint._replace(rows=group))
 
 
 def _arrays(values: tuple[Any, ...]) -> Iterator[NDArray[Any]]:

@@ -155,6 +155,7 @@ class _Warnings:
     number: NDArray[np.int32]
 
 class _Contacts:
+    efc_address: NDArray[np.int32]
     geom: NDArray[np.int32]
 
 class MjData:

@@ -266,6 +266,12 @@ class PlanarWorld:
         return self.forms.objects
 
     @property
+    def is_pushed(self) -> bool:
+        """True if an obstacle has pushed the robot in the last substep."""
+        grips = self.forms.state["grips"]
+        return bool(grips[flat.PUSHED] or grips[flat.PUSHED_ASIDE])
+
+    @property
     def joints(self) -> Floats:
         """Copy of the joint positions (flat.N_JOINTS,)."""
         return self.forms.joints

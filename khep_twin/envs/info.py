@@ -1,0 +1,58 @@
+"""What `info` has of an episode, in Gymnasium's form: ground truth, draws, details of a step, and the end.
+
+    always          x, y [m], heading [rad], time [s], seed
+    at the start    drawn: what a `Randomization` has drawn
+    with details    reward_parts: parts of the reward by name; contact: whether the robot touches anything
+    at the end      metrics: those of `khep_twin.episodes.metrics`
+    with details    episode: return "r", length "l" in steps and simulated time "t" [s]
+
+"episode" has the keys of Gymnasium's `RecordEpisodeStatistics`, which takes the place of it, and refuses an
+environment that has it already; so it is there on request.
+"""
+
+import math
+from typing import Any
+
+from khep_twin.envs.task_batch import TaskBatch
+
+Info = dict[str, Any]
+"""Gymnasium's type of metadata, options and ground truth."""
+
+
+def ground_truth(batch: TaskBatch, robot: int = 0, row: int = 0) -> Info:
+    """Return the ground truth of a robot."""
+    x, y, heading = batch.poses[row, robot].tolist()
+    return {
+        "x": x,
+        "y": y,
+        "heading": heading,
+        "time": float(batch.times[row]),
+        "seed": int(batch.seeds[row]),
+    }
+
+
+def of_start(batch: TaskBatch, row: int = 0) -> Info:
+    """Return what was drawn for an episode; nothing without a randomization."""
+    drawn = batch.drawn(row)
+    return {"drawn": drawn} if drawn else {}
+
+
+def of_step(batch: TaskBatch, robot: int = 0, row: int = 0) -> Info:
+    """Return the details of the last step; nothing unless they are asked for."""
+    if not batch.setup.details:
+        return {}
+    parts = {name: float(part[row, robot]) for name, part in batch.parts.items()}
+    return ({"reward_parts": parts} if parts else {}) | {"contact": bool(batch.touches[row, robot])}
+
+
+def of_end(batch: TaskBatch, robot: int = 0, row: int = 0) -> Info:
+    """Return what an episode that is over tells about a robot."""
+    metrics = batch.episodes[row].metrics(robot)
+    told: Info = {"metrics": {name: value for name, value in metrics.items() if not math.isnan(value)}}
+    if batch.setup.details:
+        told["episode"] = {
+            "r": float(batch.returns[row, robot]),
+            "l": int(batch.periods[row]),
+            "t": float(batch.times[row]),
+        }
+    return told

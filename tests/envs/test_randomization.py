@@ -1,0 +1,118 @@
+"""Domain randomization: drawn by the seed of each episode, and told."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from khep_twin.envs.randomization import Randomization
+from khep_twin.envs.reset_options import ResetOptions
+from khep_twin.envs.task_episode import TaskEpisode
+from khep_twin.envs.task_setup import TaskSetup
+from khep_twin.errors import KhepTwinError
+from khep_twin.playpen import Lamp, Playpen, parse
+from khep_twin.playpen.model import dump
+
+SHORT: dict[str, Any] = {"planar": True, "compiled": False}
+
+
+def setup(task: str = "LightSeeking", **randomize: Any) -> TaskSetup:
+    return TaskSetup(task, randomize=randomize, **SHORT)
+
+
+def test_starts_are_spread_around_the_playpens_own() -> None:
+    own = Playpen.load("light-seeking").robots[0]
+    randomized = setup(starts=(40, 10))
+    drawn = np.array([randomized.beginning(seed).options.start[0] for seed in range(20)])
+    away = drawn - (own.x_mm, own.y_mm, own.heading_deg)
+    assert (abs(away) <= (40, 40, 10)).all()
+    assert (abs(away).max(axis=0) > (20, 20, 5)).all()
+    assert len(np.unique(drawn[:, 0])) > 15
+
+
+def test_starts_anywhere_are_those_of_a_task_that_starts_anywhere() -> None:
+    usual = TaskSetup("LightSeeking", **SHORT)
+    spread = setup("LightSeeking", starts="anywhere")
+    assert [spread.beginning(seed).options.start for seed in range(3)] == [
+        usual.beginning(seed).options.start for seed in range(3)
+    ]
+
+
+def test_lamps_have_other_powers_and_places_and_what_was_drawn_is_told() -> None:
+    randomized, before = setup(lamps=(2, 50)), Playpen.load("light-seeking").lamps
+    factors = []
+    for seed in range(20):
+        begun = randomized.beginning(seed)
+        told = begun.drawn["lamps"]
+        assert told == tuple((lamp.x_mm, lamp.y_mm, lamp.power_w) for lamp in begun.options.lamps)
+        for old, new in zip(before, begun.options.lamps, strict=True):
+            assert abs(new.x_mm - old.x_mm) <= 50
+            assert abs(new.y_mm - old.y_mm) <= 50
+            factors.append(new.power_w / old.power_w)
+    assert 0.5 <= min(factors) < 0.7
+    assert 1.5 < max(factors) <= 2
+
+
+def test_noise_is_there_in_a_part_of_the_episodes() -> None:
+    randomized = setup(noise=0.3)
+    noisy = [randomized.beginning(seed).options.noise for seed in range(200)]
+    assert 0.2 < np.mean(noisy) < 0.4
+    assert setup().beginning(0).options.noise
+    assert setup(robots=True).beginning(0).options.vary
+
+
+def test_blocks_stand_elsewhere_in_playpens_that_are_whole_and_prepared_once() -> None:
+    randomized = setup("WallOrCylinder", blocks_mm=60, playpens=3)
+    episode, ways = TaskEpisode(randomized), dict[int, set[bytes]]()
+    for seed in range(12):
+        seen = episode.begin(seed, ResetOptions(start=(300, 300, 0)))[0]
+        ways.setdefault(episode.batch.drawn(0)["playpen"], set()).add(seen.tobytes())
+    assert sorted(ways) == [0, 1, 2]
+    assert len(randomized._variants) == 3
+    playpens = [each.playpen for _, each in randomized._variants]
+    assert len({dump(playpen) for playpen in playpens}) == 3
+    for (_, variant), playpen in zip(randomized._variants, playpens, strict=True):
+        assert parse(dump(playpen), "a playpen with moved blocks") == playpen
+        target = next(item for item in playpen.cylinders if item.name == "target")
+        assert variant.goal == (target.x_mm / 1e3, target.y_mm / 1e3)
+
+
+def test_each_kind_draws_from_its_own_stream_and_the_seed_repeats_all() -> None:
+    everything = {"starts": (40, 90), "lamps": (3, 40), "noise": 0.5, "blocks_mm": 30, "robots": True}
+    whole = [setup(**everything).beginning(seed) for seed in range(2)]
+    for seed, begun in enumerate(whole):
+        again = setup(**everything).beginning(seed)
+        assert again.drawn == begun.drawn
+        assert again.options.start == begun.options.start
+        assert setup(noise=0.5).beginning(seed).options.noise == begun.options.noise
+        # Lamps that stand in the way of moved blocks have other places, not other powers.
+        lamps = setup(lamps=(3, 40)).beginning(seed).drawn["lamps"]
+        assert [lamp[2] for lamp in lamps] == [lamp[2] for lamp in begun.drawn["lamps"]]
+
+
+def test_an_option_of_reset_is_not_randomized() -> None:
+    randomized = setup(starts=(40, 90), lamps=(3, 40), blocks_mm=30)
+    lamp = Lamp(x_mm=500, y_mm=500, power_w=5)
+    begun = randomized.beginning(1, ResetOptions(start=(200, 200, 0), lamps=[lamp], playpen="light-seeking"))
+    assert begun.options.start == [(200, 200, 0)]
+    assert list(begun.options.lamps) == [lamp]
+    assert begun.drawn == {}
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"start": 5}, r"^randomize: 'start': unknown; did you mean 'starts'\?"),
+        ({"starts": 5}, r"^randomize: starts = 5; expected two numbers from 0, \[mm\] and \[deg\], or"),
+        ({"starts": (5, -1)}, r"^randomize: starts = \(5, -1\); expected"),
+        ({"lamps": (0.5, 1)}, r"^randomize: lamps = \(0\.5, 1\); expected a factor from 1 and a distance"),
+        ({"noise": 2}, r"^randomize: noise = 2; expected a probability, 0 to 1"),
+        ({"blocks_mm": -1}, r"^randomize: blocks_mm = -1; expected a distance from 0"),
+        ({"playpens": 0}, r"^0 playpens; expected a whole number"),
+        (5, r"^randomize = 5; expected a Randomization, or its attributes"),
+    ],
+)
+def test_what_is_no_randomization_is_one_line(given: Any, told: str) -> None:
+    with pytest.raises((KhepTwinError, ValueError), match=told) as caught:
+        Randomization.of(given)
+    assert "\n" not in str(caught.value)
