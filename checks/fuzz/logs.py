@@ -236,11 +236,11 @@ def export(path: Path) -> None:
     from khep_twin.log.reader import read_heads
 
     recording = read_heads(path)
-    name = tables.chosen_robot(recording, None)
-    channels = tables.chosen_channels(recording, name, None)
+    robots = tables.chosen_robots(recording, None)
+    channels = tables.chosen_channels(recording, robots, None)
     if channels:
-        tables.write_table(path, channels, ".csv", BytesIO())
-    tables.write_transcript(path, name, BytesIO())
+        tables.write_table(path, robots, channels, ".csv", BytesIO())
+    tables.write_transcript(path, robots, BytesIO())
 
 
 def rescue(path: Path) -> None:

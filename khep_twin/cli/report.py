@@ -38,7 +38,7 @@ def export(
     ] = None,
     robot: Annotated[
         str | None,
-        typer.Option(help="Name of the robot, such as khepera1; without, the first, of a dataset all."),
+        typer.Option(help="Name of the robot, such as khepera1; without, all."),
     ] = None,
     transcript: Annotated[
         Path | None, typer.Option(help="Write the transcript of the serial line as this CSV file.")
@@ -97,22 +97,22 @@ def _export_tables(
     check_new(force, output, transcript)
     wanted = None if channels is None else [name.strip() for name in channels.split(",")]
     recording = read_heads(log)
-    name = tables.chosen_robot(recording, robot)
-    found = tables.chosen_channels(recording, name, wanted)
+    robots = tables.chosen_robots(recording, robot)
+    found, name = tables.chosen_channels(recording, robots, wanted), tables.told(robots)
     if output is not None:
         if kind != ".mat" and not found:
             raise LogError(f"{log}: {name} has no samples; expected --transcript, or -o FILE.mat")
         with whole_file(output, force) as file, progress_bar() as progress:
             if kind == ".mat":
-                data, n_rows = tables.matrices(log, name, found, progress)
+                data, n_rows = tables.matrices(log, robots, found, progress)
                 file.write(data)
             else:
-                n_rows = tables.write_table(log, found, kind, file, progress)
+                n_rows = tables.write_table(log, robots, found, kind, file, progress)
         what = ", ".join(channel.name for channel in found) or "no samples"
         typer.echo(f"table       {output}: {name}: {what}; {n_rows} rows")
     if transcript is not None:
         with whole_file(transcript, force) as file, progress_bar() as progress:
-            n_lines = tables.write_transcript(log, name, file, progress)
+            n_lines = tables.write_transcript(log, robots, file, progress)
         typer.echo(f"transcript  {transcript}: {name}: {n_lines} lines")
 
 

@@ -18,6 +18,7 @@ from khep_twin.files.atomic import open_regular
 from khep_twin.files.paths import StrPath
 from khep_twin.invocation import command
 from khep_twin.log.channels import FLOATS, IMAGE, TextLine
+from khep_twin.log.columns import KNOWN
 from khep_twin.log.content import Content
 from khep_twin.log.decoding import DecodeError, readable
 from khep_twin.log.entries import Entry, Label, label_of, run_facts
@@ -67,6 +68,22 @@ class LoggedRun:
     attachments: Mapping[str, str]
     robots: Mapping[str, RobotTrack]
     events: list[TextLine]
+
+    def table(self) -> dict[str, NDArray[np.generic]]:
+        """Return the samples of all robots as columns (n,) by name, as `pandas.DataFrame` takes them.
+
+        They are "time_s", "robot", and those of `khep-twin export` for pose, proximity, ambient, speed and
+        duty. Rows are in order of time, and then of the robots.
+        """
+        tracks = [*self.robots.values()]
+        times_ns = np.concatenate([track.times_ns for track in tracks])
+        order = np.argsort(times_ns, kind="stable")
+        names = np.repeat([*self.robots], [len(track.times_ns) for track in tracks])
+        table: dict[str, NDArray[np.generic]] = {"time_s": times_ns[order] / 1e9, "robot": names[order]}
+        for kind in ("pose", "proximity", "ambient", "speed", "duty"):
+            values = np.concatenate([getattr(track, kind) for track in tracks])[order]
+            table |= {column: values[:, index] for index, (column, _) in enumerate(KNOWN[kind])}
+        return table
 
 
 @dataclass(frozen=True, slots=True)

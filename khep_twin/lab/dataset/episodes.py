@@ -22,7 +22,7 @@ from khep_twin.errors import LogError
 from khep_twin.files.paths import StrPath
 from khep_twin.lab.dataset import replies, samples
 from khep_twin.lab.dataset.periods import Periods, check_period
-from khep_twin.lab.report.export import chosen_robot
+from khep_twin.lab.report.export import chosen_robots
 from khep_twin.log.reader import read_heads
 
 
@@ -76,7 +76,7 @@ def episodes_of(
     path, limit_ns = Path(path), to_ns(task.seconds)
     check_period(period_ns, limit_ns)
     recording = read_heads(path)
-    robots = recording.label.robots if robot is None else (chosen_robot(recording, robot),)
+    robots = chosen_robots(recording, robot)
     if "relay" in recording.label.metadata:
         found = iter([replies.periods_of(path, robots[0], task, period_ns)])
     elif f"/{robots[0]}/registers" in recording.series:

@@ -63,7 +63,7 @@ export, refused = partial(good, "export"), partial(refusal, "export")
 
 
 def test_a_csv_comes_back(run: Path, tmp_path: Path) -> None:
-    said = export(run, "-o", tmp_path / "run.csv")
+    said = export(run, "-o", tmp_path / "run.csv", "--robot", "khepera0")
     assert "khepera0: pose, proximity, ambient, speed, duty, leds, gripper; 51 rows" in said
     track = read_log(run).robots["khepera0"]
     table: Any = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True)
@@ -91,7 +91,7 @@ def test_a_parquet_file_comes_back_with_units(run: Path, tmp_path: Path) -> None
 
 
 def test_a_mat_file_comes_back(run: Path, tmp_path: Path) -> None:
-    export(run, "-o", tmp_path / "run.mat")
+    export(run, "-o", tmp_path / "run.mat", "--robot", "khepera0")
     track = read_log(run).robots["khepera0"]
     values: dict[str, Any] = loadmat(tmp_path / "run.mat")
     assert values["proximity"].tolist() == track.proximity.tolist()
@@ -103,8 +103,50 @@ def test_a_mat_file_comes_back(run: Path, tmp_path: Path) -> None:
     assert values["__header__"].startswith(b"MATLAB 5.0 MAT-file, log by khep_twin")
 
 
+def test_several_robots_are_in_one_table_by_time_and_name(run: Path, tmp_path: Path) -> None:
+    assert "khepera0, khepera1: pose" in export(run, "-o", tmp_path / "both.csv")
+    rows = [*csv.DictReader((tmp_path / "both.csv").read_text().splitlines())]
+    assert [(row["time_s"], row["robot"]) for row in rows[:3]] == [
+        *(("0.0", "khepera0"), ("0.0", "khepera1"), ("0.02", "khepera0"))
+    ]
+    own = [{key: value for key, value in row.items() if key != "robot"} for row in rows[1::2]]
+    export(run, "-o", tmp_path / "one.csv", "--robot", "khepera1")
+    without = [*csv.DictReader((tmp_path / "one.csv").read_text().splitlines())]
+    assert [{key: row[key] for key in without[0]} for row in own] == without
+    assert {row["gripper_arm_position"] for row in own} == {""}
+    export(run, "-o", tmp_path / "both.parquet")
+    table: Any = parquet.read_table(tmp_path / "both.parquet")  # pyright: ignore[reportUnknownMemberType]
+    assert table["robot"].to_pylist() == [row["robot"] for row in rows]
+    columns = read_log(run).table()
+    assert columns["robot"].tolist() == table["robot"].to_pylist()
+    for name in ("x_m", "proximity_back_left", "ambient_left_90", "speed_right", "duty_left"):
+        assert columns[name].tolist() == table[name].to_pylist()
+
+
+def test_a_mat_file_of_several_robots_numbers_them_from_1(run: Path, tmp_path: Path) -> None:
+    export(run, "-o", tmp_path / "both.mat")
+    values: dict[str, Any] = loadmat(tmp_path / "both.mat")
+    track = read_log(run).robots["khepera1"]
+    assert [cell[0] for cell in values["robots"][:, 0]] == ["khepera0", "khepera1"]
+    second = values["speed_robot"][:, 0] == 2
+    assert values["speed"][second].tolist() == track.speed.tolist()
+    assert values["speed_time_s"][second, 0].tolist() == (track.times_ns / 1e9).tolist()
+    assert set(values["gripper_robot"][:, 0]) == {1}
+    said = values["serial_robot"][:, 0] == 2
+    assert [cell[0] for cell in values["serial_text"][said, 0]] == [line.text for line in track.serial]
+
+
+def test_a_transcript_of_several_robots_names_them(run: Path, tmp_path: Path) -> None:
+    export(run, "--transcript", tmp_path / "said.csv")
+    head, *rows = csv.reader((tmp_path / "said.csv").read_text().splitlines())
+    assert head == ["time_s", "robot", "from", "text"]
+    assert rows == sorted(rows, key=lambda row: float(row[0]))
+    lines = read_log(run).robots["khepera1"].serial
+    assert [row[3] for row in rows if row[1] == "khepera1"] == [line.text for line in lines]
+
+
 def test_registers_have_their_names(run: Path, tmp_path: Path) -> None:
-    export(run, "-o", tmp_path / "run.csv", "--channels", "registers")
+    export(run, "-o", tmp_path / "run.csv", "--channels", "registers", "--robot", "khepera0")
     track = read_log(run).robots["khepera0"]
     table: Any = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True)
     assert len(table.dtype.names) == 1 + track.registers.shape[1]
@@ -207,7 +249,7 @@ def write_speeds(path: Path, rows: list[list[float]], number_told: int | None = 
 
 
 def test_the_transcript_is_a_table(run: Path, tmp_path: Path) -> None:
-    said = export(run, "--transcript", tmp_path / "said.csv")
+    said = export(run, "--transcript", tmp_path / "said.csv", "--robot", "khepera0")
     lines = read_log(run).robots["khepera0"].serial
     assert f"{len(lines)} lines" in said
     head, *rows = csv.reader((tmp_path / "said.csv").read_text().splitlines())
@@ -231,9 +273,8 @@ def test_a_real_robots_log_gives_what_it_has(real: Path, tmp_path: Path) -> None
 
 def test_wrong_words_are_reported_with_the_choices(run: Path, tmp_path: Path) -> None:
     table = tmp_path / "x.csv"
-    assert "--channels speeds: khepera0 has none in this log; did you mean 'speed'? (choices: pose, " in (
-        refused(run, "-o", table, "--channels", "speeds")
-    )
+    told = refused(run, "-o", table, "--channels", "speeds")
+    assert "speeds: not in this log of khepera0, khepera1; did you mean 'speed'? (choices: pose, " in told
     assert "--robot khepera7: not in this log; did you mean" in refused(
         run, "-o", table, "--robot", "khepera7"
     )

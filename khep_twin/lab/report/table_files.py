@@ -1,0 +1,159 @@
+"""Files of tables that are written piece by piece: CSV and Parquet."""
+
+# pyarrow is not typed.
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
+# pyright: reportUnknownArgumentType=false
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import BinaryIO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.log.columns import Columns
+from khep_twin.log.reader import TimeSeries
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """Channel of robots, or the lamps.
+
+    Attributes:
+        name: Name, e.g. "proximity".
+        topics: Topic in the log of each robot, e.g. "/khepera0/proximity".
+        columns: Names and units of the columns.
+        series: Times (n,) [ns] and values (n, columns) of each robot, none where a robot has no such channel.
+    """
+
+    name: str
+    topics: tuple[str, ...]
+    columns: Columns
+    series: tuple[TimeSeries, ...]
+
+    @property
+    def values(self) -> NDArray[np.int64 | np.float64]:
+        """Values of all robots, one after another (n, columns)."""
+        return np.concatenate([each.values for each in self.series])
+
+
+class Rows(NamedTuple):
+    """Rows of a table.
+
+    Attributes:
+        times_ns: Times (n,) [ns].
+        robots: Indices of the robots (n,).
+        places: Rows of each channel's values (n,), -1 for none.
+    """
+
+    times_ns: NDArray[np.int64]
+    robots: NDArray[np.int64]
+    places: list[NDArray[np.int64]]
+
+
+def rows_of(channels: Sequence[Channel], count: int) -> Rows:
+    """Return the rows of a table of so many robots: for each robot and time, the last values of each channel.
+
+    They are in order of time, and then of the robots.
+    """
+    times: list[NDArray[np.int64]] = []
+    places: list[list[NDArray[np.int64]]] = [[] for _ in channels]
+    for robot in range(count):
+        series = [channel.series[robot] for channel in channels]
+        times.append(np.unique(np.concatenate([each.times_ns for each in series])))
+        for channel, each, found in zip(channels, series, places, strict=True):
+            before = sum(len(other.times_ns) for other in channel.series[:robot])
+            found.append(np.full(len(times[-1]), -1))
+            found[-1][np.searchsorted(times[-1], each.times_ns)] = before + np.arange(len(each.times_ns))
+    times_ns = np.concatenate(times)
+    order = np.argsort(times_ns, kind="stable")
+    robots = np.repeat(np.arange(count), [len(each) for each in times])
+    return Rows(times_ns[order], robots[order], [np.concatenate(found)[order] for found in places])
+
+
+class CsvFile:
+    """CSV file that is written piece by piece; all but the `fractional` channels are integers."""
+
+    def __init__(
+        self,
+        file: BinaryIO,
+        robots: Sequence[str],
+        channels: Sequence[Channel],
+        fractional: Collection[str],
+    ) -> None:
+        self._file, self._robots, self._fractional = file, robots, fractional
+        names = (name for channel in channels for name, _ in channel.columns)
+        file.write(f"{','.join(['time_s', *['robot'][: len(robots) - 1], *names])}\n".encode())
+
+    def write(self, rows: Rows, channels: Sequence[Channel]) -> None:
+        """Write rows with the values of the channels."""
+        columns: list[list[str]] = [[repr(time_ns / 1e9) for time_ns in rows.times_ns.tolist()]]
+        if len(self._robots) > 1:
+            columns.append([str(self._robots[robot]) for robot in rows.robots.tolist()])
+        for channel, places in zip(channels, rows.places, strict=True):
+            there = places.tolist()
+            for values in _numbers(channel, self._fractional).T:
+                words = [*map(repr, values.tolist()), ""]  # the last is for the row -1
+                columns.append([words[row] for row in there])
+        self._file.write("".join(f"{','.join(row)}\n" for row in zip(*columns, strict=True)).encode())
+
+    def close(self) -> None:
+        """End the file."""
+
+
+class ParquetFile:
+    """Parquet file that is written piece by piece, each a row group; arguments as for `CsvFile`."""
+
+    def __init__(
+        self,
+        file: BinaryIO,
+        robots: Sequence[str],
+        channels: Sequence[Channel],
+        fractional: Collection[str],
+    ) -> None:
+        import pyarrow as arrow
+        from pyarrow import parquet
+
+        self._robots, self._fractional = robots, fractional
+        fields = [arrow.field("time_s", arrow.float64(), metadata={"unit": "s"})]
+        if len(robots) > 1:
+            fields.append(arrow.field("robot", arrow.string()))
+        for channel in channels:
+            kind = arrow.float64() if channel.name in fractional else arrow.int64()
+            for name, unit in channel.columns:
+                fields.append(arrow.field(name, kind, metadata={"unit": unit, "channel": channel.name}))
+        self._schema = arrow.schema(fields)
+        self._writer = parquet.ParquetWriter(file, self._schema)
+
+    def write(self, rows: Rows, channels: Sequence[Channel]) -> None:
+        """Write rows with the values of the channels."""
+        import pyarrow as arrow
+
+        columns = [arrow.array(rows.times_ns / 1e9)]
+        if len(self._robots) > 1:
+            columns.append(arrow.array([self._robots[robot] for robot in rows.robots.tolist()]))
+        for channel, places in zip(channels, rows.places, strict=True):
+            for values in _numbers(channel, self._fractional).T:
+                # The last is for the row -1, which is no value.
+                columns.append(arrow.array(np.append(values, 0)[places], mask=places < 0))
+        self._writer.write_table(arrow.Table.from_arrays(columns, schema=self._schema))
+
+    def close(self) -> None:
+        """End the file."""
+        self._writer.close()
+
+
+TABLES: Mapping[str, type[CsvFile] | type[ParquetFile]] = {".csv": CsvFile, ".parquet": ParquetFile}
+"""Class of each kind of table by its suffix; a new kind is a class such as `CsvFile`, and a line here."""
+
+
+def _numbers(channel: Channel, fractional: Collection[str]) -> NDArray[np.generic]:
+    """Return a channel's values, as integers unless it is fractional."""
+    values = channel.values
+    return values if channel.name in fractional else values.astype(np.int64)
+
+
+def is_whole(channel: Channel) -> bool:
+    """Return whether all values are integers."""
+    values = channel.values
+    return bool(np.isfinite(values).all() and np.array_equal(np.rint(values), values))
