@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from khep_twin.log.reader import LoggedRun as LoggedRun
     from khep_twin.log.reader import read_log as read_log
     from khep_twin.playpen.model import Playpen as Playpen
+    from khep_twin.playpen.parts import Lamp as Lamp
     from khep_twin.playpen.starts import Start as Start
     from khep_twin.ports.serve import serve as serve
     from khep_twin.ports.twin import Twin as Twin

@@ -14,7 +14,7 @@ import khep_twin
 PACKAGE = Path(khep_twin.__file__).parent
 
 NAMES = {
-    *("Playpen", "World", "Start", "Sensor"),
+    *("Playpen", "Lamp", "World", "Start", "Sensor"),
     *("Khepera", "Gripper", "Radio", "Vision", "Controller"),
     *("Twin", "TwinOptions", "open_twin", "serve", "Shadow"),
     *("rollout", "RolloutResult", "Episode", "EpisodeOptions", "EpisodeSetup"),

@@ -87,19 +87,25 @@ def checked_lamps(given: object) -> Sequence[Lamp]:
     """Return lamps; raise a `KhepTwinError` if they are no list of them."""
     lamps = list(cast(Iterable[object], given)) if isinstance(given, list | tuple) else [None]
     if not all(isinstance(lamp, Lamp) for lamp in lamps):
-        raise KhepTwinError(f"lamps = {given!r}; expected a list of khep_twin.playpen.Lamp")
+        raise KhepTwinError(f"lamps = {given!r}; expected a list of khep_twin.Lamp")
     return cast(Sequence[Lamp], lamps)
 
 
-def _is_list(given: object) -> bool:
+def is_list(given: object) -> bool:
+    """Return whether this is a list, also as a tuple or array."""
     return isinstance(given, list | tuple | np.ndarray)
 
 
+def is_nested(given: object) -> bool:
+    """Return whether this is a list with lists in it."""
+    return is_list(given) and any(is_list(each) for each in cast(Iterable[object], given))
+
+
 _IS_LIST: Mapping[str, Callable[[Any], bool]] = {
-    "seed": _is_list,
-    "start": lambda given: np.ndim(given) > 1,
-    "lamps": lambda given: _is_list(given) and any(_is_list(each) for each in given),
-    "playpen": _is_list,
+    "seed": is_list,
+    "start": is_nested,
+    "lamps": is_nested,
+    "playpen": is_list,
 }
 """Functions that tell whether the value of an option is a list with one for each environment."""
 

@@ -18,7 +18,7 @@ from khep_twin import units
 from khep_twin.clock import n_steps, to_ns
 from khep_twin.copies import MadeAnew
 from khep_twin.envs.randomization import Randomization, placed_at, starts_of
-from khep_twin.envs.reset_options import ResetOptions, checked_lamps, checked_playpen
+from khep_twin.envs.reset_options import ResetOptions, checked_lamps, checked_playpen, is_nested
 from khep_twin.envs.tasks import TOP_SPEED, Task, find
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions, Home, check_numbers, checked_count
@@ -214,7 +214,7 @@ class TaskSetup(MadeAnew):
     def _starts(self, start: Any) -> list[Start]:
         """Return the start of each robot; raise a `ValueError` unless there is one for each."""
         count = len(self.playpen.robots)
-        table = [start] if count == 1 and np.ndim(start) == 1 else start
+        table = start if is_nested(start) else [start]
         what = "x, y [mm] and heading [deg]" + (f" of {count} robots" if count > 1 else "")
         check_numbers("start", table, what, (count, 3))
         return [(x_mm, y_mm, heading_deg) for x_mm, y_mm, heading_deg in np.asarray(table, float).tolist()]

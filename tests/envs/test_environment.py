@@ -144,6 +144,28 @@ def test_dm_env_takes_its_options_as_the_suite_does_too() -> None:
     assert (numbers[8:16] == dm("LightSeeking", seed=3, vary=True).reset().observation["light"]).all()
 
 
+def test_dm_env_takes_starts_lamps_and_a_randomization() -> None:
+    from khep_twin import Lamp
+
+    here = {"start": (300, 150, -90), "lamps": [Lamp(x_mm=500, y_mm=500, power_w=5)]}
+    environment = dm("LightSeeking", seed=1, **here)
+    observation = environment.reset().observation
+    assert environment.physics.pose() == pytest.approx((0.3, 0.15, -math.pi / 2))
+    same_seed = {"seed": environment.task.seed}
+    assert (observation["light"] == gym("LightSeeking", **here).reset(options=same_seed)[0][8:16]).all()
+    moved = dm("WallOrCylinder", seed=1, randomize={"blocks_mm": 60, "playpens": 3})
+    places = set()
+    for _ in range(6):
+        moved.reset()
+        moved.step([0.5, 0.5])
+        physics = moved.physics
+        assert physics.named.data.xpos["khepera0/base"][:2] == pytest.approx(physics.pose()[:2], abs=3e-4)
+        places.add(physics.named.data.geom_xpos["cylinder0"].tobytes())
+    assert len(places) == 3
+    with pytest.raises(KhepTwinError, match=r"^details = True: dm_env has no infos; expected False"):
+        dm("LightSeeking", details=True)
+
+
 def test_what_of_the_suite_has_no_effect_is_refused() -> None:
     with pytest.raises(KhepTwinError, match=r"^visualize_reward = True; expected False"):
         dm("Homing", visualize_reward=True)
@@ -673,7 +695,8 @@ def test_without_its_package_a_form_names_the_extra_in_one_line(
 
 
 PAGE = Path(__file__).parents[2] / "docs/environments.md"
-PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+PROGRAMS = re.findall(r"(?<!-->\n\n)```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+"""All but those under a comment that says why they are not run."""
 
 
 # The way to a picture depends on the machine's GL, of which each has its own complaints.

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numba_marks import KINDS
 
+from khep_twin import Lamp
 from khep_twin.errors import KhepTwinError
-from khep_twin.playpen import Lamp, Playpen
+from khep_twin.playpen import Playpen
 
 pytest.importorskip("gymnasium", reason="gymnasium, the extra [rl], is not installed")
 
@@ -108,8 +109,10 @@ def test_many_take_an_option_for_all_or_one_for_each() -> None:
 
 WRONG = [
     ({"playpen": ["two-lamps"]}, r"^playpen = \['two-lamps'\]; expected the name or path of a playpen"),
-    ({"lamps": [5]}, r"^lamps = \[5\]; expected a list of khep_twin\.playpen\.Lamp"),
+    ({"lamps": [5]}, r"^lamps = \[5\]; expected a list of khep_twin\.Lamp"),
     ({"lamps": "all"}, r"^lamps = 'all'; expected a list of"),
+    ({"start": [(1, 2, 3), (1,)]}, r"^start = .*; expected x, y \[mm\] and heading \[deg\], 1 x 3 finite"),
+    ({"start": "here"}, r"^start = \['here'\]; expected x, y \[mm\] and heading \[deg\], 1 x 3 finite"),
     ({"start": (1, 2)}, r"^start = .*; expected x, y \[mm\] and heading \[deg\], 1 x 3 finite numbers"),
     (
         {"start": (9, 9, 0)},

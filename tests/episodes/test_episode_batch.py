@@ -74,6 +74,34 @@ def test_lamps_that_blink_and_a_processor_that_stops_are_the_same_side_by_side(
     assert_alone_the_same(setup, together(setup, 2, 6, 1, compiled), 6)
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("compiled", KINDS)
+def test_episodes_of_different_playpens_side_by_side_are_the_same_as_alone(
+    compiled: bool, threads: int
+) -> None:
+    names = ("obstacles", "two-lamps", "obstacles", "default")
+    setups = [EpisodeSetup(name, period_ns=PERIOD_NS, planar=True) for name in names]
+    batch = EpisodeBatch([Episode(setup, compiled=compiled) for setup in setups], threads)
+    for index in range(4):
+        batch.begin(index, index, EpisodeOptions(noise=index != 2))
+    # Another episode takes the place of one that has begun.
+    setups[0] = setups[3]
+    batch.begin(0, 0, episode=Episode(setups[0], compiled=compiled))
+    for each in speeds(6, 4):
+        batch.speeds[:] = each
+        assert batch.step(np.arange(4), PERIOD_NS // setups[0].step_ns) == {}
+    batch.close()
+    assert not compiled or batch._runs_jointly.all()
+    for index, setup in enumerate(setups):
+        alone = Episode(setup, compiled=False)
+        alone.begin(index, EpisodeOptions(noise=index != 2))
+        for each in speeds(6, 4):
+            alone.drive(*each[index, 0])
+            alone.step(setup.steps_per_period)
+        assert alone.boards.tolist() == batch.registers[index].tolist()
+        assert batch.poses[index, 0] == pytest.approx(alone.pose, abs=1e-12)
+
+
 @pytest.mark.parametrize("compiled", KINDS)
 def test_a_speed_that_is_no_number_is_the_failure_of_one_episode(compiled: bool) -> None:
     setup = EpisodeSetup(Playpen.load("obstacles"), period_ns=PERIOD_NS, planar=True)
