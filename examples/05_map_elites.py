@@ -41,6 +41,7 @@ wish.add_argument("--cells", type=int, default=50, help="cells of the archive al
 wish.add_argument("--sigma", type=float, default=0.05, help="standard deviation of the mutation of a weight")
 wish.add_argument("--seconds", type=float, default=72.0, help="duration of an episode")
 wish.add_argument("--seed", type=int, default=0)
+wish.add_argument("--line", type=int, help="speed of the line between controller and robot [baud]")
 wish.add_argument("--judge", type=int, default=20, help="number of elites that are judged again")
 wish.add_argument("--picture", type=Path, help="draw the archive over the maze to this file")
 wish.add_argument("--elites", type=Path, help="write genomes, objectives and descriptors to this NPZ file")
@@ -58,7 +59,8 @@ plane, mujoco = EpisodeSetup(maze, planar=True), EpisodeSetup(maze)
 
 def judge(setup: EpisodeSetup, genomes: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the objective of each genome (n,) and the position at the end (n, 2) [m]."""
-    results = rollout(setup, NETWORK, [seed] * len(genomes), options.seconds, genes=genomes)
+    seeds = [seed] * len(genomes)
+    results = rollout(setup, NETWORK, seeds, options.seconds, genes=genomes, line=options.line)
     return 1 - np.nan_to_num(results.metrics["effort"], nan=1.0), results.poses[:, :2]
 
 

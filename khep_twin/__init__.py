@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from khep_twin.episodes.episode import Episode as Episode
     from khep_twin.episodes.episode_options import EpisodeOptions as EpisodeOptions
     from khep_twin.episodes.episode_setup import EpisodeSetup as EpisodeSetup
+    from khep_twin.episodes.line import MeasuredCycle as MeasuredCycle
     from khep_twin.errors import KhepTwinError as KhepTwinError
     from khep_twin.errors import MoveError as MoveError
     from khep_twin.errors import PlaypenError as PlaypenError

@@ -17,7 +17,7 @@ NAMES = {
     *("Playpen", "Lamp", "World", "Start", "Sensor"),
     *("Khepera", "Gripper", "Radio", "Vision", "Controller"),
     *("Twin", "TwinOptions", "open_twin", "serve", "Shadow"),
-    *("rollout", "RolloutResult", "Episode", "EpisodeOptions", "EpisodeSetup"),
+    *("rollout", "RolloutResult", "Episode", "EpisodeOptions", "EpisodeSetup", "MeasuredCycle"),
     *("Braitenberg", "ConstantSpeed", "Function", "Network", "Policy"),
     *("make", "make_vec", "read_log", "LoggedRun"),
     *("KhepTwinError", "MoveError", "PlaypenError", "PortError", "PortTimeout"),

@@ -60,6 +60,13 @@ def rollout(
             help="Step of the physics [ms]: 2.5, or coarser, 5 or 10; without, 2.5, or 10 with --planar."
         ),
     ] = None,
+    line: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Speed of a serial line whose times the controller keeps [baud]; without, it has none.",
+        ),
+    ] = None,
     planar: Annotated[bool, typer.Option("--planar", help="Simulate in a plane, not in MuJoCo.")] = False,
     fault: Faults = None,
     picture: Annotated[Path | None, typer.Option(help="Draw playpen and path as PNG, SVG or PDF.")] = None,
@@ -70,7 +77,7 @@ def rollout(
     With several robots, print those of each.
     """
     from khep_twin.board.fault_injection import parse_fault
-    from khep_twin.episodes import Braitenberg, ConstantSpeed, Episode, EpisodeOptions, EpisodeSetup
+    from khep_twin.episodes import Braitenberg, Episode, EpisodeOptions, EpisodeSetup, Policy
     from khep_twin.lab.experiment.controller_files import find_rule
     from khep_twin.playpen.starts import at_spots
     from khep_twin.ports.twin import Twin, equipped
@@ -93,12 +100,12 @@ def rollout(
         faults = map(parse_fault, options.faults)
         setup = EpisodeSetup(playpen, step_ns=step_ns, period_ns=period_ns, planar=planar, faults=faults)
         periods = length.cycles or setup.periods(60.0 if length.seconds is None else length.seconds)
-        driver = Braitenberg() if is_built_in else ConstantSpeed()
+        driver = Braitenberg() if is_built_in else Policy()
         compiled = None if is_compiled() else False
         episode = Episode(setup, driver, compiled=compiled, observed=logging.log is not None)
     except ValueError as error:
         raise usage(str(error)) from None
-    episode.begin(options.seed, EpisodeOptions(noise=options.noise, vary=options.vary))
+    episode.begin(options.seed, EpisodeOptions(noise=options.noise, vary=options.vary, line=line))
     recorder = None
     with ExitStack() as stack:
         if logging.log is not None:
@@ -108,10 +115,10 @@ def rollout(
             )
             recorder = recorded.recorder
             tell_kept(recorder)
-        paths = _run(episode, setup, function, periods, picture is not None)
+        times, paths = _run(episode, setup, function, periods, picture is not None)
     _print_metrics(episode, periods)
     if picture is not None:
-        _draw(playpen, paths, setup.period_ns, picture, logging.force)
+        _draw(playpen, times, paths, picture, logging.force)
         typer.echo(f"picture  {picture}")
     logging.check(recorder)
     if logging.log is not None:
@@ -125,23 +132,28 @@ def _check_time(option: str, time_ms: float | None) -> None:
 
 def _run(
     episode: "Episode", setup: "EpisodeSetup", function: Callable[..., Any] | None, periods: int, drawn: bool
-) -> list[list[Pose]]:
-    """Run an episode; return the path of each robot, with a pose of each period if it is to be drawn."""
+) -> tuple[list[float], list[list[Pose]]]:
+    """Run an episode; return times [s] and the path of each robot, with each period if it is to be drawn."""
     # Where the path is not needed in between, many periods pass at once, with the same results.
-    at_once = 1 if function is not None or drawn else max(_SPAN_NS // setup.period_ns, 1)
-    paths = [[pose] for pose in episode.poses]
+    at_once = 1 if drawn else max(_SPAN_NS // setup.period_ns, 1)
+    times, paths = [0.0], [[pose] for pose in episode.poses]
+    until = periods * setup.steps_per_period
+    if episode.is_at_line:
+        episode.next_reading(until)
     with progress_bar() as show:
-        for done in range(0, periods, at_once):
+        while episode.steps < until:
             if function is not None:
                 for robot in range(len(paths)):
                     episode.drive(*_speeds(function, episode, robot), robot)
-            now = min(at_once, periods - done)
-            episode.step(now * setup.steps_per_period)
+                episode.next_reading(until)
+            else:
+                episode.step(min(at_once * setup.steps_per_period, until - episode.steps))
+            times.append(episode.time_ns / 1e9)
             for path, pose in zip(paths, episode.poses, strict=True):
                 path.append(pose)
             if show is not None:
-                show((done + now) / periods)
-    return paths
+                show(episode.steps / until)
+    return times, paths
 
 
 def is_compiled() -> bool:
@@ -169,15 +181,17 @@ def _print_metrics(episode: "Episode", periods: int) -> None:
             typer.echo(f"{name.replace('_', ' '):20}{row}".rstrip())
 
 
-def _draw(playpen: "Playpen", paths: list[list[Pose]], period_ns: int, picture: Path, replace: bool) -> None:
+def _draw(
+    playpen: "Playpen", times: list[float], paths: list[list[Pose]], picture: Path, replace: bool
+) -> None:
     """Draw the robots' paths."""
     import numpy as np
 
     from khep_twin.drawing.map import DrawnPath, draw, save
 
-    times = np.arange(len(paths[0])) * period_ns / 1e9
     drawn = [
-        DrawnPath(f"khepera{robot}", times, 1000 * np.array(path)[:, :2]) for robot, path in enumerate(paths)
+        DrawnPath(f"khepera{robot}", np.array(times), 1000 * np.array(path)[:, :2])
+        for robot, path in enumerate(paths)
     ]
     save(draw(playpen, drawn), picture, replace)
 

@@ -20,9 +20,11 @@ from khep_twin.copies import MadeAnew
 from khep_twin.envs.randomization import Randomization, placed_at, starts_of
 from khep_twin.envs.reset_options import ResetOptions, checked_lamps, checked_playpen, is_nested
 from khep_twin.envs.tasks import TOP_SPEED, Task, find
+from khep_twin.episodes.controllers import Policy
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions, Home, check_numbers, checked_count
 from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.line import LineTimes, MeasuredCycle, check_line, longest_cycle_ns
 from khep_twin.errors import KhepTwinError, PlaypenError, choices
 from khep_twin.playpen import Lamp, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, anywhere, at_spots
@@ -30,6 +32,9 @@ from khep_twin.sensing import calibration
 
 PERIOD_NS = 50_000_000
 """Default control period [ns]."""
+
+_REQUESTS = {"proximity": "N", "light": "O", "speed": "H"}
+"""Command that asks a robot for an observation term; others are not asked on the line."""
 
 _AS_IT_IS = ResetOptions()
 
@@ -68,6 +73,8 @@ class TaskSetup(MadeAnew):
         normalize: Whether actions and observations are normalized to -1 to 1; else actions are in pulses/10
             ms, and observations in the units of `tasks.TERMS`.
         details: Whether `info` has the parts of the reward, contacts, and the return of an episode.
+        line: Line between policy and robot, as a speed [baud] or a `MeasuredCycle`; None for exchanges that
+            take no time.
         unknown: None, as any other option is an error.
 
     Attributes:
@@ -97,6 +104,7 @@ class TaskSetup(MadeAnew):
         compiled: bool | None = None,
         normalize: bool = True,
         details: bool = False,
+        line: LineTimes = None,
         **unknown: object,
     ) -> None:
         for name in unknown:
@@ -119,6 +127,9 @@ class TaskSetup(MadeAnew):
         self.details, self.randomize = details, Randomization.of(randomize)
         self._start = None if start is None else self._starts(start)
         self._lamps = None if lamps is None else checked_lamps(lamps)
+        self.line = line
+        self._requests = "".join(_REQUESTS.get(term, "") for term in self.task.observation_terms)
+        _check_period(line, self._requests, period_ns)
         self.action_limit = 1.0 if normalize else TOP_SPEED
         self.seconds = self.task.seconds if seconds is None else seconds
         if not 0 < self.seconds < math.inf or to_ns(self.seconds) % period_ns:
@@ -143,8 +154,8 @@ class TaskSetup(MadeAnew):
         self._variants: list[tuple[PlaypenLike, Self]] = []
 
     def episode(self) -> Episode:
-        """Return the memory of an episode without a controller."""
-        return Episode(self._setup, compiled=self._compiled)
+        """Return the memory of an episode whose speeds are the caller's."""
+        return Episode(self._setup, Policy(requests=self._requests), compiled=self._compiled)
 
     def speeds(self, action: object) -> NDArray[np.float64]:
         """Return an action, or several, as speeds clipped to the top speed, in its shape [pulses/10 ms].
@@ -207,7 +218,12 @@ class TaskSetup(MadeAnew):
         else:
             start = starts_of(setup.started(seed))
         options = EpisodeOptions(
-            start=start, noise=noise, vary=self.vary or random.robots, lamps=lamps, home=setup._home
+            start=start,
+            noise=noise,
+            vary=self.vary or random.robots,
+            lamps=lamps,
+            home=setup._home,
+            line=self.line,
         )
         return Beginning(setup, options, drawn)
 
@@ -240,6 +256,21 @@ _NOTHING = Randomization()
 
 OPTIONS = tuple(inspect.signature(TaskSetup.__init__).parameters)[2:-1]
 """Names of the options of a task."""
+
+
+def _check_period(line: LineTimes, requests: str, period_ns: int) -> None:
+    """Raise a `ValueError` if a cycle at a line takes longer than the control period."""
+    check_line(line)
+    if line is None:
+        return
+    took = to_ns(line.period) if isinstance(line, MeasuredCycle) else longest_cycle_ns(line, requests)
+    if took > period_ns:
+        names = " and ".join(filter(None, (", ".join(requests), "D")))
+        least_ms = -(-took // units.TICK_NS) * units.TICK_NS // 1_000_000
+        raise ValueError(
+            f"line = {line}: a cycle of {names} takes up to {took / 1e6:.0f} ms; expected period_ns = "
+            f"{least_ms}_000_000 or more, not {period_ns}"
+        )
 
 
 def with_robots(playpen: Playpen, count: int) -> Playpen:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from khep_twin.episodes.episode_batch import EpisodeBatch as EpisodeBatch
     from khep_twin.episodes.episode_options import EpisodeOptions as EpisodeOptions
     from khep_twin.episodes.episode_setup import EpisodeSetup as EpisodeSetup
+    from khep_twin.episodes.line import MeasuredCycle as MeasuredCycle
     from khep_twin.episodes.metrics import METRICS as METRICS
 else:
     from khep_twin import lazy

@@ -32,6 +32,7 @@ from khep_twin.episodes.episode_options import (
     checked_count,
 )
 from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.line import LineTimes
 from khep_twin.episodes.metrics import METRICS
 from khep_twin.errors import DivergedError
 from khep_twin.machine import n_cores
@@ -91,6 +92,7 @@ def rollout(
     genes: Floats | None = None,
     starts: Sequence[Start] | None = None,
     lamps: Sequence[Sequence[Lamp]] | None = None,
+    line: LineTimes = None,
     options: EpisodeOptions = DEFAULT_OPTIONS,
     threads: int | None = None,
     compiled: bool | None = None,
@@ -107,6 +109,8 @@ def rollout(
         starts: Start poses x, y [mm] and heading [deg] of each episode (n, 3), or of each robot
             (n, n_robots, 3); by default the playpen's.
         lamps: Lamps of each episode; by default the playpen's.
+        line: Line between controllers and robots, as a speed [baud] or a `MeasuredCycle`; by default that of
+            the options, where exchanges take no time.
         options: Options of all episodes, but for those that each is given its own of.
         threads: Number of threads; by default one per core. Uncompiled episodes use one.
         compiled: Whether to run compiled; None if numba is installed. The first time this waits for
@@ -122,7 +126,8 @@ def rollout(
     count = len(seeds)
     n_robots = len(setup.playpen.robots)
     most = n_cores() if threads is None else checked_count(threads, "threads")
-    batch = _Batch(setup, seeds, seconds, options, genes, starts, lamps)
+    common = options if line is None else replace(options, line=line)
+    batch = _Batch(setup, seeds, seconds, common, genes, starts, lamps)
     batch.check(driver)
     results = _Results(count, n_robots, len(movable_names(setup.playpen)))
     workers = most if fast else 1
@@ -236,14 +241,17 @@ def _run_together(
 ) -> None:
     """Run episodes side by side, one control period at a time."""
     failures: dict[int, DivergedError] = {}
+    lanes.last_step = batch.setup.periods(batch.seconds) * batch.setup.steps_per_period
     for lane, index in enumerate(group):
         try:
             lanes.begin(lane, int(batch.seeds[index]), batch.options(index))
         except DivergedError as error:
             failures[lane] = error
     n_robots = lanes.speeds.shape[1]
-    for _ in range(batch.setup.periods(batch.seconds)):
-        living = np.array([lane for lane in range(len(group)) if lane not in failures], np.int64)
+    while True:
+        going = lanes.steps[: len(group)] < lanes.last_step
+        going[list(failures)] = False
+        living = np.flatnonzero(going)
         if not len(living):
             break
         board = lanes.registers[living].reshape(-1, N_REGISTERS)

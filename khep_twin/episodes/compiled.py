@@ -17,7 +17,7 @@ from numba import carray, cfunc, njit, types  # pyright: ignore
 from numba.core.errors import NumbaError, UnsupportedBytecodeError
 
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
-from khep_twin.episodes import fitness, metrics, networks, stepping
+from khep_twin.episodes import fitness, line, metrics, networks, stepping
 from khep_twin.errors import ControllerError
 from khep_twin.sensing.light import Light
 from khep_twin.simulation.compiled import SOURCES, compiled
@@ -25,7 +25,7 @@ from khep_twin.simulation.foreign import moved
 from khep_twin.simulation.mujoco_calls import MujocoCalls
 from khep_twin.step import Simulated, StepInputs
 
-EPISODE_SOURCES = (*SOURCES, fitness, networks, metrics, stepping)
+EPISODE_SOURCES = (*SOURCES, fitness, networks, metrics, line, stepping)
 """Modules that are compiled."""
 
 

@@ -5,12 +5,15 @@ All but a policy run inside the compiled loop; a policy is plain Python and is c
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from khep_twin.board import kernel
 from khep_twin.episodes import networks, stepping
 from khep_twin.episodes.fitness import TOP_SPEED_PULSES
+from khep_twin.episodes.line import LineTimes, first_events, line_times
 from khep_twin.episodes.metrics import sums_at_start
 from khep_twin.errors import ControllerError
 from khep_twin.units import N_SENSORS
@@ -20,15 +23,28 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class ConstantSpeed:
-    """No controller; both wheels start at a speed [pulses/10 ms] and keep it."""
+    """No controller; both wheels start at a speed [pulses/10 ms] and keep it, whatever the line.
+
+    `requests` of a controller are what it asks the robot in each cycle: see `line.REQUESTS`.
+    """
 
     left: int = 0
     right: int = 0
+
+    @property
+    def requests(self) -> str:
+        """Requests of a cycle: none."""
+        return ""
 
 
 @dataclass(frozen=True, slots=True)
 class Braitenberg:
     """The Braitenberg vehicle of the ROM: speed = proximity x weights / 400 + 10."""
+
+    @property
+    def requests(self) -> str:
+        """Requests of a cycle."""
+        return "N"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +69,11 @@ class Network:
         return (N_SENSORS * (1 + self.ambient), *self.hidden, 2)
 
     @property
+    def requests(self) -> str:
+        """Requests of a cycle."""
+        return "NO" if self.ambient else "N"
+
+    @property
     def n_genes(self) -> int:
         """Length of the genome."""
         return networks.n_genes(self.sizes, self.recurrent)
@@ -68,10 +89,16 @@ class Function:
     Attributes:
         decide: The function.
         n_memory: Length of its memory, all 0 at first.
+        requests: Requests of a cycle; "N" for a function that needs no light saves time on a line.
     """
 
     decide: Callable[..., tuple[float, float]]
     n_memory: int = 0
+    requests: str = "NO"
+
+
+def _by_caller(*readings: object) -> NoReturn:
+    raise NotImplementedError("a policy without a function; expected its caller to give the speeds")
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +108,12 @@ class Policy:
     Attributes:
         decide: Function of proximity (n, 8), ambient (n, 8) and indices of the episodes (n,), a row for each
             robot, that returns speeds (n, 2) [pulses/10 ms]; a row may depend on none of another episode.
+            By default there is none: the caller of the `Episode` gives the speeds.
+        requests: Requests of a cycle; "N" for a policy that needs no light saves time on a line.
     """
 
-    decide: Callable[[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], ArrayLike]
+    decide: Callable[[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], ArrayLike] = _by_caller
+    requests: str = "NO"
 
 
 Driver = ConstantSpeed | Braitenberg | Network | Function | Policy
@@ -92,7 +122,13 @@ _DRIVERS = "expected a ConstantSpeed, Braitenberg, Network, Function or Policy"
 
 
 def controllers_of(
-    driver: Driver, genes: Floats, home: Floats, steps_per_period: int, n_robots: int, compiled: bool
+    driver: Driver,
+    genes: Floats,
+    home: Floats,
+    line: LineTimes,
+    period_ns: int,
+    n_robots: int,
+    compiled: bool,
 ) -> stepping.Controllers:
     """Return the controllers of an episode's robots as the stepping core uses them.
 
@@ -101,7 +137,8 @@ def controllers_of(
         genes: Weights of a network, or parameters of a function (n_genes,), or each robot's own
             (n_robots, n_genes).
         home: Home x, y, radius [m] and duration of the charge [s] (4,).
-        steps_per_period: Steps per control period.
+        line: Line between controllers and robots.
+        period_ns: Control period [ns].
         n_robots: Number of robots.
         compiled: Whether a function is given by its address.
 
@@ -127,14 +164,16 @@ def controllers_of(
                 from khep_twin.episodes.compiled import address_of
 
                 function = address_of(driver.decide)
-        case ConstantSpeed() | Policy():
+        case Policy():
+            kind = stepping.CONSTANT_SPEED if line is None else stepping.CALLER
+        case ConstantSpeed():
             pass
         case _:
             raise ControllerError(f"{driver!r} is no controller; {_DRIVERS}")
+    times = line_times(line, driver.requests, period_ns)
     controllers = stepping.Controllers(
         kind,
         function,
-        steps_per_period,
         np.array(sizes, np.int64),
         recurrent,
         top_speed,
@@ -144,10 +183,20 @@ def controllers_of(
         np.zeros(2),
         home,
         sums_at_start(n_robots, home),
+        times,
+        first_events(n_robots, times),
+        np.zeros((n_robots, kernel.N_REGISTERS), np.int64),
     )
-    if compiled or kind == stepping.FUNCTION:
+    if compiled:
         return controllers
-    # Lists are faster in Python.
+    # Views and lists are faster in Python.
+    controllers = controllers._replace(
+        line=times.tolist(),
+        events=[event.data for event in controllers.events],
+        seen=[seen.data for seen in controllers.seen],
+    )
+    if kind == stepping.FUNCTION:
+        return controllers
     return controllers._replace(
         sizes=list(sizes),
         genes=weights.tolist(),

@@ -28,6 +28,7 @@ from khep_twin.episodes.contacts import in_contact
 from khep_twin.episodes.controllers import ConstantSpeed, Driver, Floats, controllers_of
 from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.line import NEVER
 from khep_twin.episodes.metrics import metrics_of
 from khep_twin.episodes.planar.planar_world import PlanarWorld
 from khep_twin.errors import DivergedError
@@ -122,7 +123,7 @@ class Episode(NotCopied):
             DivergedError: The physics leaves its bounds at once.
         """
         self._genes, self._lamps = np.asarray(options.genes, np.float64), options.lamps
-        self._home = np.array(options.home_in_metres, np.float64)
+        self._home, self._line = np.array(options.home_in_metres, np.float64), options.line
         if self._next_look is not None:
             self._look()
         self._controllers = self._new_controllers()
@@ -194,8 +195,8 @@ class Episode(NotCopied):
         return self._world.joints if isinstance(self._world, PlanarWorld) else self.data.qpos.copy()
 
     def readings(self, robot: int = 0) -> tuple[list[int], list[int]]:
-        """Return proximity and ambient counts of a robot's registers, each (8,)."""
-        board = self.boards[robot]
+        """Return proximity and ambient counts of a robot's registers, or as a policy read them, each (8,)."""
+        board = np.asarray(self._controllers.seen[robot]) if self.is_at_line else self.boards[robot]
         return board[kernel.PROXIMITY].tolist(), board[kernel.AMBIENT].tolist()
 
     def run(self, seconds: float) -> None:
@@ -213,24 +214,53 @@ class Episode(NotCopied):
         self._insist()
         if self._next_look is not None and self.steps >= self._next_look and self._look():
             before, self._controllers = self._controllers, self._new_controllers()
-            self._controllers.memory[:] = before.memory
-            self._controllers.sums[:] = before.sums
+            for name in ("memory", "sums", "events", "seen"):
+                getattr(self._controllers, name)[:] = getattr(before, name)
         self._world.advance_to((self.steps + steps) * self._setup.step_ns)
 
     @one_thread
     def drive(self, left: float, right: float, robot: int = 0) -> None:
-        """Set both speeds of a robot [pulses/10 ms], as a controller does.
+        """Set both speeds of a robot [pulses/10 ms], as a controller does; at a line they take effect later.
 
         Raises:
             DivergedError: A speed is no number.
         """
         self._insist()
-        powered = self._simulation.records["processor"][robot, kernel.POWERED]
-        if powered and not stepping.drive(self.boards[robot].data, left, right):
+        if self._awaits_speeds:
+            fits = stepping.drive_later(self._simulation.plain, self._controllers, robot, left, right)
+        else:
+            powered = self._simulation.records["processor"][robot, kernel.POWERED]
+            fits = not powered or stepping.drive(self.boards[robot].data, left, right)
+        if not fits:
             raise DivergedError(
                 f"{self._simulation.title} failed at {self.time_ns / 1e9:.4f} s, step {self.steps}: "
                 f"robot {robot} was given the speeds {left}, {right}; expected finite numbers"
             )
+
+    @one_thread
+    def next_reading(self, until: int = NEVER) -> None:
+        """Run on by a control period; at a line, until the robots have answered a policy's requests.
+
+        Args:
+            until: Step at which to end at a line.
+
+        Raises:
+            DivergedError: The physics left its bounds.
+        """
+        if not self._awaits_speeds:
+            self.step(self._setup.steps_per_period)
+            return
+        self._insist()
+        while self.steps < until:
+            stepping.control(self._simulation.plain, self._controllers)
+            if (due := stepping.next_step(self._controllers)) == NEVER:
+                return
+            self._world.advance_to(min(due, until) * self._setup.step_ns)
+
+    @property
+    def is_at_line(self) -> bool:
+        """True if a policy's speeds take effect later, and its readings are older, by the times of a line."""
+        return self._begun and self._awaits_speeds
 
     def finish_steps(self, reason: int, until: int) -> None:
         """Act for a return of the stepping core from a joint run, and run what is left of it.
@@ -242,7 +272,11 @@ class Episode(NotCopied):
         Raises:
             DivergedError: The physics left its bounds, or a speed is no number.
         """
-        self._world.finish_steps(reason, until)
+        if self._awaits_speeds:
+            self._world.finish_steps(reason, self.steps)
+            self.next_reading(until)
+        else:
+            self._world.finish_steps(reason, until)
 
     @property
     def joint_arguments(self) -> tuple[stepping.Run, tuple[Any, ...]] | None:
@@ -254,7 +288,7 @@ class Episode(NotCopied):
 
     def observe(self, joint: stepping.JointRun, row: int) -> None:
         """Copy the robots' registers and poses into a joint run's arrays."""
-        stepping.observe(self._simulation.plain, joint, row)
+        stepping.observe(self._simulation.plain, self._controllers, joint, row)
 
     def touches(self, robot: int = 0) -> bool:
         """Return whether a robot touches anything but the floor in the last step."""
@@ -267,6 +301,10 @@ class Episode(NotCopied):
         """Return a robot's metrics so far (`metrics.METRICS`); "homing" is NaN without a home."""
         self._insist()
         return metrics_of(self._controllers.sums[robot])
+
+    @property
+    def _awaits_speeds(self) -> bool:
+        return self._controllers.kind == stepping.CALLER
 
     def _advance(self, *arguments: Any) -> int:
         if self._compiled:
@@ -284,8 +322,10 @@ class Episode(NotCopied):
 
     def _new_controllers(self) -> stepping.Controllers:
         """Return the controllers at the start of an episode."""
-        period, count = self._setup.steps_per_period, len(self.boards)
-        return controllers_of(self._driver, self._genes, self._home, period, count, self._compiled)
+        period_ns, count = self._setup.period_ns, len(self.boards)
+        return controllers_of(
+            self._driver, self._genes, self._home, self._line, period_ns, count, self._compiled
+        )
 
     def _insist(self) -> None:
         """Raise a `ValueError` unless an episode has begun."""

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from khep_twin.copies import NotCopied
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
-from khep_twin.episodes.stepping import JointRun, Run, run
+from khep_twin.episodes.line import NEVER
+from khep_twin.episodes.stepping import AWAITED, JointRun, Run, run
 from khep_twin.errors import DivergedError
 from khep_twin.one_thread import one_thread
 from khep_twin.step import DONE, NO_SPEED
@@ -45,6 +46,8 @@ class EpisodeBatch(NotCopied):
         speeds: Speeds of the wheels, which each step sets first (n, n_robots, 2) [pulses/10 ms].
         registers: States of the boards (n, n_robots, N_REGISTERS).
         poses: True x, y [m] and heading [rad] of the robots (n, n_robots, 3).
+        steps: Physics steps that each has done (n,).
+        last_step: Step at which episodes at a line end.
         guard: Guard of its methods.
     """
 
@@ -55,13 +58,15 @@ class EpisodeBatch(NotCopied):
         count, n_robots = len(episodes), len(episodes[0].boards)
         self._joint = JointRun.of(count, n_robots, 0)
         self.speeds, self.registers, self.poses = self._joint.speeds, self._joint.registers, self._joint.poses
+        self.steps: NDArray[np.int64] = self._joint.untils
+        self.last_step = NEVER
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None  # beside the caller's
         self._run: Run = run
         self._given: list[tuple[Any, ...]] = [()] * count  # keeps the arrays
-        self._groups: dict[tuple[tuple[int, ...], ...], int] = {}  # by the shapes of their arrays
+        self._groups: dict[tuple[object, ...], int] = {}  # by line and shapes of their arrays
         self._group_of = np.zeros(count, np.int64)
-        self._runs_jointly = np.zeros(count, np.bool_)
+        self._runs_jointly, self._at_line = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
 
     @one_thread
     def begin(
@@ -75,14 +80,24 @@ class EpisodeBatch(NotCopied):
         if episode is not None:
             self.episodes[index] = episode
         self._runs_jointly[index], self._joint.untils[index] = False, 0
-        self.episodes[index].begin(seed, options)
+        episode = self.episodes[index]
+        episode.begin(seed, options)
+        self._at_line[index] = episode.is_at_line
+        if episode.is_at_line:
+            episode.next_reading(self.last_step)
+            self.steps[index] = episode.steps
         self._take(index)
 
     @one_thread
     def step(self, rows: Rows, steps: int) -> dict[int, DivergedError]:
-        """Set the speeds of some episodes and run them for some steps; return the failures by episode."""
+        """Set the speeds of some episodes and run them for some steps; return the failures by episode.
+
+        Episodes at a line run until their speeds are awaited again.
+        """
         joint, chosen = self._joint, np.asarray(rows, np.int64)
+        at_line: list[int] = chosen[self._at_line[chosen]].tolist()
         joint.untils[chosen] += steps
+        joint.untils[at_line] = self.last_step
         together = self._runs_jointly[chosen]
         if together.all():
             apart: list[int] = []
@@ -95,6 +110,8 @@ class EpisodeBatch(NotCopied):
                 self._attempt(index, self._finish, failures)
         for index in apart:
             self._attempt(index, lambda index: self._step_alone(index, steps), failures)
+        for index in at_line:
+            self.steps[index] = self.episodes[index].steps
         return failures
 
     def close(self) -> None:
@@ -121,7 +138,10 @@ class EpisodeBatch(NotCopied):
 
     def _step_alone(self, index: int, steps: int) -> None:
         self._drive(index)
-        self.episodes[index].step(steps)
+        if self._at_line[index]:
+            self.episodes[index].next_reading(self.last_step)
+        else:
+            self.episodes[index].step(steps)
 
     def _drive(self, index: int) -> None:
         for robot, (left, right) in enumerate(self.speeds[index].tolist()):
@@ -140,8 +160,8 @@ class EpisodeBatch(NotCopied):
         if not self._groups:
             addresses = np.zeros((len(self.episodes), len(arrays)), np.int64)
             self._joint = self._joint._replace(addresses=addresses)
-        shapes = tuple(each.shape for each in arrays)
-        self._group_of[index] = self._groups.setdefault(shapes, len(self._groups))
+        kind = (episode.is_at_line, *(each.shape for each in arrays))
+        self._group_of[index] = self._groups.setdefault(kind, len(self._groups))
         self._given[index] = given
         self._joint.addresses[index] = [each.ctypes.data for each in arrays]
         self._runs_jointly[index] = True
@@ -164,7 +184,7 @@ class EpisodeBatch(NotCopied):
         if len(self._groups) > 1:
             groups = np.split(rows, np.flatnonzero(np.diff(self._group_of[rows])) + 1)
         for group in groups:
-            self._run(self._given[int(group[0])], 0, 0, self._joint._replace(rows=group))
+            self._run(self._given[int(group[0])], 0, AWAITED, self._joint._replace(rows=group))
 
 
 def _arrays(values: tuple[Any, ...]) -> Iterator[NDArray[Any]]:

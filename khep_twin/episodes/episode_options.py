@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
+from khep_twin.episodes.line import LineTimes, check_line
 from khep_twin.playpen import Lamp
 from khep_twin.playpen.starts import Start
 
@@ -27,9 +28,11 @@ class EpisodeOptions:
         lamps: Other lamps than the playpen's.
         genes: Genes of the controller, or of each robot's (n_robots, n_genes).
         home: Home x, y, radius [mm] and duration of a charge [s], for the metric "homing".
+        line: Line between controller and robot, as a speed [baud] or a `MeasuredCycle`; None for exchanges
+            that take no time.
 
     Raises:
-        ValueError: The home is none.
+        ValueError: The home or the line is none.
     """
 
     noise: bool = True
@@ -38,9 +41,11 @@ class EpisodeOptions:
     lamps: Sequence[Lamp] | None = None
     genes: Sequence[float] | NDArray[np.float64] = ()
     home: Home | None = None
+    line: LineTimes = None
 
     def __post_init__(self) -> None:
-        """Check the home."""
+        """Check home and line."""
+        check_line(self.line)
         if self.home is not None:
             check_numbers("home", self.home, "x, y, radius [mm] and duration of a charge [s]", (4,))
             if self.home[2] <= 0 or self.home[3] <= 0:

@@ -1,8 +1,8 @@
 """Controllers of robots inside the stepping core, and the sums of their metrics.
 
-A controller replaces the line's bytes: at the start of every control period it reads the registers and sets
-both wheels' speeds in them at once, as the firmware would on a command D. Like the core, this is plain
-arithmetic that runs interpreted and compiled; `episode` provides its data.
+A controller replaces the line's bytes: once a control period it reads the registers and sets both wheels'
+speeds in them, as the firmware would on a command D, at once or at the times of a line (`line`). Like the
+core, this is plain arithmetic that runs interpreted and compiled; `episode` provides its data.
 """
 
 import math
@@ -16,16 +16,31 @@ from khep_twin import units
 from khep_twin.board import kernel
 from khep_twin.compilable import compilable
 from khep_twin.episodes import networks
+from khep_twin.episodes.line import (
+    NEVER,
+    NEXT,
+    REQUESTED,
+    STAGE,
+    answer,
+    end_cycle,
+    send_speeds,
+    set_next,
+)
 from khep_twin.episodes.metrics import add_period
 from khep_twin.sensing.buffers import Vector
 from khep_twin.sensing.scene import decide, pose
 from khep_twin.step import DONE, NO_SPEED, PHASE, STEPS, Simulated, StepInputs, advance, switch_on
 
-CONSTANT_SPEED, BRAITENBERG, NETWORK, FUNCTION = 0, 1, 2, 3
-"""Kinds of controller: none (constant speeds), the ROM's Braitenberg vehicle, a network, a function."""
+CONSTANT_SPEED, BRAITENBERG, NETWORK, FUNCTION, CALLER = 0, 1, 2, 3, 4
+"""Kinds of controller: none (constant speeds), the ROM's Braitenberg vehicle, a network, a function, and the
+caller of the core at a line, whose speeds each reading awaits."""
+
+AWAITED = 4
+"""Reason to return earlier, beside those of `step.advance`: all robots await the caller's speeds."""
 
 _SPEED_LIMIT = 127
 _CONVERSION = units.STEP_NS * 1e-9
+_LEFT_SETPOINT, _RIGHT_SETPOINT = kernel.SETPOINTS
 _PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
 _RIGHT = kernel.RIGHT
 _N = units.N_SENSORS
@@ -35,9 +50,8 @@ class Controllers(NamedTuple):
     """Controllers of a scene's robots, of one kind, and their sums of metrics.
 
     Attributes:
-        kind: CONSTANT_SPEED, BRAITENBERG, NETWORK or FUNCTION.
+        kind: CONSTANT_SPEED, BRAITENBERG, NETWORK, FUNCTION or CALLER.
         function: Address of a compiled function, or the function itself where nothing is compiled.
-        steps_per_period: Steps per control period.
         sizes: Sizes of the network: inputs, layers, outputs.
         recurrent: Whether the network has feedback.
         top_speed: Speed for an output of 1 [pulses/10 ms].
@@ -47,11 +61,13 @@ class Controllers(NamedTuple):
         speeds: Buffer for the speeds of a function (2,) [pulses/10 ms].
         home: Home x, y and radius [m], and duration of the charge [s] (4,); radius 0 for none.
         sums: Sums over the episode, as of `metrics` (n_robots, N_SUMS).
+        line: Times of the line, as of `line.line_times`.
+        events: Events of the robots' lines (n_robots, N_EVENT).
+        seen: States of the boards as read by the controllers (n_robots, N_REGISTERS).
     """
 
     kind: int
     function: Any
-    steps_per_period: int
     sizes: Vector[int]
     recurrent: bool
     top_speed: float
@@ -61,6 +77,9 @@ class Controllers(NamedTuple):
     speeds: Vector[float]
     home: Vector[float]
     sums: Any
+    line: Vector[int]
+    events: Any
+    seen: Any
 
 
 class JointRun(NamedTuple):
@@ -119,15 +138,14 @@ def run(controllers: Controllers, simulated: Simulated, inputs: StepInputs, unti
     """
     if until < 0:
         return switch_on(simulated, inputs)
-    counters, period = simulated.counters, controllers.steps_per_period
+    counters = simulated.counters
     while True:
-        steps = counters[STEPS]
-        if counters[PHASE] == DONE and steps % period == 0 and steps < until:
-            for robot in range(len(simulated.robots)):
-                if not control(simulated, controllers, robot):
-                    return NO_SPEED
-        begun = steps if counters[PHASE] == DONE else steps - 1
-        reason = advance(simulated, inputs, min((begun // period + 1) * period, until), stops)
+        if counters[PHASE] == DONE and counters[STEPS] < until and not control(simulated, controllers):
+            return NO_SPEED
+        end = next_step(controllers)
+        if end == NEVER and stops & AWAITED:
+            return DONE
+        reason = advance(simulated, inputs, min(end, until), stops)
         if reason != DONE or counters[STEPS] == until:
             return reason
 
@@ -151,23 +169,30 @@ def run_in_turn(
         for robot in range(len(simulated.robots)):
             state = simulated.robots[robot]
             left, right = joint.speeds[row, robot, 0], joint.speeds[row, robot, 1]
-            if state.processor[kernel.POWERED] and not drive(state.registers, left, right):
+            if controllers.kind == CALLER:
+                is_driven = drive_later(simulated, controllers, robot, left, right)
+            else:
+                is_driven = not state.processor[kernel.POWERED] or drive(state.registers, left, right)
+            if not is_driven:
                 reason = NO_SPEED
     if reason == DONE:
         reason = run(controllers, simulated, inputs, until, stops)
     if row >= 0:
         joint.reasons[row] = reason
-        observe(simulated, joint, row)
+        observe(simulated, controllers, joint, row)
     return reason
 
 
 @compilable
-def observe(simulated: Simulated, joint: JointRun, row: int) -> None:
-    """Copy registers and poses of an episode's robots."""
+def observe(simulated: Simulated, controllers: Controllers, joint: JointRun, row: int) -> None:
+    """Copy registers, or what the caller has read of them at a line, and poses of an episode's robots."""
     for robot in range(len(simulated.robots)):
         state = simulated.robots[robot]
         for index in range(kernel.N_REGISTERS):
-            joint.registers[row, robot, index] = state.registers[index]
+            if controllers.kind == CALLER:
+                joint.registers[row, robot, index] = controllers.seen[robot][index]
+            else:
+                joint.registers[row, robot, index] = state.registers[index]
         x, y, cosine, sine = pose(simulated.scene, state.pose)
         joint.poses[row, robot, 0] = x
         joint.poses[row, robot, 1] = y
@@ -175,23 +200,61 @@ def observe(simulated: Simulated, joint: JointRun, row: int) -> None:
 
 
 @compilable
-def control(simulated: Simulated, controllers: Controllers, robot: int) -> bool:
-    """Run the controller of a robot and add its metrics; return False if a speed is not finite."""
-    state, ambient = simulated.robots[robot], simulated.robots[robot].sensors.ambient
-    if state.processor[kernel.POWERED] and not _drive(
-        state.registers, controllers, robot, ambient.dark, ambient.floor
-    ):
+def next_step(controllers: Controllers) -> int:
+    """Return the step before which a controller acts next."""
+    first = NEVER
+    for robot in range(len(controllers.events)):
+        first = min(first, controllers.events[robot][NEXT])
+    return first
+
+
+@compilable
+def control(simulated: Simulated, controllers: Controllers) -> bool:
+    """Let the controllers do what is due; return False if a speed is not finite."""
+    for robot in range(len(simulated.robots)):
+        event = controllers.events[robot]
+        while event[NEXT] <= simulated.counters[STEPS]:
+            if not _act(simulated, controllers, robot):
+                return False
+    return True
+
+
+@compilable
+def drive_later(
+    simulated: Simulated, controllers: Controllers, robot: int, left: float, right: float
+) -> bool:
+    """Send the caller's speeds [pulses/10 ms] over the line; return False if they are not finite."""
+    event = controllers.events[robot]
+    if not drive(controllers.seen[robot], left, right):
         return False
-    period = controllers.steps_per_period * simulated.timing.conversions * _CONVERSION
-    add_period(
-        state.registers,
-        controllers.sums[robot],
-        controllers.home,
-        ambient.dark,
-        ambient.floor,
-        pose(simulated.scene, state.pose),
-        period,
-    )
+    send_speeds(event, controllers.line, controllers.seen[robot])
+    set_next(event, controllers.line, simulated.timing.step_ns)
+    return True
+
+
+@compilable
+def _act(simulated: Simulated, controllers: Controllers, robot: int) -> bool:
+    """Do what is due on a robot's line; return False if a speed is not finite."""
+    state, line = simulated.robots[robot], controllers.line
+    registers, ambient = state.registers, state.sensors.ambient
+    event, seen = controllers.events[robot], controllers.seen[robot]
+    is_driven = controllers.kind != CONSTANT_SPEED and state.processor[kernel.POWERED]
+    if event[STAGE] < len(line) - REQUESTED:
+        if answer(event, line, registers, seen):
+            if controllers.kind == CALLER:
+                event[NEXT] = NEVER
+                return True
+            if is_driven and not _decide(seen, controllers, robot, ambient.dark, ambient.floor):
+                return False
+            send_speeds(event, line, seen)
+    else:
+        if is_driven:
+            kernel.set_speed(registers, 0, seen[_LEFT_SETPOINT])
+            kernel.set_speed(registers, _RIGHT, seen[_RIGHT_SETPOINT])
+        at = pose(simulated.scene, state.pose)
+        period = end_cycle(event, line) / units.STEP_NS * _CONVERSION
+        add_period(seen, controllers.sums[robot], controllers.home, ambient.dark, ambient.floor, at, period)
+    set_next(event, line, simulated.timing.step_ns)
     return True
 
 
@@ -207,10 +270,10 @@ def drive(registers: kernel.Registers, left: float, right: float) -> bool:
 
 
 @compilable
-def _drive(
+def _decide(
     registers: kernel.Registers, controllers: Controllers, robot: int, dark: float, floor: float
 ) -> bool:
-    """Run a controller once; return False if a speed is not finite."""
+    """Set the speeds that a controller decides on; return False if one is not finite."""
     if controllers.kind == BRAITENBERG:
         kernel.wander(registers)
     elif controllers.kind == NETWORK:

@@ -46,6 +46,7 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
         study.seconds,
         genes=controller.genomes[genomes],
         starts=begins,
+        line=study.line_baud,
         options=EpisodeOptions(
             noise=group.noise,
             vary=group.vary,

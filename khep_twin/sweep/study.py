@@ -126,6 +126,7 @@ class Study(TomlTable):
     seconds: Annotated[float, Field(gt=0, le=10**6)]
     planar: Annotated[bool, Field(description="true or false")] = False
     step_ms: Annotated[float | None, Field(gt=0, description="2.5, 5 or 10")] = None
+    line_baud: Annotated[int | None, Field(ge=1, le=10**9, description="such as 9600")] = None
     period_ms: Annotated[int, Field(ge=10, le=10**4, multiple_of=10, description="a multiple of 10")] = 20
     fitness: Annotated[
         tuple[Fitness, ...], Field(min_length=1, description=f"a list of {', '.join(METRICS)}")

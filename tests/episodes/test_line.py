@@ -1,0 +1,168 @@
+"""Episodes at a line: bit for bit those of a host on khep:// that computes in no time."""
+
+import math
+
+import numpy as np
+import pytest
+from numba_marks import KINDS
+from numpy.typing import NDArray
+
+from khep_twin.envs.task_episode import TaskEpisode
+from khep_twin.envs.task_setup import TaskSetup
+from khep_twin.episodes.batch import rollout
+from khep_twin.episodes.controllers import ConstantSpeed, Function, Policy
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_options import EpisodeOptions
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.fitness import obstacle_avoidance
+from khep_twin.episodes.line import MeasuredCycle, longest_cycle_ns
+from khep_twin.host import Khepera
+from khep_twin.playpen import Playpen
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.twin import TwinOptions, open_twin
+from khep_twin.units import COUNTS_LIMIT
+
+SCENE = Playpen.load("obstacles")
+MODES = {9600: 1, 38400: 3}
+PERIOD = 0.02
+LINES = [(9600, "N"), (9600, "NO"), (38400, "N"), (38400, "NO")]
+
+
+def decide(
+    proximity: NDArray[np.int64], ambient: NDArray[np.int64], memory: NDArray[np.float64], genes: object
+) -> tuple[float, float]:
+    memory[0] += 1.0
+    turn = (proximity[3] - proximity[2]) / 60 + math.sin(memory[0] / 9)
+    return 12 - turn - ambient[1] / 200, 9 + turn
+
+
+def host_run(baud: int, requests: str, cycles: int) -> tuple[int, tuple[float, float, float], float]:
+    """Return time [ns], pose and mean fitness of a host that runs cycles on khep://."""
+    found: list[float] = []
+    memory, dark = np.zeros(1), np.zeros(8, np.int64)
+    twin = open_twin(SCENE, TwinOptions(seed=3, mode=MODES[baud]))
+    with Khepera(Serial.of(twin, timeout=1.0)) as robot:
+        for _ in range(cycles):
+            begun = robot.time
+            proximity = np.array(robot.proximity())
+            ambient = np.array(robot.ambient()) if "O" in requests else dark
+            left, right = map(round, decide(proximity, ambient, memory, None))
+            robot.set_speed(left, right)
+            found.append(float(obstacle_avoidance(left, right, max(proximity) / COUNTS_LIMIT)))
+            if (rest := begun + PERIOD - robot.time) > 0:
+                robot.sleep(rest)
+        return twin.world.time_ns, twin.robot.pose, float(np.mean(found))
+
+
+def without_light(
+    proximity: NDArray[np.int64], ambient: NDArray[np.int64], memory: NDArray[np.float64], genes: object
+) -> tuple[float, float]:
+    turn = (proximity[3] - proximity[2]) / 60
+    memory[0] += 1.0
+    turn += math.sin(memory[0] / 9)
+    return 12 - turn, 9 + turn
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+@pytest.mark.parametrize(("baud", "requests"), LINES)
+def test_a_function_at_a_line_drives_as_a_host_does(baud: int, requests: str, compiled: bool) -> None:
+    time_ns, pose, fitness = host_run(baud, requests, 60)
+    function = Function(decide if "O" in requests else without_light, 1, requests)
+    episode = Episode(setup := EpisodeSetup(SCENE), function, compiled=compiled)
+    episode.begin(3, EpisodeOptions(line=baud))
+    episode.step(time_ns // setup.step_ns)
+    assert episode.pose == pose
+    assert episode.metrics()["obstacle_avoidance"] == pytest.approx(fitness, rel=1e-12)
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+@pytest.mark.parametrize("planar", [False, True])
+@pytest.mark.parametrize("line", [9600, 38400, MeasuredCycle(0.013, 0.03)])
+def test_a_policy_at_a_line_drives_as_a_function_does(
+    line: int | MeasuredCycle, planar: bool, compiled: bool
+) -> None:
+    setup, memories = EpisodeSetup(SCENE, planar=planar), np.zeros((3, 1))
+
+    def policy(
+        proximity: NDArray[np.int64], ambient: NDArray[np.int64], which: NDArray[np.int64]
+    ) -> list[tuple[float, float]]:
+        each = zip(proximity, ambient, which.tolist(), strict=True)
+        return [decide(near, light, memories[index], None) for near, light, index in each]
+
+    found = [
+        rollout(setup, driver, [3, 4, 5], 1.0, line=line, threads=1, compiled=compiled)
+        for driver in (Policy(policy), Function(decide, 1))
+    ]
+    assert found[0].poses.tobytes() == found[1].poses.tobytes()
+    for name, values in found[0].metrics.items():
+        assert values.tobytes() == found[1].metrics[name].tobytes(), name
+
+
+def test_without_delay_a_measured_cycle_is_none() -> None:
+    found = [
+        rollout(SCENE, Function(decide, 1), [0], 1.0, line=line, compiled=False)
+        for line in (None, MeasuredCycle(0.0, PERIOD))
+    ]
+    assert found[0].poses.tobytes() == found[1].poses.tobytes()
+    for name, values in found[0].metrics.items():
+        assert values.tobytes() == found[1].metrics[name].tobytes(), name
+
+
+def test_a_slow_line_delays_cycles_and_a_late_effect_changes_the_path() -> None:
+    ends = [
+        rollout(SCENE, Function(decide, 1), [0], 3.0, line=line, compiled=False).poses.tobytes()
+        for line in (None, 9600, 38400, MeasuredCycle(0.0, 0.06), MeasuredCycle(0.03, 0.06))
+    ]
+    assert len(set(ends)) == len(ends)
+    assert 40e6 < longest_cycle_ns(9600, "N") < 80e6
+    assert longest_cycle_ns(9600, "NOH") > 2 * longest_cycle_ns(9600, "N")
+
+
+def test_constant_speeds_ask_nothing_and_have_no_line() -> None:
+    found = [
+        rollout(SCENE, ConstantSpeed(5, 4), [0], 1.0, line=line, compiled=False).poses.tobytes()
+        for line in (None, 9600)
+    ]
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_a_task_at_a_line_observes_and_drives_as_a_host_does(compiled: bool) -> None:
+    setup = TaskSetup(
+        "ObstacleAvoidance", period_ns=50_000_000, line=38400, compiled=compiled, normalize=False
+    )
+    episode = TaskEpisode(setup)
+    seen = [episode.begin(3)[0]] + [
+        episode.step([(12 - index % 7, 5 + index % 5)])[0].observation for index in range(12)
+    ]
+    (robot,) = setup.started(3).robots
+    twin = open_twin(setup.playpen.model_copy(update={"robots": (robot,)}), TwinOptions(seed=3, mode=3))
+    with Khepera(Serial.of(twin, timeout=1.0)) as khepera:
+        before = None
+        for index, expected in enumerate(seen):
+            begun = khepera.time
+            proximity, position = khepera.proximity(), khepera.position()
+            assert expected[:8].tolist() == list(proximity)
+            if before is not None:
+                counted = [(now - then) / 5 for now, then in zip(position, before, strict=True)]
+                assert expected[8:].tolist() == pytest.approx(counted, abs=1e-6)
+            before = position
+            khepera.set_speed(12 - index % 7, 5 + index % 5)
+            khepera.sleep(begun + 0.05 - khepera.time)
+
+
+@pytest.mark.parametrize("line", [0, -9600, 9600.5, True, "9600"])
+def test_what_is_no_line_is_refused(line: object) -> None:
+    with pytest.raises(ValueError, match="expected a speed in baud, such as 9600, or a MeasuredCycle"):
+        EpisodeOptions(line=line)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("delay", "period"), [(-0.01, 0.02), (0.03, 0.02), (0.0, math.inf), (math.nan, 0.1)])
+def test_a_cycle_has_times_that_fit(delay: float, period: float) -> None:
+    with pytest.raises(ValueError, match="expected a delay from 0 to the period"):
+        MeasuredCycle(delay, period)
+
+
+def test_a_task_whose_period_is_too_short_for_its_line_says_which_would_do() -> None:
+    with pytest.raises(ValueError, match=r"line = 9600: a cycle of N, H and D takes up to \d+ ms; expected"):
+        TaskSetup("ObstacleAvoidance", line=9600)
