@@ -112,7 +112,7 @@ class KheperaEnvironment(MadeAnew, gymnasium.Env[Observation, NDArray[np.float32
 
         Args:
             seed: Seed of this and all later episodes.
-            options: What replaces the environment's own in this episode: seed, start, lamps, playpen
+            options: Options in place of the environment's own in this episode: seed, start, lamps, playpen
                 (`ResetOptions`).
         """
         given = ResetOptions.of(options)

@@ -118,8 +118,8 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
 
         Args:
             seed: Seed of the first environment's episodes, or a list with one for each.
-            options: The mask, and what replaces the environments' own in these episodes: seed, start, lamps,
-                playpen (`ResetOptions`), each for all, or a list with one for each environment.
+            options: The mask, and options in place of the environments' own in these episodes: seed, start,
+                lamps, playpen (`ResetOptions`), each for all, or a list with one for each environment.
         """
         self._insist_on_threads()
         if seed is None or isinstance(seed, SupportsIndex):

@@ -1,7 +1,7 @@
-"""What `info` has of an episode, in Gymnasium's form: ground truth, draws, details of a step, and the end.
+"""Contents of `info`, in Gymnasium's form: ground truth, draws, details of a step, and the end.
 
     always          x, y [m], heading [rad], time [s], seed
-    at the start    drawn: what a `Randomization` has drawn
+    at the start    drawn: values that a `Randomization` has drawn
     with details    reward_parts: parts of the reward by name; contact: whether the robot touches anything
     at the end      metrics: those of `khep_twin.episodes.metrics`
     with details    episode: return "r", length "l" in steps and simulated time "t" [s]
@@ -32,7 +32,7 @@ def ground_truth(batch: TaskBatch, robot: int = 0, row: int = 0) -> Info:
 
 
 def of_start(batch: TaskBatch, row: int = 0) -> Info:
-    """Return what was drawn for an episode; nothing without a randomization."""
+    """Return the values drawn for an episode; none without a randomization."""
     drawn = batch.drawn(row)
     return {"drawn": drawn} if drawn else {}
 
@@ -46,7 +46,7 @@ def of_step(batch: TaskBatch, robot: int = 0, row: int = 0) -> Info:
 
 
 def of_end(batch: TaskBatch, robot: int = 0, row: int = 0) -> Info:
-    """Return what an episode that is over tells about a robot."""
+    """Return the metrics of a robot in an episode that is over, and on request its return."""
     metrics = batch.episodes[row].metrics(robot)
     told: Info = {"metrics": {name: value for name, value in metrics.items() if not math.isnan(value)}}
     if batch.setup.details:

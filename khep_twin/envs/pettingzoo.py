@@ -100,8 +100,8 @@ class ParallelEnvironment(MadeAnew, ParallelEnv[str, Observation, NDArray[np.flo
 
         Args:
             seed: Seed of this and all later episodes.
-            options: What replaces the environment's own in this episode: seed, start (one for each robot),
-                lamps, playpen.
+            options: Options in place of the environment's own in this episode: seed, start (one for each
+                robot), lamps, playpen.
         """
         # PettingZoo's own test gives an option "options".
         given = ResetOptions.of({name: value for name, value in (options or {}).items() if name != "options"})

@@ -35,7 +35,7 @@ Draw = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Randomization:
-    """What episodes draw.
+    """Domain randomization of episodes.
 
     Attributes:
         starts: "anywhere" there is room, or the largest distances from the start along x and y [mm] and in
@@ -43,7 +43,8 @@ class Randomization:
         lamps: Largest factor of a lamp's power, up or down, and largest distance along x and y [mm].
         robots: Whether each episode has another robot of the same make, as by `vary`.
         noise: Probability that sensors are noisy; None for the environment's own `noise`.
-        blocks_mm: Largest distance along x and y by which blocks and cylinders are moved [mm].
+        blocks_mm: Largest distance along x and y by which blocks and cylinders are moved that stand clear of
+            all else [mm].
         playpens: Number of playpens with moved blocks, of which each episode takes one.
         seed: Seed of these playpens.
 
@@ -163,27 +164,29 @@ def placed_at(playpen: Playpen, starts: Iterable[Start]) -> Playpen:
 
 
 def _moved(others: Playpen, kind: str, item: Moved, far_mm: float, rng: np.random.Generator) -> Moved:
-    """Return a thing at a random place near its own where it overlaps no other; its own if none is found."""
-    if not far_mm:
-        return item
-    (left, right), (low, high) = extent(others)
+    """Return a thing at a random place near its own where it overlaps no other; its own if none is found.
+
+    What overlaps others at its own place, such as the parts of a maze, stays there.
+    """
     fixed = [replace(thing, free=False) for thing in things(others)]
     bottom_mm, top_mm = 0.0, 0.0
     if isinstance(item, Lamp):
         bottom_mm, top_mm = item.z_mm - BULB_RADIUS_MM, item.z_mm + BULB_RADIUS_MM
     else:
         top_mm = item.height_mm
-    for _ in range(TRIES):
-        dx, dy = (rng.uniform(-far_mm, far_mm, 2)).round(1).tolist()
-        there = item.model_copy(update={"x_mm": item.x_mm + dx, "y_mm": item.y_mm + dy})
-        if not (left <= there.x_mm <= right and low <= there.y_mm <= high):
-            continue
+
+    def is_clear(there: Moved) -> bool:
         thing = Thing(kind, 0, item.name, there.footprint, bottom_mm, top_mm, True)
-        if all(
-            problem.location[:2] != thing.place
-            for problem in placement_problems([*fixed, thing], others.arena)
-        ):
-            return there
+        problems = placement_problems([*fixed, thing], others.arena)
+        return all(problem.location[:2] != thing.place for problem in problems)
+
+    if far_mm and is_clear(item):
+        (left, right), (low, high) = extent(others)
+        for _ in range(TRIES):
+            dx, dy = (rng.uniform(-far_mm, far_mm, 2)).round(1).tolist()
+            there = item.model_copy(update={"x_mm": item.x_mm + dx, "y_mm": item.y_mm + dy})
+            if left <= there.x_mm <= right and low <= there.y_mm <= high and is_clear(there):
+                return there
     return item
 
 

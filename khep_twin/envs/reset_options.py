@@ -1,4 +1,4 @@
-"""Options of `reset`, checked: what replaces an environment's own in the episodes that begin."""
+"""Options of `reset`, checked: start, lamps and playpen of the episodes that begin, and their seeds."""
 
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,7 +18,7 @@ _PLAYPEN = "the name or path of a playpen, or a Playpen"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ResetOptions:
-    """What replaces an environment's own for one episode; None for nothing.
+    """Options of one episode, in place of its environment's own where they are not None.
 
     Attributes:
         seed: Seed of the episode.

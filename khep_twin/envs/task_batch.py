@@ -88,7 +88,7 @@ class TaskBatch(NotCopied):
         Args:
             rows: Indices of the episodes (n_rows,).
             seeds: Seed of each.
-            options: What replaces the setup's own in each episode (n,); nothing, if empty.
+            options: Options of each episode in place of the setup's own (n,); none, if empty.
 
         Raises:
             PlaypenError: There is no room for the robots.

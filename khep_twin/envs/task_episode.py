@@ -68,7 +68,7 @@ class TaskEpisode(NotCopied):
 
         Args:
             seed: Seed of the episode.
-            options: What replaces the setup's own; its seed is not used.
+            options: Options in place of the setup's own; their seed is not used.
 
         Raises:
             PlaypenError: There is no room for the robots.

@@ -41,12 +41,12 @@ _AS_IT_IS = ResetOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beginning:
-    """How an episode begins.
+    """Beginning of an episode.
 
     Attributes:
         setup: Setup of its playpen.
         options: Options of the episode.
-        drawn: What was drawn by a randomization, by name.
+        drawn: Values drawn by a randomization, by name.
     """
 
     setup: "TaskSetup"
@@ -63,7 +63,7 @@ class TaskSetup(MadeAnew):
         robots: Number of robots.
         start: Start x, y [mm] and heading [deg] instead of the task's, or one for each robot.
         lamps: Lamps instead of the playpen's.
-        randomize: What each episode draws by its seed, a `Randomization` or a mapping of its attributes.
+        randomize: `Randomization` of the episodes, or a mapping of its attributes.
         noise: Whether sensors are noisy.
         vary: Whether each episode has another robot of the same make, by its seed.
         period_ns: Control period [ns], whole ticks of 10 ms.
@@ -186,11 +186,11 @@ class TaskSetup(MadeAnew):
         return (anywhere if self.task.starts == "anywhere" else at_spots)(self.playpen, seed)
 
     def beginning(self, seed: int, given: ResetOptions = _AS_IT_IS) -> Beginning:
-        """Return how the episode of a seed begins.
+        """Return the beginning of the episode of a seed.
 
         Args:
             seed: Seed of the episode.
-            given: What replaces the setup's own, and its randomization of that.
+            given: Options in place of the setup's own, and of what its randomization would draw.
 
         Raises:
             PlaypenError: There is no room for the robots, or the playpen cannot be used.
@@ -241,7 +241,7 @@ class TaskSetup(MadeAnew):
             if known is playpen or known == playpen:
                 return setup
         arguments, options = self._arguments
-        given: Any = {**options, "playpen": playpen}
+        given: Any = {**options, "playpen": playpen, "start": None}
         setup = type(self)(*arguments, **given)  # pyright: ignore[reportArgumentType]
         self._variants.append((playpen, setup))
         return setup
@@ -249,7 +249,8 @@ class TaskSetup(MadeAnew):
     @cached_property
     def _pool(self) -> tuple[Playpen, ...]:
         """Playpens that the randomization draws from."""
-        return (self.randomize or _NOTHING).pool(self.playpen)
+        playpen = self.playpen if self._start is None else placed_at(self.playpen, self._start)
+        return (self.randomize or _NOTHING).pool(playpen)
 
 
 _NOTHING = Randomization()

@@ -12,6 +12,7 @@ from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.errors import KhepTwinError
 from khep_twin.playpen import Lamp, Playpen, parse
 from khep_twin.playpen.model import dump
+from khep_twin.playpen.starts import no_room
 
 SHORT: dict[str, Any] = {"planar": True, "compiled": False}
 
@@ -75,6 +76,20 @@ def test_blocks_stand_elsewhere_in_playpens_that_are_whole_and_prepared_once() -
         assert parse(dump(playpen), "a playpen with moved blocks") == playpen
         target = next(item for item in playpen.cylinders if item.name == "target")
         assert variant.goal == (target.x_mm / 1e3, target.y_mm / 1e3)
+
+
+def test_blocks_across_the_corners_of_an_arena_stay_there() -> None:
+    scene = Playpen.load("obstacles")
+    for playpen in Randomization(blocks_mm=50, playpens=2).pool(scene):
+        assert playpen.blocks[:4] == scene.blocks[:4]
+        assert all(new != old for new, old in zip(playpen.blocks[4:], scene.blocks[4:], strict=True))
+
+
+def test_moved_blocks_leave_room_for_a_given_start() -> None:
+    usual = setup("ObstacleAvoidance", blocks_mm=30, playpens=20)
+    assert any(no_room(playpen, 0, 400, 300) for playpen in usual._pool)
+    with_start = TaskSetup("ObstacleAvoidance", start=(400, 300, 0), randomize=usual.randomize, **SHORT)
+    assert not any(no_room(playpen, 0, 400, 300) for playpen in with_start._pool)
 
 
 def test_each_kind_draws_from_its_own_stream_and_the_seed_repeats_all() -> None:

@@ -32,17 +32,22 @@ def place(info: dict[str, Any]) -> tuple[int, int, int]:
 
 
 def test_an_option_replaces_the_environments_own_for_one_episode() -> None:
-    environment = one(start=(200, 200, 45))
+    environment = one(start=(100, 100, 45))
     usual, info = environment.reset(seed=1)
-    assert place(info) == (200, 200, 45)
+    assert place(info) == (100, 100, 45)
     info = environment.reset(seed=1, options={"start": (300, 150, -90)})[1]
     assert place(info) == (300, 150, -90)
     lit, _ = environment.reset(seed=1, options={"lamps": [LAMP]})
     assert (lit[8:16] != usual[8:16]).any()
     elsewhere, info = environment.reset(seed=1, options={"playpen": "two-lamps"})
-    assert place(info) == (200, 200, 45)
+    assert place(info) == (100, 100, 45)
     assert (elsewhere != usual).any()
     assert (environment.reset(seed=1)[0] == usual).all()
+    # The environment's start has no room there, but it is not used.
+    info = environment.reset(options={"playpen": "looping-maze", "start": (60, 60, 0)})[1]
+    assert place(info) == (60, 60, 0)
+    with pytest.raises(KhepTwinError, match=r"^start = \(100\.0, 100\.0, 45\.0\): looping-maze: robot 1"):
+        environment.reset(options={"playpen": "looping-maze"})
 
 
 def test_the_arguments_of_make_do_what_the_options_of_reset_do() -> None:
