@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from khep_twin import sweep as sweep
     from khep_twin import toolbox as toolbox
     from khep_twin import units as units
+    from khep_twin.drawing.map import draw as draw
     from khep_twin.envs.gymnasium import make as make
     from khep_twin.envs.gymnasium import make_vec as make_vec
     from khep_twin.episodes.batch import RolloutResult as RolloutResult

@@ -9,7 +9,6 @@ import typer
 
 from khep_twin.cli import completion
 from khep_twin.cli.options import Force, check_apart, check_new, command_group
-from khep_twin.cli.run_logs import driven_paths
 from khep_twin.errors import CalibrationError, KhepTwinError
 from khep_twin.files.atomic import write_whole
 from khep_twin.files.drawings import write_drawing
@@ -97,7 +96,7 @@ def draw(
     The formats are PNG, SVG and PDF.
     """
     from khep_twin.drawing import map as drawing
-    from khep_twin.log.reader import read_label
+    from khep_twin.log.reader import read_label, read_log
     from khep_twin.playpen import Playpen, at_spots
 
     found = Playpen.load(playpen)
@@ -115,7 +114,7 @@ def draw(
         if log is not None:
             if (name := read_label(log).metadata.get("playpen", found.name)) != found.name:
                 raise KhepTwinError(f"{log}: a run in playpen {name}; expected one in {found.name}")
-            paths = driven_paths([log])
+            paths = read_log(log).paths
         drawing.save(drawing.draw(at_spots(found, seed), paths), target, force)
     typer.echo(f"picture  {target}")
 

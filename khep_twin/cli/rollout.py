@@ -187,7 +187,8 @@ def _draw(
     """Draw the robots' paths."""
     import numpy as np
 
-    from khep_twin.drawing.map import DrawnPath, draw, save
+    from khep_twin.drawing.map import draw, save
+    from khep_twin.drawing.paths import DrawnPath
 
     drawn = [
         DrawnPath(f"khepera{robot}", np.array(times), 1000 * np.array(path)[:, :2])

@@ -1,6 +1,7 @@
 """The logs of `khep-twin run`, one or one for each new twin, and the picture drawn from them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,6 @@ from khep_twin.cli.option_groups import LogOptions
 from khep_twin.cli.options import check_new, tell_kept, tell_written
 
 if TYPE_CHECKING:
-    from khep_twin.drawing.map import DrawnPath
     from khep_twin.lab.experiment.controller_source import Source
     from khep_twin.log.recorder import Recorder
     from khep_twin.ports.twin import Twin
@@ -82,24 +82,13 @@ class RunLogs:
         tell_written("log", paths)
 
 
-def draw_logs(logs: Sequence[Path], picture: Path, replace: bool) -> None:
+def draw_logs(logs: Sequence[Path], picture: Path, force: bool) -> None:
     """Draw the playpen and the driven paths of logs."""
     from khep_twin.drawing import map as drawing
-    from khep_twin.log.attached import playpen_of
-    from khep_twin.log.reader import read_label
-
-    found = playpen_of(read_label(logs[0]).attachments, logs[0])
-    drawing.save(drawing.draw(found, driven_paths(logs)), picture, replace)
-
-
-def driven_paths(logs: Sequence[Path]) -> "list[DrawnPath]":
-    """Return the driven paths of logs, named by the robot or, of several logs, by the log."""
-    from khep_twin.drawing.map import DrawnPath
     from khep_twin.log.reader import read_log
 
-    return [
-        DrawnPath(name if len(logs) == 1 else log.stem, track.times_ns / 1e9, track.pose[:, :2] * 1000)
-        for log in logs
-        for name, track in read_log(log).robots.items()
-        if len(track.pose)
-    ]
+    runs = [read_log(log) for log in logs]
+    # Of several logs, paths have the names of these.
+    paths = [replace(path, robot=run.source.stem) for run in runs for path in run.paths]
+    figure = drawing.draw(runs[0].playpen, runs[0].paths if len(runs) == 1 else paths)
+    drawing.save(figure, picture, force)

@@ -1,15 +1,14 @@
 """Drawings: a playpen from above, to scale, with the paths of robots.
 
-Lamps, objects and robots are drawn as in the playpen (`symbols`), robots at their start. A path is coloured
-by time; the robot's outline at its end is dashed. The same arguments give the same bytes, whatever the
-configuration of matplotlib.
+Lamps, objects and robots are drawn as in the playpen (`symbols`), robots at their start. Paths of several
+names have a colour each; those of one robot, or of many, are coloured by time. The robot's outline at its end
+is dashed. The same arguments give the same bytes, whatever the configuration of matplotlib.
 """
 
 # The annotations of matplotlib leave keyword arguments untyped.
 # pyright: reportUnknownMemberType=false
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
@@ -21,14 +20,14 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from khep_twin.drawing.labels import Labels
+from khep_twin.drawing.paths import DrawnPath, Paths, drawn_paths
 from khep_twin.drawing.symbols import (
     FILAMENT,
     INK,
@@ -46,7 +45,7 @@ from khep_twin.drawing.symbols import (
 from khep_twin.errors import KhepTwinError
 from khep_twin.files.drawings import write_drawing
 from khep_twin.files.paths import StrPath
-from khep_twin.playpen import Playpen
+from khep_twin.playpen import Playpen, PlaypenLike
 from khep_twin.units import BODY_RADIUS
 
 POINT_LIMIT = 20_000
@@ -85,36 +84,16 @@ LONGER_SIDE = 6.2
 _ENTRY = 1.0
 """Width of an entry of the legend [inch]."""
 
-
-@dataclass(frozen=True, slots=True)
-class DrawnPath:
-    """The path of one robot.
-
-    Attributes:
-        robot: Name of the robot, e.g. "khepera0".
-        time_s: Times, rising (n,) [s].
-        xy_mm: Positions in the playpen (n, 2) [mm].
-    """
-
-    robot: str
-    time_s: NDArray[np.float64]
-    xy_mm: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        """Check the shapes and values.
-
-        Raises:
-            ValueError: The shapes are not (n,) and (n, 2), or a number is not finite.
-        """
-        if self.time_s.ndim != 1 or self.xy_mm.shape != (len(self.time_s), 2):
-            raise ValueError(f"shapes {self.time_s.shape} and {self.xy_mm.shape} are not (n,) and (n, 2)")
-        if not (np.isfinite(self.time_s).all() and np.isfinite(self.xy_mm).all()):
-            raise ValueError(f"the track of {self.robot} holds a number that is not finite")
+_COLOURS = (
+    *("#2f6fb0", "#d81b82", "#14808c", "#5b2a86", "#8c564b"),
+    *("#c2452d", "#5d6d1e", "#1f9fd6", "#e07b00", "#6b7280"),
+)
+"""Colours of paths by their names; of more names, paths are coloured by time."""
 
 
 def draw(
-    playpen: Playpen,
-    tracks: Sequence[DrawnPath] = (),
+    playpen: PlaypenLike,
+    paths: Paths = (),
     *,
     title: str | None = None,
     longer_side: float = LONGER_SIDE,
@@ -122,15 +101,22 @@ def draw(
     """Draw a playpen at its start, and the paths of robots.
 
     Args:
-        playpen: Playpen to draw.
-        tracks: Paths of any of its robots; one scale of time colours all.
+        playpen: Playpen to draw, or its name or path.
+        paths: Paths of robots: arrays of positions or poses [m], by name if they have names, or `DrawnPath`s.
+            Up to ten names have a colour each; otherwise one scale of time colours all, if times are known.
         title: Title above the drawing; by default the playpen's name.
         longer_side: Longer side of the playpen on paper [inch]; letters keep their size.
+
+    Raises:
+        PlaypenError: The playpen cannot be used.
+        ValueError: An array has another shape, or is not in metres.
     """
-    paths = [track for track in tracks if len(track.time_s)]
+    playpen, tracks = Playpen.load(playpen), drawn_paths(paths)
+    colours, norm = _colours(tracks), _scale(tracks)
     with matplotlib.style.context(STYLE):
-        legend = list(_legend_entries(playpen, bool(paths)))
-        figure, axes, columns = _sheet(playpen, longer_side, scale=bool(paths), entries=len(legend))
+        legend = list(_legend_entries(playpen, colours, bool(tracks)))
+        scale = norm is not None and not colours
+        figure, axes, columns = _sheet(playpen, longer_side, scale=scale, entries=len(legend))
         labels = Labels(axes, INK)
         axes.set_title(playpen.name if title is None else title, loc="left", fontsize=11, pad=8)
         limits = axes.axis()
@@ -149,9 +135,15 @@ def draw(
                 continue  # Its spot is not known yet.
             draw_robot(axes, labels, robot, f"khepera{index}")
         draw_lamps(axes, labels, playpen)
-        if paths:
-            radii = {f"khepera{index}": robot.body.radius for index, robot in enumerate(playpen.robots)}
-            _draw_paths(figure, axes, labels, paths, radii)
+        radii = {f"khepera{index}": robot.body.radius for index, robot in enumerate(playpen.robots)}
+        for index, track in enumerate(tracks):
+            ink = colours.get(track.robot, None if norm is not None else _COLOURS[index % len(_COLOURS)])
+            _draw_path(axes, track, 1000 * radii.get(track.robot, BODY_RADIUS), ink, norm)
+            if len(tracks) > 1 and track.robot and not colours:
+                x_mm, y_mm = track.xy_mm[-1].tolist()
+                labels.add(x_mm, y_mm, 1000 * radii.get(track.robot, BODY_RADIUS) + 4, track.robot)
+        if scale and norm is not None:
+            _draw_scale(figure, axes, norm)
         axes.axis(limits)
         labels.write()
         if len(legend) > 1:
@@ -227,40 +219,59 @@ def _sheet(playpen: Playpen, longer_side: float, *, scale: bool, entries: int) -
     return figure, axes, columns
 
 
-def _draw_paths(
-    figure: Figure, axes: Axes, labels: Labels, tracks: Sequence[DrawnPath], radii: Mapping[str, float]
+def _colours(tracks: Sequence[DrawnPath]) -> dict[str, str]:
+    """Return the colour of each name; none of one name alone, or of too many."""
+    names = dict.fromkeys(track.robot for track in tracks)
+    return dict(zip(names, _COLOURS, strict=False)) if 1 < len(names) <= len(_COLOURS) else {}
+
+
+def _scale(tracks: Sequence[DrawnPath]) -> Normalize | None:
+    """Return the scale of time of all paths; None if the times of one are not known."""
+    times = [track.time_s for track in tracks if track.time_s is not None]
+    if not tracks or len(times) < len(tracks):
+        return None
+    first, last = min(float(each[0]) for each in times), max(float(each[-1]) for each in times)
+    return Normalize(first, last if last > first else first + 1)
+
+
+def _draw_path(
+    axes: Axes, track: DrawnPath, radius_mm: float, colour: str | None, norm: Normalize | None
 ) -> None:
-    first = min(float(track.time_s[0]) for track in tracks)
-    last = max(float(track.time_s[-1]) for track in tracks)
-    norm = Normalize(first, last if last > first else first + 1)
+    """Draw a path in a colour, or without one by time; its start, its end, and the robot's outline there."""
+    thin = slice(None, None, -(-len(track.xy_mm) // POINT_LIMIT))
+    points = track.xy_mm[thin]
+    segments = list(np.stack((points[:-1], points[1:]), axis=1))
+    if colour is None and track.time_s is not None:
+        lines = LineCollection(segments, cmap=_time_colours(), norm=norm, lw=1.4, zorder=4)
+        lines.set_array(track.time_s[thin][:-1])
+    else:
+        lines = LineCollection(segments, colors=colour, lw=1.4, zorder=4)
+    lines.set_capstyle("round")
+    axes.add_collection(lines, autolim=False)
+    (start_x, start_y), (end_x, end_y) = track.xy_mm[[0, -1]].tolist()
+    outline = Circle((end_x, end_y), radius_mm, fill=False, edgecolor=colour or INK, lw=0.9, ls="--")
+    axes.add_patch(outline).set_zorder(6)
+    axes.add_line(Line2D([start_x], [start_y], zorder=7, **_START))
+    look: Look = _END | ({"mfc": colour} if colour else {})
+    axes.add_line(Line2D([end_x], [end_y], zorder=7, **look))
+
+
+def _time_colours() -> Colormap:
     # Plasma without its yellow end, which would not stand out from a lit floor.
     plasma = matplotlib.colormaps["plasma"]
-    colours = LinearSegmentedColormap.from_list("time", list(plasma(np.linspace(0, 0.8, 64))))
-    for track in tracks:
-        thin = slice(None, None, -(-len(track.time_s) // POINT_LIMIT))
-        points = track.xy_mm[thin]
-        lines = LineCollection(
-            list(np.stack((points[:-1], points[1:]), axis=1)), cmap=colours, norm=norm, lw=1.4, zorder=4
-        )
-        lines.set_array(track.time_s[thin][:-1])
-        lines.set_capstyle("round")
-        axes.add_collection(lines, autolim=False)
-        (start_x, start_y), (end_x, end_y) = track.xy_mm[[0, -1]].tolist()
-        radius_mm = 1000 * radii.get(track.robot, BODY_RADIUS)
-        outline = Circle((end_x, end_y), radius_mm, fill=False, edgecolor=INK, lw=0.9, ls="--")
-        axes.add_patch(outline).set_zorder(6)
-        axes.add_line(Line2D([start_x], [start_y], zorder=7, **_START))
-        axes.add_line(Line2D([end_x], [end_y], zorder=7, **_END))
-        if len(tracks) > 1:
-            labels.add(end_x, end_y, radius_mm + 4, track.robot)
+    return LinearSegmentedColormap.from_list("time", list(plasma(np.linspace(0, 0.8, 64))))
+
+
+def _draw_scale(figure: Figure, axes: Axes, norm: Normalize) -> None:
+    """Draw the scale of time beside the playpen."""
     box, width = axes.get_position(), figure.get_figwidth()
     beside = figure.add_axes((box.x1 + 0.12 / width, box.y0, 0.13 / width, box.height))
-    scale = figure.colorbar(ScalarMappable(norm, colours), cax=beside)
+    scale = figure.colorbar(ScalarMappable(norm, _time_colours()), cax=beside)
     scale.set_label("time [s]")
     beside.spines[:].set_visible(False)
 
 
-def _legend_entries(playpen: Playpen, paths: bool) -> Iterator[Line2D | Patch]:
+def _legend_entries(playpen: Playpen, colours: Mapping[str, str], paths: bool) -> Iterator[Line2D | Patch]:
     objects = list(chain(*playpen.objects.values()))
     painted = (*objects, *playpen.walls, *playpen.patches)
     striped = (playpen.arena, *objects, *playpen.walls)
@@ -274,6 +285,8 @@ def _legend_entries(playpen: Playpen, paths: bool) -> Iterator[Line2D | Patch]:
         order = "in sequence" if playpen.lighting.mode == "sequenced" else "at random"
         look: Look = {"marker": "o", "ms": 6, "mfc": "white", "mec": FILAMENT, "mew": 0.9, "ls": ""}
         yield Line2D([], [], label=f"one lamp on, {order}", **look)
+    for name, colour in colours.items():
+        yield Line2D([], [], label=name, color=colour, lw=1.4)
     if paths:
         yield Line2D([], [], label="start", ls="", **_START)
         yield Line2D([], [], label="end", ls="", **_END)

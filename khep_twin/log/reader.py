@@ -13,6 +13,7 @@ import numpy as np
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
+from khep_twin.drawing.paths import DrawnPath
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular
 from khep_twin.files.paths import StrPath
@@ -23,6 +24,7 @@ from khep_twin.log.content import Content
 from khep_twin.log.decoding import DecodeError, readable
 from khep_twin.log.entries import Entry, Label, label_of, run_facts
 from khep_twin.log.messages import FOR_REPEAT, WIDTHS, Messages, TimeSeries, check_time
+from khep_twin.playpen import Playpen
 
 PIECE = 32 << 20
 """Most bytes of messages that `read_pieces` reads at a time, besides a chunk."""
@@ -62,12 +64,34 @@ class LoggedRun:
         attachments: Texts playpen.toml, scene.xml, configuration.json, calibration/*.toml, controller/*.py.
         robots: Tracks of the robots, by name.
         events: Events, in order of time.
+        source: Path of the log.
     """
 
     metadata: Mapping[str, str]
     attachments: Mapping[str, str]
     robots: Mapping[str, RobotTrack]
     events: list[TextLine]
+    source: Path
+
+    @property
+    def playpen(self) -> Playpen:
+        """Playpen of the run.
+
+        Raises:
+            LogError: The log has none, or one that cannot be used.
+        """
+        from khep_twin.log.attached import playpen_of  # which loads MuJoCo
+
+        return playpen_of(self.attachments, self.source)
+
+    @property
+    def paths(self) -> tuple[DrawnPath, ...]:
+        """Paths of the robots, as `khep_twin.draw` takes them; none of a robot whose poses are not known."""
+        return tuple(
+            DrawnPath(name, track.times_ns / 1e9, 1000 * track.pose[:, :2])
+            for name, track in self.robots.items()
+            if len(track.pose)
+        )
 
     def table(self) -> dict[str, NDArray[np.generic]]:
         """Return the samples of all robots as columns (n,) by name, as `pandas.DataFrame` takes them.
@@ -117,7 +141,7 @@ def read_log(path: StrPath) -> LoggedRun:
         )
         for name, pose in zip(label.robots, poses, strict=True)
     }
-    return LoggedRun(label.metadata, label.attachments, robots, messages.lines("/events"))
+    return LoggedRun(label.metadata, label.attachments, robots, messages.lines("/events"), path)
 
 
 def read_label(path: StrPath) -> Label:

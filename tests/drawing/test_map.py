@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -9,6 +10,7 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Polygon, Rectangle
 from matplotlib.text import Text
@@ -16,7 +18,8 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from khep_twin import playpen as playpens
-from khep_twin.drawing.map import POINT_LIMIT, DrawnPath, draw, save
+from khep_twin.drawing.map import POINT_LIMIT, draw, save
+from khep_twin.drawing.paths import DrawnPath
 from khep_twin.errors import KhepTwinError
 from khep_twin.playpen import Playpen
 
@@ -115,10 +118,10 @@ def test_labels_do_not_overlap_where_paths_end_together() -> None:
     time_s = np.linspace(0, 1, 5)
     paths = [
         DrawnPath(f"starts-{k:03d}", time_s, np.stack((200 + 3 * k * time_s, 100 + time_s), axis=1))
-        for k in range(6)
+        for k in range(11)
     ]
     found = boxes(draw(SCENE, paths))
-    assert len(found) == 9  # two robots, a lamp and six ends
+    assert len(found) == 14  # two robots, a lamp and eleven ends
     for index, box in enumerate(found):
         assert not any(box.overlaps(other) for other in found[:index])
 
@@ -198,6 +201,41 @@ def test_all_tracks_share_one_scale_of_time() -> None:
     paths = [item for item in figure.axes[0].collections if isinstance(item, LineCollection)]
     assert [(way.norm.vmin, way.norm.vmax) for way in paths] == [(0, 15), (0, 15)]
     assert {"time [s]", "start", "end"} <= texts(figure)
+
+
+def test_paths_of_several_robots_have_a_colour_and_a_name_each() -> None:
+    other = replace(track(start_s=5), robot="khepera1")
+    figure = draw(SCENE, [track(), other])
+    paths = [item for item in figure.axes[0].collections if isinstance(item, LineCollection)]
+    (legend,) = figure.legends
+    handles = {line.get_label(): line.get_color() for line in legend.get_lines()}
+    assert [to_hex(path.get_colors()[0]) for path in paths] == [handles["khepera0"], handles["khepera1"]]
+    assert handles["khepera0"] != handles["khepera1"]
+    assert "time [s]" not in texts(figure)
+
+
+def test_arrays_in_metres_are_paths_by_name_or_without() -> None:
+    one, other = np.array([[0.1, 0.1], [0.2, 0.2]]), np.array([[0.3, 0.1, 0.0], [0.4, 0.1, np.pi]])
+    gone = np.full((2, 3), np.nan)  # of an episode that failed
+    for paths in ([one, other], {"a": one, "b": other}, [DrawnPath("", None, 1000 * one), other, gone]):
+        drawn = [each for each in draw(SCENE, paths).axes[0].collections if isinstance(each, LineCollection)]
+        assert [each.get_segments()[0].tolist() for each in drawn] == pytest.approx(
+            np.array([[[100, 100], [200, 200]], [[300, 100], [400, 100]]])
+        )
+        assert drawn[0].get_colors().tolist() != drawn[1].get_colors().tolist()
+    assert len(draw("default", np.zeros((2, 3, 10, 3))).axes[0].collections) == 6
+
+
+@pytest.mark.parametrize(
+    ("path", "told"),
+    [
+        (np.zeros(3), r"a path of shape \(3,\); expected positions \(n, 2\) or poses \(n, 3\) \[m\]"),
+        (np.full((3, 2), 250.0), "a path with a coordinate of 250 m; expected metres"),
+    ],
+)
+def test_other_arrays_are_refused_in_one_line(path: NDArray[np.float64], told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        draw(SCENE, path)
 
 
 def test_a_track_runs_from_its_first_to_its_last_point() -> None:

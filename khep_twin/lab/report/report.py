@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from khep_twin.board.kernel import N_REGISTERS
-from khep_twin.drawing.map import DrawnPath
+from khep_twin.drawing.paths import DrawnPath
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.lab.report.rows import (
     Row,
