@@ -15,7 +15,9 @@ from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 
+from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_options import checked_count
+from khep_twin.episodes.line import MeasuredCycle
 from khep_twin.errors import KhepTwinError, choices
 from khep_twin.playpen import BULB_RADIUS_MM, Block, Cylinder, Lamp, Playpen
 from khep_twin.playpen.checks import things
@@ -43,6 +45,8 @@ class Randomization:
         lamps: Largest factor of a lamp's power, up or down, and largest distance along x and y [mm].
         robots: Whether each episode has another robot of the same make, as by `vary`.
         noise: Probability that sensors are noisy; None for the environment's own `noise`.
+        delay: Least and largest time from a reading to the effect of the speeds decided on it [s], up to a
+            control period; None for the environment's own `line`.
         blocks_mm: Largest distance along x and y by which blocks and cylinders are moved that stand clear of
             all else [mm].
         playpens: Number of playpens with moved blocks, of which each episode takes one.
@@ -56,6 +60,7 @@ class Randomization:
     lamps: Draw | None = None
     robots: bool = False
     noise: float | None = None
+    delay: Draw | None = None
     blocks_mm: float = 0.0
     playpens: int = 8
     seed: int = 0
@@ -68,6 +73,10 @@ class Randomization:
             _check("lamps", self.lamps, "a factor from 1 and a distance from 0 [mm]", (1, 0))
         if self.noise is not None and not 0 <= self.noise <= 1:
             raise _error("noise", self.noise, "a probability, 0 to 1")
+        if self.delay is not None:
+            _check("delay", self.delay, "two times [s], the second not below the first", (0, 0))
+            if self.delay[1] < self.delay[0]:
+                raise _error("delay", self.delay, "two times [s], the second not below the first")
         if not 0 <= self.blocks_mm < math.inf:
             raise _error("blocks_mm", self.blocks_mm, "a distance from 0 [mm]")
         checked_count(self.playpens, "playpens")
@@ -131,6 +140,13 @@ class Randomization:
         if self.noise is None:
             return otherwise
         return bool(stream(seed, "randomization", "noise").uniform() < self.noise)
+
+    def line(self, seed: int, period_ns: int) -> MeasuredCycle | None:
+        """Return the times of an episode's cycle, one control period [ns] long; None without a delay."""
+        if self.delay is None:
+            return None
+        delay = float(stream(seed, "randomization", "delay").uniform(*self.delay))
+        return MeasuredCycle(delay, period_ns / NS_PER_S)
 
     def _with_moved_blocks(self, playpen: Playpen, number: int) -> Playpen:
         rng = stream(self.seed, "randomization", "blocks", number)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin import units
-from khep_twin.clock import n_steps, to_ns
+from khep_twin.clock import NS_PER_S, n_steps, to_ns
 from khep_twin.copies import MadeAnew
 from khep_twin.envs.randomization import Randomization, placed_at, starts_of
 from khep_twin.envs.reset_options import ResetOptions, checked_lamps, checked_playpen, is_nested
@@ -130,6 +130,8 @@ class TaskSetup(MadeAnew):
         self.line = line
         self._requests = "".join(_REQUESTS.get(term, "") for term in self.task.observation_terms)
         _check_period(line, self._requests, period_ns)
+        if self.randomize and self.randomize.delay:
+            _check_delay(self.randomize.delay, line, period_ns)
         self.action_limit = 1.0 if normalize else TOP_SPEED
         self.seconds = self.task.seconds if seconds is None else seconds
         if not 0 < self.seconds < math.inf or to_ns(self.seconds) % period_ns:
@@ -210,6 +212,8 @@ class TaskSetup(MadeAnew):
         noise = random.is_noisy(seed, self.noise)
         if random.noise is not None:
             drawn["noise"] = noise
+        if (line := random.line(seed, self.period_ns)) is not None:
+            drawn["delay"] = line.delay
         start = self._start if given.start is None else self._starts(given.start)
         if random.starts is not None and given.start is None:
             start = random.placed(setup.playpen, seed, start)
@@ -223,7 +227,7 @@ class TaskSetup(MadeAnew):
             vary=self.vary or random.robots,
             lamps=lamps,
             home=setup._home,
-            line=self.line,
+            line=line or self.line,
         )
         return Beginning(setup, options, drawn)
 
@@ -272,6 +276,15 @@ def _check_period(line: LineTimes, requests: str, period_ns: int) -> None:
             f"line = {line}: a cycle of {names} takes up to {took / 1e6:.0f} ms; expected period_ns = "
             f"{least_ms}_000_000 or more, not {period_ns}"
         )
+
+
+def _check_delay(delay: tuple[float, float], line: LineTimes, period_ns: int) -> None:
+    """Raise a `KhepTwinError` if delays are drawn at a line, or are longer than a control period."""
+    if line is not None:
+        raise KhepTwinError(f"randomize: delay = {delay}: and line = {line}; expected one of them")
+    if to_ns(delay[1]) > period_ns:
+        period = f"a control period of {period_ns / NS_PER_S:g} s"
+        raise KhepTwinError(f"randomize: delay = {delay}; expected times up to {period}")
 
 
 def with_robots(playpen: Playpen, count: int) -> Playpen:

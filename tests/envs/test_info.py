@@ -130,7 +130,12 @@ def test_many_are_told_as_gymnasiums_wrapper_tells_them(mode: str) -> None:
 def test_many_tell_the_same_details_as_one_by_one(compiled: bool) -> None:
     from test_environment import actions, gyms, same
 
-    options = {"planar": True, "details": True, "compiled": compiled, "randomize": {"noise": 0.5}}
+    options = {
+        "planar": True,
+        "details": True,
+        "compiled": compiled,
+        "randomize": {"noise": 0.5, "delay": (0, 0.04)},
+    }
     for mode in ("NextStep", "SameStep"):
         task = dataclasses.replace(TASKS["Homing"], charge_s=0.3, reach_mm=360.0)
         many = gyms(3, task=task, autoreset_mode=mode, **options)

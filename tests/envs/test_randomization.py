@@ -62,6 +62,23 @@ def test_noise_is_there_in_a_part_of_the_episodes() -> None:
     assert setup(robots=True).beginning(0).options.vary
 
 
+def test_delays_are_drawn_and_told_and_change_what_is_seen() -> None:
+    delayed = setup(delay=(0.01, 0.04))
+    told = [delayed.beginning(seed).drawn["delay"] for seed in range(30)]
+    assert 0.01 <= min(told) < 0.015
+    assert 0.035 < max(told) <= 0.04
+    ways = []
+    for each in (delayed, setup(delay=(0.02, 0.02)), TaskSetup("LightSeeking", **SHORT)):
+        episode = TaskEpisode(each)
+        episode.begin(1)
+        ways.append([episode.step([(0.5, 0.4)])[0].observation.tobytes() for _ in range(5)])
+    assert len({tuple(way) for way in ways}) == 3
+    with pytest.raises(KhepTwinError, match=r"^randomize: delay = \(0\.01, 0\.1\); expected times up to a"):
+        setup(delay=(0.01, 0.1))
+    with pytest.raises(KhepTwinError, match=r"^randomize: delay = .*: and line = 38400; expected one of"):
+        TaskSetup("LightSeeking", line=38400, randomize={"delay": (0.01, 0.04)})
+
+
 def test_blocks_stand_elsewhere_in_playpens_that_are_whole_and_prepared_once() -> None:
     randomized = setup("WallOrCylinder", blocks_mm=60, playpens=3)
     episode, ways = TaskEpisode(randomized), dict[int, set[bytes]]()
@@ -123,6 +140,10 @@ def test_an_option_of_reset_is_not_randomized() -> None:
         ({"lamps": (0.5, 1)}, r"^randomize: lamps = \(0\.5, 1\); expected a factor from 1 and a distance"),
         ({"noise": 2}, r"^randomize: noise = 2; expected a probability, 0 to 1"),
         ({"blocks_mm": -1}, r"^randomize: blocks_mm = -1; expected a distance from 0"),
+        (
+            {"delay": (0.2, 0.1)},
+            r"^randomize: delay = \(0\.2, 0\.1\); expected two times",
+        ),
         ({"playpens": 0}, r"^0 playpens; expected a whole number"),
         (5, r"^randomize = 5; expected a Randomization, or its attributes"),
     ],
