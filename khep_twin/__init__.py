@@ -50,6 +50,8 @@ if TYPE_CHECKING:
     from khep_twin.host.radio import Radio as Radio
     from khep_twin.host.vision import Vision as Vision
     from khep_twin.lab.experiment.controllers import Controller as Controller
+    from khep_twin.lab.experiment.periodic_controllers import NetworkController as NetworkController
+    from khep_twin.lab.experiment.task_controller import TaskController as TaskController
     from khep_twin.log.reader import LoggedRun as LoggedRun
     from khep_twin.log.reader import read_log as read_log
     from khep_twin.playpen.model import Playpen as Playpen

@@ -15,7 +15,8 @@ PACKAGE = Path(khep_twin.__file__).parent
 
 NAMES = {
     *("Playpen", "Lamp", "World", "Start", "Sensor"),
-    *("Khepera", "Gripper", "Radio", "Vision", "Controller"),
+    *("Khepera", "Gripper", "Radio", "Vision"),
+    *("Controller", "NetworkController", "TaskController"),
     *("Twin", "TwinOptions", "open_twin", "serve", "Shadow"),
     *("rollout", "RolloutResult", "Episode", "EpisodeOptions", "EpisodeSetup", "MeasuredCycle"),
     *("Braitenberg", "ConstantSpeed", "Function", "Network", "Policy"),

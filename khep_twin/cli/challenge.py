@@ -98,7 +98,7 @@ def run(
         str | None,
         typer.Argument(
             metavar="FILE.py",
-            help="Controller, FILE.py or FILE.py:NAME; without, the reference solution.",
+            help="Controller, FILE.py[:NAME] or a network's FILE.npz; without, the reference solution.",
             autocompletion=completion.controllers,
         ),
     ] = None,

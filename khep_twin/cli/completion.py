@@ -39,10 +39,10 @@ def calibrations() -> list[Offer]:
 
 
 def controllers() -> list[Offer]:
-    """Return the built-in controllers and the Python files of the current folder."""
+    """Return the built-in controllers, and the Python files and networks of the current folder."""
     from khep_twin.lab.experiment.controllers import BUILT_IN
 
-    return [(name, "built in") for name in BUILT_IN] + _files(".py")
+    return [(name, "built in") for name in BUILT_IN] + _files(".py") + _files(".npz")
 
 
 def ports() -> list[Offer]:

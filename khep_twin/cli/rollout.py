@@ -1,6 +1,5 @@
 """`khep-twin rollout`: an episode without a serial line."""
 
-import math
 import warnings
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -45,15 +44,18 @@ def rollout(
     controller: Annotated[
         str,
         typer.Argument(
-            help="braitenberg, or FILE.py[:NAME], a function of proximity and ambient light that returns "
-            "both speeds.",
+            help="braitenberg, a network's FILE.npz, or FILE.py[:NAME], a function of proximity and ambient "
+            "light that returns both speeds.",
             autocompletion=controllers,
         ),
     ] = "braitenberg",
     scene: SceneOptions,
     length: LengthOptions,
     twin: RobotOptions,
-    period: Annotated[float, typer.Option(help="Period of the controller [ms].")] = 20.0,
+    period: Annotated[
+        float | None,
+        typer.Option(help="Period of the controller [ms]; without, the network's own, or 20."),
+    ] = None,
     step: Annotated[
         float | None,
         typer.Option(
@@ -77,8 +79,8 @@ def rollout(
     With several robots, print those of each.
     """
     from khep_twin.board.fault_injection import parse_fault
-    from khep_twin.episodes import Braitenberg, Episode, EpisodeOptions, EpisodeSetup, Policy
-    from khep_twin.lab.experiment.controller_files import find_rule
+    from khep_twin.episodes import Episode, EpisodeOptions, EpisodeSetup, Network, Policy
+    from khep_twin.lab.experiment.controller_files import find_driver
     from khep_twin.playpen.starts import at_spots
     from khep_twin.ports.twin import Twin, equipped
 
@@ -91,8 +93,10 @@ def rollout(
     playpen = scene.load()
     _check_time("--period", period)
     _check_time("--step", step)
-    is_built_in = controller == "braitenberg"
-    function = None if is_built_in else find_rule(controller)
+    found = find_driver(controller)
+    driver, function = (ConstantSpeed(), found) if callable(found) else (found, None)
+    if period is None:
+        period = found.period_ns / 1e6 if isinstance(found, Network) else 20.0
     playpen, _ = equipped(at_spots(playpen, options.seed), options)
     check_body(options.rom, playpen.robots)
     try:
@@ -100,7 +104,6 @@ def rollout(
         faults = map(parse_fault, options.faults)
         setup = EpisodeSetup(playpen, step_ns=step_ns, period_ns=period_ns, planar=planar, faults=faults)
         periods = length.cycles or setup.periods(60.0 if length.seconds is None else length.seconds)
-        driver = Braitenberg() if is_built_in else Policy()
         compiled = None if is_compiled() else False
         episode = Episode(setup, driver, compiled=compiled, observed=logging.log is not None)
     except ValueError as error:
@@ -169,16 +172,15 @@ def is_compiled() -> bool:
 
 
 def _print_metrics(episode: "Episode", periods: int) -> None:
+    from khep_twin.lab.experiment.series_run import metric_lines
+
     typer.echo(f"{periods} cycles in {episode.time_ns / 1e9:.1f} s")
     n_robots = len(episode.boards)
     each = [episode.metrics(robot) for robot in range(n_robots)]
     if n_robots > 1:
         typer.echo(f"{'':20}" + "".join(f"{f'khepera{robot}':<12}" for robot in range(n_robots)).rstrip())
-    for name in each[0]:
-        values = [metrics[name] for metrics in each]
-        if not math.isnan(values[0]):  # homing is undefined without a home
-            row = "".join(f"{value:<12.4g}" for value in values)
-            typer.echo(f"{name.replace('_', ' '):20}{row}".rstrip())
+    for line in metric_lines(each):  # homing is undefined without a home
+        typer.echo(line)
 
 
 def _draw(

@@ -91,7 +91,8 @@ def run(
     controller: Annotated[
         str,
         typer.Argument(
-            help="A built-in controller (braitenberg), or FILE.py[:NAME].", autocompletion=controllers
+            help="A built-in controller (braitenberg), FILE.py[:NAME], or a network's FILE.npz.",
+            autocompletion=controllers,
         ),
     ] = "braitenberg",
     scene: SceneOptions,
@@ -101,6 +102,9 @@ def run(
             help="Port of a robot or a served twin; without, a twin in this process.", autocompletion=ports
         ),
     ] = None,
+    baudrate: Annotated[
+        int, typer.Option(min=0, help="Speed of the line to --port; 0 tries all that the robots have.")
+    ] = 9600,
     length: LengthOptions,
     series: SeriesOptions,
     robot: Annotated[int, typer.Option(help="Number of the robot in the playpen, counted from 0.")] = 0,
@@ -127,6 +131,8 @@ def run(
     typed = given(context)
     if port is not None:
         refuse(context, _OF_A_TWIN, "a twin in this process, not for one behind --port")
+    elif "baudrate" in typed:
+        raise usage("--baudrate is that of a line to a robot; expected --port, too")
     _check(scene.playpen, logging.log, picture)
     series.check(logging.log)
     options = replace(twin.options(robot), faults=tuple(fault or ()))
@@ -144,7 +150,9 @@ def run(
         # The robot is released, and its log completed, before what remains is cleared up.
         stack.enter_context(answered())
         if port is not None:
-            robot_source: RobotSource = OneRobot(stack.enter_context(Khepera(port)))
+            robot_source: RobotSource = OneRobot(
+                stack.enter_context(Khepera(port, baudrate=baudrate or "auto"))
+            )
             settings: dict[str, Any] = {"port": port}
         else:
             place = scene.load(own)
@@ -218,7 +226,7 @@ def _run_series(
                 for each in series:
                     last = each.number
                     is_new = folder is None or folder.keep(each)
-                    typer.echo(each.line(plan.runs) + ("" if is_new else "  as before"))
+                    typer.echo(each.text(plan.runs) + ("" if is_new else "  as before"))
                     if user_function is not None and is_new:
                         call_on_run_end(user_function, each)
                     if has_no_reader():

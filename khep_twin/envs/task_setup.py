@@ -19,7 +19,7 @@ from khep_twin.clock import NS_PER_S, n_steps, to_ns
 from khep_twin.copies import MadeAnew
 from khep_twin.envs.randomization import Randomization, placed_at, starts_of
 from khep_twin.envs.reset_options import ResetOptions, checked_lamps, checked_playpen, is_nested
-from khep_twin.envs.tasks import TOP_SPEED, Task, find
+from khep_twin.envs.tasks import Task, action_limit, find, speeds_of
 from khep_twin.episodes.controllers import Policy
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions, Home, check_numbers, checked_count
@@ -132,7 +132,7 @@ class TaskSetup(MadeAnew):
         _check_period(line, self._requests, period_ns)
         if self.randomize and self.randomize.delay:
             _check_delay(self.randomize.delay, line, period_ns)
-        self.action_limit = 1.0 if normalize else TOP_SPEED
+        self.action_limit = action_limit(normalize)
         self.seconds = self.task.seconds if seconds is None else seconds
         if not 0 < self.seconds < math.inf or to_ns(self.seconds) % period_ns:
             raise ValueError(
@@ -160,24 +160,8 @@ class TaskSetup(MadeAnew):
         return Episode(self._setup, Policy(requests=self._requests), compiled=self._compiled)
 
     def speeds(self, action: object) -> NDArray[np.float64]:
-        """Return an action, or several, as speeds clipped to the top speed, in its shape [pulses/10 ms].
-
-        Args:
-            action: Speeds of the left and right wheel (..., 2).
-
-        Raises:
-            ValueError: The action is not two numbers.
-        """
-        limit = self.action_limit
-        try:
-            given = np.asarray(action, np.float64)
-        except (TypeError, ValueError):
-            given = np.zeros(0)
-        if given.shape[-1:] != (2,):
-            raise ValueError(
-                f"action {action!r}; expected two speeds, left and right, from {-limit:g} to {limit:g}"
-            )
-        return np.minimum(np.maximum(given, -limit), limit) * (TOP_SPEED / limit)
+        """Return an action, or several, as speeds: see `tasks.speeds_of`."""
+        return speeds_of(action, self.normalize)
 
     def started(self, seed: int) -> Playpen:
         """Return the playpen at the start of an episode.

@@ -335,6 +335,33 @@ TASKS = {
 """Tasks that ship with the package, by name."""
 
 
+def action_limit(normalize: bool = True) -> float:
+    """Return the upper bound of an action, and the lower one with its sign changed."""
+    return 1.0 if normalize else TOP_SPEED
+
+
+def speeds_of(action: object, normalize: bool = True) -> NDArray[np.float64]:
+    """Return an action, or several, as speeds clipped to the top speed, in its shape [pulses/10 ms].
+
+    Args:
+        action: Speeds of the left and right wheel (..., 2).
+        normalize: Whether they are parts of the top speed, -1 to 1.
+
+    Raises:
+        ValueError: The action is not two numbers.
+    """
+    limit = action_limit(normalize)
+    try:
+        given = np.asarray(action, np.float64)
+    except (TypeError, ValueError):
+        given = np.zeros(0)
+    if given.shape[-1:] != (2,):
+        raise ValueError(
+            f"action {action!r}; expected two speeds, left and right, from {-limit:g} to {limit:g}"
+        )
+    return np.minimum(np.maximum(given, -limit), limit) * (TOP_SPEED / limit)
+
+
 def find(task: Task | str) -> Task:
     """Return a task by name.
 

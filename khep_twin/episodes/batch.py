@@ -39,6 +39,7 @@ from khep_twin.machine import n_cores
 from khep_twin.playpen import Lamp, PlaypenLike
 from khep_twin.playpen.starts import Start
 from khep_twin.simulation.mujoco_forms import movable_names
+from khep_twin.units import SCAN_NS
 
 BATCH_SIZE = 64
 """Episodes in one call of a policy: enough for arrays to pay, at a bounded use of memory."""
@@ -122,7 +123,8 @@ def rollout(
         PlaypenError: The playpen has a feature that episodes without a serial line do not support.
     """
     fast = is_compiled(compiled)
-    setup = playpen if isinstance(playpen, EpisodeSetup) else EpisodeSetup(playpen)
+    period_ns = driver.period_ns if isinstance(driver, Network) else SCAN_NS
+    setup = playpen if isinstance(playpen, EpisodeSetup) else EpisodeSetup(playpen, period_ns=period_ns)
     count = len(seeds)
     n_robots = len(setup.playpen.robots)
     most = n_cores() if threads is None else checked_count(threads, "threads")
@@ -162,7 +164,8 @@ class _Batch:
         for name, given in (("genes", self.genes), ("starts", self.starts), ("lamps", self.lamps)):
             if given is not None and len(given) != count:
                 raise ValueError(f"{len(given)} {name} for {count} seeds; expected {count}")
-        if isinstance(driver, Network) and self.genes is None and not len(self.common.genes):
+        own = len(self.common.genes) or (isinstance(driver, Network) and len(driver.genes))
+        if isinstance(driver, Network) and self.genes is None and not own:
             raise ValueError(f"no genes for {driver}; expected shape ({count}, {driver.n_genes})")
         weights = np.zeros((0, 0)) if self.genes is None else np.asarray(self.genes, np.float64)
         if weights.ndim not in (2, 3) or not np.isfinite(weights).all():

@@ -3,20 +3,23 @@
 All but a policy run inside the compiled loop; a policy is plain Python and is called for many robots at once.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NoReturn
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import NoReturn, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from khep_twin.board import kernel
-from khep_twin.episodes import networks, stepping
+from khep_twin.episodes import network_file, networks, stepping
+from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.fitness import TOP_SPEED_PULSES
 from khep_twin.episodes.line import LineTimes, first_events, line_times
 from khep_twin.episodes.metrics import sums_at_start
 from khep_twin.errors import ControllerError
-from khep_twin.units import N_SENSORS
+from khep_twin.units import SCAN_NS
 
 Floats = NDArray[np.float64]
 
@@ -51,22 +54,82 @@ class Braitenberg:
 class Network:
     """A neural network from sensors to speeds; see `networks` for its equation and the order of its genes.
 
+        network = Network(hidden=(5,))
+        network.save("best.npz", genes, setup=setup, seed=1)
+        rollout("obstacles", Network.load("best.npz"), range(8), 60.0)
+
     Attributes:
         hidden: Neurons of each hidden layer; none to connect sensors directly to motors.
         recurrent: Whether the first layer behind the sensors has feedback of its own last values.
         ambient: Whether light is an input too, 0 dark to 1 bright, behind proximity, 0 to 1.
         top_speed: Speed for an output of 1 [pulses/10 ms].
+        genes: Own genes (n_genes,), used where an episode is given none; empty for none.
+        period_ns: Control period that it was made for [ns], kept by a host and by a rollout without a setup.
+        light: Ambient counts that are 0 and 1 for a host (2,); a rollout has those of its robot.
+        playpen: Playpen in which it was found; empty if unknown.
+        seed: Seed with which it was found; None if unknown.
     """
 
     hidden: tuple[int, ...] = ()
     recurrent: bool = False
     ambient: bool = False
     top_speed: float = TOP_SPEED_PULSES
+    genes: Sequence[float] | Floats = field(default=(), repr=False, kw_only=True)
+    period_ns: int = field(default=SCAN_NS, kw_only=True)
+    light: tuple[float, float] = field(default=network_file.LIGHT, repr=False, kw_only=True)
+    playpen: str = field(default="", kw_only=True)
+    seed: int | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        """Keep the genes as a tuple, which compares and cannot change."""
+        object.__setattr__(self, "genes", tuple(np.asarray(self.genes, np.float64).ravel().tolist()))
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Self:
+        """Load a network with its genes from a file of `save`.
+
+        Raises:
+            ControllerError: The file cannot be read, is of another kind, or is damaged.
+        """
+        return cls(**network_file.read(Path(path))._asdict())
+
+    def save(
+        self,
+        path: str | PathLike[str],
+        genes: Sequence[float] | Floats | None = None,
+        *,
+        setup: EpisodeSetup | None = None,
+        seed: int | None = None,
+        replace: bool = False,
+    ) -> None:
+        """Write the network with its genes to an NPZ file, in place of another network of that name.
+
+        Args:
+            path: Name of the file, which ends in .npz.
+            genes: Genes (n_genes,); by default its own.
+            setup: Setup of the episodes that it was found in, for `period_ns`, `light` and `playpen`.
+            seed: Seed with which it was found; by default its own.
+            replace: Whether to replace a file that is no network, too.
+
+        Raises:
+            ControllerError: The genes do not fit the network, or a file of another kind is there.
+            KhepTwinError: The file cannot be written.
+        """
+        found = {name: getattr(self, name) for name in network_file.Stored._fields}
+        if genes is not None:
+            found["genes"] = np.asarray(genes, np.float64).ravel().tolist()
+        if setup is not None:
+            ambient = setup.calibration.ambient
+            found["light"] = ambient.dark_counts, ambient.floor_counts
+            found["period_ns"], found["playpen"] = setup.period_ns, setup.playpen.name
+        if seed is not None:
+            found["seed"] = seed
+        network_file.write(Path(path), network_file.Stored(**found), replace)
 
     @property
     def sizes(self) -> tuple[int, ...]:
         """Numbers of inputs, neurons of each layer and outputs (left and right)."""
-        return (N_SENSORS * (1 + self.ambient), *self.hidden, 2)
+        return network_file.sizes(self.hidden, self.ambient)
 
     @property
     def requests(self) -> str:
@@ -147,6 +210,8 @@ def controllers_of(
             no known kind.
     """
     kind, function, sizes, recurrent, top_speed, n_memory = stepping.CONSTANT_SPEED, 0, (), False, 0.0, 0
+    if isinstance(driver, Network) and not genes.size:
+        genes = np.array(driver.genes, np.float64)
     if genes.ndim == 2 and len(genes) != n_robots:
         raise ControllerError(f"genes for {len(genes)} robots; expected {n_robots}")
     weights = np.array(np.broadcast_to(genes, (n_robots, genes.shape[-1])), np.float64)

@@ -15,8 +15,9 @@ import mujoco
 import numpy as np
 
 from khep_twin import __version__, playpen
-from khep_twin.episodes.controllers import Braitenberg, Driver, Floats
+from khep_twin.episodes.controllers import Braitenberg, Driver, Floats, Network
 from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.network_file import SUFFIX
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError
 from khep_twin.files.atomic import read_regular
 from khep_twin.files.text import decode
@@ -162,7 +163,14 @@ def _playpen(file: StudyFile, name: str) -> Playpen:
 
 def _controllers(file: StudyFile) -> Iterator[ControllerSpec]:
     for name in file.study.controllers:
-        yield ControllerSpec(name, Braitenberg(), np.zeros((1, 0)))
+        if not name.endswith(SUFFIX):
+            yield ControllerSpec(name, Braitenberg(), np.zeros((1, 0)))
+            continue
+        try:
+            network = Network.load(file.folder / name)
+        except ControllerError as error:
+            raise checked(file, ("controllers",), f'controllers: "{name}"', error) from None
+        yield ControllerSpec(name, network, np.array([network.genes]))
     for index, table in enumerate(file.study.networks):
         yield ControllerSpec(table.name, table.network(), genomes_of(file, "network", index))
     for index, table in enumerate(file.study.programs):
@@ -208,5 +216,7 @@ def _digest(work: Work, measured: list[str]) -> str:
     for controller in work.controllers:
         genomes = hashlib.sha256(controller.genomes.tobytes()).hexdigest()
         program = controller.driver.text if isinstance(controller.driver, Program) else ""
+        if isinstance(controller.driver, Network) and controller.driver.genes:  # of a file, not of the study
+            program = repr(controller.driver)
         told.append([controller.name, controller.genomes.shape, genomes, program])
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()

@@ -27,6 +27,7 @@ from khep_twin.clock import n_steps, to_ns
 from khep_twin.episodes.controllers import Network
 from khep_twin.episodes.fitness import TOP_SPEED_PULSES
 from khep_twin.episodes.metrics import METRICS
+from khep_twin.episodes.network_file import SUFFIX
 from khep_twin.errors import KhepTwinError, Location, Problem, StudyError
 from khep_twin.files import toml_files
 from khep_twin.files.paths import StrPath
@@ -115,9 +116,7 @@ class Study(TomlTable):
     version: Annotated[int, Field(ge=1, le=1, description="1")]
     name: Name
     playpens: Texts
-    controllers: Annotated[
-        tuple[Literal["braitenberg"], ...], Field(description='a list of built-in ones: "braitenberg"')
-    ] = ()
+    controllers: Annotated[tuple[str, ...], Field(description="a list of texts")] = ()
     networks: Annotated[tuple[NetworkTable, ...], Field(alias="network")] = ()
     programs: Annotated[tuple[ProgramTable, ...], Field(alias="program")] = ()
     measures: Annotated[tuple[MeasureTable, ...], Field(alias="measure")] = ()
@@ -150,6 +149,10 @@ class Study(TomlTable):
         except ValueError:
             wanted = f"whole control periods of {self.period_ms} ms"
             yield Problem.of(("seconds",), f"seconds = {self.seconds:g}", wanted)
+        for name in self.controllers:
+            if name != "braitenberg" and not name.endswith(SUFFIX):
+                choices = ("braitenberg", f"a network's FILE{SUFFIX}")
+                yield Problem.of(("controllers",), f"controllers: {show(name)}: unknown", choices, name)
         if not (self.controllers or self.networks or self.programs):
             yield Problem.of((), "no controller", "controllers, a [[network]] or a [[program]]")
         if "homing" in self.fitness and self.home is None:

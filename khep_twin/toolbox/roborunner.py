@@ -86,7 +86,7 @@ def roborun2(
         _runs.append(run)
         if folder is not None:
             folder.keep(run)
-        print(run.line(runs))
+        print(run.text(runs))
         for each in after:
             call_on_run_end(each, run)
     return list(_runs)

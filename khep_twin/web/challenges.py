@@ -21,7 +21,7 @@ from khep_twin.lab.challenge.results import attempts, participants, ranked, to_c
 from khep_twin.machine import n_cores
 from khep_twin.web import requests
 from khep_twin.web.answers import Actions, on
-from khep_twin.web.documents import Documents
+from khep_twin.web.documents import PROGRAMS, Documents
 from khep_twin.web.messages import Publish, Scored, Scoring
 from khep_twin.web.session import PrintBuffer
 
@@ -124,7 +124,7 @@ class Challenges:
         return Response(to_csv(*self._table), media_type="application/octet-stream")
 
     def _program(self, name: str) -> Path:
-        path = self._documents.path(name, ".py")
+        path = self._documents.path(name, *PROGRAMS)
         if not path.is_file():
             raise ChallengeError(
                 "not found", file=name, expected="a program below the folder of the designer"

@@ -28,6 +28,9 @@ from khep_twin.web.requests import RequestError, object_of, sendable
 _UNNAMED = "unnamed"
 """Name in a draft's file name for a playpen that has no file yet."""
 
+PROGRAMS = (".py", ".npz")
+"""Endings of controllers' files."""
+
 _PAGE = re.compile("[A-Za-z0-9-]{0,40}")
 """Identifiers of pages."""
 
@@ -113,8 +116,8 @@ class Documents:
             raise PlaypenError(f"{name}: not found; expected a log below the folder of the designer")
         return found
 
-    def names(self, ending: str = ".toml") -> list[str]:
-        """Return the files with an ending, sorted by name, without those in hidden folders.
+    def names(self, *endings: str) -> list[str]:
+        """Return the files with one of these endings, or .toml, by name, without those in hidden folders.
 
         Names that `below` refuses are left out: some have bytes that no JSON can represent.
         """
@@ -126,7 +129,7 @@ class Documents:
             found += [
                 name
                 for file in files
-                if file.endswith(ending)
+                if file.endswith(endings or ".toml")
                 and not file.startswith(".")
                 and (name := str((Path(folder) / file).relative_to(self.root))).isprintable()
             ]

@@ -20,7 +20,7 @@ from khep_twin.playpen import Playpen, bitmap, bitmap_files
 from khep_twin.playpen.starts import at_spots
 from khep_twin.web import drafts, requests
 from khep_twin.web.answers import Actions, on
-from khep_twin.web.documents import ConflictError, Documents, OutsideError, version_of
+from khep_twin.web.documents import PROGRAMS, ConflictError, Documents, OutsideError, version_of
 from khep_twin.web.messages import Publish
 from khep_twin.web.requests import PROGRAM_LIMIT
 
@@ -121,7 +121,7 @@ class FileActions:
 
     def _list(self, asked: requests.Request) -> dict[str, object]:
         ports = [{"url": port.url, "what": port.what} for port in found_ports()]
-        files, programs = self._documents.names(), self._documents.names(".py")
+        files, programs = self._documents.names(), self._documents.names(*PROGRAMS)
         return {"files": files, "programs": programs, "library": playpens.names(), "ports": ports}
 
     def _thumbnail(self, asked: requests.Library) -> Response:

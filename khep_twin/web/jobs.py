@@ -21,7 +21,7 @@ from khep_twin.lab.experiment.series_run import Plan
 from khep_twin.lab.experiment.series_run import SeriesRun as DoneRun
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, sense
 from khep_twin.toolbox.form import as_toolbox_form
-from khep_twin.web.documents import Documents
+from khep_twin.web.documents import PROGRAMS, Documents
 from khep_twin.web.messages import Publish
 from khep_twin.web.requests import RunRequest, SenseRequest
 
@@ -137,7 +137,7 @@ def series(asked: RunRequest, documents: Documents, robot: int = 0) -> SeriesJob
         found = find_controller(name, as_toolbox_form)
     else:
         file, _, function = name.partition(":")
-        path = documents.path(file, ".py")
+        path = documents.path(file, *PROGRAMS)
         forget_modules_beside(path)
         found = find_controller(f"{path}:{function}" if function else str(path), as_toolbox_form)
     plan = Plan(asked.runs, asked.cycles, asked.seconds, asked.pause)

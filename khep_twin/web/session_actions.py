@@ -19,7 +19,7 @@ from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.web import drafts, jobs, requests, scene
 from khep_twin.web.answers import Actions, on
-from khep_twin.web.documents import Documents
+from khep_twin.web.documents import PROGRAMS, Documents
 from khep_twin.web.messages import Publish
 from khep_twin.web.session import RobotActor, WebSession
 from khep_twin.web.twin_session import TwinActor
@@ -131,7 +131,7 @@ class SessionActions:
             raise requests.RequestError(f"{len(names)} controllers; {wanted}")
         for name in names:
             if name and name not in BUILT_IN:
-                self._documents.path(name.partition(":")[0], ".py")
+                self._documents.path(name.partition(":")[0], *PROGRAMS)
         numbered = enumerate(names)
         actor.start(*(jobs.FileJob(asked, self._documents, n) if name else None for n, name in numbered))
 

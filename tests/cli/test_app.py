@@ -114,7 +114,12 @@ def test_a_run_draws_its_picture_and_leaves_nothing_half_written(tmp_path: Path)
 def test_an_own_controller_is_run_for_its_cycles(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("def turn(robot):\n    robot.set_speed(3, -3)\n    robot.sleep(0.1)\n")
     result = khep_twin("run", "mine.py:turn", "--cycles", "5", folder=tmp_path)
-    assert result.stdout == "5 cycles in 0.6 s\n"
+    first, *metrics = result.stdout.splitlines()
+    assert first == "5 cycles in 0.6 s"
+    seen, true = metrics[:2], metrics[2:]
+    assert seen == ["fitness             0.09191", "speed mean          0 pulses/10 ms"]
+    assert true[0] == "distance m          0"
+    assert re.search(r"^coverage +0\.\d+ of the floor$", true[-1])
 
 
 def test_a_log_becomes_a_rerun_recording(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ export class Challenges {
   // Takes the programs below the folder; renew replaces the choices of a list.
   programs(names, renew) {
     renew($("#scored"), [new Option("reference solution", ""), ...names.map((name) => new Option(name, name))]);
-    const folders = new Set(names.map((name) => name.replace(/\/?[^/]*$/, "") || "."));
+    const folders = new Set(names.filter((name) => name.endsWith(".py")).map((name) => name.replace(/\/?[^/]*$/, "") || "."));
     renew($("#score-folder"), [...folders].sort().map((name) => new Option(name === "." ? "this folder" : name, name)));
     this.#buttons();
   }

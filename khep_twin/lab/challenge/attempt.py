@@ -87,7 +87,7 @@ def score_file(
 
     Args:
         file: Challenge.
-        controller: Controller, FILE.py or FILE.py:NAME.
+        controller: Controller, FILE.py, FILE.py:NAME or a network's FILE.npz.
         runs: Number of runs; the challenge's by default.
         seed: Seed of the first run; the challenge's by default.
         log: Log to record.

@@ -55,7 +55,7 @@ def score(file: ChallengeFile, controller: str, runs: int, seed: int, log: Path 
 
     Args:
         file: Challenge.
-        controller: Controller, FILE.py or FILE.py:NAME, or a built-in one.
+        controller: Controller, FILE.py, FILE.py:NAME or a network's FILE.npz, or a built-in one.
         runs: Number of runs; run n has the seed `seed` + n - 1.
         seed: Seed of the first run.
         log: Log to record; with several runs each has its own, NAME-001.mcap and so on.

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from khep_twin.lab.experiment.experiment import Outcome as Outcome
     from khep_twin.lab.experiment.experiment import run as run
     from khep_twin.lab.experiment.multi_robot import run_together as run_together
+    from khep_twin.lab.experiment.periodic_controllers import NetworkController as NetworkController
     from khep_twin.lab.experiment.series import FreshTwins as FreshTwins
     from khep_twin.lab.experiment.series import OneRobot as OneRobot
     from khep_twin.lab.experiment.series import run_series as run_series
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from khep_twin.lab.experiment.series_run import SeriesRun as SeriesRun
     from khep_twin.lab.experiment.start_poses import StartPose as StartPose
     from khep_twin.lab.experiment.start_poses import starts as starts
+    from khep_twin.lab.experiment.task_controller import TaskController as TaskController
 else:
     from khep_twin import lazy
 

@@ -1,4 +1,4 @@
-"""Controllers and other functions in a user's files, found by name."""
+"""Controllers and other functions in a user's files, found by name: programs, and networks."""
 
 import importlib.util
 import inspect
@@ -11,6 +11,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
 
+from khep_twin.episodes.controllers import Braitenberg, Driver, Network
+from khep_twin.episodes.network_file import SUFFIX
 from khep_twin.errors import ControllerError, choices
 from khep_twin.files.atomic import open_regular, resolved
 from khep_twin.files.text import check_encoding
@@ -29,19 +31,22 @@ from khep_twin.lab.experiment.controllers import (
     name_of,
     source_file,
 )
+from khep_twin.lab.experiment.periodic_controllers import NetworkController, PeriodicController
 from khep_twin.lab.experiment.series_run import SeriesRun
 from khep_twin.lab.experiment.users_folder import begin_here, in_users_folder
 from khep_twin.signals import is_interruption
 
-Offered = TypeVar("Offered", bound=type[Controller] | AnyFunction)
+Offer = type[Controller] | PeriodicController | AnyFunction
+Offered = TypeVar("Offered", bound=Offer)
 
 
 def find_controller(
     name: str, adapt: Callable[[AnyController], AnyController] = lambda controller: controller
 ) -> AnyController:
-    """Find a controller by its built-in name, or as FILE.py or FILE.py:NAME.
+    """Find a controller by its built-in name, or as FILE.py, FILE.py:NAME or a network's FILE.npz.
 
-    Without NAME, the file's `controller` is used, or its only public function or subclass of `Controller`.
+    Without NAME, the file's `controller` is used, or its only public function or subclass of `Controller`, or
+    the only `TaskController` or `NetworkController` that it makes.
     `adapt` makes a controller of a function of another form, and returns others unchanged.
 
     Raises:
@@ -50,24 +55,37 @@ def find_controller(
     begin_here()
     if name in BUILT_IN:
         return BUILT_IN[name]
+    if name.endswith(SUFFIX):
+        return NetworkController(Network.load(name), Path(name).name)
     path, wanted = _file_and_name(name, f"no such controller; expected {_wish(name)}")
     module = _module_of(path)
     offers = _offers_of(module)
-    classes = {each: offer for each, offer in offers.items() if isinstance(offer, type)}
-    if not wanted and len(classes) == 1 and "controller" not in offers:
-        offers = classes  # beside a single class, functions are its tools
+    whole = {each: offer for each, offer in offers.items() if isinstance(offer, type | PeriodicController)}
+    if not wanted and len(whole) == 1 and "controller" not in offers:
+        offers = whole  # beside a single class, functions are its tools
     wanted, found = _chosen(path, wanted, module, offers, _CONTROLLER)
+    if isinstance(found, PeriodicController):
+        found.defined_by = module
+        return found
     if isinstance(found, type):
         return _made(path, wanted, found)
     adapted = adapt(found)
     return adapted if adapted is not found else _plain(path, wanted, found, "robot")
 
 
-def find_rule(name: str) -> AnyFunction:
-    """Find a function of proximity and ambient light, as FILE.py or FILE.py:NAME.
+def find_driver(name: str) -> Driver | AnyFunction:
+    """Find a controller of episodes: a built-in one, a network's FILE.npz, or a function.
 
-    Without NAME, the file's `controller` is used, or its only public function.
+    The function is one of proximity and ambient light, as FILE.py or FILE.py:NAME. Without NAME, the file's
+    `controller` is used, or its only public function.
+
+    Raises:
+        ControllerError: There is no such controller, or its file fails.
     """
+    if name in BUILT_IN:
+        return Braitenberg()
+    if name.endswith(SUFFIX):
+        return Network.load(name)
     path, wanted = _file_and_name(name)
     begin_here()
     module = _module_of(path)
@@ -185,12 +203,15 @@ def _contents(module: ModuleType) -> list[str]:
 def _wish(name: str) -> str:
     """Return what a controller is called on the command line, where `name` is none."""
     if name.endswith(".toml") or name in names("playpens"):
-        return f"FILE.py, FILE.py:NAME or a built-in name, and for a playpen --playpen {name}"
-    return f"FILE.py, FILE.py:NAME or a built-in name; {choices(name, BUILT_IN)}"
+        return f"{_FILES} or a built-in name, and for a playpen --playpen {name}"
+    return f"{_FILES} or a built-in name; {choices(name, BUILT_IN)}"
 
 
-def _functions_of(offers: Mapping[str, type[Controller] | AnyFunction]) -> dict[str, AnyFunction]:
-    return {name: offer for name, offer in offers.items() if not isinstance(offer, type)}
+_FILES = "FILE.py, FILE.py:NAME, FILE.npz"
+
+
+def _functions_of(offers: Mapping[str, Offer]) -> dict[str, AnyFunction]:
+    return {name: offer for name, offer in offers.items() if inspect.isfunction(offer)}
 
 
 def _plain(path: Path, name: str, function: AnyFunction, taking: str) -> AnyFunction:
@@ -220,15 +241,18 @@ def _made(path: Path, name: str, kind: type[Controller]) -> Controller:
         raise failed(path, error, f"{name}() failed: ") from error
 
 
-def _offers_of(module: ModuleType) -> dict[str, type[Controller] | AnyFunction]:
-    """Return the public functions and controllers that a file defines itself."""
-    return {
-        name: offer
-        for name, offer in vars(module).items()
-        if not name.startswith("_")
-        and getattr(offer, "__module__", None) == module.__name__
-        and (inspect.isfunction(offer) or (isinstance(offer, type) and issubclass(offer, Controller)))
-    }
+def _offers_of(module: ModuleType) -> dict[str, Offer]:
+    """Return the public functions and controllers that a file defines itself, or makes of policies."""
+    public = {name: offer for name, offer in vars(module).items() if not name.startswith("_")}
+
+    def fits(offer: object) -> bool:
+        if isinstance(offer, PeriodicController):
+            return True
+        is_function = inspect.isfunction(offer)
+        is_own = getattr(offer, "__module__", None) == module.__name__
+        return is_own and (is_function or (isinstance(offer, type) and issubclass(offer, Controller)))
+
+    return {name: offer for name, offer in public.items() if fits(offer)}
 
 
 def _module_of(path: Path) -> ModuleType:

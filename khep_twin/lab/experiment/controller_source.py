@@ -3,10 +3,11 @@
 import importlib
 import inspect
 import io
+import json
 import sys
 import tokenize
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from hashlib import sha256
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
@@ -14,6 +15,7 @@ from types import CodeType
 
 from khep_twin.files.text import encodable
 from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController, defining, name_of
+from khep_twin.lab.experiment.periodic_controllers import NetworkController
 
 MOST_BYTES = 2**20
 """Longest source kept in a log [bytes]; programs written by hand have less than a tenth (assumed)."""
@@ -44,7 +46,8 @@ class Source:
 
     Attributes:
         facts: Name, built-in or FILE.py:FUNCTION without a folder, and why the source is left out.
-        attachments: Source by the name controller/FILE.py, empty if it is left out.
+        attachments: Source by the name controller/FILE.py, or a network as controller/FILE.json; empty if it
+            is left out.
     """
 
     facts: Mapping[str, str]
@@ -59,6 +62,8 @@ class Source:
 
 def source_of(controller: AnyController) -> Source:
     """Return name and source of a controller; of its file only, without imports."""
+    if isinstance(controller, NetworkController) and controller.defined_by is None:
+        return _network_source(controller)
     defined = defining(controller)
     file = inspect.getsourcefile(defined) or ""
     # The folder is specific to the machine and no part of the run.
@@ -76,6 +81,16 @@ def source_of(controller: AnyController) -> Source:
     if len(data) > MOST_BYTES:
         return Source(facts | {"controller_source": f"left out: {len(data)} bytes, more than {MOST_BYTES}"})
     return Source(facts, {f"controller/{name}": text})
+
+
+def _network_source(controller: NetworkController) -> Source:
+    """Return the name of a network's file, and the network as JSON."""
+    name = encodable(controller.file or "network.npz")
+    text = json.dumps(asdict(controller.network))
+    facts = {"controller": name, "network": f"sha256 {sha256(text.encode()).hexdigest()}"}
+    if len(text) > MOST_BYTES:
+        return Source(facts | {"controller_source": f"left out: {len(text)} bytes, more than {MOST_BYTES}"})
+    return Source(facts, {f"controller/{Path(name).stem}.json": text})
 
 
 def _text(data: bytes) -> str:

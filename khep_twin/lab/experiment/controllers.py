@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from importlib.resources import files
 from operator import mul
 from pathlib import Path
+from types import ModuleType
 from typing import ClassVar, Literal, ParamSpec, TypeVar
 
 import numpy as np
@@ -45,9 +46,11 @@ class Controller:
 
     Attributes:
         passes_time: Calls that let time pass in a cycle, for messages.
+        defined_by: User's function or file that it consists of, for messages and logs; None for its class.
     """
 
     passes_time: ClassVar[str] = "to ask the robot something, or robot.sleep"
+    defined_by: "AnyFunction | ModuleType | None" = None
 
     def start(self, robot: Khepera) -> None:
         """Run before the first cycle of each run."""
@@ -67,7 +70,7 @@ class FunctionController(Controller):
     """A controller made of a function called once a cycle; a mapping that it returns has its variables."""
 
     def __init__(self, function: Callable[[Khepera], object]) -> None:
-        self.function = function
+        self.defined_by = self.function = function
         self._told: Mapping[str, object] = {}
 
     def start(self, robot: Khepera) -> None:
@@ -126,15 +129,17 @@ def as_controller(controller: AnyController) -> Controller:
 
 def name_of(controller: AnyController) -> str:
     """Return the name of a controller in its file."""
-    return str(getattr(defining(controller), "__name__", type(controller).__name__))
+    defined = defining(controller)
+    named = type(controller) if isinstance(defined, ModuleType) else defined
+    return str(getattr(named, "__name__", type(controller).__name__))
 
 
-def defining(controller: AnyController | AnyFunction) -> AnyFunction:
-    """Return the function or class that defines a controller or one of its methods."""
+def defining(controller: AnyController | AnyFunction) -> AnyFunction | ModuleType:
+    """Return the function, class or file that defines a controller or one of its methods."""
     owner = getattr(controller, "__self__", controller)
-    if isinstance(owner, FunctionController):
-        return owner.function
-    return type(owner) if isinstance(owner, Controller) else owner
+    if not isinstance(owner, Controller):
+        return owner
+    return type(owner) if owner.defined_by is None else owner.defined_by
 
 
 def call(place: Callable[P, Returned], *given: P.args, **named: P.kwargs) -> Returned:

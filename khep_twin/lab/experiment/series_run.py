@@ -1,11 +1,12 @@
 """Plan of a series of runs, its results and the names of their files."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from khep_twin.errors import ControllerError
+from khep_twin.lab.experiment.measures import UNITS
 from khep_twin.lab.experiment.start_poses import StartPose
 
 
@@ -57,14 +58,26 @@ class SeriesRun:
     metrics: Mapping[str, float]
     variables: Mapping[str, object] = field(default_factory=dict[str, object])
 
-    def line(self, runs: int) -> str:
-        """Return the run as a line of text, as one of `runs`."""
+    def text(self, runs: int) -> str:
+        """Return the run as a line of text, as one of `runs`; a single run with a line for each metric."""
         told = f"{self.cycles} cycles in {self.duration:.1f} s"
         if runs == 1:
-            return told
+            return "\n".join([told, *metric_lines([self.metrics])])
         names = ("fitness", "distance_m")
         shown = [f"{name} {self.metrics[name]:.3g}" for name in names if name in self.metrics]
         return "  ".join([f"run {self.number:3d}", told, *shown])
+
+
+def metric_lines(each: Sequence[Mapping[str, float]]) -> list[str]:
+    """Return a line for each metric, with the values of each robot; those that are undefined are left out."""
+    lines: list[str] = []
+    for name in each[0]:
+        values = [metrics[name] for metrics in each]
+        if not math.isnan(values[0]):
+            row = "".join(f"{value:<12.4g}" for value in values).rstrip()
+            unit = "" if len(each) > 1 or name.endswith(("_m", "_s")) else UNITS.get(name, "")
+            lines.append(f"{name.replace('_', ' '):20}{row} {unit}".rstrip())
+    return lines
 
 
 def numbered(path: Path, number: int) -> Path:

@@ -10,7 +10,7 @@ from shares import share
 from khep_twin.board.kernel import SETPOINTS
 from khep_twin.errors import ControllerError
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment.controller_files import find_controller, find_rule
+from khep_twin.lab.experiment.controller_files import find_controller, find_driver
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.experiment import run
 from khep_twin.log.reader import read_log
@@ -117,7 +117,7 @@ def test_a_file_without_a_controller_says_what_is_in_it_and_what_two_lines_it_ne
     file.write_text("\n".join(lines))
     assert find_controller(str(file))
     with pytest.raises(ControllerError, match=r"takes \(robot\); .*for one of a robot: .* run "):
-        find_rule(str(file))
+        find_driver(str(file))
 
 
 def test_an_error_in_a_module_that_a_controller_imports_has_both_places(tmp_path: Path) -> None:

@@ -1,0 +1,194 @@
+"""Files of networks: an NPZ that numpy opens without pickle.
+
+format      "khep_twin network"
+version     1
+hidden      neurons of each hidden layer (n_layers,)
+recurrent   whether the first layer has feedback of its own last values
+top_speed   speed for an output of 1 [pulses/10 ms]
+genes       weights, in the order of `networks` (n_genes,)
+inputs      names of the inputs in their order (n_inputs,), such as "proximity left_90"
+zero, one   counts of the robot that are inputs of 0 and 1 (n_inputs,)
+period_ns   control period that the network was made for [ns]
+playpen     playpen in which it was found, as text; empty if unknown
+seed        seed with which it was found; left out if unknown
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from khep_twin import units
+from khep_twin.episodes import networks
+from khep_twin.errors import ControllerError, choices
+from khep_twin.files.atomic import open_regular, write_whole
+from khep_twin.files.npz_file import SIZE_LIMIT, packed, read_arrays
+from khep_twin.randomness import SEED_LIMIT
+
+SUFFIX = ".npz"
+"""End of the names of networks' files."""
+
+FORMAT, VERSION = "khep_twin network", 1
+
+LIGHT = (484.8, 75.0)
+"""Ambient counts in the dark and in the brightest light, of the calibration khepera1."""
+
+_SENSORS = tuple(sensor.key for sensor in units.Sensor)
+_TEXT = "U"
+_KINDS = {
+    "format": (_TEXT, 0),
+    "version": ("iu", 0),
+    "hidden": ("iu", 1),
+    "recurrent": ("b", 0),
+    "top_speed": ("fiu", 0),
+    "genes": ("fiu", 1),
+    "inputs": (_TEXT, 1),
+    "zero": ("fiu", 1),
+    "one": ("fiu", 1),
+    "period_ns": ("iu", 0),
+    "playpen": (_TEXT, 0),
+    "seed": ("iu", 0),
+}
+"""Kinds and dimensions of the arrays, by name."""
+
+_NAMES = {"U": "text", "b": "true or false", "iu": "integers", "fiu": "numbers"}
+
+
+class Stored(NamedTuple):
+    """Content of a file, by the names of `controllers.Network`."""
+
+    hidden: tuple[int, ...]
+    recurrent: bool
+    ambient: bool
+    top_speed: float
+    genes: tuple[float, ...]
+    period_ns: int
+    light: tuple[float, float]
+    playpen: str
+    seed: int | None
+
+
+def sizes(hidden: Sequence[int], ambient: bool) -> tuple[int, ...]:
+    """Return a network's numbers of inputs, neurons of each layer and outputs (left and right)."""
+    return (units.N_SENSORS * (1 + ambient), *hidden, 2)
+
+
+def read(path: Path) -> Stored:
+    """Return the content of a file.
+
+    Raises:
+        ControllerError: It cannot be read, is no network's file, or is damaged.
+    """
+    try:
+        with open_regular(path) as file:
+            arrays = read_arrays(file.read(SIZE_LIMIT + 1))
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ControllerError(f"{path}: cannot be read: {reason}") from None
+    return _checked(path, arrays)
+
+
+def write(path: Path, stored: Stored, replace: bool = False) -> None:
+    """Write a file; a network that is there is replaced, and any other file only with `replace`.
+
+    Raises:
+        ControllerError: The network cannot be used, or the name does not end in .npz.
+        KhepTwinError: Another file is there, or it cannot be written.
+    """
+    if path.suffix != SUFFIX:
+        raise ControllerError(f"{path}: expected a name that ends in {SUFFIX}")
+    names, zero, one = _inputs(stored.ambient, stored.light)
+    arrays: dict[str, ArrayLike] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "hidden": np.asarray(stored.hidden, None if stored.hidden else np.int64),
+        "recurrent": stored.recurrent,
+        "top_speed": float(stored.top_speed),
+        "genes": np.array(stored.genes, np.float64),
+        "inputs": names,
+        "zero": zero,
+        "one": one,
+        "period_ns": stored.period_ns,
+        "playpen": stored.playpen,
+        **({} if stored.seed is None else {"seed": stored.seed}),
+    }
+    _checked(path, {name: np.asarray(value) for name, value in arrays.items()})
+    if not replace and path.is_file() and path.stat().st_size and not _is_network(path):
+        raise ControllerError(f"{path}: is there, and no network; expected another name, or replace=True")
+    write_whole(path, packed(arrays), replace or _is_network(path))
+
+
+def _is_network(path: Path) -> bool:
+    try:
+        read(path)
+    except ControllerError:
+        return False
+    return True
+
+
+def _inputs(ambient: bool, light: tuple[float, float]) -> tuple[list[str], list[float], list[float]]:
+    """Return the names of the inputs, and the counts that are 0 and 1."""
+    terms = {"proximity": (0.0, float(units.COUNTS_LIMIT)), **({"light": light} if ambient else {})}
+    names = [f"{term} {sensor}" for term in terms for sensor in _SENSORS]
+    zero, one = ([scale[end] for scale in terms.values() for _ in _SENSORS] for end in (0, 1))
+    return names, zero, one
+
+
+def _checked(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Stored:
+    """Return the content of a file's arrays; raise a `ControllerError` for what cannot be used."""
+
+    def refuse(found: str, expected: str) -> ControllerError:
+        return ControllerError(f"{path}: {found}; expected {expected}")
+
+    if "format" not in arrays or arrays["format"].shape or str(arrays["format"]) != FORMAT:
+        there = ", ".join(sorted(arrays)) or "nothing"
+        raise refuse(f"no network: an NPZ file of {there[:200]}", "one that Network.save has written")
+    for name, (kind, dimensions) in _KINDS.items():
+        if name not in arrays and name != "seed":
+            raise refuse(f"no {name}", "one")
+        if name in arrays and (arrays[name].dtype.kind not in kind or arrays[name].ndim != dimensions):
+            shape = "a single one" if dimensions == 0 else "a row of them"
+            found = f"{name}: {arrays[name].dtype} of shape {arrays[name].shape}"
+            raise refuse(found, f"{_NAMES[kind]}, {shape}")
+        if name == "version" and int(arrays[name]) != VERSION:
+            raise refuse(f"version = {arrays[name]}", f"{VERSION}; is it of a newer khep_twin?")
+    for name in arrays.keys() - _KINDS.keys():
+        raise ControllerError(f"{path}: {name}: unknown; {choices(name, _KINDS)}")
+    return _fitting(arrays, refuse)
+
+
+def _fitting(arrays: Mapping[str, NDArray[Any]], refuse: Callable[[str, str], ControllerError]) -> Stored:
+    """Return the content of arrays of the right kinds; raise what `refuse` returns for values."""
+    hidden, genes = tuple(arrays["hidden"].tolist()), tuple(map(float, arrays["genes"].tolist()))
+    recurrent, inputs = bool(arrays["recurrent"]), arrays["inputs"].tolist()
+    top_speed, period_ns = float(arrays["top_speed"]), int(arrays["period_ns"])
+    seed = int(arrays["seed"]) if "seed" in arrays else None
+    if not all(1 <= size <= 1000 for size in hidden) or len(hidden) > 100:
+        raise refuse(f"hidden = {list(hidden)[:100]}", "1 to 1000 neurons in each of at most 100 layers")
+    if not 0 < top_speed <= 127:
+        raise refuse(f"top_speed = {top_speed:g}", "a number above 0 and at most 127")
+    if period_ns <= 0 or period_ns % units.TICK_NS:
+        raise refuse(f"period_ns = {period_ns}", f"whole ticks of {units.TICK_NS} ns")
+    if seed is not None and not 0 <= seed < SEED_LIMIT:
+        raise refuse(f"seed = {seed}", "an integer from 0 to 2**63-1")
+    ambient = len(inputs) > units.N_SENSORS
+    light = LIGHT
+    zero, one = arrays["zero"].tolist(), arrays["one"].tolist()
+    if ambient and len(zero) == len(one) == len(inputs):
+        light = float(zero[-1]), float(one[-1])
+    names, *scale = _inputs(ambient, light)
+    if inputs != names:
+        raise refuse(f"inputs {', '.join(inputs)[:200]}", ", ".join(names))
+    if [zero, one] != scale or not np.isfinite(light).all() or light[0] == light[1]:
+        wanted = f"proximity from 0 to {units.COUNTS_LIMIT}, and light from dark to bright, the same for all"
+        raise refuse(f"inputs are 0 at {zero[:16]} and 1 at {one[:16]} counts", wanted)
+    layers = sizes(hidden, ambient)
+    if len(genes) != (count := networks.n_genes(layers, recurrent)):
+        feedback = ", recurrent" if recurrent else ""
+        raise refuse(f"{len(genes)} genes", f"{count} for layers of {', '.join(map(str, layers))}{feedback}")
+    if (bad := np.flatnonzero(~np.isfinite(genes))).size:
+        raise refuse(f"genes[{bad[0]}] = {genes[bad[0]]}", "finite numbers")
+    playpen = str(arrays["playpen"])
+    return Stored(hidden, recurrent, ambient, top_speed, genes, period_ns, light, playpen, seed)

@@ -1,0 +1,164 @@
+"""Policies that were trained with a task, as controllers of a robot on any port.
+
+    from stable_baselines3 import PPO
+    from khep_twin import TaskController
+
+    controller = TaskController("ObstacleAvoidance", PPO.load("avoid"))
+
+With these lines in FILE.py, `khep-twin run FILE.py --port /dev/ttyUSB0` drives a robot. Observations and
+actions have the task's terms, units and scaling, and a cycle is the task's period.
+"""
+
+import inspect
+from collections.abc import Callable
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import units
+from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
+from khep_twin.clock import to_ns
+from khep_twin.envs.task_setup import PERIOD_NS
+from khep_twin.envs.tasks import Observation, State, Task, action_limit, find, speeds_of
+from khep_twin.errors import ControllerError
+from khep_twin.host import Khepera
+from khep_twin.lab.experiment.controllers import failed, source_file
+from khep_twin.lab.experiment.periodic_controllers import PeriodicController
+from khep_twin.playpen import Playpen
+from khep_twin.sensing import calibration as calibrations
+from khep_twin.signals import is_interruption
+
+_TOLD = ("proximity", "light", "speed")
+"""Observation terms that a robot tells over its line, in the order in which it is asked."""
+
+
+@runtime_checkable
+class Model(Protocol):
+    """A model of stable-baselines3, or any object with such a method."""
+
+    def predict(self, observation: Observation, /, *, deterministic: bool) -> tuple[Any, Any]:
+        """Return an action and a state."""
+        ...
+
+
+class TaskController(PeriodicController):
+    """A policy that drives a robot as in the task that it was trained with.
+
+    Each cycle asks N, O and H, as far as the task observes proximity, light and speed, then the policy, and
+    sends D. The speed is that since the cycle before, as counted by the encoders.
+
+    Args:
+        task: Task, or its name.
+        policy: Model with a method `predict` of stable-baselines3, or function of an observation (n,) that
+            returns an action (2,).
+        period_ns: Control period [ns].
+        normalize: Whether actions and observations are normalized to -1 to 1, as of the environment.
+        calibration: Calibration of the robot, by name or path, for the scale of light; by default that of
+            the task's playpen.
+
+    Raises:
+        ControllerError: The task observes what no robot tells, or the policy is for other observations or
+            actions.
+        KhepTwinError: The task is unknown.
+        ValueError: The period is not above 0.
+    """
+
+    def __init__(
+        self,
+        task: Task | str,
+        policy: Model | Callable[[Observation], Any],
+        *,
+        period_ns: int = PERIOD_NS,
+        normalize: bool = True,
+        calibration: str | None = None,
+    ) -> None:
+        if period_ns <= 0:
+            raise ValueError(f"control period of {period_ns} ns; expected a time above 0")
+        super().__init__(period_ns)
+        self._task, self._policy, self._normalize = find(task), policy, normalize
+        for term in self._task.observation_terms:
+            if term not in _TOLD:
+                raise ControllerError(
+                    f"task {self._task.name}: no robot tells its {term}; expected a task that observes "
+                    f"{', '.join(_TOLD)} alone"
+                )
+        self._name = type(policy).__name__
+        if inspect.isfunction(policy):
+            self.defined_by, self._name = policy, source_file(policy)
+        limit = action_limit(normalize)
+        self._check_space("observation", *self._task.bounds(normalize))
+        self._check_space("action", np.full(2, -limit), np.full(2, limit))
+        name = calibration or Playpen.load(self._task.playpen).robots[0].calibration
+        ambient = calibrations.read(name)[0].ambient
+        self._dark, self._floor = ambient.dark_counts, ambient.floor_counts
+        self._before: tuple[int, tuple[int, int]] = 0, (0, 0)
+
+    def start(self, robot: Khepera) -> None:
+        """Read the counters from which the first speed is counted."""
+        if "speed" in self._task.observation_terms:
+            self._speed(robot)
+
+    def decide(self, robot: Khepera) -> tuple[float, float]:
+        """Ask the robot, and the policy for its speeds."""
+        terms = self._task.observation_terms
+        registers, left, right = np.zeros(N_REGISTERS, np.int64), 0.0, 0.0
+        if "proximity" in terms:
+            registers[PROXIMITY] = robot.proximity()
+        if "light" in terms:
+            registers[AMBIENT] = robot.ambient()
+        if "speed" in terms:
+            left, right = self._speed(robot)
+        state = State(registers, left, right, self._dark, self._floor, at_goal=False, charge=1.0)
+        action = self._action(self._task.observe(state, self._normalize))
+        left, right = speeds_of(action, self._normalize).tolist()
+        return left, right
+
+    def _speed(self, robot: Khepera) -> tuple[float, float]:
+        """Return the speeds of both wheels since the last call [pulses/10 ms], and begin the next count."""
+        (before_ns, before), now = self._before, robot.position()
+        now_ns = to_ns(robot.time)
+        self._before = now_ns, (now.left, now.right)
+        ticks = max(now_ns - before_ns, 1) / units.TICK_NS
+        return (now.left - before[0]) / ticks, (now.right - before[1]) / ticks
+
+    def _action(self, observation: Observation) -> NDArray[np.float64]:
+        """Return the action of the policy (2,); raise a `ControllerError` if it is none."""
+        policy = self._policy
+        try:
+            is_model = isinstance(policy, Model)
+            action = policy.predict(observation, deterministic=True)[0] if is_model else policy(observation)
+        except BaseException as error:
+            if is_interruption(error):
+                raise
+            raise failed(self._name, error, f"at an observation {self._expected}: ") from error
+        try:
+            found = np.asarray(action, np.float64)
+        except (TypeError, ValueError):
+            found = np.zeros(0)
+        if found.shape != (2,) or not np.isfinite(found).all():
+            limit = action_limit(self._normalize)
+            wanted = f"two finite numbers, left and right, from {-limit:g} to {limit:g}"
+            raise ControllerError(f"{self._name}: the policy returned {action!r:.200}; expected {wanted}")
+        return found
+
+    @property
+    def _expected(self) -> str:
+        """Shape and terms of an observation, in words."""
+        low, high = self._task.bounds(self._normalize)
+        terms = ", ".join(self._task.observation_terms)
+        return f"of {len(low)} numbers ({terms}) from {low.min():g} to {high.max():g}"
+
+    def _check_space(self, kind: str, low: NDArray[Any], high: NDArray[Any]) -> None:
+        """Raise a `ControllerError` if a model says that it has another space of observations or actions."""
+        space = getattr(self._policy, f"{kind}_space", None)
+        if space is None:
+            return
+        given = [np.asarray(getattr(space, end, ()), np.float64) for end in ("low", "high")]
+        has_shape = given[0].shape == given[1].shape == low.shape
+        if has_shape and np.allclose(given, [low, high]):
+            return
+        wanted = self._expected if kind == "observation" else f"of two numbers from {low[0]:g} to {high[0]:g}"
+        found = f"{self._name}: made for {kind}s {space}"
+        other = f", or normalize={not self._normalize}" if has_shape else ""
+        raise ControllerError(f"{found}; expected those of task {self._task.name}, {wanted}{other}")

@@ -1,0 +1,139 @@
+"""Networks as controllers of a robot on a line: what they ask, decide and wait for."""
+
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from khep_twin.board.kernel import AMBIENT, PROXIMITY
+from khep_twin.clock import to_ns
+from khep_twin.episodes import network_file
+from khep_twin.episodes.controllers import Network
+from khep_twin.errors import ControllerError
+from khep_twin.host import Khepera
+from khep_twin.lab.experiment.controller_files import find_controller
+from khep_twin.lab.experiment.controller_source import source_of
+from khep_twin.lab.experiment.experiment import run
+from khep_twin.lab.experiment.periodic_controllers import NetworkController
+
+PLAYPEN = "khep://two-lamps?seed=3&noise=on"
+
+
+def expected_speeds(
+    network: Network, memory: np.ndarray, proximity: list[int], light: list[int]
+) -> list[int]:
+    """The equation of `networks`, in matrices; `memory` is changed."""
+    dark, bright = network.light
+    values = np.array(proximity) / 1023
+    if network.ambient:
+        values = np.concatenate([values, (dark - np.array(light)) / (dark - bright)])
+    genes = np.array(network.genes)
+    for layer, size in enumerate(network.sizes[1:]):
+        feeds_back = network.recurrent and layer == 0
+        inputs = np.concatenate([[1.0], values, memory]) if feeds_back else np.concatenate([[1.0], values])
+        weights, genes = np.split(genes, [size * len(inputs)])
+        values = np.tanh(weights.reshape(size, -1) @ inputs)
+        if feeds_back:
+            memory[:] = values
+    return [round(network.top_speed * value) for value in values]
+
+
+@pytest.mark.parametrize(
+    ("network", "baud"),
+    [
+        (Network(hidden=(4,), recurrent=True, ambient=True), 38400),
+        (Network(hidden=(4,), recurrent=True, ambient=True, period_ns=100_000_000), 9600),
+        (Network(), 9600),
+    ],
+    ids=["fast", "slow", "late"],
+)
+def test_a_cycle_asks_decides_drives_and_waits_for_its_end(network: Network, baud: int) -> None:
+    genes = np.random.default_rng(4).normal(size=network.n_genes)
+    network = Network(
+        network.hidden, network.recurrent, network.ambient, genes=genes, period_ns=network.period_ns
+    )
+    asked: list[tuple[str, str]] = []
+    ends: list[tuple[int, int]] = []
+    mode = {9600: 1, 38400: 3}[baud]
+    with Khepera(f"{PLAYPEN}&mode={mode}", baudrate=baud) as robot:
+        robot.listen(lambda request, reply: asked.append((request, reply)))
+        begun = to_ns(robot.time)
+        controller = NetworkController(network)
+        # The second run begins without the memory of the first.
+        for _ in range(2):
+            run(controller, robot, cycles=8, after_cycle=lambda: ends.append((to_ns(robot.time), len(asked))))
+    memory, cycle = np.zeros(network.sizes[1]), 3 if network.ambient else 2
+    at = 0
+    for number in range(16):
+        if number == 8:
+            memory[:], at = 0, at + 1  # the motors were stopped
+        exchanges, at = asked[at : at + cycle], at + cycle
+        letters = [request[0] for request, _ in exchanges]
+        assert letters == (["N", "O", "D"] if network.ambient else ["N", "D"])
+        counts = [[int(word) for word in reply.split(",")[1:]] for _, reply in exchanges[:-1]]
+        left, right = expected_speeds(network, memory, counts[0], counts[-1])
+        assert exchanges[-1][0] == f"D,{left},{right}"
+    durations = [later - earlier for earlier, later in pairwise([begun, *(end for end, _ in ends[:8])])]
+    if baud == 38400 or network.period_ns == 100_000_000:
+        assert durations[1:] == [network.period_ns] * 7  # to the nanosecond
+    else:
+        assert min(durations) > network.period_ns
+
+
+def test_a_network_that_is_given_the_board_decides_as_in_a_rollout() -> None:
+    """Without a line, the speeds are those of the stepping core, bit for bit."""
+    from khep_twin.episodes.episode import Episode
+    from khep_twin.episodes.episode_options import EpisodeOptions
+    from khep_twin.episodes.episode_setup import EpisodeSetup
+
+    network = Network(hidden=(5, 3), recurrent=True, ambient=True)
+    network = Network((5, 3), True, True, genes=np.random.default_rng(1).normal(size=network.n_genes))
+    setup = EpisodeSetup("two-lamps")
+    driven, watched = Episode(setup, network, compiled=False), Episode(setup, compiled=False)
+    for episode in (driven, watched):
+        episode.begin(2, EpisodeOptions(vary=True))
+
+    class Board:
+        def proximity(self) -> list[int]:
+            return watched.registers[PROXIMITY].tolist()
+
+        def ambient(self) -> list[int]:
+            return watched.registers[AMBIENT].tolist()
+
+    controller = NetworkController(network)
+    controller.start(Board())  # type: ignore[arg-type]
+    for _ in range(40):
+        watched.drive(*controller.decide(Board()))  # type: ignore[arg-type]
+        for episode in (driven, watched):
+            episode.run(0.02)
+        assert (driven.registers == watched.registers).all()
+
+
+def test_a_network_without_its_genes_or_with_endless_ones_is_refused() -> None:
+    with pytest.raises(ControllerError, match=r"0 genes for Network\(.*; expected 18"):
+        NetworkController(Network())
+    endless = NetworkController(Network(genes=[1e308] * 9 + [-1e308] * 9), "best.npz")
+    with Khepera(PLAYPEN) as robot:
+        endless._genes[0] = math.nan
+        with pytest.raises(ControllerError, match=r"best.npz: speeds nan, -20\.0; expected finite numbers"):
+            run(endless, robot, cycles=1)
+
+
+def test_a_file_of_a_network_is_a_controller_with_its_name_and_content(tmp_path: Path) -> None:
+    Network(seed=5).save(tmp_path / "best.npz", np.arange(18.0))
+    found = find_controller(str(tmp_path / "best.npz"))
+    assert isinstance(found, NetworkController)
+    source = source_of(found)
+    assert source.facts["controller"] == "best.npz"
+    ((name, text),) = source.attachments.items()
+    assert name == "controller/best.json"
+    assert '"genes": [0.0, 1.0, 2.0' in text
+    Network(seed=5).save(tmp_path / "best.npz", np.arange(1.0, 19.0))
+    assert source_of(find_controller(str(tmp_path / "best.npz"))).identity != source.identity
+    (tmp_path / "data.npz").write_bytes(b"PK")
+    for name, told in (("bets.npz", "did you mean '.*best.npz'"), ("data.npz", "no whole NPZ file")):
+        with pytest.raises(ControllerError, match=rf"{name}: cannot be read: .*{told}"):
+            find_controller(str(tmp_path / name))
+    assert network_file.read(tmp_path / "best.npz").seed == 5
