@@ -1,7 +1,8 @@
 """Evolution of obstacle avoidance as in Floreano and Mondada (1994), in their maze; minutes on two cores.
 
     .venv/bin/pip install cmaes
-    .venv/bin/python examples/04_evolve.py --picture evolution.png --genome best.npy
+    .venv/bin/python examples/04_evolve.py --picture evolution.png --network best.npz
+    khep-twin run best.npz --port /dev/ttyUSB0         drives a robot with what was found
 
 As in their work, the network connects eight sensors directly to two motors, with feedback of the motors' last
 values, and its fitness is the mean of V (1 - sqrt(dV)) (1 - i). Two things differ. V has no sign, so that
@@ -22,6 +23,7 @@ from khep_twin import Episode, EpisodeOptions, EpisodeSetup, Network, Playpen, r
 from khep_twin.drawing import DrawnPath, draw, save
 from khep_twin.errors import pip_install
 from khep_twin.files import unusable
+from khep_twin.invocation import command
 from khep_twin.lab.experiment import run_statistics
 from khep_twin.units import BODY_RADIUS
 
@@ -37,9 +39,9 @@ wish.add_argument("--seconds", type=float, default=10.0, help="duration of an ep
 wish.add_argument("--check-seconds", type=float, default=60.0, help="duration of an evaluation episode")
 wish.add_argument("--seed", type=int, default=0)
 wish.add_argument("--picture", type=Path, help="draw curve and path to NAME.png and NAME_way.png")
-wish.add_argument("--genome", type=Path, help="write the best genome to this NPY file")
+wish.add_argument("--network", type=Path, help="write the best network to this NPZ file")
 options = wish.parse_args()
-for path in (options.picture, options.genome):
+for path in (options.picture, options.network):
     if path is not None and (reason := unusable(path)):
         wish.error(f"{path}: cannot be written: {reason}")
 
@@ -83,8 +85,10 @@ for generation in range(options.generations):
 
 # The search's mean combines all generations; it is evaluated in new episodes, at the robot's own step.
 best = search.mean
-if options.genome:
-    np.save(options.genome, best)
+if options.network:
+    NETWORK.save(options.network, best, setup=setup, seed=options.seed)
+    drives = command("run", options.network, "--port", "/dev/ttyUSB0")
+    print(f"network  {options.network}      drive a robot with it: {drives}")
 tracks = []
 print("start            fitness  forwards    turning     laps  collisions  touching")
 for seed, start in enumerate(starts):

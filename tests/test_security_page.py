@@ -33,8 +33,9 @@ LISTENERS, STATEMENTS = (
 
 @cache
 def calls(path: Path) -> set[str]:
-    """Names of the functions and methods that a file calls."""
-    called = [each.func for each in ast.walk(ast.parse(path.read_text())) if isinstance(each, ast.Call)]
+    """Names of the functions and methods that a file calls, or gives to one that may call them."""
+    found = [each for each in ast.walk(ast.parse(path.read_text())) if isinstance(each, ast.Call)]
+    called = [name for each in found for name in (each.func, *each.args)]
     return {
         each.attr if isinstance(each, ast.Attribute) else each.id
         for each in called

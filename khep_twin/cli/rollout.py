@@ -94,7 +94,7 @@ def rollout(
     _check_time("--period", period)
     _check_time("--step", step)
     found = find_driver(controller)
-    driver, function = (ConstantSpeed(), found) if callable(found) else (found, None)
+    driver, function = (Policy(), found) if callable(found) else (found, None)
     if period is None:
         period = found.period_ns / 1e6 if isinstance(found, Network) else 20.0
     playpen, _ = equipped(at_spots(playpen, options.seed), options)

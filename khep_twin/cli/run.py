@@ -150,9 +150,8 @@ def run(
         # The robot is released, and its log completed, before what remains is cleared up.
         stack.enter_context(answered())
         if port is not None:
-            robot_source: RobotSource = OneRobot(
-                stack.enter_context(Khepera(port, baudrate=baudrate or "auto"))
-            )
+            khepera = Khepera(port, baudrate=baudrate or "auto")
+            robot_source: RobotSource = OneRobot(stack.enter_context(khepera))
             settings: dict[str, Any] = {"port": port}
         else:
             place = scene.load(own)

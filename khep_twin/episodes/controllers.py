@@ -5,7 +5,6 @@ All but a policy run inside the compiled loop; a policy is plain Python and is c
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from os import PathLike
 from pathlib import Path
 from typing import NoReturn, Self
 
@@ -19,6 +18,7 @@ from khep_twin.episodes.fitness import TOP_SPEED_PULSES
 from khep_twin.episodes.line import LineTimes, first_events, line_times
 from khep_twin.episodes.metrics import sums_at_start
 from khep_twin.errors import ControllerError
+from khep_twin.files.paths import StrPath
 from khep_twin.units import SCAN_NS
 
 Floats = NDArray[np.float64]
@@ -85,7 +85,7 @@ class Network:
         object.__setattr__(self, "genes", tuple(np.asarray(self.genes, np.float64).ravel().tolist()))
 
     @classmethod
-    def load(cls, path: str | PathLike[str]) -> Self:
+    def load(cls, path: StrPath) -> Self:
         """Load a network with its genes from a file of `save`.
 
         Raises:
@@ -95,7 +95,7 @@ class Network:
 
     def save(
         self,
-        path: str | PathLike[str],
+        path: StrPath,
         genes: Sequence[float] | Floats | None = None,
         *,
         setup: EpisodeSetup | None = None,

@@ -111,7 +111,8 @@ class Label:
 
     Attributes:
         metadata: Seed, versions, settings.
-        attachments: Texts playpen.toml, scene.xml, configuration.json, calibration/*.toml, controller/*.py.
+        attachments: Texts playpen.toml, scene.xml, configuration.json, calibration/*.toml, controller/*.py or
+            controller/*.json.
         robots: Names of the robots.
     """
 

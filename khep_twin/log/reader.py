@@ -61,7 +61,8 @@ class LoggedRun:
 
     Attributes:
         metadata: Seed, versions, settings.
-        attachments: Texts playpen.toml, scene.xml, configuration.json, calibration/*.toml, controller/*.py.
+        attachments: Texts playpen.toml, scene.xml, configuration.json, calibration/*.toml, controller/*.py or
+            controller/*.json.
         robots: Tracks of the robots, by name.
         events: Events, in order of time.
         source: Path of the log.

@@ -15,7 +15,8 @@ PAGE = ROOT / "docs" / "scale.md"
 
 
 @pytest.mark.filterwarnings(f"ignore::{SlowerWarning.__module__}.{SlowerWarning.__name__}")
-def test_the_programs_of_the_page_run() -> None:
+def test_the_programs_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
     with contextlib.redirect_stdout(io.StringIO()) as said:
         for program in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL):

@@ -11,6 +11,7 @@ actions have the task's terms, units and scaling, and a cycle is the task's peri
 
 import inspect
 from collections.abc import Callable
+from os import fspath
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -22,6 +23,7 @@ from khep_twin.clock import to_ns
 from khep_twin.envs.task_setup import PERIOD_NS
 from khep_twin.envs.tasks import Observation, State, Task, action_limit, find, speeds_of
 from khep_twin.errors import ControllerError
+from khep_twin.files.paths import StrPath
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import failed, source_file
 from khep_twin.lab.experiment.periodic_controllers import PeriodicController
@@ -30,7 +32,7 @@ from khep_twin.sensing import calibration as calibrations
 from khep_twin.signals import is_interruption
 
 _TOLD = ("proximity", "light", "speed")
-"""Observation terms that a robot tells over its line, in the order in which it is asked."""
+"""Observation terms that a robot tells over its line."""
 
 
 @runtime_checkable
@@ -45,8 +47,8 @@ class Model(Protocol):
 class TaskController(PeriodicController):
     """A policy that drives a robot as in the task that it was trained with.
 
-    Each cycle asks N, O and H, as far as the task observes proximity, light and speed, then the policy, and
-    sends D. The speed is that since the cycle before, as counted by the encoders.
+    Each cycle asks N, O and H for proximity, light and speed, as far as the task observes them and in its
+    order, then the policy, and sends D. The speed is that since the cycle before, as counted by the encoders.
 
     Args:
         task: Task, or its name.
@@ -71,7 +73,7 @@ class TaskController(PeriodicController):
         *,
         period_ns: int = PERIOD_NS,
         normalize: bool = True,
-        calibration: str | None = None,
+        calibration: StrPath | None = None,
     ) -> None:
         if period_ns <= 0:
             raise ValueError(f"control period of {period_ns} ns; expected a time above 0")
@@ -89,8 +91,8 @@ class TaskController(PeriodicController):
         limit = action_limit(normalize)
         self._check_space("observation", *self._task.bounds(normalize))
         self._check_space("action", np.full(2, -limit), np.full(2, limit))
-        name = calibration or Playpen.load(self._task.playpen).robots[0].calibration
-        ambient = calibrations.read(name)[0].ambient
+        usual = Playpen.load(self._task.playpen).robots[0].calibration
+        ambient = calibrations.read(usual if calibration is None else fspath(calibration))[0].ambient
         self._dark, self._floor = ambient.dark_counts, ambient.floor_counts
         self._before: tuple[int, tuple[int, int]] = 0, (0, 0)
 
@@ -103,12 +105,13 @@ class TaskController(PeriodicController):
         """Ask the robot, and the policy for its speeds."""
         terms = self._task.observation_terms
         registers, left, right = np.zeros(N_REGISTERS, np.int64), 0.0, 0.0
-        if "proximity" in terms:
-            registers[PROXIMITY] = robot.proximity()
-        if "light" in terms:
-            registers[AMBIENT] = robot.ambient()
-        if "speed" in terms:
-            left, right = self._speed(robot)
+        for term in terms:
+            if term == "proximity":
+                registers[PROXIMITY] = robot.proximity()
+            elif term == "light":
+                registers[AMBIENT] = robot.ambient()
+            else:
+                left, right = self._speed(robot)
         state = State(registers, left, right, self._dark, self._floor, at_goal=False, charge=1.0)
         action = self._action(self._task.observe(state, self._normalize))
         left, right = speeds_of(action, self._normalize).tolist()
@@ -159,6 +162,6 @@ class TaskController(PeriodicController):
         if has_shape and np.allclose(given, [low, high]):
             return
         wanted = self._expected if kind == "observation" else f"of two numbers from {low[0]:g} to {high[0]:g}"
-        found = f"{self._name}: made for {kind}s {space}"
+        found = f"{self._name}: made for {kind}s {' '.join(str(space).split())[:200]}"
         other = f", or normalize={not self._normalize}" if has_shape else ""
         raise ControllerError(f"{found}; expected those of task {self._task.name}, {wanted}{other}")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY
 from khep_twin.clock import to_ns
@@ -22,7 +23,7 @@ PLAYPEN = "khep://two-lamps?seed=3&noise=on"
 
 
 def expected_speeds(
-    network: Network, memory: np.ndarray, proximity: list[int], light: list[int]
+    network: Network, memory: NDArray[np.float64], proximity: list[int], light: list[int]
 ) -> list[int]:
     """The equation of `networks`, in matrices; `memory` is changed."""
     dark, bright = network.light

@@ -76,6 +76,8 @@ def test_a_robot_is_asked_for_what_the_task_observes_once_a_period() -> None:
 
 
 class Box:
+    """A space of Gymnasium."""
+
     def __init__(self, low: float, high: float, count: int) -> None:
         self.low, self.high = np.full(count, low), np.full(count, high)
 
@@ -115,7 +117,7 @@ def test_a_model_is_asked_without_chance() -> None:
         (
             "LightSeeking",
             Model(*RIGHT_ONES),
-            r"Model: made for observations Box\(-1.0, 1.0, \(10,\)\); expected those of task LightSeeking, "
+            r"Model: made for observations Box\(-1, 1, \(10,\)\); expected those of task LightSeeking, "
             r"of 18 numbers \(proximity, light, speed\) from -1 to 1$",
         ),
         (
