@@ -25,6 +25,7 @@ from khep_twin.envs.tasks import Observation, State, Task, action_limit, find, s
 from khep_twin.errors import ControllerError
 from khep_twin.files.paths import StrPath
 from khep_twin.host import Khepera
+from khep_twin.host.results import Positions
 from khep_twin.lab.experiment.controllers import failed, source_file
 from khep_twin.lab.experiment.periodic_controllers import PeriodicController
 from khep_twin.playpen import Playpen
@@ -94,36 +95,34 @@ class TaskController(PeriodicController):
         usual = Playpen.load(self._task.playpen).robots[0].calibration
         ambient = calibrations.read(usual if calibration is None else fspath(calibration))[0].ambient
         self._dark, self._floor = ambient.dark_counts, ambient.floor_counts
-        self._before: tuple[int, tuple[int, int]] = 0, (0, 0)
+        self._before: tuple[int, Positions] | None = None
 
     def start(self, robot: Khepera) -> None:
-        """Read the counters from which the first speed is counted."""
-        if "speed" in self._task.observation_terms:
-            self._speed(robot)
+        """Forget the run before: the first speed is 0, as in the environment."""
+        self._before = None
 
     def decide(self, robot: Khepera) -> tuple[float, float]:
         """Ask the robot, and the policy for its speeds."""
-        terms = self._task.observation_terms
+        begun_ns = to_ns(robot.time)
         registers, left, right = np.zeros(N_REGISTERS, np.int64), 0.0, 0.0
-        for term in terms:
+        for term in self._task.observation_terms:
             if term == "proximity":
                 registers[PROXIMITY] = robot.proximity()
             elif term == "light":
                 registers[AMBIENT] = robot.ambient()
             else:
-                left, right = self._speed(robot)
+                left, right = self._speed(robot.position(), begun_ns)
         state = State(registers, left, right, self._dark, self._floor, at_goal=False, charge=1.0)
         action = self._action(self._task.observe(state, self._normalize))
         left, right = speeds_of(action, self._normalize).tolist()
         return left, right
 
-    def _speed(self, robot: Khepera) -> tuple[float, float]:
-        """Return the speeds of both wheels since the last call [pulses/10 ms], and begin the next count."""
-        (before_ns, before), now = self._before, robot.position()
-        now_ns = to_ns(robot.time)
-        self._before = now_ns, (now.left, now.right)
-        ticks = max(now_ns - before_ns, 1) / units.TICK_NS
-        return (now.left - before[0]) / ticks, (now.right - before[1]) / ticks
+    def _speed(self, now: Positions, begun_ns: int) -> tuple[float, float]:
+        """Return the speeds of both wheels since the cycle before [pulses/10 ms]."""
+        before_ns, before = self._before or (begun_ns, now)
+        self._before = begun_ns, now
+        ticks = max(begun_ns - before_ns, 1) / units.TICK_NS
+        return (now.left - before.left) / ticks, (now.right - before.right) / ticks
 
     def _action(self, observation: Observation) -> NDArray[np.float64]:
         """Return the action of the policy (2,); raise a `ControllerError` if it is none."""

@@ -19,6 +19,10 @@ from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.experiment import run
 from khep_twin.lab.experiment.task_controller import TaskController
+from khep_twin.playpen import Playpen
+from khep_twin.playpen.starts import at_start
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.twin import TwinOptions, open_twin
 
 
 class BoardOf:
@@ -57,11 +61,29 @@ def test_a_policy_observes_and_acts_as_in_the_environment(normalize: bool) -> No
     controller.start(robot)
     for action in actions:
         speeds = controller.decide(robot)
-        np.testing.assert_allclose(seen[-1], observation, rtol=1e-6)
+        np.testing.assert_array_equal(seen[-1], observation)
         assert seen[-1].dtype == observation.dtype
         assert speeds == tuple(TaskSetup("LightSeeking", normalize=normalize).speeds(action))
         observation, *_ = environment.step(action)
         robot.time += 0.05
+
+
+def test_a_policy_on_a_line_observes_what_it_does_in_the_environment_with_that_line() -> None:
+    start = 300.0, 300.0, 40.0
+    actions = np.random.default_rng(2).uniform(-1, 1, (30, 2))
+    environment = KheperaEnvironment("LightSeeking", line=38400, compiled=False)
+    expected = [environment.reset(options={"seed": 5, "start": start})[0]]
+    expected += [environment.step(action)[0] for action in actions[:-1]]
+    seen: list[NDArray[np.float32]] = []
+
+    def policy(observation: NDArray[np.float32]) -> NDArray[np.float64]:
+        seen.append(observation)
+        return actions[len(seen) - 1]
+
+    playpen = at_start(Playpen.load("light-seeking"), 0, start)
+    with Khepera(Serial.of(open_twin(playpen, TwinOptions(seed=5, mode=3)))) as robot:
+        run(TaskController("LightSeeking", policy), robot, cycles=30)
+    np.testing.assert_array_equal(seen, expected)
 
 
 def test_a_robot_is_asked_for_what_the_task_observes_once_a_period() -> None:
@@ -71,7 +93,7 @@ def test_a_robot_is_asked_for_what_the_task_observes_once_a_period() -> None:
         robot.listen(lambda request, reply: asked.append(request))
         controller = TaskController("LightSeeking", lambda observation: (0.5, -0.25))
         run(controller, robot, cycles=4, after_cycle=lambda: ends.append(to_ns(robot.time)))
-    assert asked == ["H", *["N", "O", "H", "D,10,-5"] * 4, "D,0,0"]
+    assert asked == [*["N", "O", "H", "D,10,-5"] * 4, "D,0,0"]
     assert np.diff(ends).tolist() == [50_000_000] * 3
 
 
