@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +75,8 @@ class RolloutResult:
         objects: Final x, y [m] and heading [rad] of the movable objects, in the order of `Playpen.objects`
             (n, n_objects, 3); no axis of robots.
         failures: Episodes that ended early, in the batch's order.
+        paths: Poses x, y [m] and heading [rad] from the start on, each `paths_every` [s], NaN after a failure
+            (n, n_samples, 3); without `paths_every` no samples.
     """
 
     metrics: Mapping[str, Floats]
@@ -82,6 +84,7 @@ class RolloutResult:
     poses: Floats
     objects: Floats
     failures: tuple[Failure, ...]
+    paths: Floats
 
 
 def rollout(
@@ -95,6 +98,7 @@ def rollout(
     lamps: Sequence[Sequence[Lamp]] | None = None,
     line: LineTimes = None,
     options: EpisodeOptions = DEFAULT_OPTIONS,
+    paths_every: float | None = None,
     threads: int | None = None,
     compiled: bool | None = None,
 ) -> RolloutResult:
@@ -113,6 +117,8 @@ def rollout(
         line: Line between controllers and robots, as a speed [baud] or a `MeasuredCycle`; by default that of
             the options, where exchanges take no time.
         options: Options of all episodes, but for those that each is given its own of.
+        paths_every: Time between the poses of the result's paths [s], a part of `seconds` and whole control
+            periods; None for no paths.
         threads: Number of threads; by default one per core. Uncompiled episodes use one.
         compiled: Whether to run compiled; None if numba is installed. The first time this waits for
             numba, for some ten seconds.
@@ -129,9 +135,9 @@ def rollout(
     n_robots = len(setup.playpen.robots)
     most = n_cores() if threads is None else checked_count(threads, "threads")
     common = options if line is None else replace(options, line=line)
-    batch = _Batch(setup, seeds, seconds, common, genes, starts, lamps)
+    batch = _Batch(setup, seeds, seconds, common, genes, starts, lamps, paths_every)
     batch.check(driver)
-    results = _Results(count, n_robots, len(movable_names(setup.playpen)))
+    results = _Results(count, n_robots, len(movable_names(setup.playpen)), batch.n_samples)
     workers = most if fast else 1
     room = min(BATCH_SIZE if isinstance(driver, Policy) else workers, count)
     episodes = [Episode(setup, driver, compiled=fast) for _ in range(room)]
@@ -157,9 +163,25 @@ class _Batch:
     genes: Floats | None
     starts: Sequence[Start] | None
     lamps: Sequence[Sequence[Lamp]] | None
+    every: float | None
+
+    @property
+    def n_samples(self) -> int:
+        """Number of poses of a path; 0 for no paths."""
+        if self.every is None:
+            return 0
+        return 1 + self.setup.periods(self.seconds) // max(self.setup.periods(self.every), 1)
 
     def check(self, driver: Driver) -> None:
         """Raise a `ValueError` unless there is what each episode needs."""
+        if (every := self.every) is not None:
+            periods = self.setup.periods(every)
+            if not periods or self.setup.periods(self.seconds) % periods:
+                raise ValueError(f"paths_every = {every:g}; expected a part of the {self.seconds:g} s")
+            if isinstance(driver, Policy) and self.common.line is not None:
+                raise ValueError(
+                    f"paths_every = {every:g}: a policy at a line is asked at uneven times; expected no line"
+                )
         count, n_robots = len(self.seeds), len(self.setup.playpen.robots)
         for name, given in (("genes", self.genes), ("starts", self.starts), ("lamps", self.lamps)):
             if given is not None and len(given) != count:
@@ -187,11 +209,12 @@ class _Batch:
 class _Results:
     """Results collected from each episode."""
 
-    def __init__(self, count: int, n_robots: int, n_objects: int) -> None:
+    def __init__(self, count: int, n_robots: int, n_objects: int, n_samples: int) -> None:
         self.metrics = {name: np.full((count, n_robots), np.nan) for name in METRICS}
         self.registers = np.zeros((count, n_robots, N_REGISTERS), np.int64)
         self.poses = np.zeros((count, n_robots, 3))
         self.objects = np.zeros((count, n_objects, 3))
+        self.paths = np.full((count, n_robots, n_samples, 3), np.nan)
         self.failures: list[Failure] = []
 
     def keep(self, index: int, seed: int, episode: Episode, failure: DivergedError | None) -> None:
@@ -208,10 +231,11 @@ class _Results:
     def result(self) -> RolloutResult:
         """Return all results."""
         failures = tuple(sorted(self.failures, key=lambda failure: failure.index))
-        if self.poses.shape[1] > 1:
-            return RolloutResult(self.metrics, self.registers, self.poses, self.objects, failures)
-        metrics = {name: values[:, 0] for name, values in self.metrics.items()}
-        return RolloutResult(metrics, self.registers[:, 0], self.poses[:, 0], self.objects, failures)
+        metrics, registers, poses, paths = self.metrics, self.registers, self.poses, self.paths
+        if poses.shape[1] == 1:
+            metrics = {name: values[:, 0] for name, values in metrics.items()}
+            registers, poses, paths = registers[:, 0], poses[:, 0], paths[:, 0]
+        return RolloutResult(metrics, registers, poses, self.objects, failures, paths)
 
 
 def _share_out(
@@ -225,7 +249,12 @@ def _share_out(
             failure = None
             try:
                 episode.begin(int(batch.seeds[index]), batch.options(index))
-                episode.run(batch.seconds)
+                if batch.every is None:
+                    episode.run(batch.seconds)
+                for sample in range(batch.n_samples):
+                    if sample:
+                        episode.run(cast(float, batch.every))
+                    results.paths[index, :, sample] = episode.poses
             except DivergedError as error:
                 failure = error
             results.keep(index, int(batch.seeds[index]), episode, failure)
@@ -251,7 +280,14 @@ def _run_together(
         except DivergedError as error:
             failures[lane] = error
     n_robots = lanes.speeds.shape[1]
+    steps_per_sample = max(lanes.last_step // max(batch.n_samples - 1, 1), 1)
     while True:
+        if batch.n_samples:
+            due = lanes.steps[: len(group)] % steps_per_sample == 0
+            due[list(failures)] = False
+            for lane in np.flatnonzero(due).tolist():
+                sample = lanes.steps[lane] // steps_per_sample
+                results.paths[group[lane], :, sample] = lanes.episodes[lane].poses
         going = lanes.steps[: len(group)] < lanes.last_step
         going[list(failures)] = False
         living = np.flatnonzero(going)

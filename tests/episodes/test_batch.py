@@ -279,3 +279,48 @@ def test_results_of_several_robots_have_an_axis_of_robots_and_are_those_of_episo
     assert set(rows) == {(0, 0, 1, 1, 2, 2)}
     assert (driven.metrics["forward_m"][:, 0] > 0.02).all()
     assert (abs(driven.metrics["forward_m"][:, 1]) < 0.002).all()
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_paths_have_the_poses_at_even_times_and_change_nothing_else(planar: bool) -> None:
+    setup = EpisodeSetup("obstacles", planar=planar)
+    policy = Policy(lambda proximity, ambient, index: np.full((len(index), 2), (5.0, 4.0)))
+    for driver in (ConstantSpeed(5, 4), policy):
+        found = rollout(setup, driver, range(3), 0.6, paths_every=0.2, compiled=False)
+        without = rollout(setup, driver, range(3), 0.6, compiled=False)
+        assert found.paths.shape == (3, 4, 3)
+        assert without.paths.shape == (3, 0, 3)
+        assert np.array_equal(found.paths[:, -1], found.poses)
+        assert np.array_equal(found.registers, without.registers)
+        assert found.metrics["distance_m"].tolist() == without.metrics["distance_m"].tolist()
+        halfway = rollout(setup, driver, range(3), 0.2, compiled=False)
+        assert np.array_equal(found.paths[:, 1], halfway.poses)
+
+
+def test_paths_of_several_robots_have_an_axis_of_robots_and_end_where_an_episode_fails() -> None:
+    robots = tuple(
+        Playpen.load("default").robots[0].model_copy(update={"x_mm": x_mm}) for x_mm in (150.0, 400.0)
+    )
+    two = Playpen.load("default").model_copy(update={"robots": robots})
+
+    def policy(proximity: Any, ambient: Any, index: Any) -> Any:
+        policy_calls.append(0)
+        return np.full((len(index), 2), np.nan if len(policy_calls) > 2 else 1.0)
+
+    policy_calls: list[int] = []
+    found = rollout(two, Policy(policy), [1], 0.08, paths_every=0.02, compiled=False)
+    assert found.paths.shape == (1, 2, 5, 3)
+    assert np.isfinite(found.paths[0, :, :3]).all()
+    assert np.isnan(found.paths[0, :, 3:]).all()
+
+
+@pytest.mark.parametrize("every", [0.0, 0.25, 0.05])
+def test_paths_are_sampled_at_a_part_of_the_time(every: float) -> None:
+    with pytest.raises(ValueError, match=r"expected a (part|whole number)"):
+        rollout("default", ConstantSpeed(1, 1), [1], 0.6, paths_every=every, compiled=False)
+
+
+def test_a_policy_at_a_line_has_no_paths() -> None:
+    policy = Policy(lambda proximity, ambient, index: np.zeros((len(index), 2)))
+    with pytest.raises(ValueError, match=r"paths_every = 0\.2: a policy at a line is asked at uneven times"):
+        rollout("default", policy, [1], 0.6, line=38400, paths_every=0.2, compiled=False)
