@@ -37,7 +37,7 @@ PROGRAMS = {
 }
 """Pages whose Python blocks another test runs, and compares."""
 
-LONG = {"branch", "datasets", "logs", "report", "sense", "twin"}
+LONG = {"branch", "datasets", "drawing", "logs", "report", "sense", "twin"}
 """Pages that take long: the suite looks at their commands and imports alone."""
 
 TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -70,6 +70,19 @@ def draw_side_by_side() -> None:
     _keep(tutorial.shrunk(Path("side_by_side.png"), 1280), "side_by_side")
 
 
+def draw_paths() -> None:
+    """Draw the pictures of docs/drawing.md, by its programs and the logs that it names."""
+    Path("out").mkdir()
+    Path("trio.toml").write_text(_first_block("drawing.md", "toml"))
+    _type("run", "braitenberg", "--playpen", "obstacles", "--seconds", "60", "--log", "out/run.mcap")
+    _type("rollout", "braitenberg", "--playpen", "trio.toml", "--seconds", "30", "--log", "out/trio.mcap")
+    for block in tutorial.blocks((tutorial.PAGE.parent / "drawing.md").read_text()):
+        if block.language == "python":
+            exec(block.text, {})
+    for name in ("path", "paths", "trio", "sensors", "where"):
+        _keep(Image.open(f"out/{name}.png").convert("RGB"), f"drawing_{name}")
+
+
 def draw_branches() -> None:
     """Draw the fan of branches of docs/branch.md, by its commands."""
     _type("run", "--playpen", "obstacles", "--seconds", "60", "--seed", "1", "--log", "run.mcap")
@@ -183,5 +196,6 @@ def main() -> None:
         draw_sensor_tests()
         draw_vision()
         draw_side_by_side()
+        draw_paths()
         draw_branches()
         draw_shadow()
