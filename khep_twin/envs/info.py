@@ -3,11 +3,12 @@
     always          x, y [m], heading [rad], time [s], seed
     at the start    drawn: values that a `Randomization` has drawn
     with details    reward_parts: parts of the reward by name; contact: whether the robot touches anything
-    at the end      metrics: those of `khep_twin.episodes.metrics`
-    with details    episode: return "r", length "l" in steps and simulated time "t" [s]
+    at the end      with details, too:
+                    metrics: those of `khep_twin.episodes.metrics`
+                    episode: return "r", length "l" in steps and simulated time "t" [s]
 
-"episode" has the keys of Gymnasium's `RecordEpisodeStatistics`, which takes the place of it, and refuses an
-environment that has it already; so it is there on request.
+Details are there on request: Gymnasium's `RecordEpisodeStatistics`, whose keys "episode" has, refuses an
+environment that has it already, and Minari's `DataCollector` infos whose keys differ from step to step.
 """
 
 import math
@@ -46,13 +47,12 @@ def of_step(batch: TaskBatch, robot: int = 0, row: int = 0) -> Info:
 
 
 def of_end(batch: TaskBatch, robot: int = 0, row: int = 0) -> Info:
-    """Return the metrics of a robot in an episode that is over, and on request its return."""
+    """Return metrics and return of a robot in an episode that is over; nothing unless asked for."""
+    if not batch.setup.details:
+        return {}
     metrics = batch.episodes[row].metrics(robot)
-    told: Info = {"metrics": {name: value for name, value in metrics.items() if not math.isnan(value)}}
-    if batch.setup.details:
-        told["episode"] = {
-            "r": float(batch.returns[row, robot]),
-            "l": int(batch.periods[row]),
-            "t": float(batch.times[row]),
-        }
-    return told
+    length, time_s = int(batch.periods[row]), float(batch.times[row])
+    return {
+        "metrics": {name: value for name, value in metrics.items() if not math.isnan(value)},
+        "episode": {"r": float(batch.returns[row, robot]), "l": length, "t": time_s},
+    }

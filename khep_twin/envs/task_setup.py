@@ -72,7 +72,7 @@ class TaskSetup(MadeAnew):
         compiled: Whether to run compiled; None if numba is installed.
         normalize: Whether actions and observations are normalized to -1 to 1; else actions are in pulses/10
             ms, and observations in the units of `tasks.TERMS`.
-        details: Whether `info` has the parts of the reward, contacts, and the return of an episode.
+        details: Whether `info` has parts of the reward and contacts, and at the end metrics and return.
         line: Line between policy and robot, as a speed [baud] or a `MeasuredCycle`; None for exchanges that
             take no time.
         unknown: None, as any other option is an error.
