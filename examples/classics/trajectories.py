@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import Episode, EpisodeOptions, EpisodeSetup, Start
+from khep_twin import EpisodeSetup, Start, rollout
 from khep_twin.episodes import Driver
 
 
@@ -30,14 +30,7 @@ def trajectories(
         sample_s: Time between two poses [s], whole control periods.
         first_seed: Seed of the first episode; each further one has the next.
     """
-    episode, count = Episode(setup, driver, compiled=True), round(seconds / sample_s)
     each = np.broadcast_to(genes, (len(starts), np.shape(genes)[-1]))
-    poses = np.empty((len(starts), count + 1, 3))
-    for index, start in enumerate(starts):
-        episode.begin(first_seed + index, EpisodeOptions(start=start, genes=each[index]))
-        poses[index, 0] = episode.pose
-        for sample in range(1, count + 1):
-            episode.run(sample_s)
-            poses[index, sample] = episode.pose
-    poses[..., :2] *= 1000
-    return poses
+    seeds = range(first_seed, first_seed + len(starts))
+    found = rollout(setup, driver, seeds, seconds, genes=each, starts=starts, paths_every=sample_s)
+    return found.paths * (1000, 1000, 1)
