@@ -15,8 +15,9 @@ PAGE = (Path(__file__).parents[3] / "docs" / "experiments.md").read_text()
 PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
-@pytest.mark.parametrize("number", range(4))
-def test_a_program_on_the_page_runs(number: int) -> None:
+@pytest.mark.parametrize("number", range(5))
+def test_a_program_on_the_page_runs(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"__name__": "page"}
     exec(compile(PROGRAMS[number], "docs/experiments.md", "exec"), names)
     for found in [*names.values()]:
@@ -28,7 +29,7 @@ def test_a_program_on_the_page_runs(number: int) -> None:
 
 
 def test_there_are_as_many() -> None:
-    assert len(PROGRAMS) == 4
+    assert len(PROGRAMS) == 5
 
 
 def test_every_number_is_on_the_page_with_its_unit() -> None:
