@@ -41,8 +41,8 @@ class DrawnPath:
 Positions = NDArray[np.float64]
 """Positions x, y, or poses x, y and heading, along a path (n, 2 or 3) or several (..., n, 2 or 3) [m]."""
 
-Paths = Positions | Mapping[str, Positions] | Iterable[DrawnPath | Positions]
-"""Paths as `draw` takes them: arrays, arrays by name, or `DrawnPath`s."""
+Paths = DrawnPath | Positions | Mapping[str, Positions] | Iterable[DrawnPath | Positions]
+"""Paths as `draw` takes them: one or several `DrawnPath`s or arrays, or arrays by name."""
 
 
 def drawn_paths(paths: Paths) -> list[DrawnPath]:
@@ -56,16 +56,25 @@ def drawn_paths(paths: Paths) -> list[DrawnPath]:
         for name, positions in cast(Mapping[str, Positions], paths).items():
             found += _named(name, positions)
     else:
-        for each in cast(Iterable[Any], [paths] if isinstance(paths, np.ndarray) else paths):
+        try:
+            several: list[Any] = [paths] if isinstance(paths, DrawnPath | np.ndarray) else [*paths]
+        except TypeError:
+            wanted = "expected arrays of positions [m], or DrawnPaths"
+            raise ValueError(f"paths: {type(paths).__name__}; {wanted}") from None
+        for each in several:
             found += [each] if isinstance(each, DrawnPath) else _named("", each)
     return [path for path in found if len(path.xy_mm)]
 
 
 def _named(name: str, positions: Positions) -> Iterator[DrawnPath]:
     """Yield the paths of an array of positions."""
-    array = np.asarray(positions, np.float64)
+    try:
+        array = np.asarray(positions, np.float64)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
     if array.ndim < 2 or array.shape[-1] not in (2, 3):
-        raise ValueError(f"a path of shape {array.shape}; expected positions (n, 2) or poses (n, 3) [m]")
+        given = f"{type(positions).__name__} of shape {array.shape}"
+        raise ValueError(f"a path: {given}; expected positions (n, 2) or poses (n, 3) [m], or a DrawnPath")
     for each in array.reshape(-1, *array.shape[-2:])[..., :2]:
         there = each[np.isfinite(each).all(axis=1)]
         if (farthest := np.abs(there).max(initial=0)) > _FARTHEST:

@@ -1,5 +1,6 @@
 """Model of a whole playpen: reading, checking and writing of playpen files."""
 
+import reprlib
 from collections.abc import Mapping
 from functools import partial
 from itertools import islice
@@ -32,7 +33,12 @@ class Playpen(PlaypenTables):
         """
         if isinstance(playpen, Playpen):
             return playpen
-        text, source = toml_files.read("playpens", Path(playpen), PlaypenError)
+        try:
+            path = Path(playpen)
+        except TypeError:
+            found = reprlib.repr(playpen)
+            raise PlaypenError(f"{found}: expected one playpen, its name or its path") from None
+        text, source = toml_files.read("playpens", path, PlaypenError)
         return parse(text, source)
 
     @model_serializer(mode="wrap")

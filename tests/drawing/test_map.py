@@ -4,6 +4,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import matplotlib
@@ -229,11 +230,13 @@ def test_arrays_in_metres_are_paths_by_name_or_without() -> None:
 @pytest.mark.parametrize(
     ("path", "told"),
     [
-        (np.zeros(3), r"a path of shape \(3,\); expected positions \(n, 2\) or poses \(n, 3\) \[m\]"),
+        (np.zeros(3), r"ndarray of shape \(3,\); expected positions \(n, 2\) or poses \(n, 3\) \[m\]"),
+        (["x"], r"a path: str of shape \(0,\); expected positions"),
+        (7, r"paths: int; expected arrays of positions \[m\], or DrawnPaths"),
         (np.full((3, 2), 250.0), "a path with a coordinate of 250 m; expected metres"),
     ],
 )
-def test_other_arrays_are_refused_in_one_line(path: NDArray[np.float64], told: str) -> None:
+def test_other_arrays_are_refused_in_one_line(path: Any, told: str) -> None:
     with pytest.raises(ValueError, match=told):
         draw(SCENE, path)
 

@@ -222,6 +222,8 @@ def test_what_is_no_driver_or_no_playpen_is_refused() -> None:
         rollout(SCENE, along, [1], 0.02, compiled=False)  # type: ignore[arg-type]
     with pytest.raises(PlaypenError, match=r"obstackles: no such file; .*did you mean 'obstacles'"):
         rollout("obstackles", Braitenberg(), [1], 0.02, compiled=False)
+    with pytest.raises(PlaypenError, match=r"\['obstacles'\]: expected one playpen, its name or its path"):
+        rollout(["obstacles"], Braitenberg(), [1], 0.02, compiled=False)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"the policy returned no speeds: .*expected an array \(1, 2\)"):
         rollout(SCENE, Policy(lambda *readings: [["a", "b"]]), [1], 0.02, compiled=False)
 
