@@ -7,7 +7,7 @@ The reward of a control period is Floreano and Mondada's, for forward motion: fa
 obstacles, 0 to 1. Each episode has another start and randomly varied sensors. stable-baselines3's PPO learns
 in 64 environments in the plane, which are stepped together, and is evaluated in new episodes in MuJoCo, next
 to the robot's own Braitenberg vehicle. The path of one episode is drawn into out/ppo_way.png, and out/ppo.zip
-keeps the policy of the first seed.
+keeps the policy of the first seed, with which `khep_twin.TaskController` drives a robot.
 """
 
 import argparse

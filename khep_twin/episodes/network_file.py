@@ -115,9 +115,10 @@ def write(path: Path, stored: Stored, replace: bool = False) -> None:
         **({} if stored.seed is None else {"seed": stored.seed}),
     }
     _checked(path, {name: np.asarray(value) for name, value in arrays.items()})
-    if not replace and path.is_file() and path.stat().st_size and not _is_network(path):
+    may_replace = replace or _is_network(path)
+    if not may_replace and path.is_file() and path.stat().st_size:
         raise ControllerError(f"{path}: is there, and no network; expected another name, or replace=True")
-    write_whole(path, packed(arrays), replace or _is_network(path))
+    write_whole(path, packed(arrays), may_replace)
 
 
 def _is_network(path: Path) -> bool:
