@@ -56,8 +56,9 @@ def drawn_paths(paths: Paths) -> list[DrawnPath]:
         for name, positions in cast(Mapping[str, Positions], paths).items():
             found += _named(name, positions)
     else:
+        given = cast(Any, paths)
         try:
-            several: list[Any] = [paths] if isinstance(paths, DrawnPath | np.ndarray) else [*paths]
+            several = [given] if isinstance(paths, DrawnPath | np.ndarray) else [*given]
         except TypeError:
             wanted = "expected arrays of positions [m], or DrawnPaths"
             raise ValueError(f"paths: {type(paths).__name__}; {wanted}") from None
