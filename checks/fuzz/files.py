@@ -1,4 +1,4 @@
-"""A fuzz target: damaged playpen files, MAT files and PNGs.
+"""A fuzz target: damaged playpen files, MAT files, PNGs and networks.
 
     python -m checks fuzz-files toml 1000000 --jobs 2
 
@@ -14,8 +14,11 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 
 from tools.command_table import ROOT, command_line
@@ -37,6 +40,11 @@ TOKENS = {
     "png": [
         *(b"IHDR PLTE tRNS IDAT IEND iCCP zTXt iTXt tEXt acTL fdAT gAMA eXIf".split()),
         *(number.to_bytes(4, "big") for number in (0, 1, 13, 4096, 4097, 2**31 - 1, 2**32 - 1)),
+    ],
+    "npz": [
+        *(b"PK\1\2 PK\3\4 PK\5\6 \x93NUMPY <f8 |O <U1 <U999999 >i8 <f2 |b1 True".split()),
+        *(b"(99999999999,) (-1,) () (8, 1)".split(b" ")),
+        *(number.to_bytes(4, "little") for number in (0, 1, 8, 2**31 - 1, 2**32 - 1, 0xD800, 0x110000)),
     ],
 }
 """Bytes that mutations insert."""
@@ -73,10 +81,25 @@ def bitmap_target(data: bytes) -> None:
     assert told.isprintable(), told
 
 
+def network_target(data: bytes) -> None:
+    """Check a network."""
+    from khep_twin.episodes import network_file
+    from khep_twin.errors import ControllerError
+
+    told = ""
+    try:
+        network_file.decode(data, Path("x.npz"))
+    except ControllerError as error:
+        told = str(error)
+    assert told.isprintable(), told
+    assert len(told) < 1000, told
+
+
 TARGETS: dict[str, Callable[[bytes], None]] = {
     "toml": toml_target,
     "mat": bitmap_target,
     "png": bitmap_target,
+    "npz": network_target,
 }
 
 
@@ -105,8 +128,21 @@ def mutated(seeds: list[bytes], kind: str, number: int) -> bytes:
             case _:
                 token = rng.choice(TOKENS[kind])
                 data[place : place + len(token)] = token
-    # Most damage is caught by a PNG's checksums; half of them are corrected.
-    return _with_right_sums(bytes(data)) if kind == "png" and rng.random() < 0.5 else bytes(data)
+    # Most damage is caught by checksums; half of them are corrected.
+    is_corrected = kind in ("png", "npz") and rng.random() < 0.5
+    return (_with_right_sums if kind == "png" else _repacked)(bytes(data)) if is_corrected else bytes(data)
+
+
+def _repacked(data: bytes) -> bytes:
+    """Return an NPZ file whose arrays are packed anew; one whose index is damaged stays as it is."""
+    packed = BytesIO()
+    with suppress(zipfile.BadZipFile, ValueError, NotImplementedError):
+        with zipfile.ZipFile(BytesIO(data)) as archive, zipfile.ZipFile(packed, "w") as made:
+            for each in archive.infolist():
+                # Behind 30 bytes and the name, in which another length may stand than in the index.
+                start = each.header_offset + 30 + len(each.filename)
+                made.writestr(zipfile.ZipInfo(each.filename), data[start : start + each.file_size])
+    return packed.getvalue() or data
 
 
 def _with_right_sums(data: bytes) -> bytes:

@@ -83,11 +83,21 @@ def read(path: Path) -> Stored:
     """
     try:
         with open_regular(path) as file:
-            arrays = read_arrays(file.read(SIZE_LIMIT + 1))
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ControllerError(f"{path}: cannot be read: {reason}") from None
-    return _checked(path, arrays)
+            return decode(file.read(SIZE_LIMIT + 1), path)
+    except OSError as error:
+        raise ControllerError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def decode(data: bytes, path: Path) -> Stored:
+    """Return the content of a file's bytes; `path` is for messages.
+
+    Raises:
+        ControllerError: They are no network's, or damaged.
+    """
+    try:
+        return _checked(path, read_arrays(data))
+    except ValueError as error:
+        raise ControllerError(f"{path}: cannot be read: {error}") from None
 
 
 def write(path: Path, stored: Stored, replace: bool = False) -> None:
@@ -180,8 +190,11 @@ def _fitting(arrays: Mapping[str, NDArray[Any]], refuse: Callable[[str, str], Co
     if ambient and len(zero) == len(one) == len(inputs):
         light = float(zero[-1]), float(one[-1])
     names, *scale = _inputs(ambient, light)
-    if inputs != names:
-        raise refuse(f"inputs {', '.join(inputs)[:200]}", ", ".join(names))
+    if len(inputs) != len(names):
+        raise refuse(f"{len(inputs)} inputs", f"{units.N_SENSORS}, or {2 * units.N_SENSORS} with light")
+    for index, (found, name) in enumerate(zip(inputs, names, strict=True)):
+        if found != name:
+            raise refuse(f"inputs[{index}] = {found[:40]!r}", repr(name))
     if [zero, one] != scale or not np.isfinite(light).all() or light[0] == light[1]:
         wanted = f"proximity from 0 to {units.COUNTS_LIMIT}, and light from dark to bright, the same for all"
         raise refuse(f"inputs are 0 at {zero[:16]} and 1 at {one[:16]} counts", wanted)
@@ -191,5 +204,6 @@ def _fitting(arrays: Mapping[str, NDArray[Any]], refuse: Callable[[str, str], Co
         raise refuse(f"{len(genes)} genes", f"{count} for layers of {', '.join(map(str, layers))}{feedback}")
     if (bad := np.flatnonzero(~np.isfinite(genes))).size:
         raise refuse(f"genes[{bad[0]}] = {genes[bad[0]]}", "finite numbers")
-    playpen = str(arrays["playpen"])
+    if not (playpen := str(arrays["playpen"])).isprintable() or len(playpen) > 200:
+        raise refuse(f"playpen = {playpen[:40]!r}", "a name of at most 200 characters")
     return Stored(hidden, recurrent, ambient, top_speed, genes, period_ns, light, playpen, seed)

@@ -85,7 +85,12 @@ def changed(**values: object) -> Callable[[dict[str, Any]], object]:
         (changed(top_speed=-1.0), r"top_speed = -1; expected a number above 0 and at most 127"),
         (changed(period_ns=15_000_000), r"period_ns = 15000000; expected whole ticks of 10000000 ns"),
         (changed(seed=-1), r"seed = -1; expected an integer from 0"),
-        (changed(inputs=["speed left"] * 16), r"inputs speed left.*; expected proximity left_90, "),
+        (
+            changed(inputs=["light left_90"] * 16),
+            r"inputs\[0\] = 'light left_90'; expected 'proximity left",
+        ),
+        (changed(inputs=["speed left"]), r"1 inputs; expected 8, or 16 with light"),
+        (changed(playpen="x" * 201), r"playpen = 'xxx.*; expected a name of at most 200 characters"),
         (changed(one=[1.0] * 16), r"inputs are 0 at .* counts; expected proximity from 0 to 1023"),
     ],
 )
@@ -132,11 +137,13 @@ def too_long() -> bytes:
         (b"def controller(robot): ...\n", "no whole NPZ file: File is not a zip file"),
         (npz_file.packed({"a": 1})[:-5], "no whole NPZ file: File is not a zip file"),
         (npz_file.packed({"a": 1}).replace(b"NUMPY", b"numpy"), "no whole NPZ file: Bad CRC-32"),
+        (npz_file.packed({"a": 1}).replace(b"a.npy", b"\n.npy"), r"'.n.npy' is not packed as numpy does"),
+        (npz_file.packed({"a": "\n"}), "characters that cannot be printed"),
         (pickled(), "pickled objects, which are not read; expected numbers or texts"),
         (bomb(), r"1 arrays of 68157440 bytes; expected at most 100 of 67108864 bytes"),
         (too_long(), r"genes.npy: 0 bytes for an array of \(1000000000000,\); it is damaged"),
     ],
-    ids=["empty", "text", "cut", "damaged", "pickled", "bomb", "too long"],
+    ids=["empty", "text", "cut", "damaged", "a name", "lines", "pickled", "bomb", "too long"],
 )
 def test_a_file_that_is_no_archive_of_numbers_is_refused(data: bytes, told: str, tmp_path: Path) -> None:
     (tmp_path / "best.npz").write_bytes(data)
