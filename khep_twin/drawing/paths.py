@@ -61,7 +61,7 @@ def drawn_paths(paths: Paths) -> list[DrawnPath]:
             several = [given] if isinstance(paths, DrawnPath | np.ndarray) else [*given]
         except TypeError:
             wanted = "expected arrays of positions [m], or DrawnPaths"
-            raise ValueError(f"paths: {type(paths).__name__}; {wanted}") from None
+            raise ValueError(f"paths: {type(given).__name__}; {wanted}") from None
         for each in several:
             found += [each] if isinstance(each, DrawnPath) else _named("", each)
     return [path for path in found if len(path.xy_mm)]
