@@ -19,7 +19,7 @@ from khep_twin.log import read_series as read_channels
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 PACKAGE = Path(khep_twin.__file__).parent
-RESULTS = {"ChallengeFile"}
+RESULTS = {"ChallengeFile", "LoggedRun"}
 """Classes that functions return; nobody makes one."""
 
 
