@@ -19,6 +19,7 @@ STUDIES = {
     "umbmark": "umbmark",
     "screening": "screening",
     "transfer": "transfer",
+    "line": "line",
     "twin-trials": "twin_trials",
     "shadow-fits": "shadow_fits",
 }

@@ -102,7 +102,14 @@ def rollout(
     try:
         step_ns, period_ns = None if step is None else round(step * 1e6), round(period * 1e6)
         faults = map(parse_fault, options.faults)
-        setup = EpisodeSetup(playpen, step_ns=step_ns, period_ns=period_ns, planar=planar, faults=faults)
+        setup = EpisodeSetup(
+            playpen,
+            step_ns=step_ns,
+            period_ns=period_ns,
+            planar=planar,
+            at_line=line is not None,
+            faults=faults,
+        )
         periods = length.cycles or setup.periods(60.0 if length.seconds is None else length.seconds)
         compiled = None if is_compiled() else False
         episode = Episode(setup, driver, compiled=compiled, observed=logging.log is not None)

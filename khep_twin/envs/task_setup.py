@@ -147,7 +147,8 @@ class TaskSetup(MadeAnew):
             if self.task.charge_s and self.task.reach_mm:
                 self._home: Home | None = x_mm, y_mm, self.task.reach_mm, self.task.charge_s
         self.planar, self._compiled = planar, compiled
-        self._setup = EpisodeSetup(self.playpen, period_ns=period_ns, planar=planar)
+        at_line = line is not None or (self.randomize is not None and self.randomize.delay is not None)
+        self._setup = EpisodeSetup(self.playpen, period_ns=period_ns, planar=planar, at_line=at_line)
         self.steps_per_period = self._setup.steps_per_period
         ambient = calibration.read(self.playpen.robots[0].calibration)[0].ambient
         self.dark, self.floor = ambient.dark_counts, ambient.floor_counts

@@ -26,9 +26,10 @@ class EpisodeSetup:
     Args:
         playpen: Playpen with a robot, or its name or path.
         step_ns: Physics step [ns]: 2.5 ms as on the robot, or coarser, 5 or 10 ms; by default 2.5 ms, and
-            10 ms in a plane.
+            10 ms in a plane, except at a line.
         period_ns: Control period [ns], whole ticks of 10 ms.
         planar: Whether the robot moves in a plane instead of MuJoCo.
+        at_line: Whether episodes are to have a line, for the default step; a step rounds ages of readings.
         faults: Faults of the robots.
 
     Attributes:
@@ -52,6 +53,7 @@ class EpisodeSetup:
         step_ns: int | None = None,
         period_ns: int = units.SCAN_NS,
         planar: bool = False,
+        at_line: bool = False,
         faults: Iterable[Fault] = (),
     ) -> None:
         playpen = Playpen.load(playpen)
@@ -74,7 +76,7 @@ class EpisodeSetup:
                 f"{units.TICK_NS / 1e6:g} ms"
             )
         if step_ns is None:
-            step_ns = PLANAR_STEP_NS if planar else units.STEP_NS
+            step_ns = PLANAR_STEP_NS if planar and not at_line else units.STEP_NS
         self.playpen, self.step_ns, self.period_ns = playpen, step_ns, period_ns
         self.scene_model = SceneModel.of(playpen, step_ns)
         self.model = self.scene_model.model

@@ -110,7 +110,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], list[
         f"{path}/spin.mcap={turned / 2 / math.pi:.3f}turns",
         f"{path}/steps.mcap=duty",
     ]
-    around = SensorTest("proximity", rotate_deg=360, speed=2)
+    around = SensorTest("proximity", rotate_deg=360, speed=4)
     light = SensorTest("light", rotate_deg=360, speed=5)
     for seed, distance_mm in enumerate((12, 17, 21, 25, 29)):
         robot = bench.robot(1000 - 27.5 - distance_mm, seed=seed)
