@@ -495,6 +495,24 @@ def test_nothing_sticks_out_of_the_window(browser: Any, asker: Asker, width: int
     assert visit.trouble == []
 
 
+def test_a_long_name_covers_nothing_on_a_phone(browser: Any, tmp_path: Path) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True)
+    with asked(tmp_path) as asker:
+        visit = Visit(context.new_page(), asker.server.url)
+        place = "JSON.stringify(document.querySelector('#arena').getBoundingClientRect())"
+        before = visit.page.evaluate(place)
+        for name in ("a name of many words " * 10, "long" * 50):
+            visit.page.click("#save-as")
+            visit.page.fill("#dialog input", f"{name}.toml")
+            visit.page.click("#dialog .main")
+            visit.wait_file(f"{name}.toml")
+            assert visit.page.evaluate(place) == before
+            assert visit.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        visit.picture("7-long-name")
+        context.close()
+    assert visit.trouble == []
+
+
 def test_a_drag_among_two_hundred_objects_ends_where_the_mouse_does(visit: Visit) -> None:
     """How smooth it is tells python -m benchmarks.page."""
     page = visit.page
@@ -594,6 +612,26 @@ def test_a_playpen_of_the_library_is_chosen_by_its_picture(visit: Visit) -> None
     page.keyboard.press("ArrowDown")
     page.keyboard.press("Enter")
     visit.wait("document.querySelectorAll('.kind-cylinder').length === 5")
+
+
+def test_a_picture_of_the_library_that_is_still_drawn_has_another_in_its_place(visit: Visit) -> None:
+    page, asked = visit.page, list[Any]()
+
+    def hold(route: Any) -> None:
+        if asked:
+            route.continue_()
+        asked.append(route)
+
+    page.route("**/do/thumbnail", hold)
+    page.click("#new")
+    visit.wait("document.querySelectorAll('.cards img').length > 4")
+    shown = "[...document.querySelectorAll('.cards img')].every((each) => each.complete && each.naturalWidth)"
+    visit.wait(shown)
+    page.wait_for_timeout(100)
+    assert len(asked) == 1
+    asked[0].continue_()
+    visit.wait("document.querySelector('.cards img').naturalWidth > 100")
+    assert page.evaluate(shown)
 
 
 def test_undo_in_a_field_takes_back_what_is_typed_and_then_the_drawings_last_change(visit: Visit) -> None:

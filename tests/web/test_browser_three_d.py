@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from tests.web.conftest import Asker
 from tests.web.visit import BROWSED, Visit, need_a_browser
 
 need_a_browser()
@@ -94,6 +95,26 @@ def test_a_lamp_lights_the_floor_but_not_behind_an_object_and_the_robot_has_a_sh
     dark, lit, hidden = (picture.sum(axis=2) for picture in pictures)
     assert (lit > dark + 30).sum() > 2000
     assert (hidden < lit - 30).sum() > 500
+
+
+def test_a_lamp_that_becomes_bright_later_lights_the_floor_from_then_on(visit: Visit, asker: Asker) -> None:
+    visit.add("robot", (450, 250))
+    visit.add("lamp", (200, 250))
+    visit.page.wait_for_selector("#problems.none")
+    other = Visit(visit.page.context.new_page(), asker.server.url)
+    visit.start()
+    other.page.wait_for_selector(".live")
+    assert other.count(".kind-lamp") == 0  # its drawing tells no power
+    other.show_3d()
+    pictures: list[NDArray[np.int64]] = []
+    for _ in range(2):
+        other.page.wait_for_timeout(1000)
+        pictures.append(seen(other).astype(int).sum(axis=2))
+        visit.page.click("#switches input")
+    other.picture("3d-later")
+    lit, dark = pictures
+    assert (lit > dark + 30).sum() > 2000
+    visit.trouble += other.trouble
 
 
 def test_a_dark_system_gets_a_dark_page(visit: Visit) -> None:

@@ -41,7 +41,7 @@ def test_the_page_asks_for_all_actions_and_for_no_other() -> None:
     page = (ASSETS / "index.html").read_text()
     asked = set(re.findall(r'post\("([\w-]+)"', "".join(SCRIPTS.values())))
     # A move by hand and its undo are asked for by name (hands.js).
-    asked |= set(re.findall(r'\["(put|switch)", ', SCRIPTS["run.js"]))
+    asked |= set(re.findall(r'\["(put|switch)", ', SCRIPTS["handling.js"]))
     assert asked | set(re.findall(r'data-post="([\w-]+)"', page)) == ACTIONS
 
 

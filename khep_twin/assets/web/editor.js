@@ -89,7 +89,7 @@ export class Editor {
       if (this.#fingers.size > 1) return void this.#pinch();
     }
     const target = event.target.closest?.("[data-handle], .drawn, .live");
-    if (this.running.active && this.running.down(event, at, target)) {
+    if (this.running.active && this.running.handling.down(event, at, target)) {
       this.#act = { kind: "running", hand: event.pointerId };
       drawing.svg.setPointerCapture(event.pointerId);
       return;
@@ -154,7 +154,7 @@ export class Editor {
   #spread({ kind, view, pixel, from }) {
     const now = this.#span();
     if (kind === "twist") {
-      this.running.turn(angle(now.angle - from));
+      this.running.handling.turn(angle(now.angle - from));
       this.#act.from = now.angle;
       return;
     }
@@ -171,11 +171,11 @@ export class Editor {
     const at = this.drawing.point(event);
     if (this.#fingers.has(event.pointerId)) this.#fingers.set(event.pointerId, [event.clientX, event.clientY]);
     if (this.#fingers.size > 1) {
-      if (this.#act?.kind === "twist" && this.#act.hand === event.pointerId) this.running.move(event, at);
+      if (this.#act?.kind === "twist" && this.#act.hand === event.pointerId) this.running.handling.move(event, at);
       if (["pinch", "twist"].includes(this.#act?.kind)) this.#spread(this.#act);
       return;
     }
-    if (this.running.active && this.#act?.kind === "running") return void this.running.move(event, at);
+    if (this.running.active && this.#act?.kind === "running") return void this.running.handling.move(event, at);
     const act = this.#act;
     if (this.#wall && !act) this.#sketch(this.#inside(at, event.altKey));
     this.told(this.tool, at);
@@ -250,7 +250,7 @@ export class Editor {
       return;
     }
     this.#act = null;
-    if (["running", "twist"].includes(act?.kind)) this.running.up(event, this.drawing.point(event));
+    if (["running", "twist"].includes(act?.kind)) this.running.handling.up(event, this.drawing.point(event));
     else if (act && this.pending) this.#drag(act, this.last.at, this.last.event);
     cancelAnimationFrame(this.pending);
     this.pending = 0;
@@ -261,7 +261,7 @@ export class Editor {
 
   #wheel(event) {
     event.preventDefault();
-    if (this.running.active && this.running.turn(event.deltaY > 0 ? -15 : 15)) return;
+    if (this.running.active && this.running.handling.turn(event.deltaY > 0 ? -15 : 15)) return;
     this.drawing.zoom(1.0015 ** event.deltaY, this.drawing.point(event));
   }
 

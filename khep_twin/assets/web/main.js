@@ -371,14 +371,14 @@ function legend() {
 }
 
 // While a twin runs, undo is about what was done to it by hand.
-const undoable = () => (running.twin ? running.hands : model);
+const undoable = () => (running.twin ? running.handling.hands : model);
 
 function undoButtons() {
   $("#undo").disabled = !undoable().canUndo;
   $("#redo").disabled = !undoable().canRedo;
 }
 
-running.hands.addEventListener("change", undoButtons);
+running.handling.hands.addEventListener("change", undoButtons);
 model.addEventListener("change", ({ detail }) => {
   undoButtons();
   $("#copy").disabled = $("#delete").disabled = !model.selected.size;
@@ -498,7 +498,7 @@ document.addEventListener("visibilitychange", () => document.hidden && keepNow({
 
 async function programs() {
   const found = await post("list");
-  running.offer([...hello.controllers, ...found.programs], renew);
+  running.driving.offer([...hello.controllers, ...found.programs], renew);
   challenges.programs(found.programs, renew);
   renew($("#ports"), found.ports.map(({ url, what }) => new Option(what, url)));
 }

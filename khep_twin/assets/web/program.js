@@ -94,8 +94,8 @@ export class Program {
       const { file } = this.#shown;
       this.#shown.failed = 0;
       this.#show();
-      this.running.choose(file);
-      await this.attempt(() => this.running.run(), "run");
+      this.running.driving.choose(file);
+      await this.attempt(() => this.running.driving.run(), "run");
     }, "program");
   }
 

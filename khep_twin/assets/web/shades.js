@@ -97,7 +97,7 @@ class Pool {
   }
 
   shine(power) {
-    this.node.material.uniforms.tint.value.copy(this.lit).multiplyScalar(Math.min(power / this.power, 2));
+    this.node.material.uniforms.tint.value.copy(this.lit).multiplyScalar(power / this.power);
   }
 
   // Takes what may hide the lamp and moves.
@@ -106,6 +106,12 @@ class Pool {
     this.#hide(light, moving);
     light.forEach((value, vertex) => this.colours.array.fill(255 * value, 3 * vertex, 3 * vertex + 3));
     this.colours.needsUpdate = true;
+  }
+
+  dispose() {
+    this.node.geometry.dispose();
+    this.node.material.dispose();
+    this.node.removeFromParent();
   }
 
   #hide(light, feet) {
@@ -153,25 +159,28 @@ function shadows(feet, material) {
 export class Shades {
   node = new Group();
   #material = material(NormalBlending);
-  #pools = [];
+  #lamps = [];
+  #still = [];
+  #pools = []; // of the lamps, each from its first light on
   #bodies = [];
   #times = [];
 
   // Takes a scene, with the power of each lamp [W] and its colour.
   load({ shapes, poses }, lamps, powers) {
+    for (const pool of this.#pools) pool?.dispose();
     for (const each of this.node.children) each.geometry.dispose();
-    for (const { node } of this.#pools) node.material.dispose();
     this.node.clear();
     this.node.visible = true; // until it is measured anew
     this.#times = [];
     const of = (body) => shapes.filter((shape) => shape.body === body);
-    const still = feet(of(null));
-    this.node.add(shadows(still, this.#material));
+    this.#still = feet(of(null));
+    this.node.add(shadows(this.#still, this.#material));
     this.#bodies = poses.map((pose, body) => ({ body, feet: feet(of(body), pose[2]), at: [] })).filter(({ feet }) => feet.length);
     for (const each of this.#bodies) this.node.add((each.node = shadows(each.feet, this.#material)));
-    this.#pools = lamps.flatMap((lamp, index) => (powers[index] > 0 ? [Object.assign(new Pool(lamp, powers[index], still), { index })] : []));
-    for (const { node } of this.#pools) this.node.add(node);
+    this.#lamps = lamps;
+    this.#pools = lamps.map(() => null);
     this.move(poses);
+    this.shine(powers);
   }
 
   // Takes the poses of the bodies; what has moved casts another shadow.
@@ -187,13 +196,23 @@ export class Shades {
       each.node.rotation.z = at[2];
     }
     if (!changed || !this.node.visible) return;
-    const moving = this.#bodies.flatMap(({ feet, at }) => feet.map((foot) => moved(foot, at, at[2])));
-    for (const pool of this.#pools) pool.move(moving);
+    for (const pool of this.#pools) pool?.move(this.#moving());
   }
 
-  // Takes the power of each lamp [W].
+  #moving() {
+    return this.#bodies.flatMap(({ feet, at }) => feet.map((foot) => moved(foot, at, at[2])));
+  }
+
+  // Takes the power of each lamp [W]; a lamp that becomes much brighter has a wider pool.
   shine(powers) {
-    for (const pool of this.#pools) pool.shine(powers[pool.index] ?? 0);
+    this.#lamps.forEach((lamp, index) => {
+      const [pool, power] = [this.#pools[index], powers[index] ?? 0];
+      if (power <= 2 * (pool?.power ?? 0)) return void pool?.shine(power);
+      pool?.dispose();
+      const wider = (this.#pools[index] = new Pool(lamp, power, this.#still));
+      wider.move(this.#moving());
+      this.node.add(wider.node);
+    });
   }
 
   // Takes the time of a frame [ms]: on a slow machine there is neither light nor shadow.
