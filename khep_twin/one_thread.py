@@ -41,6 +41,6 @@ def one_thread(
 def entered_twice(entered: object, method: str) -> RuntimeError:
     """Return the error about a second thread in a method of an object."""
     return RuntimeError(
-        f"{method}: another thread is inside this {type(entered).__name__}; expected one thread at a time, "
-        "or an object for each"
+        f"{method.lstrip('_')}: another thread is inside this {type(entered).__name__}; expected one thread "
+        "at a time, or an object for each"
     )

@@ -3,6 +3,7 @@
 import dataclasses
 import threading
 from collections.abc import Callable
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from khep_twin.envs.tasks import TASKS, State
 from khep_twin.episodes.controllers import Function
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.ports.protocol_khep import Serial
+from khep_twin.ports.twin import open_twin
 from khep_twin.world import World
 
 SPEEDS = np.full(2, 0.5, np.float32)
@@ -133,3 +136,37 @@ def test_a_world_is_stepped_by_one_thread_at_a_time_which_its_observers_may_use(
     world.advance(0.02)
     assert [error.split(":")[0] for error in intruder.errors] == ["advance_to", "reset", "scan", "state"]
     assert error_elsewhere(world.step) == ""
+
+
+def test_a_port_is_used_by_one_thread_at_a_time() -> None:
+    intruder = Intruder()
+
+    class Observer:
+        def sample(self, world: World) -> None:
+            intruder.intrude()
+
+        def on_host_event(self, *event: object) -> None:
+            pass
+
+        on_bytes = on_host_event
+
+    with closing(Serial.of(open_twin("default"), timeout=1)) as port:
+        port.twin.world.add_observer(Observer(), at_once=False)  # type: ignore[arg-type]
+        uses: dict[str, Callable[[], object]] = {
+            "write": lambda: port.write(b"B\n"),
+            "read": port.read,
+            "readline": port.readline,
+            "sleep": lambda: port.sleep(0.1),
+            "flush": port.flush,
+            "in_waiting": lambda: port.in_waiting,
+            "reset_input_buffer": port.reset_input_buffer,
+            "reset_output_buffer": port.reset_output_buffer,
+        }
+        intruder.calls = list(uses.values())
+        port.write(b"O\n")
+        assert port.readline().startswith(b"o,")
+        told = [f"{name.replace('readline', 'read')}: another thread is inside this Serial" for name in uses]
+        assert [error.split(";")[0] for error in intruder.errors] == told
+        # Between two calls it may pass to another thread.
+        assert error_elsewhere(lambda: port.write(b"B\n")) == ""
+        assert port.readline() == b"b,5.02,5.01\r\n"

@@ -74,19 +74,21 @@ class Link:
                 f"{wanted}: another khep-twin serves under this name; name another path for --link"
             ) from None
         before = os.pread(self._lock, 4096, 0).decode("utf-8", "replace")
-        if self.path.is_symlink() and self.path.exists() and os.readlink(self.path) != before:
+        is_left_over = self.path.is_symlink()
+        if is_left_over and os.readlink(self.path) != before:
             if not before:
                 self._lock_path.unlink(missing_ok=True)
             raise PortError(
-                f"{wanted}: this link leads to {os.readlink(self.path)}, which is there and not ours; name "
-                "another path for --link, or remove the link if it is left over"
+                f"{wanted}: this link leads to {os.readlink(self.path)} and is not ours; name another path "
+                "for --link, or remove the link if it is left over"
             )
-        beside = self.path.with_name(f".{self.path.name}.{os.getpid()}")
         try:
+            # Whenever this is killed, the terminal of a link that is there is the one in the file.
+            if is_left_over:
+                self.path.unlink()
             os.ftruncate(self._lock, 0)
             os.pwrite(self._lock, self._target.encode(), 0)
-            beside.symlink_to(self._target)
-            os.replace(beside, self.path)
+            self.path.symlink_to(self._target)
         except OSError as error:
             raise PortError(f"{wanted}: cannot make this link: {error.strerror}") from error
 

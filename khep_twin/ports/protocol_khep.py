@@ -20,6 +20,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from threading import RLock
 from typing import Any, Self
 from urllib.parse import parse_qsl, unquote, urlsplit
 
@@ -29,6 +30,7 @@ from serial.serialutil import SerialBase
 from khep_twin.board.uart import LineSettings
 from khep_twin.clock import to_ns
 from khep_twin.errors import KhepTwinError, PortError, choices
+from khep_twin.one_thread import one_thread
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
 _POLL_NS = 1_000_000
@@ -40,10 +42,11 @@ class TwinPortError(PortError, SerialException):
 
 
 class Serial(SerialBase):
-    """A twin as a port of pyserial.
+    """A twin as a port of pyserial, for one thread at a time: two would take each other's replies.
 
     Attributes:
         twin: Twin behind the port, with its world, robot and log, for ground truth.
+        guard: Guard of its methods.
     """
 
     twin: Twin
@@ -54,6 +57,10 @@ class Serial(SerialBase):
     _write_timeout: float | None
     _baudrate: int
     _stopbits: float
+
+    def __init__(self, *given: Any, **options: Any) -> None:
+        self.guard = RLock()
+        super().__init__(*given, **options)
 
     @classmethod
     def of(cls, twin: Twin, timeout: float | None = None) -> Self:
@@ -90,6 +97,7 @@ class Serial(SerialBase):
             self.is_open = False
             self.twin.close()
 
+    @one_thread
     def sleep(self, duration: float) -> None:
         """Let simulated time pass [s]."""
         self._check_open()
@@ -101,6 +109,7 @@ class Serial(SerialBase):
         return self.twin.world.time_ns
 
     @property
+    @one_thread
     def in_waiting(self) -> int:
         """Number of bytes that have arrived; a poll of an empty line takes one byte time."""
         self._check_open()
@@ -134,6 +143,7 @@ class Serial(SerialBase):
         """Read a line with its line feed, or until the timeout."""
         return self.read_until(size=None if size is None or size < 0 else size)
 
+    @one_thread
     def write(self, data: Any, /) -> int:
         """Write bytes to the line; wait, as a real port does, only while the line's queue is full.
 
@@ -160,22 +170,26 @@ class Serial(SerialBase):
             self.twin.advance_to(max(next_ns, self.time_ns))
         return len(data) - len(rest)
 
+    @one_thread
     def flush(self) -> None:
         """Wait until everything written has reached the robot."""
         self._check_open()
         last_ns = self._uart.rx.arrival(len(self._uart.rx)) or 0
         self.twin.advance_to(max(last_ns, self.time_ns))
 
+    @one_thread
     def reset_input_buffer(self) -> None:
         """Discard bytes that have arrived and were not read."""
         self._check_open()
         self._uart.tx.read(self.time_ns)
 
+    @one_thread
     def reset_output_buffer(self) -> None:
         """Discard bytes that have not reached the robot yet."""
         self._check_open()
         self.twin.robot.flush()
 
+    @one_thread
     def _read(self, wanted: Callable[[], int | None], limit: int | None) -> bytes:
         """Wait until as many bytes as `wanted` returns have arrived, and take them."""
         self._check_open()
@@ -217,7 +231,7 @@ class Serial(SerialBase):
         robot = self.twin.robot
         if notice := robot.compare_line(self._settings):
             self.twin.world.log_event(robot.index, notice)
-            warnings.warn(f"{self._port}: {notice}", stacklevel=3)
+            warnings.warn(f"{self._port}: {notice}", stacklevel=4)
 
     def _reconfigure_port(self) -> None:
         """Take over the port's settings; the speed holds from the next byte on."""

@@ -31,12 +31,13 @@ class Cable:
     path: str = "cable"
     dropped: int = 0
     occupied: bool = True
+    bauds: list[int] = field(default_factory=list[int])
 
     def descriptors(self, room: bool) -> Sequence[int]:
         return [self.descriptor]
 
     def set_baud(self, baud: int) -> None:
-        pass
+        self.bauds.append(baud)
 
     def settings(self) -> LineSettings | None:
         return None
@@ -123,6 +124,20 @@ def test_an_idle_line_has_nothing_due(cable: Cable) -> None:
     twin = open_twin("default", TwinOptions())
     connection = Connection(twin, twin.robot, cable, print)
     assert connection.next_ns() == connection.next_stop_ns() == NEVER_NS
+
+
+@pytest.mark.parametrize(
+    ("sent", "bauds"), [(b"serial 38400\n", [9600, 38400]), (b"serial 38400\nrestart\n", [9600, 38400, 9600])]
+)
+def test_a_cable_is_told_the_speed_of_the_robots_line_whenever_it_changes(
+    cable: Cable, sent: bytes, bauds: list[int]
+) -> None:
+    cable.news = [Received(sent)]
+    twin, connection = asked(cable)
+    for _ in range(10):
+        connection.take()
+        twin.advance_to(twin.world.time_ns + 100_000_000)
+    assert cable.bauds == bauds
 
 
 def test_a_reply_comes_in_one_piece_by_the_wire_clock_and_byte_by_byte_at_full_speed(cable: Cable) -> None:

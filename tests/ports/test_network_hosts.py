@@ -11,6 +11,7 @@ from contextlib import closing
 
 import pytest
 
+from khep_twin.board.uart import LineSettings
 from khep_twin.ports.host_port import NoticeLimit, Received
 from khep_twin.ports.network import TcpPort
 from khep_twin.ports.network_host import ANSWERS_LIMIT, LAST_LIMIT, QUEUE_LIMIT, WAITING_LIMIT, NetworkHost
@@ -57,6 +58,20 @@ def seated(port: TcpPort) -> socket.socket:
     host = connect(port)
     until(port, lambda _: port.occupied)
     return host
+
+
+def test_the_next_host_s_negotiation_begins_at_the_speed_of_the_robots_line(
+    port: TcpPort, negotiating: TcpPort
+) -> None:
+    with seated(negotiating):
+        negotiating.set_baud(38400)
+        assert negotiating.settings() == LineSettings(9600, 2)
+    until(negotiating, lambda received: received.left, answered=True)
+    with seated(negotiating):
+        assert negotiating.settings() == LineSettings(38400, 2)
+    port.set_baud(38400)
+    with seated(port):
+        assert port.settings() is None  # plain bytes have no speed
 
 
 def close(host: socket.socket) -> None:

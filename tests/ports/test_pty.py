@@ -148,13 +148,68 @@ def test_a_link_leads_to_the_terminal_and_goes_with_it(tmp_path: Path) -> None:
     assert not os.path.lexists(link)
 
 
-def test_a_stale_link_is_replaced_and_a_foreign_link_survives(tmp_path: Path) -> None:
+def test_the_link_of_a_killed_server_is_replaced_and_a_foreign_link_survives(tmp_path: Path) -> None:
     link = tmp_path / "khepera"
     link.symlink_to("/dev/pts/9999")
-    with PtyPort(link):
+    (tmp_path / ".khepera.lock").write_text("/dev/pts/9999")
+    with PtyPort(link) as port:
+        assert os.readlink(link) == port.name
         link.unlink()
         link.symlink_to("/dev/null")
     assert os.readlink(link) == "/dev/null"
+
+
+@pytest.mark.parametrize("left", ["", "/dev/pts/9998"])
+@pytest.mark.parametrize("target", ["/dev/null", "/dev/pts/9999", "gone/precious"])
+def test_a_link_of_others_is_left_alone_also_where_its_target_is_gone(
+    tmp_path: Path, target: str, left: str
+) -> None:
+    link, lock = tmp_path / "khepera", tmp_path / ".khepera.lock"
+    link.symlink_to(target)
+    if left:
+        lock.write_text(left)
+    with pytest.raises(PortError, match=f"khepera: this link leads to {target} and is not ours; name"):
+        PtyPort(link)
+    assert os.readlink(link) == target
+    assert lock.exists() == bool(left)
+
+
+def test_a_server_killed_while_it_makes_its_link_leaves_none_that_cannot_be_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link, lock = tmp_path / "khepera", tmp_path / ".khepera.lock"
+    for name in ("ftruncate", "pwrite", "symlink"):
+        link.unlink(missing_ok=True)
+        link.symlink_to("/dev/pts/9999")
+        lock.write_text("/dev/pts/9999")
+
+        def kill(*given: object) -> int:
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as killed:
+            killed.setattr(os, name, kill)
+            with pytest.raises(KeyboardInterrupt):
+                PtyPort(link)
+        with PtyPort(link) as port:
+            assert os.readlink(link) == port.name
+
+
+def test_a_host_that_sets_no_speed_has_that_of_the_robots_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pty_module, "_RESTORE_S", 0.0)
+    with PtyPort() as port:
+        with serial.Serial(port.path, 19200, timeout=1):
+            port.receive(100)
+            port.set_baud(38400)
+            port.receive(100)
+            assert port.settings() == LineSettings(19200, 1)  # a host's own
+        port.receive(100)
+        port.receive(100)
+        with open(port.path, "rb", buffering=0):
+            assert port.settings() == LineSettings(38400, 2)
+        port.receive(100)
+        port.set_baud(57600)  # where no host is there
+        port.receive(100)
+        assert port.settings() == LineSettings(57600, 2)
 
 
 def test_what_is_no_link_is_left_alone(tmp_path: Path) -> None:
