@@ -1,8 +1,8 @@
-"""A fuzz target: damaged playpen files, MAT files, PNGs and networks.
+"""A fuzz target: damaged playpen files, MAT files, pictures and networks.
 
     python -m checks fuzz-files toml 1000000 --jobs 2
 
-Each input depends on the files of `data/corpus` and its number alone, so that a finding is reproducible:
+Each input depends on the kind's seeds and its number alone, so that a finding is reproducible:
 `--first NUMBER` begins there. A job may use 512 MB more than after all imports; an input that takes 2 s is a
 finding, and 10 s end the job.
 """
@@ -16,15 +16,19 @@ import sys
 import time
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
+
+from PIL import Image, ImageDraw
 
 from tools.command_table import ROOT, command_line
 
 CORPUS = ROOT / "tests" / "data" / "corpus"
 SECONDS, MEMORY = 2.0, 2**29
+
+_TAGS = 0, 1, 4, 256, 259, 273, 277, 279, 2**16 - 1
 
 TOKENS = {
     "toml": [
@@ -45,6 +49,14 @@ TOKENS = {
         *(b"PK\1\2 PK\3\4 PK\5\6 \x93NUMPY <f8 |O <U1 <U999999 >i8 <f2 |b1 True".split()),
         *(b"(99999999999,) (-1,) () (8, 1)".split(b" ")),
         *(number.to_bytes(4, "little") for number in (0, 1, 8, 2**31 - 1, 2**32 - 1, 0xD800, 0x110000)),
+    ],
+    "picture": [
+        *(b"P1 P2 P3 P4 P5 P6 GIF89a BM II*\0 MM\0* II+\0".split(b" ")),
+        *(b"\n# a\n", b" 65535\n", b"4096 4096\n", b"9" * 5000),
+        *(b"\x21\xf9\x04", b"\x21\xff\x0b", b"\x2c\0\0\0\0", b"\x3b"),
+        *(b"\xff%c\0\x08" % marker for marker in b"\xc0\xc2\xc4\xd8\xd9\xda\xdb\xdd\xe0\xee"),
+        *(number.to_bytes(2, order) for number in _TAGS for order in ("little", "big")),
+        *(number.to_bytes(4, order) for number in (1, 4097, 2**31 - 1) for order in ("little", "big")),
     ],
 }
 """Bytes that mutations insert."""
@@ -99,8 +111,49 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "toml": toml_target,
     "mat": bitmap_target,
     "png": bitmap_target,
+    "picture": bitmap_target,
     "npz": network_target,
 }
+
+PICTURES = {
+    "TIFF": ("1", "L", "P", "LA", "RGB", "CMYK", "I;16"),
+    "GIF": ("1", "L", "P"),
+    "BMP": ("1", "L", "P", "RGB"),
+    "PPM": ("1", "L", "RGB", "I;16"),
+    "JPEG": ("L", "RGB", "CMYK"),
+}
+"""Modes of the pictures of each format, by Pillow's names."""
+
+PACKINGS = "packbits", "tiff_lzw", "tiff_adobe_deflate", "jpeg"
+PLAIN = b"P1\n# plain\n4 4\n1111 1001\n1001 1111\n", b"P2\n4 3\n255\n0 0 0 0 0 9 255 0 0 0 0 0\n"
+
+
+def seeds_of(kind: str) -> list[bytes]:
+    """Return the whole files that inputs of a kind are made of."""
+    if kind == "picture":
+        return [*_pictures(), *PLAIN]
+    return [path.read_bytes() for path in sorted(CORPUS.glob(f"*.{kind}"))]
+
+
+def _pictures() -> Iterator[bytes]:
+    picture = Image.new("L", (30, 24), 255)
+    ImageDraw.Draw(picture).rectangle((0, 0, 29, 23), outline=0, width=2)
+    ImageDraw.Draw(picture).rectangle((9, 8, 15, 13), fill=0)
+    for name, modes in PICTURES.items():
+        for mode in modes:
+            yield _saved(picture.convert(mode), name)
+    for packing in PACKINGS:
+        yield _saved(picture, "TIFF", compression=packing)
+    yield _saved(picture.convert("1"), "TIFF", compression="group4")
+    yield _saved(picture, "TIFF", big_tiff=True)
+    yield _saved(picture, "JPEG", progressive=True)
+    for name in ("GIF", "TIFF"):
+        yield _saved(picture, name, save_all=True, append_images=[picture.rotate(90)])
+
+
+def _saved(picture: Image.Image, name: str, **options: object) -> bytes:
+    picture.save(file := BytesIO(), name, **options)
+    return file.getvalue()
 
 
 def mutated(seeds: list[bytes], kind: str, number: int) -> bytes:
@@ -162,7 +215,7 @@ def run(kind: str, runs: int, first: int) -> None:
         AssertionError: An input is a finding.
     """
     # Imports do not count.
-    seeds = [path.read_bytes() for path in sorted(CORPUS.glob(f"*.{kind}"))]
+    seeds = seeds_of(kind)
     for seed in seeds:
         TARGETS[kind](seed)
     status = Path("/proc/self/status").read_text()

@@ -182,6 +182,7 @@ PARTS = (
     files("toml", "damaged playpens", 500_000),
     files("mat", "damaged MAT files", 100_000),
     files("png", "damaged PNGs", 100_000),
+    files("picture", "damaged pictures of other formats", 200_000),
     files("npz", "damaged networks", 100_000),
     fuzzed("fuzz-logs", "changed logs, read, exported and recovered", 250_000, 25_000),
     fuzzed("fuzz-log-uses", "changed logs, viewed, repeated, branched and checked", 50_000, 5_000),

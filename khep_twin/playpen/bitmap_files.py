@@ -4,9 +4,12 @@ The first bytes identify the format. Files are not trusted: sizes are checked be
 of a PNG only the chunks that make its pixels reach the decoder.
 """
 
+import ctypes
+import logging
 import struct
 import warnings
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -34,7 +37,8 @@ CHUNK_LIMIT = 100_000
 """Most chunks of a PNG."""
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_PICTURES = {
+
+PICTURES = {
     "PNG": (_PNG,),
     "TIFF": (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
     "GIF": (b"GIF87a", b"GIF89a"),
@@ -43,6 +47,9 @@ _PICTURES = {
     "PPM": tuple(b"P%d%c" % (kind, space) for kind in range(1, 7) for space in b"\n\r\t #"),
 }
 """First bytes of pictures, by Pillow's name of their format; PPM is also PBM and PGM."""
+
+# What Pillow tells of damaged files is in the errors here; without a handler Python prints it.
+logging.getLogger("PIL").addHandler(logging.NullHandler())
 
 _EXPECTED = "a MAT file of Matlab 4 to 7.2, or a PNG, TIFF, GIF, BMP, JPEG, PBM, PGM or PPM"
 _PIXEL_CHUNKS = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
@@ -95,7 +102,7 @@ def decode(data: bytes, variable: str | None = None, solid: int | None = None) -
     """
     if len(data) > SIZE_LIMIT:
         raise BitmapError(f"larger than {SIZE_LIMIT} bytes, the most that is read")
-    kind = next((kind for kind, heads in _PICTURES.items() if data.startswith(heads)), None)
+    kind = next((kind for kind, heads in PICTURES.items() if data.startswith(heads)), None)
     if kind is not None:
         if variable is not None or solid is not None:
             raise BitmapError(f"a {kind}; expected a MAT file for --variable and --solid")
@@ -178,7 +185,7 @@ _LARGEST_KIND = 10_000
 def _dark(data: bytes, kind: str) -> Pixels:
     """Return the dark pixels of a picture: luminance, over white if transparent, below one half."""
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _silent_libtiff():
             warnings.simplefilter("error")
             plain = _pixel_chunks(data) if kind == "PNG" else data
             with Image.open(BytesIO(plain), formats=[kind]) as picture:
@@ -195,6 +202,19 @@ def _dark(data: bytes, kind: str) -> Pixels:
     if not dark.any():
         raise BitmapError("no pixel is dark; expected a picture with dark walls or blocks on a bright floor")
     return dark
+
+
+@contextmanager
+def _silent_libtiff() -> Generator[None]:
+    """Keep libtiff from printing what it finds, as it does by itself, where Pillow's one can be reached."""
+    with ExitStack() as restored:
+        with suppress(AttributeError, OSError):
+            library = ctypes.CDLL(Image.core.__file__)
+            for name in ("TIFFSetErrorHandler", "TIFFSetWarningHandler"):
+                exchange = getattr(library, name)
+                exchange.argtypes, exchange.restype = [ctypes.c_void_p], ctypes.c_void_p
+                restored.callback(exchange, exchange(None))
+        yield
 
 
 def _dark_pixels(picture: Image.Image) -> Pixels:

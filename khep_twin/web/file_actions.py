@@ -183,7 +183,7 @@ class FileActions:
 
 
 def imported(data: bytes, request: HttpRequest) -> dict[str, object]:
-    """Return a MAT file or a PNG as a new playpen.
+    """Return a MAT file or a picture as a new playpen.
 
     Raises:
         KhepTwinError: It is none, or its scale is not possible.

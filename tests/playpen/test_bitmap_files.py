@@ -233,6 +233,12 @@ def test_every_cut_of_a_picture_is_refused_or_read(kind: str) -> None:
             assert str(error).isprintable()  # noqa: PT017
 
 
+def test_what_a_library_finds_in_a_damaged_picture_is_not_printed(capfd: pytest.CaptureFixture[str]) -> None:
+    whole = saved_as("TIFF", grey(np.where(DRAWN, 0, 255)), compression="tiff_lzw")
+    assert refused(whole[:100] + b"\xff" * 99 + whole[199:]).startswith("no whole TIFF: ")
+    assert capfd.readouterr() == ("", "")
+
+
 def test_packed_text_and_profiles_are_never_unpacked() -> None:
     packed = zlib.compress(bytes(2**20), 9)
     bombs = chunk(b"iCCP", b"a\0\0" + packed) + chunk(b"zTXt", b"a\0\0" + packed)

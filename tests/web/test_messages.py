@@ -4,6 +4,9 @@ import json
 import re
 from pathlib import Path
 
+from PIL import Image
+
+from khep_twin.playpen.bitmap_files import PICTURES
 from khep_twin.units import SENSOR_LABELS
 from khep_twin.web.documents import Documents
 from khep_twin.web.messages import KINDS
@@ -43,6 +46,12 @@ def test_the_page_asks_for_all_actions_and_for_no_other() -> None:
     # A move by hand and its undo are asked for by name (hands.js).
     asked |= set(re.findall(r'\["(put|switch)", ', SCRIPTS["handling.js"]))
     assert asked | set(re.findall(r'data-post="([\w-]+)"', page)) == ACTIONS
+
+
+def test_the_page_offers_all_kinds_of_pictures_that_are_read_for_an_import() -> None:
+    offered = re.search(r'id="import" accept="\.mat,([^"]*)"', (ASSETS / "index.html").read_text())
+    assert offered is not None
+    assert {Image.registered_extensions()[each] for each in offered[1].split(",")} == set(PICTURES)
 
 
 def test_the_page_names_the_sensors_as_everything_else_does() -> None:
