@@ -16,7 +16,6 @@ from khep_twin.playpen.starts import Start
 from khep_twin.signals import is_interruption
 from khep_twin.sweep.programs import Program, driver_of, function_of
 from khep_twin.sweep.shards import Shard, Work
-from khep_twin.sweep.study import Study
 
 Columns = Mapping[str, object]
 """Values of each episode by column name; None or NaN for no value."""
@@ -31,7 +30,14 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
     """
     study, group = work.study, work.groups[task.group]
     controller = work.controllers[group.controller]
-    setup = _setup(work.playpens[group.playpen], group.lighting, study)
+    setup = _setup(
+        work.playpens[group.playpen],
+        group.lighting,
+        study.planar,
+        study.line_baud is not None,
+        study.step_ms,
+        study.period_ms,
+    )
     metrics = np.arange(task.first - group.first, task.first - group.first + task.count)
     others, seeds = np.divmod(metrics, study.seeds)
     genomes, which = np.divmod(others, len(group.starts))
@@ -112,12 +118,9 @@ def _begin(setup: EpisodeSetup, word: str, seed: int) -> Start:
 
 
 @lru_cache(maxsize=4)
-def _setup(text: str, lighting: str, study: Study) -> EpisodeSetup:
+def _setup(
+    text: str, lighting: str, planar: bool, at_line: bool, step_ms: float | None, period_ms: int
+) -> EpisodeSetup:
     place = start_poses.lit(playpen.parse(text, "a study's playpen"), "off" if lighting == "off" else None)
-    return EpisodeSetup(
-        place,
-        step_ns=None if study.step_ms is None else round(study.step_ms * NS_PER_MS),
-        period_ns=study.period_ms * NS_PER_MS,
-        planar=study.planar,
-        at_line=study.line_baud is not None,
-    )
+    step_ns, period_ns = None if step_ms is None else round(step_ms * NS_PER_MS), period_ms * NS_PER_MS
+    return EpisodeSetup(place, step_ns=step_ns, period_ns=period_ns, planar=planar, at_line=at_line)
