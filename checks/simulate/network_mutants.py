@@ -92,7 +92,7 @@ MUTANTS: dict[str, Mutant] = {
     "a host that has finished is never let go": Mutant(
         "tcp", "leftovers", replaced(NetworkHost, done=PropertyMock(return_value=False))
     ),
-    "a browser is let in": Mutant("tcp", "replies", replaced(NetworkHost, _refuse_browsers=nothing)),
+    "a browser is let in": Mutant("tcp", "replies", replaced(network_host, _OF_BROWSERS=(b"no request",))),
     "connections are never closed": Mutant("tcp", "leftovers", _connections_kept),
     "a host that has vanished keeps the port": Mutant(
         "tcp", "answers", replaced(network_host, _retransmissions=lambda client: 0), 600
