@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 import typer
-from docs_reader import ROOT, Reader, blocks, commands, shortened
+from docs_reader import ROOT, Reader, blocks, commands, fewer, shortened
 from typer.exceptions import TyperException
 
 from khep_twin.cli.app import app
@@ -129,3 +129,7 @@ def test_runs_are_shortened_in_the_suite() -> None:
     assert shortened("khep-twin run --seconds 60 --runs 5 --cycles 200") == (
         "khep-twin run --seconds 13 --runs 2 --cycles 20"
     )
+
+
+def test_programs_that_are_files_are_shortened_in_the_suite() -> None:
+    assert fewer("GENERATIONS = 30\nf(GENERATIONS = 30)\n") == "GENERATIONS = 2\nf(GENERATIONS = 30)\n"

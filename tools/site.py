@@ -56,7 +56,8 @@ TASKS = {
     "I teach": """Eight [lessons](docs/lessons/README.md) with a check each, [challenges](docs/challenges.md)
     that score the programs of a class, [notebooks](docs/notebooks.md), [reports](docs/report.md) of runs, and
     the [Khepera Toolbox](docs/toolbox.md) in Python.""",
-    "I evolve or train": """[Many episodes at once](docs/scale.md), in MuJoCo or in a plane;
+    "I evolve or train": """[From a genome or a policy to the robot](docs/evolve_train_drive.md);
+    [many episodes at once](docs/scale.md), in MuJoCo or in a plane;
     [environments](docs/environments.md) for Gymnasium, PettingZoo and dm_control;
     [studies](docs/sweep.md) on [clusters](docs/cluster.md); [datasets](docs/datasets.md).""",
     "I test host code": """[Serve a twin](docs/serving.md) on a terminal or a network port, with faults, in

@@ -1,0 +1,74 @@
+"""docs/evolve_train_drive.md: its programs for stable-baselines3 use this package as it is.
+
+stable-baselines3 needs PyTorch, which the tests do without; here a model that learns nothing takes its place.
+"""
+
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Self
+
+import gymnasium
+import numpy as np
+import pytest
+
+from khep_twin import Khepera, TaskController
+
+PAGE = Path(__file__).parents[1] / "docs" / "evolve_train_drive.md"
+
+
+class Model:
+    """A model that drives straight on."""
+
+    def __init__(self, policy: str, environments: list[gymnasium.Env[Any, Any]], **options: object) -> None:
+        self.environments = environments
+        self.observation_space = environments[0].observation_space
+        self.action_space = environments[0].action_space
+
+    def learn(self, steps: int) -> None:
+        for environment in self.environments:
+            environment.reset(seed=1)
+            environment.step(self.action_space.sample())
+
+    def save(self, path: str) -> None:
+        Path(path).touch()
+
+    @classmethod
+    def load(cls, path: str, device: str) -> Self:
+        assert Path(path).exists()
+        return cls("", make_vec_env("khep_twin/ObstacleAvoidance-v0", 1))
+
+    def predict(self, observation: object, *, deterministic: bool) -> tuple[Any, None]:
+        return np.full(2, 0.5), None
+
+
+def make_vec_env(
+    name: str, count: int, seed: int | None = None, env_kwargs: dict[str, Any] | None = None
+) -> list[gymnasium.Env[Any, Any]]:
+    return [gymnasium.make(name, **(env_kwargs or {})) for _ in range(count)]
+
+
+def test_what_is_trained_keeps_its_period_on_the_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("stable_baselines3", "stable_baselines3.common", "stable_baselines3.common.env_util"):
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    monkeypatch.setattr(sys.modules["stable_baselines3"], "PPO", Model, raising=False)
+    monkeypatch.setattr(
+        sys.modules["stable_baselines3.common.env_util"], "make_vec_env", make_vec_env, raising=False
+    )
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    programs = dict(
+        re.findall(r"<!-- file: (\w+\.py) -->\n\n```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    )
+    for name in ("learn.py", "avoid.py"):
+        exec(compile(programs[name], name, "exec"), names)
+    controller = names["controller"]
+    assert isinstance(controller, TaskController)
+    with Khepera("khep://obstacles?mode=3", baudrate=38400) as robot:
+        controller.start(robot)
+        begun = robot.time
+        controller.cycle(robot)
+        assert robot.time - begun == pytest.approx(0.05)
