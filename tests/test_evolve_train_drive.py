@@ -52,12 +52,15 @@ def make_vec_env(
 def test_what_is_trained_keeps_its_period_on_the_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("stable_baselines3", "stable_baselines3.common", "stable_baselines3.common.env_util"):
+    common = "stable_baselines3.common"
+    for name in ("torch", "stable_baselines3", common, f"{common}.env_util"):
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
-    monkeypatch.setattr(sys.modules["stable_baselines3"], "PPO", Model, raising=False)
-    monkeypatch.setattr(
-        sys.modules["stable_baselines3.common.env_util"], "make_vec_env", make_vec_env, raising=False
-    )
+    for module, name, stand_in in (
+        ("torch", "set_num_threads", lambda count: None),
+        ("stable_baselines3", "PPO", Model),
+        (f"{common}.env_util", "make_vec_env", make_vec_env),
+    ):
+        monkeypatch.setattr(sys.modules[module], name, stand_in, raising=False)
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
     programs = dict(
