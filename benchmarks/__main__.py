@@ -47,6 +47,10 @@ def main_job(part: float, rounds: int) -> Table:
             episode_row("life, compiled", setup, seconds),
             batch_row("batch, 1 thread", setup, n_episodes, 4 * part, 1),
             batch_row("batch, 2 threads", setup, n_episodes, 4 * part, 2),
+            batch_row("batch, networks, 1 thread", setup, n_episodes, 4 * part, 1, NETWORK),
+            batch_row(
+                "batch, networks, 38400 baud, 1 thread", setup, n_episodes, 4 * part, 1, NETWORK, 38400
+            ),
             batch_row("batch, Python policy, 1 thread", setup, n_episodes, 4 * part, 1, POLICY),
             batch_row("batch, Python policy, 2 threads", setup, n_episodes, 4 * part, 2, POLICY),
         ]
@@ -67,6 +71,7 @@ def beside_kheperax(name: str, part: float, rounds: int, python: str | None, fou
     seconds, n_episodes = max(round(20 * part), 1), 32 if part >= 1 else 8
     fine, coarse = EpisodeSetup(scene), EpisodeSetup(scene, step_ns=4 * units.STEP_NS)
     plane, long_s = EpisodeSetup(scene, planar=True), 60 * part
+    at_line = EpisodeSetup(scene, planar=True, at_line=True)
     rows = [
         bare_row("bare mj_step, rangefinders (floor)", fine, seconds),
         episode_row("life, steps of 2.5 ms", fine, seconds),
@@ -77,6 +82,7 @@ def beside_kheperax(name: str, part: float, rounds: int, python: str | None, fou
         batch_row("plane, ROM's vehicle, 2 threads", plane, n_episodes, long_s, 2),
         batch_row("plane, networks, 1 thread", plane, n_episodes, long_s, 1, NETWORK),
         batch_row("plane, networks, 2 threads", plane, n_episodes, long_s, 2, NETWORK),
+        batch_row("plane, networks, 38400 baud", at_line, n_episodes, long_s, 1, NETWORK, 38400),
     ]
     with ExitStack() as stack:
         if python is not None:

@@ -90,6 +90,7 @@ def batch_row(
     episode_s: float,
     threads: int,
     driver: Driver | None = None,
+    line: int | None = None,
 ) -> Row:
     """Return a row of a batch of episodes, each with its own genes if the controller is a network."""
     genes = random_genes(n_episodes) if isinstance(driver, Network) else None
@@ -98,7 +99,13 @@ def batch_row(
         n_episodes * episode_s,
         timed(
             lambda: rollout(
-                setup, driver or Braitenberg(), range(n_episodes), episode_s, genes=genes, threads=threads
+                setup,
+                driver or Braitenberg(),
+                range(n_episodes),
+                episode_s,
+                genes=genes,
+                line=line,
+                threads=threads,
             )
         ),
         generation,
