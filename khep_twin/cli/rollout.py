@@ -1,9 +1,9 @@
 """`khep-twin rollout`: an episode without a serial line."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,6 +25,7 @@ from khep_twin.cli.options import (
 from khep_twin.cli.progress import progress as progress_bar
 
 if TYPE_CHECKING:
+    from khep_twin.board.fault_injection import Fault
     from khep_twin.episodes.episode import Episode, EpisodeSetup
     from khep_twin.playpen import Playpen
 
@@ -36,6 +37,52 @@ Pose = tuple[float, float, float]
 
 _SPAN_NS = 2_000_000_000
 """Simulated time between two updates of the progress bar [ns]."""
+
+
+@dataclass(frozen=True, slots=True)
+class PhysicsOptions:
+    """Options of the physics, and of the controller's time in it."""
+
+    period: Annotated[
+        float | None,
+        typer.Option(help="Period of the controller [ms]; without, the network's own, or 20."),
+    ] = None
+    step: Annotated[
+        float | None,
+        typer.Option(
+            help="Step of the physics [ms]: 2.5, or coarser, 5 or 10; without, 2.5, or 10 with --planar."
+        ),
+    ] = None
+    line: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Speed of a serial line whose times the controller keeps [baud]; without, it has none.",
+        ),
+    ] = None
+    planar: Annotated[bool, typer.Option("--planar", help="Simulate in a plane, not in MuJoCo.")] = False
+
+    def setup(
+        self, playpen: "Playpen", driver: object, faults: "Iterable[Fault]", log: Path | None
+    ) -> "EpisodeSetup":
+        """Return the setup of an episode."""
+        from khep_twin.episodes import EpisodeSetup, Network
+        from khep_twin.units import SCAN_NS
+
+        if self.planar and log is not None:
+            raise usage("--log and --planar: a plane has no scene to replay; expected one of them")
+        for option, time_ms in (("--period", self.period), ("--step", self.step)):
+            if time_ms is not None and not 0 < time_ms <= 1e9:
+                raise usage(f"{option} {time_ms:g}: expected a time in ms, above 0 and at most 1e9")
+        own_ns = driver.period_ns if isinstance(driver, Network) else SCAN_NS
+        return EpisodeSetup(
+            playpen,
+            step_ns=None if self.step is None else round(self.step * 1e6),
+            period_ns=own_ns if self.period is None else round(self.period * 1e6),
+            planar=self.planar,
+            at_line=self.line is not None,
+            faults=faults,
+        )
 
 
 @grouped
@@ -52,24 +99,7 @@ def rollout(
     scene: SceneOptions,
     length: LengthOptions,
     twin: RobotOptions,
-    period: Annotated[
-        float | None,
-        typer.Option(help="Period of the controller [ms]; without, the network's own, or 20."),
-    ] = None,
-    step: Annotated[
-        float | None,
-        typer.Option(
-            help="Step of the physics [ms]: 2.5, or coarser, 5 or 10; without, 2.5, or 10 with --planar."
-        ),
-    ] = None,
-    line: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Speed of a serial line whose times the controller keeps [baud]; without, it has none.",
-        ),
-    ] = None,
-    planar: Annotated[bool, typer.Option("--planar", help="Simulate in a plane, not in MuJoCo.")] = False,
+    physics: PhysicsOptions,
     fault: Faults = None,
     picture: Annotated[Path | None, typer.Option(help="Draw playpen and path as PNG, SVG or PDF.")] = None,
     logging: LogOptions,
@@ -79,7 +109,7 @@ def rollout(
     With several robots, print those of each.
     """
     from khep_twin.board.fault_injection import parse_fault
-    from khep_twin.episodes import Episode, EpisodeOptions, EpisodeSetup, Network, Policy
+    from khep_twin.episodes import Episode, EpisodeOptions, Policy
     from khep_twin.lab.experiment.controller_files import find_driver
     from khep_twin.playpen.starts import at_spots
     from khep_twin.ports.twin import Twin, equipped
@@ -87,35 +117,20 @@ def rollout(
     check_picture(picture)
     check_apart([scene.playpen], picture, logging.log)
     check_new(logging.force, logging.log, picture)
-    if planar and logging.log is not None:
-        raise usage("--log and --planar: a plane has no scene to replay; expected one of them")
     options = replace(twin.options(None), faults=tuple(fault or ()))
     playpen = scene.load()
-    _check_time("--period", period)
-    _check_time("--step", step)
     found = find_driver(controller)
     driver, function = (Policy(), found) if callable(found) else (found, None)
-    if period is None:
-        period = found.period_ns / 1e6 if isinstance(found, Network) else 20.0
     playpen, _ = equipped(at_spots(playpen, options.seed), options)
     check_body(options.rom, playpen.robots)
     try:
-        step_ns, period_ns = None if step is None else round(step * 1e6), round(period * 1e6)
-        faults = map(parse_fault, options.faults)
-        setup = EpisodeSetup(
-            playpen,
-            step_ns=step_ns,
-            period_ns=period_ns,
-            planar=planar,
-            at_line=line is not None,
-            faults=faults,
-        )
+        setup = physics.setup(playpen, found, map(parse_fault, options.faults), logging.log)
         periods = length.cycles or setup.periods(60.0 if length.seconds is None else length.seconds)
         compiled = None if is_compiled() else False
         episode = Episode(setup, driver, compiled=compiled, observed=logging.log is not None)
     except ValueError as error:
         raise usage(str(error)) from None
-    episode.begin(options.seed, EpisodeOptions(noise=options.noise, vary=options.vary, line=line))
+    episode.begin(options.seed, EpisodeOptions(noise=options.noise, vary=options.vary, line=physics.line))
     recorder = None
     with ExitStack() as stack:
         if logging.log is not None:
@@ -133,11 +148,6 @@ def rollout(
     logging.check(recorder)
     if logging.log is not None:
         tell_written("log", [logging.log])
-
-
-def _check_time(option: str, time_ms: float | None) -> None:
-    if time_ms is not None and not 0 < time_ms <= 1e9:
-        raise usage(f"{option} {time_ms:g}: expected a time in ms, above 0 and at most 1e9")
 
 
 def _run(

@@ -84,6 +84,28 @@ class SeriesOptions:
             raise usage(f"--save {self.save}: this is the log; expected a separate folder")
 
 
+@dataclass(frozen=True, slots=True)
+class PortOptions:
+    """Options of the line to a robot."""
+
+    port: Annotated[
+        str | None,
+        typer.Option(
+            help="Port of a robot or a served twin; without, a twin in this process.", autocompletion=ports
+        ),
+    ] = None
+    baudrate: Annotated[
+        int, typer.Option(min=0, help="Speed of the line to --port; 0 tries all that the robots have.")
+    ] = 9600
+
+    def check(self, context: typer.Context) -> None:
+        """Refuse options of a twin for a robot behind a port, and the other way round."""
+        if self.port is not None:
+            refuse(context, _OF_A_TWIN, "a twin in this process, not for one behind --port")
+        elif "baudrate" in given(context):
+            raise usage("--baudrate is that of a line to a robot; expected --port, too")
+
+
 @grouped
 def run(
     context: typer.Context,
@@ -96,15 +118,7 @@ def run(
         ),
     ] = "braitenberg",
     scene: SceneOptions,
-    port: Annotated[
-        str | None,
-        typer.Option(
-            help="Port of a robot or a served twin; without, a twin in this process.", autocompletion=ports
-        ),
-    ] = None,
-    baudrate: Annotated[
-        int, typer.Option(min=0, help="Speed of the line to --port; 0 tries all that the robots have.")
-    ] = 9600,
+    line: PortOptions,
     length: LengthOptions,
     series: SeriesOptions,
     robot: Annotated[int, typer.Option(help="Number of the robot in the playpen, counted from 0.")] = 0,
@@ -128,11 +142,8 @@ def run(
     from khep_twin.lab.experiment.series_files import SeriesFolder
     from khep_twin.toolbox.form import as_toolbox_form
 
-    typed = given(context)
-    if port is not None:
-        refuse(context, _OF_A_TWIN, "a twin in this process, not for one behind --port")
-    elif "baudrate" in typed:
-        raise usage("--baudrate is that of a line to a robot; expected --port, too")
+    typed, port = given(context), line.port
+    line.check(context)
     _check(scene.playpen, logging.log, picture)
     series.check(logging.log)
     options = replace(twin.options(robot), faults=tuple(fault or ()))
@@ -150,7 +161,7 @@ def run(
         # The robot is released, and its log completed, before what remains is cleared up.
         stack.enter_context(answered())
         if port is not None:
-            khepera = Khepera(port, baudrate=baudrate or "auto")
+            khepera = Khepera(port, baudrate=line.baudrate or "auto")
             robot_source: RobotSource = OneRobot(stack.enter_context(khepera))
             settings: dict[str, Any] = {"port": port}
         else:

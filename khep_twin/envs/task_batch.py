@@ -22,7 +22,7 @@ from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.clock import to_ns
 from khep_twin.copies import NotCopied
 from khep_twin.envs.reset_options import ResetOptions
-from khep_twin.envs.task_setup import Beginning, TaskSetup
+from khep_twin.envs.task_setup import EpisodeBeginning, TaskSetup
 from khep_twin.envs.tasks import Observation, State
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_batch import EpisodeBatch
@@ -75,7 +75,7 @@ class TaskBatch(NotCopied):
         self._goals, self._ends = np.zeros((count, 2)), np.zeros((2, *shape))
         for row, each in enumerate(self._own):
             self._know(row, each)
-        self.beginnings: list[Beginning | None] = [None] * count
+        self.beginnings: list[EpisodeBeginning | None] = [None] * count
         self.returns, self.touches = np.zeros(shape), np.zeros(shape, np.bool_)
         self.parts: dict[str, NDArray[np.float64]] = {}
 

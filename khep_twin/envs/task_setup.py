@@ -40,7 +40,7 @@ _AS_IT_IS = ResetOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beginning:
+class EpisodeBeginning:
     """Beginning of an episode.
 
     Attributes:
@@ -172,7 +172,7 @@ class TaskSetup(MadeAnew):
         """
         return (anywhere if self.task.starts == "anywhere" else at_spots)(self.playpen, seed)
 
-    def beginning(self, seed: int, given: ResetOptions = _AS_IT_IS) -> Beginning:
+    def beginning(self, seed: int, given: ResetOptions = _AS_IT_IS) -> EpisodeBeginning:
         """Return the beginning of the episode of a seed.
 
         Args:
@@ -214,7 +214,7 @@ class TaskSetup(MadeAnew):
             home=setup._home,
             line=line or self.line,
         )
-        return Beginning(setup, options, drawn)
+        return EpisodeBeginning(setup, options, drawn)
 
     def _starts(self, start: Any) -> list[Start]:
         """Return the start of each robot; raise a `ValueError` unless there is one for each."""

@@ -252,19 +252,21 @@ def controllers_of(
         first_events(n_robots, times),
         np.zeros((n_robots, kernel.N_REGISTERS), np.int64),
     )
-    if compiled:
-        return controllers
-    # Views and lists are faster in Python.
+    return controllers if compiled else _in_python(controllers)
+
+
+def _in_python(controllers: stepping.Controllers) -> stepping.Controllers:
+    """Return controllers whose arrays are views and lists, which are faster in Python."""
     controllers = controllers._replace(
-        line=times.tolist(),
+        line=np.asarray(controllers.line).tolist(),
         events=[event.data for event in controllers.events],
         seen=[seen.data for seen in controllers.seen],
     )
-    if kind == stepping.FUNCTION:
+    if controllers.kind == stepping.FUNCTION:
         return controllers
     return controllers._replace(
-        sizes=list(sizes),
-        genes=weights.tolist(),
+        sizes=np.asarray(controllers.sizes).tolist(),
+        genes=controllers.genes.tolist(),
         memory=controllers.memory.tolist(),
-        values=[0.0] * sum(sizes),
+        values=[0.0] * len(controllers.values),
     )

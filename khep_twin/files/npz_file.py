@@ -1,6 +1,6 @@
 """Arrays of NPZ files, numpy's archives: read without pickle and within limits, written with the same bytes.
 
-`numpy.load` runs pickled objects if it is told to, unpacks whatever an archive says, and makes room for
+`numpy.load` runs pickled objects on request, unpacks whatever an archive says, and makes room for
 whatever an array's header says. Here, all that is known before anything is unpacked.
 """
 
