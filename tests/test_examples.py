@@ -70,6 +70,7 @@ def test_the_baton_is_passed_and_the_run_repeats(tmp_path: Path) -> None:
     assert repeat(read_recorded(tmp_path / "a.mcap")) is None
 
 
+@pytest.mark.long
 def test_a_swarm_of_the_same_seed_gathers_in_the_same_way(tmp_path: Path) -> None:
     [example] = [path for path in EXAMPLES if path.stem == "06_aggregation"]
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):

@@ -102,6 +102,7 @@ def test_a_wall_that_stood_elsewhere_is_found_there_as_far_as_the_others_tell() 
     assert moved[-1].bearing - moved[0].bearing == pytest.approx(math.radians(4), abs=math.radians(0.4))
 
 
+@pytest.mark.long
 def test_a_ruler_widens_the_intervals_by_what_its_error_does() -> None:
     tests = bench([12, 17, 21, 25, 29])
     exact, usual = (fit_infrared(tests, KHEPERA1, Ruler(mm, deg, 0)) for mm, deg in ((0, 0), (0.5, 1.5)))
