@@ -129,7 +129,6 @@ class TaskSetup(MadeAnew):
         self._lamps = None if lamps is None else checked_lamps(lamps)
         self.line = line
         self._requests = "".join(_REQUESTS.get(term, "") for term in self.task.observation_terms)
-        _check_period(line, self._requests, period_ns)
         if self.randomize and self.randomize.delay:
             _check_delay(self.randomize.delay, line, period_ns)
         self.action_limit = action_limit(normalize)
@@ -140,6 +139,7 @@ class TaskSetup(MadeAnew):
                 f"{period_ns / 1e6:g} ms"
             )
         self.n_steps = n_steps(to_ns(self.seconds), period_ns)
+        _check_period(line, self._requests, period_ns, to_ns(self.seconds))
         self.goal, self._home = (0.0, 0.0), None
         if self.task.goal:
             x_mm, y_mm = _place_of(self.playpen, self.task.goal)
@@ -248,15 +248,20 @@ OPTIONS = tuple(inspect.signature(TaskSetup.__init__).parameters)[2:-1]
 """Names of the options of a task."""
 
 
-def _check_period(line: LineTimes, requests: str, period_ns: int) -> None:
-    """Raise a `ValueError` if a cycle at a line takes longer than the control period."""
+def _check_period(line: LineTimes, requests: str, period_ns: int, episode_ns: int) -> None:
+    """Raise a `ValueError` if a cycle at a line takes longer than the control period.
+
+    It names a period that would do, of which an episode has a whole number.
+    """
     check_line(line)
     if line is None:
         return
     took = to_ns(line.period) if isinstance(line, MeasuredCycle) else longest_cycle_ns(line, requests)
     if took > period_ns:
         names = " and ".join(filter(None, (", ".join(requests), "D")))
-        least_ms = -(-took // units.TICK_NS) * units.TICK_NS // 1_000_000
+        ticks = range(-(-took // units.TICK_NS), episode_ns // units.TICK_NS)
+        whole = (tick for tick in ticks if episode_ns % (tick * units.TICK_NS) == 0)
+        least_ms = next(whole, episode_ns // units.TICK_NS) * units.TICK_NS // 1_000_000
         raise ValueError(
             f"line = {line}: a cycle of {names} takes up to {took / 1e6:.0f} ms; expected period_ns = "
             f"{least_ms}_000_000 or more, not {period_ns}"

@@ -164,5 +164,7 @@ def test_a_cycle_has_times_that_fit(delay: float, period: float) -> None:
 
 
 def test_a_task_whose_period_is_too_short_for_its_line_says_which_would_do() -> None:
-    with pytest.raises(ValueError, match=r"line = 9600: a cycle of N, H and D takes up to \d+ ms; expected"):
+    told = r"line = 9600: a cycle of N, H and D takes up to \d+ ms; expected period_ns = 120_000_000 or more"
+    with pytest.raises(ValueError, match=told):
         TaskSetup("ObstacleAvoidance", line=9600)
+    assert TaskSetup("ObstacleAvoidance", line=9600, period_ns=120_000_000).n_steps == 500
