@@ -21,14 +21,11 @@ SHORTER = {
 NEEDS_CMAES = {"phototaxis", "wall_or_cylinder"}
 
 
+LONG = {"garbage", "homing", "phototaxis", "wall_or_cylinder"}
+
+
 @pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(
-            name, marks=pytest.mark.long if name in ("homing", "phototaxis", "wall_or_cylinder") else ()
-        )
-        for name in SHORTER
-    ],
+    "name", [pytest.param(name, marks=pytest.mark.long if name in LONG else ()) for name in SHORTER]
 )
 def test_a_classic_experiment_runs_and_draws(name: str, tmp_path: Path) -> None:
     if name in NEEDS_CMAES and importlib.util.find_spec("cmaes") is None:
