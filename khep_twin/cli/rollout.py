@@ -50,7 +50,8 @@ class PhysicsOptions:
     step: Annotated[
         float | None,
         typer.Option(
-            help="Step of the physics [ms]: 2.5, or coarser, 5 or 10; without, 2.5, or 10 with --planar."
+            help="Step of the physics [ms]: 2.5, or coarser, 5 or 10; without, 2.5, or 10 with --planar and "
+            "no --line."
         ),
     ] = None
     line: Annotated[

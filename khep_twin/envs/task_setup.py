@@ -33,7 +33,7 @@ from khep_twin.sensing import calibration
 PERIOD_NS = 50_000_000
 """Default control period [ns]."""
 
-_REQUESTS = {"proximity": "N", "light": "O", "speed": "H"}
+TERM_REQUESTS = {"proximity": "N", "light": "O", "speed": "H"}
 """Command that asks a robot for an observation term; others are not asked on the line."""
 
 _AS_IT_IS = ResetOptions()
@@ -128,7 +128,7 @@ class TaskSetup(MadeAnew):
         self._start = None if start is None else self._starts(start)
         self._lamps = None if lamps is None else checked_lamps(lamps)
         self.line = line
-        self._requests = "".join(_REQUESTS.get(term, "") for term in self.task.observation_terms)
+        self._requests = "".join(TERM_REQUESTS.get(term, "") for term in self.task.observation_terms)
         if self.randomize and self.randomize.delay:
             _check_delay(self.randomize.delay, line, period_ns)
         self.action_limit = action_limit(normalize)

@@ -82,7 +82,7 @@ def check_line(line: object) -> None:
 
 
 def line_times(line: LineTimes, requests: str, period_ns: int) -> NDArray[np.int64]:
-    """Return the times of a line for `first_event` and `next_event`.
+    """Return the times of a line for `first_events` and `set_next`.
 
     Args:
         line: Line; None for exchanges that take no time.
@@ -170,12 +170,9 @@ def send_speeds(event: Vector[int], times: Vector[int], seen: kernel.Registers) 
 def end_cycle(event: Vector[int], times: Vector[int]) -> int:
     """Make the event the first request of the next cycle; return the duration of this one [ns]."""
     begun_ns, baud = event[BEGUN_NS], times[BAUD]
-    event[STAGE], event[BEGUN_NS] = 0, begun_ns + times[PERIOD_NS]
-    if baud > 0:
-        event[BEGUN_NS] = max(event[BEGUN_NS], event[AT_NS] + _bytes_ns(baud, 1 + _END))
-    event[AT_NS] = event[BEGUN_NS]
-    if baud > 0:
-        event[AT_NS] += _bytes_ns(baud, _REQUEST)
+    event[STAGE] = 0
+    event[BEGUN_NS] = max(begun_ns + times[PERIOD_NS], event[AT_NS] + _bytes_ns(baud, 1 + _END))
+    event[AT_NS] = event[BEGUN_NS] + _bytes_ns(baud, _REQUEST)
     return event[BEGUN_NS] - begun_ns
 
 

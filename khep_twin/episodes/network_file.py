@@ -1,16 +1,18 @@
 """Files of networks: an NPZ that numpy opens without pickle.
 
-format      "khep_twin network"
-version     1
-hidden      neurons of each hidden layer (n_layers,)
-recurrent   whether the first layer has feedback of its own last values
-top_speed   speed for an output of 1 [pulses/10 ms]
-genes       weights, in the order of `networks` (n_genes,)
-inputs      names of the inputs in their order (n_inputs,), such as "proximity left_90"
-zero, one   counts of the robot that are inputs of 0 and 1 (n_inputs,)
-period_ns   control period that the network was made for [ns]
-playpen     playpen in which it was found, as text; empty if unknown
-seed        seed with which it was found; left out if unknown
+Its arrays, checked when it is read and before it is written:
+
+    format      "khep_twin network"
+    version     1
+    hidden      neurons of each hidden layer (n_layers,)
+    recurrent   whether the first layer has feedback of its own last values
+    top_speed   speed for an output of 1 [pulses/10 ms]
+    genes       weights, in the order of `networks` (n_genes,)
+    inputs      names of the inputs in their order (n_inputs,), such as "proximity left_90"
+    zero, one   counts of the robot that are inputs of 0 and 1 (n_inputs,)
+    period_ns   control period that the network was made for [ns]
+    playpen     playpen in which it was found, as text; empty if unknown
+    seed        seed with which it was found; left out if unknown
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,6 +27,7 @@ from khep_twin.episodes import networks
 from khep_twin.errors import ControllerError, choices
 from khep_twin.files.atomic import open_regular, write_whole
 from khep_twin.files.npz_file import SIZE_LIMIT, packed, read_arrays
+from khep_twin.firmware import SPEED_LIMIT_PULSES
 from khep_twin.randomness import SEED_LIMIT
 
 SUFFIX = ".npz"
@@ -178,8 +181,8 @@ def _fitting(arrays: Mapping[str, NDArray[Any]], refuse: Callable[[str, str], Co
     seed = int(arrays["seed"]) if "seed" in arrays else None
     if not all(1 <= size <= 1000 for size in hidden) or len(hidden) > 100:
         raise refuse(f"hidden = {list(hidden)[:100]}", "1 to 1000 neurons in each of at most 100 layers")
-    if not 0 < top_speed <= 127:
-        raise refuse(f"top_speed = {top_speed:g}", "a number above 0 and at most 127")
+    if not 0 < top_speed <= SPEED_LIMIT_PULSES:
+        raise refuse(f"top_speed = {top_speed:g}", f"a number above 0 and at most {SPEED_LIMIT_PULSES}")
     if period_ns <= 0 or period_ns % units.TICK_NS:
         raise refuse(f"period_ns = {period_ns}", f"whole ticks of {units.TICK_NS} ns")
     if seed is not None and not 0 <= seed < SEED_LIMIT:

@@ -1,10 +1,12 @@
 """Controllers that decide once a period, and networks as such controllers.
 
-from khep_twin import Khepera, Network, NetworkController
-from khep_twin.lab.experiment import run
+    from khep_twin import Khepera, Network, NetworkController
+    from khep_twin.lab.experiment import run
 
-with Khepera("/dev/ttyUSB0") as robot:
-run(NetworkController(Network.load("best.npz")), robot, seconds=60)
+    with Khepera("/dev/ttyUSB0") as robot:
+        run(NetworkController(Network.load("best.npz")), robot, seconds=60)
+
+On a twin or a robot they have the cycle that a rollout with that line has (`khep_twin.episodes.line`).
 """
 
 import math
@@ -14,11 +16,9 @@ from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.episodes import networks
 from khep_twin.episodes.controllers import Network
 from khep_twin.errors import ControllerError
+from khep_twin.firmware import SPEED_LIMIT_PULSES
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import Controller
-
-_SPEED_LIMIT = 127.0
-"""Largest speed of command D [pulses/10 ms]."""
 
 
 class PeriodicController(Controller):
@@ -41,7 +41,8 @@ class PeriodicController(Controller):
         """Drive at the speeds, rounded and clipped as in a rollout, and wait for the end of the period."""
         # Times of a port are whole nanoseconds, as floats in seconds.
         end_ns = to_ns(robot.time) + self._period_ns
-        left, right = (round(min(max(speed, -_SPEED_LIMIT), _SPEED_LIMIT)) for speed in self.decide(robot))
+        most = float(SPEED_LIMIT_PULSES)
+        left, right = (round(min(max(speed, -most), most)) for speed in self.decide(robot))
         robot.set_speed(left, right)
         if (left_ns := end_ns - to_ns(robot.time)) > 0:
             robot.sleep(left_ns / NS_PER_S)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.clock import to_ns
-from khep_twin.envs.task_setup import PERIOD_NS
+from khep_twin.envs.task_setup import PERIOD_NS, TERM_REQUESTS
 from khep_twin.envs.tasks import Observation, State, Task, action_limit, find, speeds_of
 from khep_twin.errors import ControllerError
 from khep_twin.files.paths import StrPath
@@ -31,9 +31,6 @@ from khep_twin.lab.experiment.periodic_controllers import PeriodicController
 from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration as calibrations
 from khep_twin.signals import is_interruption
-
-_TOLD = ("proximity", "light", "speed")
-"""Observation terms that a robot tells over its line."""
 
 
 @runtime_checkable
@@ -81,10 +78,10 @@ class TaskController(PeriodicController):
         super().__init__(period_ns)
         self._task, self._policy, self._normalize = find(task), policy, normalize
         for term in self._task.observation_terms:
-            if term not in _TOLD:
+            if term not in TERM_REQUESTS:
                 raise ControllerError(
                     f"task {self._task.name}: no robot tells its {term}; expected a task that observes "
-                    f"{', '.join(_TOLD)} alone"
+                    f"{', '.join(TERM_REQUESTS)} alone"
                 )
         self._name = type(policy).__name__
         if inspect.isfunction(policy):

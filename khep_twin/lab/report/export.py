@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from khep_twin.board.turrets import installed
 from khep_twin.errors import LogError, choices
 from khep_twin.files.mat_file import mat_bytes
-from khep_twin.lab.report.table_files import TABLES, Channel, is_whole, rows_of
+from khep_twin.lab.report.table_files import TABLES, Channel, Heading, is_whole, rows_of
 from khep_twin.log.channels import TextLine
 from khep_twin.log.columns import columns_of, identifier, in_order
 from khep_twin.log.reader import Recording, TimeSeries, read_pieces
@@ -128,7 +128,7 @@ def write_table(
     while True:
         file.seek(0)
         file.truncate()
-        writer = TABLES[kind](file, robots, channels, fractional)
+        writer = TABLES[kind](file, Heading(robots, channels, fractional))
         n_rows, found = 0, set[str]()
         with closing(writer):
             for piece in read_pieces(log, progress):

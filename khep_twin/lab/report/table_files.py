@@ -71,19 +71,27 @@ def rows_of(channels: Sequence[Channel], count: int) -> Rows:
     return Rows(times_ns[order], robots[order], [np.concatenate(found)[order] for found in places])
 
 
-class CsvFile:
-    """CSV file that is written piece by piece; all but the `fractional` channels are integers."""
+class Heading(NamedTuple):
+    """Columns of a table.
 
-    def __init__(
-        self,
-        file: BinaryIO,
-        robots: Sequence[str],
-        channels: Sequence[Channel],
-        fractional: Collection[str],
-    ) -> None:
-        self._file, self._robots, self._fractional = file, robots, fractional
+    Attributes:
+        robots: Names of the robots; of several, the table has a column of them.
+        channels: Channels of the columns.
+        fractional: Names of the channels whose values are not all integers.
+    """
+
+    robots: Sequence[str]
+    channels: Sequence[Channel]
+    fractional: Collection[str]
+
+
+class CsvFile:
+    """CSV file that is written piece by piece."""
+
+    def __init__(self, file: BinaryIO, heading: Heading) -> None:
+        self._file, (self._robots, channels, self._fractional) = file, heading
         names = (name for channel in channels for name, _ in channel.columns)
-        file.write(f"{','.join(['time_s', *['robot'][: len(robots) - 1], *names])}\n".encode())
+        file.write(f"{','.join(['time_s', *['robot'][: len(self._robots) - 1], *names])}\n".encode())
 
     def write(self, rows: Rows, channels: Sequence[Channel]) -> None:
         """Write rows with the values of the channels."""
@@ -102,24 +110,18 @@ class CsvFile:
 
 
 class ParquetFile:
-    """Parquet file that is written piece by piece, each a row group; arguments as for `CsvFile`."""
+    """Parquet file that is written piece by piece, each a row group."""
 
-    def __init__(
-        self,
-        file: BinaryIO,
-        robots: Sequence[str],
-        channels: Sequence[Channel],
-        fractional: Collection[str],
-    ) -> None:
+    def __init__(self, file: BinaryIO, heading: Heading) -> None:
         import pyarrow as arrow
         from pyarrow import parquet
 
-        self._robots, self._fractional = robots, fractional
+        self._robots, channels, self._fractional = heading
         fields = [arrow.field("time_s", arrow.float64(), metadata={"unit": "s"})]
-        if len(robots) > 1:
+        if len(self._robots) > 1:
             fields.append(arrow.field("robot", arrow.string()))
         for channel in channels:
-            kind = arrow.float64() if channel.name in fractional else arrow.int64()
+            kind = arrow.float64() if channel.name in self._fractional else arrow.int64()
             for name, unit in channel.columns:
                 fields.append(arrow.field(name, kind, metadata={"unit": unit, "channel": channel.name}))
         self._schema = arrow.schema(fields)
