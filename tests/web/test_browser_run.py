@@ -81,8 +81,12 @@ def test_ten_objects_are_drawn_saved_run_lifted_and_stopped(visit: Visit, tmp_pa
     page.fill("#seconds", "600")
     page.click("#run")
     visit.wait_driven()
+    slow = []
+    page.route("**/do/put", lambda route: slow.append(route))
     visit.lift(300, 130)
     visit.click(60, 440)
+    page.wait_for_timeout(300)  # the later request would overtake the earlier one
+    slow[0].continue_()
     visit.wait("document.querySelector('.kind-lamp.off')")
     visit.picture("3-lifted")
     visit.stop()

@@ -7,7 +7,17 @@ const QUIET = { "Khepera-Quiet": "yes" }; // a refusal is no error of the page, 
 
 const KEPT_ALIVE = 60_000; // browsers refuse more than 64 KiB of a request that outlives its page [bytes]
 
-export async function post(action, wanted = {}, more = {}) {
+// Actions about the time of a twin and what is in it: each waits for the one before, as requests may overtake each other.
+const ORDERED = ["pace", "step", "put", "switch"];
+let before = Promise.resolve();
+
+export function post(action, wanted = {}, more = {}) {
+  const ask = () => request(action, wanted, more);
+  if (!ORDERED.includes(action)) return ask();
+  return (before = before.then(ask, ask));
+}
+
+async function request(action, wanted, more) {
   const body = JSON.stringify({ ...wanted, tab });
   const keepalive = more.keepalive === true && new Blob([body]).size < KEPT_ALIVE;
   const answer = await reach(`${base}do/${action}`, {
