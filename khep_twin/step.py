@@ -1,7 +1,7 @@
 """One step of the simulation: the only place where its order is written.
 
-    1. physics, with the motor voltages of the last control tick
-    2. the sensor whose turn it is, of each robot, is converted at the pose of the step's start
+    1. physics, with the motor voltages of the last control tick; its step may be that of several steps
+    2. the sensor whose turn it is, of each robot, is converted at the pose of the physics' step's start
     3. every 10 ms the control tick: encoders, speed, controllers, duty, voltage
     4. every 20 ms the supply is measured; below its minimum voltage the processor stops
 
@@ -58,6 +58,7 @@ class Timing(NamedTuple):
 
     Attributes:
         step_ns: Step [ns].
+        steps_per_motion: Steps of each step of the physics, which moves before the first of them.
         conversions: Sensor conversions in each step.
         steps_per_tick: Steps per tick of the control loops.
         steps_per_supply: Steps per measurement of the supply.
@@ -65,6 +66,7 @@ class Timing(NamedTuple):
     """
 
     step_ns: int
+    steps_per_motion: int
     conversions: int
     steps_per_tick: int
     steps_per_supply: int
@@ -158,7 +160,8 @@ def advance(simulated: Simulated, inputs: StepInputs, until: int, stops: int) ->
     scene, timing, robots, counters = simulated.scene, simulated.timing, simulated.robots, simulated.counters
     while counters[PHASE] != DONE or counters[STEPS] < until:
         if counters[PHASE] == DONE:
-            step(scene)
+            if counters[STEPS] % timing.steps_per_motion == 0:
+                step(scene)
             counters[STEPS] += 1
             counters[PHASE] = STEPPED
             if stops & STEPPED:

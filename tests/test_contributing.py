@@ -25,6 +25,7 @@ def test_a_newcomer_who_follows_a_recipe_sees_what_it_shows(recipe: str, tmp_pat
 
 
 @CHECKOUT
+@pytest.mark.long
 def test_all_recipes_together_pass_the_check(tmp_path: Path) -> None:
     follower = PageFollower(PAGE, tmp_path, typing=False)
     for recipe in RECIPES:

@@ -50,8 +50,7 @@ class PhysicsOptions:
     step: Annotated[
         float | None,
         typer.Option(
-            help="Step of the physics [ms]: 2.5, or coarser, 5 or 10; without, 2.5, or 10 with --planar and "
-            "no --line."
+            help="Step of the physics [ms]: 2.5, or coarser, 5 or 10; without, 2.5, or 10 with --planar."
         ),
     ] = None
     line: Annotated[

@@ -17,7 +17,7 @@ from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.mujoco_forms import SceneModel
 
 PLANAR_STEP_NS = 4 * units.STEP_NS
-"""Step in a plane, one tick [ns]; its only effect is that sensors are converted four at a time."""
+"""Step in a plane, one tick [ns]; its only effect is that four sensors are converted at one pose."""
 
 
 class EpisodeSetup:
@@ -25,15 +25,17 @@ class EpisodeSetup:
 
     Args:
         playpen: Playpen with a robot, or its name or path.
-        step_ns: Physics step [ns]: 2.5 ms as on the robot, or coarser, 5 or 10 ms; by default 2.5 ms, and
-            10 ms in a plane, except at a line.
+        step_ns: Step of the physics [ns]: 2.5 ms as on the robot, or coarser, 5 or 10 ms; by default 2.5 ms,
+            and 10 ms in a plane.
         period_ns: Control period [ns], whole ticks of 10 ms.
         planar: Whether the robot moves in a plane instead of MuJoCo.
-        at_line: Whether episodes are to have a line, for the default step; a step rounds ages of readings.
+        at_line: Whether episodes are to have a line: then the sensors are converted one by one, whatever the
+            step of the physics, as a reading's age is that of its conversion.
         faults: Faults of the robots.
 
     Attributes:
         scene_model: Compiled model.
+        step_ns: Step of the episodes [ns].
         steps_per_period: Steps per control period.
         entry: First robot.
         calibration: Calibration of the first robot.
@@ -76,11 +78,13 @@ class EpisodeSetup:
                 f"{units.TICK_NS / 1e6:g} ms"
             )
         if step_ns is None:
-            step_ns = PLANAR_STEP_NS if planar and not at_line else units.STEP_NS
-        self.playpen, self.step_ns, self.period_ns = playpen, step_ns, period_ns
-        self.scene_model = SceneModel.of(playpen, step_ns)
+            step_ns = PLANAR_STEP_NS if planar else units.STEP_NS
+        self._motion_ns, self._at_line = step_ns, at_line
+        self.step_ns = units.STEP_NS if at_line else step_ns
+        self.playpen, self.period_ns = playpen, period_ns
+        self.scene_model = SceneModel.of(playpen, step_ns, self.step_ns)
         self.model = self.scene_model.model
-        self.steps_per_period = n_steps(period_ns, step_ns)
+        self.steps_per_period = n_steps(period_ns, self.step_ns)
         self.entry = robots[0]
         self.calibration = calibration.read(self.entry.calibration)[0]
         self.indices = RobotIndices.of(self.model, "khepera0")
@@ -88,9 +92,13 @@ class EpisodeSetup:
 
     def __reduce__(self) -> tuple[object, ...]:
         """Return how a copy is made, as MuJoCo's scene cannot be copied."""
-        planar, faults = self.planar_scene is not None, self.faults
         make = partial(
-            EpisodeSetup, step_ns=self.step_ns, period_ns=self.period_ns, planar=planar, faults=faults
+            EpisodeSetup,
+            step_ns=self._motion_ns,
+            period_ns=self.period_ns,
+            planar=self.planar_scene is not None,
+            at_line=self._at_line,
+            faults=self.faults,
         )
         return make, (self.playpen,)
 

@@ -56,17 +56,23 @@ class SceneModel(NamedTuple):
     timing: Timing
 
     @classmethod
-    def of(cls, playpen: Playpen, step_ns: int = units.STEP_NS) -> Self:
-        """Return the model of a playpen at a step [ns] that divides a control tick."""
+    def of(cls, playpen: Playpen, motion_ns: int = units.STEP_NS, step_ns: int | None = None) -> Self:
+        """Return the model of a playpen.
+
+        Args:
+            playpen: Playpen.
+            motion_ns: Step of the physics, which divides a control tick [ns].
+            step_ns: Step of the simulation, which divides that of the physics [ns]; the same if not given.
+        """
         with _announced(len(playpen.robots)):
             spec = to_spec(playpen)
-            if step_ns != units.STEP_NS:
-                set_step(spec, step_ns)
+            if motion_ns != units.STEP_NS:
+                set_step(spec, motion_ns)
             model = spec.compile()
         # Rangefinders are for MuJoCo alone, as sensors see surfaces; a turret may have its own.
         if model.nsensor == units.N_SENSORS * len(playpen.robots):
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
-        return cls(playpen, spec, model, timing(playpen, step_ns))
+        return cls(playpen, spec, model, timing(playpen, motion_ns, step_ns or motion_ns))
 
 
 class MujocoForms:
@@ -221,13 +227,15 @@ def _free_joint(start: Start) -> Floats:
     return spec.compile().qpos0
 
 
-def timing(playpen: Playpen, step_ns: int) -> Timing:
-    """Return the divisions of time at a step [ns], and the bounds of a playpen's arena."""
+def timing(playpen: Playpen, motion_ns: int, step_ns: int) -> Timing:
+    """Return the divisions of time at steps of the physics and of all else [ns], and an arena's bounds."""
     width, height = playpen.arena.width_mm, playpen.arena.height_mm
+    steps_per_motion = n_steps(motion_ns, step_ns)
     return Timing(
         step_ns=step_ns,
+        steps_per_motion=steps_per_motion,
         conversions=step_ns // units.STEP_NS,
-        steps_per_tick=n_steps(units.TICK_NS, step_ns),
+        steps_per_tick=n_steps(units.TICK_NS, motion_ns) * steps_per_motion,
         steps_per_supply=n_steps(units.SCAN_NS, step_ns),
         limit=1.0 + max(units.metres(width), units.metres(height)),
     )

@@ -190,7 +190,7 @@ def test_the_sensors_rays_meet_lowered_fingers_and_not_a_raised_hand() -> None:
         assert max(robot.proximity()) == 0
 
 
-@pytest.mark.parametrize("seconds", share([6, 15], 2))
+@pytest.mark.parametrize("seconds", share([3, 15], 2))
 def test_a_hand_touches_walls_and_other_robots(seconds: int) -> None:
     first, second = scenes.robot(100, 200, turrets=["gripper"]), scenes.robot(200, 200)
     two = playpens.parse(arena(400, 400) + first + second, "two.toml")

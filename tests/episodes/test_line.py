@@ -1,6 +1,7 @@
 """Episodes at a line: bit for bit those of a host on khep:// that computes in no time."""
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -116,6 +117,16 @@ def test_a_slow_line_delays_cycles_and_a_late_effect_changes_the_path() -> None:
     assert len(set(ends)) == len(ends)
     assert 40e6 < longest_cycle_ns(9600, "N") < 80e6
     assert longest_cycle_ns(9600, "NOH") > 2 * longest_cycle_ns(9600, "N")
+
+
+@pytest.mark.parametrize("compiled", KINDS)
+def test_in_the_plane_sensors_converted_one_by_one_read_the_same(compiled: bool) -> None:
+    setups = [EpisodeSetup(SCENE, planar=True, at_line=at_line) for at_line in (False, True)]
+    assert setups[1].step_ns == pickle.loads(pickle.dumps(setups[1])).step_ns == setups[0].step_ns // 4
+    found = [rollout(setup, Function(decide, 1), [3, 4], 2.0, compiled=compiled) for setup in setups]
+    assert found[0].poses.tobytes() == found[1].poses.tobytes()
+    for name, values in found[0].metrics.items():
+        assert values.tobytes() == found[1].metrics[name].tobytes(), name
 
 
 def test_constant_speeds_ask_nothing_and_have_no_line() -> None:

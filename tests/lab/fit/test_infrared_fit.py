@@ -57,6 +57,7 @@ def readings(distance_mm: float, bearings: np.ndarray, counts: np.ndarray) -> Re
     return Readings(f"{distance_mm} mm", Placement(poses, distance_mm / 1e3), counts)
 
 
+@pytest.mark.long
 def test_hidden_gains_are_found_within_three_minutes_of_robot_time(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
