@@ -15,6 +15,7 @@
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
@@ -79,6 +80,31 @@ class Alarm:
     raised_ns: int
     sureness: float
     ended_ns: int | None = None
+
+
+class State(StrEnum):
+    """State of a pose: known, with a region that holds it; known to less; or searched for."""
+
+    FOLLOWED = "followed"
+    UNSURE = "unsure"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True)
+class Suspicion:
+    """Fault that explains the replies better than a sound robot does, without being certain.
+
+    Attributes:
+        faults: Names that it may have, the most probable first.
+        channel: Channel in which it shows.
+        since_ns: Time since when it explains the replies [ns].
+        probability: Probability that there is one of these faults.
+    """
+
+    faults: tuple[str, ...]
+    channel: str
+    since_ns: int
+    probability: float
 
 
 @dataclass(frozen=True, slots=True)

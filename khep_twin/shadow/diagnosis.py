@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.log.exchanges import Exchange
-from khep_twin.log.shadow_channels import Alarm
+from khep_twin.log.shadow_channels import Alarm, State, Suspicion
 from khep_twin.shadow.actions import Action, Counted, Restarted, Seen, Waited
 from khep_twin.shadow.candidates import Candidates
 from khep_twin.shadow.changes import FaultChange
@@ -57,6 +57,9 @@ RAISED = 9.0
 
 SURE, NAMED = 0.95, 0.5
 """Probabilities from which on there is a fault, of any name, and from which on it has that name."""
+
+SUSPECTED = 0.2
+"""Probability from which on a fault is suspected (assumed)."""
 
 TOLD_NS = NS_PER_S
 """Time for which replies show a fault before it has a name [ns]."""
@@ -117,6 +120,26 @@ class Diagnosis:
         found = [alarm for _, alarm in faults] + self._others + self._sensors.alarms
         found += self._wheels.alarms + self._lamps.alarms + self._line.alarms
         return tuple(sorted(found, key=lambda alarm: alarm.raised_ns))
+
+    @property
+    def state(self) -> State:
+        """State of the estimated pose."""
+        if self._others or self._searches:
+            return State.LOST
+        sees = self._surprised_ns is None and self._known
+        return State.FOLLOWED if sees else State.UNSURE
+
+    @property
+    def suspected(self) -> tuple[Suspicion, ...]:
+        """Faults that are suspected without an alarm, the most probable first."""
+        raised = {alarm.fault for alarm in self.alarms}
+        found: list[Suspicion] = []
+        for number, probability in enumerate(self.filter.probabilities[1:].tolist(), 1):
+            fault, begins, _ = self.filter.changes[number - 1]
+            if begins and probability > SUSPECTED and fault.name not in raised:
+                since_ns = self.filter.since_ns(number)
+                found.append(Suspicion((fault.name,), fault.channel, since_ns, probability))
+        return tuple(sorted(found, key=lambda each: -each.probability))
 
     def hear(self, exchange: Exchange) -> None:
         """Begin with an exchange, whose actions follow."""
@@ -205,8 +228,7 @@ class Diagnosis:
                     self._present = [each for each in self._present if each[0] is not fault]
                     self._adopt(number, time_ns)
             elif leading is None or (leading[0].name != fault.name and sureness > SURE):
-                has = tracker.particles.changes == number
-                since_ns = int(np.average(tracker.particles.since_ns[has], weights=tracker.weights[has]))
+                since_ns = tracker.since_ns(number)
                 vague = self._vague_ns[0] <= since_ns <= self._vague_ns[1]
                 startled = self._startled_ns > since_ns - EARLIER_NS
                 told = startled and time_ns - since_ns >= TOLD_NS and not vague

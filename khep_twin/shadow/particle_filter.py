@@ -186,6 +186,11 @@ class ParticleFilter:
         """Probabilities of no change and of each one (1 + n_changes,)."""
         return np.bincount(self.particles.changes, self.weights, len(self.changes) + 1).astype(np.float64)
 
+    def since_ns(self, number: int) -> int:
+        """Return the mean time since when particles have a change [ns]."""
+        has = self.particles.changes == number
+        return int(np.average(self.particles.since_ns[has], weights=self.weights[has]))
+
     @property
     def poses(self) -> Floats:
         """Poses of equally probable particles (n, 3) [m, rad]."""

@@ -24,7 +24,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.firmware import Firmware, parse
 from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
-from khep_twin.log.shadow_channels import Alarm
+from khep_twin.log.shadow_channels import Alarm, State, Suspicion
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Action, Commanded, Configured, Counted, Restarted, Seen, Waited
@@ -112,6 +112,8 @@ class Update:
         expected: Expected proximity (8,) [counts].
         measured: Proximity as replied last (8,) [counts]; NaN before the first.
         residuals: Deviations of the replies.
+        state: State of the estimate.
+        suspected: Faults that are suspected without an alarm, the most probable first.
         alarms: Alarms that last.
         ended: Alarms that have ended with this reply.
     """
@@ -123,6 +125,8 @@ class Update:
     expected: Floats
     measured: Floats
     residuals: Residuals
+    state: State
+    suspected: tuple[Suspicion, ...]
     alarms: tuple[Alarm, ...]
     ended: tuple[Alarm, ...]
 
@@ -267,6 +271,8 @@ class Shadow:
             self._diagnosis.filter.expected,
             self._measured,
             residuals,
+            self._diagnosis.state,
+            self._diagnosis.suspected,
             self._diagnosis.alarms,
             self._diagnosis.ended,
         )
