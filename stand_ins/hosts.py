@@ -1,11 +1,15 @@
 """Scripted hosts of `stand_ins.recordings`: each decides by the robot's replies to N alone, and by its seed.
 
-All of them drive at 2 to 10 pulses per 10 ms, now and then do something that no reply asks for, and give up
-what leads nowhere, so that a robot with a faulty sensor moves on as well.
+Most drive at 2 to 10 pulses per 10 ms, now and then do something that no reply asks for, and give up what
+leads nowhere, so that a robot with a faulty sensor moves on as well. The vehicle is that of the ROM.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
+import numpy as np
+
+from khep_twin.board.kernel import DEMO_DIVISOR, DEMO_SPEED_PULSES, DEMO_WEIGHTS
 from khep_twin.randomness import stream
 
 Speeds = tuple[int, int]
@@ -99,12 +103,101 @@ def wanderer(seed: int) -> Host:
     return decide
 
 
-HOSTS: Mapping[str, Callable[[int], Host]] = {
-    "avoider": avoider,
-    "wall follower": wall_follower,
-    "wanderer": wanderer,
+def vehicle(seed: int) -> Host:
+    """Return the ROM's Braitenberg vehicle, driven through the line; it may grind in corners."""
+    weights = np.array(DEMO_WEIGHTS)
+
+    def decide(counts: Sequence[int]) -> Speeds:
+        left, right = np.trunc(np.array(counts) @ weights / DEMO_DIVISOR).astype(int) + DEMO_SPEED_PULSES
+        return int(left), int(right)
+
+    return decide
+
+
+def grinder(seed: int) -> Host:
+    """Return an avoider that drives ahead for 10 to 40 s now and then, whatever it meets."""
+
+    def push(rng: np.random.Generator) -> tuple[Speeds, int]:
+        speed = int(rng.integers(3, 9))
+        return (speed, speed + int(rng.integers(-1, 2))), int(rng.integers(180, 700))
+
+    return _at_times(seed, "grinder", (250, 900), push)
+
+
+def stopper(seed: int) -> Host:
+    """Return an avoider that stops, turns on the spot and drives blindly, for seconds each."""
+
+    def ignore(rng: np.random.Generator) -> tuple[Speeds, int]:
+        speed, kind = int(rng.integers(2, 9)), rng.random()
+        if kind < 0.3:
+            return (0, 0), int(rng.integers(10, 90))
+        if kind < 0.6:
+            side = int(rng.choice((-1, 1)))
+            return (-side * speed, side * speed), int(rng.integers(10, 50))
+        return (speed, int(rng.integers(2, 9))), int(rng.integers(15, 80))
+
+    return _at_times(seed, "stopper", (20, 150), ignore)
+
+
+def _at_times(
+    seed: int,
+    name: str,
+    between: tuple[int, int],
+    draw: Callable[[np.random.Generator], tuple[Speeds, int]],
+) -> Host:
+    """Return an avoider that holds drawn speeds for a drawn number of decisions, at drawn times."""
+    rng, avoid = stream(seed, "host", name), avoider(seed)
+    held: Speeds | None = None
+    left_to_go = int(rng.integers(*between))
+
+    def decide(counts: Sequence[int]) -> Speeds:
+        nonlocal held, left_to_go
+        left_to_go -= 1
+        if left_to_go < 0 and held is None:
+            held, left_to_go = draw(rng)
+        elif left_to_go < 0:
+            held, left_to_go = None, int(rng.integers(*between))
+        return avoid(counts) if held is None else held
+
+    return decide
+
+
+class HostKind(NamedTuple):
+    """Kind of host.
+
+    Attributes:
+        make: Function that makes one by a seed.
+        cycle_ns: Least time from one decision to the next [ns].
+    """
+
+    make: Callable[[int], Host]
+    cycle_ns: int = 0
+
+
+HOSTS: Mapping[str, HostKind] = {
+    "avoider": HostKind(avoider),
+    "wall follower": HostKind(wall_follower),
+    "wanderer": HostKind(wanderer),
+    "vehicle": HostKind(vehicle),
+    "grinder": HostKind(grinder),
+    "stopper": HostKind(stopper),
+    "slow": HostKind(avoider, 400_000_000),
 }
-"""Makers of hosts, by seed."""
+"""Kinds of hosts by name."""
+
+KEPT = "stopper", "slow"
+"""Hosts that no shadow is tuned on, kept for the last look."""
+
+TUNED = tuple(name for name in HOSTS if name not in KEPT)
+"""Hosts for tuning."""
+
+FIRST_KEPT_SEED = 5000
+"""Seeds from this on are kept for the last look, too."""
+
+
+def hosts_of(seed: int) -> tuple[str, ...]:
+    """Return the names of the hosts that a seed may have: all of them where it is kept."""
+    return TUNED if seed < FIRST_KEPT_SEED else (*TUNED, *KEPT)
 
 
 class _Turn:

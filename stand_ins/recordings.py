@@ -2,8 +2,8 @@
 
 A twin with hidden differences stands in for a robot: another robot of the same make, faults, and changes of
 its world that the playpen does not tell. A scripted host asks N and sets speeds, one exchange at a time. The
-log NAME.mcap has what crossed the line alone, with the times at which a relay passes it on; NAME.npz the
-truth. Simulated time is the only clock, so a recording is the same each time.
+log NAME.mcap has what crossed the line alone, with the times at which a relay passes it on (`line_times`);
+NAME.npz the truth. Simulated time is the only clock, so a recording is the same each time.
 """
 
 import math
@@ -23,6 +23,7 @@ from khep_twin.playpen.starts import Start, at_spots, at_start, no_room
 from khep_twin.randomness import stream
 from stand_ins.hidden_changes import Change, LampMoved, reachable
 from stand_ins.hosts import HOSTS
+from stand_ins.line_times import LineTimes
 from stand_ins.runs import BAUD, Run, converse, noticeable
 
 
@@ -84,6 +85,7 @@ def record(
     changes: Sequence[Change] = (),
     start: Start | None = None,
     start_error: Start | None = None,
+    times: str = "exact",
 ) -> Truth:
     """Record a run of a stand-in robot; return the truth, which is also saved beside the log.
 
@@ -100,6 +102,7 @@ def record(
         changes: Changes of its world.
         start: Start that the twin is told; by default the playpen's, or a spot drawn by the seed.
         start_error: Error of that, in mm and degrees; drawn within 10 mm and 5 degrees if not given.
+        times: Times of the line, one of `stand_ins.line_times.TIMES`.
     """
     told = at_spots(playpen, seed) if start is None else at_start(playpen, 0, start)
     actual = _misplaced(told, seed, start_error)
@@ -107,9 +110,8 @@ def record(
     asks = [b"N\n", *([b"H\n"] if asks_counters else []), *([b"O\n"] if asks_light else [])]
     settings = {"relay": "stand-in", "baud": BAUD}
     recorder = LineRecorder(path, settings, lambda: run.relayed_ns)
-    exchanges = list(
-        converse(run, recorder, stream(seed, "host", "pauses"), HOSTS[host](seed), asks, to_ns(seconds))
-    )
+    line_times = LineTimes(times, seed)
+    exchanges = list(converse(run, recorder, line_times, seed, HOSTS[host], asks, to_ns(seconds)))
     recorder.close()
     seen_ns: list[int] = []
     for index in range(len(faults) + len(changes)):

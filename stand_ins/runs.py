@@ -1,14 +1,13 @@
 """Runs of stand-in robots: a hidden world, a host on a recorded line, and comparisons of replies.
 
-The host sends its next command after the whole reply has come. Bytes of the robot are recorded as they arrive
-at the host, those of the host when it sends them, as a relay between the two does.
+The host sends its next command after the whole reply has come. Bytes are recorded when `LineTimes` has them
+pass the relay between host and robot; an `Exchange` has the times of the robot's line.
 """
 
 import re
+from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
-
-import numpy as np
 
 from khep_twin.board import fault_injection
 from khep_twin.clock import NS_PER_S, to_ns
@@ -18,7 +17,8 @@ from khep_twin.randomness import stream
 from khep_twin.units import BITS_PER_BYTE, COUNTS_LIMIT, N_SENSORS, SCAN_NS
 from khep_twin.world import World
 from stand_ins.hidden_changes import Added, Change, apply, hide_added, with_added
-from stand_ins.hosts import Host
+from stand_ins.hosts import HostKind
+from stand_ins.line_times import LineTimes
 
 BAUD = 9600
 
@@ -42,7 +42,7 @@ class Line(NamedTuple):
 
 
 class Exchange(NamedTuple):
-    """A command, when it was sent [ns], its reply if one came, its end [ns], and a number of other lines."""
+    """A command, when the line has it [ns], its reply if one came, its end [ns], number of other lines."""
 
     sent_ns: int
     command: bytes
@@ -139,33 +139,45 @@ class Run:
 def converse(
     run: Run,
     recorder: LineRecorder,
-    rng: np.random.Generator,
-    decide: Host,
+    times: LineTimes,
+    seed: int,
+    host: HostKind,
     asks: Sequence[bytes],
     end_ns: int,
 ) -> Iterator[Exchange]:
     """Let a host talk to the robot until a time; record the line and yield the exchanges."""
-    world, lines = run.world, _Lines()
-    counts, speeds = [0] * N_SENSORS, (0, 0)
+    world, lines, rng, decide = run.world, _Lines(), stream(seed, "host", "pauses"), host.make(seed)
+    counts, speeds, cycle_ns = [0] * N_SENSORS, (0, 0), 0
+    underway: deque[tuple[int, int, bytes]] = deque()
+    unlogged = b""
 
     def hear() -> Iterator[Line]:
         """Pass on what has come, and yield its lines."""
-        for arrival_ns, byte in run.receive():
-            run.relayed_ns = arrival_ns
-            recorder.on_bytes(False, byte)
+        nonlocal unlogged
+        underway.extend((times.from_robot(at_ns), at_ns, byte) for at_ns, byte in run.receive())
+        while underway and underway[0][0] <= world.time_ns:
+            run.relayed_ns, arrival_ns, byte = underway.popleft()
+            unlogged += byte
+            if not times.whole or byte == b"\n":
+                recorder.on_bytes(False, unlogged)
+                unlogged = b""
             if line := lines.feed(arrival_ns, byte):
                 yield line
 
     while world.time_ns < end_ns:
+        run.advance_to(max(cycle_ns, world.time_ns))
+        cycle_ns = world.time_ns + host.cycle_ns
         for command in (*asks, b"D,%d,%d\n" % speeds):
-            run.advance_to(world.time_ns + int(rng.integers(*_PAUSE_NS)))
+            run.advance_to(times.host(world.time_ns + int(rng.integers(*_PAUSE_NS))))
             others = list(hear())
-            sent_ns = run.relayed_ns = world.time_ns
+            run.relayed_ns, sent_ns = times.to_robot(world.time_ns)
             recorder.on_bytes(True, command)
+            run.advance_to(sent_ns)
             run.robot.send(command)
             reply = None
             while reply is None and world.time_ns < sent_ns + _TIMEOUT_NS:
-                run.advance_to(min(run.next_ns(), sent_ns + _TIMEOUT_NS))
+                next_ns = max(underway[-1][0], world.time_ns + 1) if underway else run.next_ns()
+                run.advance_to(min(next_ns, sent_ns + _TIMEOUT_NS))
                 for line in hear():
                     if _answers(line, command):
                         reply = line

@@ -21,6 +21,7 @@ STUDIES = {
     "transfer": "transfer",
     "line": "line",
     "twin-trials": "twin_trials",
+    "relay-delays": "relay_delays",
     "shadow-fits": "shadow_fits",
 }
 """Module of each name."""

@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_start
-from khep_twin.shadow.following import LastingAlarms
+from khep_twin.shadow.following import Follower
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings, Update
 from stand_ins.hidden_changes import Change
-from stand_ins.hosts import HOSTS
+from stand_ins.hosts import hosts_of
 from stand_ins.recordings import Truth, free_start, record
 
 Floats = NDArray[np.float64]
+
+ALARM_LEVEL = 0.95
+"""Probability from which a fault is an alarm."""
 
 
 class Recording(NamedTuple):
@@ -30,11 +33,13 @@ class Recording(NamedTuple):
         playpen: Name of its playpen.
         seed: Seed of the robot, the host, its start and all that is drawn.
         seconds: Length [s].
-        host: Name of the host; by default they alternate, each with three seeds.
+        host: Name of the host; by default those of the seed alternate, each with three seeds.
         asks_counters: Ask H, too.
         asks_light: Ask O, too.
         faults: Faults of the robot.
         changes: Changes of its world.
+        times: Times of its line.
+        own_start: Start where the playpen has it, or at a spot; else anywhere, which the shadow is told.
     """
 
     name: str
@@ -46,10 +51,14 @@ class Recording(NamedTuple):
     asks_light: bool = False
     faults: Sequence[str] = ()
     changes: Sequence[Change] = ()
+    times: str = "exact"
+    own_start: bool = False
 
     def path(self, folder: Path) -> Path:
         """Return the path of the log; the recording is made unless it is there."""
-        path = folder / f"{self.name}_{self.playpen}_{self.seed}_{self.seconds:g}s.mcap"
+        ways = [self.host.replace(" ", "-"), "own" * self.own_start, self.times.replace("exact", "")]
+        words = [self.name, self.playpen, *filter(None, ways), str(self.seed), f"{self.seconds:g}s.mcap"]
+        path = folder / "_".join(words)
         if not path.with_suffix(".npz").exists():
             playpen = Playpen.load(self.playpen)
             record(
@@ -57,12 +66,13 @@ class Recording(NamedTuple):
                 playpen,
                 seed=self.seed,
                 seconds=self.seconds,
-                host=self.host or list(HOSTS)[self.seed // 3 % len(HOSTS)],
+                host=self.host or alternating(hosts_of(self.seed), self.seed // 3),
                 asks_counters=self.asks_counters,
                 asks_light=self.asks_light,
                 faults=self.faults,
                 changes=self.changes,
-                start=free_start(playpen, self.seed),
+                start=None if self.own_start else free_start(playpen, self.seed),
+                times=self.times,
             )
         return path
 
@@ -75,11 +85,29 @@ class Raised(NamedTuple):
         raised_ns: Time of the reply that raised it [ns].
         ended_ns: Time of the reply that ended it [ns]; -1 if none did.
         readings: Proximity as replied last then (8,) [counts].
+        sureness: How sure it was when it was raised.
     """
 
     fault: str
     raised_ns: int
     ended_ns: int
+    readings: tuple[float, ...]
+    sureness: float = 1.0
+
+
+class Suspected(NamedTuple):
+    """A suspicion, when its probability came into a bin of `LEVELS` for the first time.
+
+    Attributes:
+        faults: Names that it had then.
+        time_ns: Time of the reply [ns].
+        probability: Probability then.
+        readings: Proximity as replied last then (8,) [counts].
+    """
+
+    faults: tuple[str, ...]
+    time_ns: int
+    probability: float
     readings: tuple[float, ...]
 
 
@@ -93,7 +121,10 @@ class Followed:
         poses: Estimated x, y [m] and heading [rad] (n, 3).
         actual: Actual ones (n, 3).
         reckoned: Those of dead reckoning (n, 3).
+        covariances: Covariances of the estimated poses (n, 3, 3).
+        states: States (n,).
         alarms: Alarms in the order in which they were raised.
+        suspected: Suspicions.
         cpu_s: CPU time of each second of the recording (n_seconds,) [s].
     """
 
@@ -102,7 +133,10 @@ class Followed:
     poses: Floats
     actual: Floats
     reckoned: Floats
+    covariances: Floats
+    states: NDArray[np.str_]
     alarms: list[Raised]
+    suspected: list[Suspected]
     cpu_s: Floats
 
     def errors(self, poses: Floats) -> Floats:
@@ -118,58 +152,109 @@ def told_playpen(name: str, truth: Truth) -> Playpen:
     return at_start(Playpen.load(name), 0, (x * 1e3, y * 1e3, float(np.degrees(heading))))
 
 
-def follow(path: Path, playpen: str, settings: ShadowSettings) -> Followed:
+def follow(path: Path, playpen: str, settings: ShadowSettings, told: bool = True) -> Followed:
     """Follow a recorded robot by its line alone.
 
     Args:
         path: Path of the log, with the truth beside it.
         playpen: Name of the playpen.
         settings: Settings of the shadow.
+        told: Tell the shadow the robot's start; else it has the playpen as it is.
     """
     truth = Truth.load(path.with_suffix(".npz"))
     heard = recorded(path).heard
-    shadow = Shadow(told_playpen(playpen, truth), settings)
-    updates: list[tuple[int, tuple[float, ...], tuple[float, ...]]] = []
+    follower = Follower(Shadow(told_playpen(playpen, truth) if told else Playpen.load(playpen), settings))
+    updates: list[tuple[int, tuple[float, ...], tuple[float, ...], Floats, str]] = []
     watch = _Watch()
     cpu_s = np.zeros(heard[-1].time_ns // NS_PER_S + 1)
-    for time_ns, to_robot, data in heard:
+    for each in heard:
         began = time.process_time()
-        found = shadow.feed(time_ns, to_robot, data)
-        cpu_s[time_ns // NS_PER_S] += time.process_time() - began
+        found = list(follower.feed(each))
+        cpu_s[each.time_ns // NS_PER_S] += time.process_time() - began
         for update in found:
-            watch.see(update)
-            updates.append((update.time_ns, update.estimate.pose, update.reckoned))
+            watch.see(update, follower)
+            estimate = update.estimate
+            updates.append(
+                (update.time_ns, estimate.pose, update.reckoned, estimate.covariance, str(update.state))
+            )
     times_ns = np.array([each[0] for each in updates], np.int64)
+    poses, reckoned, covariances = (np.array([each[i] for each in updates]) for i in (1, 2, 3))
     return Followed(
         truth,
         times_ns,
-        np.array([each[1] for each in updates]),
+        poses,
         _poses_at(truth, times_ns),
-        np.array([each[2] for each in updates]),
+        reckoned,
+        covariances,
+        np.array([each[4] for each in updates]),
         watch.raised(),
+        watch.suspected,
         cpu_s,
     )
 
 
+LEVELS = 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99
+"""Lower ends of the bins of probabilities."""
+
+_SAME_NS = 5 * NS_PER_S
+"""Time for which a suspicion that was given up is the same when it comes back [ns]."""
+
+
+@dataclass
+class _Episode:
+    """A suspicion that lasts: its present names, when it was seen last [ns], and the bins in which it was."""
+
+    faults: tuple[str, ...]
+    seen_ns: int
+    bins: set[int]
+
+
 class _Watch:
-    """Watch of the alarms of a shadow's updates."""
+    """Watch of the alarms and suspicions of a shadow's updates.
+
+    The probability of a suspicion moves; where it is right, those whose probability comes into a bin, each
+    taken at the first time, are as often true as it says then. Their highest probabilities would not be.
+    """
 
     def __init__(self) -> None:
-        self._alarms = LastingAlarms()
         self._found: dict[tuple[str, int], Raised] = {}
+        self._episodes: list[_Episode] = []
+        self.suspected: list[Suspected] = []
 
-    def see(self, update: Update) -> None:
-        """Note the alarms that an update begins and ends."""
-        for _, alarm in self._alarms.changes(update.time_ns, update.alarms, update.ended):
+    def see(self, update: Update, follower: Follower) -> None:
+        """Note the alarms that an update begins and ends, and what is suspected below an alarm's level."""
+        readings = tuple(update.measured.tolist())
+        for _, alarm in follower.changes(update):
             key = alarm.fault, alarm.raised_ns
             if alarm.ended_ns is None:
-                self._found[key] = Raised(*key, -1, tuple(update.measured.tolist()))
+                self._found[key] = Raised(*key, -1, readings, alarm.sureness)
             else:
                 self._found[key] = self._found[key]._replace(ended_ns=update.time_ns)
+        for suspicion in update.suspected:
+            episode = self._episode(suspicion.faults, update.time_ns)
+            level = int(np.searchsorted(LEVELS, suspicion.probability, "right"))
+            if level not in episode.bins and suspicion.probability < ALARM_LEVEL:
+                episode.bins.add(level)
+                found = Suspected(suspicion.faults, update.time_ns, suspicion.probability, readings)
+                self.suspected.append(found)
 
     def raised(self) -> list[Raised]:
         """Return the alarms in the order in which they were raised."""
         return sorted(self._found.values(), key=lambda each: each.raised_ns)
+
+    def _episode(self, faults: tuple[str, ...], time_ns: int) -> _Episode:
+        """Return the episode that has one of these names, or a new one."""
+        self._episodes = [each for each in self._episodes if time_ns - each.seen_ns < _SAME_NS]
+        episode = next((each for each in self._episodes if set(each.faults) & set(faults)), None)
+        if episode is None:
+            self._episodes.append(episode := _Episode(faults, time_ns, set()))
+        episode.faults, episode.seen_ns = faults, time_ns
+        return episode
+
+
+def alternating(names: Sequence[str], number: int) -> str:
+    """Return the name of a number, where they alternate."""
+    return names[number % len(names)]
 
 
 def _poses_at(truth: Truth, times_ns: NDArray[np.int64]) -> Floats:

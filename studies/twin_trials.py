@@ -25,18 +25,21 @@ import numpy as np
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError
 from khep_twin.shadow.shadow import ShadowSettings
-from stand_ins.hosts import HOSTS
+from stand_ins.hosts import HOSTS, hosts_of
+from stand_ins.line_times import TIMES
 from studies.fault_trials import FAULTS, Outcome, run_trial
+from studies.healthy_trials import (
+    ALL,
+    HEALTHY_COLUMNS,
+    Healthy,
+    healthy_cells,
+    healthy_recordings,
+    run_healthy,
+)
 from studies.twin_runs import Floats, Recording, follow
 from tools.command_table import command_line
 
 POSE = "obstacles", "looping-maze", "workshop"
-
-ALL = ("workshop", "obstacles", "looping-maze", "default", "homing", "light-seeking", "t-maze", "two-lamps")
-"""Playpens of one robot without movable things, which a shadow supports."""
-
-HEALTHY_S = 300.0
-"""Length of a healthy run [s]."""
 
 NEAR_MM = 30.0
 """Distance within which a pose that was unknown counts as found."""
@@ -54,10 +57,13 @@ class Options(NamedTuple):
     Attributes:
         folder: Folder of the recordings.
         runs: Number of runs of each kind.
-        seconds: Length of a run whose pose is looked at [s].
+        seconds: Length of a run of a sound robot [s].
         hours: Length of all healthy runs together [h].
         first: Seed of the first run.
         faults: Faults of the alarms' trials.
+        playpens: Playpens of the healthy runs.
+        hosts: Hosts of the healthy runs; without any, all that the first seed may have.
+        times: Times of the line of healthy runs and the alarms' trials.
         settings: Settings of the shadow.
         detail: Print a line for each run.
         run: Map over all cores.
@@ -69,6 +75,9 @@ class Options(NamedTuple):
     hours: float
     first: int
     faults: Sequence[str]
+    playpens: Sequence[str]
+    hosts: Sequence[str]
+    times: str
     settings: ShadowSettings
     detail: bool
     run: Map
@@ -184,31 +193,37 @@ def _noticeable(fault: str, options: Options) -> Iterator[tuple[int, Outcome]]:
 
 
 def healthy(options: Options) -> None:
-    """Print the alarms of sound robots."""
-    head("playpen", "hours", "alarms", "per hour", "names")
-    runs = max(round(options.hours * 3600 / HEALTHY_S), 1)
-    tasks = [
-        (options.folder, ALL[i % len(ALL)], options.first + 1000 + i, options.settings) for i in range(runs)
-    ]
-    names = {playpen: list[str]() for playpen in ALL[:runs]}
-    for task, found in zip(tasks, options.run(false_alarms, tasks), strict=True):
-        names[task[1]] += [fault for fault, _ in found]
-        if options.detail and found:
-            note([f"{task[1]}, seed {task[2]}: {', '.join(f'{n} at {t:.1f} s' for n, t in found)}"])
-    for playpen, found in [*names.items(), ("all", [name for each in names.values() for name in each])]:
-        hours = sum(task[1] == playpen or playpen == "all" for task in tasks) * HEALTHY_S / 3600
-        row(playpen, f"{hours:.2f}", len(found), f"{len(found) / hours:.2f}", counted(Counter(found)))
-    print()
+    """Print alarms, states, errors and regions of sound robots."""
+    runs = max(round(options.hours * 3600 / options.seconds), 1)
+    hosts = options.hosts or hosts_of(options.first)
+    recordings = list(
+        healthy_recordings(options.playpens, hosts, options.first, runs, options.seconds, options.times)
+    )
+    tasks = [(each, options.folder, options.settings) for each in recordings]
+    found: list[Healthy] = []
+    for each in options.run(run_healthy, tasks):
+        found.append(each)
+        if options.detail:
+            note([each.text])
+    head("", *HEALTHY_COLUMNS)
+    for name in (*options.playpens, *hosts, "own start", "told start", "all"):
+        start = "own start" if name == "own start" else "told start"
+        part = [
+            each
+            for each in found
+            if name in (each.recording.playpen, each.recording.host, "all")
+            or (name == start and each.recording.own_start == (name == "own start"))
+        ]
+        if part:
+            row(name, *healthy_cells(part))
+    print(
+        "\nErrors of position in mm while it is followed; regions are the 95 % told, while it is not lost.\n"
+    )
 
 
-def false_alarms(folder: Path, playpen: str, seed: int, settings: ShadowSettings) -> list[tuple[str, float]]:
-    """Return the alarms of a sound robot, with their times [s]."""
-    host = list(HOSTS)[seed // len(ALL) % len(HOSTS)]
-    path = Recording("healthy", playpen, seed, HEALTHY_S, host).path(folder)
-    found = follow(path, playpen, settings)
-    path.unlink()
-    path.with_suffix(".npz").unlink()
-    return [(each.fault, each.raised_ns / NS_PER_S) for each in found.alarms]
+def stalls(options: Options) -> None:
+    """Print the same of robots whose line stalls for 0.3 s in each ten seconds."""
+    healthy(options._replace(times="stalls"))
 
 
 def cost(options: Options) -> None:
@@ -236,6 +251,7 @@ SECTIONS: dict[str, Callable[[Options], None]] = {
     "unknown": unknown,
     "alarms": alarms,
     "healthy": healthy,
+    "stalls": stalls,
     "cost": cost,
 }
 
@@ -286,9 +302,12 @@ def main() -> None:
     options = command_line(__doc__)
     options.add_argument("trials", nargs="?", choices=SECTIONS, help="which trials; all without it")
     options.add_argument("--runs", type=int, default=20, help="number of runs of each kind")
-    options.add_argument("--seconds", type=float, default=300.0, help="length of a run of pose [s]")
+    options.add_argument("--seconds", type=float, default=300.0, help="length of a run of a sound robot [s]")
     options.add_argument("--hours", type=float, default=2.0, help="simulated hours of healthy robots")
     options.add_argument("--fault", action="append", choices=FAULTS, help="a fault for alarms; all without")
+    options.add_argument("--playpen", action="append", choices=ALL, help="one for healthy; all without")
+    options.add_argument("--host", action="append", choices=HOSTS, help="one for healthy; all without")
+    options.add_argument("--times", choices=TIMES, default="exact", help="times of the line")
     options.add_argument("--first", type=int, default=0, help="seed of the first run")
     options.add_argument("--particles", type=int, default=1000, help="number of particles")
     options.add_argument("--jobs", type=int, default=1, help="number of processes")
@@ -306,6 +325,9 @@ def main() -> None:
             given.hours,
             given.first,
             given.fault or list(FAULTS),
+            given.playpen or ALL,
+            given.host or (),
+            given.times,
             settings,
             given.detail,
             run,

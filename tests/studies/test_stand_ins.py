@@ -12,6 +12,8 @@ from khep_twin.randomness import stream
 from khep_twin.units import BITS_PER_BYTE
 from khep_twin.world import World
 from stand_ins.hidden_changes import Added, Gone, Lifted, Moved, apply, hide_added, with_added
+from stand_ins.hosts import FIRST_KEPT_SEED, KEPT, hosts_of
+from stand_ins.line_times import PACKET_NS, STALL_EVERY_NS, STALL_NS, LineTimes
 from stand_ins.recordings import Truth, record
 
 PLAYPEN = Playpen.load("workshop")
@@ -20,6 +22,44 @@ CAN = Cylinder(x_mm=345, y_mm=190, radius_mm=15, height_mm=50)
 
 def looking(playpen: Playpen) -> World:
     return World(playpen, noise=False, compiled=True)
+
+
+def test_a_seed_for_tuning_has_no_host_that_is_kept_apart() -> None:
+    assert not set(KEPT) & set(hosts_of(FIRST_KEPT_SEED - 1))
+    assert set(KEPT) < set(hosts_of(FIRST_KEPT_SEED))
+
+
+def test_a_busy_relay_passes_on_together_what_has_come() -> None:
+    times, sent_ns = LineTimes("busy", 1), np.arange(0, 60_000_000_000, 1_000_000)
+    passed_ns = np.array([times.from_robot(each) for each in sent_ns.tolist()])
+    late_ns = passed_ns - sent_ns
+    assert np.all(np.diff(passed_ns) >= 0)
+    assert 0.5e6 < np.median(late_ns) < 5e6  # Most of those behind a long delay share it.
+    assert 12e6 < late_ns.max() < 26e6
+
+
+def test_an_adapter_delivers_at_the_ends_of_its_intervals() -> None:
+    times = LineTimes("packets", 1)
+    passed_ns = [times.from_robot(each) for each in range(0, 100_000_000, 1_000_000)]
+    assert len({each % PACKET_NS for each in passed_ns}) == 1
+    assert len(set(passed_ns)) == 7
+
+
+def test_a_line_stalls_once_in_each_ten_seconds() -> None:
+    times = LineTimes("stalls", 1)
+    late: dict[str, set[int]] = {"host": set(), "to": set(), "from": set()}
+    for time_ns in range(0, 10 * STALL_EVERY_NS, 10_000_000):
+        ways = {
+            "host": times.host(time_ns),
+            "to": times.to_robot(time_ns)[1],
+            "from": times.from_robot(time_ns),
+        }
+        for way, passed_ns in ways.items():
+            if passed_ns > time_ns:
+                late[way].add(passed_ns)
+                assert passed_ns <= time_ns + STALL_NS
+    assert late["host"] < late["from"]  # A relay that stands still delivers nothing either.
+    assert sorted(each // STALL_EVERY_NS for each in late["to"] | late["from"]) == list(range(10))
 
 
 def test_a_recording_is_the_same_each_time(tmp_path: Path) -> None:
@@ -58,6 +98,24 @@ def test_a_recording_has_what_a_relay_of_a_robot_has(tmp_path: Path) -> None:
     assert truth.times_ns[:3].tolist() == [0, 20_000_000, 40_000_000]
     assert np.hypot(*(truth.start - truth.told)[:2]) <= 0.010
     assert abs(truth.start - truth.told)[2] <= np.radians(5)
+
+
+def test_a_log_by_pyserial_alone_has_replies_when_they_are_read(tmp_path: Path) -> None:
+    ends_ns: list[list[int]] = []
+    for times in ("exact", "pyserial"):
+        record(tmp_path / f"{times}.mcap", PLAYPEN, seed=2, seconds=1, host="avoider", times=times)
+        lines = read_series(tmp_path / f"{times}.mcap").lines["/khepera0/serial"]
+        ends_ns.append([lines[i + 1].time_ns - lines[i].time_ns for i in range(0, len(lines) - 1, 2)])
+    exact, pyserial = map(np.array, ends_ns)
+    # Later by the last byte, and by what the host is late.
+    assert np.all(pyserial[:10] - exact[:10] > BITS_PER_BYTE / 9600 * 1e9)
+
+
+def test_a_slow_host_asks_two_and_a_half_times_a_second(tmp_path: Path) -> None:
+    record(tmp_path / "run.mcap", PLAYPEN, seed=2, seconds=2, host="slow")
+    lines = read_series(tmp_path / "run.mcap").lines["/khepera0/serial"]
+    asked_ns = [line.time_ns for line in lines if line.text == "N"]
+    assert np.diff(asked_ns) == pytest.approx(400_000_000, abs=3_000_000)
 
 
 def test_a_change_is_noticeable_from_the_first_reply_on_that_it_changes(tmp_path: Path) -> None:

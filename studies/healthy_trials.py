@@ -1,0 +1,141 @@
+"""Trials of sound robots: false alarms, states, and how often the truth lies where the shadow says."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.log.shadow_channels import State
+from khep_twin.shadow.shadow import ShadowSettings
+from studies.twin_runs import Floats, Followed, Raised, Recording, Suspected, alternating, follow
+
+ALL = ("workshop", "obstacles", "looping-maze", "default", "homing", "light-seeking", "t-maze", "two-lamps")
+"""Playpens of one robot without movable things, which a shadow supports."""
+
+ASTRAY_MM = 100.0
+"""Error of a pose that is not followed, whatever the shadow says."""
+
+_ELLIPSE = 5.991
+"""Squared Mahalanobis distance within which 95 % of a Gaussian in two dimensions lie."""
+
+_INTERVAL = 1.96
+"""Standard deviations within which 95 % of a Gaussian lie."""
+
+
+@dataclass(frozen=True)
+class Healthy:
+    """A sound robot, followed.
+
+    Attributes:
+        recording: Recording.
+        state_s: Time in each state [s].
+        errors_mm: Errors of position while it is followed (n,) [mm].
+        inside: Whether position and heading lie in the region, while it is not lost (m, 2).
+        astray_s: Longest time for which it is said to be followed and is ASTRAY_MM off [s].
+        alarms: Alarms, all of them false.
+        suspected: Suspicions.
+        cpu_s: CPU time [s].
+    """
+
+    recording: Recording
+    state_s: dict[str, float]
+    errors_mm: Floats
+    inside: NDArray[np.bool_]
+    astray_s: float
+    alarms: list[Raised]
+    suspected: list[Suspected]
+    cpu_s: float
+
+    @property
+    def text(self) -> str:
+        """Return how it is made, and its alarms, for a person."""
+        each, start = self.recording, "own start" if self.recording.own_start else "told start"
+        alarms = ", ".join(f"{alarm.fault} at {alarm.raised_ns / NS_PER_S:.1f} s" for alarm in self.alarms)
+        return (
+            f"{each.playpen}, {each.host}, seed {each.seed}, {start}: {_quantile(self.errors_mm, 0.5)} mm, "
+            f"astray {self.astray_s:.0f} s; {alarms or 'no alarm'}"
+        )
+
+
+def healthy_recordings(
+    playpens: Sequence[str], hosts: Sequence[str], first: int, runs: int, seconds: float, times: str
+) -> Iterator[Recording]:
+    """Yield recordings of playpens with hosts in turn; half of them start where the playpen has it."""
+    for i in range(runs):
+        number = i // len(playpens)
+        playpen, host = alternating(playpens, i), alternating(hosts, i % len(playpens) + number)
+        own = (number + number // len(hosts) * (len(hosts) + 1)) % 2 == 1
+        yield Recording("healthy", playpen, first + i, seconds, host, times=times, own_start=own)
+
+
+def run_healthy(recording: Recording, folder: Path, settings: ShadowSettings) -> Healthy:
+    """Make and follow a recording of a sound robot."""
+    path = recording.path(folder)
+    found = follow(path, recording.playpen, settings, told=not recording.own_start)
+    lasts_s = np.diff(found.times_ns, append=found.times_ns[-1:]) / NS_PER_S
+    errors_mm, followed = found.errors(found.poses)[:, 0], found.states == State.FOLLOWED
+    return Healthy(
+        recording,
+        {str(state): float(lasts_s[found.states == state].sum()) for state in State},
+        errors_mm[followed],
+        inside(found)[found.states != State.LOST],
+        _longest(lasts_s, followed & (errors_mm > ASTRAY_MM)),
+        found.alarms,
+        found.suspected,
+        float(found.cpu_s.sum()),
+    )
+
+
+def inside(found: Followed) -> NDArray[np.bool_]:
+    """Return whether the true position lies in the 95 % ellipse, the heading in its interval (n, 2)."""
+    off = found.poses - found.actual
+    off[:, 2] = (off[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    # A particle filter's covariance may be singular; a thousandth of a millimetre does not matter.
+    plane = found.covariances[:, :2, :2] + 1e-12 * np.eye(2)
+    distance = np.einsum("ni,nij,nj->n", off[:, :2], np.linalg.inv(plane), off[:, :2])
+    heading = np.abs(off[:, 2]) <= _INTERVAL * np.sqrt(found.covariances[:, 2, 2])
+    return np.stack([distance <= _ELLIPSE, heading], axis=1)
+
+
+HEALTHY_COLUMNS = (
+    *("hours", "alarms", "per hour", "followed", "unsure", "lost", "median", "95 %"),
+    *("position inside", "heading inside", "astray", "CPU s per s", "names"),
+)
+"""Columns of the table of sound robots."""
+
+
+def healthy_cells(found: Sequence[Healthy]) -> list[str]:
+    """Return the cells of a row about some of them."""
+    state_s = {str(state): sum(each.state_s[state] for each in found) for state in State}
+    total_s, names = sum(state_s.values()), [alarm.fault for each in found for alarm in each.alarms]
+    errors = np.concatenate([each.errors_mm for each in found])
+    within = np.concatenate([each.inside for each in found])
+    counts = sorted(((names.count(name), name) for name in set(names)), reverse=True)
+    return [
+        f"{total_s / 3600:.2f}",
+        str(len(names)),
+        f"{len(names) / total_s * 3600:.1f}",
+        *(f"{100 * state_s[state] / total_s:.1f} %" for state in State),
+        _quantile(errors, 0.5),
+        _quantile(errors, 0.95),
+        *(f"{100 * share:.1f} %" for share in within.mean(axis=0)),
+        f"{max(each.astray_s for each in found):.0f} s",
+        f"{sum(each.cpu_s for each in found) / total_s:.2f}",
+        ", ".join(f"{number} {name}" for number, name in counts),
+    ]
+
+
+def _longest(lasts_s: Floats, chosen: NDArray[np.bool_]) -> float:
+    """Return the longest time for which updates are chosen without a break [s]."""
+    longest = present = 0.0
+    for lasts, is_chosen in zip(lasts_s.tolist(), chosen.tolist(), strict=True):
+        present = present + lasts if is_chosen else 0.0
+        longest = max(longest, present)
+    return longest
+
+
+def _quantile(errors: Floats, part: float) -> str:
+    return f"{np.quantile(errors, part):.1f}" if len(errors) else ""
