@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from khep_twin.board import kernel
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.planes import TICK_NS
 from khep_twin.shadow.wheel_commands import POSITION
 
 Integers = NDArray[np.int64]
@@ -22,6 +21,8 @@ class Commanded(NamedTuple):
         left: Argument for the left wheel.
         right: Argument for the right wheel.
         doubtful: True if no reply tells that it was executed: every other particle does.
+        late_ns: Time until which it may have been executed instead, as its reply came late [ns]: particles
+            do so at times from `time_ns` on, evenly.
     """
 
     time_ns: int
@@ -29,6 +30,7 @@ class Commanded(NamedTuple):
     left: int
     right: int
     doubtful: bool = False
+    late_ns: int = 0
 
 
 class Configured(NamedTuple):
@@ -52,18 +54,23 @@ class Waited(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """A reply to N: proximity (8,) [counts] at the time of the reading [ns]."""
+    """A reply to N: proximity (8,) [counts] at the time of the reading, and until when it may be of [ns]."""
 
     time_ns: int
     readings: Integers
+    late_ns: int = 0
 
 
 class Counted(NamedTuple):
-    """A reply to H: counters, left and right (2,) [pulses], at the time of the reading [ns]."""
+    """A reply to H: counters, left and right (2,) [pulses], with the times of `Seen` [ns]."""
 
     time_ns: int
     counters: Integers
+    late_ns: int = 0
 
+
+LATE_NS = 20_000_000
+"""Time between the particles' executions of a command whose time is not certain [ns]."""
 
 Action = Commanded | Configured | Restarted | Waited | Seen | Counted
 
@@ -71,12 +78,15 @@ Action = Commanded | Configured | Restarted | Waited | Seen | Counted
 def repeat(action: Action, particles: Particles) -> None:
     """Advance particles to an action and, unless it is a reply, do it to them."""
     planes = particles.planes
-    if (ticks := action.time_ns // TICK_NS - planes.ticks) > 0:
-        planes.advance(ticks)
+    planes.advance_to(action.time_ns)
     match action:
-        case Commanded(_, command, left, right, doubtful):
-            obeying = planes.taken(slice(None, None, 2)) if doubtful else planes
-            obeying.command(command, left, right)
+        case Commanded(time_ns, command, left, right, doubtful, late_ns):
+            turns = (max(late_ns - time_ns, 0) + LATE_NS - 1) // LATE_NS + 1
+            for turn in range(turns):
+                planes.advance_to(time_ns + turn * LATE_NS)
+                planes.taken(slice(turn, None, 2 * turns if doubtful else turns)).command(
+                    command, left, right
+                )
         case Configured(_, registers, values):
             planes.registers[:, registers] = values
         case Restarted():

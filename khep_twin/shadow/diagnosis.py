@@ -95,6 +95,7 @@ class Diagnosis:
         self._wheels, self._line = WheelWatch(), LineWatch()
         self._lamps = LampWatch(tracker.particles.planes.lamps.names)
         self._counted: Floats | None = None
+        self._late = False
         self._begins = Candidates(setup)
         self._present: list[tuple[Hypothesis, Alarm]] = []
         self._leading: tuple[Hypothesis, Alarm] | None = None
@@ -155,10 +156,12 @@ class Diagnosis:
                 left = np.zeros_like(left)  # Any sensor may be blinded.
             self.ended += self._sensors.see(action, left, self.filter.surprise)
         elif isinstance(action, Counted):
-            if self._counted is not None:
+            if action.late_ns > action.time_ns or self._late:
+                self._wheels.forget()
+            elif self._counted is not None:
                 turned = action.counters - self._counted
                 self.ended += self._wheels.count(action.time_ns, turned, turned - told)
-            self._counted = action.counters.astype(np.float64)
+            self._counted, self._late = action.counters.astype(np.float64), action.late_ns > action.time_ns
         elif isinstance(action, Restarted):
             self._counted = None
         if isinstance(action, Seen):

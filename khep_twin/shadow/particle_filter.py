@@ -92,6 +92,8 @@ class ParticleFilter:
         self._drifted_ticks = particles.planes.ticks
         self._way = 0.0
         """Way of a sensor since the last reply to N [m]."""
+        self._taught = particles.wheels
+        """Wheels of particles when the robot drove freely last (n, 3)."""
 
     def act(self, action: Action, use: NDArray[np.bool_]) -> Floats:
         """Follow an action; return what counters tell beyond commands (2,), NaN for any other one.
@@ -103,7 +105,7 @@ class ParticleFilter:
         along = np.abs(self.particles.planes.poses - before) @ (1, 1, SENSOR_RADIUS)
         self._way += float(self.weights @ along)
         if isinstance(action, Seen):
-            self._see(action.readings, use)
+            self._see(action, use)
             self._renew()
         if isinstance(action, Counted):
             return self.weights @ self.particles.count(action.counters)
@@ -150,14 +152,21 @@ class ParticleFilter:
         self._drifted_ticks = self.particles.planes.ticks - _FRESH_TICKS
         self._drift(np.zeros(3))
 
-    def _see(self, readings: NDArray[np.int64], use: NDArray[np.bool_]) -> None:
-        """Weigh the particles by a reply to N (8,) [counts] of the sensors to rely on (8,)."""
+    def _see(self, seen: Seen, use: NDArray[np.bool_]) -> None:
+        """Weigh the particles by a reply to N of the sensors to rely on (8,)."""
         particles = self.particles
         # Errors of the model persist: readings count by how far their correlation, exp(-way / PERSISTENCE),
         # has fallen.
         new = max(math.tanh(self._way / (2 * PERSISTENCE)), LEAST_NEW)
         self._way = 0.0
-        self.expected, self.surprise, logs = self._model.explain(particles, readings, use, new)
+        # At an uncertain time the robot was somewhere on its way then.
+        ahead, _, turn = np.abs(particles.planes.robots["speeds"][:, :3]).T
+        uncertain = (
+            float(self.weights @ (ahead + SENSOR_RADIUS * turn)) * max(seen.late_ns - seen.time_ns, 0) * 1e-9
+        )
+        new *= PERSISTENCE / (PERSISTENCE + uncertain)
+        found = self._model.explain(particles, seen.readings, use, new, learn=self._drives_freely)
+        self.expected, self.surprise, logs = found
         new *= MANY_TEMPER if len(particles) > MANY else 1.0
         self.surprise *= new
         particles.logs += new * logs.sum(axis=1)
@@ -209,7 +218,21 @@ class ParticleFilter:
             self.particles = mixed(
                 self.particles, self.changes, self._wanted(weights), passed * step, ticks * TICK_NS, self._rng
             )
+            if self._drives_freely:
+                self._taught = self.particles.wheels
+            else:
+                # What pushes or grinds goes otherwise than its wheels turn, and teaches nothing of them.
+                rows = self._rng.integers(len(self._taught), size=len(self.particles))
+                self.particles.wheels = self._taught[rows]
             self._drift(ROUGH * spread if effective < FEW * count else np.zeros(3))
+
+    @property
+    def _drives_freely(self) -> bool:
+        """True if most particles touch nothing and do not slip."""
+        robots = self.particles.planes.robots
+        hindered = robots["grips"][:, [flat.PUSHED, flat.PUSHED_ASIDE]].any(axis=1)
+        hindered |= robots["last"][:, flat.SLIPS] != 0
+        return float(self.weights @ hindered) < 0.5
 
     def _wanted(self, weights: Floats) -> int:
         """Return the number of particles that the spread of the pose needs."""

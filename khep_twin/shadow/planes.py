@@ -187,6 +187,11 @@ class Planes:
             robots[f"{side}_free_speed"] = own[f"{side}_free_speed"] * factor
         robots["track"] = own["track"] * base
 
+    def advance_to(self, time_ns: int) -> None:
+        """Advance all twins to a time, in whole control ticks; they stay where they are beyond it [ns]."""
+        if (ticks := time_ns // TICK_NS - self.ticks) > 0:
+            self.advance(ticks)
+
     def advance(self, ticks: int) -> None:
         """Advance all twins by control ticks."""
         self.ticks += ticks

@@ -59,7 +59,13 @@ class SensorModel:
         )
 
     def explain(
-        self, particles: Particles, readings: NDArray[np.int64], use: NDArray[np.bool_], new: float = 1.0
+        self,
+        particles: Particles,
+        readings: NDArray[np.int64],
+        use: NDArray[np.bool_],
+        new: float = 1.0,
+        *,
+        learn: bool = True,
     ) -> tuple[Floats, Floats, Floats]:
         """Learn the traits of the particles' sensors from readings (8,) [counts], of which a part is new.
 
@@ -70,7 +76,7 @@ class SensorModel:
         """
         range_left = self._range_left(particles)
         counts, deviations, likelihood = particles.planes.explain(
-            particles.traits, particles.covariances, self._law, range_left, readings, use, new
+            particles.traits, particles.covariances, self._law, range_left, readings, use & learn, new
         )
         weights = np.exp(particles.logs - log_of_sum(particles.logs))
         expected = np.clip(weights @ counts, 0, self.limit)

@@ -31,7 +31,7 @@ from khep_twin.shadow.actions import Action, Commanded, Configured, Counted, Res
 from khep_twin.shadow.diagnosis import Diagnosis
 from khep_twin.shadow.particle_filter import ParticleFilter, PoseEstimate
 from khep_twin.shadow.particles import LearnedValues
-from khep_twin.shadow.start import PUBLISHED, Spread, begun
+from khep_twin.shadow.start import PUBLISHED, Spread, begun, known_starts
 from khep_twin.shadow.wheel_commands import DUTY, POSITION, SPEED, TARGET
 from khep_twin.units import BITS_PER_BYTE
 
@@ -55,7 +55,7 @@ _LINE_END = 2
 """Bytes that end a reply."""
 
 _KEPT_NS = 20_000_000
-"""Longest time for which an adapter keeps a command before the robot has it (assumed) [ns]."""
+"""Lateness of a reply up to which the command's is taken for the same (assumed) [ns]."""
 
 _LONGEST_NS = 100_000_000
 """Silence after which the pose is estimated without a reply [ns]."""
@@ -72,7 +72,7 @@ class ShadowSettings:
     Attributes:
         seed: Seed of its particles.
         particles: Number of particles once the pose is known.
-        known: Whether the start is the playpen's, to `spread`; False for anywhere.
+        known: Whether the start is the playpen's, or one of its spots, to `spread`; False for anywhere.
         spread: What is known of the start and of the robot: standard deviations.
         baud: Speed of the robot's line [baud].
     """
@@ -147,13 +147,12 @@ class Shadow:
         self._setup = EpisodeSetup(playpen, planar=True)
         entry = self._setup.entry
         rng = stream(settings.seed, "shadow")
-        x_mm, y_mm, heading_deg = self._setup.start(settings.seed)
-        pose = units.metres(x_mm), units.metres(y_mm), units.radians(heading_deg)
-        count = settings.particles if settings.known else ANYWHERE * settings.particles
-        start = begun(self._setup, pose if settings.known else None, settings.spread, count, rng)
+        starts = known_starts(self._setup)
+        count = settings.particles * (len(starts) if settings.known else ANYWHERE)
+        start = begun(self._setup, starts if settings.known else None, settings.spread, count, rng)
         tracker = ParticleFilter(self._setup, start, rng, settings.particles)
         self._diagnosis = Diagnosis(self._setup, tracker, stream(settings.seed, "shadow", "hypotheses"))
-        self._reckoned = begun(self._setup, pose, Spread(0, 0, 0, 0, 0, 0), 1, rng)
+        self._reckoned = begun(self._setup, starts, Spread(0, 0, 0, 0, 0, 0), 1, rng)
         board = self._reckoned.planes
         self._firmware = Firmware(ROMS[entry.rom], entry.mode, None, board.registers[0], board.processor[0])
         self._dialogue = Dialogue(self._byte_ns)
@@ -200,25 +199,27 @@ class Shadow:
             self._follow(Restarted(exchange.heard_ns))
         if not exchange.command:
             return self._update(residuals) if before != self._diagnosis.alarms else None
-        time_ns = exchange.sent_ns + len(exchange.command) * self._byte_ns
+        time_ns = late_ns = exchange.sent_ns + len(exchange.command) * self._byte_ns
         if exchange.reply is not None:
-            # The reply began when the command was executed, unless the robot or an adapter kept it.
-            begun_ns = exchange.heard_ns - (len(exchange.reply) + _LINE_END) * self._byte_ns
-            residuals = residuals._replace(timing=(begun_ns - time_ns) * 1e-9)
-            time_ns = max(exchange.sent_ns, min(begun_ns, time_ns + _KEPT_NS))
+            # The reply began when the command was executed, unless something kept it, or the command.
+            late_ns = exchange.heard_ns - (len(exchange.reply) + _LINE_END) * self._byte_ns
+            residuals = residuals._replace(timing=(late_ns - time_ns) * 1e-9)
+            if late_ns <= time_ns + _KEPT_NS:
+                time_ns = late_ns = max(exchange.sent_ns, late_ns)
         time_ns = self._time_ns = max(time_ns, self._time_ns)
+        late_ns = max(late_ns, time_ns)
         values = exchange.values
         if exchange.reply is None or values is not None:
-            for action in self._executed(time_ns, exchange):
+            for action in self._executed(time_ns, late_ns, exchange):
                 self._follow(action)
         match exchange.letter, values:
             case "N", tuple() if len(values) == units.N_SENSORS:
                 readings = np.array(values)
-                self._follow(Seen(time_ns, readings))
+                self._follow(Seen(time_ns, readings, late_ns))
                 self._measured = readings.astype(np.float64)
                 residuals = residuals._replace(proximity=readings - self._diagnosis.filter.expected)
             case "H", (int(left), int(right)):
-                beyond = self._follow(Counted(time_ns, np.array([left, right])))
+                beyond = self._follow(Counted(time_ns, np.array([left, right]), late_ns))
                 residuals = residuals._replace(wheels=beyond)
             case "O", tuple() if len(values) == units.N_SENSORS:
                 light = np.array(values)
@@ -236,12 +237,16 @@ class Shadow:
 
     def _reckon(self, action: Action) -> None:
         """Repeat an action on the twin of dead reckoning, whose board the firmware has set already."""
-        planes = self._reckoned.planes
-        if (ticks := action.time_ns // units.TICK_NS - planes.ticks) > 0:
-            planes.advance(ticks)
+        self._reckoned.planes.advance_to(action.time_ns)
 
-    def _executed(self, time_ns: int, exchange: Exchange) -> Iterator[Action]:
-        """Execute a command on the board of dead reckoning; yield what it is for all others."""
+    def _executed(self, time_ns: int, late_ns: int, exchange: Exchange) -> Iterator[Action]:
+        """Execute a command on the board of dead reckoning; yield what it is for all others.
+
+        Args:
+            time_ns: Time at which the robot has executed it at the earliest [ns].
+            late_ns: Time at which it has at the latest [ns].
+            exchange: Command with its reply.
+        """
         self._reckon(Waited(time_ns))
         board, line = self._reckoned.planes.registers[0], exchange.command
         before = board.copy()
@@ -251,7 +256,8 @@ class Shadow:
                 limit = LIMITS[letter]
                 left, right = kernel.clip(left, limit), kernel.clip(right, limit)
                 # The line may have lost the command, or its reply.
-                yield Commanded(time_ns, COMMANDS[letter], left, right, doubtful=exchange.reply is None)
+                is_doubtful = exchange.reply is None
+                yield Commanded(time_ns, COMMANDS[letter], left, right, is_doubtful, late_ns)
             case Command():
                 # Gains, profiles and LEDs: registers that do not depend on any other.
                 self._firmware.receive(line + b"\n")

@@ -1,11 +1,13 @@
 """Particles at the start: at a pose that is known more or less, or anywhere."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin import units
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import PlaypenError
 from khep_twin.sensing import calibration
@@ -13,6 +15,7 @@ from khep_twin.shadow.particles import Particles, Prior
 from khep_twin.shadow.planes import Planes
 
 Floats = NDArray[np.float64]
+Pose = tuple[float, float, float]
 
 HEADING_DEVIATION = math.radians(calibration.HEADING_SPREAD_DEG)
 """Standard deviation of a sensor's heading from the calibration's [rad]."""
@@ -42,19 +45,36 @@ PUBLISHED = Spread()
 """Spread of robots of the same make, put down by hand within 10 mm and 5 degrees."""
 
 
+def known_starts(setup: EpisodeSetup) -> list[Pose]:
+    """Return the poses x, y [m], heading [rad] at which a robot may start: its own, or each spot."""
+    entry, spots = setup.entry, {spot.name: spot for spot in setup.playpen.spots}
+    places = [spots[name] for name in entry.spots] or [entry]
+    return [
+        (units.metres(each.x_mm), units.metres(each.y_mm), units.radians(each.heading_deg)) for each in places
+    ]
+
+
 def begun(
-    setup: EpisodeSetup,
-    pose: tuple[float, float, float] | None,
-    spread: Spread,
-    count: int,
-    rng: np.random.Generator,
+    setup: EpisodeSetup, starts: Sequence[Pose] | None, spread: Spread, count: int, rng: np.random.Generator
 ) -> Particles:
-    """Return particles at a start x, y [m] and heading [rad], as far as it is known; anywhere for None."""
+    """Return particles.
+
+    Args:
+        setup: Playpen with the robot, prepared for the plane.
+        starts: Starts of equal probability x, y [m] and heading [rad] ; None for anywhere.
+        spread: What is known of each start and of the robot.
+        count: Number of particles.
+        rng: Random stream.
+    """
     planes = Planes(setup, count)
-    if pose is None:
+    if starts is None:
         planes.put(anywhere(setup, planes, rng))
     else:
-        planes.put(pose + rng.standard_normal((count, 3)) * (spread.place, spread.place, spread.heading))
+        deviations = spread.place, spread.place, spread.heading
+        planes.put(
+            np.array(starts)[np.arange(count) * len(starts) // count]
+            + rng.standard_normal((count, 3)) * deviations
+        )
     wheels = 1 + rng.standard_normal((count, 3)) * (spread.radius, spread.ratio, spread.base)
     planes.set_wheels(*wheels.T)
     traits = np.zeros((count, 8, 3))

@@ -34,6 +34,10 @@ class WheelWatch:
         """Alarms that last."""
         return list(self._alarms.values())
 
+    def forget(self) -> None:
+        """Forget the pulses so far, as the time of a reply is not certain."""
+        self._told.clear()
+
     def count(self, time_ns: int, turned: Floats, expected: Floats) -> tuple[Alarm, ...]:
         """Take the pulses that counters have gone on since the reply before, and those of sound wheels (2,).
 

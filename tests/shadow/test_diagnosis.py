@@ -28,7 +28,7 @@ class Driven:
     def __init__(self, seed: int, counters: bool = False, particles: int = 300) -> None:
         setup = setup_of("workshop")
         self.robot = planes_at((START[0] + 5, START[1] - 4, START[2] + 3))
-        start = begun(setup, metric(START), PUBLISHED, particles, stream(seed, "start"))
+        start = begun(setup, [metric(START)], PUBLISHED, particles, stream(seed, "start"))
         tracker = ParticleFilter(setup, start, stream(seed, "filter"), particles)
         self.diagnosis = Diagnosis(setup, tracker, stream(seed, "hypotheses"))
         self._rng, self._counters = stream(seed, "robot"), counters

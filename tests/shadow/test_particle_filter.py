@@ -27,7 +27,7 @@ TICKS = 6
 def filtering(
     setup: EpisodeSetup, pose: tuple[float, float, float] | None, spread: Spread = PUBLISHED, count: int = 300
 ) -> ParticleFilter:
-    particles = begun(setup, pose, spread, count, stream(0, "start"))
+    particles = begun(setup, [pose], spread, count, stream(0, "start"))
     return ParticleFilter(setup, particles, stream(0, "filter"), count if pose else 300)
 
 
@@ -132,7 +132,7 @@ def test_an_estimate_is_a_mean_by_the_weights_and_headings_are_a_circle() -> Non
 
 def test_particles_that_are_taken_over_become_as_many_as_are_wanted_and_differ() -> None:
     tracker = filtering(setup_of("workshop"), metric(START))
-    few = begun(setup_of("workshop"), metric(AT_THE_CRATE), EXACT, 10, stream(0, "few"))
+    few = begun(setup_of("workshop"), [metric(AT_THE_CRATE)], EXACT, 10, stream(0, "few"))
     few.logs -= 100
     tracker.take(few)
     assert len(tracker.particles) == 300

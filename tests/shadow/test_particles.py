@@ -92,7 +92,7 @@ def test_counters_move_them_by_what_the_commands_do_not_explain() -> None:
 
 
 def test_what_was_learned_gives_way_to_what_was_known() -> None:
-    particles = begun(setup_of("workshop"), (0.35, 0.25, 0.0), PUBLISHED, 2000, np.random.default_rng(0))
+    particles = begun(setup_of("workshop"), [(0.35, 0.25, 0.0)], PUBLISHED, 2000, np.random.default_rng(0))
     particles.wheels[:], particles.covariances[:] = (1.02, 0.99, 1.01), 0
     particles.traits[:] = 0.1, 0.05, 40
     particles.traits[:, 3, 0] = 0.9

@@ -21,7 +21,7 @@ class Turning:
     def __init__(self) -> None:
         setup, rng = setup_of("workshop"), stream(0, "filter")
         self.robot, self._rng = planes_at(AT_THE_CRATE), stream(0, "robot")
-        start = begun(setup, metric(AT_THE_CRATE), PUBLISHED, 500, rng)
+        start = begun(setup, [metric(AT_THE_CRATE)], PUBLISHED, 500, rng)
         self.filter, self.search = ParticleFilter(setup, start, rng, 500), Search(setup, rng)
         self._act(Commanded(0, SPEED, *TURNING))
         self.robot.command(SPEED, *TURNING)

@@ -52,7 +52,7 @@ def planes_at(*poses: Pose, name: str = "workshop") -> Planes:
 
 def particles_at(*poses: Pose, name: str = "workshop") -> Particles:
     """A particle at each pose, with the calibration's wheels and gains, of equal weights."""
-    made = begun(setup_of(name), metric(poses[0]), EXACT, len(poses), np.random.default_rng(0))
+    made = begun(setup_of(name), [metric(poses[0])], EXACT, len(poses), np.random.default_rng(0))
     made.planes.put(np.array([metric(pose) for pose in poses]))
     return made
 
