@@ -61,6 +61,11 @@ class Hypothesis(ABC):
     def name(self) -> str:
         """Name of the fault."""
 
+    @property
+    def alike(self) -> str:
+        """Name of all faults that look like it."""
+        return self.name
+
     @abstractmethod
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Give particles the fault."""
@@ -86,6 +91,11 @@ class _OfWheel(Hypothesis):
     def name(self) -> str:
         """Name of the fault."""
         return f"{self.kind} {SIDES[self.side]}"
+
+    @property
+    def alike(self) -> str:
+        """Name of the wheel."""
+        return f"{SIDES[self.side]} wheel"
 
 
 class StandingWheel(_OfWheel):
@@ -155,6 +165,11 @@ class _OfThing(Hypothesis):
     def name(self) -> str:
         """Name of the fault."""
         return f"{self.kind} {self.thing}"
+
+    @property
+    def alike(self) -> str:
+        """Name of the thing."""
+        return self.thing
 
     def end(self, particles: Particles) -> None:
         """Put the thing back."""

@@ -127,6 +127,11 @@ class Planes:
         return self.things, self._order, self._near, _NONE, self.robots
 
     @property
+    def lamps_are_unknown(self) -> bool:
+        """True if nothing on the line tells which lamps are on."""
+        return self.lamps.lit is not None
+
+    @property
     def ambient(self) -> Any:
         """Record of `robot_sensors.Ambient`, which all twins share."""
         return self.sensors[0]["ambient"]
@@ -250,12 +255,12 @@ class Planes:
     def lamplight(self, least: float) -> Floats:
         """Return the light of each lamp at each sensor, below the dark level (n, 8, n_lamps) [counts].
 
-        It holds at the start of the last step; lamps that shine in sequence are as at time 0. What cannot
-        reach `least` counts as 0 [counts].
+        It holds at the start of the last step; of lamps that shine in turns each may be the one that is on.
+        What cannot reach `least` counts as 0 [counts].
         """
-        if self.lamps.lit is None and not self.lamps.steady:
+        if not (self.lamps_are_unknown or self.lamps.steady):
             self.lamps.update(self.ticks * TICK_NS, ())
-        powers = np.array(self.lamps.powers)
+        powers = np.array(self.lamps.full_powers if self.lamps_are_unknown else self.lamps.powers)
         light = np.zeros((len(self), units.N_SENSORS, len(powers)))
         if powers.any():
             self._code.lamplight(*self._scenes, self.sensors, *self._light, powers, least, light)

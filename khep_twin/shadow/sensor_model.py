@@ -31,6 +31,10 @@ LEAST = 0.03, math.radians(0.5), 10.0
 no better (assumed)."""
 
 
+UNLIT = 0.97
+"""Part of its range above which no lamp shines on a sensor (assumed)."""
+
+
 class SensorModel:
     """Likelihood of proximity readings.
 
@@ -75,6 +79,9 @@ class SensorModel:
         without a change (8,), and the log likelihoods (n, 8).
         """
         range_left = self._range_left(particles)
+        if particles.planes.lamps_are_unknown:
+            # A sensor that a lamp may blind tells nothing.
+            use = use & (range_left.min(axis=0) > UNLIT)
         counts, deviations, likelihood = particles.planes.explain(
             particles.traits, particles.covariances, self._law, range_left, readings, use & learn, new
         )

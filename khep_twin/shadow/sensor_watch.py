@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from khep_twin.log.shadow_channels import Alarm
 from khep_twin.shadow.actions import Seen
+from khep_twin.shadow.sensor_model import UNLIT
 from khep_twin.units import N_SENSORS
 
 Floats = NDArray[np.float64]
@@ -68,7 +69,8 @@ class SensorWatch:
                 if alarm := self._alarms.pop(sensor, None):
                     ended.append(replace(alarm, ended_ns=action.time_ns))
             left = range_left[sensor]
-            if left < _READABLE or last > _NEAR_LIMIT * left * self._limit:
+            readable = UNLIT if self._lit and last == 0 else _READABLE
+            if left < readable or last > _NEAR_LIMIT * left * self._limit:
                 # Where others surprise as much, the robot is elsewhere.
                 beyond = surprise[sensor] - np.delete(surprise, sensor).max() - _USUAL
                 told = min(_TOLD * beyond, _MOST) if now == last else 0.0
@@ -96,7 +98,8 @@ _NEAR_LIMIT = 0.85
 """Part of the range from which on a sound sensor repeats itself: there light counts little."""
 
 _READABLE = 0.7
-"""Part of the range below which lamps blind a sensor, which then repeats itself, too (assumed)."""
+"""Part of the range below which lamps blind a sensor, which then repeats itself, too (assumed); above it a
+sensor that reads 0 may be lit more than the twins believe."""
 
 _USUAL, _TOLD, _MOST = 0.3, 2.0, 1.5
 """Surprise that is usual there, and what more of it adds to the odds, at the most (assumed)."""
