@@ -6,8 +6,11 @@ import stat
 import sys
 import threading
 from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from typing import TextIO, cast
+
+BESIDE = "_KHEP_TWIN_BESIDE_A_STATUS_LINE"
+"""Variable of the environment of a process on whose terminal another one shows a status line."""
 
 _CLEAR = "\r\033[K"
 """Control sequence: return to the first column and erase the line."""
@@ -54,18 +57,42 @@ class StatusLine:
             return written
 
 
-class _Above:
+class _Stream:
+    """A standard stream that shares its terminal with a status line."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._stream, name)
+
+
+class _Above(_Stream):
     """A standard stream whose output appears above a status line."""
 
     def __init__(self, stream: TextIO, line: StatusLine) -> None:
-        self._stream, self._line = stream, line
+        super().__init__(stream)
+        self._line = line
 
     def write(self, text: str) -> int:
         """Write above the status line."""
         return self._line.write_above(self._stream, text)
 
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._stream, name)
+
+class _InPlace(_Stream):
+    """A standard stream that takes whole lines, the first of each write in the place of a status line."""
+
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__(stream)
+        self._begun = ""
+
+    def write(self, text: str) -> int:
+        """Write the lines that are complete, at once: another process may show its status line any time."""
+        lines, end, self._begun = (self._begun + text).rpartition("\n")
+        if end:
+            self._stream.write(f"{_CLEAR}{lines}{end}")
+            self._stream.flush()
+        return len(text)
 
 
 _open_lines: list[StatusLine] = []
@@ -80,16 +107,34 @@ def status_line() -> Generator[StatusLine | None, None, None]:
         yield None
         return
     line = StatusLine(terminal)
-    outputs = sys.stdout, sys.stderr
     with ExitStack() as stack:
         stack.callback(line.show, "")
         _open_lines.append(line)
         stack.callback(_open_lines.remove, line)
-        for name, stream in zip(("stdout", "stderr"), outputs, strict=True):
-            if stream.isatty():
-                setattr(sys, name, cast(TextIO, _Above(stream, line)))
-                stack.callback(setattr, sys, name, stream)
+        stack.enter_context(_replaced(lambda stream: _Above(stream, line)))
         yield line
+
+
+@contextmanager
+def beside_status_line() -> Generator[None, None, None]:
+    """Print lines in the place of the status line that another process shows on the same terminal.
+
+    That process shows its line again, below them. What begins a line waits for the line's end.
+    """
+    with nullcontext() if _terminal() is None else _replaced(_InPlace):
+        yield
+
+
+@contextmanager
+def _replaced(replacement: Callable[[TextIO], _Stream]) -> Generator[None, None, None]:
+    """Replace the standard streams that are terminals."""
+    outputs = {"stdout": sys.stdout, "stderr": sys.stderr}
+    with ExitStack() as stack:
+        for name, stream in outputs.items():
+            if stream.isatty():
+                setattr(sys, name, cast(TextIO, replacement(stream)))
+                stack.callback(setattr, sys, name, stream)
+        yield
 
 
 @contextmanager
@@ -101,13 +146,20 @@ def announced(begin: str, progress: Callable[[], str], end: Callable[[], str]) -
         progress: Text on its progress, shown each second on a terminal.
         end: Line at its end, where that is no terminal.
     """
-    terminal = _terminal()
-    if terminal is None:
-        _print(begin)
-        yield
-        _print(end())
-        return
-    line = _open_lines[-1] if _open_lines else StatusLine(terminal)
+    shared = _open_lines and _terminal() is not None
+    with nullcontext(_open_lines[-1]) if shared else status_line() as line:
+        if line is None:
+            _print(begin)
+            yield
+            _print(end())
+        else:
+            with _counted(line, progress):
+                yield
+
+
+@contextmanager
+def _counted(line: StatusLine, progress: Callable[[], str]) -> Generator[None, None, None]:
+    """Show a text on a status line, each second anew, and in the end what was there before."""
     before, done = line.text, threading.Event()
 
     def show() -> None:
@@ -139,8 +191,8 @@ def _terminal() -> TextIO | None:
     # One without control sequences, such as an editor's, could not erase the line.
     if os.environ.get("TERM") == "dumb" or _is_piped():
         return None
-    stream = cast("TextIO | _Above", sys.stderr)
-    return stream._stream if isinstance(stream, _Above) else stream  # pyright: ignore[reportPrivateUsage]
+    stream = cast("TextIO | _Stream", sys.stderr)
+    return stream._stream if isinstance(stream, _Stream) else stream  # pyright: ignore[reportPrivateUsage]
 
 
 def _is_piped() -> bool:

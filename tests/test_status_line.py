@@ -5,49 +5,22 @@ import pty
 import re
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import typer
+from terminals import Terminal, at_a_terminal
 
+from khep_twin.cli import app, shadow, shadow_process
+from khep_twin.cli.endpoints import EndpointOptions, tell_end
+from khep_twin.cli.option_groups import LogOptions
+from khep_twin.cli.options import complain
 from khep_twin.cli.progress import progress
-from khep_twin.status_line import announced, status_line
-
-
-class Terminal(StringIO):
-    """A stream that says it is a terminal."""
-
-    def isatty(self) -> bool:
-        return True
-
-    @property
-    def screen(self) -> list[str]:
-        """Lines as a person sees them in the end."""
-        lines = [""]
-        column = 0
-        for part in re.split(r"(\r|\n|\033\[K)", self.getvalue()):
-            if part == "\r":
-                column = 0
-            elif part == "\n":
-                lines.append("")
-                column = 0
-            elif part == "\033[K":
-                lines[-1] = lines[-1][:column]
-            else:
-                lines[-1] = lines[-1][:column] + part + lines[-1][column + len(part) :]
-                column += len(part)
-        return lines
-
-
-@contextmanager
-def at_a_terminal() -> Iterator[Terminal]:
-    """One terminal at both outputs."""
-    terminal = Terminal()
-    with redirect_stdout(terminal), redirect_stderr(terminal):
-        yield terminal
+from khep_twin.status_line import BESIDE, announced, beside_status_line, status_line
 
 
 def test_lines_of_output_and_a_progress_bar_never_share_a_line() -> None:
@@ -120,6 +93,63 @@ def test_long_work_shows_its_progress_in_place_of_the_bar_which_comes_back() -> 
     assert terminal.screen == [""]
     assert "begun" not in terminal.getvalue()
     assert "ended" not in terminal.getvalue()
+
+
+def test_what_is_said_during_long_work_has_its_own_lines() -> None:
+    with at_a_terminal() as terminal, announced("begun", lambda: "compiling", lambda: "ended"):
+        end = time.monotonic() + 30
+        while "compiling" not in terminal.getvalue() and time.monotonic() < end:
+            time.sleep(0.01)
+        complain("the robot has restarted")
+        print("data")
+    assert terminal.screen == ["khep-twin: the robot has restarted", "data", ""]
+
+
+def test_lines_beside_another_process_with_a_status_line_are_whole_and_in_its_place() -> None:
+    with at_a_terminal() as terminal:
+        with beside_status_line():
+            terminal.write("\r\033[K1.0 s  no alarm")
+            print("in two", end="")
+            terminal.write("\r\033[K1.1 s  no alarm")
+            print(" parts\nand more")
+            terminal.write("\r\033[K1.2 s  no alarm")
+            complain("the end")
+        assert sys.stdout is sys.stderr is terminal
+    assert terminal.screen == ["in two parts", "and more", "khep-twin: the end", ""]
+
+
+@pytest.mark.parametrize("output", ["terminal", "file"])
+def test_a_relay_never_writes_onto_the_status_line_of_its_shadow(
+    output: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+
+    @contextmanager
+    def beside(words: Sequence[str], stop: object) -> Iterator[SimpleNamespace]:
+        print("\r\033[K2.4 s  100, 200 mm +- 5, 0 degrees  no alarm", end="", file=sys.stderr)
+        yield SimpleNamespace(listener=None, finish=lambda: 0)
+
+    def relays(*_: object, **__: object) -> None:
+        tell_end(2_500_000_000, 0, LogOptions(), None)
+
+    monkeypatch.setattr(shadow_process, "run_shadow", beside)
+    monkeypatch.setattr(shadow, "relay_robot", relays)
+    with at_a_terminal() as terminal, (tmp_path / "out.txt").open("w") as file:
+        with redirect_stdout(terminal if output == "terminal" else file):
+            shadow._beside_robot("", 9600, [], EndpointOptions(), LogOptions(), False)  # pyright: ignore[reportPrivateUsage]
+    assert terminal.screen == ["2.5 s served", ""]
+
+
+def test_a_viewer_of_a_shadow_never_writes_onto_its_status_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(BESIDE, "1")
+    monkeypatch.setattr(sys, "argv", ["khep-twin", "view", "--live", "nowhere/shadow.mcap"])
+    monkeypatch.setenv("RUST_LOG", "off")  # as the command sets it
+    with at_a_terminal() as terminal:
+        terminal.write("\r\033[K2.4 s  no alarm")
+        with pytest.raises(SystemExit):
+            app.main()
+    assert terminal.screen[0].startswith("khep-twin: nowhere/shadow.mcap: no run writes this log")
+    assert BESIDE not in os.environ
 
 
 def test_where_nobody_looks_long_work_is_a_line_at_its_begin_and_one_at_its_end_and_a_bar_is_none(

@@ -8,6 +8,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Annotated, Any
 
 import typer
@@ -39,6 +40,7 @@ from khep_twin.cli.sweep import sweep
 from khep_twin.cli.view import view
 from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError
 from khep_twin.signals import answered, asked_by, leave
+from khep_twin.status_line import BESIDE, beside_status_line
 
 app = typer.Typer(
     name="khep-twin",
@@ -69,7 +71,8 @@ def main() -> None:
     """Run the command line; a usage error ends in one line, not in a traceback."""
     if os.environ.get("_KHEP_TWIN_COMPLETE") == "complete_bash":
         complete_in_bash(lambda: app(prog_name="khep-twin"))
-    code = _run()
+    with beside_status_line() if os.environ.pop(BESIDE, None) else nullcontext():
+        code = _run()
     # Typer has one exit code for any interruption, shells have one for each signal.
     leave(exit_code(128 + asked_by() if code == 130 and asked_by() else code))
 

@@ -29,7 +29,7 @@ from khep_twin.cli.shadow_run import ALARM_CODE, ShadowOptions, ShadowRun
 from khep_twin.clock import NS_PER_S
 from khep_twin.machine import lower_priority
 from khep_twin.signals import stopping
-from khep_twin.status_line import status_line
+from khep_twin.status_line import beside_status_line, status_line
 
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
@@ -189,7 +189,7 @@ def _beside_robot(
     """Relay a robot's line, with a shadow in its own process."""
     from khep_twin.cli.shadow_process import run_shadow
 
-    with stopping() as stop, run_shadow(words, stop) as shadow:
+    with stopping() as stop, run_shadow(words, stop) as shadow, beside_status_line():
 
         def ends() -> bool:
             return stop() or shadow.ended_by_alarm()

@@ -8,6 +8,7 @@
 The shadow only writes a file; drawing costs it nothing, and does not delay a relay.
 """
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -22,6 +23,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.shadow.shadow import ShadowSettings, Update
 from khep_twin.shadow.shadow_log import LIVE_FLUSH_NS, ShadowLog
 from khep_twin.signals import clear_at_end, undisturbed
+from khep_twin.status_line import BESIDE
 
 _TURN = 0.05
 """Interval of checks of the viewer's process [s]."""
@@ -52,7 +54,9 @@ class ShadowViewer:
         command = [sys.executable, "-m", "khep_twin", "view", "--live", str(log), *(["--web"] if web else [])]
         with undisturbed():
             # Ctrl-C in a terminal is for the shadow, which then ends the viewer.
-            self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, start_new_session=True, env={**os.environ, BESIDE: "1"}
+            )
             self._forget = clear_at_end(self.close)
 
     def __enter__(self) -> Self:
