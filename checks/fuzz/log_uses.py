@@ -128,7 +128,8 @@ def report(path: Path) -> None:
     """Make the contents of a report on a log."""
     from khep_twin.lab.report.report import report as report_on
     from khep_twin.log.reader import read_series
-    from khep_twin.log.shadow_channels import is_shadow, read_shadow
+    from khep_twin.log.shadow_channels import is_shadow
+    from khep_twin.log.shadow_track import read_shadow
 
     recording = read_series(path)
     # Its figures take half a second.

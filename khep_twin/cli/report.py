@@ -162,7 +162,8 @@ def report(
     check_new(force, output)
     from khep_twin.lab.report.report import report as report_on
     from khep_twin.log.reader import read_series
-    from khep_twin.log.shadow_channels import is_shadow, read_shadow
+    from khep_twin.log.shadow_channels import is_shadow
+    from khep_twin.log.shadow_track import read_shadow
 
     recording = read_series(log)
     found = report_on(recording, str(log), read_shadow(log) if is_shadow(recording.label) else None)

@@ -2,10 +2,9 @@
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,7 +24,7 @@ from khep_twin.cli.options import (
 )
 from khep_twin.cli.playpen import PlaypenName
 from khep_twin.cli.progress import progress as progress_bar
-from khep_twin.cli.shadow_run import ALARM_CODE, ShadowOptions, ShadowRun
+from khep_twin.cli.shadow_run import EXIT_CODES, ExitOn, ShadowOptions, ShadowRun
 from khep_twin.clock import NS_PER_S
 from khep_twin.machine import lower_priority
 from khep_twin.signals import stopping
@@ -42,12 +41,6 @@ _BEHIND_S = 2.0
 
 _NICE = 5
 """What a shadow beside a relay adds to its niceness (assumed)."""
-
-
-class ExitOn(StrEnum):
-    """Event that ends a shadow."""
-
-    ALARM = "alarm"
 
 
 _OF_A_ROBOT = option_names(EndpointOptions) | {"mode", "poll", "view", "web", "log", "ignore_log_errors"}
@@ -78,7 +71,11 @@ def shadow(
     options: ShadowOptions,
     until: Annotated[float | None, typer.Option(min=0, help="End at this time of the log [s].")] = None,
     exit_on: Annotated[
-        ExitOn | None, typer.Option(help=f"End at the first alarm, with exit code {ALARM_CODE}.")
+        list[ExitOn] | None,
+        typer.Option(
+            help=f"End at the first alarm, with exit code {EXIT_CODES[ExitOn.ALARM]}, or where the followed "
+            f"robot is lost, with {EXIT_CODES[ExitOn.LOST]}; may be given for both."
+        ),
     ] = None,
     output: Annotated[
         Path | None,
@@ -93,7 +90,8 @@ def shadow(
 
     The twin tells where the robot is, and what is wrong with it.
 
-    Standard output has a line for each alarm that begins or ends, with --relay after what a host opens.
+    Standard output has a line for each alarm that begins or ends, and where the robot is lost or found again,
+    with --relay after what a host opens.
     """
     settings = options.settings(line_baud(running_mode(mode)))
     check_writable(output)
@@ -104,7 +102,7 @@ def shadow(
             raise usage("--relay follows a robot, not a log; expected either, and --until with a log only")
         endpoint.check()
         words = [playpen, f"--robot={robot}", *options.words(), *(["--mode", mode] if mode else [])]
-        words += [*(["--exit-on", exit_on.value] if exit_on else []), *(["--force"] if logging.force else [])]
+        words += [*(f"--exit-on={each}" for each in exit_on or ()), *(["--force"] if logging.force else [])]
         words += ["--output", str(output)] if output is not None else []
         words += [*(["--view"] if view else []), *(["--web"] if web else [])]
         from khep_twin.host.opening import numbered
@@ -113,13 +111,13 @@ def shadow(
         return
     found = options.load(playpen, robot)
     if line_fd is not None:
-        run = ShadowRun(found, settings, exit_on is not None, output)
+        run = ShadowRun(found, settings, exit_on or (), output)
         _follow_line(line_fd, run, run.show_in_viewer(web=web) if view else nullcontext())
         return
     refuse(context, _OF_A_ROBOT, "a robot at --relay, not for a log")
     if recording is None:
         raise usage("nothing to follow; expected a log, FILE.mcap, or a robot's port, --relay PORT")
-    _follow_log(recording, robot, until, found, settings, exit_on is not None, output)
+    _follow_log(recording, robot, until, found, settings, exit_on or (), output)
 
 
 def _follow_log(
@@ -128,7 +126,7 @@ def _follow_log(
     until: float | None,
     playpen: "Playpen",
     settings: "ShadowSettings",
-    ends_on_alarm: bool,
+    exit_on: Collection[ExitOn],
     output: Path | None,
 ) -> None:
     """Follow a recorded robot."""
@@ -140,7 +138,7 @@ def _follow_log(
     end_ns = line.heard[-1].time_ns
     if until is not None and until * NS_PER_S < end_ns:
         end_ns = int(until * NS_PER_S)
-    with stopping() as stop, closing(ShadowRun(playpen, settings, ends_on_alarm, output, path)) as run:
+    with stopping() as stop, closing(ShadowRun(playpen, settings, exit_on, output, path)) as run:
         begun = time.monotonic()
         with progress_bar() as show:
             code = run.follow(_until(line.heard, end_ns, show), stop)
@@ -192,7 +190,7 @@ def _beside_robot(
     with stopping() as stop, run_shadow(words, stop) as shadow, beside_status_line():
 
         def ends() -> bool:
-            return stop() or shadow.ended_by_alarm()
+            return stop() or shadow.ended_as_asked()
 
         try:
             relay_robot(port, baud, endpoint, logging, shadow.listener, poll=poll, stop=ends)

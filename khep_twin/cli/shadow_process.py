@@ -10,7 +10,7 @@ from select import select
 import typer
 
 from khep_twin.cli.options import complain
-from khep_twin.cli.shadow_run import ALARM_CODE
+from khep_twin.cli.shadow_run import EXIT_CODES
 from khep_twin.errors import KhepTwinError
 from khep_twin.shadow.line_pipe import LineSender
 from khep_twin.signals import clear_at_end, undisturbed
@@ -46,13 +46,13 @@ class ShadowProcess:
         self._sender = LineSender(self._line.fileno(), now)
         return self._sender
 
-    def ended_by_alarm(self) -> bool:
-        """Return whether it has ended by an alarm; complain once if it has ended otherwise."""
+    def ended_as_asked(self) -> bool:
+        """Return whether it has ended by an event of --exit-on; complain once if it has ended otherwise."""
         if self.code is None and self._sender is not None and self._sender.broken:
             self.code = self._read_code()
-            if self.code != ALARM_CODE:
+            if self.code not in EXIT_CODES.values():
                 complain(f"the shadow has ended with code {self.code}; the relay goes on without it")
-        return self.code == ALARM_CODE
+        return self.code in EXIT_CODES.values()
 
     def finish(self) -> int:
         """End the line and wait until the shadow has followed the rest; return the exit code."""

@@ -2,9 +2,10 @@
 
 import math
 import re
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,8 +23,15 @@ if TYPE_CHECKING:
     from khep_twin.shadow.shadow_log import ShadowLog
 
 
-ALARM_CODE = 4
-"""Exit code of `--exit-on alarm`; 3 is that of a log that failed, or of a run that differs."""
+class ExitOn(StrEnum):
+    """Event that ends a shadow."""
+
+    ALARM = "alarm"
+    LOST = "lost"
+
+
+EXIT_CODES = {ExitOn.ALARM: 4, ExitOn.LOST: 5}
+"""Exit codes of these; 3 is that of a log that failed, or of a run that differs."""
 
 _TWO_SIDED = 1.96
 """Standard deviations in half of a 95 % interval."""
@@ -44,7 +52,7 @@ class ShadowRun:
     Args:
         playpen: Playpen with the robot.
         settings: Settings of the shadow.
-        ends_on_alarm: Whether to end at the first alarm.
+        exit_on: Events at the first of which to end.
         output: Log of the shadow to write.
         parent: Log that is followed; None for a robot.
     """
@@ -53,7 +61,7 @@ class ShadowRun:
         self,
         playpen: "Playpen",
         settings: "ShadowSettings",
-        ends_on_alarm: bool,
+        exit_on: Collection[ExitOn],
         output: Path | None,
         parent: Path | None = None,
     ) -> None:
@@ -64,7 +72,7 @@ class ShadowRun:
         self._calibration = calibration.read(playpen.robots[0].calibration)[0]
         self._shadow = Shadow(playpen, settings)
         self._follower = Follower(self._shadow)
-        self._ends_on_alarm = ends_on_alarm
+        self._exit_on = exit_on
         self._warm_up(playpen, settings)
         self._log = None
         if output is not None:
@@ -84,7 +92,7 @@ class ShadowRun:
         stop: Callable[[], bool],
         show: Callable[[str], None] | None = None,
     ) -> int:
-        """Follow a line until its end, an alarm or a signal; return the exit code.
+        """Follow a line until its end, an event that ends it or a signal; return the exit code.
 
         Args:
             heard: Bytes that crossed the line.
@@ -97,10 +105,14 @@ class ShadowRun:
                     self._write(self._log, update)
                 if self._shown is not None:
                     self._shown(update)
+                events = {ExitOn.ALARM} if update.alarms else set[ExitOn]()
                 for change in self._follower.changes(update):
                     typer.echo(alarm_line(change))
-                if self._ends_on_alarm and update.alarms:
-                    return ALARM_CODE
+                if (lost := self._follower.turn(update)) is not None:
+                    typer.echo(_turn_line(update, lost))
+                    events |= {ExitOn.LOST} if lost else set()
+                for event in sorted(events.intersection(self._exit_on)):
+                    return EXIT_CODES[event]
                 if show is not None:
                     show(_status(update))
             if stop():
@@ -157,7 +169,8 @@ class ShadowRun:
             other.feed(time_ns * NS_PER_S // 10 + NS_PER_S // 20, False, answered)
 
     def _summary(self, last: "Update") -> Iterator[str]:
-        """Yield lines about the pose, dead reckoning and the wheels, with 95 % intervals."""
+        """Yield lines about states, pose, dead reckoning and wheels, with 95 % intervals."""
+        yield f"state      {last.state} at the end; {self._follower.states}"
         (x, y, heading), covariance = last.estimate.pose, last.estimate.covariance
         dx, dy, turn = (_TWO_SIDED * math.sqrt(covariance[i, i]) for i in range(3))
         yield (
@@ -183,10 +196,20 @@ def _status(update: "Update") -> str:
     (x, y, heading), covariance = update.estimate.pose, update.estimate.covariance
     place = 1e3 * math.sqrt((covariance[0, 0] + covariance[1, 1]) / 2)
     faults = ", ".join(alarm.fault for alarm in update.alarms) or "no alarm"
+    suspected = ", ".join(f"{each.name} {100 * each.probability:.0f} %" for each in update.suspected)
     return (
-        f"{update.time_ns / NS_PER_S:.1f} s  {x * 1e3:.0f}, {y * 1e3:.0f} mm +- {_TWO_SIDED * place:.0f}, "
-        f"{math.degrees(heading):.0f} degrees  {faults}"
+        f"{update.time_ns / NS_PER_S:.1f} s  {update.state}  {x * 1e3:.0f}, {y * 1e3:.0f} mm +- "
+        f"{_TWO_SIDED * place:.0f}, {math.degrees(heading):.0f} degrees  {faults}"
+        f"{'; suspected ' if suspected else ''}{suspected}"
     )
+
+
+def _turn_line(update: "Update", lost: bool) -> str:
+    """Return a line that the robot is lost, or where it was found."""
+    x, y, heading = update.estimate.pose
+    place = f"{x * 1e3:.0f}, {y * 1e3:.0f} mm, {math.degrees(heading):.0f} degrees"
+    told = "lost: its place is searched for" if lost else f"found: at {place}"
+    return f"{update.time_ns / NS_PER_S:9.2f} s  {told}"
 
 
 def alarm_line(change: "AlarmChange") -> str:

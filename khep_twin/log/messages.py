@@ -21,6 +21,7 @@ from khep_twin.log.decoding import (
     shown,
 )
 from khep_twin.log.entries import Entry
+from khep_twin.log.shadow_channels import LINE_TOPICS
 
 READERS: dict[str, Callable[[list[bytes]], NDArray[np.int64] | NDArray[np.float64]]] = {
     FLOATS: partial(read_arrays_of, kind="d"),
@@ -130,9 +131,14 @@ def check_time(path: Path, topic: str, time_ns: int) -> None:
         raise DecodeError(f"time = {time_ns} ns", f"at most {LATEST_NS} ns").at(path, topic)
 
 
+def is_for_repeat(topic: str) -> bool:
+    """Return whether a channel is one without samples, such as /state, but not /shadow/state."""
+    return topic.rpartition("/")[2] in FOR_REPEAT and topic not in LINE_TOPICS
+
+
 def line_topics(robots: Iterable[str]) -> set[str]:
-    """Return the topics of the events, the transcripts and a shadow's alarms."""
-    return {"/events", "/shadow/alarms", *(f"/{robot}/serial" for robot in robots)}
+    """Return the topics of the events, the transcripts and a shadow's lines."""
+    return {"/events", *LINE_TOPICS, *(f"/{robot}/serial" for robot in robots)}
 
 
 def read_samples(messages: Sequence[bytes], name: str) -> _Values:

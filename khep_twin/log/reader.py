@@ -23,7 +23,7 @@ from khep_twin.log.columns import KNOWN
 from khep_twin.log.content import Content
 from khep_twin.log.decoding import DecodeError, readable
 from khep_twin.log.entries import Entry, Label, label_of, run_facts
-from khep_twin.log.messages import FOR_REPEAT, WIDTHS, Messages, TimeSeries, check_time
+from khep_twin.log.messages import WIDTHS, Messages, TimeSeries, check_time, is_for_repeat
 from khep_twin.playpen import Playpen
 
 PIECE = 32 << 20
@@ -211,7 +211,7 @@ def read_with_messages(
 
 
 def _recording(path: Path, label: Label, found: Iterable[Entry]) -> Recording:
-    messages = Messages(path, (each for each in found if each.topic.rpartition("/")[2] not in FOR_REPEAT))
+    messages = Messages(path, (each for each in found if not is_for_repeat(each.topic)))
     series = messages.series()
     times_ns, poses = messages.poses(label.robots)
     if len(times_ns):

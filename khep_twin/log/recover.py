@@ -214,7 +214,7 @@ class MessageFilter:
         if name == "host_events":
             for _ in read_events(message):
                 pass
-        if name == "state":
+        if topic == "/state":
             read_states(message)
         if topic in self._line_topics:
             read_line(message)

@@ -7,34 +7,29 @@
     /shadow/measured    std_msgs/Float64MultiArray               proximity as replied last
     /shadow/residuals   std_msgs/Float64MultiArray               deviations of the replies (`RESIDUALS`)
     /shadow/learned     std_msgs/Float64MultiArray               wheels and gains, as parts, now and then
+    /shadow/state       rcl_interfaces/Log                       state of the estimate, where it changes
+    /shadow/suspected   rcl_interfaces/Log                       suspected faults, where these change
     /shadow/alarms      rcl_interfaces/Log                       alarms: WARN at the begin, INFO at the end
 
-/tf has the robot at the estimate, so that every viewer draws it there.
+/tf has the robot at the estimate, so that every viewer draws it there. `shadow_track` reads all of it.
 """
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import partial
-from pathlib import Path
-from typing import TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S, to_ns
-from khep_twin.errors import LogError
-from khep_twin.log.channels import PLANAR, Level, TextLine
-from khep_twin.log.decoding import DecodeError, Decoder, read_arrays_of, read_each, read_line
+from khep_twin.log.channels import Level, TextLine
+from khep_twin.log.decoding import DecodeError, shown
 from khep_twin.log.entries import Label
-from khep_twin.log.reader import read_raw
 from khep_twin.units import SENSOR_LABELS
-
-Floats = NDArray[np.float64]
 
 TOPICS = "/shadow/"
 """Beginning of all topics of a shadow."""
+
+LINE_TOPICS = STATE, SUSPECTED, ALARMS = tuple(f"{TOPICS}{name}" for name in ("state", "suspected", "alarms"))
+"""Those that have lines."""
 
 
 RESIDUALS = [
@@ -54,11 +49,8 @@ PARTICLES = 100
 
 _PLAIN = r"[0-9]{1,18}(?:\.[0-9]{1,9})?"
 _ALARM_LINE = re.compile(rf"([^:]+): (?:since ({_PLAIN}) s, ({_PLAIN}) % sure|ended.*)")
-
-_T = TypeVar("_T")
-
-_DOUBLES = {"pose": 43, "reckoned": 7}
-"""Numbers of a message of a pose: position, quaternion, covariance."""
+_SUSPICION = re.compile(rf"([^:;]+): ([a-z]+), since ({_PLAIN}) s, ({_PLAIN}) %")
+_NOTHING = "none"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +82,13 @@ class State(StrEnum):
     LOST = "lost"
 
 
+STATE_COLOURS = {State.FOLLOWED: (94, 53, 177), State.UNSURE: (240, 140, 0), State.LOST: (200, 30, 60)}
+"""Colours in which the region of an estimate is drawn: red, green, blue."""
+
+REGION = 2.4477
+"""Standard deviations in half of a region in the plane that holds 95 %."""
+
+
 @dataclass(frozen=True, slots=True)
 class Suspicion:
     """Fault that explains the replies better than a sound robot does, without being certain.
@@ -106,36 +105,38 @@ class Suspicion:
     since_ns: int
     probability: float
 
+    @property
+    def name(self) -> str:
+        """Names in words, in an order that does not change with their probabilities."""
+        return " or ".join(sorted(self.faults))
 
-@dataclass(frozen=True, slots=True)
-class ShadowTrack:
-    """A shadow's log as arrays.
+
+class StateTimes:
+    """Times that a pose was in each state.
 
     Attributes:
-        label: Metadata and attachments of the log.
-        times_ns: Times of the updates (n,) [ns].
-        pose: Estimated x, y [m] and heading [rad] (n, 3).
-        covariance: Covariances of these (n, 3, 3).
-        reckoned: x, y [m] and heading [rad] by commands alone (n, 3).
-        expected: Expected proximity (n, 8) [counts].
-        measured: Measured proximity (n, 8) [counts]; NaN before the first.
-        residuals: Deviations of the replies (n, 19), as `RESIDUALS` names them.
-        particles_ns: Times of the particles (m,) [ns].
-        particles: x, y [m] and heading [rad] of particles (m, 100, 3).
-        alarms: Alarms in order of their beginnings.
+        state: Present state; None before the first.
+        lost: Number of times that it was lost.
     """
 
-    label: Label
-    times_ns: NDArray[np.int64]
-    pose: Floats
-    covariance: Floats
-    reckoned: Floats
-    expected: Floats
-    measured: Floats
-    residuals: Floats
-    particles_ns: NDArray[np.int64]
-    particles: Floats
-    alarms: list[Alarm]
+    def __init__(self) -> None:
+        self._passed_ns = dict.fromkeys(State, 0)
+        self._time_ns = 0
+        self.state: State | None = None
+        self.lost = 0
+
+    def add(self, time_ns: int, state: State) -> None:
+        """Note the state at a time, not before that of earlier ones [ns]."""
+        if self.state is not None:
+            self._passed_ns[self.state] += time_ns - self._time_ns
+        self.lost += state is State.LOST and self.state is not State.LOST
+        self._time_ns, self.state = time_ns, state
+
+    def __str__(self) -> str:
+        whole_ns = sum(self._passed_ns.values())
+        shares = {each: passed_ns / whole_ns for each, passed_ns in self._passed_ns.items() if whole_ns}
+        times = ", ".join(f"{each} {share:.1%}".replace("%", " %") for each, share in shares.items())
+        return f"{times} of the time" if times else "of no time"
 
 
 def is_shadow(label: Label) -> bool:
@@ -173,70 +174,37 @@ def alarms_of(lines: Iterable[TextLine]) -> list[Alarm]:
     return alarms
 
 
-def read_shadow(path: Path) -> ShadowTrack:
-    """Read a shadow's log.
-
-    Raises:
-        LogError: There is no such log, it is not whole, or it is none of a shadow.
-    """
-    label, found, _ = read_raw(path, lambda topic: topic.startswith(TOPICS))
-    if not is_shadow(label):
-        raise LogError(f"{path}: no log of a shadow; expected one of khep-twin shadow -o")
-
-    def channel(name: str, read: Callable[[list[bytes]], _T]) -> tuple[NDArray[np.int64], _T]:
-        messages = found.get(TOPICS + name, [])
-        times_ns = np.array([time_ns for time_ns, _ in messages], np.int64)
-        try:
-            return times_ns, read([data for _, data in messages])
-        except DecodeError as error:
-            raise error.at(path, TOPICS + name, int(times_ns[error.row])) from None
-
-    times_ns, poses = channel("pose", partial(_poses, width=_DOUBLES["pose"]))
-
-    def of_all(name: str, read: Callable[[list[bytes]], Floats]) -> Floats:
-        own_ns, values = channel(name, read)
-        if not np.array_equal(own_ns, times_ns):
-            found = f"{len(own_ns)} messages"
-            raise DecodeError(found, f"{len(times_ns)}, at the times of {TOPICS}pose").at(path, TOPICS + name)
-        return values
-
-    covariances = poses[:, 7:].reshape(-1, 6, 6)[:, PLANAR][:, :, PLANAR]
-    particles_ns, particles = channel("particles", partial(_floats, width=3 * PARTICLES))
-    return ShadowTrack(
-        label,
-        times_ns,
-        planar(poses),
-        covariances,
-        planar(of_all("reckoned", partial(_poses, width=_DOUBLES["reckoned"]))),
-        of_all("expected", partial(_floats, width=len(SENSOR_LABELS))),
-        of_all("measured", partial(_floats, width=len(SENSOR_LABELS))),
-        of_all("residuals", partial(_floats, width=len(RESIDUALS))),
-        particles_ns,
-        particles.reshape(-1, PARTICLES, 3),
-        alarms_of(channel("alarms", partial(read_each, read_line))[1]),
-    )
+def state_line(time_ns: int, state: State) -> TextLine:
+    """Return the line of a log where a state begins."""
+    level = Level.WARN if state is State.LOST else Level.INFO
+    return TextLine(time_ns, level, "pose", f"state: {state}")
 
 
-def planar(poses: Floats) -> Floats:
-    """Return x, y [m] and heading [rad] (n, 3) of positions and quaternions x, y, z, w (n, 7 or more)."""
-    return np.column_stack([poses[:, :2], 2 * np.arctan2(poses[:, 5], poses[:, 6])])
+def state_of(line: TextLine) -> State:
+    """Return the state that a line tells; a `DecodeError` is raised where it tells none."""
+    found = {f"state: {each}": each for each in State}
+    if line.text not in found:
+        raise DecodeError(f"text {shown(line.text)}", f"one of {', '.join(found)}")
+    return found[line.text]
 
 
-def _poses(messages: Sequence[bytes], width: int) -> Floats:
-    """Return position, quaternion and what follows, of messages of poses (n, width)."""
-
-    def read(message: bytes) -> tuple[float, ...]:
-        decoder = Decoder(message)
-        decoder.time()
-        decoder.text()
-        values = decoder.get("d", width)
-        decoder.end()
-        return values
-
-    return np.array(read_each(read, messages), np.float64).reshape(-1, width)
+def suspected_line(time_ns: int, suspected: Iterable[Suspicion]) -> TextLine:
+    """Return the line of a log where the suspected faults change: one after another, or none."""
+    found = [
+        f"{', '.join(each.faults)}: {each.channel}, since {each.since_ns / NS_PER_S:.3f} s, "
+        f"{100 * each.probability:.1f} %"
+        for each in suspected
+    ]
+    return TextLine(time_ns, Level.INFO, "suspected", "; ".join(found) or _NOTHING)
 
 
-def _floats(messages: Sequence[bytes], width: int) -> Floats:
-    if not messages:
-        return np.zeros((0, width))
-    return np.asarray(read_arrays_of(messages, "d", width, " of a shadow"), np.float64)
+def suspected_of(line: TextLine) -> tuple[Suspicion, ...]:
+    """Return the suspected faults that a line tells; a `DecodeError` is raised where it tells none."""
+    found: list[Suspicion] = []
+    for part in [] if line.text == _NOTHING else line.text.split("; "):
+        told = _SUSPICION.fullmatch(part)
+        if told is None or float(told[4]) > 100:
+            raise DecodeError(f"text {shown(part)}", "FAULT: CHANNEL, since SECONDS s, PERCENT %")
+        faults = tuple(told[1].split(", "))
+        found.append(Suspicion(faults, told[2], to_ns(float(told[3])), float(told[4]) / 100))
+    return tuple(found)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.log.shadow_channels import Alarm
+from khep_twin.log.shadow_channels import Alarm, State, StateTimes
 from khep_twin.shadow.recording import Heard
 from khep_twin.shadow.shadow import Shadow, Update
 
@@ -29,6 +29,7 @@ class Follower:
 
     Attributes:
         last: Last update; None before the first.
+        states: Times in each state so far.
         replies: Number of replies with values that were used.
     """
 
@@ -36,28 +37,45 @@ class Follower:
         self._shadow = shadow
         self._waited_ns = 0
         self._alarms = LastingAlarms()
+        self._lost: bool | None = None
         self.last: Update | None = None
+        self.states = StateTimes()
         self.replies = 0
 
     def feed(self, heard: Heard) -> Iterator[Update]:
         """Yield the updates up to bytes and by them; no bytes tell that none came until then."""
         yield from self.wait(heard.time_ns)
         for update in self._shadow.feed(*heard) if heard.data else ():
-            self.last = update
             self.replies += 1
-            yield update
+            yield self._noted(update)
 
     def wait(self, time_ns: int) -> Iterator[Update]:
         """Yield the updates of a silence up to a time [ns]."""
         while (next_ns := self._waited_ns + STEP_NS) <= time_ns:
             self._waited_ns = next_ns
             for update in self._shadow.wait(next_ns):
-                self.last = update
-                yield update
+                yield self._noted(update)
 
     def changes(self, update: Update) -> Iterator[AlarmChange]:
         """Return the alarms that have ended or begun with an update."""
         return self._alarms.changes(update.time_ns, update.alarms, update.ended)
+
+    def turn(self, update: Update) -> bool | None:
+        """Return True where the robot is lost with an update, False where it is found; None elsewhere.
+
+        One that is lost is found where it is followed. One that is lost from the start on was not followed.
+        """
+        before = self._lost
+        if update.state is not State.UNSURE:
+            self._lost = update.state is State.LOST
+        elif before is None:
+            self._lost = False
+        return None if before is None or self._lost is before else self._lost
+
+    def _noted(self, update: Update) -> Update:
+        self.last = update
+        self.states.add(update.time_ns, update.state)
+        return update
 
 
 class LastingAlarms:

@@ -9,7 +9,7 @@ Times are those of the line that the shadow hears. The same updates give the sam
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -20,13 +20,22 @@ from numpy.typing import NDArray
 from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
 from khep_twin.log import channels
-from khep_twin.log.channels import FLOATS, LINES, POSE, UNSURE_POSE, ArrayFrame, TransformFrame
+from khep_twin.log.channels import FLOATS, LINES, POSE, UNSURE_POSE, ArrayFrame, TextLine, TransformFrame
 from khep_twin.log.description import body_name
 from khep_twin.log.log_file import FileRecorder, LogFile
 from khep_twin.log.reader import hash_of
 from khep_twin.log.recorder import FLUSH_NS
 from khep_twin.log.run_description import versions
-from khep_twin.log.shadow_channels import PARTICLES, RESIDUALS, begin_line, end_line
+from khep_twin.log.shadow_channels import (
+    PARTICLES,
+    RESIDUALS,
+    State,
+    Suspicion,
+    begin_line,
+    end_line,
+    state_line,
+    suspected_line,
+)
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.sensing import calibration
@@ -43,6 +52,9 @@ LIVE_FLUSH_NS = NS_PER_S // 2
 
 PARTICLES_NS = NS_PER_S
 """Time between two messages of particles [ns]."""
+
+NOTICEABLE = 0.05
+"""Change of a suspected fault's probability that is written."""
 
 
 class ShadowLog(FileRecorder):
@@ -73,6 +85,8 @@ class ShadowLog(FileRecorder):
         self._flush_ns = flush_ns
         self._particles_ns = -PARTICLES_NS
         self._alarms = LastingAlarms()
+        self._state: State | None = None
+        self._suspected: dict[frozenset[str], float] = {}
         self._ghost = _Ghost(playpen)
         label = f"{', '.join(SENSOR_LABELS)} [counts]"
         self._proximity = ArrayFrame(len(SENSOR_LABELS), "f8", label)
@@ -100,10 +114,14 @@ class ShadowLog(FileRecorder):
             self._particles_ns = time_ns
             rows = np.linspace(0, len(update.particles) - 1, PARTICLES).round().astype(np.intp)
             self._add("particles", self._particles, update.particles[rows].ravel())
+        if update.state is not self._state:
+            self._state = update.state
+            self._add_line("state", state_line(time_ns, update.state))
+        if self._notices(update.suspected):
+            self._add_line("suspected", suspected_line(time_ns, update.suspected))
         for change in self._alarms.changes(time_ns, update.alarms, update.ended):
             tell = begin_line if change.alarm.ended_ns is None else end_line
-            message = channels.line_message(tell(change.time_ns, change.alarm))
-            self._file.add("/shadow/alarms", LINES, change.time_ns, message)
+            self._add_line("alarms", tell(change.time_ns, change.alarm))
         if time_ns - self._flushed_ns >= self._flush_ns:
             self._flushed_ns = time_ns
             self._file.flush()
@@ -126,6 +144,18 @@ class ShadowLog(FileRecorder):
     def _add(self, name: str, frame: ArrayFrame, values: NDArray[np.float64]) -> None:
         message = frame.messages(values[None])[0].tobytes()
         self._file.add(f"/shadow/{name}", FLOATS, self._time_ns, message)
+
+    def _add_line(self, name: str, line: TextLine) -> None:
+        self._file.add(f"/shadow/{name}", LINES, line.time_ns, channels.line_message(line))
+
+    def _notices(self, suspected: Sequence[Suspicion]) -> bool:
+        """Return whether suspected faults differ noticeably from those written last, and note them."""
+        found = {frozenset(each.faults): each.probability for each in suspected}
+        last = self._suspected
+        if found.keys() == last.keys() and all(abs(found[each] - last[each]) < NOTICEABLE for each in found):
+            return False
+        self._suspected = found
+        return True
 
     def _begin(self, playpen: Playpen, settings: ShadowSettings, named: Mapping[str, str]) -> None:
         attachments = {

@@ -13,7 +13,7 @@ from command_line import complaint, good, khep_twin
 from served_twin import served
 
 from khep_twin.log.reader import read_arrays, read_log
-from khep_twin.log.shadow_channels import Alarm
+from khep_twin.log.shadow_channels import Alarm, State
 from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
 from khep_twin.shadow.shadow import Shadow, Update
@@ -33,7 +33,10 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_tells_where_the_robot_is_and_what_was_learned(log: Path) -> None:
     done = khep_twin("shadow", "obstacles", log, *SOME)
     assert done.returncode == 0, done.stderr
-    pose, reckoning, wheels = done.stdout.splitlines()
+    state, pose, reckoning, wheels = done.stdout.splitlines()
+    assert re.fullmatch(
+        r"state      followed at the end; followed \S+ %, unsure \S+ %, lost \S+ % of the time", state
+    )
     found = [float(number) for number in re.findall(r"(\S+) mm \+-", pose)]
     assert found == pytest.approx(Truth.load(log.with_suffix(".npz")).poses[-1, :2] * 1e3, abs=20)
     assert reckoning.startswith("reckoning  ")
@@ -74,6 +77,30 @@ def test_an_alarm_is_a_line_and_ends_it_where_that_is_wanted(
     assert ended.returncode == 4
     assert ended.stdout.splitlines()[0] == first
     assert ended.stderr.startswith("2.0")
+
+
+def test_a_robot_that_is_lost_and_found_is_a_line_each_and_ends_it_where_that_is_wanted(
+    log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inner = Shadow.feed
+
+    def feed(self: Shadow, time_ns: int, to_robot: bool, data: bytes) -> Iterator[Update]:
+        for update in inner(self, time_ns, to_robot, data):
+            second = time_ns // 1_000_000_000
+            state = {2: State.LOST, 3: State.UNSURE}.get(second, State.FOLLOWED)
+            yield replace(update, state=state, alarms=(), ended=())
+
+    monkeypatch.setattr(Shadow, "feed", feed)
+    told = khep_twin("shadow", "obstacles", log, *SOME, "--exit-on", "alarm")
+    assert told.returncode == 0
+    lost, found, state, *_ = told.stdout.splitlines()
+    assert re.fullmatch(r" +2\.\d\d s  lost: its place is searched for", lost)
+    assert re.fullmatch(r" +4\.\d\d s  found: at \d+, \d+ mm, -?\d+ degrees", found)
+    assert state.startswith("state      followed at the end; followed ")
+    ended = khep_twin("shadow", "obstacles", log, *SOME, "--exit-on", "alarm", "--exit-on", "lost")
+    assert ended.returncode == 5
+    assert ended.stdout.splitlines()[0] == lost
+    assert ended.stdout.splitlines()[1].startswith("state      lost at the end")
 
 
 @pytest.mark.parametrize(
@@ -139,7 +166,7 @@ def test_a_robot_is_followed_beside_its_host_as_its_log_is_afterwards(tmp_path: 
         process.send_signal(signal.SIGINT)
         told, errors = process.communicate(timeout=60)
     assert process.returncode == 0, errors
-    assert told.splitlines()[0].startswith("pose ")
+    assert [line[:10].rstrip() for line in told.splitlines()] == ["state", "pose", "reckoning", "wheels"]
     polled = [entry.text for entry in read_log(line).robots["khepera0"].serial if entry.text == "H"]
     assert polled
     assert len(read_arrays(shadow)[1]["/shadow/residuals"][0]) >= 3

@@ -14,7 +14,7 @@ from log_contents import times_of
 from shadow_updates import MS, updates, written
 
 from khep_twin.log.reader import read_label, read_series
-from khep_twin.log.shadow_channels import read_shadow
+from khep_twin.log.shadow_track import read_shadow
 from khep_twin.log.tail import GrowingLog
 from khep_twin.log.viewer.ghost import Ghost
 from khep_twin.log.viewer.live import follow

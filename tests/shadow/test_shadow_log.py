@@ -2,26 +2,33 @@
 
 import hashlib
 import json
+import re
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from shadow_updates import ALARM, MS, updates, written
+from log_rewriting import rewritten
+from shadow_updates import ALARM, MS, SUSPICION, updates, written
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import LogError
-from khep_twin.log.channels import UNSURE_POSE, Level, pose_message
+from khep_twin.log.channels import UNSURE_POSE, Level, TextLine, line_message, pose_message
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.reader import read_raw, read_series
+from khep_twin.log.recover import recover
 from khep_twin.log.shadow_channels import (
     LIGHT,
     PROXIMITY,
     TIMING,
     WHEELS,
     Alarm,
-    read_shadow,
+    State,
+    Suspicion,
 )
+from khep_twin.log.shadow_track import read_shadow
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.shadow.shadow_log import ShadowLog
@@ -58,6 +65,73 @@ def test_an_alarm_has_a_line_at_its_beginning_and_one_at_its_end(tmp_path: Path)
     assert read_shadow(path).alarms == [expected]
 
 
+def test_a_state_has_a_line_where_it_begins_and_suspected_faults_where_they_change(tmp_path: Path) -> None:
+    path = tmp_path / "shadow.mcap"
+    log = ShadowLog(path, Playpen.load("obstacles"), ShadowSettings())
+    slip = Suspicion(("slipping wheel left", "weak motor left"), "wheels", 900 * MS, 0.3)
+    for update in updates():
+        # Less than 5 % from what was written last, and then more; names that change places are the same.
+        rising = 0.6 + 0.03 * ((update.time_ns - 800 * MS) // (50 * MS))
+        found = tuple(replace(each, probability=rising) for each in update.suspected)
+        if update.time_ns >= 950 * MS and found:
+            found += (replace(slip, faults=slip.faults[:: -1 if update.time_ns > 950 * MS else 1]),)
+        log.write(replace(update, suspected=found))
+    log.close()
+    series = read_series(path).lines
+    assert [(line.time_ns // MS, line.level, line.text) for line in series["/shadow/state"]] == [
+        (0, Level.INFO, "state: followed"),
+        (2000, Level.INFO, "state: unsure"),
+    ]
+    both = "stuck sensor 2, dead sensor 2: proximity, since 0.800 s"
+    assert [(line.time_ns // MS, line.text) for line in series["/shadow/suspected"]] == [
+        (800, f"{both}, 60.0 %"),
+        (900, f"{both}, 66.0 %"),
+        (950, f"{both}, 69.0 %; slipping wheel left, weak motor left: wheels, since 0.900 s, 30.0 %"),
+        (1000, "none"),
+    ]
+    read = read_shadow(path)
+    assert read.states == [(0, State.FOLLOWED), (2000 * MS, State.UNSURE)]
+    assert read.suspected[2] == (950 * MS, (replace(SUSPICION, probability=0.69), slip))
+    assert read.suspected[3] == (1000 * MS, ())
+    assert str(read.state_times) == "followed 66.7 %, unsure 33.3 %, lost 0.0 % of the time"
+
+
+def test_a_log_without_states_and_suspected_faults_is_read(tmp_path: Path) -> None:
+    def before(topic: str) -> str:
+        return f"/older{topic}" if topic in ("/shadow/state", "/shadow/suspected") else topic
+
+    found = read_shadow(rewritten(written(tmp_path / "new.mcap"), tmp_path / "old.mcap", rename=before))
+    assert found.states == found.suspected == []
+    assert len(found.alarms) == 1
+    assert str(found.state_times) == "of no time"
+
+
+@pytest.mark.parametrize(
+    ("topic", "text", "told"),
+    [
+        ("state", "lost", "text lost; expected one of state: followed, state: unsure, state: lost"),
+        ("suspected", "", "text ; expected FAULT: CHANNEL, since SECONDS s, PERCENT %"),
+        (
+            "suspected",
+            "slip: wheels, since 1 s, 101 %",
+            "text slip: wheels, since 1 s, 101 %; expected FAULT",
+        ),
+        ("suspected", "none; none", "text none; expected FAULT"),
+        ("suspected", "\x1b[2J", r"text '\x1b[2J'; expected FAULT"),
+    ],
+)
+def test_a_line_that_tells_no_state_or_no_suspected_faults_is_one_line(
+    topic: str, text: str, told: str, tmp_path: Path
+) -> None:
+    def other(own: str, time_ns: int, message: bytes) -> bytes:
+        is_it = own == f"/shadow/{topic}"
+        return line_message(TextLine(time_ns, Level.INFO, topic, text)) if is_it else message
+
+    log = rewritten(written(tmp_path / "shadow.mcap"), tmp_path / "x.mcap", other)
+    with pytest.raises(LogError, match=rf"/shadow/{topic} at 0\.\d000 s: {re.escape(told)}"):
+        read_shadow(log)
+
+
 def test_the_same_updates_give_the_same_bytes_and_name_the_log_they_are_from(tmp_path: Path) -> None:
     parent = tmp_path / "robot.mcap"
     parent.write_bytes(b"a robot's log")
@@ -83,7 +157,12 @@ def test_a_log_that_was_not_closed_is_kept(tmp_path: Path) -> None:
     for update in updates():
         log.write(update)
     assert not path.exists()
-    assert (tmp_path / "shadow.mcap.part").stat().st_size > 10_000
+    part = tmp_path / "shadow.mcap.part"
+    assert part.stat().st_size > 10_000
+    recover(shutil.copyfile(part, tmp_path / "torn.mcap.part"))
+    found = read_shadow(tmp_path / "torn.mcap")
+    assert found.states == [(0, State.FOLLOWED), (2000 * MS, State.UNSURE)]
+    assert [len(suspected) for _, suspected in found.suspected] == [1, 0]
     log.close()
     assert len(read_raw(path, lambda topic: topic == "/shadow/pose")[1]["/shadow/pose"]) == 61
 

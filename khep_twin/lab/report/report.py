@@ -23,7 +23,7 @@ from khep_twin.lab.report.rows import (
 )
 from khep_twin.log.attached import calibration_of, playpen_of
 from khep_twin.log.reader import Recording, TimeSeries
-from khep_twin.log.shadow_channels import ShadowTrack
+from khep_twin.log.shadow_track import ShadowTrack
 from khep_twin.playpen import Playpen
 from khep_twin.units import BODY_RADIUS, K213_PIXELS
 

@@ -23,7 +23,8 @@ from khep_twin.drawing.symbols import INK, Look
 from khep_twin.lab.experiment.run_statistics import Floats
 from khep_twin.lab.report.figure import over_time, sensor_panels, thinned, within
 from khep_twin.lab.report.rows import Row
-from khep_twin.log.shadow_channels import LIGHT, PROXIMITY, TIMING, WHEELS, ShadowTrack
+from khep_twin.log.shadow_channels import LIGHT, PROXIMITY, TIMING, WHEELS
+from khep_twin.log.shadow_track import ShadowTrack
 from khep_twin.playpen import Playpen
 
 Draw = Callable[[Figure, ShadowTrack, tuple[float, float]], None]

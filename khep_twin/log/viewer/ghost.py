@@ -22,7 +22,8 @@ from khep_twin.log.attached import calibration_of, playpen_of
 from khep_twin.log.channels import PLANAR
 from khep_twin.log.entries import Label
 from khep_twin.log.reader import hash_of, read_series
-from khep_twin.log.shadow_channels import LIGHT, PARTICLES, PROXIMITY, TIMING, WHEELS, is_shadow, planar
+from khep_twin.log.shadow_channels import LIGHT, PARTICLES, PROXIMITY, TIMING, WHEELS, is_shadow
+from khep_twin.log.shadow_track import planar
 from khep_twin.log.viewer.arena import REACH, in_frame, line_chunks, path_chunks, trail
 from khep_twin.log.viewer.collected import Collector, Floats, time_column
 

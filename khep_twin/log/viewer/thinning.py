@@ -15,6 +15,7 @@ from khep_twin import __version__
 from khep_twin.log.batch_writer import BatchWriter, Sink
 from khep_twin.log.entries import Entry
 from khep_twin.log.reader import Label
+from khep_twin.log.shadow_channels import LINE_TOPICS
 
 SAMPLES = 180_000
 """Most shown samples of a channel: an hour at 50 a second."""
@@ -26,7 +27,7 @@ _LINES = 2
 """Lines of the transcript that are kept per interval of a thinned log: a command and its reply."""
 
 
-_WHOLE = ("/events", "/shadow/alarms")
+_WHOLE = ("/events", *LINE_TOPICS)
 """Topics of which each message is kept."""
 
 

@@ -16,7 +16,7 @@ from khep_twin.lab.report.pdf import pdf
 from khep_twin.lab.report.report import report
 from khep_twin.lab.report.rows import DEFINITIONS
 from khep_twin.log.reader import read_series
-from khep_twin.log.shadow_channels import read_shadow
+from khep_twin.log.shadow_track import read_shadow
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.shadow.shadow import ShadowSettings
