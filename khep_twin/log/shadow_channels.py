@@ -177,15 +177,15 @@ def alarms_of(lines: Iterable[TextLine]) -> list[Alarm]:
 def state_line(time_ns: int, state: State) -> TextLine:
     """Return the line of a log where a state begins."""
     level = Level.WARN if state is State.LOST else Level.INFO
-    return TextLine(time_ns, level, "pose", f"state: {state}")
+    return TextLine(time_ns, level, "state", state)
 
 
-def state_of(line: TextLine) -> State:
+def state_of(text: str) -> State:
     """Return the state that a line tells; a `DecodeError` is raised where it tells none."""
-    found = {f"state: {each}": each for each in State}
-    if line.text not in found:
-        raise DecodeError(f"text {shown(line.text)}", f"one of {', '.join(found)}")
-    return found[line.text]
+    try:
+        return State(text)
+    except ValueError:
+        raise DecodeError(f"state {shown(text)}", f"one of {', '.join(State)}") from None
 
 
 def suspected_line(time_ns: int, suspected: Iterable[Suspicion]) -> TextLine:
@@ -198,13 +198,13 @@ def suspected_line(time_ns: int, suspected: Iterable[Suspicion]) -> TextLine:
     return TextLine(time_ns, Level.INFO, "suspected", "; ".join(found) or _NOTHING)
 
 
-def suspected_of(line: TextLine) -> tuple[Suspicion, ...]:
+def suspected_of(text: str) -> tuple[Suspicion, ...]:
     """Return the suspected faults that a line tells; a `DecodeError` is raised where it tells none."""
     found: list[Suspicion] = []
-    for part in [] if line.text == _NOTHING else line.text.split("; "):
+    for part in [] if text == _NOTHING else text.split("; "):
         told = _SUSPICION.fullmatch(part)
         if told is None or float(told[4]) > 100:
-            raise DecodeError(f"text {shown(part)}", "FAULT: CHANNEL, since SECONDS s, PERCENT %")
+            raise DecodeError(f"suspected {shown(part)}", "FAULT: CHANNEL, since SECONDS s, PERCENT %")
         faults = tuple(told[1].split(", "))
         found.append(Suspicion(faults, told[2], to_ns(float(told[3])), float(told[4]) / 100))
     return tuple(found)

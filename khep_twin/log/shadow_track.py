@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.errors import LogError
-from khep_twin.log.channels import PLANAR, TextLine
+from khep_twin.log.channels import PLANAR
 from khep_twin.log.decoding import DecodeError, Decoder, read_arrays_of, read_each, read_line
 from khep_twin.log.entries import Label
 from khep_twin.log.reader import read_raw
@@ -100,8 +100,8 @@ def read_shadow(path: Path) -> ShadowTrack:
         except DecodeError as error:
             raise error.at(path, TOPICS + name, int(times_ns[error.row])) from None
 
-    def lines(name: str, read: Callable[[TextLine], _T]) -> list[tuple[int, _T]]:
-        times_ns, found = channel(name, partial(read_each, lambda message: read(read_line(message))))
+    def lines(name: str, read: Callable[[str], _T]) -> list[tuple[int, _T]]:
+        times_ns, found = channel(name, partial(read_each, lambda message: read(read_line(message).text)))
         return list(zip(times_ns.tolist(), found, strict=True))
 
     times_ns, poses = channel("pose", partial(_poses, width=_DOUBLES["pose"]))

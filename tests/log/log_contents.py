@@ -30,3 +30,14 @@ def times_of(recording: Path) -> dict[str, list[int]]:
             column = chunk.to_record_batch()["message_log_time"].to_numpy(zero_copy_only=False)
             found.setdefault(chunk.entity_path, []).extend(column.astype(np.int64).tolist())
     return found
+
+
+def values_of(recording: Path, entity: str, component: str) -> list[tuple[int, list[float]]]:
+    """Times [ns] and values of a component of an entity in a recording, in order of time."""
+    found: list[tuple[int, list[float]]] = []
+    for chunk in chunks_of(recording):
+        if chunk.entity_path == entity and not chunk.is_static:
+            batch = chunk.to_record_batch()
+            times = batch["message_log_time"].to_numpy(zero_copy_only=False).astype(np.int64)
+            found += zip(times.tolist(), batch[component].to_pylist(), strict=True)
+    return sorted(found)

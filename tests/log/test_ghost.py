@@ -10,10 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
-from log_contents import times_of
+from log_contents import times_of, values_of
+from log_rewriting import rewritten
 from shadow_updates import MS, updates, written
 
+from khep_twin.errors import LogError
+from khep_twin.log.channels import TextLine, line_message
 from khep_twin.log.reader import read_label, read_series
+from khep_twin.log.shadow_channels import LINE_TOPICS, STATE_COLOURS, State
 from khep_twin.log.shadow_track import read_shadow
 from khep_twin.log.tail import GrowingLog
 from khep_twin.log.viewer.ghost import Ghost
@@ -44,6 +48,27 @@ def test_a_view_of_a_shadow_has_estimate_reckoning_particles_rays_and_residuals(
     assert found["/khepera0/residual_wheels"] == each
     assert "/khepera0/residual_light" not in found
     assert found["/event_marks"] == found["/khepera0/events"] == [1000, 2000]
+    assert found["/shadow/state"] == [0, 2000]
+
+
+def test_a_suspected_fault_is_a_curve_and_the_region_has_the_colour_of_the_state(tmp_path: Path) -> None:
+    view([written(tmp_path / "shadow.mcap")], tmp_path / "shadow.rrd")
+    place = r"/khepera0/suspected/dead\ sensor\ 2\ or\ stuck\ sensor\ 2"
+    curves = values_of(tmp_path / "shadow.rrd", place, "Scalars:scalars")
+    assert [(time_ns // MS, *value) for time_ns, value in curves] == [(800, 60.0), (1000, 0.0)]
+    colours = values_of(tmp_path / "shadow.rrd", "/ghost/spread", "LineStrips3D:colors")
+    packed = {state: int.from_bytes(bytes([*colour, 255]), "big") for state, colour in STATE_COLOURS.items()}
+    assert [value for _, (value,) in colours] == [packed[State.FOLLOWED]] * 40 + [packed[State.UNSURE]] * 21
+
+
+@pytest.mark.parametrize("topic", LINE_TOPICS[:2])
+def test_a_state_or_suspected_faults_that_cannot_be_are_one_line(topic: str, tmp_path: Path) -> None:
+    def other(own: str, time_ns: int, message: bytes) -> bytes:
+        return line_message(TextLine(time_ns, 20, "x", "Odd")) if own == topic else message
+
+    log = rewritten(written(tmp_path / "shadow.mcap"), tmp_path / "x.mcap", other)
+    with pytest.raises(LogError, match=rf"{topic} at 0\.\d000 s: \w+ Odd; expected "):
+        view([log], tmp_path / "x.rrd")
 
 
 def test_the_truth_is_shown_if_the_log_that_was_read_lies_beside(log: Path, tmp_path: Path) -> None:

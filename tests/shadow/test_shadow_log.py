@@ -79,8 +79,8 @@ def test_a_state_has_a_line_where_it_begins_and_suspected_faults_where_they_chan
     log.close()
     series = read_series(path).lines
     assert [(line.time_ns // MS, line.level, line.text) for line in series["/shadow/state"]] == [
-        (0, Level.INFO, "state: followed"),
-        (2000, Level.INFO, "state: unsure"),
+        (0, Level.INFO, "followed"),
+        (2000, Level.INFO, "unsure"),
     ]
     both = "stuck sensor 2, dead sensor 2: proximity, since 0.800 s"
     assert [(line.time_ns // MS, line.text) for line in series["/shadow/suspected"]] == [
@@ -109,15 +109,11 @@ def test_a_log_without_states_and_suspected_faults_is_read(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("topic", "text", "told"),
     [
-        ("state", "lost", "text lost; expected one of state: followed, state: unsure, state: lost"),
-        ("suspected", "", "text ; expected FAULT: CHANNEL, since SECONDS s, PERCENT %"),
-        (
-            "suspected",
-            "slip: wheels, since 1 s, 101 %",
-            "text slip: wheels, since 1 s, 101 %; expected FAULT",
-        ),
-        ("suspected", "none; none", "text none; expected FAULT"),
-        ("suspected", "\x1b[2J", r"text '\x1b[2J'; expected FAULT"),
+        ("state", "Lost", "state Lost; expected one of followed, unsure, lost"),
+        ("suspected", "", "suspected ; expected FAULT: CHANNEL, since SECONDS s, PERCENT %"),
+        ("suspected", "slip: wheels, since 1 s, 101 %", "suspected slip: wheels, since 1 s, 101 %"),
+        ("suspected", "none; none", "suspected none; expected FAULT"),
+        ("suspected", "\x1b[2J", r"suspected '\x1b[2J'; expected FAULT"),
     ],
 )
 def test_a_line_that_tells_no_state_or_no_suspected_faults_is_one_line(

@@ -3,6 +3,7 @@
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from rerun.chunk import Chunk, McapReader
 
 from khep_twin.errors import LogError
 from khep_twin.log.decoding import shown
+from khep_twin.log.shadow_channels import ALARMS, LINE_TOPICS
 
 Floats = NDArray[np.float64]
 
@@ -89,7 +91,6 @@ _STAMPED = ("InstancePoses3D:translations", "InstancePoses3D:quaternions")
 _UNSURE = "geometry_msgs.msg.PoseWithCovarianceStamped:message"
 _PIXELS = ("Image:buffer", "DepthImage:buffer")
 """Pixels of grey images, which rerun takes for distances, too."""
-_TEXTS = ("/events", "/shadow/alarms")
 _SHADOW = ("pose", "reckoned", "expected", "measured", "residuals")
 
 
@@ -99,7 +100,7 @@ class Collector:
     def __init__(self) -> None:
         self._rows: dict[str, list[tuple[NDArray[np.int64], Floats]]] = {}
         self._poses: dict[str, list[tuple[NDArray[np.int64], Floats]]] = {}
-        self._events: list[tuple[int, str]] = []
+        self._texts: dict[str, list[tuple[int, str]]] = {each: [] for each in ("/events", *LINE_TOPICS)}
 
     def passing(self, log: Path, source: Path) -> Iterator[Chunk]:
         """Pass on the chunks of a log, the copy of a source, and note their content.
@@ -154,8 +155,13 @@ class Collector:
 
     def events(self) -> tuple[NDArray[np.int64], list[str]]:
         """Return times [ns] and texts of the events, and of a shadow's alarms."""
-        found = sorted(self._events, key=lambda event: event[0])
+        found = sorted(self._texts["/events"] + self._texts[ALARMS], key=lambda event: event[0])
         return np.array([time_ns for time_ns, _ in found], np.int64), [text for _, text in found]
+
+    def texts(self, topic: str) -> list[tuple[int, str]]:
+        """Return times [ns] and texts of a shadow's channel of lines, without the names that rerun adds."""
+        found = [(time_ns, re.sub(r"^\[\w+\] ", "", text)) for time_ns, text in self._texts[topic]]
+        return sorted(found, key=lambda line: line[0])
 
     def _together(self, topics: Iterable[str]) -> tuple[NDArray[np.int64], *tuple[Floats, ...]] | None:
         """Return times [ns] and the values of each topic; None if there are none, or not for each time."""
@@ -190,8 +196,8 @@ class Collector:
         elif found := [name for name in _PIXELS if name in names]:
             pixels = column(found[0]).flatten().flatten().to_numpy(zero_copy_only=False)
             self._rows.setdefault(path, []).append((at, pixels.reshape(len(at), -1)))
-        elif path in _TEXTS and "TextLog:text" in names:
-            self._events += zip(at.tolist(), column("TextLog:text").flatten().to_pylist(), strict=True)
+        elif path in self._texts and "TextLog:text" in names:
+            self._texts[path] += zip(at.tolist(), column("TextLog:text").flatten().to_pylist(), strict=True)
         elif _UNSURE in names:
             self._rows.setdefault(path, []).append((at, _unsure(column(_UNSURE).flatten())))
         elif path == "/shadow/reckoned" and set(_STAMPED) <= set(names):

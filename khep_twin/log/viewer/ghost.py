@@ -1,4 +1,4 @@
-"""Additions to the views of a shadow's log: spread and particles, dead reckoning, rays, residuals, the truth.
+"""Additions to the views of a shadow's log: region, particles, dead reckoning, rays, curves, the truth.
 
 The robot itself is drawn at the estimate, which the log has as /tf. A ray ends where a facing white wall
 would give the reading, by the log's calibration: one ray for the expected reading, one for the measured.
@@ -8,9 +8,9 @@ would give the reading, by the log's calibration: one ray for the expected readi
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import rerun as rr
@@ -20,9 +20,25 @@ from rerun.chunk import Chunk
 from khep_twin.errors import LogError
 from khep_twin.log.attached import calibration_of, playpen_of
 from khep_twin.log.channels import PLANAR
+from khep_twin.log.decoding import DecodeError
 from khep_twin.log.entries import Label
 from khep_twin.log.reader import hash_of, read_series
-from khep_twin.log.shadow_channels import LIGHT, PARTICLES, PROXIMITY, TIMING, WHEELS, is_shadow
+from khep_twin.log.shadow_channels import (
+    LIGHT,
+    PARTICLES,
+    PROXIMITY,
+    REGION,
+    STATE,
+    STATE_COLOURS,
+    SUSPECTED,
+    TIMING,
+    WHEELS,
+    State,
+    Suspicion,
+    is_shadow,
+    state_of,
+    suspected_of,
+)
 from khep_twin.log.shadow_track import planar
 from khep_twin.log.viewer.arena import REACH, in_frame, line_chunks, path_chunks, trail
 from khep_twin.log.viewer.collected import Collector, Floats, time_column
@@ -38,11 +54,14 @@ RESIDUALS = {
 PICTURES = 10_000
 """Most pictures of a run's ghosts; a longer run has fewer than one per reply."""
 
+FAULTS = "suspected"
+"""Part of the entities' paths of the suspected faults."""
+
 RECKONED, TRUTH = "reckoned", "truth"
 """Names of what is drawn beside the estimate."""
 
 COLOURS = {
-    "estimate": (94, 53, 177),
+    "estimate": STATE_COLOURS[State.FOLLOWED],
     RECKONED: (70, 70, 70),
     TRUTH: (30, 140, 70),
     "expected": (0, 150, 160),
@@ -50,6 +69,8 @@ COLOURS = {
 }
 _ABOVE = 0.036
 """Height of what is drawn over the robot [m]."""
+
+_T = TypeVar("_T")
 
 _RAY_HEIGHT = 0.012
 _TURNS = np.linspace(0, math.tau, 33)
@@ -60,7 +81,7 @@ class Ghost:
     """Additions for one shadow's log, which may come in pieces; a log with the truth is sought next to it."""
 
     def __init__(self, label: Label, source: Path) -> None:
-        self._robot = label.robots[0]
+        self._robot, self._source = label.robots[0], source
         body = playpen_of(label.attachments, source).robots[0].body
         measured = calibration_of(label.attachments, self._robot, source)
         if measured is None:
@@ -72,6 +93,9 @@ class Ghost:
         self._threshold = np.array(proximity.threshold_counts)
         self._offset = np.array(proximity.offset_mm)
         self._before: dict[str, Floats] = {}
+        self._state = State.FOLLOWED
+        self._suspected: tuple[Suspicion, ...] = ()
+        self._named = set[str]()
         self._truth = _truth(label, source)
 
     def chunks(self, collected: Collector) -> Iterator[Chunk]:
@@ -81,10 +105,13 @@ class Ghost:
             yield from self._outline(TRUTH, times_ns[::2], poses[::2])
             yield from self._path(TRUTH, times_ns, poses)
             self._truth = None
+        suspected = self._read(collected, SUSPECTED, suspected_of)
+        states = self._read(collected, STATE, state_of)
         found = collected.shadow()
         if found is None:
             return
         times_ns, residuals = found.times_ns, found.residuals
+        yield from self._probabilities(suspected, int(times_ns[-1]))
         for name, columns in RESIDUALS.items():
             asked = ~np.isnan(residuals[:, columns]).any(axis=1)
             if asked.any():
@@ -97,7 +124,7 @@ class Ghost:
         few = slice(None, None, max(1, len(times_ns) // PICTURES))
         times_ns, poses = times_ns[few], planar(found.poses[few])
         yield from self._outline(RECKONED, times_ns, reckoned[few])
-        yield from self._ellipse(times_ns, poses, found.poses[few, 7:])
+        yield from self._region(times_ns, poses, found.poses[few, 7:], states)
         yield from self._rays(times_ns, poses, found.expected[few], found.measured[few])
         if len(found.particles_ns):
             yield from self._particles(found.particles_ns, found.particles.reshape(-1, PARTICLES, 3))
@@ -119,15 +146,55 @@ class Ghost:
                     strips.append(np.column_stack([np.add(shape, (x, y)), np.full(len(shape), height)]))
         yield from _lines(f"/ghost/{name}", times_ns, strips, [COLOURS[name]] * 4, 0.0007)
 
-    def _ellipse(self, times_ns: NDArray[np.int64], poses: Floats, covariances: Floats) -> Iterator[Chunk]:
-        """Yield the ellipse of two standard deviations, over the robot."""
+    def _read(self, collected: Collector, topic: str, read: Callable[[str], _T]) -> list[tuple[int, _T]]:
+        """Return times [ns] and content of a channel of lines."""
+        found: list[tuple[int, _T]] = []
+        for time_ns, text in collected.texts(topic):
+            try:
+                found.append((time_ns, read(text)))
+            except DecodeError as error:
+                raise error.at(self._source, topic, time_ns) from None
+        return found
+
+    def _probabilities(self, found: list[tuple[int, tuple[Suspicion, ...]]], end_ns: int) -> Iterator[Chunk]:
+        """Yield the probability of each suspected fault where it changes, and at the end of the piece."""
+        curves: dict[str, list[tuple[int, float]]] = {}
+        last = [(end_ns, found[-1][1] if found else self._suspected)]
+        for time_ns, suspected in [*found, *last]:
+            now = {each.name: each.probability for each in suspected}
+            for name in {**{each.name: 0.0 for each in self._suspected}, **now}:
+                curves.setdefault(name, []).append((time_ns, 100 * now.get(name, 0.0)))
+            self._suspected = suspected
+        for name, points in curves.items():
+            place = f"/{self._robot}/{FAULTS}/{rr.escape_entity_path_part(name)}"
+            times_ns, values = (np.array(column) for column in zip(*points, strict=True))
+            if name not in self._named:
+                self._named.add(name)
+                look = rr.SeriesLines.columns(names=[name], interpolation_mode=["StepAfter"])
+                yield Chunk.from_columns(place, [], look)
+            yield Chunk.from_columns(place, [time_column(times_ns)], rr.Scalars.columns(scalars=values))
+
+    def _region(
+        self,
+        times_ns: NDArray[np.int64],
+        poses: Floats,
+        covariances: Floats,
+        states: list[tuple[int, State]],
+    ) -> Iterator[Chunk]:
+        """Yield the ellipse that holds the position with 95 %, over the robot, in the colour of the state."""
+        begins_ns = [time_ns for time_ns, _ in states]
+        known = [self._state, *(state for _, state in states)]
+        self._state = known[-1]
+        rows = np.searchsorted(begins_ns, times_ns, side="right").tolist()
         strips: list[Floats] = []
         whole = covariances.reshape(-1, 6, 6)[:, PLANAR[:2]][:, :, PLANAR[:2]]
         for (x, y, _), covariance in zip(poses.tolist(), whole, strict=True):
             values, vectors = np.linalg.eigh(covariance)
-            edge = 2 * _CIRCLE * np.sqrt(np.maximum(values, 0)) @ vectors.T + (x, y)
+            edge = REGION * _CIRCLE * np.sqrt(np.maximum(values, 0)) @ vectors.T + (x, y)
             strips.append(np.column_stack([edge, np.full(len(edge), _ABOVE)]))
-        yield from _lines("/ghost/spread", times_ns, strips, [COLOURS["estimate"]], 0.0008)
+        colours = [STATE_COLOURS[known[row]] for row in rows]
+        lines = [strip.astype(np.float32) for strip in strips], colours
+        yield from line_chunks("/ghost/spread", "world", times_ns, *lines, 0.0008, 1)
 
     def _rays(
         self, times_ns: NDArray[np.int64], poses: Floats, expected: Floats, measured: Floats

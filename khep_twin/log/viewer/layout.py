@@ -11,10 +11,10 @@ import rerun.blueprint as rrb
 
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.reader import Label
-from khep_twin.log.shadow_channels import is_shadow
+from khep_twin.log.shadow_channels import ALARMS, STATE, is_shadow
 from khep_twin.log.viewer.arena import EVENTS, trail
 from khep_twin.log.viewer.collected import TIMELINE
-from khep_twin.log.viewer.ghost import RECKONED, RESIDUALS, TRUTH
+from khep_twin.log.viewer.ghost import FAULTS, RECKONED, RESIDUALS, TRUTH
 from khep_twin.log.viewer.robot_panel import panel, seeing, strip
 from khep_twin.sensing.colours import COLD, SENSORS, WHEELS, Colour
 
@@ -151,8 +151,8 @@ def _near(log: Shown) -> rrb.Spatial3DView:
 def _transcripts(log: Shown) -> list[rrb.TextLogView]:
     return [
         rrb.TextLogView(
-            name="alarms and events" if is_shadow(log.label) else f"{robot}: serial line and events",
-            contents=[f"{log.place}{each}" for each in (f"/{robot}/serial", "/shadow/alarms", "/events")],
+            name="states, alarms and events" if is_shadow(log.label) else f"{robot}: serial line and events",
+            contents=[f"{log.place}{each}" for each in (f"/{robot}/serial", STATE, ALARMS, "/events")],
             columns=rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["body"]),
             format_options=rrb.TextLogFormat(monospace_body=True),
         )
@@ -179,7 +179,7 @@ def _curves(log: Shown) -> list[rrb.Vertical]:
 
 
 def _residuals(log: Shown, robot: str) -> list[rrb.Vertical]:
-    """Return the curves of a shadow: deviations of the replies, and what they deviate from."""
+    """Return the curves of a shadow: suspected faults, deviations of the replies, what they deviate from."""
     names = (
         "proximity: measured less expected [counts]",
         "light: measured less expected [counts]",
@@ -187,28 +187,32 @@ def _residuals(log: Shown, robot: str) -> list[rrb.Vertical]:
         "timing: delay of replies [ms]",
     )
     curves = SENSORS, SENSORS, WHEELS, {"delay": COLD[1]}
-    plots = [_plot(log, robot, *each) for each in zip(RESIDUALS, names, curves, strict=True)]
+    plots = [_plot(log, robot, FAULTS, "suspected faults: probability [%]")]
+    plots += [_plot(log, robot, *each) for each in zip(RESIDUALS, names, curves, strict=True)]
     proximity = [
         _plot(log, "shadow", name, f"{name} proximity [counts]", SENSORS) for name in ("measured", "expected")
     ]
     return [
-        rrb.Vertical(*plots, name="residuals", row_shares=[3, 2, 2, 2]),
+        rrb.Vertical(*plots, name="residuals", row_shares=[2, 3, 2, 2, 2]),
         rrb.Vertical(*proximity, name="proximity"),
     ]
 
 
 def _plot(
-    log: Shown, robot: str, topic: str, name: str, curves: dict[str, Colour], only: str = ""
+    log: Shown, robot: str, topic: str, name: str, curves: dict[str, Colour] | None = None, only: str = ""
 ) -> rrb.TimeSeriesView:
-    """Return a plot of a channel, or of those of its curves that have `only` in their name."""
+    """Return a plot of a channel, or of those of its curves that have `only` in their name.
+
+    Curves that are not given are those of the entities below the channel's.
+    """
     origin = f"{log.place}/{robot}/{topic}"
     events = f"{log.place}/{log.label.robots[0] if is_shadow(log.label) else robot}/events"
     lines = rr.SeriesLines.from_fields(
-        names=list(curves),
-        colors=list(curves.values()),
+        names=list(curves or ()),
+        colors=list((curves or {}).values()),
         # The speed of a wheel is a band, its setpoint a thin white line on it.
-        widths=[4.0 if topic == "speed" and curve in ("left", "right") else 1.0 for curve in curves],
-        visible_series=[only in curve for curve in curves],
+        widths=[4.0 if topic == "speed" and curve in ("left", "right") else 1.0 for curve in curves or ()],
+        visible_series=[only in curve for curve in curves or ()],
     )
     marks = rr.SeriesPoints.from_fields(
         names=["event"], colors=[_EVENT], markers=["diamond"], marker_sizes=[5.0]
@@ -224,12 +228,12 @@ def _plot(
         newest = rrb.VisibleTimeRange(TIMELINE, start=ago, end=end)
     return rrb.TimeSeriesView(
         origin=origin,
-        contents=[origin, events],
+        contents=[origin if curves else f"{origin}/**", events],
         name=name,
         axis_x=rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
         time_ranges=newest,
-        overrides={origin: lines, events: marks},
+        overrides={events: marks, **({origin: lines} if curves else {})},
     )
 
 
