@@ -88,7 +88,7 @@ def html(report: Report) -> bytes:
             "<h2>The robot as its shadow follows it</h2>",
             _table(tuple(shadow_section.rows(report.shadow))),
         ]
-        for draw, height, name in shadow_section.pictures():
+        for draw, height, name in shadow_section.pictures(report.shadow):
             parts.append(_image(_drawn(draw, height, report.shadow), f"{name} over time"))
         alarms = listed(shadow_section.alarm_rows(report.shadow))
         parts += ["<h2>Alarms</h2>", _table(alarms) if alarms else "<p>None.</p>"]

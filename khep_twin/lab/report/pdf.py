@@ -58,7 +58,7 @@ def pdf(report: Report) -> bytes:
             shadow_rows = tuple(shadow_section.rows(report.shadow))
             pages.heading("The robot as its shadow follows it", 0.25 * len(shadow_rows))
             pages.table(shadow_rows, _TEXT)
-            for paint, height, _ in shadow_section.pictures():
+            for paint, height, _ in shadow_section.pictures(report.shadow):
                 bottom = pages.room(height)
                 paint(pages.figures[-1], report.shadow, (_SIDE, bottom))
             pages.heading("Alarms", 1)

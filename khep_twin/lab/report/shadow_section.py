@@ -1,4 +1,4 @@
-"""Section of a report on a shadow's log: where it took its robot to be, what deviated, and its alarms."""
+"""Section of a report on a shadow's log: where it took its robot to be, what deviated, what was wrong."""
 
 # matplotlib's own annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
@@ -23,7 +23,7 @@ from khep_twin.drawing.symbols import INK, Look
 from khep_twin.lab.experiment.run_statistics import Floats
 from khep_twin.lab.report.figure import over_time, sensor_panels, thinned, within
 from khep_twin.lab.report.rows import Row
-from khep_twin.log.shadow_channels import LIGHT, PROXIMITY, TIMING, WHEELS
+from khep_twin.log.shadow_channels import LIGHT, PROXIMITY, REGION, STATE_COLOURS, TIMING, WHEELS, State
 from khep_twin.log.shadow_track import ShadowTrack
 from khep_twin.playpen import Playpen
 
@@ -39,12 +39,22 @@ DEFINITIONS: tuple[Row, ...] = (
         "commands make, since H was asked last; time of a reply beyond that of its bytes",
     ),
     ("Sureness", "probability of the fault, among all that were considered, when the alarm began"),
+    (
+        "States",
+        "followed: the pose is known, and its region holds it; unsure: known to less, or contradicted by "
+        "replies; lost: searched for",
+    ),
+    ("Suspected", "faults that explain the replies better than a sound robot does, too little for an alarm"),
 )
 
-_SENSORS_HEIGHT, _REST_HEIGHT = 4.9, 4.6
+_STATES_HEIGHT, _SENSORS_HEIGHT, _REST_HEIGHT = 2.6, 4.9, 4.6
 """Heights of the pictures [inch]."""
 
-_ESTIMATE, _RECKONED, _RESIDUAL, _ALARM = "#5e35b1", "#464646", "#2f6fb0", "#c2452d"
+_STATES = {state: f"#{bytes(colour).hex()}" for state, colour in STATE_COLOURS.items()}
+_ESTIMATE = _STATES[State.FOLLOWED]
+_RECKONED, _RESIDUAL, _ALARM = "#464646", "#2f6fb0", "#c2452d"
+_CURVES = 8
+"""Most curves of suspected faults, those that were the most probable; others are left out."""
 _ELLIPSES = 60
 """Most ellipses on a map."""
 
@@ -59,6 +69,13 @@ def rows(track: ShadowTrack) -> Iterator[Row]:
     seconds = track.times_ns[-1] / 1e9
     yield "Duration", f"{seconds:.2f} s"
     yield "Updates", f"{len(track.times_ns)}, {len(track.times_ns) / max(seconds, 1e-9):.1f} a second"
+    if track.states:
+        times = track.state_times
+        yield "States", f"{times}; lost {'once' if times.lost == 1 else f'{times.lost} times'}"
+        highest = _highest(track)
+        told = ", ".join(f"{name} up to {100 * part:.0f} %" for name, part in highest[:_CURVES])
+        more = f" and {len(highest) - _CURVES} more" if len(highest) > _CURVES else ""
+        yield "Suspected", f"{told}{more}" or "nothing"
     place_mm, heading_deg = _spreads(track)
     yield "Spread of the position", _quantiles(place_mm, "mm")
     yield "Spread of the heading", _quantiles(heading_deg, "°")
@@ -101,7 +118,8 @@ def draw_map(playpen: Playpen, track: ShadowTrack) -> Figure:
         axes.plot(*pose[:, :2].T, color=_ESTIMATE, lw=1.3, zorder=5)
         some = np.unique(np.linspace(0, max(len(pose) - 1, 0), min(_ELLIPSES, len(pose))).astype(int))
         sizes, turns = _ellipses(track.covariance[thin][some])
-        look: Look = {"facecolor": _ESTIMATE, "alpha": 0.2, "zorder": 4}
+        colours = [_STATES[state] for state in _states_at(track, track.times_ns[thin][some])]
+        look: Look = {"facecolors": colours, "alpha": 0.2, "zorder": 4}
         places: Look = {"units": "xy", "offsets": pose[some, :2], "offset_transform": axes.transData}
         axes.add_collection(EllipseCollection(sizes[:, 0], sizes[:, 1], turns, **places, **look))
         radius_mm = 1000 * playpen.robots[0].body.radius
@@ -110,21 +128,86 @@ def draw_map(playpen: Playpen, track: ShadowTrack) -> Figure:
                 axes.add_patch(Circle(path[-1, :2].tolist(), radius_mm, fill=False, ec=colour, lw=1, ls="--"))
         axes.axis(limits)
         handles = [
-            Line2D([], [], color=_ESTIMATE, lw=1.3, label="estimate, with ellipses of two deviations"),
+            Line2D([], [], color=_ESTIMATE, lw=1.3, label="estimate, 95 % region"),
+            *(
+                Line2D([], [], color=_STATES[state], lw=5, alpha=0.4, label=state)
+                for state in (State.UNSURE, State.LOST)
+                if any(state is each for _, each in track.states)
+            ),
             Line2D([], [], color=_RECKONED, lw=0.9, ls=(0, (4, 2)), label="dead reckoning"),
         ]
         axes.legend(
-            handles=handles, loc="lower right", bbox_to_anchor=(1, 1), fontsize=8, ncols=2, frameon=False
+            handles=handles, loc="lower right", bbox_to_anchor=(1, 1), fontsize=8, ncols=4, frameon=False
         )
     return figure
 
 
-def pictures() -> list[tuple[Draw, float, str]]:
+def pictures(track: ShadowTrack) -> list[tuple[Draw, float, str]]:
     """Return drawing function, height [inch] and name of each picture."""
+    states = [(_draw_states, _STATES_HEIGHT, "States and suspected faults")]
     return [
+        *(states if track.states else []),
         (_draw_sensors, _SENSORS_HEIGHT, "Residuals of the sensors"),
         (_draw_rest, _REST_HEIGHT, "Residuals of wheels and timing, and spread"),
     ]
+
+
+def _draw_states(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) -> None:
+    """Draw a strip of the states, and below it the probabilities of the suspected faults."""
+    grid = within(figure, corner, _STATES_HEIGHT, left=0.98, right=0.1)
+    grid["bottom"] += 0.4 / figure.get_figheight()
+    cells = figure.add_gridspec(2, 1, hspace=0.25, height_ratios=[1, 6], **grid)
+    strip, curves = (figure.add_subplot(cells[row, 0]) for row in range(2))
+    end_s = float(track.times_ns[-1]) / 1e9 if len(track.times_ns) else 1.0
+    for axes in (strip, curves):
+        over_time(axes)
+        axes.set_xlim(0, end_s)
+    begins_s = [*(time_ns / 1e9 for time_ns, _ in track.states), end_s]
+    for state in State:
+        own = [number for number, (_, each) in enumerate(track.states) if each is state]
+        spans = [(begins_s[number], begins_s[number + 1] - begins_s[number]) for number in own]
+        strip.broken_barh(spans, (0, 1), color=_STATES[state], alpha=0.6, lw=0, label=state)
+    strip.set(yticks=[], ylim=(0, 1))
+    strip.tick_params(labelbottom=False)
+    strip.set_title("states", fontsize=9, loc="left", color=INK)
+    place: Look = {"loc": "lower right", "bbox_to_anchor": (1, 0.8), "frameon": False}
+    strip.legend(ncols=3, fontsize=8, **place)
+    names = [name for name, _ in _highest(track)[:_CURVES]]
+    times_s = [time_ns / 1e9 for time_ns, _ in track.suspected]
+    for name in names:
+        found = [
+            100 * sum(each.probability for each in suspected if each.name == name)
+            for _, suspected in track.suspected
+        ]
+        curves.step([*times_s, end_s], [*found, found[-1]], where="post", lw=1, label=name)
+    if names:
+        below: Look = {"loc": "upper center", "bbox_to_anchor": (0.45, -0.3), "frameon": False}
+        curves.legend(ncols=4, fontsize=7, **below)
+    else:
+        curves.text(0.5, 0.5, "nothing", transform=curves.transAxes, ha="center", va="center")
+    curves.set_ylim(0, 105)
+    curves.set_ylabel("suspected\n[%]", fontsize=8)
+    curves.yaxis.set_label_coords(-0.07, 0.5)
+    curves.set_xlabel("time [s]", fontsize=8)
+    for alarm in track.alarms:
+        end_ns = track.times_ns[-1] if alarm.ended_ns is None else alarm.ended_ns
+        curves.axvspan(alarm.raised_ns / 1e9, end_ns / 1e9, color=_ALARM, alpha=0.12, lw=0.6, zorder=0)
+
+
+def _highest(track: ShadowTrack) -> list[tuple[str, float]]:
+    """Return the suspected faults with their highest probabilities, the most probable first."""
+    found: dict[str, float] = {}
+    for _, suspected in track.suspected:
+        for each in suspected:
+            found[each.name] = max(each.probability, found.get(each.name, 0.0))
+    return sorted(found.items(), key=lambda fault: -fault[1])
+
+
+def _states_at(track: ShadowTrack, times_ns: NDArray[np.int64]) -> list[State]:
+    """Return the state at each time; followed, where the log has none."""
+    states = [State.FOLLOWED, *(state for _, state in track.states)]
+    begins_ns = [time_ns for time_ns, _ in track.states]
+    return [states[row] for row in np.searchsorted(begins_ns, times_ns, side="right").tolist()]
 
 
 def _draw_sensors(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) -> None:
@@ -209,12 +292,12 @@ def _away_mm(track: ShadowTrack) -> Floats:
 
 
 def _ellipses(covariances: Floats) -> tuple[Floats, Floats]:
-    """Return widths, heights (n, 2) [mm] and angles [degrees] of ellipses of two standard deviations."""
+    """Return widths, heights (n, 2) [mm] and angles [degrees] of ellipses that hold positions with 95 %."""
     if not len(covariances):
         return np.zeros((0, 2)), np.zeros(0)
     values, vectors = np.linalg.eigh(covariances[:, :2, :2])
     turns: NDArray[np.float64] = np.degrees(np.arctan2(vectors[:, 1, 0], vectors[:, 0, 0]))
-    return 4000 * np.sqrt(np.maximum(values, 0)), turns
+    return 2000 * REGION * np.sqrt(np.maximum(values, 0)), turns
 
 
 def _quantiles(values: Floats, unit: str) -> str:

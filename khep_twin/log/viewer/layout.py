@@ -231,6 +231,7 @@ def _plot(
         contents=[origin if curves else f"{origin}/**", events],
         name=name,
         axis_x=rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
+        axis_y=rrb.ScalarAxis(range=(-5.0, 105.0)) if topic == FAULTS else None,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
         time_ranges=newest,
         overrides={events: marks, **({origin: lines} if curves else {})},

@@ -1,6 +1,7 @@
 """Reports: well-formed, whole, self-contained, always the same bytes; of every log what there is in it."""
 
 import re
+from dataclasses import replace
 from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
@@ -11,6 +12,7 @@ from command_line import good, refusal
 from relay_logs import in_turn, relayed
 from shadow_updates import updates
 
+from khep_twin.lab.report import shadow_section
 from khep_twin.lab.report.pages import EVENT_LIMIT, html, listed
 from khep_twin.lab.report.pdf import pdf
 from khep_twin.lab.report.report import report
@@ -216,9 +218,19 @@ def test_a_report_on_a_shadow_has_its_residuals_and_alarms(shadow: Path, tmp_pat
     assert Page(text).headings == ["The robot as its shadow follows it", "Alarms", *HEADINGS]
     alarm = "since 0.80 s, told at 1.00 s, 97.5 % sure, in proximity; ended at 2.00 s"
     assert f"<th>stuck sensor 2</th><td>{alarm}</td>" in text
+    states = "followed 66.7 %, unsure 33.3 %, lost 0.0 % of the time; lost 0 times"
+    assert f"<th>States</th><td>{states}</td>" in text
+    assert "<th>Suspected</th><td>dead sensor 2 or stuck sensor 2 up to 60 %</td>" in text
+    assert 'alt="States and suspected faults over time"' in text
     # 2 mm along x and 3 mm along y.
     assert "<th>Spread of the position</th><td>3.6 mm median, 3.6 mm at 95 %</td>" in text
     assert "<th>Dead reckoning</th><td>14 mm from the estimate in the end, 14 mm at most</td>" in text
+
+
+def test_a_report_on_an_older_log_of_a_shadow_has_no_states(shadow: Path) -> None:
+    track = replace(read_shadow(shadow), states=[], suspected=[])
+    assert "States" not in dict(shadow_section.rows(track))
+    assert next(name for *_, name in shadow_section.pictures(track)) == "Residuals of the sensors"
 
 
 @pytest.mark.long
