@@ -6,7 +6,7 @@ raised after it began and at most 3 s after it is noticeable.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +20,8 @@ from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.units import N_SENSORS
 from stand_ins.hidden_changes import Added, Change, Gone, LampMoved, LampOff, Lifted, Moved
 from stand_ins.recordings import Truth
-from studies.twin_runs import Raised, Recording, follow
+from studies.reliability import Claim, claims
+from studies.twin_runs import Raised, Recording, Suspected, follow
 
 SIDES = ("left", "right")
 
@@ -40,11 +41,23 @@ LASTS_S, AFTER_S = 25.0, 13.0
 SOON_NS = 3 * NS_PER_S
 """Time for which a noticeable fault may go without its name [ns]."""
 
+FADES_NS = 5 * NS_PER_S
+"""Time after the end of a fault for which it is right to say that there is one [ns]."""
+
+SURE = 0.95
+"""Probability from which a suspicion is as good as an alarm."""
+
 _MET_MM = 45.0
 """Distance from the robot's centre at which a thing is met: 17 mm from its edge."""
 
 _FAR_MM = 5000.0
 """Where `hidden_changes` has what is gone."""
+
+
+_STANDING = "dead motor or blocked wheel"
+
+ALIKE = ("weak motor", "slipping wheel", _STANDING), ("missing", "moved")
+"""Faults that look alike for a while."""
 
 
 class Trial(NamedTuple):
@@ -159,8 +172,6 @@ def _lamp_name(scene: _Scene, lamp: int) -> str:
     return scene.playpen.lamps[lamp].name or f"lamp{lamp}"
 
 
-_STANDING = "dead motor or blocked wheel"
-
 FAULTS: Mapping[str, tuple[tuple[str, ...], Callable[[_Scene], Trial | None]]] = {
     "stuck sensor": (OPEN, lambda scene: _sensor(scene, "stuck")),
     "dead sensor": (OPEN, lambda scene: _sensor(scene, "dead")),
@@ -185,24 +196,30 @@ class Outcome(NamedTuple):
 
     Attributes:
         named: Whether the fault was named rightly in time.
+        paired: Whether it was given its name or one that looks alike in time, by an alarm or as sure as one.
         delay_s: Time of that after the fault was noticeable [s]; NaN without a right name.
         wrong: Other names.
         end_s: Time for which a right name outlasted the fault [s]; NaN if it did not end, or none was given.
         ends: Whether the fault was named and ended.
         busiest_s: CPU time of the busiest second [s].
         text: Fault, names and times, for a person.
+        claims: Alarms and suspicions, and whether they are right.
     """
 
     named: bool
+    paired: bool
     delay_s: float
     wrong: tuple[str, ...]
     end_s: float
     ends: bool
     busiest_s: float
     text: str
+    claims: list[Claim]
 
 
-def run_trial(fault: str, seed: int, folder: Path, settings: ShadowSettings) -> Outcome | None:
+def run_trial(
+    fault: str, seed: int, folder: Path, settings: ShadowSettings, times: str = "exact"
+) -> Outcome | None:
     """Make and follow a trial; return None if its fault is not noticeable.
 
     Args:
@@ -210,6 +227,7 @@ def run_trial(fault: str, seed: int, folder: Path, settings: ShadowSettings) -> 
         seed: Seed of the trial.
         folder: Folder of recordings.
         settings: Settings of the shadow.
+        times: Times of the line.
     """
     rooms, draw = FAULTS[fault]
     room = rooms[seed % len(rooms)]
@@ -229,6 +247,7 @@ def run_trial(fault: str, seed: int, folder: Path, settings: ShadowSettings) -> 
         asks_light=light,
         faults=[trial.fault] if trial.fault else [],
         changes=trial.changes,
+        times=times,
     )
     path = faulty.path(folder)
     truth = Truth.load(path.with_suffix(".npz"))
@@ -236,12 +255,17 @@ def run_trial(fault: str, seed: int, folder: Path, settings: ShadowSettings) -> 
     if truth.noticeable_ns[0] < truth.changed_ns[0] or (ended_ns >= 0 and truth.noticeable_ns[0] > ended_ns):
         return None
     followed = follow(path, room, settings)
-    return judge(trial.names, truth, ended_ns, followed.alarms)._replace(
-        busiest_s=float(followed.cpu_s.max())
-    )
+    outcome = judge(trial.names, truth, ended_ns, followed.alarms, followed.suspected)
+    return outcome._replace(busiest_s=float(followed.cpu_s.max()))
 
 
-def judge(names: tuple[str, ...], truth: Truth, ended_ns: int, alarms: list[Raised]) -> Outcome:
+def judge(
+    names: tuple[str, ...],
+    truth: Truth,
+    ended_ns: int,
+    alarms: list[Raised],
+    suspected: Sequence[Suspected] = (),
+) -> Outcome:
     """Judge the alarms of a trial.
 
     Args:
@@ -249,9 +273,15 @@ def judge(names: tuple[str, ...], truth: Truth, ended_ns: int, alarms: list[Rais
         truth: Truth of the recording, whose first hidden thing is the fault.
         ended_ns: End of the fault [ns]; -1 if it does not end.
         alarms: Alarms of the shadow.
+        suspected: Its suspicions.
     """
     since_ns, seen_ns = int(truth.changed_ns[0]), int(truth.noticeable_ns[0])
-    right = [each for each in alarms if each.raised_ns >= since_ns and _right(each, names)]
+    right = [
+        each for each in alarms if each.raised_ns >= since_ns and _right(each.fault, each.readings, names)
+    ]
+    alike = looking_alike(names)
+    alike_ns = [each.raised_ns for each in alarms if each in right or each.fault in alike]
+    alike_ns += [each.time_ns for each in suspected if each.probability >= SURE and alike >= set(each.faults)]
     delay_s = (right[0].raised_ns - seen_ns) / NS_PER_S if right else math.nan
     last_ns = max((each.ended_ns for each in right), default=-1)
     lasting = any(each.ended_ns < 0 for each in right)
@@ -266,20 +296,40 @@ def judge(names: tuple[str, ...], truth: Truth, ended_ns: int, alarms: list[Rais
     text += f", ended {ended_ns / NS_PER_S:.1f}: " if ended_ns >= 0 else ": "
     return Outcome(
         bool(right) and right[0].raised_ns <= seen_ns + SOON_NS,
+        any(since_ns <= each <= seen_ns + SOON_NS for each in alike_ns),
         delay_s,
         tuple(each.fault for each in alarms if each not in right),
         end_s,
         ends,
         0.0,
         text + ("; ".join(told) or "no alarm"),
+        claims(
+            alarms,
+            suspected,
+            lambda fault, time_ns, readings: (
+                since_ns <= time_ns
+                and (ended_ns < 0 or time_ns <= ended_ns + FADES_NS)
+                and _right(fault, readings, names)
+            ),
+        ),
     )
 
 
-def _right(alarm: Raised, names: tuple[str, ...]) -> bool:
-    """Return whether an alarm has a right name; one that is stuck at 0 is as a dead one is."""
-    if alarm.fault not in names:
-        return False
-    return alarm.fault == names[0] or alarm.readings[int(alarm.fault[-1])] == 0
+def looking_alike(names: Sequence[str]) -> set[str]:
+    """Return names with those of faults that look alike, of the same wheel or thing."""
+    found = {
+        (kinds, name.removeprefix(kind))
+        for name in names
+        for kinds in ALIKE
+        for kind in kinds
+        if name.startswith(kind)
+    }
+    return {*names, *(kind + rest for kinds, rest in found for kind in kinds)}
+
+
+def _right(fault: str, readings: Sequence[float], names: tuple[str, ...]) -> bool:
+    """Return whether a fault has a right name; a sensor that is stuck at 0 is as a dead one is."""
+    return fault in names and (fault == names[0] or readings[int(fault[-1])] == 0)
 
 
 def _things(playpen: Playpen) -> list[tuple[str, tuple[Block | Cylinder, ...]]]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from khep_twin.clock import NS_PER_S
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_start
-from khep_twin.shadow.following import Follower
+from khep_twin.shadow.following import Follower, LastingAlarms
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.shadow import Shadow, ShadowSettings, Update
 from stand_ins.hidden_changes import Change
@@ -21,8 +21,8 @@ from stand_ins.recordings import Truth, free_start, record
 
 Floats = NDArray[np.float64]
 
-ALARM_LEVEL = 0.95
-"""Probability from which a fault is an alarm."""
+LEVELS = 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99, 1.0
+"""Ends of the bins of probabilities."""
 
 
 class Recording(NamedTuple):
@@ -172,7 +172,7 @@ def follow(path: Path, playpen: str, settings: ShadowSettings, told: bool = True
         found = list(follower.feed(each))
         cpu_s[each.time_ns // NS_PER_S] += time.process_time() - began
         for update in found:
-            watch.see(update, follower)
+            watch.see(update)
             estimate = update.estimate
             updates.append(
                 (update.time_ns, estimate.pose, update.reckoned, estimate.covariance, str(update.state))
@@ -192,9 +192,6 @@ def follow(path: Path, playpen: str, settings: ShadowSettings, told: bool = True
         cpu_s,
     )
 
-
-LEVELS = 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99
-"""Lower ends of the bins of probabilities."""
 
 _SAME_NS = 5 * NS_PER_S
 """Time for which a suspicion that was given up is the same when it comes back [ns]."""
@@ -217,14 +214,15 @@ class _Watch:
     """
 
     def __init__(self) -> None:
+        self._alarms = LastingAlarms()
         self._found: dict[tuple[str, int], Raised] = {}
         self._episodes: list[_Episode] = []
         self.suspected: list[Suspected] = []
 
-    def see(self, update: Update, follower: Follower) -> None:
-        """Note the alarms that an update begins and ends, and what is suspected below an alarm's level."""
+    def see(self, update: Update) -> None:
+        """Note the alarms that an update begins and ends, and what is suspected."""
         readings = tuple(update.measured.tolist())
-        for _, alarm in follower.changes(update):
+        for _, alarm in self._alarms.changes(update.time_ns, update.alarms, update.ended):
             key = alarm.fault, alarm.raised_ns
             if alarm.ended_ns is None:
                 self._found[key] = Raised(*key, -1, readings, alarm.sureness)
@@ -233,7 +231,7 @@ class _Watch:
         for suspicion in update.suspected:
             episode = self._episode(suspicion.faults, update.time_ns)
             level = int(np.searchsorted(LEVELS, suspicion.probability, "right"))
-            if level not in episode.bins and suspicion.probability < ALARM_LEVEL:
+            if level not in episode.bins:
                 episode.bins.add(level)
                 found = Suspected(suspicion.faults, update.time_ns, suspicion.probability, readings)
                 self.suspected.append(found)

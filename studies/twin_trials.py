@@ -27,7 +27,7 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.shadow.shadow import ShadowSettings
 from stand_ins.hosts import HOSTS, hosts_of
 from stand_ins.line_times import TIMES
-from studies.fault_trials import FAULTS, Outcome, run_trial
+from studies.fault_trials import FADES_NS, FAULTS, Outcome, run_trial
 from studies.healthy_trials import (
     ALL,
     HEALTHY_COLUMNS,
@@ -36,6 +36,7 @@ from studies.healthy_trials import (
     healthy_recordings,
     run_healthy,
 )
+from studies.reliability import binned, claims, draw
 from studies.twin_runs import Floats, Recording, follow
 from tools.command_table import command_line
 
@@ -66,6 +67,7 @@ class Options(NamedTuple):
         times: Times of the line of healthy runs and the alarms' trials.
         settings: Settings of the shadow.
         detail: Print a line for each run.
+        picture: Path of a picture of the reliability; None for none.
         run: Map over all cores.
     """
 
@@ -80,6 +82,7 @@ class Options(NamedTuple):
     times: str
     settings: ShadowSettings
     detail: bool
+    picture: Path | None
     run: Map
 
 
@@ -153,11 +156,21 @@ def unknown_errors(folder: Path, seed: int, settings: ShadowSettings) -> tuple[f
 
 def alarms(options: Options) -> None:
     """Print how many faults are named."""
-    head("fault", "runs", "named in 3 s", "median delay", "ended", "median, longest", "wrong names")
+    head(
+        "fault",
+        "runs",
+        "named in 3 s",
+        "or alike",
+        "median delay",
+        "ended in 5 s",
+        "ended",
+        "median, longest",
+        "wrong names",
+    )
     for fault in options.faults:
         found = list(_noticeable(fault, options))
         if not found:
-            row(fault, 0, *[""] * 5)
+            row(fault, 0, *[""] * 7)
             continue
         outcomes = [each for _, each in found]
         ends = [each for each in outcomes if each.ends]
@@ -167,8 +180,10 @@ def alarms(options: Options) -> None:
             fault,
             len(found),
             sum(each.named for each in outcomes),
+            sum(each.paired for each in outcomes),
             f"{np.median(delays):.1f} s" if delays else "",
-            f"{len(times)} of {len(ends)}" if ends else "",
+            f"{sum(each <= FADES_NS / NS_PER_S for each in times)} of {len(ends)}" if ends else "",
+            len(times) if ends else "",
             f"{np.median(times):.1f}, {max(times):.1f} s" if times else "",
             counted(Counter(name for each in outcomes for name in each.wrong)),
         )
@@ -184,7 +199,10 @@ def _noticeable(fault: str, options: Options) -> Iterator[tuple[int, Outcome]]:
     """Yield the outcomes of the wanted number of trials whose fault is noticeable, with their seeds."""
     seed, missing = options.first, options.runs
     while missing and seed < options.first + _TRIES * options.runs:
-        tasks = [(fault, each, options.folder, options.settings) for each in range(seed, seed + missing)]
+        tasks = [
+            (fault, each, options.folder, options.settings, options.times)
+            for each in range(seed, seed + missing)
+        ]
         for task, outcome in zip(tasks, options.run(run_trial, tasks), strict=True):
             if outcome is not None:
                 missing -= 1
@@ -194,18 +212,13 @@ def _noticeable(fault: str, options: Options) -> Iterator[tuple[int, Outcome]]:
 
 def healthy(options: Options) -> None:
     """Print alarms, states, errors and regions of sound robots."""
-    runs = max(round(options.hours * 3600 / options.seconds), 1)
-    hosts = options.hosts or hosts_of(options.first)
-    recordings = list(
-        healthy_recordings(options.playpens, hosts, options.first, runs, options.seconds, options.times)
-    )
-    tasks = [(each, options.folder, options.settings) for each in recordings]
     found: list[Healthy] = []
-    for each in options.run(run_healthy, tasks):
+    for each in _healthy(options):
         found.append(each)
         if options.detail:
             note([each.text])
     head("", *HEALTHY_COLUMNS)
+    hosts = options.hosts or hosts_of(options.first)
     for name in (*options.playpens, *hosts, "own start", "told start", "all"):
         start = "own start" if name == "own start" else "told start"
         part = [
@@ -219,6 +232,40 @@ def healthy(options: Options) -> None:
     print(
         "\nErrors of position in mm while it is followed; regions are the 95 % told, while it is not lost.\n"
     )
+
+
+def _healthy(options: Options) -> Iterable[Healthy]:
+    runs = max(round(options.hours * 3600 / options.seconds), 1)
+    hosts = options.hosts or hosts_of(options.first)
+    tasks = [
+        (each, options.folder, options.settings)
+        for each in healthy_recordings(
+            options.playpens, hosts, options.first, runs, options.seconds, options.times
+        )
+    ]
+    return options.run(run_healthy, tasks)
+
+
+def reliability(options: Options) -> None:
+    """Print how often what is said with a probability is right, over sound and faulty robots."""
+    said = [claim for each in _healthy(options) for claim in claims(each.alarms, each.suspected)]
+    for fault in options.faults:
+        said += [claim for _, outcome in _noticeable(fault, options) for claim in outcome.claims]
+    head("probability", "alarms", "suspicions", "said, mean", "right", "95 % interval")
+    for each in binned(said):
+        shares = (f"{100 * share:.1f} %" for share in (each.said, each.true, *each.interval))
+        said_share, true, low, high = shares
+        row(
+            f"{100 * each.low:g} to {100 * each.high:g} %",
+            each.alarms,
+            each.suspicions,
+            said_share,
+            true,
+            f"{low} to {high}",
+        )
+    print("\nA suspicion counts once in each bin that its probability enters.\n")
+    if options.picture is not None:
+        draw(binned(said), options.picture)
 
 
 def stalls(options: Options) -> None:
@@ -252,6 +299,7 @@ SECTIONS: dict[str, Callable[[Options], None]] = {
     "alarms": alarms,
     "healthy": healthy,
     "stalls": stalls,
+    "reliability": reliability,
     "cost": cost,
 }
 
@@ -313,6 +361,9 @@ def main() -> None:
     options.add_argument("--jobs", type=int, default=1, help="number of processes")
     options.add_argument("--keep", type=Path, help="folder of recordings, which are reused if they are there")
     options.add_argument("--detail", action="store_true", help="print a line for each run, too")
+    options.add_argument(
+        "--picture", type=Path, help="picture of the reliability to draw, FILE.svg or FILE.png"
+    )
     given = options.parse_args()
     with TemporaryDirectory() as scratch, _jobs(given.jobs) as run:
         folder: Path = given.keep or Path(scratch)
@@ -330,6 +381,7 @@ def main() -> None:
             given.times,
             settings,
             given.detail,
+            given.picture,
             run,
         )
         try:

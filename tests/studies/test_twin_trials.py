@@ -2,14 +2,20 @@
 
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from khep_twin.log.shadow_channels import State
+from khep_twin.shadow.shadow import ShadowSettings
+from stand_ins.hosts import TUNED
 from stand_ins.recordings import Truth
 from studies import fault_trials, twin_trials
-from studies.fault_trials import judge
-from studies.twin_runs import Raised
+from studies.fault_trials import judge, looking_alike
+from studies.healthy_trials import ALL, healthy_cells, healthy_recordings, inside, run_healthy
+from studies.reliability import Claim, binned, claims, draw
+from studies.twin_runs import Followed, Raised, Recording, Suspected
 
 SECOND = 1_000_000_000
 
@@ -50,7 +56,7 @@ def test_a_dead_sensor_is_named(printed: Table, monkeypatch: pytest.MonkeyPatch)
         monkeypatch.setattr(fault_trials, name, value)
     (row,) = printed("alarms", "--fault", "dead sensor", "--first", "6")
     assert (row["fault"], row["runs"], row["named in 3 s"]) == ("dead sensor", "1", "1")
-    assert row["ended"] == "1 of 1"
+    assert row["ended in 5 s"] == "1 of 1"
     assert row["wrong names"] == ""
 
 
@@ -100,3 +106,75 @@ def test_a_stuck_sensor_may_be_called_dead_while_it_reads_0(reading: float, name
     names = "stuck sensor 2", "dead sensor 2"
     found = judge(names, truth(), 30 * SECOND, [raised("dead sensor 2", 13, 31, reading)])
     assert found.named == named
+
+
+def test_faults_of_the_same_wheel_look_alike() -> None:
+    left = {"weak motor left", "slipping wheel left", "dead motor or blocked wheel left"}
+    assert looking_alike(["weak motor left"]) == left
+    assert looking_alike(["moved block1"]) == {"moved block1", "missing block1"}
+    assert looking_alike(["robot lifted"]) == {"robot lifted"}
+
+
+@pytest.mark.parametrize(
+    ("names", "said", "paired"),
+    [
+        (("weak motor left", "slipping wheel left"), 0.96, True),
+        (("weak motor left", "slipping wheel left"), 0.9, False),
+        (("weak motor left", "missing block0"), 0.96, False),
+    ],
+)
+def test_one_as_sure_as_an_alarm_of_faults_that_look_alike_is_a_pair(
+    names: tuple[str, ...], said: float, paired: bool
+) -> None:
+    suspected = [Suspected(names, 13 * SECOND, said, (0.0,) * 8)]
+    found = judge(("weak motor left",), truth(), 30 * SECOND, [], suspected)
+    assert (found.named, found.paired) == (False, paired)
+    assert found.claims == [Claim(said, False, True)]
+    late = [raised("slipping wheel left", 14, 31), raised("weak motor left", 40)]
+    found = judge(("weak motor left",), truth(), 30 * SECOND, late)
+    assert (found.named, found.paired) == (False, True)
+    # One that is raised ten seconds after the fault's end is false.
+    assert [each.right for each in found.claims] == [False, False]
+
+
+def test_said_and_true_are_compared_in_bins(tmp_path: Path) -> None:
+    alarm = raised("dead sensor 2", 13)._replace(sureness=0.97)
+    names = ("dead sensor 2",)
+    suspected = [Suspected(names, round(at_s * SECOND), said, ()) for at_s, said in ((11, 0.5), (12, 0.96))]
+    said = claims([alarm], suspected, lambda fault, time_ns, _: time_ns > 12 * SECOND)
+    # What becomes an alarm is counted as that, and below it as a suspicion.
+    assert said == [Claim(0.97, True, True), Claim(0.5, False, False)]
+    low, high = binned([*said, *[Claim(0.98, True, False)] * 3])
+    assert (low.alarms, low.suspicions, low.true) == (0, 1, 0)
+    assert (high.low, high.alarms, high.true) == (0.95, 4, 0.25)
+    assert high.interval[0] < 0.25 < high.interval[1]
+    draw([low, high], tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 1000
+
+
+def test_healthy_recordings_meet_all_playpens_with_all_hosts_and_starts() -> None:
+    for hosts in (TUNED, TUNED[:2], TUNED[:1]):
+        runs = 2 * len(ALL) * len(hosts)
+        found = healthy_recordings(ALL, hosts, 0, runs, 10, "exact")
+        assert len({(each.playpen, each.host, each.own_start) for each in found}) == runs
+
+
+def test_truth_is_inside_a_region_as_often_as_in_a_gaussian() -> None:
+    rng, scale = np.random.default_rng(0), np.array([0.002, 0.004, 0.1])
+    off = rng.normal(size=(20000, 3)) * scale
+    covariances = np.tile(np.diag(scale**2), (len(off), 1, 1))
+    times = np.zeros(len(off), np.int64)
+    states = np.full(len(off), str(State.FOLLOWED))
+    actual = np.tile((0, 0, 2 * np.pi), (len(off), 1))
+    found = Followed(truth(), times, off, actual, off, covariances, states, [], [], np.zeros(1))
+    assert inside(found).mean(axis=0) == pytest.approx(0.95, abs=0.005)
+
+
+def test_a_healthy_robot_is_followed_without_an_alarm(tmp_path: Path) -> None:
+    pytest.importorskip("numba", reason="numba is not installed")
+    recording = Recording("healthy", "obstacles", 1, 5, "wall follower", times="busy")
+    found = run_healthy(recording, tmp_path, ShadowSettings(particles=100))
+    hours, alarms, _, followed, *_ = healthy_cells([found])
+    assert (hours, alarms, followed) == ("0.00", "0", "100.0 %")
+    assert np.median(found.errors_mm) < 10
+    assert found.text.startswith("obstacles, wall follower, seed 1, told start: ")
