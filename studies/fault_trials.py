@@ -21,7 +21,7 @@ from khep_twin.units import N_SENSORS
 from stand_ins.hidden_changes import Added, Change, Gone, LampMoved, LampOff, Lifted, Moved
 from stand_ins.recordings import Truth
 from studies.reliability import Claim, claims
-from studies.twin_runs import Raised, Recording, Suspected, follow
+from studies.twin_runs import Raised, Recording, Suspected, alternating, follow
 
 SIDES = ("left", "right")
 
@@ -218,7 +218,7 @@ class Outcome(NamedTuple):
 
 
 def run_trial(
-    fault: str, seed: int, folder: Path, settings: ShadowSettings, times: str = "exact"
+    fault: str, seed: int, folder: Path, settings: ShadowSettings, hosts: Sequence[str], times: str
 ) -> Outcome | None:
     """Make and follow a trial; return None if its fault is not noticeable.
 
@@ -227,14 +227,15 @@ def run_trial(
         seed: Seed of the trial.
         folder: Folder of recordings.
         settings: Settings of the shadow.
+        hosts: Hosts that alternate; without any, those of the seed.
         times: Times of the line.
     """
     rooms, draw = FAULTS[fault]
     room = rooms[seed % len(rooms)]
     rng = stream(seed, "fault trial", fault)
     at_s = round(float(rng.uniform(*BEGINS_S)), 2)
-    light = rooms is LIT
-    sound = Recording("sound" + "_light" * light, room, seed, BEGINS_S[1] + LASTS_S, asks_light=light)
+    light, host = rooms is LIT, alternating(hosts, seed // 3) if hosts else ""
+    sound = Recording("sound" + "_light" * light, room, seed, BEGINS_S[1] + LASTS_S, host, asks_light=light)
     way = Truth.load(sound.path(folder).with_suffix(".npz"))
     trial = draw(_Scene(Playpen.load(room), way, at_s, at_s + LASTS_S, rng))
     if trial is None:
@@ -244,6 +245,7 @@ def run_trial(
         room,
         seed,
         round(at_s + LASTS_S + AFTER_S),
+        host,
         asks_light=light,
         faults=[trial.fault] if trial.fault else [],
         changes=trial.changes,

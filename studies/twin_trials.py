@@ -63,7 +63,7 @@ class Options(NamedTuple):
         first: Seed of the first run.
         faults: Faults of the alarms' trials.
         playpens: Playpens of the healthy runs.
-        hosts: Hosts of the healthy runs; without any, all that the first seed may have.
+        hosts: Hosts of healthy runs and the alarms' trials; without any, all that a seed may have.
         times: Times of the line of healthy runs and the alarms' trials.
         settings: Settings of the shadow.
         detail: Print a line for each run.
@@ -200,7 +200,7 @@ def _noticeable(fault: str, options: Options) -> Iterator[tuple[int, Outcome]]:
     seed, missing = options.first, options.runs
     while missing and seed < options.first + _TRIES * options.runs:
         tasks = [
-            (fault, each, options.folder, options.settings, options.times)
+            (fault, each, options.folder, options.settings, options.hosts, options.times)
             for each in range(seed, seed + missing)
         ]
         for task, outcome in zip(tasks, options.run(run_trial, tasks), strict=True):
@@ -354,7 +354,9 @@ def main() -> None:
     options.add_argument("--hours", type=float, default=2.0, help="simulated hours of healthy robots")
     options.add_argument("--fault", action="append", choices=FAULTS, help="a fault for alarms; all without")
     options.add_argument("--playpen", action="append", choices=ALL, help="one for healthy; all without")
-    options.add_argument("--host", action="append", choices=HOSTS, help="one for healthy; all without")
+    options.add_argument(
+        "--host", action="append", choices=HOSTS, help="a host; all that a seed may have without"
+    )
     options.add_argument("--times", choices=TIMES, default="exact", help="times of the line")
     options.add_argument("--first", type=int, default=0, help="seed of the first run")
     options.add_argument("--particles", type=int, default=1000, help="number of particles")
