@@ -63,7 +63,6 @@ class Lamps:
         positions: Positions of the bulbs' centres (n, 3) [m].
         powers: Current powers (n,), without their flicker [W].
         steady: True if the powers never change.
-        full_powers: Powers of lamps that are on (n,), without their flicker [W].
         lit: Index of the lamp that is on, if they are on one at a time; else None.
         phase: Phase of the mains; None if no lamp flickers.
     """
@@ -81,7 +80,7 @@ class Lamps:
         self._near_lamp = self._near_wall = True
         self.names = [lamp.name or f"lamp{index}" for index, lamp in enumerate(self._lamps)]
         self.positions = [(metres(lamp.x_mm), metres(lamp.y_mm), metres(lamp.z_mm)) for lamp in self._lamps]
-        self.full_powers = [lamp.power_w * lamp.dim for lamp in self._lamps]
+        self._full = [lamp.power_w * lamp.dim for lamp in self._lamps]
         one_by_one = self._lighting.mode != "all" and bool(self._lamps)
         self.steady = not one_by_one and not any(lamp.blink_period_s or lamp.on_s for lamp in self._lamps)
         self._off: set[int] = set()
@@ -94,7 +93,7 @@ class Lamps:
         if phase is None and any(lamp.flicker for lamp in self._lamps):
             self.phase = float(rng().random())
         self._time_ns = time_ns
-        self.powers = [self.full_powers[index] * self._wanted(index) for index in range(len(self._lamps))]
+        self.powers = [self._full[index] * self._wanted(index) for index in range(len(self._lamps))]
 
     def state(self) -> LampsState:
         """Return the state."""
@@ -123,7 +122,7 @@ class Lamps:
             self.turn(index, False, self._time_ns)
         if self.lit is not None and before.lit is not None and before.lit < count:
             self.lit, self._near_lamp, self._near_wall = before.lit, before._near_lamp, before._near_wall
-        for index, (full, other) in enumerate(zip_longest(self.full_powers, before.full_powers[:count])):
+        for index, (full, other) in enumerate(zip_longest(self._full, before._full[:count])):
             self.powers[index] = before.powers[index] if full == other else full * self._wanted(index)
 
     def turn(self, index: int, on: bool, time_ns: int) -> None:
@@ -158,8 +157,8 @@ class Lamps:
         elapsed_s, self._time_ns = (time_ns - self._time_ns) * 1e-9, time_ns
         switched = self.lit is not None and self._switch(self.lit, robots)
         for index, lamp in enumerate(self._lamps):
-            wanted, power = self.full_powers[index] * self._wanted(index), self.powers[index]
-            step = self.full_powers[index] * elapsed_s / lamp.fade_s if lamp.fade_s else math.inf
+            wanted, power = self._full[index] * self._wanted(index), self.powers[index]
+            step = self._full[index] * elapsed_s / lamp.fade_s if lamp.fade_s else math.inf
             self.powers[index] = min(max(wanted, power - step), power + step)
         return switched
 
@@ -170,6 +169,11 @@ class Lamps:
             self.update(step * step_ns, ())
             found.append(self.powers.copy())
         return found
+
+    def possible_powers(self, time_ns: int) -> list[float]:
+        """Return the powers of all lamps, each as if it were the one that is on, at a time [ns]."""
+        pairs = zip(self._full, self._lamps, strict=True)
+        return [full * _in_its_turn(lamp, time_ns) for full, lamp in pairs]
 
     def _wanted(self, index: int) -> bool:
         """Return whether a lamp is on."""

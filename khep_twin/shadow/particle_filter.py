@@ -159,14 +159,12 @@ class ParticleFilter:
         # has fallen.
         new = max(math.tanh(self._way / (2 * PERSISTENCE)), LEAST_NEW)
         self._way = 0.0
-        # At an uncertain time the robot was somewhere on its way then.
+        # At a time that is not certain, the twins' by a tick at least, the sensors were somewhere on their way.
         ahead, _, turn = np.abs(particles.planes.robots["speeds"][:, :3]).T
-        uncertain = (
-            float(self.weights @ (ahead + SENSOR_RADIUS * turn)) * max(seen.late_ns - seen.time_ns, 0) * 1e-9
-        )
-        new *= PERSISTENCE / (PERSISTENCE + uncertain)
-        found = self._model.explain(particles, seen.readings, use, new, learn=self._drives_freely)
-        self.expected, self.surprise, logs = found
+        uncertain_s = (TICK_NS + max(seen.late_ns - seen.time_ns, 0)) * 1e-9
+        way = uncertain_s * float(self.weights @ (ahead + SENSOR_RADIUS * turn))
+        new *= PERSISTENCE / (PERSISTENCE + way)
+        self.expected, self.surprise, logs = self._model.explain(particles, seen.readings, use, new)
         new *= MANY_TEMPER if len(particles) > MANY else 1.0
         self.surprise *= new
         particles.logs += new * logs.sum(axis=1)

@@ -260,7 +260,8 @@ class Planes:
         """
         if not (self.lamps_are_unknown or self.lamps.steady):
             self.lamps.update(self.ticks * TICK_NS, ())
-        powers = np.array(self.lamps.full_powers if self.lamps_are_unknown else self.lamps.powers)
+        time_ns, lamps = self.ticks * TICK_NS, self.lamps
+        powers = np.array(lamps.possible_powers(time_ns) if self.lamps_are_unknown else lamps.powers)
         light = np.zeros((len(self), units.N_SENSORS, len(powers)))
         if powers.any():
             self._code.lamplight(*self._scenes, self.sensors, *self._light, powers, least, light)

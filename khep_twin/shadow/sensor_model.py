@@ -63,13 +63,7 @@ class SensorModel:
         )
 
     def explain(
-        self,
-        particles: Particles,
-        readings: NDArray[np.int64],
-        use: NDArray[np.bool_],
-        new: float = 1.0,
-        *,
-        learn: bool = True,
+        self, particles: Particles, readings: NDArray[np.int64], use: NDArray[np.bool_], new: float = 1.0
     ) -> tuple[Floats, Floats, Floats]:
         """Learn the traits of the particles' sensors from readings (8,) [counts], of which a part is new.
 
@@ -78,12 +72,14 @@ class SensorModel:
         Returns expected counts (8,), what each reading was less likely than an expected one to particles
         without a change (8,), and the log likelihoods (n, 8).
         """
-        range_left = self._range_left(particles)
+        told = range_left = self._range_left(particles)
         if particles.planes.lamps_are_unknown:
-            # A sensor that a lamp may blind tells nothing.
-            use = use & (range_left.min(axis=0) > UNLIT)
+            # A sensor that a lamp may blind tells only what it sees.
+            is_lit = range_left.min(axis=0) < UNLIT
+            use = use & ~(is_lit & (readings <= self.quiet))
+            told = np.ones_like(range_left)
         counts, deviations, likelihood = particles.planes.explain(
-            particles.traits, particles.covariances, self._law, range_left, readings, use & learn, new
+            particles.traits, particles.covariances, self._law, told, readings, use, new
         )
         weights = np.exp(particles.logs - log_of_sum(particles.logs))
         expected = np.clip(weights @ counts, 0, self.limit)
