@@ -159,7 +159,7 @@ class ParticleFilter:
         # has fallen.
         new = max(math.tanh(self._way / (2 * PERSISTENCE)), LEAST_NEW)
         self._way = 0.0
-        # At a time that is not certain, the twins' by a tick at least, the sensors were somewhere on their way.
+        # At a time that is not certain, by a tick at the least, the sensors were somewhere on their way.
         ahead, _, turn = np.abs(particles.planes.robots["speeds"][:, :3]).T
         uncertain_s = (TICK_NS + max(seen.late_ns - seen.time_ns, 0)) * 1e-9
         way = uncertain_s * float(self.weights @ (ahead + SENSOR_RADIUS * turn))

@@ -34,6 +34,16 @@ def test_a_command_in_doubt_is_obeyed_by_every_other_particle() -> None:
     assert (particles.planes.poses[:, 0] > 0.36).tolist() == [True, False, True, False, True]
 
 
+def test_a_command_whose_reply_is_late_is_executed_at_all_times_until_then() -> None:
+    particles = particles_at(*[OPEN] * 4)
+    repeat(Commanded(0, SPEED, 5, 5, late_ns=60_000_000), particles)
+    assert particles.planes.ticks == 6
+    repeat(Waited(SECOND // 2), particles)
+    x = particles.planes.poses[:, 0]
+    assert (np.diff(x) < 0).all()  # the later, the less far: 20 ms at 40 mm/s
+    assert x[0] - x[3] == pytest.approx(0.0024, rel=0.1)
+
+
 def test_registers_of_all_are_set_to_values() -> None:
     particles = particles_at(OPEN, OPEN)
     repeat(Configured(0, np.array([LEFT_TARGET]), np.array([77])), particles)

@@ -27,7 +27,7 @@ TICKS = 6
 def filtering(
     setup: EpisodeSetup, pose: tuple[float, float, float] | None, spread: Spread = PUBLISHED, count: int = 300
 ) -> ParticleFilter:
-    particles = begun(setup, [pose], spread, count, stream(0, "start"))
+    particles = begun(setup, [pose] if pose else None, spread, count, stream(0, "start"))
     return ParticleFilter(setup, particles, stream(0, "filter"), count if pose else 300)
 
 
@@ -157,3 +157,19 @@ def test_a_playpen_with_hardly_any_room_is_an_error_of_one_line() -> None:
     setup = EpisodeSetup(tight, planar=True)
     with pytest.raises(PlaypenError, match="tight: no room for the robot was found; expected a start pose"):
         anywhere(setup, Planes(setup, 50), stream(0, "anywhere"))
+
+
+def test_what_a_robot_that_pushes_does_teaches_nothing_of_its_wheels() -> None:
+    against_the_wall = 60.0, 30.0, -90.0
+    robot = planes_at(against_the_wall)
+    tracker = filtering(
+        setup_of("workshop"), metric(against_the_wall), Spread(1e-4, 1e-3, 0.01, 0.05, 0.01, 0)
+    )
+    robot.command(SPEED, 6, 6)
+    tracker.act(Commanded(0, SPEED, 6, 6), ALL)
+    before = tracker.particles.wheels.std(axis=0)
+    for number in range(1, 60):
+        robot.advance(TICKS)
+        tracker.act(Seen(number * TICKS * SECOND // 100, readings(robot)), ALL)
+    assert tracker.particles.planes.robots["grips"].any()
+    assert tracker.particles.wheels.std(axis=0) == pytest.approx(before, rel=0.3)

@@ -146,3 +146,17 @@ def test_sums_of_logarithms_do_not_overflow() -> None:
     assert log_of_sum(np.log([1.0, 2.0, 3.0])) == pytest.approx(math.log(6))
     assert log_of_sum(np.full(4, -5000.0)) == pytest.approx(-5000 + math.log(4))
     assert log_of_sum(np.array([5000.0, 0.0])) == pytest.approx(5000)
+
+
+def test_where_one_of_several_lamps_is_on_a_sensor_that_it_may_blind_tells_only_what_it_sees() -> None:
+    particles = particles_at((310.0, 180.0, 90.0), name="t-maze")
+    planes, model = particles.planes, SensorModel(particles.planes)
+    assert planes.lamps_are_unknown
+    planes.advance(1)
+    blind = np.zeros(8, np.int64)
+    _, surprise, logs = model.explain(particles, blind, ALL)
+    lit = model.range_left < 0.97
+    assert lit.any()
+    assert surprise[lit].tolist() == logs[0, lit].tolist() == [0.0] * lit.sum()
+    _, _, logs = model.explain(particles, np.full(8, 500), ALL)
+    assert (logs[0] != 0).all()

@@ -1,0 +1,75 @@
+"""Faults that are suspected, raised, settled, and end."""
+
+from collections.abc import Mapping
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from twins import SECOND
+
+from khep_twin.shadow.changes import FaultChange
+from khep_twin.shadow.fault_watch import Alike, FaultWatch
+from khep_twin.shadow.hypotheses import Hypothesis, Missing, SlippingWheel, WeakMotor
+
+WEAK, SLIP, GONE = WeakMotor(0), SlippingWheel(0), Missing("block4", (0,))
+
+
+class Tracker:
+    """The probabilities of a filter, made up."""
+
+    def __init__(self, probabilities: Mapping[Hypothesis, float], *, begins: bool = True) -> None:
+        self.changes = [FaultChange(fault, begins) for fault in probabilities]
+        self.probabilities = np.array([1 - sum(probabilities.values()), *probabilities.values()])
+
+    def since_ns(self, number: int) -> int:
+        return SECOND
+
+
+def see(
+    watch: FaultWatch, seconds: float, probabilities: Mapping[Hypothesis, float], *, begins: bool = True
+) -> Alike | None:
+    return watch.see(round(seconds * SECOND), cast(Any, Tracker(probabilities, begins=begins)))
+
+
+def test_faults_that_look_alike_decide_together_and_have_all_names_if_nothing_tells_them_apart() -> None:
+    watch, found = FaultWatch(), {WEAK: 0.57, SLIP: 0.4, GONE: 0.01}
+    assert see(watch, 2.0, found) is None  # not for long enough
+    certain = see(watch, 2.5, found)
+    assert certain is not None
+    assert certain.probability == pytest.approx(0.97)
+    assert [each.faults for each in watch.suspected] == [("weak motor left", "slipping wheel left")]
+    assert not watch.is_named(certain, 3 * SECOND)
+    assert watch.is_named(certain, 4 * SECOND)
+    watch.raise_alarm(certain, 4 * SECOND)
+    (alarm,) = watch.alarms
+    assert (alarm.fault, alarm.channel) == ("weak motor left or slipping wheel left", "wheels")
+    assert alarm.sureness == pytest.approx(0.97)
+    see(watch, 5.0, found)
+    assert watch.suspected == ()  # it has its alarm
+
+
+def test_one_that_is_told_apart_has_its_name_and_its_own_probability() -> None:
+    watch, found = FaultWatch(), {WEAK: 0.95, SLIP: 0.03}
+    see(watch, 2.0, found)
+    certain = see(watch, 3.0, found)
+    assert certain is not None
+    assert watch.is_named(certain, 3 * SECOND)
+    watch.raise_alarm(certain, 3 * SECOND)
+    assert [(each.fault, round(each.sureness, 2)) for each in watch.alarms] == [("weak motor left", 0.95)]
+    assert not watch.has_gone(cast(Any, Tracker({SLIP: 0.5})))
+    assert watch.has_gone(cast(Any, Tracker({GONE: 0.9})))
+    (ended,) = watch.give_up(5 * SECOND)
+    assert (ended.fault, ended.ended_ns) == ("weak motor left", 5 * SECOND)
+
+
+def test_a_settled_fault_ends_when_its_end_is_certain() -> None:
+    watch = FaultWatch()
+    see(watch, 2.0, {GONE: 0.99})
+    certain = see(watch, 3.0, {GONE: 0.99})
+    assert certain is not None
+    watch.raise_alarm(certain, 3 * SECOND)
+    watch.settle(certain)
+    assert watch.over(4 * SECOND, cast(Any, Tracker({GONE: 0.9}, begins=False))) == (0, ())
+    number, (ended,) = watch.over(5 * SECOND, cast(Any, Tracker({GONE: 0.99}, begins=False)))
+    assert (number, ended.fault, ended.ended_ns) == (1, "missing block4", 5 * SECOND)
+    assert watch.alarms == []
