@@ -159,17 +159,20 @@ def test_a_playpen_with_hardly_any_room_is_an_error_of_one_line() -> None:
         anywhere(setup, Planes(setup, 50), stream(0, "anywhere"))
 
 
-def test_what_a_robot_that_pushes_does_teaches_nothing_of_its_wheels() -> None:
-    against_the_wall = 60.0, 30.0, -90.0
-    robot = planes_at(against_the_wall)
-    tracker = filtering(
-        setup_of("workshop"), metric(against_the_wall), Spread(1e-4, 1e-3, 0.01, 0.05, 0.01, 0)
-    )
-    robot.command(SPEED, 6, 6)
-    tracker.act(Commanded(0, SPEED, 6, 6), ALL)
-    before = tracker.particles.wheels.std(axis=0)
-    for number in range(1, 60):
-        robot.advance(TICKS)
-        tracker.act(Seen(number * TICKS * SECOND // 100, readings(robot)), ALL)
-    assert tracker.particles.planes.robots["grips"].any()
-    assert tracker.particles.wheels.std(axis=0) == pytest.approx(before, rel=0.3)
+@pytest.mark.parametrize(
+    ("start", "shift"), [(START, 0.8), ((60.0, 30.0, -90.0), 0.0)], ids=["free", "pushes"]
+)
+def test_a_robot_that_pushes_teaches_nothing_of_its_wheels(
+    start: tuple[float, float, float], shift: float
+) -> None:
+    tracker = filtering(setup_of("workshop"), metric(start), Spread(1e-4, 1e-3, 0.01, 0.01, 0.01, 0))
+    robot = planes_at(start)
+    for planes in (robot, tracker.particles.planes):
+        planes.command(SPEED, 6, 6)
+        planes.advance(10 * TICKS)
+    before = tracker.particles.wheels[:, 1].copy()
+    # Whatever makes some wheels the likelier ones.
+    tracker.particles.logs = np.where(before > before.mean(), -5.0, -25.0)
+    tracker.act(Seen(robot.ticks * SECOND // 100, readings(robot)), ALL)
+    moved = tracker.particles.wheels[:, 1].mean() - before.mean()
+    assert moved / before.std() == pytest.approx(shift, abs=0.25)
