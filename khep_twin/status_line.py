@@ -198,5 +198,6 @@ def _terminal() -> TextIO | None:
 def _is_piped() -> bool:
     """Return whether standard output goes to a program, such as `tee`, which may print on the terminal."""
     with suppress(AttributeError, OSError, ValueError):
-        return stat.S_ISFIFO(os.fstat(sys.stdout.fileno()).st_mode)
+        mode = os.fstat(sys.stdout.fileno()).st_mode
+        return stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode)  # shells make a pipe of either
     return False

@@ -3,6 +3,7 @@
 import os
 import pty
 import re
+import socket
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -60,10 +61,11 @@ def test_an_output_that_is_no_terminal_is_left_alone() -> None:
     assert piped.getvalue() == "data\n"
 
 
+@pytest.mark.parametrize("kind", ["pipe", "socket"])
 def test_no_line_is_shown_where_another_program_may_print_on_the_terminal(
-    monkeypatch: pytest.MonkeyPatch,
+    kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reader, writer = os.pipe()
+    reader, writer = os.pipe() if kind == "pipe" else (each.detach() for each in socket.socketpair())
     with at_a_terminal() as terminal, open(writer, "w") as piped, redirect_stdout(piped):
         with status_line() as line, announced("begun", lambda: "amid", lambda: "ended"):
             assert line is None

@@ -2,6 +2,8 @@
 
 import re
 import signal
+import socket
+import subprocess
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,6 +14,7 @@ import serial
 from command_line import complaint, good, khep_twin
 from served_twin import served
 
+from khep_twin.cli.shadow_process import ShadowProcess
 from khep_twin.log.reader import read_arrays, read_log
 from khep_twin.log.shadow_channels import Alarm, State
 from khep_twin.playpen import Playpen
@@ -171,6 +174,26 @@ def test_a_robot_is_followed_beside_its_host_as_its_log_is_afterwards(tmp_path: 
     assert polled
     assert len(read_arrays(shadow)[1]["/shadow/residuals"][0]) >= 3
     assert len(read_arrays(shadow)[1]["/shadow/learned"][0]) >= 1
+
+
+@pytest.mark.parametrize(("code", "asked"), [(4, True), (5, True), (1, False)])
+def test_a_relay_ends_with_a_shadow_that_has_ended_as_asked_and_goes_on_without_another(
+    code: int, asked: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    here, there = socket.socketpair()
+    with here, there, subprocess.Popen(["true"]) as program:
+        process = ShadowProcess(program, here)
+        line = process.listener(lambda: 0)
+        line.flush()
+        assert not process.ended_as_asked()
+        there.send(bytes([code]))
+        there.close()
+        while not line.broken:
+            line.flush()
+        assert process.ended_as_asked() is asked
+        assert process.finish() == code
+    told = f"khep-twin: the shadow has ended with code {code}; the relay goes on without it\n"
+    assert capsys.readouterr().err == ("" if asked else told)
 
 
 def test_a_time_beyond_the_end_is_the_end_and_an_odd_seed_is_refused(log: Path) -> None:
