@@ -58,6 +58,8 @@ def test_a_suspected_fault_is_a_curve_and_the_region_has_the_colour_of_the_state
     assert [(time_ns // MS, *value) for time_ns, value in curves] == [(800, 60.0), (1000, 0.0)]
     colours = values_of(tmp_path / "shadow.rrd", "/ghost/spread", "LineStrips3D:colors")
     packed = {state: int.from_bytes(bytes([*colour, 255]), "big") for state, colour in STATE_COLOURS.items()}
+    clouds = values_of(tmp_path / "shadow.rrd", "/ghost/particles", "Points3D:colors")
+    assert [value for _, (value, *_) in clouds] == [packed[State.FOLLOWED]] * 2 + [packed[State.UNSURE]] * 2
     assert [value for _, (value,) in colours] == [packed[State.FOLLOWED]] * 40 + [packed[State.UNSURE]] * 21
 
 

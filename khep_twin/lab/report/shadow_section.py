@@ -42,7 +42,7 @@ DEFINITIONS: tuple[Row, ...] = (
     (
         "States",
         "followed: the pose is known, and its region holds it; unsure: known to less, or contradicted by "
-        "replies; lost: searched for",
+        "replies; lost: searched for, where dots of the map are poses that it may have had",
     ),
     ("Suspected", "faults that explain the replies better than a sound robot does, too little for an alarm"),
 )
@@ -55,8 +55,8 @@ _ESTIMATE = _STATES[State.FOLLOWED]
 _RECKONED, _RESIDUAL, _ALARM = "#464646", "#2f6fb0", "#c2452d"
 _CURVES = 8
 """Most curves of suspected faults, those that were the most probable; others are left out."""
-_ELLIPSES = 60
-"""Most ellipses on a map."""
+_ELLIPSES, _CLOUDS = 60, 20
+"""Most ellipses, and clouds of particles, on a map."""
 
 _SENSOR = re.compile(r"sensor (\d)")
 
@@ -114,17 +114,21 @@ def draw_map(playpen: Playpen, track: ShadowTrack) -> Figure:
     with matplotlib.style.context(STYLE):
         thin = slice(None, None, -(-len(track.times_ns) // POINT_LIMIT) or 1)
         reckoned, pose = 1000 * track.reckoned[thin], 1000 * track.pose[thin]
+        lost = np.array([state is State.LOST for state in _states_at(track, track.times_ns[thin])], bool)
+        pose[lost] = np.nan
         axes.plot(*reckoned[:, :2].T, color=_RECKONED, lw=0.9, ls=(0, (4, 2)), zorder=4)
         axes.plot(*pose[:, :2].T, color=_ESTIMATE, lw=1.3, zorder=5)
         some = np.unique(np.linspace(0, max(len(pose) - 1, 0), min(_ELLIPSES, len(pose))).astype(int))
+        some = some[~lost[some]]
         sizes, turns = _ellipses(track.covariance[thin][some])
         colours = [_STATES[state] for state in _states_at(track, track.times_ns[thin][some])]
         look: Look = {"facecolors": colours, "alpha": 0.2, "zorder": 4}
+        _draw_search(axes, track)
         places: Look = {"units": "xy", "offsets": pose[some, :2], "offset_transform": axes.transData}
         axes.add_collection(EllipseCollection(sizes[:, 0], sizes[:, 1], turns, **places, **look))
         radius_mm = 1000 * playpen.robots[0].body.radius
         for path, colour in ((pose, _ESTIMATE), (reckoned, _RECKONED)):
-            if len(path):
+            if len(path) and not np.isnan(path[-1]).any():
                 axes.add_patch(Circle(path[-1, :2].tolist(), radius_mm, fill=False, ec=colour, lw=1, ls="--"))
         axes.axis(limits)
         handles = [
@@ -140,6 +144,13 @@ def draw_map(playpen: Playpen, track: ShadowTrack) -> Figure:
             handles=handles, loc="lower right", bbox_to_anchor=(1, 1), fontsize=8, ncols=4, frameon=False
         )
     return figure
+
+
+def _draw_search(axes: Axes, track: ShadowTrack) -> None:
+    """Draw the particles of the times at which the robot was lost: the poses that it may have had."""
+    states = _states_at(track, track.particles_ns)
+    found = track.particles[[state is State.LOST for state in states]][-_CLOUDS:, :, :2].reshape(-1, 2)
+    axes.plot(*1000 * found.T, ".", color=_STATES[State.LOST], ms=1.5, alpha=0.5, zorder=4)
 
 
 def pictures(track: ShadowTrack) -> list[tuple[Draw, float, str]]:

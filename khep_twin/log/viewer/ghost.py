@@ -93,7 +93,7 @@ class Ghost:
         self._threshold = np.array(proximity.threshold_counts)
         self._offset = np.array(proximity.offset_mm)
         self._before: dict[str, Floats] = {}
-        self._state = State.FOLLOWED
+        self._states: list[tuple[int, State]] = [(0, State.FOLLOWED)]
         self._suspected: tuple[Suspicion, ...] = ()
         self._named = set[str]()
         self._truth = _truth(label, source)
@@ -105,13 +105,13 @@ class Ghost:
             yield from self._outline(TRUTH, times_ns[::2], poses[::2])
             yield from self._path(TRUTH, times_ns, poses)
             self._truth = None
-        suspected = self._read(collected, SUSPECTED, suspected_of)
-        states = self._read(collected, STATE, state_of)
         found = collected.shadow()
+        self._states = [self._states[-1], *self._read(collected, STATE, state_of)]
+        ends_ns = [] if found is None else found.times_ns[-1:].tolist()
+        yield from self._probabilities(self._read(collected, SUSPECTED, suspected_of), ends_ns)
         if found is None:
             return
         times_ns, residuals = found.times_ns, found.residuals
-        yield from self._probabilities(suspected, int(times_ns[-1]))
         for name, columns in RESIDUALS.items():
             asked = ~np.isnan(residuals[:, columns]).any(axis=1)
             if asked.any():
@@ -124,7 +124,7 @@ class Ghost:
         few = slice(None, None, max(1, len(times_ns) // PICTURES))
         times_ns, poses = times_ns[few], planar(found.poses[few])
         yield from self._outline(RECKONED, times_ns, reckoned[few])
-        yield from self._region(times_ns, poses, found.poses[few, 7:], states)
+        yield from self._region(times_ns, poses, found.poses[few, 7:])
         yield from self._rays(times_ns, poses, found.expected[few], found.measured[few])
         if len(found.particles_ns):
             yield from self._particles(found.particles_ns, found.particles.reshape(-1, PARTICLES, 3))
@@ -156,10 +156,12 @@ class Ghost:
                 raise error.at(self._source, topic, time_ns) from None
         return found
 
-    def _probabilities(self, found: list[tuple[int, tuple[Suspicion, ...]]], end_ns: int) -> Iterator[Chunk]:
+    def _probabilities(
+        self, found: list[tuple[int, tuple[Suspicion, ...]]], ends_ns: list[int]
+    ) -> Iterator[Chunk]:
         """Yield the probability of each suspected fault where it changes, and at the end of the piece."""
         curves: dict[str, list[tuple[int, float]]] = {}
-        last = [(end_ns, found[-1][1] if found else self._suspected)]
+        last = [(end_ns, found[-1][1] if found else self._suspected) for end_ns in ends_ns]
         for time_ns, suspected in [*found, *last]:
             now = {each.name: each.probability for each in suspected}
             for name in {**{each.name: 0.0 for each in self._suspected}, **now}:
@@ -174,26 +176,21 @@ class Ghost:
                 yield Chunk.from_columns(place, [], look)
             yield Chunk.from_columns(place, [time_column(times_ns)], rr.Scalars.columns(scalars=values))
 
-    def _region(
-        self,
-        times_ns: NDArray[np.int64],
-        poses: Floats,
-        covariances: Floats,
-        states: list[tuple[int, State]],
-    ) -> Iterator[Chunk]:
-        """Yield the ellipse that holds the position with 95 %, over the robot, in the colour of the state."""
-        begins_ns = [time_ns for time_ns, _ in states]
-        known = [self._state, *(state for _, state in states)]
-        self._state = known[-1]
+    def _colours(self, times_ns: NDArray[np.int64]) -> list[Any]:
+        """Return the colour of the state at each time."""
+        begins_ns = [time_ns for time_ns, _ in self._states[1:]]
         rows = np.searchsorted(begins_ns, times_ns, side="right").tolist()
+        return [STATE_COLOURS[self._states[row][1]] for row in rows]
+
+    def _region(self, times_ns: NDArray[np.int64], poses: Floats, covariances: Floats) -> Iterator[Chunk]:
+        """Yield the ellipse that holds the position with 95 %, over the robot, in the colour of the state."""
         strips: list[Floats] = []
         whole = covariances.reshape(-1, 6, 6)[:, PLANAR[:2]][:, :, PLANAR[:2]]
         for (x, y, _), covariance in zip(poses.tolist(), whole, strict=True):
             values, vectors = np.linalg.eigh(covariance)
             edge = REGION * _CIRCLE * np.sqrt(np.maximum(values, 0)) @ vectors.T + (x, y)
             strips.append(np.column_stack([edge, np.full(len(edge), _ABOVE)]))
-        colours = [STATE_COLOURS[known[row]] for row in rows]
-        lines = [strip.astype(np.float32) for strip in strips], colours
+        lines = [strip.astype(np.float32) for strip in strips], self._colours(times_ns)
         yield from line_chunks("/ghost/spread", "world", times_ns, *lines, 0.0008, 1)
 
     def _rays(
@@ -226,7 +223,7 @@ class Ghost:
         columns = rr.Points3D.columns(
             positions=points.reshape(-1, 3).astype(np.float32),
             radii=np.full(n * PARTICLES, 0.0009, np.float32),
-            colors=[COLOURS["estimate"]] * (n * PARTICLES),
+            colors=[colour for colour in self._colours(times_ns) for _ in range(PARTICLES)],
         )
         yield in_frame("/ghost/particles", "world")
         times = [time_column(times_ns)]

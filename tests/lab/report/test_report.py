@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from command_line import good, refusal
 from relay_logs import in_turn, relayed
@@ -18,6 +19,7 @@ from khep_twin.lab.report.pdf import pdf
 from khep_twin.lab.report.report import report
 from khep_twin.lab.report.rows import DEFINITIONS
 from khep_twin.log.reader import read_series
+from khep_twin.log.shadow_channels import State
 from khep_twin.log.shadow_track import read_shadow
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -225,6 +227,16 @@ def test_a_report_on_a_shadow_has_its_residuals_and_alarms(shadow: Path, tmp_pat
     # 2 mm along x and 3 mm along y.
     assert "<th>Spread of the position</th><td>3.6 mm median, 3.6 mm at 95 %</td>" in text
     assert "<th>Dead reckoning</th><td>14 mm from the estimate in the end, 14 mm at most</td>" in text
+
+
+def test_a_map_has_the_poses_that_were_considered_while_the_robot_was_lost(shadow: Path) -> None:
+    track = read_shadow(shadow)
+    lost = replace(track, states=[(0, State.FOLLOWED), (2 * SECOND, State.LOST)])
+    for each, missing, dots in ((track, 0, 0), (lost, 21, 200)):
+        axes = shadow_section.draw_map(Playpen.load("workshop"), each).axes[0]
+        _, estimate, considered = axes.lines[-3:]
+        assert np.isnan(np.asarray(estimate.get_xdata(), float)).sum() == missing
+        assert len(np.asarray(considered.get_xdata())) == dots
 
 
 def test_a_report_on_an_older_log_of_a_shadow_has_no_states(shadow: Path) -> None:
