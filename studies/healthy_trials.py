@@ -18,6 +18,18 @@ ALL = ("workshop", "obstacles", "looping-maze", "default", "homing", "light-seek
 ASTRAY_MM = 100.0
 """Error of a pose that is not followed, whatever the shadow says."""
 
+STARTS = "told start", "own start"
+"""A start anywhere, which the shadow is told, and one that the playpen has, or one of its spots."""
+
+IN_REACH = 100
+"""Counts from which something is in reach."""
+
+BLIND_S = 30.0
+"""Time for which a robot has nothing in reach at most where the shadow should follow it [s]."""
+
+NEVER_BLIND = f"in reach each {BLIND_S:g} s"
+"""Row of those that are never blind for longer."""
+
 _ELLIPSE = 5.991
 """Squared Mahalanobis distance within which 95 % of a Gaussian in two dimensions lie."""
 
@@ -34,6 +46,7 @@ class Healthy:
         state_s: Time in each state [s].
         errors_mm: Errors of position while it is followed (n,) [mm].
         inside: Whether position and heading lie in the region, while it is not lost (m, 2).
+        blind_s: Longest time without anything in reach [s].
         astray_s: Longest time for which it is said to be followed and is ASTRAY_MM off [s].
         alarms: Alarms, all of them false.
         suspected: Suspicions.
@@ -44,19 +57,27 @@ class Healthy:
     state_s: dict[str, float]
     errors_mm: Floats
     inside: NDArray[np.bool_]
+    blind_s: float
     astray_s: float
     alarms: list[Raised]
     suspected: list[Suspected]
     cpu_s: float
 
     @property
+    def rows(self) -> set[str]:
+        """Return the rows of the table that it belongs to."""
+        each = self.recording
+        seen = {NEVER_BLIND} if self.blind_s <= BLIND_S else set[str]()
+        return {each.playpen, each.host, STARTS[each.own_start], "all", *seen}
+
+    @property
     def text(self) -> str:
         """Return how it is made, and its alarms, for a person."""
-        each, start = self.recording, "own start" if self.recording.own_start else "told start"
+        each, start = self.recording, STARTS[self.recording.own_start]
         alarms = ", ".join(f"{alarm.fault} at {alarm.raised_ns / NS_PER_S:.1f} s" for alarm in self.alarms)
         return (
             f"{each.playpen}, {each.host}, seed {each.seed}, {start}: {_quantile(self.errors_mm, 0.5)} mm, "
-            f"astray {self.astray_s:.0f} s; {alarms or 'no alarm'}"
+            f"blind {self.blind_s:.0f} s, astray {self.astray_s:.0f} s; {alarms or 'no alarm'}"
         )
 
 
@@ -82,6 +103,7 @@ def run_healthy(recording: Recording, folder: Path, settings: ShadowSettings) ->
         {str(state): float(lasts_s[found.states == state].sum()) for state in State},
         errors_mm[followed],
         inside(found)[found.states != State.LOST],
+        _longest(lasts_s, found.readings < IN_REACH),
         _longest(lasts_s, followed & (errors_mm > ASTRAY_MM)),
         found.alarms,
         found.suspected,

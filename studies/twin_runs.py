@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -123,6 +123,7 @@ class Followed:
         reckoned: Those of dead reckoning (n, 3).
         covariances: Covariances of the estimated poses (n, 3, 3).
         states: States (n,).
+        readings: Largest proximity as replied last (n,) [counts].
         alarms: Alarms in the order in which they were raised.
         suspected: Suspicions.
         cpu_s: CPU time of each second of the recording (n_seconds,) [s].
@@ -135,6 +136,7 @@ class Followed:
     reckoned: Floats
     covariances: Floats
     states: NDArray[np.str_]
+    readings: Floats
     alarms: list[Raised]
     suspected: list[Suspected]
     cpu_s: Floats
@@ -164,7 +166,7 @@ def follow(path: Path, playpen: str, settings: ShadowSettings, told: bool = True
     truth = Truth.load(path.with_suffix(".npz"))
     heard = recorded(path).heard
     follower = Follower(Shadow(told_playpen(playpen, truth) if told else Playpen.load(playpen), settings))
-    updates: list[tuple[int, tuple[float, ...], tuple[float, ...], Floats, str]] = []
+    updates: list[Update] = []
     watch = _Watch()
     cpu_s = np.zeros(heard[-1].time_ns // NS_PER_S + 1)
     for each in heard:
@@ -173,20 +175,18 @@ def follow(path: Path, playpen: str, settings: ShadowSettings, told: bool = True
         cpu_s[each.time_ns // NS_PER_S] += time.process_time() - began
         for update in found:
             watch.see(update)
-            estimate = update.estimate
-            updates.append(
-                (update.time_ns, estimate.pose, update.reckoned, estimate.covariance, str(update.state))
-            )
-    times_ns = np.array([each[0] for each in updates], np.int64)
-    poses, reckoned, covariances = (np.array([each[i] for each in updates]) for i in (1, 2, 3))
+            # Thousands of particles each would fill the memory.
+            updates.append(replace(update, particles=np.empty((0, 3))))
+    times_ns = np.array([each.time_ns for each in updates], np.int64)
     return Followed(
         truth,
         times_ns,
-        poses,
+        np.array([each.estimate.pose for each in updates]),
         _poses_at(truth, times_ns),
-        reckoned,
-        covariances,
-        np.array([each[4] for each in updates]),
+        np.array([each.reckoned for each in updates]),
+        np.array([each.estimate.covariance for each in updates]),
+        np.array([str(each.state) for each in updates]),
+        np.array([each.measured.max() for each in updates]),
         watch.raised(),
         watch.suspected,
         cpu_s,

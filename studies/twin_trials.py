@@ -31,6 +31,8 @@ from studies.fault_trials import FADES_NS, FAULTS, Outcome, run_trial
 from studies.healthy_trials import (
     ALL,
     HEALTHY_COLUMNS,
+    NEVER_BLIND,
+    STARTS,
     Healthy,
     healthy_cells,
     healthy_recordings,
@@ -219,15 +221,8 @@ def healthy(options: Options) -> None:
             note([each.text])
     head("", *HEALTHY_COLUMNS)
     hosts = options.hosts or hosts_of(options.first)
-    for name in (*options.playpens, *hosts, "own start", "told start", "all"):
-        start = "own start" if name == "own start" else "told start"
-        part = [
-            each
-            for each in found
-            if name in (each.recording.playpen, each.recording.host, "all")
-            or (name == start and each.recording.own_start == (name == "own start"))
-        ]
-        if part:
+    for name in (*options.playpens, *hosts, *STARTS, NEVER_BLIND, "all"):
+        if part := [each for each in found if name in each.rows]:
             row(name, *healthy_cells(part))
     print(
         "\nErrors of position in mm while it is followed; regions are the 95 % told, while it is not lost.\n"

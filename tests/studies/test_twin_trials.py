@@ -166,7 +166,7 @@ def test_truth_is_inside_a_region_as_often_as_in_a_gaussian() -> None:
     times = np.zeros(len(off), np.int64)
     states = np.full(len(off), str(State.FOLLOWED))
     actual = np.tile((0, 0, 2 * np.pi), (len(off), 1))
-    found = Followed(truth(), times, off, actual, off, covariances, states, [], [], np.zeros(1))
+    found = Followed(truth(), times, off, actual, off, covariances, states, off, [], [], np.zeros(1))
     assert inside(found).mean(axis=0) == pytest.approx(0.95, abs=0.005)
 
 
@@ -178,3 +178,4 @@ def test_a_healthy_robot_is_followed_without_an_alarm(tmp_path: Path) -> None:
     assert (hours, alarms, followed) == ("0.00", "0", "100.0 %")
     assert np.median(found.errors_mm) < 10
     assert found.text.startswith("obstacles, wall follower, seed 1, told start: ")
+    assert found.rows == {"obstacles", "wall follower", "told start", "in reach each 30 s", "all"}
