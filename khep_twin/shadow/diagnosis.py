@@ -80,7 +80,7 @@ class Diagnosis:
     @property
     def suspected(self) -> tuple[Suspicion, ...]:
         """Faults that are suspected without an alarm, the most probable first."""
-        return self._faults.suspected
+        return tuple(each for each in self._faults.suspected if self._pose.was_startled(each.since_ns))
 
     def hear(self, exchange: Exchange) -> None:
         """Begin with an exchange, whose actions follow."""

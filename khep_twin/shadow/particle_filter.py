@@ -42,6 +42,10 @@ is dropped too early is lost."""
 SENSOR_RADIUS = 0.025
 """Distance of the sensors from the centre, about [m]."""
 
+LEAST_DEVIATION = 5e-4, 5e-4, 2e-3
+"""Standard deviations below which no pose is told [m, rad] (assumed): twins that lean against a wall agree on
+their distance from it, but no robot's body is known better."""
+
 LEAST_EFFECTIVE = 0.5
 """Part of the particles that count, below which they are drawn anew."""
 
@@ -181,7 +185,8 @@ class ParticleFilter:
         heading = math.atan2(weights @ np.sin(poses[:, 2]), weights @ np.cos(poses[:, 2]))
         off: Floats = poses - np.array([x, y, heading])
         off[:, 2] = (off[:, 2] + math.pi) % math.tau - math.pi
-        return PoseEstimate(time_ns, (x, y, heading), (off * weights[:, None]).T @ off)
+        covariance = (off * weights[:, None]).T @ off + np.diag(np.square(LEAST_DEVIATION))
+        return PoseEstimate(time_ns, (x, y, heading), covariance)
 
     @property
     def weights(self) -> Floats:

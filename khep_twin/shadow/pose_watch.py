@@ -40,7 +40,8 @@ class PoseWatch:
         self.surprise: Floats = np.zeros(8)
         self.vague_ns = -1, -1
         self.surprised_ns: int | None = None
-        self._seen_ns = self._unsettled_ns = 0
+        self._seen_ns = self._unsettled_ns = self._turned_ns = 0
+        self._is_settled = state is State.FOLLOWED
         self._startled_ns: int | None = None
         self._onsets: deque[int] = deque(maxlen=_ONSETS)
 
@@ -60,11 +61,14 @@ class PoseWatch:
             self.surprised_ns = time_ns
             self._onsets.append(before_ns)
         is_settled = is_known and self.surprised_ns is None
+        if is_settled != self._is_settled:
+            self._is_settled, self._turned_ns = is_settled, time_ns
         surprised_ns = time_ns if self.surprised_ns is None else self.surprised_ns
         if not is_known or time_ns - surprised_ns >= THRESHOLDS.waited_ns:
             self._unsettled_ns = time_ns
         if self.state is not State.LOST:
-            self.state = State.FOLLOWED if is_settled else State.UNSURE
+            if time_ns - self._turned_ns >= THRESHOLDS.held_ns:
+                self.state = State.FOLLOWED if is_settled else State.UNSURE
         elif time_ns - self._unsettled_ns > THRESHOLDS.found_ns:
             self.state = State.FOLLOWED
 

@@ -32,7 +32,8 @@ class Thresholds:
         sure: Probability from which on there is one of faults that look alike: that of an alarm.
         named: Part of that probability that one of them has, to give the alarm its name.
         told_ns: Time for which replies show a fault before an alarm [ns].
-        held_ns: Time for which it stays so probable before an alarm [ns].
+        held_ns: Time for which it stays so probable before an alarm, and after which a pose is unsure, or
+            followed again [ns].
         unnamed_ns: Time after which an alarm has all names, if none of them has that part [ns].
         settled_ns: Time after an alarm from which on the fault is taken for granted, and others may begin
             [ns].

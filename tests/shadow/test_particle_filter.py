@@ -14,7 +14,7 @@ from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Commanded, Counted, Seen
-from khep_twin.shadow.particle_filter import ParticleFilter, PoseEstimate
+from khep_twin.shadow.particle_filter import LEAST_DEVIATION, ParticleFilter, PoseEstimate
 from khep_twin.shadow.planes import Planes
 from khep_twin.shadow.start import PUBLISHED, Spread, anywhere, begun
 from khep_twin.shadow.wheel_commands import SPEED
@@ -124,7 +124,9 @@ def test_an_estimate_is_a_mean_by_the_weights_and_headings_are_a_circle() -> Non
     x, y, heading = tracker.estimate(7).pose
     assert (x, y) == pytest.approx((0.35, 0.2))
     assert math.remainder(heading - (math.pi + 0.1), math.tau) == pytest.approx(0)
-    assert np.diag(tracker.estimate(7).covariance) == pytest.approx([0.05**2, 0, 0.2**2])
+    assert np.diag(tracker.estimate(7).covariance) == pytest.approx(
+        [0.05**2, 0, 0.2**2] + np.square(LEAST_DEVIATION)
+    )
     tracker.particles.logs = np.log([0.9, 0.1])
     assert tracker.estimate(7).pose[0] == pytest.approx(0.31)
     assert tracker.estimate(7).time_ns == 7
