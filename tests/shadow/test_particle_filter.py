@@ -126,8 +126,6 @@ def test_an_estimate_is_a_mean_by_the_weights_and_headings_are_a_circle() -> Non
     assert math.remainder(heading - (math.pi + 0.1), math.tau) == pytest.approx(0)
     found = np.diag(tracker.estimate(7).covariance) - np.square(LEAST_DEVIATION)
     assert found == pytest.approx([0.05**2, 0, 0.2**2])
-        [0.05**2, 0, 0.2**2] + np.square(LEAST_DEVIATION)
-    )
     tracker.particles.logs = np.log([0.9, 0.1])
     assert tracker.estimate(7).pose[0] == pytest.approx(0.31)
     assert tracker.estimate(7).time_ns == 7
