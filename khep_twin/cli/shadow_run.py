@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from khep_twin.cli.options import tell_kept, tell_written, usage
+from khep_twin.cli.options import complain, tell_kept, tell_written, usage
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PlaypenError
 
@@ -149,6 +149,8 @@ class ShadowRun:
             took = "" if took_s is None else f" in {took_s:.1f} s"
             seconds, replies = last.time_ns / NS_PER_S, self._follower.replies
             typer.echo(f"{seconds:.1f} s followed{took}, {replies} replies", err=True)
+            if math.isnan(last.measured[0]):
+                complain("no reply to N was heard; expected some: the pose is by commands and counters alone")
         if self._output is not None:
             tell_written("log", [self._output], width=9, err=True)
 

@@ -47,6 +47,15 @@ def test_it_tells_where_the_robot_is_and_what_was_learned(log: Path) -> None:
     assert "s followed in" in done.stderr
 
 
+def test_a_host_that_never_asks_n_is_followed_by_its_counters_which_is_said(tmp_path: Path) -> None:
+    script = tmp_path / "counts.py"
+    script.write_text("def controller(robot):\n    robot.position()\n    robot.set_speed(5, 5)\n")
+    good("run", script, "--playpen", "obstacles", "--seconds", 2, "--log", tmp_path / "counts.mcap")
+    done = khep_twin("shadow", "obstacles", tmp_path / "counts.mcap", *SOME)
+    assert done.returncode == 0, done.stderr
+    assert "no reply to N was heard; expected some: the pose is by commands and counters alone" in done.stderr
+
+
 def test_it_follows_the_same_way_each_time_and_by_the_seed_another(log: Path) -> None:
     one, two, other = (
         khep_twin("shadow", "obstacles", log, *SOME, "--until", 3, "--seed", seed).stdout
