@@ -282,7 +282,8 @@ def judge(
         each for each in alarms if each.raised_ns >= since_ns and _right(each.fault, each.readings, names)
     ]
     alike = looking_alike(names)
-    alike_ns = [each.raised_ns for each in alarms if each in right or each.fault in alike]
+    together = [each for each in alarms if each.raised_ns >= since_ns and alike >= {*each.fault.split(OR)}]
+    alike_ns = [each.raised_ns for each in [*right, *together]]
     alike_ns += [each.time_ns for each in suspected if each.probability >= SURE and alike >= set(each.faults)]
     delay_s = (right[0].raised_ns - seen_ns) / NS_PER_S if right else math.nan
     last_ns = max((each.ended_ns for each in right), default=-1)
@@ -300,7 +301,9 @@ def judge(
         bool(right) and right[0].raised_ns <= seen_ns + SOON_NS,
         any(since_ns <= each <= seen_ns + SOON_NS for each in alike_ns),
         delay_s,
-        tuple(each.fault for each in alarms if each not in right),
+        tuple(
+            each.fault for each in alarms if each not in right and not (each in together and OR in each.fault)
+        ),
         end_s,
         ends,
         0.0,
@@ -311,7 +314,7 @@ def judge(
             lambda fault, time_ns, readings: (
                 since_ns <= time_ns
                 and (ended_ns < 0 or time_ns <= ended_ns + FADES_NS)
-                and _right(fault, readings, names)
+                and any(_right(each, readings, names) for each in fault.split(OR))
             ),
         ),
     )
@@ -332,6 +335,10 @@ def looking_alike(names: Sequence[str]) -> set[str]:
 def _right(fault: str, readings: Sequence[float], names: tuple[str, ...]) -> bool:
     """Return whether a fault has a right name; a sensor that is stuck at 0 is as a dead one is."""
     return fault in names and (fault == names[0] or readings[int(fault[-1])] == 0)
+
+
+OR = " or "
+"""Word between the names of an alarm of faults that look alike."""
 
 
 def _things(playpen: Playpen) -> list[tuple[str, tuple[Block | Cylinder, ...]]]:
