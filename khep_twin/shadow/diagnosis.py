@@ -25,7 +25,7 @@ from khep_twin.shadow.line_watch import LOSING, LineWatch
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.pose_watch import PoseWatch
 from khep_twin.shadow.search import KEPT_NS, Search
-from khep_twin.shadow.sensor_model import SensorModel
+from khep_twin.shadow.sensor_model import UNLIT, SensorModel
 from khep_twin.shadow.sensor_watch import SensorWatch
 from khep_twin.shadow.thresholds import THRESHOLDS
 from khep_twin.shadow.wheel_watch import WheelWatch
@@ -53,6 +53,7 @@ class Diagnosis:
         self.filter, self._rng = tracker, rng
         self._lit = bool(planes.lamps.names)
         model = SensorModel(planes)
+        self._quiet = model.quiet
         self._sensors = SensorWatch(model.quiet, model.limit, self._lit)
         self._wheels, self._line = WheelWatch(), LineWatch()
         self._lamps = LampWatch([] if planes.lamps_are_unknown else planes.lamps.names)
@@ -89,7 +90,11 @@ class Diagnosis:
     def follow(self, action: Action) -> Floats:
         """Follow an action; return what counters tell beyond commands (2,)."""
         self._search.note(action, self.filter.evidence)
-        told = self.filter.act(action, self._sensors.sound)
+        use = self._sensors.sound
+        if isinstance(action, Seen) and self._lamps.alarms:
+            # Which sensors the lamps leave their range is not known.
+            use &= (action.readings > self._quiet) & (self.filter.range_left > UNLIT)
+        told = self.filter.act(action, use)
         if isinstance(action, Seen):
             left = self.filter.range_left
             if self._lamps.alarms or (self._lit and not (self._known and self.state is not State.LOST)):
@@ -139,6 +144,11 @@ class Diagnosis:
             begun_ns = max(self._pose.last_onset_ns, time_ns - THRESHOLDS.window_ns)
             self._find(time_ns, begun_ns, THRESHOLDS.elsewhere)
         self._search.keep(time_ns, self.filter)
+
+    @property
+    def _is_losing(self) -> bool:
+        """True while the line loses commands: then twins know little of what a robot does."""
+        return any(each.fault == LOSING for each in self._line.alarms)
 
     @property
     def _known(self) -> bool:
@@ -203,9 +213,7 @@ class Diagnosis:
         use, since_ns = self._sensors.sound, self._pose.onset_ns(since_ns)
         if self._search.odds(self.filter, since_ns, use, fault) < least:
             return False
-        # Of a robot whose commands are lost the twins know as little.
-        is_losing = any(each.fault == LOSING for each in self._line.alarms)
-        if not is_losing and self.state is not State.LOST:
+        if not self._is_losing and self.state is not State.LOST:
             self._lifted = (Alarm(LIFTED, "proximity", since_ns, time_ns, 0.999),)
         self.ended += self._faults.give_up(time_ns)
         self.filter.take(self._search.lost(since_ns, use))
@@ -214,7 +222,7 @@ class Diagnosis:
 
     def _candidates(self, time_ns: int) -> list[FaultChange]:
         """Return the faults that may begin; where the pose is vague, they could be anything."""
-        if self.state is State.LOST:
+        if self.state is State.LOST or self._is_losing:
             return []
         if self._pose.vague_ns[1] == time_ns:  # It may be so because of one of these.
             return [each for each in self.filter.changes if each.begins]

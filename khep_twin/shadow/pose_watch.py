@@ -41,7 +41,7 @@ class PoseWatch:
         self.vague_ns = -1, -1
         self.surprised_ns: int | None = None
         self._seen_ns = self._unsettled_ns = self._turned_ns = 0
-        self._is_settled = state is State.FOLLOWED
+        self._is_settled: bool = state is State.FOLLOWED
         self._startled_ns: int | None = None
         self._onsets: deque[int] = deque(maxlen=_ONSETS)
 
