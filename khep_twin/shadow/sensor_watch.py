@@ -69,8 +69,7 @@ class SensorWatch:
                 if alarm := self._alarms.pop(sensor, None):
                     ended.append(replace(alarm, ended_ns=action.time_ns))
             left = range_left[sensor]
-            readable = UNLIT if self._lit and last == 0 else _READABLE
-            if left < readable or last > _NEAR_LIMIT * left * self._limit:
+            if left < _READABLE or last > _NEAR_LIMIT * left * self._limit:
                 # Where others surprise as much, the robot is elsewhere.
                 beyond = surprise[sensor] - np.delete(surprise, sensor).max() - _USUAL
                 told = min(_TOLD * beyond, _MOST) if now == last else 0.0
@@ -79,6 +78,9 @@ class SensorWatch:
                 others = np.delete(self._repeats[kind], sensor, axis=0).sum(axis=0)
                 self._repeats[kind, sensor] += now == last, 1
                 told = -math.log(others[0] / others[1]) if now == last else 0.0
+                if last == 0:
+                    # It may be lit more than the twins believe, the likelier the more they do.
+                    told *= min((left - _READABLE) / (UNLIT - _READABLE), 1) ** 2
             self._odds[sensor] = max(self._odds[sensor] + told, 0)
         # Several that read 0 at once are blinded by a lamp, which the twins believe to be farther.
         dark = (action.readings == 0) & (self._odds > RAISED / 2)
@@ -98,8 +100,7 @@ _NEAR_LIMIT = 0.85
 """Part of the range from which on a sound sensor repeats itself: there light counts little."""
 
 _READABLE = 0.7
-"""Part of the range below which lamps blind a sensor, which then repeats itself, too (assumed); above it a
-sensor that reads 0 may be lit more than the twins believe."""
+"""Part of the range below which lamps blind a sensor, which then repeats itself, too (assumed)."""
 
 _USUAL, _TOLD, _MOST = 0.3, 2.0, 1.5
 """Surprise that is usual there, and what more of it adds to the odds, at the most (assumed)."""

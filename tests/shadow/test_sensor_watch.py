@@ -129,7 +129,7 @@ def test_sensors_that_read_0_at_once_are_blinded_where_there_are_lamps() -> None
     assert [alarm.fault for alarm in watched.see(5, holding(2, 0))] == ["dead sensor 2"]
 
 
-@pytest.mark.parametrize(("left", "names"), [(0.9, []), (1.0, ["dead sensor 3"])])
+@pytest.mark.parametrize(("left", "names"), [(0.8, []), (1.0, ["dead sensor 3"])])
 def test_where_a_lamp_may_shine_more_than_expected_a_sensor_that_reads_0_is_not_dead(
     left: float, names: list[str]
 ) -> None:
