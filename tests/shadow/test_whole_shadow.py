@@ -9,6 +9,7 @@ import pytest
 from twins import EXACT, SECOND
 
 from khep_twin.errors import PlaypenError
+from khep_twin.log.shadow_channels import State
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.following import AlarmChange, Follower
 from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
@@ -17,7 +18,7 @@ from khep_twin.shadow.shadow import Shadow, ShadowSettings, Update
 from studies.twin_runs import Followed, Recording, follow, told_playpen
 
 STUCK, SINCE_S, UNTIL_S, RESTART_S, LENGTH_S = 3, 4, 9, 12, 20
-SETTINGS = ShadowSettings(particles=300)
+SETTINGS = ShadowSettings(particles=200)
 QUIET = b"n,0,0,0,0,0,0,0,0\r\n"
 MS = SECOND // 1000
 
@@ -45,7 +46,7 @@ def updates(lines: Iterable[Heard], settings: ShadowSettings, followed: Followed
 
 
 def early(log: Path) -> list[Heard]:
-    return [heard for heard in recorded(log).heard if heard.time_ns < 3 * SECOND]
+    return [heard for heard in recorded(log).heard if heard.time_ns < 2 * SECOND]
 
 
 def bits(found: Iterable[Update]) -> list[object]:
@@ -106,7 +107,7 @@ def test_the_same_line_gives_the_same_updates_and_another_seed_others(log: Path,
     assert bits(one) == bits(two)
     assert len(one) > 10
     assert [list(each.estimate.pose) for each in one] == followed.poses[: len(one)].tolist()
-    other = list(updates(lines, ShadowSettings(seed=1, particles=300), followed))
+    other = list(updates(lines, ShadowSettings(seed=1, particles=200), followed))
     assert other[-1].estimate.pose != one[-1].estimate.pose
 
 
@@ -182,6 +183,18 @@ def test_silence_advances_the_pose_without_a_reply() -> None:
     way = math.dist(first.estimate.pose[:2], second.estimate.pose[:2])
     assert way == pytest.approx(0.04, abs=0.005)
     assert shadow.wait(2 * SECOND + MS) == []
+
+
+def test_a_robot_may_start_at_any_of_its_spots_and_is_lost_until_they_are_told_apart() -> None:
+    pytest.importorskip("numba", reason="numba is not installed")
+    playpen = Playpen.load("looping-maze")
+    shadow = Shadow(playpen, ShadowSettings(particles=50))
+    (update,) = conversation(shadow, (0, b"N\n", QUIET))
+    assert update.state is State.LOST
+    spots = np.array([(spot.x_mm, spot.y_mm) for spot in playpen.spots]) * 1e-3
+    away = np.linalg.norm(update.particles[:, None, :2] - spots, axis=2)
+    assert (away.min(axis=1) < 0.06).all()
+    assert np.bincount(away.argmin(axis=1), minlength=4).min() > 10
 
 
 def test_an_unknown_start_is_looked_for_everywhere_and_replies_narrow_it() -> None:
