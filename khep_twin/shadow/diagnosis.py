@@ -97,7 +97,7 @@ class Diagnosis:
         told = self.filter.act(action, use)
         if isinstance(action, Seen):
             left = self.filter.range_left
-            if self._lamps.alarms or (self._lit and not (self._known and self.state is not State.LOST)):
+            if self._lamps.alarms or (self._lit and not (self._known and self._pose.is_proven)):
                 left = np.zeros_like(left)  # Any sensor may be blinded.
             self.ended += self._sensors.see(action, left, self.filter.surprise)
             self._see(action.time_ns)
@@ -192,6 +192,8 @@ class Diagnosis:
         if led.faults[0].alike != certain.faults[0].alike:
             self.ended += faults.give_up(time_ns)
             self._begin(certain, time_ns)
+        elif faults.rename(certain):
+            self.ended += (replace(alarm, ended_ns=time_ns),)
         elif time_ns - alarm.raised_ns > THRESHOLDS.settled_ns:
             faults.settle(certain)
             self._adopt(certain.numbers[0], time_ns)
@@ -213,7 +215,7 @@ class Diagnosis:
         use, since_ns = self._sensors.sound, self._pose.onset_ns(since_ns)
         if self._search.odds(self.filter, since_ns, use, fault) < least:
             return False
-        if not self._is_losing and self.state is not State.LOST:
+        if not self._is_losing and self._pose.is_proven:
             self._lifted = (Alarm(LIFTED, "proximity", since_ns, time_ns, 0.999),)
         self.ended += self._faults.give_up(time_ns)
         self.filter.take(self._search.lost(since_ns, use))
@@ -222,15 +224,16 @@ class Diagnosis:
 
     def _candidates(self, time_ns: int) -> list[FaultChange]:
         """Return the faults that may begin; where the pose is vague, they could be anything."""
-        if self.state is State.LOST or self._is_losing:
+        if self._is_losing or not self._pose.is_proven:
             return []
         if self._pose.vague_ns[1] == time_ns:  # It may be so because of one of these.
             return [each for each in self.filter.changes if each.begins]
         present = {fault.name for fault, _ in self._faults.settled}
-        stands = any(fault.channel == "wheels" for fault, _ in self._faults.settled)
+        if any(fault.channel == "wheels" for fault, _ in self._faults.settled):
+            return []  # What else seems wrong follows from that.
         sensor, counted = int(np.argmax(self._pose.surprise)), self._counted is not None
         return [
             each
             for each in self._begins.at(time_ns, self.filter, sensor, counted)
-            if each.hypothesis.name not in present and not (stands and each.hypothesis.channel == "wheels")
+            if each.hypothesis.name not in present
         ]

@@ -116,6 +116,17 @@ class FaultWatch:
         channel = alike.faults[0].channel
         self.leading = alike, Alarm(name, channel, alike.since_ns, time_ns, min(sureness, _SUREST))
 
+    def rename(self, alike: Alike) -> bool:
+        """Give the alarm of several names the one that is certain now; return whether it has another name."""
+        if self.leading is None or self.leading[1].fault in [fault.name for fault in alike.faults]:
+            return False
+        if alike.parts[0] < THRESHOLDS.named:
+            return False
+        sureness = min(alike.probability * alike.parts[0], _SUREST)
+        alarm = replace(self.leading[1], fault=alike.faults[0].name, sureness=sureness)
+        self.leading = alike, alarm
+        return True
+
     def settle(self, alike: Alike) -> None:
         """Take the leading fault for granted."""
         if self.leading is not None:

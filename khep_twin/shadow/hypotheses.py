@@ -135,7 +135,7 @@ class WeakMotor(_OfWheel):
 class SlippingWheel(_OfWheel):
     """A wheel whose tyre slips on the floor."""
 
-    kind, rare = "slipping wheel", 4.5
+    kind, rare = "slipping wheel", 3.0
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Make the tyre slip."""
@@ -156,7 +156,7 @@ class SlippingWheel(_OfWheel):
 class _OfThing(Hypothesis):
     """A fault of a thing of the playpen: its name, and its rows among those of the plane."""
 
-    channel, rare = "proximity", 1.0
+    channel, rare = "proximity", 2.0
     kind: ClassVar[str]
     thing: str
     rows: tuple[int, ...]

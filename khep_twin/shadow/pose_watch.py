@@ -43,6 +43,7 @@ class PoseWatch:
         self._seen_ns = self._unsettled_ns = self._turned_ns = 0
         self._is_settled: bool = state is State.FOLLOWED
         self._startled_ns: int | None = None
+        self._found_ns: int | None = None
         self._onsets: deque[int] = deque(maxlen=_ONSETS)
 
     def see(self, time_ns: int, surprise: Floats, *, is_known: bool) -> None:
@@ -70,12 +71,19 @@ class PoseWatch:
             if time_ns - self._turned_ns >= THRESHOLDS.held_ns:
                 self.state = State.FOLLOWED if is_settled else State.UNSURE
         elif time_ns - self._unsettled_ns > THRESHOLDS.found_ns:
-            self.state = State.FOLLOWED
+            self.state, self._found_ns = State.FOLLOWED, time_ns
 
     def lose(self) -> None:
         """Begin a search for the pose."""
         self.state = State.LOST
         self.surprise[:] = 0
+
+    @property
+    def is_proven(self) -> bool:
+        """True unless the pose is lost, or was found only lately."""
+        found_ns = self._found_ns
+        is_new = found_ns is not None and self._seen_ns - found_ns < THRESHOLDS.proven_ns
+        return self.state is not State.LOST and not is_new
 
     def was_startled(self, since_ns: int) -> bool:
         """Return whether a reply surprised at all after what seems to have begun at a time [ns]."""

@@ -28,6 +28,8 @@ class Thresholds:
         elsewhere: Logarithm of the odds from which on it is elsewhere, where no fault explains the replies.
         rather: Logarithm of the odds from which on it is elsewhere instead of having a fault.
         found_ns: Time of a known pose, without surprise that lasts, after which a search has found it [ns].
+        proven_ns: Time after that from which on faults are told: before it another place is the likelier
+            explanation [ns].
         suspected: Probability from which on a fault is suspected (assumed).
         sure: Probability from which on there is one of faults that look alike: that of an alarm.
         named: Part of that probability that one of them has, to give the alarm its name.
@@ -52,12 +54,13 @@ class Thresholds:
     elsewhere: float = 9.0
     rather: float = 0.0
     found_ns: int = 5 * NS_PER_S
+    proven_ns: int = 15 * NS_PER_S
     suspected: float = 0.2
     sure: float = 0.95
     named: float = 0.8
     told_ns: int = NS_PER_S
     held_ns: int = NS_PER_S // 4
-    unnamed_ns: int = 3 * NS_PER_S
+    unnamed_ns: int = 1_500_000_000
     settled_ns: int = 5 * NS_PER_S
 
 

@@ -38,14 +38,19 @@ def test_faults_that_look_alike_decide_together_and_have_all_names_if_nothing_te
     assert certain is not None
     assert certain.probability == pytest.approx(0.97)
     assert [each.faults for each in watch.suspected] == [("weak motor left", "slipping wheel left")]
-    assert not watch.is_named(certain, 3 * SECOND)
-    assert watch.is_named(certain, 4 * SECOND)
+    assert not watch.is_named(certain, 2 * SECOND)
+    assert watch.is_named(certain, 3 * SECOND)
     watch.raise_alarm(certain, 4 * SECOND)
     (alarm,) = watch.alarms
     assert (alarm.fault, alarm.channel) == ("weak motor left or slipping wheel left", "wheels")
     assert alarm.sureness == pytest.approx(0.97)
     see(watch, 5.0, found)
     assert watch.suspected == ()  # it has its alarm
+    told_apart = see(watch, 6.0, {WEAK: 0.95, SLIP: 0.03})
+    assert told_apart is not None
+    assert watch.rename(told_apart)
+    assert [each.fault for each in watch.alarms] == ["weak motor left"]
+    assert not watch.rename(told_apart)
 
 
 def test_one_that_is_told_apart_has_its_name_and_its_own_probability() -> None:
