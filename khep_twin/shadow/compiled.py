@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from khep_twin import units
 from khep_twin.board import kernel
-from khep_twin.compilable import compilable_once
+from khep_twin.compilable import compilable, compilable_once
 from khep_twin.episodes.planar import casting, contact_solver, motion, plane, pushing, shadows
 from khep_twin.episodes.planar import compiled as planar_compiled
 from khep_twin.episodes.planar.plane import Plane
@@ -79,16 +79,22 @@ def _advance(things, order, near, none, planes, registers, processor, strength, 
             motion.step(scene)
             left, right = scene.robot.joints[drive[0].left_angle], scene.robot.joints[drive[0].right_angle]
             kernel.run(board, processor[twin], units.wheel_pulses(left), units.wheel_pulses(right))
-            # A weak motor gives a part of its torque; without any it generates its own voltage.
             speeds, constant = scene.robot.speeds, drive[0].constant
-            part, held = max(strength[twin, 0], 0.0), _HOLD * min(strength[twin, 0], 0.0)
             own = constant * speeds[drive[0].left_speed]
             wanted = units.duty_voltage(board[_LEFT_DUTY], voltage)
-            scene.robot.ctrl[0] = own + (wanted - own) * part + own * held
-            part, held = max(strength[twin, 1], 0.0), _HOLD * min(strength[twin, 1], 0.0)
+            scene.robot.ctrl[0] = _voltage(strength[twin, 0], own, wanted, voltage)
             own = constant * speeds[drive[0].right_speed]
             wanted = units.duty_voltage(board[_RIGHT_DUTY], voltage)
-            scene.robot.ctrl[1] = own + (wanted - own) * part + own * held
+            scene.robot.ctrl[1] = _voltage(strength[twin, 1], own, wanted, voltage)
+
+
+@compilable
+def _voltage(strength, own, wanted, most):
+    """Return the voltage of a motor [V], which generates its own one without current."""
+    if strength >= 0:
+        return own + (wanted - own) * strength
+    # A brake that takes its speed from the start of a tick would overshoot more and more without a limit.
+    return own + min(max(_HOLD * strength * own, -most), most)
 
 
 def _illuminate(things, order, near, none, planes, sensors, turns, light, slope):

@@ -238,12 +238,13 @@ class ParticleFilter:
         return float(self.weights @ hindered) < 0.5
 
     def _wanted(self, weights: Floats) -> int:
-        """Return the number of particles that the spread of the pose needs."""
-        if len(weights) <= 2 * self._count:
+        """Return the number of particles that the spread of the pose needs, besides those of changes."""
+        most = len(weights) - QUOTA * (len(self.changes) + 1) * bool(self.changes)
+        if most <= 2 * self._count:
             return self._count
         poses = self.particles.planes.poses[weights > 1e-3 / len(weights)]
         cells = np.unique(np.floor(poses / (0.03, 0.03, math.radians(15))), axis=0)
-        return int(np.clip(10 * len(cells), self._count, len(weights)))
+        return int(np.clip(10 * len(cells), self._count, most))
 
     def _drift(self, rough: Floats) -> None:
         """Move the particles by the noise since the last drift, and by a deviation (3,) [m, rad]."""

@@ -14,6 +14,8 @@ from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Commanded, Counted, Seen
+from khep_twin.shadow.changes import QUOTA, FaultChange
+from khep_twin.shadow.hypotheses import of_wheels
 from khep_twin.shadow.particle_filter import LEAST_DEVIATION, ParticleFilter, PoseEstimate
 from khep_twin.shadow.planes import Planes
 from khep_twin.shadow.start import PUBLISHED, Spread, anywhere, begun
@@ -177,3 +179,18 @@ def test_a_robot_that_pushes_teaches_nothing_of_its_wheels(
     tracker.act(Seen(robot.ticks * SECOND // 100, readings(robot)), ALL)
     moved = tracker.particles.wheels[:, 1].mean() - before.mean()
     assert moved / before.std() == pytest.approx(shift, abs=0.25)
+
+
+def test_faults_that_are_considered_add_their_quota_once() -> None:
+    setup = setup_of("workshop")
+    tracker = ParticleFilter(
+        setup, begun(setup, None, PUBLISHED, 3000, stream(0, "start")), stream(0, "f"), 300
+    )
+    robot = planes_at(START)
+    counts: list[int] = []
+    for _ in range(5):
+        robot.advance(60)
+        tracker.consider([FaultChange(fault, True) for fault in of_wheels()])
+        tracker.act(Seen(robot.ticks * SECOND // 100, readings(robot)), ALL)
+        counts.append(len(tracker.particles))
+    assert max(counts) <= 3000 + QUOTA * 7, counts

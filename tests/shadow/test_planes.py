@@ -183,3 +183,12 @@ def test_what_no_twins_can_be_made_of_is_refused(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(sys.modules, "khep_twin.shadow.compiled", None)
     with pytest.raises(MissingNumbaError, match="numba is not installed"):
         Planes(setup_of("workshop"), 1)
+
+
+def test_a_wheel_that_is_blocked_stands_however_fast_it_was_turned() -> None:
+    planes = planes_at(OPEN)
+    planes.strength[:] = -1
+    planes.robots["speeds"][:, flat.LEFT_ANGLE] = 150  # three times what a motor reaches
+    planes.advance(200)
+    assert np.abs(planes.robots["speeds"]).max() < 1
+    assert np.isfinite(planes.poses).all()

@@ -18,7 +18,7 @@ from khep_twin.shadow.shadow import Shadow, ShadowSettings, Update
 from studies.twin_runs import Followed, Recording, follow, told_playpen
 
 STUCK, SINCE_S, UNTIL_S, RESTART_S, LENGTH_S = 3, 4, 9, 12, 20
-SETTINGS = ShadowSettings(particles=200)
+SETTINGS = ShadowSettings(particles=300)
 QUIET = b"n,0,0,0,0,0,0,0,0\r\n"
 MS = SECOND // 1000
 
@@ -107,7 +107,7 @@ def test_the_same_line_gives_the_same_updates_and_another_seed_others(log: Path,
     assert bits(one) == bits(two)
     assert len(one) > 10
     assert [list(each.estimate.pose) for each in one] == followed.poses[: len(one)].tolist()
-    other = list(updates(lines, ShadowSettings(seed=1, particles=200), followed))
+    other = list(updates(lines, ShadowSettings(seed=1, particles=300), followed))
     assert other[-1].estimate.pose != one[-1].estimate.pose
 
 
