@@ -138,6 +138,7 @@ def test_a_calibration_is_taken_from_what_a_shadow_has_learned(
         strict.setattr("khep_twin.lab.fit.shadow_fit.DETERMINED", 0.01)
         early = khep_twin("fit", "--from", log, "--playpen", "obstacles")
         assert "determines nothing better than it was known" in early.stderr
+    monkeypatch.setattr("khep_twin.lab.fit.shadow_fit.DETERMINED", 0.8)  # by a log of five seconds
     shadow, found = tmp_path / "shadow.mcap", tmp_path / "mine.toml"
     good("shadow", "obstacles", log, "-o", shadow)
     told = good("fit", "--from", shadow, "-o", found)
