@@ -97,7 +97,8 @@ class Diagnosis:
         told = self.filter.act(action, use)
         if isinstance(action, Seen):
             left = self.filter.range_left
-            if self._lamps.alarms or (self._lit and not (self._known and self._pose.is_proven)):
+            is_sure = self.state is State.FOLLOWED and self._pose.is_proven
+            if self._lamps.alarms or (self._lit and not is_sure):
                 left = np.zeros_like(left)  # Any sensor may be blinded.
             self.ended += self._sensors.see(action, left, self.filter.surprise)
             self._see(action.time_ns)
