@@ -81,7 +81,7 @@ def repeat(action: Action, particles: Particles) -> None:
     planes.advance_to(action.time_ns)
     match action:
         case Commanded(time_ns, command, left, right, doubtful, late_ns):
-            turns = (max(late_ns - time_ns, 0) + LATE_NS - 1) // LATE_NS + 1
+            turns = max(late_ns - time_ns, 0) // LATE_NS + 1
             for turn in range(turns):
                 planes.advance_to(time_ns + turn * LATE_NS)
                 planes.taken(slice(turn, None, 2 * turns if doubtful else turns)).command(

@@ -90,8 +90,8 @@ class PoseWatch:
         return self._startled_ns is not None and self._startled_ns > since_ns - THRESHOLDS.earlier_ns
 
     def was_vague(self, time_ns: int) -> bool:
-        """Return whether the pose was not known at a time [ns], of the last such time."""
-        return self.vague_ns[0] <= time_ns <= self.vague_ns[1]
+        """Return whether the pose was not known at a time [ns], or just before, of the last such time."""
+        return self.vague_ns[0] <= time_ns <= self.vague_ns[1] + THRESHOLDS.told_ns
 
     def onset_ns(self, since_ns: int) -> int:
         """Return the time of the reply before those that surprised since about a time [ns]."""

@@ -55,7 +55,7 @@ _LINE_END = 2
 """Bytes that end a reply."""
 
 _KEPT_NS = 20_000_000
-"""Lateness of a reply up to which the command's is taken for the same (assumed) [ns]."""
+"""Lateness of a reply up to which the command's is taken for half of it (assumed) [ns]."""
 
 _LONGEST_NS = 100_000_000
 """Silence after which the pose is estimated without a reply [ns]."""
@@ -205,7 +205,7 @@ class Shadow:
             late_ns = exchange.heard_ns - (len(exchange.reply) + _LINE_END) * self._byte_ns
             residuals = residuals._replace(timing=(late_ns - time_ns) * 1e-9)
             if late_ns <= time_ns + _KEPT_NS:
-                time_ns = late_ns = max(exchange.sent_ns, late_ns)
+                time_ns = max(exchange.sent_ns, min(late_ns, (time_ns + late_ns) // 2))
         time_ns = self._time_ns = max(time_ns, self._time_ns)
         late_ns = max(late_ns, time_ns)
         values = exchange.values

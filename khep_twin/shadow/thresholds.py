@@ -59,7 +59,7 @@ class Thresholds:
     sure: float = 0.95
     named: float = 0.8
     told_ns: int = NS_PER_S
-    held_ns: int = NS_PER_S // 4
+    held_ns: int = 400_000_000
     unnamed_ns: int = 1_500_000_000
     settled_ns: int = 5 * NS_PER_S
 
