@@ -50,6 +50,8 @@ def test_a_twin_that_nobody_knows_is_calibrated_by_one_command(
     found = calibration.read(str(tmp_path / "mine.toml"))[0]
     assert found.wheels.radius_mm == pytest.approx(robot.wheels.radius_mm, rel=0.004)
     assert found.wheels.base_mm == pytest.approx(robot.wheels.base_mm, rel=0.005)
+    assert found.motors.no_load_speed_rad_s == pytest.approx(robot.motors.no_load_speed_rad_s, rel=0.02)
+    assert found.motors.stall_torque_n_m == pytest.approx(robot.motors.stall_torque_n_m, rel=0.1)
     gains = zip(found.proximity.gain_counts_mm2, robot.proximity.gain_counts_mm2, strict=True)
     assert all(math.isclose(one, other, rel_tol=0.15) for one, other in gains)
     assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")

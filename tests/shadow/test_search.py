@@ -67,6 +67,7 @@ def test_the_time_after_which_it_was_lifted_need_not_be_one_of_a_snapshot() -> N
     assert odds > max(turning.search.odds(turning.filter, since_ns - SECOND // 2, ALL), 0)
 
 
+@pytest.mark.long
 def test_what_was_too_long_ago_is_taken_for_the_first_that_is_known() -> None:
     turning = Turning()
     assert turning.search.odds(turning.filter, 0, ALL) == -np.inf

@@ -245,7 +245,7 @@ def test_attempts_that_are_stopped_leave_no_process(short: Path, tmp_path: Path)
 
 @pytest.mark.parametrize(
     "broken",
-    share([["kills_its_parent", "takes_much"], [*BROKEN]], 2),
+    share([["kills_its_parent"], [*BROKEN]], 2),
     ids=["some", "all"],
 )
 def test_a_table_has_a_line_for_every_file_whatever_it_does(

@@ -129,6 +129,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], list[
     return words, unused, path
 
 
+@pytest.mark.long
 def test_a_hidden_robot_is_found_and_tests_that_were_not_used_are_met(
     recorded: tuple[list[str], list[str], Path],
 ) -> None:
