@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.log.shadow_channels import State
+from khep_twin.log.shadow_channels import PoseState
 from khep_twin.shadow.shadow import ShadowSettings
 from studies.twin_runs import Floats, Followed, Raised, Recording, Suspected, alternating, follow
 
@@ -97,12 +97,12 @@ def run_healthy(recording: Recording, folder: Path, settings: ShadowSettings) ->
     path = recording.path(folder)
     found = follow(path, recording.playpen, settings, told=not recording.own_start)
     lasts_s = np.diff(found.times_ns, append=found.times_ns[-1:]) / NS_PER_S
-    errors_mm, followed = found.errors(found.poses)[:, 0], found.states == State.FOLLOWED
+    errors_mm, followed = found.errors(found.poses)[:, 0], found.states == PoseState.FOLLOWED
     return Healthy(
         recording,
-        {str(state): float(lasts_s[found.states == state].sum()) for state in State},
+        {str(state): float(lasts_s[found.states == state].sum()) for state in PoseState},
         errors_mm[followed],
-        inside(found)[found.states != State.LOST],
+        inside(found)[found.states != PoseState.LOST],
         _longest(lasts_s, found.readings < IN_REACH),
         _longest(lasts_s, followed & (errors_mm > ASTRAY_MM)),
         found.alarms,
@@ -131,7 +131,7 @@ HEALTHY_COLUMNS = (
 
 def healthy_cells(found: Sequence[Healthy]) -> list[str]:
     """Return the cells of a row about some of them."""
-    state_s = {str(state): sum(each.state_s[state] for each in found) for state in State}
+    state_s = {str(state): sum(each.state_s[state] for each in found) for state in PoseState}
     total_s, names = sum(state_s.values()), [alarm.fault for each in found for alarm in each.alarms]
     errors = np.concatenate([each.errors_mm for each in found])
     within = np.concatenate([each.inside for each in found])
@@ -140,7 +140,7 @@ def healthy_cells(found: Sequence[Healthy]) -> list[str]:
         f"{total_s / 3600:.2f}",
         str(len(names)),
         f"{len(names) / total_s * 3600:.1f}",
-        *(f"{100 * state_s[state] / total_s:.1f} %" for state in State),
+        *(f"{100 * state_s[state] / total_s:.1f} %" for state in PoseState),
         _quantile(errors, 0.5),
         _quantile(errors, 0.95),
         *(f"{100 * share:.1f} %" for share in within.mean(axis=0)),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from khep_twin.log.shadow_channels import Alarm, State, Suspicion
+from khep_twin.log.shadow_channels import Alarm, PoseState, Suspicion
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.particle_filter import Floats, PoseEstimate
 from khep_twin.shadow.shadow import Residuals, ShadowSettings, Update
@@ -36,7 +36,7 @@ def updates() -> Iterator[Update]:
             expected,
             nothing if time_ns == 0 else measured,
             Residuals(proximity, nothing, np.array([1.0, -2.0]), 0.001 if asked else math.nan),
-            State.FOLLOWED if time_ns < 2000 * MS else State.UNSURE,
+            PoseState.FOLLOWED if time_ns < 2000 * MS else PoseState.UNSURE,
             (SUSPICION,) if 800 * MS <= time_ns < 1000 * MS else (),
             (ALARM,) if 1000 * MS <= time_ns < 2000 * MS else (),
             (ALARM,) if time_ns == 2000 * MS else (),

@@ -74,7 +74,7 @@ class Alarm:
     ended_ns: int | None = None
 
 
-class State(StrEnum):
+class PoseState(StrEnum):
     """State of a pose: known, with a region that holds it; known to less; or searched for."""
 
     FOLLOWED = "followed"
@@ -82,7 +82,11 @@ class State(StrEnum):
     LOST = "lost"
 
 
-STATE_COLOURS = {State.FOLLOWED: (94, 53, 177), State.UNSURE: (240, 140, 0), State.LOST: (200, 30, 60)}
+STATE_COLOURS = {
+    PoseState.FOLLOWED: (94, 53, 177),
+    PoseState.UNSURE: (240, 140, 0),
+    PoseState.LOST: (200, 30, 60),
+}
 """Colours in which the region of an estimate is drawn: red, green, blue."""
 
 REGION = 2.4477
@@ -120,16 +124,16 @@ class StateTimes:
     """
 
     def __init__(self) -> None:
-        self._passed_ns = dict.fromkeys(State, 0)
+        self._passed_ns = dict.fromkeys(PoseState, 0)
         self._time_ns = 0
-        self.state: State | None = None
+        self.state: PoseState | None = None
         self.lost = 0
 
-    def add(self, time_ns: int, state: State) -> None:
+    def add(self, time_ns: int, state: PoseState) -> None:
         """Note the state at a time, not before that of earlier ones [ns]."""
         if self.state is not None:
             self._passed_ns[self.state] += time_ns - self._time_ns
-        self.lost += state is State.LOST and self.state is not State.LOST
+        self.lost += state is PoseState.LOST and self.state is not PoseState.LOST
         self._time_ns, self.state = time_ns, state
 
     def __str__(self) -> str:
@@ -174,18 +178,18 @@ def alarms_of(lines: Iterable[TextLine]) -> list[Alarm]:
     return alarms
 
 
-def state_line(time_ns: int, state: State) -> TextLine:
+def state_line(time_ns: int, state: PoseState) -> TextLine:
     """Return the line of a log where a state begins."""
-    level = Level.WARN if state is State.LOST else Level.INFO
+    level = Level.WARN if state is PoseState.LOST else Level.INFO
     return TextLine(time_ns, level, "state", state)
 
 
-def state_of(text: str) -> State:
+def state_of(text: str) -> PoseState:
     """Return the state that a line tells; a `DecodeError` is raised where it tells none."""
     try:
-        return State(text)
+        return PoseState(text)
     except ValueError:
-        raise DecodeError(f"state {shown(text)}", f"one of {', '.join(State)}") from None
+        raise DecodeError(f"state {shown(text)}", f"one of {', '.join(PoseState)}") from None
 
 
 def suspected_line(time_ns: int, suspected: Iterable[Suspicion]) -> TextLine:

@@ -19,7 +19,7 @@ from khep_twin.log.shadow_channels import (
     RESIDUALS,
     TOPICS,
     Alarm,
-    State,
+    PoseState,
     StateTimes,
     Suspicion,
     alarms_of,
@@ -68,7 +68,7 @@ class ShadowTrack:
     particles_ns: NDArray[np.int64]
     particles: Floats
     alarms: list[Alarm]
-    states: list[tuple[int, State]]
+    states: list[tuple[int, PoseState]]
     suspected: list[tuple[int, tuple[Suspicion, ...]]]
 
     @property

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.log.exchanges import Exchange
-from khep_twin.log.shadow_channels import Alarm, State, Suspicion
+from khep_twin.log.shadow_channels import Alarm, PoseState, Suspicion
 from khep_twin.shadow.actions import Action, Counted, Restarted, Seen, Waited
 from khep_twin.shadow.candidates import Candidates
 from khep_twin.shadow.changes import FaultChange
@@ -58,7 +58,7 @@ class Diagnosis:
         self._wheels, self._line = WheelWatch(), LineWatch()
         self._lamps = LampWatch([] if planes.lamps_are_unknown else planes.lamps.names)
         self._begins, self._search = Candidates(setup), Search(setup, rng)
-        self._pose = PoseWatch(State.FOLLOWED if self._known else State.LOST)
+        self._pose = PoseWatch(PoseState.FOLLOWED if self._known else PoseState.LOST)
         self._faults = FaultWatch()
         self._lifted: tuple[Alarm, ...] = ()
         self._counted: Floats | None = None
@@ -74,7 +74,7 @@ class Diagnosis:
         return tuple(sorted(found, key=lambda alarm: alarm.raised_ns))
 
     @property
-    def state(self) -> State:
+    def state(self) -> PoseState:
         """State of the estimated pose."""
         return self._pose.state
 
@@ -97,7 +97,7 @@ class Diagnosis:
         told = self.filter.act(action, use)
         if isinstance(action, Seen):
             left = self.filter.range_left
-            is_sure = self.state is State.FOLLOWED and self._pose.is_proven
+            is_sure = self.state is PoseState.FOLLOWED and self._pose.is_proven
             if self._lamps.alarms or (self._lit and not is_sure):
                 left = np.zeros_like(left)  # Any sensor may be blinded.
             self.ended += self._sensors.see(action, left, self.filter.surprise)
@@ -129,7 +129,7 @@ class Diagnosis:
         """Take a reply to N: diagnose, keep a snapshot, and search while it surprises."""
         was, is_sound = self.state, np.argmax(self.filter.probabilities) == 0
         self._pose.see(time_ns, self.filter.surprise, is_known=self._known or not is_sound)
-        if was is State.LOST and self.state is not State.LOST:
+        if was is PoseState.LOST and self.state is not PoseState.LOST:
             self.ended += tuple(replace(alarm, ended_ns=time_ns) for alarm in self._lifted)
             self._lifted = ()
         self._diagnose(time_ns)

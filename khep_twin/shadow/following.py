@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.log.shadow_channels import Alarm, State, StateTimes
+from khep_twin.log.shadow_channels import Alarm, PoseState, StateTimes
 from khep_twin.shadow.recording import Heard
 from khep_twin.shadow.shadow import Shadow, Update
 
@@ -66,8 +66,8 @@ class Follower:
         One that is lost is found where it is followed. One that is lost from the start on was not followed.
         """
         before = self._lost
-        if update.state is not State.UNSURE:
-            self._lost = update.state is State.LOST
+        if update.state is not PoseState.UNSURE:
+            self._lost = update.state is PoseState.LOST
         elif before is None:
             self._lost = False
         return None if before is None or self._lost is before else self._lost

@@ -13,7 +13,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.log.shadow_channels import State
+from khep_twin.log.shadow_channels import PoseState
 from khep_twin.shadow.thresholds import THRESHOLDS
 
 Floats = NDArray[np.float64]
@@ -35,13 +35,13 @@ class PoseWatch:
         surprised_ns: Time since when replies surprise [ns]; None while they do not.
     """
 
-    def __init__(self, state: State) -> None:
+    def __init__(self, state: PoseState) -> None:
         self.state = state
         self.surprise: Floats = np.zeros(8)
         self.vague_ns = -1, -1
         self.surprised_ns: int | None = None
         self._seen_ns = self._unsettled_ns = self._turned_ns = 0
-        self._is_settled: bool = state is State.FOLLOWED
+        self._is_settled: bool = state is PoseState.FOLLOWED
         self._startled_ns: int | None = None
         self._found_ns: int | None = None
         self._onsets: deque[int] = deque(maxlen=_ONSETS)
@@ -67,15 +67,15 @@ class PoseWatch:
         surprised_ns = time_ns if self.surprised_ns is None else self.surprised_ns
         if not is_known or time_ns - surprised_ns >= THRESHOLDS.waited_ns:
             self._unsettled_ns = time_ns
-        if self.state is not State.LOST:
+        if self.state is not PoseState.LOST:
             if time_ns - self._turned_ns >= THRESHOLDS.held_ns:
-                self.state = State.FOLLOWED if is_settled else State.UNSURE
+                self.state = PoseState.FOLLOWED if is_settled else PoseState.UNSURE
         elif time_ns - self._unsettled_ns > THRESHOLDS.found_ns:
-            self.state, self._found_ns = State.FOLLOWED, time_ns
+            self.state, self._found_ns = PoseState.FOLLOWED, time_ns
 
     def lose(self) -> None:
         """Begin a search for the pose."""
-        self.state = State.LOST
+        self.state = PoseState.LOST
         self.surprise[:] = 0
 
     @property
@@ -83,7 +83,7 @@ class PoseWatch:
         """True unless the pose is lost, or was found only lately."""
         found_ns = self._found_ns
         is_new = found_ns is not None and self._seen_ns - found_ns < THRESHOLDS.proven_ns
-        return self.state is not State.LOST and not is_new
+        return self.state is not PoseState.LOST and not is_new
 
     def was_startled(self, since_ns: int) -> bool:
         """Return whether a reply surprised at all after what seems to have begun at a time [ns]."""

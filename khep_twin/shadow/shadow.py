@@ -24,7 +24,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.firmware import Firmware, parse
 from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
-from khep_twin.log.shadow_channels import Alarm, State, Suspicion
+from khep_twin.log.shadow_channels import Alarm, PoseState, Suspicion
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Action, Commanded, Configured, Counted, Restarted, Seen, Waited
@@ -125,7 +125,7 @@ class Update:
     expected: Floats
     measured: Floats
     residuals: Residuals
-    state: State
+    state: PoseState
     suspected: tuple[Suspicion, ...]
     alarms: tuple[Alarm, ...]
     ended: tuple[Alarm, ...]

@@ -29,7 +29,7 @@ from khep_twin.log.run_description import versions
 from khep_twin.log.shadow_channels import (
     PARTICLES,
     RESIDUALS,
-    State,
+    PoseState,
     Suspicion,
     begin_line,
     end_line,
@@ -85,7 +85,7 @@ class ShadowLog(FileRecorder):
         self._flush_ns = flush_ns
         self._particles_ns = -PARTICLES_NS
         self._alarms = LastingAlarms()
-        self._state: State | None = None
+        self._state: PoseState | None = None
         self._suspected: dict[frozenset[str], float] = {}
         self._ghost = _Ghost(playpen)
         label = f"{', '.join(SENSOR_LABELS)} [counts]"

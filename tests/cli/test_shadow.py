@@ -16,7 +16,7 @@ from served_twin import served
 
 from khep_twin.cli.shadow_process import ShadowProcess
 from khep_twin.log.reader import read_arrays, read_log
-from khep_twin.log.shadow_channels import Alarm, State
+from khep_twin.log.shadow_channels import Alarm, PoseState
 from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
 from khep_twin.shadow.shadow import Shadow, Update
@@ -99,7 +99,7 @@ def test_a_robot_that_is_lost_and_found_is_a_line_each_and_ends_it_where_that_is
     def feed(self: Shadow, time_ns: int, to_robot: bool, data: bytes) -> Iterator[Update]:
         for update in inner(self, time_ns, to_robot, data):
             second = time_ns // 1_000_000_000
-            state = {2: State.LOST, 3: State.UNSURE}.get(second, State.FOLLOWED)
+            state = {2: PoseState.LOST, 3: PoseState.UNSURE}.get(second, PoseState.FOLLOWED)
             yield replace(update, state=state, alarms=(), ended=())
 
     monkeypatch.setattr(Shadow, "feed", feed)

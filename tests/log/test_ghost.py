@@ -17,7 +17,7 @@ from shadow_updates import MS, updates, written
 from khep_twin.errors import LogError
 from khep_twin.log.channels import TextLine, line_message
 from khep_twin.log.reader import read_label, read_series
-from khep_twin.log.shadow_channels import LINE_TOPICS, STATE_COLOURS, State
+from khep_twin.log.shadow_channels import LINE_TOPICS, STATE_COLOURS, PoseState
 from khep_twin.log.shadow_track import read_shadow
 from khep_twin.log.tail import GrowingLog
 from khep_twin.log.viewer.ghost import Ghost
@@ -58,9 +58,10 @@ def test_a_suspected_fault_is_a_curve_and_the_region_has_the_colour_of_the_state
     assert [(time_ns // MS, *value) for time_ns, value in curves] == [(800, 60.0), (1000, 0.0)]
     colours = values_of(tmp_path / "shadow.rrd", "/ghost/spread", "LineStrips3D:colors")
     packed = {state: int.from_bytes(bytes([*colour, 255]), "big") for state, colour in STATE_COLOURS.items()}
+    followed, unsure = packed[PoseState.FOLLOWED], packed[PoseState.UNSURE]
     clouds = values_of(tmp_path / "shadow.rrd", "/ghost/particles", "Points3D:colors")
-    assert [value for _, (value, *_) in clouds] == [packed[State.FOLLOWED]] * 2 + [packed[State.UNSURE]] * 2
-    assert [value for _, (value,) in colours] == [packed[State.FOLLOWED]] * 40 + [packed[State.UNSURE]] * 21
+    assert [value for _, (value, *_) in clouds] == [followed] * 2 + [unsure] * 2
+    assert [value for _, (value,) in colours] == [followed] * 40 + [unsure] * 21
 
 
 @pytest.mark.parametrize("topic", LINE_TOPICS[:2])

@@ -3,7 +3,7 @@
 import numpy as np
 from twins import SECOND
 
-from khep_twin.log.shadow_channels import State
+from khep_twin.log.shadow_channels import PoseState
 from khep_twin.shadow.pose_watch import PoseWatch
 
 NOTHING, MUCH = np.zeros(8), np.full(8, 2.0)
@@ -12,9 +12,9 @@ TENTH = SECOND // 10
 
 def seen(
     watch: PoseWatch, begin: int, end: int, *, known: bool = True, surprise: bool = False
-) -> list[State]:
+) -> list[PoseState]:
     """States after replies at tenths of a second."""
-    states: list[State] = []
+    states: list[PoseState] = []
     for number in range(begin, end):
         watch.see(number * TENTH, MUCH if surprise else NOTHING, is_known=known)
         states.append(watch.state)
@@ -22,26 +22,26 @@ def seen(
 
 
 def test_it_is_unsure_while_the_region_is_wide_or_replies_surprise() -> None:
-    watch = PoseWatch(State.FOLLOWED)
-    assert set(seen(watch, 1, 10)) == {State.FOLLOWED}
-    assert seen(watch, 10, 12, known=False)[-1] is State.FOLLOWED  # not for long enough
-    assert seen(watch, 12, 20, known=False)[-1] is State.UNSURE
+    watch = PoseWatch(PoseState.FOLLOWED)
+    assert set(seen(watch, 1, 10)) == {PoseState.FOLLOWED}
+    assert seen(watch, 10, 12, known=False)[-1] is PoseState.FOLLOWED  # not for long enough
+    assert seen(watch, 12, 20, known=False)[-1] is PoseState.UNSURE
     assert watch.was_vague(15 * TENTH)
     assert not watch.was_vague(5 * TENTH)
     assert not watch.was_vague(30 * TENTH)
-    assert seen(watch, 20, 30)[-1] is State.FOLLOWED
-    assert seen(watch, 30, 40, surprise=True)[-1] is State.UNSURE
+    assert seen(watch, 20, 30)[-1] is PoseState.FOLLOWED
+    assert seen(watch, 30, 40, surprise=True)[-1] is PoseState.UNSURE
     assert watch.surprised_ns == 31 * TENTH
     assert watch.last_onset_ns == watch.onset_ns(31 * TENTH) == 30 * TENTH
     assert watch.was_startled(35 * TENTH)
-    assert seen(watch, 40, 70)[-1] is State.FOLLOWED
+    assert seen(watch, 40, 70)[-1] is PoseState.FOLLOWED
 
 
 def test_a_lost_pose_is_followed_once_it_is_known_for_a_while() -> None:
-    watch = PoseWatch(State.LOST)
-    assert set(seen(watch, 1, 30, known=False)) == {State.LOST}
-    assert set(seen(watch, 30, 60)) == {State.LOST}
-    assert set(seen(watch, 60, 90, surprise=True)) == {State.LOST}  # which lasts
-    assert seen(watch, 90, 160)[-1] is State.FOLLOWED
+    watch = PoseWatch(PoseState.LOST)
+    assert set(seen(watch, 1, 30, known=False)) == {PoseState.LOST}
+    assert set(seen(watch, 30, 60)) == {PoseState.LOST}
+    assert set(seen(watch, 60, 90, surprise=True)) == {PoseState.LOST}  # which lasts
+    assert seen(watch, 90, 160)[-1] is PoseState.FOLLOWED
     watch.lose()
-    assert watch.state is State.LOST
+    assert watch.state is PoseState.LOST

@@ -25,7 +25,7 @@ from khep_twin.log.shadow_channels import (
     TIMING,
     WHEELS,
     Alarm,
-    State,
+    PoseState,
     Suspicion,
 )
 from khep_twin.log.shadow_track import read_shadow
@@ -90,7 +90,7 @@ def test_a_state_has_a_line_where_it_begins_and_suspected_faults_where_they_chan
         (1000, "none"),
     ]
     read = read_shadow(path)
-    assert read.states == [(0, State.FOLLOWED), (2000 * MS, State.UNSURE)]
+    assert read.states == [(0, PoseState.FOLLOWED), (2000 * MS, PoseState.UNSURE)]
     assert read.suspected[2] == (950 * MS, (replace(SUSPICION, probability=0.69), slip))
     assert read.suspected[3] == (1000 * MS, ())
     assert str(read.state_times) == "followed 66.7 %, unsure 33.3 %, lost 0.0 % of the time"
@@ -157,7 +157,7 @@ def test_a_log_that_was_not_closed_is_kept(tmp_path: Path) -> None:
     assert part.stat().st_size > 10_000
     recover(shutil.copyfile(part, tmp_path / "torn.mcap.part"))
     found = read_shadow(tmp_path / "torn.mcap")
-    assert found.states == [(0, State.FOLLOWED), (2000 * MS, State.UNSURE)]
+    assert found.states == [(0, PoseState.FOLLOWED), (2000 * MS, PoseState.UNSURE)]
     assert [len(suspected) for _, suspected in found.suspected] == [1, 0]
     log.close()
     assert len(read_raw(path, lambda topic: topic == "/shadow/pose")[1]["/shadow/pose"]) == 61

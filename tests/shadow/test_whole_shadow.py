@@ -9,7 +9,7 @@ import pytest
 from twins import EXACT, SECOND
 
 from khep_twin.errors import PlaypenError
-from khep_twin.log.shadow_channels import State
+from khep_twin.log.shadow_channels import PoseState
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.following import AlarmChange, Follower
 from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
@@ -190,7 +190,7 @@ def test_a_robot_may_start_at_any_of_its_spots_and_is_lost_until_they_are_told_a
     playpen = Playpen.load("looping-maze")
     shadow = Shadow(playpen, ShadowSettings(particles=50))
     (update,) = conversation(shadow, (0, b"N\n", QUIET))
-    assert update.state is State.LOST
+    assert update.state is PoseState.LOST
     spots = np.array([(spot.x_mm, spot.y_mm) for spot in playpen.spots]) * 1e-3
     away = np.linalg.norm(update.particles[:, None, :2] - spots, axis=2)
     assert (away.min(axis=1) < 0.06).all()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from khep_twin.log.shadow_channels import State
+from khep_twin.log.shadow_channels import PoseState
 from khep_twin.shadow.shadow import ShadowSettings
 from stand_ins.hosts import TUNED
 from stand_ins.recordings import Truth
@@ -164,7 +164,7 @@ def test_truth_is_inside_a_region_as_often_as_in_a_gaussian() -> None:
     off = rng.normal(size=(20000, 3)) * scale
     covariances = np.tile(np.diag(scale**2), (len(off), 1, 1))
     times = np.zeros(len(off), np.int64)
-    states = np.full(len(off), str(State.FOLLOWED))
+    states = np.full(len(off), str(PoseState.FOLLOWED))
     actual = np.tile((0, 0, 2 * np.pi), (len(off), 1))
     found = Followed(truth(), times, off, actual, off, covariances, states, off, [], [], np.zeros(1))
     assert inside(found).mean(axis=0) == pytest.approx(0.95, abs=0.005)

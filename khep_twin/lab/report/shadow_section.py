@@ -23,7 +23,7 @@ from khep_twin.drawing.symbols import INK, Look
 from khep_twin.lab.experiment.run_statistics import Floats
 from khep_twin.lab.report.figure import over_time, sensor_panels, thinned, within
 from khep_twin.lab.report.rows import Row
-from khep_twin.log.shadow_channels import LIGHT, PROXIMITY, REGION, STATE_COLOURS, TIMING, WHEELS, State
+from khep_twin.log.shadow_channels import LIGHT, PROXIMITY, REGION, STATE_COLOURS, TIMING, WHEELS, PoseState
 from khep_twin.log.shadow_track import ShadowTrack
 from khep_twin.playpen import Playpen
 
@@ -51,7 +51,7 @@ _STATES_HEIGHT, _SENSORS_HEIGHT, _REST_HEIGHT = 2.6, 4.9, 4.6
 """Heights of the pictures [inch]."""
 
 _STATES = {state: f"#{bytes(colour).hex()}" for state, colour in STATE_COLOURS.items()}
-_ESTIMATE = _STATES[State.FOLLOWED]
+_ESTIMATE = _STATES[PoseState.FOLLOWED]
 _RECKONED, _RESIDUAL, _ALARM = "#464646", "#2f6fb0", "#c2452d"
 _CURVES = 8
 """Most curves of suspected faults, those that were the most probable; others are left out."""
@@ -114,7 +114,7 @@ def draw_map(playpen: Playpen, track: ShadowTrack) -> Figure:
     with matplotlib.style.context(STYLE):
         thin = slice(None, None, -(-len(track.times_ns) // POINT_LIMIT) or 1)
         reckoned, pose = 1000 * track.reckoned[thin], 1000 * track.pose[thin]
-        lost = np.array([state is State.LOST for state in _states_at(track, track.times_ns[thin])], bool)
+        lost = np.array([state is PoseState.LOST for state in _states_at(track, track.times_ns[thin])], bool)
         pose[lost] = np.nan
         axes.plot(*reckoned[:, :2].T, color=_RECKONED, lw=0.9, ls=(0, (4, 2)), zorder=4)
         axes.plot(*pose[:, :2].T, color=_ESTIMATE, lw=1.3, zorder=5)
@@ -135,7 +135,7 @@ def draw_map(playpen: Playpen, track: ShadowTrack) -> Figure:
             Line2D([], [], color=_ESTIMATE, lw=1.3, label="estimate, 95 % region"),
             *(
                 Line2D([], [], color=_STATES[state], lw=5, alpha=0.4, label=state)
-                for state in (State.UNSURE, State.LOST)
+                for state in (PoseState.UNSURE, PoseState.LOST)
                 if any(state is each for _, each in track.states)
             ),
             Line2D([], [], color=_RECKONED, lw=0.9, ls=(0, (4, 2)), label="dead reckoning"),
@@ -149,8 +149,8 @@ def draw_map(playpen: Playpen, track: ShadowTrack) -> Figure:
 def _draw_search(axes: Axes, track: ShadowTrack) -> None:
     """Draw the particles of the times at which the robot was lost: the poses that it may have had."""
     states = _states_at(track, track.particles_ns)
-    found = track.particles[[state is State.LOST for state in states]][-_CLOUDS:, :, :2].reshape(-1, 2)
-    axes.plot(*1000 * found.T, ".", color=_STATES[State.LOST], ms=1.5, alpha=0.5, zorder=4)
+    found = track.particles[[state is PoseState.LOST for state in states]][-_CLOUDS:, :, :2].reshape(-1, 2)
+    axes.plot(*1000 * found.T, ".", color=_STATES[PoseState.LOST], ms=1.5, alpha=0.5, zorder=4)
 
 
 def pictures(track: ShadowTrack) -> list[tuple[Draw, float, str]]:
@@ -174,7 +174,7 @@ def _draw_states(figure: Figure, track: ShadowTrack, corner: tuple[float, float]
         over_time(axes)
         axes.set_xlim(0, end_s)
     begins_s = [*(time_ns / 1e9 for time_ns, _ in track.states), end_s]
-    for state in State:
+    for state in PoseState:
         own = [number for number, (_, each) in enumerate(track.states) if each is state]
         spans = [(begins_s[number], begins_s[number + 1] - begins_s[number]) for number in own]
         strip.broken_barh(spans, (0, 1), color=_STATES[state], alpha=0.6, lw=0, label=state)
@@ -214,9 +214,9 @@ def _highest(track: ShadowTrack) -> list[tuple[str, float]]:
     return sorted(found.items(), key=lambda fault: -fault[1])
 
 
-def _states_at(track: ShadowTrack, times_ns: NDArray[np.int64]) -> list[State]:
+def _states_at(track: ShadowTrack, times_ns: NDArray[np.int64]) -> list[PoseState]:
     """Return the state at each time; followed, where the log has none."""
-    states = [State.FOLLOWED, *(state for _, state in track.states)]
+    states = [PoseState.FOLLOWED, *(state for _, state in track.states)]
     begins_ns = [time_ns for time_ns, _ in track.states]
     return [states[row] for row in np.searchsorted(begins_ns, times_ns, side="right").tolist()]
 

@@ -33,7 +33,7 @@ from khep_twin.log.shadow_channels import (
     SUSPECTED,
     TIMING,
     WHEELS,
-    State,
+    PoseState,
     Suspicion,
     is_shadow,
     state_of,
@@ -61,7 +61,7 @@ RECKONED, TRUTH = "reckoned", "truth"
 """Names of what is drawn beside the estimate."""
 
 COLOURS = {
-    "estimate": STATE_COLOURS[State.FOLLOWED],
+    "estimate": STATE_COLOURS[PoseState.FOLLOWED],
     RECKONED: (70, 70, 70),
     TRUTH: (30, 140, 70),
     "expected": (0, 150, 160),
@@ -93,7 +93,7 @@ class Ghost:
         self._threshold = np.array(proximity.threshold_counts)
         self._offset = np.array(proximity.offset_mm)
         self._before: dict[str, Floats] = {}
-        self._states: list[tuple[int, State]] = [(0, State.FOLLOWED)]
+        self._states: list[tuple[int, PoseState]] = [(0, PoseState.FOLLOWED)]
         self._suspected: tuple[Suspicion, ...] = ()
         self._named = set[str]()
         self._truth = _truth(label, source)

@@ -19,7 +19,7 @@ from khep_twin.lab.report.pdf import pdf
 from khep_twin.lab.report.report import report
 from khep_twin.lab.report.rows import DEFINITIONS
 from khep_twin.log.reader import read_series
-from khep_twin.log.shadow_channels import State
+from khep_twin.log.shadow_channels import PoseState
 from khep_twin.log.shadow_track import read_shadow
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -231,7 +231,7 @@ def test_a_report_on_a_shadow_has_its_residuals_and_alarms(shadow: Path, tmp_pat
 
 def test_a_map_has_the_poses_that_were_considered_while_the_robot_was_lost(shadow: Path) -> None:
     track = read_shadow(shadow)
-    lost = replace(track, states=[(0, State.FOLLOWED), (2 * SECOND, State.LOST)])
+    lost = replace(track, states=[(0, PoseState.FOLLOWED), (2 * SECOND, PoseState.LOST)])
     for each, missing, dots in ((track, 0, 0), (lost, 21, 200)):
         axes = shadow_section.draw_map(Playpen.load("workshop"), each).axes[0]
         _, estimate, considered = axes.lines[-3:]
