@@ -70,7 +70,8 @@ class Counted(NamedTuple):
 
 
 LATE_NS = 20_000_000
-"""Time between the particles' executions of a command whose time is not certain [ns]."""
+"""Lateness of a reply above which the time of its command or reading is not certain, and the time between the
+particles' executions of such a command (assumed) [ns]."""
 
 Action = Commanded | Configured | Restarted | Waited | Seen | Counted
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.log.exchanges import Exchange
 from khep_twin.log.shadow_channels import Alarm, PoseState, Suspicion
-from khep_twin.shadow.actions import Action, Counted, Restarted, Seen, Waited
+from khep_twin.shadow.actions import LATE_NS, Action, Counted, Restarted, Seen, Waited
 from khep_twin.shadow.candidates import Candidates
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.fault_watch import Alike, FaultWatch
@@ -117,7 +117,7 @@ class Diagnosis:
 
     def _count(self, action: Counted, told: Floats) -> None:
         """Take a reply to H, of which twins tell a part of the pulses (2,)."""
-        is_late = action.late_ns > action.time_ns
+        is_late = action.late_ns - action.time_ns >= LATE_NS
         if is_late or self._late:
             self._wheels.forget()
         elif self._counted is not None:

@@ -27,7 +27,16 @@ from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
 from khep_twin.log.shadow_channels import Alarm, PoseState, Suspicion
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
-from khep_twin.shadow.actions import Action, Commanded, Configured, Counted, Restarted, Seen, Waited
+from khep_twin.shadow.actions import (
+    LATE_NS,
+    Action,
+    Commanded,
+    Configured,
+    Counted,
+    Restarted,
+    Seen,
+    Waited,
+)
 from khep_twin.shadow.diagnosis import Diagnosis
 from khep_twin.shadow.particle_filter import ParticleFilter, PoseEstimate
 from khep_twin.shadow.particles import LearnedValues
@@ -53,9 +62,6 @@ LIMITS = {
 
 _LINE_END = 2
 """Bytes that end a reply."""
-
-_KEPT_NS = 20_000_000
-"""Lateness of a reply up to which the command's is taken for half of it (assumed) [ns]."""
 
 _LONGEST_NS = 100_000_000
 """Silence after which the pose is estimated without a reply [ns]."""
@@ -204,7 +210,7 @@ class Shadow:
             # The reply began when the command was executed, unless something kept it, or the command.
             late_ns = exchange.heard_ns - (len(exchange.reply) + _LINE_END) * self._byte_ns
             residuals = residuals._replace(timing=(late_ns - time_ns) * 1e-9)
-            if late_ns <= time_ns + _KEPT_NS:
+            if late_ns <= time_ns + LATE_NS:  # of which the command's is taken for half
                 time_ns = max(exchange.sent_ns, min(late_ns, (time_ns + late_ns) // 2))
         time_ns = self._time_ns = max(time_ns, self._time_ns)
         late_ns = max(late_ns, time_ns)

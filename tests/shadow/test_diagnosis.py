@@ -20,6 +20,8 @@ from khep_twin.shadow.wheel_commands import SPEED
 START = 360.0, 240.0, -70.0
 TICKS = 6
 """Time between two replies [ticks]."""
+LATENESS_NS = 5_000_000
+"""Lateness of a reply to H, as on any line [ns]."""
 
 
 class Driven:
@@ -48,7 +50,8 @@ class Driven:
             diagnosis.follow(Seen(time_ns, noisy.clip(0, 1023).astype(np.int64)))
             if self._counters:
                 angles = robot.robots["joints"][0, [flat.LEFT_ANGLE, flat.RIGHT_ANGLE]]
-                diagnosis.follow(Counted(time_ns, np.rint(angles * 600 / math.tau).astype(np.int64)))
+                counts = np.rint(angles * 600 / math.tau).astype(np.int64)
+                diagnosis.follow(Counted(time_ns, counts, time_ns + LATENESS_NS))
             left, right = speeds = self._decide(light)
             robot.command(SPEED, left, right)
             diagnosis.follow(Commanded(time_ns, SPEED, *speeds))
