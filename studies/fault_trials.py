@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from khep_twin.clock import NS_PER_S
+from khep_twin.log.shadow_channels import OR
 from khep_twin.playpen import Block, Cylinder, Playpen
 from khep_twin.randomness import stream
 from khep_twin.shadow.shadow import ShadowSettings
@@ -335,10 +336,6 @@ def looking_alike(names: Sequence[str]) -> set[str]:
 def _right(fault: str, readings: Sequence[float], names: tuple[str, ...]) -> bool:
     """Return whether a fault has a right name; a sensor that is stuck at 0 is as a dead one is."""
     return fault in names and (fault == names[0] or readings[int(fault[-1])] == 0)
-
-
-OR = " or "
-"""Word between the names of an alarm of faults that look alike."""
 
 
 def _things(playpen: Playpen) -> list[tuple[str, tuple[Block | Cylinder, ...]]]:

@@ -93,6 +93,10 @@ REGION = 2.4477
 """Standard deviations in half of a region in the plane that holds 95 %."""
 
 
+OR = " or "
+"""Word between the names of faults that look alike."""
+
+
 @dataclass(frozen=True, slots=True)
 class Suspicion:
     """Fault that explains the replies better than a sound robot does, without being certain.
@@ -112,7 +116,7 @@ class Suspicion:
     @property
     def name(self) -> str:
         """Names in words, in an order that does not change with their probabilities."""
-        return " or ".join(sorted(self.faults))
+        return OR.join(sorted(self.faults))
 
 
 class StateTimes:

@@ -34,6 +34,14 @@ def at_spots(playpen: Playpen, seed: int) -> Playpen:
     return place_robots(playpen, stream(seed, "spots"))
 
 
+def own_starts(playpen: Playpen, robot: int) -> list[Start]:
+    """Return the playpen's poses of a robot: its own, or each of its spots."""
+    entry = playpen.robots[robot]
+    spots = {spot.name: spot for spot in playpen.spots}
+    positions = [spots[name] for name in entry.spots] or [entry]
+    return [(position.x_mm, position.y_mm, position.heading_deg) for position in positions]
+
+
 def anywhere(playpen: Playpen, seed: int) -> Playpen:
     """Return the playpen with its robots at free poses drawn by the seed.
 

@@ -168,8 +168,6 @@ class Diagnosis:
         if number:
             self.ended += ended
             self._adopt(number, time_ns)
-        elif certain is not None and faults.leading is None:
-            self._begin(certain, time_ns)
         elif certain is not None:
             self._go_on(certain, time_ns)
         ends = [FaultChange(fault, False) for fault, _ in faults.settled]
@@ -185,15 +183,14 @@ class Diagnosis:
             self._faults.raise_alarm(certain, time_ns)
 
     def _go_on(self, certain: Alike, time_ns: int) -> None:
-        """Settle the faults of an alarm, unless others, or another place, explain the replies now."""
+        """Begin with faults that are certain; settle those of an alarm, unless another place explains it."""
         faults = self._faults
-        if faults.leading is None:
-            return
-        led, alarm = faults.leading
-        if led.faults[0].alike != certain.faults[0].alike:
+        if faults.leading is None or faults.leading[0].key != certain.key:
             self.ended += faults.give_up(time_ns)
             self._begin(certain, time_ns)
-        elif faults.rename(certain):
+            return
+        alarm = faults.leading[1]
+        if faults.rename(certain):
             self.ended += (replace(alarm, ended_ns=time_ns),)
         elif time_ns - alarm.raised_ns > THRESHOLDS.settled_ns:
             faults.settle(certain)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from khep_twin.log.shadow_channels import Alarm, Suspicion
+from khep_twin.log.shadow_channels import OR, Alarm, Suspicion
 from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.thresholds import THRESHOLDS
@@ -40,6 +40,11 @@ class Alike(NamedTuple):
     parts: tuple[float, ...]
     probability: float
     since_ns: int
+
+    @property
+    def key(self) -> str:
+        """Name of all of them."""
+        return self.faults[0].alike
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -73,11 +78,11 @@ class FaultWatch:
     def see(self, time_ns: int, tracker: ParticleFilter) -> Alike | None:
         """Take the probabilities after a reply; return the faults that are certain to be there now."""
         found = sorted(_alike(tracker), key=lambda each: -each.probability)
-        leads = self.leading[0].faults[0].alike if self.leading is not None else ""
+        leads = self.leading[0].key if self.leading is not None else ""
         self.suspected = tuple(
             Suspicion(each.names, each.faults[0].channel, each.since_ns, each.probability)
             for each in found
-            if each.probability > THRESHOLDS.suspected and each.faults[0].alike != leads
+            if each.key != leads
         )
         if not found or found[0].probability <= THRESHOLDS.sure:
             self._sure_ns = None
@@ -100,9 +105,9 @@ class FaultWatch:
         """Return whether the leading faults explain the replies no more."""
         if self.leading is None:
             return False
-        leads = self.leading[0].faults[0].alike
-        rest = [each.probability for each in _alike(tracker) if each.faults[0].alike == leads]
-        return sum(rest) < 1 - THRESHOLDS.sure
+        leads = self.leading[0].key
+        rest = [each.begins and each.hypothesis.alike == leads for each in tracker.changes]
+        return float(tracker.probabilities[1:][rest].sum()) < 1 - THRESHOLDS.sure
 
     def is_named(self, alike: Alike, time_ns: int) -> bool:
         """Return whether faults have been told apart, or cannot be in time."""
@@ -111,7 +116,7 @@ class FaultWatch:
     def raise_alarm(self, alike: Alike, time_ns: int) -> None:
         """Raise the alarm of faults."""
         is_one = alike.parts[0] >= THRESHOLDS.named
-        name = alike.faults[0].name if is_one else " or ".join(alike.names)
+        name = alike.faults[0].name if is_one else OR.join(alike.names)
         sureness = alike.probability * (alike.parts[0] if is_one else 1.0)
         channel = alike.faults[0].channel
         self.leading = alike, Alarm(name, channel, alike.since_ns, time_ns, min(sureness, _SUREST))
@@ -143,7 +148,7 @@ class FaultWatch:
 
 
 def _alike(tracker: ParticleFilter) -> Iterator[Alike]:
-    """Yield the faults that may have begun, those that look alike together."""
+    """Yield the faults that are suspected to have begun, those that look alike together."""
     probabilities: Sequence[float] = tracker.probabilities.tolist()
     numbers: dict[str, list[int]] = {}
     for number, change in enumerate(tracker.changes, 1):
@@ -152,6 +157,8 @@ def _alike(tracker: ParticleFilter) -> Iterator[Alike]:
     for alike in numbers.values():
         alike.sort(key=lambda number: -probabilities[number])
         whole = sum(probabilities[number] for number in alike)
+        if whole <= THRESHOLDS.suspected:
+            continue
         yield Alike(
             tuple(tracker.changes[number - 1].hypothesis for number in alike),
             tuple(alike),

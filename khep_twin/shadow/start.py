@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from khep_twin import units
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import PlaypenError
+from khep_twin.playpen.starts import own_starts
 from khep_twin.sensing import calibration
 from khep_twin.shadow.particles import Particles, Prior
 from khep_twin.shadow.planes import Planes
@@ -47,10 +48,9 @@ PUBLISHED = Spread()
 
 def known_starts(setup: EpisodeSetup) -> list[Pose]:
     """Return the poses x, y [m], heading [rad] at which a robot may start: its own, or each spot."""
-    entry, spots = setup.entry, {spot.name: spot for spot in setup.playpen.spots}
-    places = [spots[name] for name in entry.spots] or [entry]
     return [
-        (units.metres(each.x_mm), units.metres(each.y_mm), units.radians(each.heading_deg)) for each in places
+        (units.metres(x_mm), units.metres(y_mm), units.radians(heading_deg))
+        for x_mm, y_mm, heading_deg in own_starts(setup.playpen, 0)
     ]
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple, cast, get_args
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Lamp, Playpen
 from khep_twin.playpen.parts import LightingMode
-from khep_twin.playpen.starts import TRIES, extent, free_pose, no_room, starts_rng
+from khep_twin.playpen.starts import TRIES, extent, free_pose, no_room, own_starts, starts_rng
 
 LIGHTINGS = (*get_args(LightingMode), "off")
 """Lighting modes, and "off"."""
@@ -56,7 +56,7 @@ def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed:
     found: list[StartPose | None] = []
     for wanted in wishes:
         if wanted == "playpen":
-            found += own_starts(playpen, robot)
+            found += [StartPose(*start) for start in own_starts(playpen, robot)]
         elif wanted == "random":
             found.append(None)
         elif wanted.startswith("grid:"):
@@ -68,14 +68,6 @@ def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed:
         return fixed
     drawn = _drawn(playpen, robot, seed)
     return [next(drawn) if each is None else each for each in islice(cycle(found), runs)]
-
-
-def own_starts(playpen: Playpen, robot: int) -> list[StartPose]:
-    """Return the playpen's poses of a robot: its own, or each of its spots."""
-    entry = playpen.robots[robot]
-    spots = {spot.name: spot for spot in playpen.spots}
-    positions = [spots[name] for name in entry.spots] or [entry]
-    return [StartPose(position.x_mm, position.y_mm, position.heading_deg) for position in positions]
 
 
 def lit(playpen: Playpen, lighting: str | None) -> Playpen:

@@ -9,12 +9,11 @@ from khep_twin.lab.experiment.start_poses import (
     StartPose,
     lit,
     numbers,
-    own_starts,
     starts,
     without_nearest_lamp,
 )
 from khep_twin.playpen import Playpen
-from khep_twin.playpen.starts import at_start
+from khep_twin.playpen.starts import at_start, own_starts
 
 DEFAULT, OBSTACLES, TWO_LAMPS = (Playpen.load(name) for name in ("default", "obstacles", "two-lamps"))
 
