@@ -31,14 +31,8 @@ class Candidates:
         self._near: dict[str, tuple[int, int, int]] = {}
         """When each thing came near, was so last, and for how long it was not before [ns]."""
 
-    def at(self, time_ns: int, tracker: ParticleFilter, sensor: int, counted: bool) -> Iterator[FaultChange]:
-        """Yield the faults that may begin; `counted` if counters tell which wheel stands or is slow.
-
-        The sensor is the one whose readings surprise most.
-        """
-        for wheel in of_wheels():
-            if not counted or isinstance(wheel, SlippingWheel):
-                yield FaultChange(wheel, True)
+    def pass_by(self, time_ns: int, tracker: ParticleFilter) -> None:
+        """Note which things are near."""
         _, (x, y, _), covariance = tracker.estimate(0)
         things = tracker.particles.planes.things[0]
         away = np.hypot(x - things[:, flat.CENTRE_X], y - things[:, flat.CENTRE_Y]) - things[:, flat.LENGTH]
@@ -48,10 +42,21 @@ class Candidates:
             if near[list(rows)].any():
                 if time_ns - left_ns > MET_NS:
                     came_ns, unseen_ns = time_ns, time_ns - max(left_ns, 0)
-                left_ns = time_ns
-                self._near[name] = came_ns, left_ns, unseen_ns
-            if time_ns - left_ns < LEFT_NS:
-                unseen_s = unseen_ns / NS_PER_S if time_ns - came_ns < MET_NS else 0.0
+                self._near[name] = came_ns, time_ns, unseen_ns
+
+    def since(self, calm_ns: int, sensor: int, counted: bool) -> Iterator[FaultChange]:
+        """Yield the faults that may have begun since the pose was confirmed last [ns].
+
+        The sensor is the one whose readings surprise most; `counted` if counters tell which wheel stands or
+        is slow.
+        """
+        for wheel in of_wheels():
+            if not counted or isinstance(wheel, SlippingWheel):
+                yield FaultChange(wheel, True)
+        for name, (came_ns, left_ns, unseen_ns) in self._near.items():
+            if calm_ns - left_ns < LEFT_NS:
+                rows = self._things[name]
+                unseen_s = unseen_ns / NS_PER_S if calm_ns - came_ns < MET_NS else 0.0
                 yield FaultChange(Missing(name, rows), True, unseen_s)
                 yield FaultChange(Moved(name, rows), True, unseen_s)
         yield FaultChange(Unexpected(sensor), True)

@@ -1,6 +1,6 @@
 """Changes that a filter considers, beside no change: each fault that may begin, each that may end.
 
-Every change has its own particles, at least QUOTA. At each mixing some particles without a change undergo
+Every change has its own particles, at least its quota. At each mixing some particles without a change undergo
 it, with the probability that it happens in that time; the weights tell whether it did.
 """
 
@@ -11,19 +11,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.shadow.hypotheses import Hypothesis
+from khep_twin.shadow.hypotheses import QUOTA, Hypothesis
 from khep_twin.shadow.particles import Particles, drawn
 
 Floats = NDArray[np.float64]
 
-QUOTA = 100
-"""Particles of each change at the least."""
-
 BEGINS, ENDS = 7.0, 3.0
 """Logarithms of the odds against a fault that begins, and against one that ends, in a second (assumed)."""
 
-UNDONE = 0.05
+UNDONE = 0.005
 """Rate at which a change turns out not to have happened, lest what nothing tells becomes probable [1/s]."""
+
+
+_NOTHING = 1e-200
+"""Weight below which no particle is drawn."""
 
 
 class FaultChange(NamedTuple):
@@ -47,6 +48,8 @@ class FaultChange(NamedTuple):
     @property
     def rate(self) -> float:
         """Probability in a second."""
+        if self.hypothesis.is_found:
+            return 0.0
         return math.exp(-(BEGINS + self.hypothesis.rare if self.begins else ENDS))
 
     def happen(self, particles: Particles, rng: np.random.Generator) -> None:
@@ -75,29 +78,35 @@ def mixed(
     """
     weights = np.exp(particles.logs - particles.logs.max())
     weights /= weights.sum()
-    numbers = range(len(changes) + 1)
     # In the order of what each has: those drawn of one change follow each other.
     order = np.argsort(particles.changes, kind="stable")
     sources: NDArray[np.intp] = order[weights[order] > 0]
     had, weights = particles.changes[sources], weights[sources]
+    quotas = [QUOTA * bool(changes), *(change.hypothesis.quota for change in changes)]
     rates = [UNDONE, *(change.rate for change in changes)]
     unseen_s = [0.0, *(change.unseen_s for change in changes)]
+    may_turn = np.array([True, *(not change.hypothesis.is_found for change in changes)])
+    numbers: list[NDArray[np.int64]] = []
     rows: list[NDArray[np.intp]] = []
     logs: list[Floats] = []
-    for number, rate in zip(numbers, rates, strict=True):
+    for number, rate in enumerate(rates):
         staying = math.exp(-(sum(rates) - rate) * passed_s)
         has = had == number
         for_s = passed_s if has.any() else passed_s + unseen_s[number]
-        shares: Floats = weights * np.where(has, staying, rate * for_s)
-        size = round(count * float(weights[has].sum())) + (QUOTA if changes else 0)
+        shares: Floats = weights * np.where(has, staying, rate * for_s * may_turn[had])
+        whole = float(shares.sum())
+        if whole < _NOTHING:
+            continue
+        size = round(count * float(weights[has].sum())) + quotas[number]
         picked: NDArray[np.intp] = sources[drawn(shares, size, rng.random())]
         rows.append(picked)
-        logs.append(np.full(size, math.log(float(shares.sum()) / size), np.float64))
+        numbers.append(np.full(size, number))
+        logs.append(np.full(size, math.log(whole / size), np.float64))
     indices = np.concatenate(rows)
     made = particles.taken(indices)
     made.logs = np.concatenate(logs)
     before = particles.changes[indices]
-    made.changes = np.repeat(np.array(numbers), [len(each) for each in rows])
+    made.changes = np.concatenate(numbers)
     turns = np.diff(before, prepend=-1, append=-1) | np.diff(made.changes, prepend=-1, append=-1)
     edges = np.flatnonzero(turns)
     for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):

@@ -1,10 +1,10 @@
 """Diagnosis: which fault explains a robot's replies better than a sound robot does.
 
-The filter has twins of each fault that may begin (`changes`); `FaultWatch` tells which has become certain.
-The filter goes on with its twins, and considers its end. While replies surprise all of them, the last second
-is repeated with twins that may be anywhere (`search`); `PoseWatch` has the state of the pose. From a pose
-that is lost no fault is told. Sensors, counters, lamps and the line are watched on their own. All limits are
-those of `THRESHOLDS`.
+While replies are as expected, the filter has sound twins alone. Once they surprise, a new one begins where
+they did not yet, with twins of each fault that may begin (`changes`), of each that may end, and of a robot
+that was put elsewhere (`search`). `FaultWatch` tells which has become certain; the filter goes on with its
+twins. `PoseWatch` has the state of the pose: from one that is lost no fault is told. Sensors, counters, lamps
+and the line are watched on their own. All limits are those of `THRESHOLDS`.
 """
 
 from dataclasses import replace
@@ -19,20 +19,18 @@ from khep_twin.shadow.actions import LATE_NS, Action, Counted, Restarted, Seen, 
 from khep_twin.shadow.candidates import Candidates
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.fault_watch import Alike, FaultWatch
-from khep_twin.shadow.hypotheses import Hypothesis
+from khep_twin.shadow.hypotheses import Displaced, Lifted
 from khep_twin.shadow.lamp_watch import LampWatch
-from khep_twin.shadow.line_watch import LOSING, LineWatch
+from khep_twin.shadow.line_watch import LOSING, SHOWN_NS, LineWatch
 from khep_twin.shadow.particle_filter import ParticleFilter
-from khep_twin.shadow.pose_watch import PoseWatch
-from khep_twin.shadow.search import KEPT_NS, Search
-from khep_twin.shadow.sensor_model import UNLIT, SensorModel
+from khep_twin.shadow.pose_watch import Onset, PoseWatch
+from khep_twin.shadow.search import Search
+from khep_twin.shadow.sensor_model import UNLIT, SensorModel, range_left_at_least
 from khep_twin.shadow.sensor_watch import SensorWatch
 from khep_twin.shadow.thresholds import THRESHOLDS
 from khep_twin.shadow.wheel_watch import WheelWatch
 
 Floats = NDArray[np.float64]
-
-LIFTED = "robot lifted"
 
 
 class Diagnosis:
@@ -64,6 +62,7 @@ class Diagnosis:
         self._counted: Floats | None = None
         self._late = False
         self._tried_ns = 0
+        self._onset: Onset | None = None
         self.ended: tuple[Alarm, ...] = ()
 
     @property
@@ -81,7 +80,7 @@ class Diagnosis:
     @property
     def suspected(self) -> tuple[Suspicion, ...]:
         """Faults that are suspected without an alarm, the most probable first."""
-        return tuple(each for each in self._faults.suspected if self._pose.was_startled(each.since_ns))
+        return tuple(each for each in self._faults.suspected if each.faults != (Displaced().name,))
 
     def hear(self, exchange: Exchange) -> None:
         """Begin with an exchange, whose actions follow."""
@@ -89,7 +88,7 @@ class Diagnosis:
 
     def follow(self, action: Action) -> Floats:
         """Follow an action; return what counters tell beyond commands (2,)."""
-        self._search.note(action, self.filter.evidence)
+        self._search.note(action)
         use = self._sensors.sound
         if isinstance(action, Seen) and self._lamps.alarms:
             # Which sensors the lamps leave their range is not known.
@@ -100,8 +99,10 @@ class Diagnosis:
             is_sure = self.state is PoseState.FOLLOWED and self._pose.is_proven
             if self._lamps.alarms or (self._lit and not is_sure):
                 left = np.zeros_like(left)  # Any sensor may be blinded.
+            elif self._lit:
+                left = np.minimum(left, range_left_at_least(self.filter.particles))
             self.ended += self._sensors.see(action, left, self.filter.surprise)
-            self._see(action.time_ns)
+            self._see(action.time_ns, bool(action.readings.max() > THRESHOLDS.in_sight))
         elif isinstance(action, Counted):
             self._count(action, told)
         elif isinstance(action, Restarted):
@@ -125,26 +126,36 @@ class Diagnosis:
             self.ended += self._wheels.count(action.time_ns, turned, turned - told)
         self._counted, self._late = action.counters.astype(np.float64), is_late
 
-    def _see(self, time_ns: int) -> None:
-        """Take a reply to N: diagnose, keep a snapshot, and search while it surprises."""
-        was, is_sound = self.state, np.argmax(self.filter.probabilities) == 0
-        self._pose.see(time_ns, self.filter.surprise, is_known=self._known or not is_sound)
-        if was is PoseState.LOST and self.state is not PoseState.LOST:
+    def _see(self, time_ns: int, in_sight: bool) -> None:
+        """Take a reply to N: diagnose, keep a snapshot, and search for what has happened if it surprises."""
+        if self._lifted and time_ns - self._lifted[0].raised_ns > SHOWN_NS:
             self.ended += tuple(replace(alarm, ended_ns=time_ns) for alarm in self._lifted)
             self._lifted = ()
+        is_sound = np.argmax(self.filter.probabilities) == 0
+        is_known = self._known or not is_sound
+        self._pose.see(time_ns, self.filter.surprise, in_sight=in_sight, is_known=is_known)
+        self._begins.pass_by(time_ns, self.filter)
         self._diagnose(time_ns)
-        since_ns = self._pose.surprised_ns
-        if (
-            since_ns is not None
-            and time_ns - max(self._tried_ns, since_ns) >= THRESHOLDS.tried_ns
-            and time_ns - since_ns >= THRESHOLDS.waited_ns
-            and self._faults.leading is None
-            and self._known
-        ):
-            self._tried_ns = time_ns
-            begun_ns = max(self._pose.last_onset_ns, time_ns - THRESHOLDS.window_ns)
-            self._find(time_ns, begun_ns, THRESHOLDS.elsewhere)
+        self._look_back(time_ns)
         self._search.keep(time_ns, self.filter)
+
+    def _look_back(self, time_ns: int) -> None:
+        """Search for what has happened if replies surprise; drop faults that are improbable."""
+        onset, nothing = self._pose.onset, float(self.filter.probabilities[0])
+        is_explained, passed_ns = nothing < THRESHOLDS.explained, time_ns - self._tried_ns
+        if onset is None:
+            if nothing > THRESHOLDS.dropped and passed_ns >= THRESHOLDS.dropped_ns:
+                self.filter.consider([])
+            return
+        if not self._known or passed_ns < (THRESHOLDS.tried_ns if is_explained else THRESHOLDS.waited_ns):
+            return
+        self._tried_ns = time_ns
+        self._onset = self._onset.later(onset) if is_explained and self._onset is not None else onset
+        changes = self._candidates(self._onset.calm_ns)
+        found = self._search.again(self.filter, self._onset, changes, self._sensors.sound)
+        if found is not None:
+            self.filter = found
+            self._pose.explain()
 
     @property
     def _is_losing(self) -> bool:
@@ -170,20 +181,28 @@ class Diagnosis:
             self._adopt(number, time_ns)
         elif certain is not None:
             self._go_on(certain, time_ns)
-        ends = [FaultChange(fault, False) for fault, _ in faults.settled]
-        tracker.consider([*self._candidates(time_ns), *ends])
 
     def _begin(self, certain: Alike, time_ns: int) -> None:
         """Raise the alarm of faults that are certain, once replies have shown them for long enough."""
         since_ns = certain.since_ns
-        is_told = time_ns - since_ns >= THRESHOLDS.told_ns and self._pose.was_startled(since_ns)
-        if not is_told or self._pose.was_vague(since_ns) or not self._faults.is_named(certain, time_ns):
+        if time_ns - since_ns < THRESHOLDS.told_ns or not self._faults.is_named(certain, time_ns):
             return
-        if not self._find(time_ns, since_ns, THRESHOLDS.rather, certain.faults[0]):
+        if isinstance(certain.faults[0], Lifted):
+            self._lift(certain, time_ns)
+        elif isinstance(certain.faults[0], Displaced):
+            self._adopt(certain.numbers[0], time_ns)
+        elif not self._pose.was_vague(since_ns):
             self._faults.raise_alarm(certain, time_ns)
 
+    def _lift(self, certain: Alike, time_ns: int) -> None:
+        """Go on where the robot was put."""
+        if not self._is_losing and self._pose.is_proven:
+            self._lifted = (self._faults.alarm(certain, time_ns),)
+        self._adopt(certain.numbers[0], time_ns)
+        self._pose.lose()
+
     def _go_on(self, certain: Alike, time_ns: int) -> None:
-        """Begin with faults that are certain; settle those of an alarm, unless another place explains it."""
+        """Begin with faults that are certain; settle those of an alarm."""
         faults = self._faults
         if faults.leading is None or faults.leading[0].key != certain.key:
             self.ended += faults.give_up(time_ns)
@@ -195,43 +214,23 @@ class Diagnosis:
         elif time_ns - alarm.raised_ns > THRESHOLDS.settled_ns:
             faults.settle(certain)
             self._adopt(certain.numbers[0], time_ns)
-        elif (
-            time_ns - max(self._tried_ns, alarm.raised_ns) >= THRESHOLDS.tried_ns
-            and time_ns - alarm.since_ns < KEPT_NS
-        ):
-            self._tried_ns = time_ns
-            self._find(time_ns, alarm.since_ns, THRESHOLDS.rather)
 
     def _adopt(self, number: int, time_ns: int) -> None:
         """Take a change for what the robot is now."""
         self.ended += self._faults.give_up(time_ns)
         self.filter.adopt(number)
-        self._pose.surprise[:] = 0
+        self._pose.explain()
 
-    def _find(self, time_ns: int, since_ns: int, least: float, fault: Hypothesis | None = None) -> bool:
-        """Go on elsewhere, if the odds that the robot was put there, not of a fault, are above the least."""
-        use, since_ns = self._sensors.sound, self._pose.onset_ns(since_ns)
-        if self._search.odds(self.filter, since_ns, use, fault) < least:
-            return False
-        if not self._is_losing and self._pose.is_proven:
-            self._lifted = (Alarm(LIFTED, "proximity", since_ns, time_ns, 0.999),)
-        self.ended += self._faults.give_up(time_ns)
-        self.filter.take(self._search.lost(since_ns, use))
-        self._pose.lose()
-        return True
-
-    def _candidates(self, time_ns: int) -> list[FaultChange]:
-        """Return the faults that may begin; where the pose is vague, they could be anything."""
+    def _candidates(self, calm_ns: int) -> list[FaultChange]:
+        """Return what may have happened since the pose was confirmed last [ns]."""
+        settled = [fault for fault, _ in self._faults.settled]
+        changes = [FaultChange(each, True) for each in (Lifted(), Displaced())]
+        changes += [FaultChange(fault, False) for fault in settled]
         if self._is_losing or not self._pose.is_proven:
-            return []
-        if self._pose.vague_ns[1] == time_ns:  # It may be so because of one of these.
-            return [each for each in self.filter.changes if each.begins]
-        present = {fault.name for fault, _ in self._faults.settled}
-        if any(fault.channel == "wheels" for fault, _ in self._faults.settled):
-            return []  # What else seems wrong follows from that.
+            return changes
+        if any(fault.channel == "wheels" for fault in settled):
+            return changes  # What else seems wrong follows from that.
+        present = {fault.name for fault in settled}
         sensor, counted = int(np.argmax(self._pose.surprise)), self._counted is not None
-        return [
-            each
-            for each in self._begins.at(time_ns, self.filter, sensor, counted)
-            if each.hypothesis.name not in present
-        ]
+        begins = self._begins.since(calm_ns, sensor, counted)
+        return changes + [each for each in begins if each.hypothesis.name not in present]

@@ -114,12 +114,15 @@ class FaultWatch:
         return alike.parts[0] >= THRESHOLDS.named or time_ns - alike.since_ns >= THRESHOLDS.unnamed_ns
 
     def raise_alarm(self, alike: Alike, time_ns: int) -> None:
-        """Raise the alarm of faults."""
+        """Raise the alarm of faults, and lead with it."""
+        self.leading = alike, self.alarm(alike, time_ns)
+
+    def alarm(self, alike: Alike, time_ns: int) -> Alarm:
+        """Return the alarm of faults."""
         is_one = alike.parts[0] >= THRESHOLDS.named
         name = alike.faults[0].name if is_one else OR.join(alike.names)
         sureness = alike.probability * (alike.parts[0] if is_one else 1.0)
-        channel = alike.faults[0].channel
-        self.leading = alike, Alarm(name, channel, alike.since_ns, time_ns, min(sureness, _SUREST))
+        return Alarm(name, alike.faults[0].channel, alike.since_ns, time_ns, min(sureness, _SUREST))
 
     def rename(self, alike: Alike) -> bool:
         """Give the alarm of several names the one that is certain now; return whether it has another name."""

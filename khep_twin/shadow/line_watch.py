@@ -15,8 +15,8 @@ _BAD, _WITHIN_NS = 3, 5_000_000_000
 _SOUND_NS = 5_000_000_000
 """Time without one after which the alarm ends [ns]."""
 
-_SHOWN_NS = 1_000_000_000
-"""Time for which the alarm of a restart is kept [ns]."""
+SHOWN_NS = 1_000_000_000
+"""Time for which the alarm of what happens at once is kept [ns]."""
 
 
 class LineWatch:
@@ -45,7 +45,7 @@ class LineWatch:
         over = [
             alarm
             for alarm in self.alarms
-            if (alarm.fault == RESTART and time_ns - alarm.raised_ns > _SHOWN_NS)
+            if (alarm.fault == RESTART and time_ns - alarm.raised_ns > SHOWN_NS)
             or (alarm.fault == LOSING and time_ns - self._bad_ns[-1] > _SOUND_NS)
         ]
         self.alarms = [alarm for alarm in self.alarms if alarm not in over]

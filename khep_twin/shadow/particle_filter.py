@@ -8,7 +8,7 @@ them; where few of them count, they are drawn anew. Some have a fault that may h
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.shadow.actions import Action, Counted, Seen, repeat
-from khep_twin.shadow.changes import QUOTA, FaultChange, mixed
+from khep_twin.shadow.changes import FaultChange, mixed
+from khep_twin.shadow.hypotheses import QUOTA
 from khep_twin.shadow.particles import Particles, drawn
 from khep_twin.shadow.planes import TICK_NS
 from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
@@ -57,8 +58,9 @@ _FRESH_TICKS = 25
 """Time for whose noise few particles are spread that become many [ticks]."""
 
 
-_LONGEST_TICKS = 50
-"""Longest time after which the particles are drawn anew [ticks]."""
+_LONGEST_TICKS, _LONGEST_SOUND_TICKS = 10, 50
+"""Longest time after which the particles are drawn anew, with changes that may begin then, and without
+[ticks]."""
 
 _IMPROBABLE = 0.01
 """Probability below which a change need not be considered any more."""
@@ -80,8 +82,7 @@ class ParticleFilter:
         changes: Changes that are considered: 1, 2, ... of the particles'.
         evidence: Logarithm of the probability of all readings so far.
         expected: Readings expected last, over all particles (8,).
-        surprise: What the last reply was less likely than an expected one, by sensor (8,), in logarithms, to
-            particles without a change.
+        surprise: What the last reply was less likely than an expected one, by sensor (8,), in logarithms.
     """
 
     def __init__(
@@ -99,18 +100,28 @@ class ParticleFilter:
         self._taught = particles.wheels
         """Wheels of particles when the robot drove freely last (n, 3)."""
 
+    def like(self, particles: Particles) -> Self:
+        """Return a filter of other particles of the robot."""
+        return type(self)(self._setup, particles, self._rng, self._count)
+
     def act(self, action: Action, use: NDArray[np.bool_]) -> Floats:
         """Follow an action; return what counters tell beyond commands (2,), NaN for any other one.
 
         Sensors to rely on are those of `use` (8,).
         """
+        told = self.weigh(action, use)
+        if isinstance(action, Seen):
+            self._renew()
+        return told
+
+    def weigh(self, action: Action, use: NDArray[np.bool_]) -> Floats:
+        """Follow an action as `act` does, with the same particles."""
         before = self.particles.planes.poses
         repeat(action, self.particles)
         along = np.abs(self.particles.planes.poses - before) @ (1, 1, SENSOR_RADIUS)
         self._way += float(self.weights @ along)
         if isinstance(action, Seen):
             self._see(action, use)
-            self._renew()
         if isinstance(action, Counted):
             return self.weights @ self.particles.count(action.counters)
         return np.full(2, np.nan)
@@ -169,7 +180,7 @@ class ParticleFilter:
         way = uncertain_s * float(self.weights @ (ahead + SENSOR_RADIUS * turn))
         new *= PERSISTENCE / (PERSISTENCE + way)
         self.expected, self.surprise, logs = self._model.explain(particles, seen.readings, use, new)
-        new *= MANY_TEMPER if len(particles) > MANY else 1.0
+        new *= MANY_TEMPER if len(particles) - self._quota > MANY else 1.0
         self.surprise *= new
         particles.logs += new * logs.sum(axis=1)
         norm = log_of_sum(particles.logs)
@@ -213,9 +224,9 @@ class ParticleFilter:
         weights = self.weights
         ticks = self.particles.planes.ticks
         passed = ticks - self._drifted_ticks
-        count = len(weights) - QUOTA * (len(self.changes) + 1) if self.changes else len(weights)
         effective = 1 / np.square(weights).sum()
-        if passed >= _LONGEST_TICKS or effective <= LEAST_EFFECTIVE * count:
+        longest = _LONGEST_TICKS if self.changes else _LONGEST_SOUND_TICKS
+        if passed >= longest or effective <= LEAST_EFFECTIVE * (len(weights) - self._quota):
             step = TICK_NS * 1e-9
             spread = np.sqrt(self.estimate(0).covariance.diagonal())
             self.particles = mixed(
@@ -227,7 +238,13 @@ class ParticleFilter:
                 # What pushes or grinds goes otherwise than its wheels turn, and teaches nothing of them.
                 rows = self._rng.integers(len(self._taught), size=len(self.particles))
                 self.particles.wheels = self._taught[rows]
-            self._drift(ROUGH * spread if effective < FEW * count else np.zeros(3))
+            self._drift(ROUGH * spread if effective < FEW * len(weights) else np.zeros(3))
+
+    @property
+    def _quota(self) -> int:
+        """Number of particles that consider changes."""
+        quotas = sum(each.hypothesis.quota for each in self.changes)
+        return quotas + QUOTA if self.changes else 0
 
     @property
     def _drives_freely(self) -> bool:
@@ -239,7 +256,7 @@ class ParticleFilter:
 
     def _wanted(self, weights: Floats) -> int:
         """Return the number of particles that the spread of the pose needs, besides those of changes."""
-        most = len(weights) - QUOTA * (len(self.changes) + 1) * bool(self.changes)
+        most = len(weights) - self._quota
         if most <= 2 * self._count:
             return self._count
         poses = self.particles.planes.poses[weights > 1e-3 / len(weights)]

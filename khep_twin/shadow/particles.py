@@ -99,6 +99,12 @@ class Particles:
         rest = (getattr(self, each.name)[indices] for each in fields(self)[2:])
         return Particles(self.planes.taken(indices), self.prior, *rest)
 
+    def joined(self, other: "Particles") -> "Particles":
+        """Return these and others of the same time."""
+        pairs = ((getattr(self, each.name), getattr(other, each.name)) for each in fields(self)[2:])
+        rest = (np.concatenate(pair) for pair in pairs)
+        return Particles(self.planes.joined(other.planes), self.prior, *rest)
+
     def drawn(self, count: int, offset: float) -> "Particles":
         """Return copies drawn by the weights, at equal distances from an offset of 0 to 1."""
         made = self.taken(drawn(np.exp(self.logs - self.logs.max()), count, offset))

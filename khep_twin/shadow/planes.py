@@ -31,6 +31,9 @@ N_SPARE = 1
 _NONE = np.zeros((0, 0))
 """Table without rows."""
 
+_ROWS = "things", "_order", "robots", "registers", "processor", "strength"
+"""Arrays that have a row for each twin."""
+
 AWAY = 1e3
 """Position of what is not in the playpen [m]."""
 
@@ -118,8 +121,16 @@ class Planes:
         """Return copies of twins at these indices, or the twins of a slice themselves."""
         made = object.__new__(type(self))
         made.__dict__.update(self.__dict__)
-        for name in ("things", "_order", "robots", "registers", "processor", "strength"):
+        for name in _ROWS:
             setattr(made, name, getattr(self, name)[indices])
+        return made
+
+    def joined(self, other: Self) -> Self:
+        """Return these twins and others of the same time."""
+        made = object.__new__(type(self))
+        made.__dict__.update(self.__dict__)
+        for name in _ROWS:
+            setattr(made, name, np.concatenate([getattr(self, name), getattr(other, name)]))
         return made
 
     @property
@@ -175,6 +186,11 @@ class Planes:
         """Put a thing, with its rows, so far from where the playpen has it: x and y (n, 2) [m]."""
         place = slice(flat.CENTRE_X, flat.CENTRE_Y + 1)
         self.things[:, rows, place] = self._scene[rows, place] + offsets[:, None]
+        self.remeasure()
+
+    def clear_away(self) -> None:
+        """Put all things out of reach."""
+        self.things[:, :, flat.CENTRE_X] += AWAY
         self.remeasure()
 
     def restore(self, rows: Sequence[int]) -> None:

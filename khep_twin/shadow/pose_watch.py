@@ -9,6 +9,7 @@ A pose that is lost is followed again once it is known for a while, without surp
 
 import math
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,34 @@ from khep_twin.shadow.thresholds import THRESHOLDS
 
 Floats = NDArray[np.float64]
 
-_ONSETS = 20
-"""Beginnings of surprise that are kept."""
+
+class Onset(NamedTuple):
+    """Begin of replies that surprise.
+
+    Attributes:
+        calm_ns: Time of the last reply that confirmed the pose [ns].
+        jumps_ns: Times of replies before those that surprised most [ns].
+    """
+
+    calm_ns: int
+    jumps_ns: tuple[int, ...]
+
+    def later(self, other: "Onset") -> "Onset":
+        """Return this begin, with the surprise of a later one that it does not explain."""
+        return Onset(self.calm_ns, (self.jumps_ns[0], *other.jumps_ns))
+
+
+class _Heard(NamedTuple):
+    """A reply: its time and that of the one before [ns], the largest sum by then, and its own surprise.
+
+    It has something in sight, or not.
+    """
+
+    time_ns: int
+    before_ns: int
+    whole: float
+    own: float
+    in_sight: bool
 
 
 class PoseWatch:
@@ -42,30 +69,34 @@ class PoseWatch:
         self.surprised_ns: int | None = None
         self._seen_ns = self._unsettled_ns = self._turned_ns = 0
         self._is_settled: bool = state is PoseState.FOLLOWED
-        self._startled_ns: int | None = None
         self._found_ns: int | None = None
-        self._onsets: deque[int] = deque(maxlen=_ONSETS)
+        self._heard: deque[_Heard] = deque()
 
-    def see(self, time_ns: int, surprise: Floats, *, is_known: bool) -> None:
-        """Take what a reply to N was less likely than an expected one (8,), and whether the pose is known."""
+    def see(self, time_ns: int, surprise: Floats, *, in_sight: bool, is_known: bool) -> None:
+        """Take what a reply to N was less likely than an expected one (8,).
+
+        Something is in sight, or not; the pose is known, or not.
+        """
         before_ns, self._seen_ns = self._seen_ns, time_ns
         self.surprise = self.surprise * math.exp((before_ns - time_ns) * 1e-9 / THRESHOLDS.surprise_s)
-        self.surprise += np.maximum(surprise - THRESHOLDS.usual, 0)
+        surprise = np.maximum(surprise - THRESHOLDS.usual, 0)
+        self.surprise += surprise
+        whole, own = float(self.surprise.max()), float(surprise.sum())
+        self._heard.append(_Heard(time_ns, before_ns, whole, own, in_sight))
+        while self._heard[0].time_ns < time_ns - THRESHOLDS.window_ns:
+            self._heard.popleft()
         if not is_known:
             began_ns, last_ns = self.vague_ns
             self.vague_ns = (began_ns if last_ns == before_ns else time_ns), time_ns
-        if self.surprise.max() > THRESHOLDS.startled:
-            self._startled_ns = time_ns
         if self.surprise.max() <= THRESHOLDS.surprised:
             self.surprised_ns = None
         elif self.surprised_ns is None:
             self.surprised_ns = time_ns
-            self._onsets.append(before_ns)
         is_settled = is_known and self.surprised_ns is None
         if is_settled != self._is_settled:
             self._is_settled, self._turned_ns = is_settled, time_ns
         surprised_ns = time_ns if self.surprised_ns is None else self.surprised_ns
-        if not is_known or time_ns - surprised_ns >= THRESHOLDS.waited_ns:
+        if not is_known or time_ns - surprised_ns >= THRESHOLDS.told_ns:
             self._unsettled_ns = time_ns
         if self.state is not PoseState.LOST:
             if time_ns - self._turned_ns >= THRESHOLDS.held_ns:
@@ -76,7 +107,29 @@ class PoseWatch:
     def lose(self) -> None:
         """Begin a search for the pose."""
         self.state = PoseState.LOST
+        self.explain()
+
+    def explain(self) -> None:
+        """Forget what surprised, as it has an explanation."""
         self.surprise[:] = 0
+        self.surprised_ns = None
+        self._heard.clear()
+
+    @property
+    def onset(self) -> Onset | None:
+        """Begin of replies that have surprised for a while, up to now; None if they do not."""
+        if not self._heard or self._heard[-1].whole < THRESHOLDS.startled:
+            return None
+        calm = max(THRESHOLDS.calm, self._heard[-1].whole / 10)
+        quiet = next((each for each in reversed(self._heard) if each.whole < calm), self._heard[0])
+        heard = reversed([each for each in self._heard if each.time_ns <= quiet.time_ns])
+        begun = next((each for each in heard if each.in_sight), self._heard[0])
+        since = [each for each in self._heard if each.time_ns > quiet.time_ns] or [self._heard[-1]]
+        most = max(each.own for each in since)
+        jump_ns = next(each.before_ns for each in since if each.own >= most / 2)
+        if since[-1].time_ns - jump_ns < THRESHOLDS.waited_ns:
+            return None
+        return Onset(begun.time_ns, (jump_ns,))
 
     @property
     def is_proven(self) -> bool:
@@ -85,19 +138,6 @@ class PoseWatch:
         is_new = found_ns is not None and self._seen_ns - found_ns < THRESHOLDS.proven_ns
         return self.state is not PoseState.LOST and not is_new
 
-    def was_startled(self, since_ns: int) -> bool:
-        """Return whether a reply surprised at all after what seems to have begun at a time [ns]."""
-        return self._startled_ns is not None and self._startled_ns > since_ns - THRESHOLDS.earlier_ns
-
     def was_vague(self, time_ns: int) -> bool:
         """Return whether the pose was not known at a time [ns], or just before, of the last such time."""
         return self.vague_ns[0] <= time_ns <= self.vague_ns[1] + THRESHOLDS.told_ns
-
-    def onset_ns(self, since_ns: int) -> int:
-        """Return the time of the reply before those that surprised since about a time [ns]."""
-        return next((each for each in self._onsets if each > since_ns - THRESHOLDS.earlier_ns), since_ns)
-
-    @property
-    def last_onset_ns(self) -> int:
-        """Time of the reply before those that surprise now [ns]."""
-        return self._onsets[-1]

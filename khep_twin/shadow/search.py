@@ -1,108 +1,179 @@
-"""Search for a robot that was put elsewhere: the last replies, repeated with twins that may be anywhere."""
+"""Search for what has happened: the last replies are repeated with twins that have faults, or are elsewhere.
 
+A filter without faults is enough while replies are as expected. Once they surprise, a new one begins with
+what was known before that, and considers all that may have happened since (`again`).
+"""
+
+import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.shadow.actions import Action, repeat
-from khep_twin.shadow.hypotheses import Hypothesis
+from khep_twin.shadow.actions import Action, Seen, repeat
+from khep_twin.shadow.changes import FaultChange
+from khep_twin.shadow.hypotheses import Lifted
 from khep_twin.shadow.particle_filter import ParticleFilter
-from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.start import anywhere
+from khep_twin.shadow.particles import Particles, drawn
+from khep_twin.shadow.places import Places, Sight
+from khep_twin.shadow.planes import AWAY
+from khep_twin.shadow.pose_watch import Onset
+from khep_twin.shadow.sensor_model import log_of_sum
+
+Floats = NDArray[np.float64]
 
 GROUP = 120
 """Particles of a snapshot."""
 
-LOST, TRIED, FOUND, HERE = 10_000, 3000, 1500, 500
-"""Particles of a robot that was put anywhere, of one that may have been, of one that was found, and of one
-that was not moved."""
+HERE, ELSEWHERE = 600, 2000
+"""Particles that begin where the robot was, and of one that was put elsewhere."""
+
+EARLIER_NS = 300_000_000
+"""Time by which faults begin before replies surprise [ns]."""
+
+JUMPED_NS = 2_500_000_000
+"""Time for which a robot may have been elsewhere before a search [ns]."""
+
+FIRST_NS = 500_000_000
+"""Time after a robot was put elsewhere whose replies are enough to draw places [ns]."""
+
+POWERS = 0.02, 0.05, 0.13, 0.3
+"""Powers of their likelihood in each step."""
+
+SPREADS, TURN = (8e-3, 5e-3, 3e-3, 2e-3), 10.0
+"""Deviations of places after each step [m], and that of headings as a multiple [rad/m] (assumed)."""
 
 SNAPSHOT_NS = 250_000_000
 """Interval of the snapshots [ns]."""
 
-KEPT_NS = 4 * NS_PER_S
+KEPT_NS = 5 * NS_PER_S
 """Time for which they are kept [ns]."""
 
-RARE = 11.0
-"""Logarithm of the odds against a robot that is put elsewhere (assumed)."""
+_SOUND = 0.9
+"""Probability that nothing has happened, above which what is known is kept."""
+
+_SIGHTS = 8
+"""Replies by which places are drawn."""
 
 
 class Search:
-    """Search for a robot that was put elsewhere."""
+    """Search for what has happened to a robot."""
 
     def __init__(self, setup: EpisodeSetup, rng: np.random.Generator) -> None:
         self._setup, self._rng = setup, rng
         self._snapshots: deque[tuple[int, Particles]] = deque()
-        self._actions: deque[tuple[Action, float]] = deque()
+        self._actions: deque[Action] = deque()
+        self._places: Places | None = None
+        self._last_ns = 0
 
-    def note(self, action: Action, evidence: float) -> None:
-        """Note an action, and the logarithm of the probability of all readings before it."""
-        self._actions.append((action, evidence))
+    def note(self, action: Action) -> None:
+        """Note an action."""
+        self._actions.append(action)
+        self._last_ns = action.time_ns
 
     def keep(self, time_ns: int, tracker: ParticleFilter) -> None:
-        """Keep what a filter knows at a time [ns], now and then."""
-        if self._snapshots and time_ns - self._snapshots[-1][0] < SNAPSHOT_NS:
-            return
-        self._snapshots.append((time_ns, tracker.particles.drawn(GROUP, self._rng.random())))
-        while self._snapshots[0][0] < time_ns - KEPT_NS:
+        """Keep what a filter knows at a time [ns], now and then, unless something seems to have happened."""
+        newest_ns = self._snapshots[-1][0] if self._snapshots else -SNAPSHOT_NS
+        if time_ns - newest_ns >= SNAPSHOT_NS and tracker.probabilities[0] > _SOUND:
+            self._snapshots.append((time_ns, tracker.particles.drawn(GROUP, self._rng.random())))
+        while self._snapshots and self._snapshots[0][0] < time_ns - KEPT_NS:
             self._snapshots.popleft()
-        while self._actions[0][0].time_ns < self._snapshots[0][0]:
+        first_ns = self._snapshots[0][0] if self._snapshots else time_ns
+        while self._actions[0].time_ns < first_ns:
             self._actions.popleft()
 
-    def odds(
-        self, tracker: ParticleFilter, since_ns: int, use: NDArray[np.bool_], fault: Hypothesis | None = None
-    ) -> float:
-        """Return the logarithm of the odds that the robot was put elsewhere since then.
-
-        It is against what a filter considers, or against a fault that may have begun then instead.
-        """
+    def again(
+        self, tracker: ParticleFilter, onset: Onset, changes: Sequence[FaultChange], use: NDArray[np.bool_]
+    ) -> ParticleFilter | None:
+        """Return a filter that considers changes since the onset; None if nothing is known of before."""
         if not self._snapshots:
-            return -np.inf
-        since_ns = max(since_ns, self._snapshots[0][0])
-        before = next((told for action, told in self._actions if action.time_ns > since_ns), tracker.evidence)
-        here = max(tracker.evidence - before, self._repeated(since_ns, HERE, use).evidence)
-        if fault is not None:
-            # As rare; a filter considers it some replies later, which surprise all its twins.
-            begun = self._repeated(since_ns, HERE, use, lambda particles: fault.begin(particles, self._rng))
-            here = max(here, begun.evidence - RARE)
-        return self._repeated(since_ns, TRIED, use, self._scatter).evidence - RARE - here
-
-    def lost(self, since_ns: int, use: NDArray[np.bool_]) -> Particles:
-        """Return particles of a robot that was put anywhere, by the replies since; forget what was before."""
-        particles = self._repeated(max(since_ns, self._snapshots[0][0]), LOST, use, self._scatter).particles
-        self._snapshots.clear()
-        return particles
-
-    def _scatter(self, particles: Particles) -> None:
-        particles.planes.move(anywhere(self._setup, particles.planes, self._rng))
-
-    def _repeated(
-        self,
-        since_ns: int,
-        count: int,
-        use: NDArray[np.bool_],
-        change: Callable[[Particles], None] | None = None,
-    ) -> ParticleFilter:
-        """Return a filter of so many twins that repeat what was since a time, with known sensors and faults.
-
-        `change` does to the particles what happened at that time.
-        """
-        begin_ns, start = next(each for each in reversed(self._snapshots) if each[0] <= since_ns)
-        few, actions = start.drawn(GROUP, 0.5), [action for action, _ in self._actions]
-        for action in actions:
-            if begin_ns < action.time_ns <= since_ns:
-                repeat(action, few)
-        particles = few.drawn(count, 0.5)
+            return None
+        begin_ns, start = next(
+            (each for each in reversed(self._snapshots) if each[0] <= onset.calm_ns - EARLIER_NS),
+            self._snapshots[0],
+        )
+        particles = start.drawn(HERE, 0.5)
         particles.changes[:] = 0
-        if change is not None:
-            change(particles)
-        tracker = ParticleFilter(self._setup, particles, self._rng, min(count, FOUND))
-        tracker.spread()
+        found = tracker.like(particles)
+        found.consider(changes)
+        actions = [action for action in self._actions if action.time_ns > begin_ns]
+        jumps = {max(each, begin_ns): 0.0 for each in onset.jumps_ns if each > self._last_ns - JUMPED_NS}
         for action in actions:
+            jumps |= {since_ns: found.evidence for since_ns in jumps if action.time_ns <= since_ns}
+            found.act(action, use)
+        for since_ns, before in jumps.items():
+            few = start.drawn(GROUP, 0.5)
+            for action in actions:
+                if action.time_ns <= since_ns:
+                    repeat(action, few)
+            elsewhere = self._elsewhere(found, few, since_ns, use)
+            _add(found, elsewhere.particles, elsewhere.evidence - (found.evidence - before), since_ns)
+        return found
+
+    def _elsewhere(
+        self, tracker: ParticleFilter, few: Particles, since_ns: int, use: NDArray[np.bool_]
+    ) -> ParticleFilter:
+        """Return a filter of particles that were put anywhere at a time [ns], by all replies since.
+
+        The places become probable step by step, and are drawn anew, close to what they are, after each: what
+        fits within millimetres and degrees is rare among any that are drawn.
+        """
+        if self._places is None:
+            self._places = Places(self._setup)
+        actions = [action for action in self._actions if action.time_ns > since_ns]
+        poses, logs = self._places.draw(ELSEWHERE, self._sights(few.drawn(1, 0.5), since_ns), use, self._rng)
+        first = [action for action in actions if action.time_ns <= since_ns + FIRST_NS]
+        evidence = 0.0
+        for power, spread in zip(POWERS, SPREADS, strict=True):
+            found = self._put(tracker, few, poses)
+            logs += power * _told(found, first, use)
+            norm = log_of_sum(logs)
+            evidence += norm - math.log(ELSEWHERE)
+            rows = drawn(np.exp(logs - norm), ELSEWHERE, self._rng.random())
+            poses = poses[rows] + spread * self._rng.standard_normal((ELSEWHERE, 3)) * (1, 1, TURN)
+            logs = np.zeros(ELSEWHERE)
+        found = self._put(tracker, few, poses)
+        begun = _told(found, first, use)
+        logs = _told(found, actions[len(first) :], use) - sum(POWERS) * begun
+        norm = log_of_sum(logs)
+        found.particles.logs = logs - norm
+        found.evidence = evidence + norm - math.log(ELSEWHERE)
+        return found
+
+    def _put(self, tracker: ParticleFilter, few: Particles, poses: Floats) -> ParticleFilter:
+        """Return a filter of particles that were put at poses."""
+        particles = few.drawn(len(poses), 0.5)
+        particles.planes.put(poses)
+        return tracker.like(particles)
+
+    def _sights(self, one: Particles, since_ns: int) -> list[Sight]:
+        """Return some of the readings since then, with the way of one twin that touches nothing."""
+        one.planes.move(np.array([[-AWAY, -AWAY, 0.0]]))
+        seen: list[Sight] = []
+        for action in self._actions:
             if action.time_ns > since_ns:
-                tracker.act(action, use)
-        return tracker
+                repeat(action, one)
+                if isinstance(action, Seen):
+                    x, y, heading = one.planes.poses[0].tolist()
+                    seen.append(Sight((x + AWAY, y + AWAY, heading), action.readings))
+        return [seen[len(seen) * number // _SIGHTS] for number in range(_SIGHTS)] if seen else []
+
+
+def _told(tracker: ParticleFilter, actions: Sequence[Action], use: NDArray[np.bool_]) -> Floats:
+    """Follow actions; return what all replies tell of each particle, in logarithms (n,)."""
+    for action in actions:
+        tracker.weigh(action, use)
+    return tracker.particles.logs + math.log(len(tracker.particles)) + tracker.evidence
+
+
+def _add(tracker: ParticleFilter, particles: Particles, log: float, since_ns: int) -> None:
+    """Add particles of a robot that was put elsewhere at a time [ns], with the logarithm of their weight."""
+    number = next(n for n, each in enumerate(tracker.changes, 1) if isinstance(each.hypothesis, Lifted))
+    particles.changes[:] = number
+    particles.since_ns[:] = since_ns
+    particles.logs += log - Lifted.rare
+    tracker.particles = tracker.particles.joined(particles)
+    tracker.particles.logs -= log_of_sum(tracker.particles.logs)

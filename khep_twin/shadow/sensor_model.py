@@ -69,35 +69,40 @@ class SensorModel:
 
         Sensors that are not to be relied on (8,) have likelihood 1.
 
-        Returns expected counts (8,), what each reading was less likely than an expected one to particles
-        without a change (8,), and the log likelihoods (n, 8).
+        Returns expected counts (8,), what each reading was less likely than an expected one (8,), and the log
+        likelihoods (n, 8).
         """
-        told = range_left = self._range_left(particles)
+        told = left = range_left(particles.planes)
         if particles.planes.lamps_are_unknown:
             # A sensor that a lamp may blind tells only what it sees.
-            is_lit = range_left.min(axis=0) < UNLIT
+            is_lit = left.min(axis=0) < UNLIT
             use = use & ~(is_lit & (readings <= self.quiet))
-            told = np.ones_like(range_left)
+            told = np.ones_like(left)
         counts, deviations, likelihood = particles.planes.explain(
             particles.traits, particles.covariances, self._law, told, readings, use, new
         )
         weights = np.exp(particles.logs - log_of_sum(particles.logs))
         expected = np.clip(weights @ counts, 0, self.limit)
-        self.range_left = weights @ range_left
-        logs = np.where(particles.changes == 0, particles.logs, -np.inf)
-        weights = np.exp(logs - log_of_sum(logs))
+        self.range_left = weights @ left
         clipped = (readings <= self.quiet) | (readings >= self._law.full)
         best = np.where(clipped, 1.0, 1 / (weights @ deviations * math.sqrt(math.tau)))
         surprise = np.where(use, np.log(np.maximum(best / (weights @ likelihood), 1.0)), 0.0)
         return expected, surprise, np.where(use, np.log(likelihood), 0.0)
 
-    def _range_left(self, particles: Particles) -> Floats:
-        """Return the part of each sensor's range that the lamps leave (n, 8)."""
-        if not particles.planes.lamps.names:
-            return np.ones((len(particles), 8))
-        ambient = particles.planes.ambient
-        reach = float(ambient["dark"] - ambient["floor"])
-        return np.clip(1 - particles.planes.lamplight(_BRIGHT * reach).sum(axis=2) / reach, 0, 1)
+
+def range_left(planes: Planes) -> Floats:
+    """Return the part of each sensor's range that the lamps leave (n, 8)."""
+    if not planes.lamps.names:
+        return np.ones((len(planes), 8))
+    reach = float(planes.ambient["dark"] - planes.ambient["floor"])
+    return np.clip(1 - planes.lamplight(_BRIGHT * reach).sum(axis=2) / reach, 0, 1)
+
+
+def range_left_at_least(particles: Particles) -> Floats:
+    """Return that part, where the robot probably is, if nothing stood in the light of any lamp (8,)."""
+    one = particles.planes.taken(np.array([np.argmax(particles.logs)]))
+    one.clear_away()
+    return range_left(one)[0]
 
 
 def log_of_sum(logs: Floats) -> float:

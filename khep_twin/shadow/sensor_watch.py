@@ -1,8 +1,9 @@
 """Watch of each sensor on its own: a stuck one repeats its last reading, a dead one reads 0.
 
-A sound sensor has noise. The probability that it repeats a reading is learned from all sensors, apart for
-quiet ones, with nothing in reach, and others. Blinded by a lamp or near the limit of its range, a sound one
-repeats itself, too: there only readings that the twins do not expect count.
+A sound sensor has noise. The probability that it repeats a reading is learned from what it read before its
+reading changed last, and from all others, apart for quiet ones, with nothing in reach, and others. Blinded by
+a lamp or near the limit of its range, a sound one repeats itself, too: there only readings that the twins do
+not expect count.
 """
 
 import math
@@ -37,6 +38,8 @@ class SensorWatch:
     def __init__(self, quiet: float, limit: int, lit: bool) -> None:
         self._quiet, self._limit, self._lit = quiet, limit, lit
         self._repeats = np.tile(np.array(_PRIOR), (2, N_SENSORS, 1))
+        self._run = np.zeros_like(self._repeats)
+        """Repetitions, of so many readings, since each sensor's reading changed last."""
         self._last: NDArray[np.int64] | None = None
         self._odds = np.zeros(N_SENSORS)
         self._since_ns = [0] * N_SENSORS
@@ -64,6 +67,8 @@ class SensorWatch:
             return ()
         for sensor, (last, now) in enumerate(zip(before.tolist(), action.readings.tolist(), strict=True)):
             if now != last:
+                self._repeats[:, sensor] += self._run[:, sensor]
+                self._run[:, sensor] = 0
                 self._odds[sensor] = 0
                 self._since_ns[sensor] = action.time_ns
                 if alarm := self._alarms.pop(sensor, None):
@@ -75,9 +80,8 @@ class SensorWatch:
                 told = min(_TOLD * beyond, _MOST) if now == last else 0.0
             else:
                 kind = int(last > self._quiet)
-                others = np.delete(self._repeats[kind], sensor, axis=0).sum(axis=0)
-                self._repeats[kind, sensor] += now == last, 1
-                told = -math.log(others[0] / others[1]) if now == last else 0.0
+                told = -math.log(self._chance(kind, sensor)) if now == last else 0.0
+                self._run[kind, sensor] += now == last, 1
                 if last == 0:
                     # It may be lit more than the twins believe, the likelier the more they do.
                     told *= min((left - _READABLE) / (UNLIT - _READABLE), 1) ** 2
@@ -92,6 +96,17 @@ class SensorWatch:
                 self._alarms[sensor] = Alarm(fault, "proximity", since_ns, action.time_ns, sureness)
         return tuple(ended)
 
+    def _chance(self, kind: int, sensor: int) -> float:
+        """Return the probability that a sound sensor repeats a quiet (0) or another reading (1)."""
+        all_readings = self._repeats[kind] + self._run[kind]
+        repeats, among = np.delete(all_readings, sensor, axis=0).sum(axis=0).tolist()
+        own, of = self._repeats[kind, sensor].tolist()
+        others = repeats / among
+        return max(others, (own + _OTHERS * others) / (of + _OTHERS))
+
+
+_OTHERS = 20.0
+"""Readings of its own as which all others count (assumed)."""
 
 _RARE = 8.0
 """Logarithm of the odds against a stuck sensor (assumed)."""

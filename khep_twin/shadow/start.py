@@ -105,7 +105,7 @@ def anywhere(setup: EpisodeSetup, planes: Planes, rng: np.random.Generator) -> F
     for _ in range(_TRIES):
         drawn = rng.uniform((*low, 0), (*high, math.tau), poses.shape)
         poses[wanted] = drawn[wanted]
-        wanted = ~(planes.free(poses) & _inside(corners, poses))
+        wanted = ~(planes.free(poses) & inside(corners, poses))
         if not wanted.any():
             return poses
     raise PlaypenError(f"{setup.playpen.name}: no room for the robot was found; expected a start pose")
@@ -114,7 +114,7 @@ def anywhere(setup: EpisodeSetup, planes: Planes, rng: np.random.Generator) -> F
 _TRIES = 200
 
 
-def _inside(corners: Floats, poses: Floats) -> NDArray[np.bool_]:
+def inside(corners: Floats, poses: Floats) -> NDArray[np.bool_]:
     """Return whether positions are inside a polygon (n,)."""
     inside = np.zeros(len(poses), np.bool_)
     x, y = poses[:, 0], poses[:, 1]

@@ -19,21 +19,23 @@ class Thresholds:
         usual: Surprise of one reading that is usual (assumed).
         surprise_s: Time constant over which surprise is summed [s].
         surprised: Sum of one sensor from which on the robot may be elsewhere.
-        startled: Sum of one sensor without which no fault has begun: what explains readings a little better
-            for long explains errors of the model.
-        waited_ns: Time for which replies surprise before the robot is looked for everywhere [ns].
-        tried_ns: Interval at which it is [ns].
-        window_ns: Time before now from which on it is looked for [ns].
-        earlier_ns: Time by which a fault may seem to begin before replies surprise [ns].
-        elsewhere: Logarithm of the odds from which on it is elsewhere, where no fault explains the replies.
-        rather: Logarithm of the odds from which on it is elsewhere instead of having a fault.
+        startled: Sum of one sensor from which on what has happened is searched for.
+        calm: Sum of any sensor below which replies do not surprise, or a tenth of what they do later.
+        in_sight: Counts of a reading that confirms a pose.
+        waited_ns: Time after the begin of the surprise before the search [ns].
+        tried_ns: Interval of searches while something else may explain replies [ns].
+        explained: Probability that nothing has happened, below which something does.
+        window_ns: Time before now from which on something may have happened [ns].
+        dropped: Probability that nothing has, above which faults are not considered any more.
+        dropped_ns: Time after a search for which they are [ns].
         found_ns: Time of a known pose, without surprise that lasts, after which a search has found it [ns].
         proven_ns: Time after that from which on faults are told: before it another place is the likelier
             explanation [ns].
         suspected: Probability from which on a fault is suspected (assumed).
         sure: Probability from which on there is one of faults that look alike: that of an alarm.
         named: Part of that probability that one of them has, to give the alarm its name.
-        told_ns: Time for which replies show a fault before an alarm [ns].
+        told_ns: Time for which replies show a fault before an alarm, and for which they surprise until a pose
+            counts as unknown [ns].
         held_ns: Time for which it stays so probable before an alarm, and after which a pose is unsure, or
             followed again [ns].
         unnamed_ns: Time after which an alarm has all names, if none of them has that part [ns].
@@ -46,13 +48,15 @@ class Thresholds:
     usual: float = 0.15
     surprise_s: float = 0.7
     surprised: float = 3.0
-    startled: float = 1.2
-    waited_ns: int = NS_PER_S
+    startled: float = 2.0
+    calm: float = 0.3
+    in_sight: int = 100
+    waited_ns: int = 200_000_000
     tried_ns: int = NS_PER_S
-    window_ns: int = 1_300_000_000
-    earlier_ns: int = NS_PER_S // 2
-    elsewhere: float = 9.0
-    rather: float = 0.0
+    explained: float = 0.5
+    window_ns: int = 3 * NS_PER_S
+    dropped: float = 0.98
+    dropped_ns: int = 1_500_000_000
     found_ns: int = 5 * NS_PER_S
     proven_ns: int = 15 * NS_PER_S
     suspected: float = 0.2

@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 from twins import AT_THE_CRATE, SECOND, particles_at, setup_of
 
-from khep_twin.shadow.changes import QUOTA, FaultChange, mixed
-from khep_twin.shadow.hypotheses import STRONGEST, WEAKEST, Missing, StandingWheel, WeakMotor, things_of
+from khep_twin.shadow.changes import FaultChange, mixed
+from khep_twin.shadow.hypotheses import (
+    QUOTA,
+    STRONGEST,
+    WEAKEST,
+    Missing,
+    StandingWheel,
+    WeakMotor,
+    things_of,
+)
 from khep_twin.shadow.particles import Particles
 
 STANDS, WEAK = FaultChange(StandingWheel(0), True), FaultChange(WeakMotor(1), True)

@@ -4,7 +4,7 @@ import numpy as np
 from twins import SECOND
 
 from khep_twin.log.shadow_channels import PoseState
-from khep_twin.shadow.pose_watch import PoseWatch
+from khep_twin.shadow.pose_watch import Onset, PoseWatch
 
 NOTHING, MUCH = np.zeros(8), np.full(8, 2.0)
 TENTH = SECOND // 10
@@ -16,7 +16,7 @@ def seen(
     """States after replies at tenths of a second."""
     states: list[PoseState] = []
     for number in range(begin, end):
-        watch.see(number * TENTH, MUCH if surprise else NOTHING, is_known=known)
+        watch.see(number * TENTH, MUCH if surprise else NOTHING, in_sight=number % 10 == 5, is_known=known)
         states.append(watch.state)
     return states
 
@@ -32,9 +32,26 @@ def test_it_is_unsure_while_the_region_is_wide_or_replies_surprise() -> None:
     assert seen(watch, 20, 30)[-1] is PoseState.FOLLOWED
     assert seen(watch, 30, 40, surprise=True)[-1] is PoseState.UNSURE
     assert watch.surprised_ns == 31 * TENTH
-    assert watch.last_onset_ns == watch.onset_ns(31 * TENTH) == 30 * TENTH
-    assert watch.was_startled(35 * TENTH)
+    assert watch.onset is not None
     assert seen(watch, 40, 70)[-1] is PoseState.FOLLOWED
+    assert watch.onset is None
+
+
+def test_surprise_begins_after_the_last_reply_that_confirmed_the_pose() -> None:
+    watch = PoseWatch(PoseState.FOLLOWED)
+    seen(watch, 1, 30)
+    assert watch.onset is None
+    seen(watch, 30, 31, surprise=True)
+    assert watch.onset is None  # not for long enough
+    seen(watch, 31, 35, surprise=True)
+    assert watch.onset == (25 * TENTH, (29 * TENTH,))
+    watch.explain()
+    assert watch.onset is None
+    assert watch.state is PoseState.FOLLOWED
+    seen(watch, 35, 40, surprise=True)
+    later = watch.onset
+    assert later is not None
+    assert Onset(25 * TENTH, (29 * TENTH,)).later(later) == (25 * TENTH, (29 * TENTH, 35 * TENTH))
 
 
 def test_a_lost_pose_is_followed_once_it_is_known_for_a_while() -> None:

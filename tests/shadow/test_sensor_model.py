@@ -57,15 +57,6 @@ def test_what_is_expected_surprises_less_than_what_is_not() -> None:
     assert np.delete(surprise, [3, 7]).max() < 0.7
 
 
-def test_it_is_twins_without_a_change_that_a_reading_surprises() -> None:
-    (particles, model), told = standing(AT_THE_CRATE, (X, Y, HEADING + 180)), seen()
-    particles.logs = np.log([1 - 1e-9, 1e-9])
-    _, usual, _ = model.explain(particles.drawn(100, 0.5), told, ALL)
-    particles.changes[0] = 1
-    _, surprise, _ = model.explain(particles, told, ALL)
-    assert usual.max() < 1 < surprise.max()
-
-
 def test_a_sensor_that_is_not_relied_on_tells_nothing() -> None:
     particles, model = standing(AT_THE_CRATE)
     told, use = seen(), ALL.copy()
