@@ -156,6 +156,8 @@ class Diagnosis:
         if found is not None:
             self.filter = found
             self._pose.explain()
+            if found.probabilities[0] > THRESHOLDS.explained:
+                self._pose.expect()
 
     @property
     def _is_losing(self) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.log.shadow_channels import Alarm
+from khep_twin.shadow.particle_filter import LEAST_NEW, SENSOR_RADIUS
 from khep_twin.shadow.particles import Particles
 
 Floats = NDArray[np.float64]
@@ -22,6 +23,15 @@ _MODEL = 0.2
 
 _BRIGHT = 60.0
 """Light of a lamp that tells something, at the least [counts]."""
+
+_MOST_TOLD = 4.0
+"""Most that one reply tells, in logarithms (assumed)."""
+
+_CHANGED = 150
+"""Change of a reading that tells all that it can, wherever the robot is [counts] (assumed)."""
+
+_PERSISTENCE = 0.01
+"""Way of a sensor over which errors of a lamp's light persist [m] (assumed)."""
 
 _MOST = 0.05
 """Part of the readings that nothing explains (assumed)."""
@@ -41,6 +51,7 @@ class LampWatch:
         self._since_ns = [0] * len(names)
         self._alarms: dict[int, Alarm] = {}
         self.expected: Floats = np.full(8, np.nan)
+        self._last: tuple[NDArray[np.int64], Floats] = np.zeros(8, np.int64), np.zeros(3)
 
     @property
     def alarms(self) -> list[Alarm]:
@@ -50,6 +61,7 @@ class LampWatch:
     def see(self, time_ns: int, readings: NDArray[np.int64], particles: Particles) -> tuple[Alarm, ...]:
         """Take a reply to O (8,) [counts], with particles of its time; return the alarms that end by it."""
         few = particles.drawn(_FEW, 0.5)
+        new = self._new(readings, few.planes.poses.mean(axis=0))
         ambient = few.planes.ambient
         dark, floor, noise = (float(ambient[name]) for name in ("dark", "floor", "noise"))
         light = few.planes.lamplight(1.0)
@@ -69,11 +81,12 @@ class LampWatch:
             if not seen.any():
                 continue
             step = np.array([(off - lit)[seen].sum(), np.maximum(elsewhere - lit, -3.0)[seen].sum()])
+            step = new * np.clip(step, -_MOST_TOLD, _MOST_TOLD)
             if bright.sum() == 0:
                 step[0] = min(step[0], 0)
             alarm = self._alarms.get(lamp)
             if alarm is None:
-                self._odds[lamp] = np.maximum(self._odds[lamp] + np.clip(step, -4, 4), 0)
+                self._odds[lamp] = np.maximum(self._odds[lamp] + step, 0)
                 if not self._odds[lamp].any():
                     self._since_ns[lamp] = time_ns
                 kind = int(np.argmax(self._odds[lamp]))
@@ -83,11 +96,19 @@ class LampWatch:
                     self._odds[lamp] = 0
             else:
                 kind = int(alarm.fault.endswith("moved"))
-                self._odds[lamp] = np.maximum(self._odds[lamp] - np.clip(step, -4, 4), 0)
+                self._odds[lamp] = np.maximum(self._odds[lamp] - step, 0)
                 if self._odds[lamp, kind] > ENDED:
                     ended.append(replace(self._alarms.pop(lamp), ended_ns=time_ns))
                     self._odds[lamp] = 0
         return tuple(ended)
+
+    def _new(self, readings: NDArray[np.int64], pose: Floats) -> float:
+        """Return the part of readings that tells anything new, at a pose."""
+        (before, last), self._last = self._last, (readings, pose)
+        if np.abs(readings - before).max() > _CHANGED:
+            return 1.0
+        way = float(np.abs(pose - last) @ (1, 1, SENSOR_RADIUS))
+        return max(math.tanh(way / (2 * _PERSISTENCE)), LEAST_NEW)
 
 
 _CLIPPED = 3.0

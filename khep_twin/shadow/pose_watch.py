@@ -70,6 +70,7 @@ class PoseWatch:
         self._seen_ns = self._unsettled_ns = self._turned_ns = 0
         self._is_settled: bool = state is PoseState.FOLLOWED
         self._found_ns: int | None = None
+        self._startled = THRESHOLDS.startled
         self._heard: deque[_Heard] = deque()
 
     def see(self, time_ns: int, surprise: Floats, *, in_sight: bool, is_known: bool) -> None:
@@ -82,6 +83,8 @@ class PoseWatch:
         surprise = np.maximum(surprise - THRESHOLDS.usual, 0)
         self.surprise += surprise
         whole, own = float(self.surprise.max()), float(surprise.sum())
+        kept = math.exp((before_ns - time_ns) * 1e-9 / THRESHOLDS.raised_s)
+        self._startled = THRESHOLDS.startled + (self._startled - THRESHOLDS.startled) * kept
         self._heard.append(_Heard(time_ns, before_ns, whole, own, in_sight))
         while self._heard[0].time_ns < time_ns - THRESHOLDS.window_ns:
             self._heard.popleft()
@@ -115,10 +118,14 @@ class PoseWatch:
         self.surprised_ns = None
         self._heard.clear()
 
+    def expect(self) -> None:
+        """Expect as much surprise, for which a search has found no reason, for a while."""
+        self._startled = min(self._startled * THRESHOLDS.raised, THRESHOLDS.most_startled)
+
     @property
     def onset(self) -> Onset | None:
         """Begin of replies that have surprised for a while, up to now; None if they do not."""
-        if not self._heard or self._heard[-1].whole < THRESHOLDS.startled:
+        if not self._heard or self._heard[-1].whole < self._startled:
             return None
         calm = max(THRESHOLDS.calm, self._heard[-1].whole / 10)
         quiet = next((each for each in reversed(self._heard) if each.whole < calm), self._heard[0])

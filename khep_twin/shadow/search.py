@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 GROUP = 120
 """Particles of a snapshot."""
 
-HERE, ELSEWHERE = 600, 2000
+HERE, ELSEWHERE = 600, 1500
 """Particles that begin where the robot was, and of one that was put elsewhere."""
 
 EARLIER_NS = 300_000_000
@@ -51,6 +51,9 @@ SNAPSHOT_NS = 250_000_000
 
 KEPT_NS = 5 * NS_PER_S
 """Time for which they are kept [ns]."""
+
+_LEAST = 1e-9
+"""Probability that nothing has happened, at the least."""
 
 _SOUND = 0.9
 """Probability that nothing has happened, above which what is known is kept."""
@@ -102,15 +105,17 @@ class Search:
         actions = [action for action in self._actions if action.time_ns > begin_ns]
         jumps = {max(each, begin_ns): 0.0 for each in onset.jumps_ns if each > self._last_ns - JUMPED_NS}
         for action in actions:
-            jumps |= {since_ns: found.evidence for since_ns in jumps if action.time_ns <= since_ns}
+            # Until then the robot was sound, too.
+            sound = found.evidence + math.log(max(found.probabilities[0], _LEAST))
+            jumps |= {since_ns: sound for since_ns in jumps if action.time_ns <= since_ns}
             found.act(action, use)
-        for since_ns, before in jumps.items():
+        for since_ns, sound in jumps.items():
             few = start.drawn(GROUP, 0.5)
             for action in actions:
                 if action.time_ns <= since_ns:
                     repeat(action, few)
             elsewhere = self._elsewhere(found, few, since_ns, use)
-            _add(found, elsewhere.particles, elsewhere.evidence - (found.evidence - before), since_ns)
+            _add(found, elsewhere.particles, sound + elsewhere.evidence - found.evidence, since_ns)
         return found
 
     def _elsewhere(

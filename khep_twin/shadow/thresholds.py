@@ -20,6 +20,9 @@ class Thresholds:
         surprise_s: Time constant over which surprise is summed [s].
         surprised: Sum of one sensor from which on the robot may be elsewhere.
         startled: Sum of one sensor from which on what has happened is searched for.
+        most_startled: The same after searches that have found nothing, at the most.
+        raised: Factor of each of them.
+        raised_s: Time constant with which it falls again [s].
         calm: Sum of any sensor below which replies do not surprise, or a tenth of what they do later.
         in_sight: Counts of a reading that confirms a pose.
         waited_ns: Time after the begin of the surprise before the search [ns].
@@ -49,13 +52,16 @@ class Thresholds:
     surprise_s: float = 0.7
     surprised: float = 3.0
     startled: float = 2.0
+    most_startled: float = 8.0
+    raised: float = 2.0
+    raised_s: float = 30.0
     calm: float = 0.3
     in_sight: int = 100
     waited_ns: int = 200_000_000
     tried_ns: int = NS_PER_S
     explained: float = 0.5
     window_ns: int = 3 * NS_PER_S
-    dropped: float = 0.98
+    dropped: float = 0.9
     dropped_ns: int = 1_500_000_000
     found_ns: int = 5 * NS_PER_S
     proven_ns: int = 15 * NS_PER_S

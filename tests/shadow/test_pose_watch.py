@@ -52,6 +52,12 @@ def test_surprise_begins_after_the_last_reply_that_confirmed_the_pose() -> None:
     later = watch.onset
     assert later is not None
     assert Onset(25 * TENTH, (29 * TENTH,)).later(later) == (25 * TENTH, (29 * TENTH, 35 * TENTH))
+    for _ in range(9):
+        watch.expect()  # Searches have found nothing.
+    assert watch.onset is None
+    assert seen(watch, 40, 1000)
+    seen(watch, 1000, 1005, surprise=True)
+    assert watch.onset is not None
 
 
 def test_a_lost_pose_is_followed_once_it_is_known_for_a_while() -> None:
