@@ -262,7 +262,7 @@ class Unexpected(Hypothesis):
 class Displaced(Hypothesis):
     """A robot that was pushed a little, or slid: no fault, but twins that did not are not where it is."""
 
-    channel, rare, quota = "proximity", 2.0, 300
+    channel, rare, quota = "proximity", 5.0, 300
 
     @property
     def name(self) -> str:
