@@ -109,7 +109,7 @@ class PoseWatch:
 
     def lose(self) -> None:
         """Begin a search for the pose."""
-        self.state = PoseState.LOST
+        self.state, self._unsettled_ns = PoseState.LOST, self._seen_ns
         self.explain()
 
     def explain(self) -> None:

@@ -9,7 +9,7 @@ from twins import SECOND, metric, planes_at, readings, setup_of
 
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.log.exchanges import Exchange
-from khep_twin.log.shadow_channels import Alarm
+from khep_twin.log.shadow_channels import Alarm, PoseState
 from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Commanded, Counted, Seen
 from khep_twin.shadow.diagnosis import Diagnosis
@@ -109,6 +109,29 @@ def test_a_motor_that_dies_is_named_until_it_runs_again(counters: bool, particle
     ended = [(alarm.fault, alarm.raised_ns) for alarm in driven.ended]
     assert sorted(ended) == sorted(driven.raised)
     assert driven.off_mm < 20
+
+
+def test_a_robot_that_was_put_elsewhere_is_told_for_a_second_and_lost_until_it_is_found() -> None:
+    driven = Driven(2)
+    driven.drive(4)
+    driven.robot.move(np.array([metric((80.0, 371.0, -45.0))]))
+    driven.drive(2)
+    assert driven.names == ["robot lifted"]
+    assert driven.diagnosis.state is PoseState.LOST
+    driven.drive(1.5)
+    assert driven.diagnosis.alarms == ()
+    assert [alarm.fault for alarm in driven.ended] == ["robot lifted"]
+
+
+@pytest.mark.long
+def test_a_robot_that_was_pushed_a_little_is_followed_without_an_alarm() -> None:
+    driven = Driven(2)
+    driven.drive(4)
+    x, y, heading = driven.robot.poses[0].tolist()
+    driven.robot.move(np.array([[x + 0.008, y - 0.008, heading + 0.2]]))
+    driven.drive(8)
+    assert driven.names == []
+    assert driven.off_mm < 10
 
 
 def test_ended_alarms_are_those_of_the_last_exchange() -> None:

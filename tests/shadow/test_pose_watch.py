@@ -67,4 +67,5 @@ def test_a_lost_pose_is_followed_once_it_is_known_for_a_while() -> None:
     assert set(seen(watch, 60, 90, surprise=True)) == {PoseState.LOST}  # which lasts
     assert seen(watch, 90, 160)[-1] is PoseState.FOLLOWED
     watch.lose()
-    assert watch.state is PoseState.LOST
+    assert set(seen(watch, 160, 200)) == {PoseState.LOST}  # though nothing surprises there
+    assert seen(watch, 200, 220)[-1] is PoseState.FOLLOWED

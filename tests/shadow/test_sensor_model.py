@@ -10,7 +10,7 @@ from khep_twin.episodes.controllers import ConstantSpeed
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
+from khep_twin.shadow.sensor_model import SensorModel, log_of_sum, range_left, range_left_at_least
 
 BESIDE_THE_LAMP = 600.0, 275.0, 0.0
 X, Y, HEADING = AT_THE_CRATE
@@ -151,3 +151,16 @@ def test_where_one_of_several_lamps_is_on_a_sensor_that_it_may_blind_tells_only_
     assert surprise[lit].tolist() == logs[0, lit].tolist() == [0.0] * lit.sum()
     _, _, logs = model.explain(particles, np.full(8, 500), ALL)
     assert (logs[0] != 0).all()
+
+
+def test_a_sensor_in_the_shadow_of_a_thing_may_be_blinded_if_that_is_gone() -> None:
+    places = [
+        (x, y, heading) for x in (150.0, 300.0, 450.0) for y in (150.0, 350.0) for heading in (0, 90, 180)
+    ]
+    hidden = 0
+    for place in places:
+        particles = particles_at(place, name="two-lamps")
+        left, open_left = range_left(particles.planes)[0], range_left_at_least(particles)
+        assert (open_left <= left + 1e-9).all()
+        hidden += int((open_left < left - 0.1).sum())
+    assert hidden > 0
