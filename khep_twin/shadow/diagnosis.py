@@ -18,8 +18,8 @@ from khep_twin.log.shadow_channels import Alarm, PoseState, Suspicion
 from khep_twin.shadow.actions import LATE_NS, Action, Counted, Restarted, Seen, Waited
 from khep_twin.shadow.candidates import Candidates
 from khep_twin.shadow.changes import FaultChange
+from khep_twin.shadow.displacements import Displaced, Lifted
 from khep_twin.shadow.fault_watch import Alike, FaultWatch
-from khep_twin.shadow.hypotheses import Displaced, Lifted
 from khep_twin.shadow.lamp_watch import LampWatch
 from khep_twin.shadow.line_watch import LOSING, SHOWN_NS, LineWatch
 from khep_twin.shadow.particle_filter import ParticleFilter

@@ -7,6 +7,7 @@ what was known before that, and considers all that may have happened since (`aga
 import math
 from collections import deque
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,10 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Action, Seen, repeat
 from khep_twin.shadow.changes import FaultChange
-from khep_twin.shadow.hypotheses import Lifted
+from khep_twin.shadow.displacements import Lifted
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Particles, drawn
-from khep_twin.shadow.places import Places, Sight
+from khep_twin.shadow.place_map import PlaceMap, Sight
 from khep_twin.shadow.planes import AWAY
 from khep_twin.shadow.pose_watch import Onset
 from khep_twin.shadow.sensor_model import log_of_sum
@@ -40,11 +41,26 @@ JUMPED_NS = 2_500_000_000
 FIRST_NS = 500_000_000
 """Time after a robot was put elsewhere whose replies are enough to draw places [ns]."""
 
-POWERS = 0.02, 0.05, 0.13, 0.3
-"""Powers of their likelihood in each step."""
+TURN = 10.0
+"""Deviation of headings after each step, as a multiple of that of places [rad/m] (assumed)."""
 
-SPREADS, TURN = (8e-3, 5e-3, 3e-3, 2e-3), 10.0
-"""Deviations of places after each step [m], and that of headings as a multiple [rad/m] (assumed)."""
+
+class _Step(NamedTuple):
+    """A step in which places become probable.
+
+    Attributes:
+        places: Number of places.
+        power: Power of the likelihood of the first replies.
+        spread: Deviation of places after it [m].
+    """
+
+    places: int
+    power: float
+    spread: float
+
+
+STEPS = _Step(3000, 0.02, 8e-3), _Step(3000, 0.05, 5e-3), _Step(2000, 0.13, 3e-3), _Step(1500, 0.3, 2e-3)
+"""Steps by the first replies (assumed)."""
 
 SNAPSHOT_NS = 250_000_000
 """Interval of the snapshots [ns]."""
@@ -69,7 +85,7 @@ class Search:
         self._setup, self._rng = setup, rng
         self._snapshots: deque[tuple[int, Particles]] = deque()
         self._actions: deque[Action] = deque()
-        self._places: Places | None = None
+        self._places: PlaceMap | None = None
         self._last_ns = 0
 
     def note(self, action: Action) -> None:
@@ -127,22 +143,22 @@ class Search:
         fits within millimetres and degrees is rare among any that are drawn.
         """
         if self._places is None:
-            self._places = Places(self._setup)
+            self._places = PlaceMap(self._setup)
         actions = [action for action in self._actions if action.time_ns > since_ns]
-        poses, logs = self._places.draw(ELSEWHERE, self._sights(few.drawn(1, 0.5), since_ns), use, self._rng)
+        sights = self._sights(few.drawn(1, 0.5), since_ns)
+        poses, logs = self._places.draw(STEPS[0].places, sights, use, self._rng)
         first = [action for action in actions if action.time_ns <= since_ns + FIRST_NS]
         evidence = 0.0
-        for power, spread in zip(POWERS, SPREADS, strict=True):
-            found = self._put(tracker, few, poses)
-            logs += power * _told(found, first, use)
+        for step, count in zip(STEPS, [*(each.places for each in STEPS[1:]), ELSEWHERE], strict=True):
+            logs += step.power * _told(self._put(tracker, few, poses), first, use)
             norm = log_of_sum(logs)
-            evidence += norm - math.log(ELSEWHERE)
-            rows = drawn(np.exp(logs - norm), ELSEWHERE, self._rng.random())
-            poses = poses[rows] + spread * self._rng.standard_normal((ELSEWHERE, 3)) * (1, 1, TURN)
-            logs = np.zeros(ELSEWHERE)
+            evidence += norm - math.log(len(logs))
+            rows = drawn(np.exp(logs - norm), count, self._rng.random())
+            poses = poses[rows] + step.spread * self._rng.standard_normal((count, 3)) * (1, 1, TURN)
+            logs = np.zeros(count)
         found = self._put(tracker, few, poses)
         begun = _told(found, first, use)
-        logs = _told(found, actions[len(first) :], use) - sum(POWERS) * begun
+        logs = _told(found, actions[len(first) :], use) - sum(each.power for each in STEPS) * begun
         norm = log_of_sum(logs)
         found.particles.logs = logs - norm
         found.evidence = evidence + norm - math.log(ELSEWHERE)

@@ -11,7 +11,9 @@ from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.fault_watch import Alike, FaultWatch
 from khep_twin.shadow.hypotheses import Hypothesis, Missing, SlippingWheel, WeakMotor
 
-WEAK, SLIP, GONE = WeakMotor(0), SlippingWheel(0), Missing("block4", (0,))
+WEAK: Hypothesis = WeakMotor(0)
+SLIP: Hypothesis = SlippingWheel(0)
+GONE: Hypothesis = Missing("block4", (0,))
 
 
 class Tracker:

@@ -7,7 +7,8 @@ from twins import ALL, AT_THE_CRATE, SECOND, metric, planes_at, readings, setup_
 from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Commanded, Seen
 from khep_twin.shadow.changes import FaultChange
-from khep_twin.shadow.hypotheses import Lifted, StandingWheel, Unexpected
+from khep_twin.shadow.displacements import Lifted
+from khep_twin.shadow.hypotheses import StandingWheel, Unexpected
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.pose_watch import Onset
 from khep_twin.shadow.search import KEPT_NS, Search

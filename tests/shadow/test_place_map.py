@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from twins import ALL, AT_THE_CRATE, metric, planes_at, readings, setup_of
 
-from khep_twin.shadow.places import Places, Sight
+from khep_twin.shadow.place_map import PlaceMap, Sight
 
 
 def test_places_are_drawn_by_what_was_seen_and_by_the_way_between() -> None:
-    places, rng = Places(setup_of("workshop")), np.random.default_rng(0)
+    places, rng = PlaceMap(setup_of("workshop")), np.random.default_rng(0)
     turned = (*AT_THE_CRATE[:2], AT_THE_CRATE[2] + 40)
     sights = [
         Sight((0, 0, 0), readings(planes_at(AT_THE_CRATE))),
@@ -30,7 +30,7 @@ def test_places_are_drawn_by_what_was_seen_and_by_the_way_between() -> None:
 
 
 def test_there_is_room_at_all_places() -> None:
-    places = Places(setup_of("workshop"))
+    places = PlaceMap(setup_of("workshop"))
     planes = planes_at(*[AT_THE_CRATE] * 200)
     some = places.poses[:: len(places.poses) // 199][:200]
     assert len(some) == 200

@@ -42,8 +42,8 @@ class Sight(NamedTuple):
     readings: Integers
 
 
-class Places:
-    """Places of a playpen where there is room, on a grid.
+class PlaceMap:
+    """PlaceMap of a playpen where there is room, on a grid.
 
     Args:
         setup: Playpen with the robot, prepared for the plane.
