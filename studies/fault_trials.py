@@ -258,6 +258,8 @@ def run_trial(
     if truth.noticeable_ns[0] < truth.changed_ns[0] or (ended_ns >= 0 and truth.noticeable_ns[0] > ended_ns):
         return None
     followed = follow(path, room, settings)
+    if len(trial.changes) > 1:
+        ended_ns = int(truth.noticeable_ns[1])  # A thing is back once the robot meets it.
     outcome = judge(trial.names, truth, ended_ns, followed.alarms, followed.suspected)
     return outcome._replace(busiest_s=float(followed.cpu_s.max()))
 
@@ -274,7 +276,7 @@ def judge(
     Args:
         names: Right names.
         truth: Truth of the recording, whose first hidden thing is the fault.
-        ended_ns: End of the fault [ns]; -1 if it does not end.
+        ended_ns: End of the fault, noticeable where its world changes back [ns]; -1 if it does not end.
         alarms: Alarms of the shadow.
         suspected: Its suspicions.
     """
