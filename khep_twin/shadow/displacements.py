@@ -36,7 +36,7 @@ class Displaced(Hypothesis):
 class Lifted(Hypothesis):
     """A robot that was put elsewhere at once; `Search` has the places where that may be."""
 
-    channel, rare, quota, is_found = "proximity", 11.0, 600, True
+    channel, rare, quota, is_found = "proximity", 14.0, 600, True
 
     @property
     def name(self) -> str:

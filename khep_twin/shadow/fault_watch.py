@@ -66,8 +66,8 @@ class FaultWatch:
         self.settled: list[tuple[Hypothesis, Alarm]] = []
         self.leading: tuple[Alike, Alarm] | None = None
         self.suspected: tuple[Suspicion, ...] = ()
-        self._sure_ns: int | None = None
-        """Time since when faults that look alike are so probable [ns]."""
+        self._sure_ns: list[int] = []
+        """Times of replies since faults that look alike are so probable [ns]."""
 
     @property
     def alarms(self) -> list[Alarm]:
@@ -85,10 +85,11 @@ class FaultWatch:
             if each.key != leads
         )
         if not found or found[0].probability <= THRESHOLDS.sure:
-            self._sure_ns = None
+            self._sure_ns.clear()
             return None
-        self._sure_ns = time_ns if self._sure_ns is None else self._sure_ns
-        return found[0] if time_ns - self._sure_ns >= THRESHOLDS.held_ns else None
+        self._sure_ns.append(time_ns)
+        is_held = time_ns - self._sure_ns[0] >= THRESHOLDS.held_ns
+        return found[0] if is_held and len(self._sure_ns) >= THRESHOLDS.replies else None
 
     def over(self, time_ns: int, tracker: ParticleFilter) -> tuple[int, tuple[Alarm, ...]]:
         """Return the number of the change by which a settled fault has certainly ended, and its alarms."""

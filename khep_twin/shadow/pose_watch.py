@@ -134,15 +134,17 @@ class PoseWatch:
         since = [each for each in self._heard if each.time_ns > quiet.time_ns] or [self._heard[-1]]
         most = max(each.own for each in since)
         jump_ns = next(each.before_ns for each in since if each.own >= most / 2)
-        if since[-1].time_ns - jump_ns < THRESHOLDS.waited_ns:
+        replies = sum(each.time_ns > jump_ns for each in since)
+        if since[-1].time_ns - jump_ns < THRESHOLDS.waited_ns or replies < THRESHOLDS.replies:
             return None
         return Onset(begun.time_ns, (jump_ns,))
 
     @property
     def is_proven(self) -> bool:
-        """True unless the pose is lost, or was found only lately."""
+        """True unless the pose is lost, or was found or begun only lately."""
         found_ns = self._found_ns
-        is_new = found_ns is not None and self._seen_ns - found_ns < THRESHOLDS.proven_ns
+        wanted_ns = THRESHOLDS.begun_ns if found_ns is None else THRESHOLDS.proven_ns
+        is_new = self._seen_ns - (found_ns or 0) < wanted_ns
         return self.state is not PoseState.LOST and not is_new
 
     def was_vague(self, time_ns: int) -> bool:

@@ -34,9 +34,11 @@ class Thresholds:
         found_ns: Time of a known pose, without surprise that lasts, after which a search has found it [ns].
         proven_ns: Time after that from which on faults are told: before it another place is the likelier
             explanation [ns].
+        begun_ns: Time after a known start from which on they are: it is known to about a centimetre [ns].
         suspected: Probability from which on a fault is suspected (assumed).
         sure: Probability from which on there is one of faults that look alike: that of an alarm.
         named: Part of that probability that one of them has, to give the alarm its name.
+        replies: Replies from which something may be told, however long they take.
         told_ns: Time for which replies show a fault before an alarm, and for which they surprise until a pose
             counts as unknown [ns].
         held_ns: Time for which it stays so probable before an alarm, and after which a pose is unsure, or
@@ -65,9 +67,11 @@ class Thresholds:
     dropped_ns: int = 1_500_000_000
     found_ns: int = 5 * NS_PER_S
     proven_ns: int = 15 * NS_PER_S
+    begun_ns: int = 4 * NS_PER_S
     suspected: float = 0.2
     sure: float = 0.95
     named: float = 0.8
+    replies: int = 3
     told_ns: int = NS_PER_S
     held_ns: int = 400_000_000
     unnamed_ns: int = 1_500_000_000
