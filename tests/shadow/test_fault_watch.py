@@ -30,7 +30,17 @@ class Tracker:
 def see(
     watch: FaultWatch, seconds: float, probabilities: Mapping[Hypothesis, float], *, begins: bool = True
 ) -> Alike | None:
-    return watch.see(round(seconds * SECOND), cast(Any, Tracker(probabilities, begins=begins)))
+    """Take two replies with the same probabilities, the second one at a time."""
+    tracker = cast(Any, Tracker(probabilities, begins=begins))
+    watch.see(round((seconds - 0.1) * SECOND), tracker)
+    return watch.see(round(seconds * SECOND), tracker)
+
+
+def test_one_reply_tells_nothing_however_long_it_takes() -> None:
+    watch = FaultWatch()
+    assert watch.see(1 * SECOND, cast(Any, Tracker({WEAK: 0.99}))) is None
+    assert watch.see(5 * SECOND, cast(Any, Tracker({WEAK: 0.99}))) is None
+    assert watch.see(6 * SECOND, cast(Any, Tracker({WEAK: 0.99}))) is not None
 
 
 def test_faults_that_look_alike_decide_together_and_have_all_names_if_nothing_tells_them_apart() -> None:

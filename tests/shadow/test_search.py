@@ -87,6 +87,7 @@ def test_nothing_is_told_of_what_was_too_long_ago() -> None:
     assert turning.found(time_ns - KEPT_NS).probabilities[0] > 0.9
 
 
+@pytest.mark.long
 def test_what_is_known_while_something_else_is_likely_is_not_kept() -> None:
     turning = Turning()
     since_ns = turning.turn(2)
