@@ -172,7 +172,7 @@ class Diagnosis:
         return bool(spread[0] + spread[1] < place and spread[2] < turn)
 
     def _diagnose(self, time_ns: int) -> None:
-        """Raise and end alarms as changes become probable; consider those that may happen now."""
+        """Raise and end alarms as changes become probable."""
         tracker, faults = self.filter, self._faults
         if faults.has_gone(tracker):
             self.ended += faults.give_up(time_ns)
