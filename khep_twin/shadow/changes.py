@@ -64,6 +64,11 @@ class FaultChange(NamedTuple):
         self._replace(begins=not self.begins).happen(particles, rng)
 
 
+def quotas(changes: Sequence[FaultChange]) -> list[int]:
+    """Return the least numbers of particles without a change and with each one (1 + n_changes,)."""
+    return [QUOTA * bool(changes), *(change.hypothesis.quota for change in changes)]
+
+
 def mixed(
     particles: Particles,
     changes: Sequence[FaultChange],
@@ -82,8 +87,7 @@ def mixed(
     order = np.argsort(particles.changes, kind="stable")
     sources: NDArray[np.intp] = order[weights[order] > 0]
     had, weights = particles.changes[sources], weights[sources]
-    quotas = [QUOTA * bool(changes), *(change.hypothesis.quota for change in changes)]
-    rates = [UNDONE, *(change.rate for change in changes)]
+    least, rates = quotas(changes), [UNDONE, *(change.rate for change in changes)]
     unseen_s = [0.0, *(change.unseen_s for change in changes)]
     may_turn = np.array([True, *(not change.hypothesis.is_found for change in changes)])
     numbers: list[NDArray[np.int64]] = []
@@ -97,7 +101,7 @@ def mixed(
         whole = float(shares.sum())
         if whole < _NOTHING:
             continue
-        size = round(count * float(weights[has].sum())) + quotas[number]
+        size = round(count * float(weights[has].sum())) + least[number]
         picked: NDArray[np.intp] = sources[drawn(shares, size, rng.random())]
         rows.append(picked)
         numbers.append(np.full(size, number))

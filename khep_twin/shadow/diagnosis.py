@@ -80,7 +80,7 @@ class Diagnosis:
     @property
     def suspected(self) -> tuple[Suspicion, ...]:
         """Faults that are suspected without an alarm, the most probable first."""
-        return tuple(each for each in self._faults.suspected if each.faults != (Displaced().name,))
+        return self._faults.suspected
 
     def hear(self, exchange: Exchange) -> None:
         """Begin with an exchange, whose actions follow."""
@@ -191,7 +191,7 @@ class Diagnosis:
             return
         if isinstance(certain.faults[0], Lifted):
             self._lift(certain, time_ns)
-        elif isinstance(certain.faults[0], Displaced):
+        elif not certain.faults[0].is_fault:
             self._adopt(certain.numbers[0], time_ns)
         elif not self._pose.was_vague(since_ns):
             self._faults.raise_alarm(certain, time_ns)

@@ -17,7 +17,7 @@ _PLACE_REFINED = 0.002, 0.002, math.radians(2)
 class Displaced(Hypothesis):
     """A robot that was pushed a little, or slid: no fault, but twins that did not are not where it is."""
 
-    channel, rare, quota = "proximity", 5.0, 300
+    channel, rare, quota, is_fault = "proximity", 5.0, 300, False
 
     @property
     def name(self) -> str:
@@ -26,8 +26,7 @@ class Displaced(Hypothesis):
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Push the robot."""
-        planes = particles.planes
-        planes.move(planes.poses + rng.standard_normal((len(particles), 3)) * _DISPLACED)
+        _push(particles, _DISPLACED, rng)
 
     def end(self, particles: Particles) -> None:
         """Do nothing: it is not pushed back."""
@@ -51,5 +50,10 @@ class Lifted(Hypothesis):
 
     def refine(self, particles: Particles, rng: np.random.Generator) -> None:
         """Draw its pose anew, close to what it is."""
-        planes = particles.planes
-        planes.move(planes.poses + rng.standard_normal((len(particles), 3)) * _PLACE_REFINED)
+        _push(particles, _PLACE_REFINED, rng)
+
+
+def _push(particles: Particles, by: tuple[float, float, float], rng: np.random.Generator) -> None:
+    """Move the robots by these standard deviations [m, rad]."""
+    planes = particles.planes
+    planes.move(planes.poses + rng.standard_normal((len(particles), 3)) * by)

@@ -66,8 +66,8 @@ class FaultWatch:
         self.settled: list[tuple[Hypothesis, Alarm]] = []
         self.leading: tuple[Alike, Alarm] | None = None
         self.suspected: tuple[Suspicion, ...] = ()
-        self._sure_ns: list[int] = []
-        """Times of replies since faults that look alike are so probable [ns]."""
+        self._sure: tuple[int, int] | None = None
+        """Time since when faults that look alike are so probable [ns], and number of replies since."""
 
     @property
     def alarms(self) -> list[Alarm]:
@@ -82,14 +82,15 @@ class FaultWatch:
         self.suspected = tuple(
             Suspicion(each.names, each.faults[0].channel, each.since_ns, each.probability)
             for each in found
-            if each.key != leads
+            if each.key != leads and each.faults[0].is_fault
         )
         if not found or found[0].probability <= THRESHOLDS.sure:
-            self._sure_ns.clear()
+            self._sure = None
             return None
-        self._sure_ns.append(time_ns)
-        is_held = time_ns - self._sure_ns[0] >= THRESHOLDS.held_ns
-        return found[0] if is_held and len(self._sure_ns) >= THRESHOLDS.replies else None
+        since_ns, replies = self._sure or (time_ns, 0)
+        self._sure = since_ns, replies + 1
+        is_held = time_ns - since_ns >= THRESHOLDS.held_ns
+        return found[0] if is_held and replies + 1 >= THRESHOLDS.replies else None
 
     def over(self, time_ns: int, tracker: ParticleFilter) -> tuple[int, tuple[Alarm, ...]]:
         """Return the number of the change by which a settled fault has certainly ended, and its alarms."""

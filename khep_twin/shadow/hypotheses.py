@@ -56,12 +56,14 @@ class Hypothesis(ABC):
         rare: Logarithm of the odds against it, beside the others.
         quota: Particles that consider it, at the least.
         is_found: True if only a search can tell where it leads: it does not begin, or end, by itself.
+        is_fault: True unless nobody needs to be told.
     """
 
     channel: ClassVar[str]
     rare: ClassVar[float]
     quota: ClassVar[int] = QUOTA
     is_found: ClassVar[bool] = False
+    is_fault: ClassVar[bool] = True
 
     @property
     @abstractmethod

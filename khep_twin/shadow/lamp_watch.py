@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.log.shadow_channels import Alarm
-from khep_twin.shadow.particle_filter import LEAST_NEW, SENSOR_RADIUS
+from khep_twin.shadow.particle_filter import SENSOR_RADIUS, part_new
 from khep_twin.shadow.particles import Particles
 
 Floats = NDArray[np.float64]
@@ -108,7 +108,7 @@ class LampWatch:
         if np.abs(readings - before).max() > _CHANGED:
             return 1.0
         way = float(np.abs(pose - last) @ (1, 1, SENSOR_RADIUS))
-        return max(math.tanh(way / (2 * _PERSISTENCE)), LEAST_NEW)
+        return part_new(way, _PERSISTENCE)
 
 
 _CLIPPED = 3.0

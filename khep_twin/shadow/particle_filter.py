@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.shadow.actions import Action, Counted, Seen, repeat
-from khep_twin.shadow.changes import FaultChange, mixed
-from khep_twin.shadow.hypotheses import QUOTA
+from khep_twin.shadow.changes import FaultChange, mixed, quotas
 from khep_twin.shadow.particles import Particles, drawn
 from khep_twin.shadow.planes import TICK_NS
 from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
@@ -64,6 +63,11 @@ _LONGEST_TICKS, _LONGEST_SOUND_TICKS = 10, 50
 
 _IMPROBABLE = 0.01
 """Probability below which a change need not be considered any more."""
+
+
+def part_new(way: float, persistence: float) -> float:
+    """Return the part of a reading that is new after a sensor's way, with that of its errors [m]."""
+    return max(math.tanh(way / (2 * persistence)), LEAST_NEW)
 
 
 class PoseEstimate(NamedTuple):
@@ -172,7 +176,7 @@ class ParticleFilter:
         particles = self.particles
         # Errors of the model persist: readings count by how far their correlation, exp(-way / PERSISTENCE),
         # has fallen.
-        new = max(math.tanh(self._way / (2 * PERSISTENCE)), LEAST_NEW)
+        new = part_new(self._way, PERSISTENCE)
         self._way = 0.0
         # At a time that is not certain, by a tick at the least, the sensors were somewhere on their way.
         ahead, _, turn = np.abs(particles.planes.robots["speeds"][:, :3]).T
@@ -243,8 +247,7 @@ class ParticleFilter:
     @property
     def _quota(self) -> int:
         """Number of particles that consider changes."""
-        quotas = sum(each.hypothesis.quota for each in self.changes)
-        return quotas + QUOTA if self.changes else 0
+        return sum(quotas(self.changes))
 
     @property
     def _drives_freely(self) -> bool:

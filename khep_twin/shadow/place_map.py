@@ -1,8 +1,9 @@
 """Map of a playpen: what a sound robot reads at places of a grid, to draw those where it may be."""
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ class Sight(NamedTuple):
 
 
 class PlaceMap:
-    """PlaceMap of a playpen where there is room, on a grid.
+    """Places of a playpen where there is room, on a grid.
 
     Args:
         setup: Playpen with the robot, prepared for the plane.
@@ -55,24 +56,18 @@ class PlaceMap:
         extent = corners.max(axis=0) - self._low
         self._cell = max(CELL, math.sqrt(float(extent.prod()) / MOST_CELLS))
         nx, ny = (np.ceil(extent / self._cell)).astype(int).tolist()
-        x, y, turn = (each.ravel() for each in np.indices((nx, ny, N_TURNS)))
-        place = self._low + (np.stack([x, y], axis=1) + 0.5) * self._cell
-        poses = np.column_stack([place, turn * (math.tau / N_TURNS)])
+        cells = np.stack([each.ravel() for each in np.indices((nx, ny))], axis=1)
+        places = np.column_stack([self._low + (cells + 0.5) * self._cell, np.zeros(nx * ny)])
         planes = Planes(setup, CHUNK)
-        free = np.zeros(len(poses), np.bool_)
-        for first in range(0, len(poses), CHUNK):
-            free[first : first + CHUNK] = planes.free(_filled(poses[first : first + CHUNK]))[
-                : len(poses) - first
-            ]
-        free &= inside(corners, poses)
-        self.poses: Floats = poses[free]
+        # The robot is round: where there is room, there is for all headings.
+        free = _in_chunks(planes.free, places) & inside(corners, places)
+        self.poses: Floats = np.repeat(places[free], N_TURNS, axis=0)
+        self.poses[:, 2] = np.tile(np.arange(N_TURNS) * (math.tau / N_TURNS), int(free.sum()))
         self._rows = np.full((nx, ny, N_TURNS), -1)
-        self._rows[x[free], y[free], turn[free]] = np.arange(len(self.poses))
-        self._logs = np.zeros((len(self.poses) + 1, N_SENSORS), np.float32)
-        for first in range(0, len(self.poses), CHUNK):
-            part = self.poses[first : first + CHUNK]
-            self._logs[first : first + len(part)] = _readings(planes, _filled(part))[: len(part)]
-        self._logs[-1] = np.inf  # of what is outside, or where there is no room
+        self._rows[*cells[free].T] = np.arange(len(self.poses)).reshape(-1, N_TURNS)
+        outside = np.full((1, N_SENSORS), np.inf)  # or where there is no room
+        logs = _in_chunks(partial(_readings, planes), self.poses)
+        self._logs = np.concatenate([logs, outside]).astype(np.float32)
 
     def draw(
         self, count: int, sights: Sequence[Sight], use: NDArray[np.bool_], rng: np.random.Generator
@@ -111,9 +106,10 @@ _FARTHEST = 60.0
 """Largest squared deviation of one reply: the robot may have touched something and stand elsewhere."""
 
 
-def _filled(poses: Floats) -> Floats:
-    """Return poses, the last one repeated to fill a chunk (CHUNK, 3)."""
-    return poses[np.minimum(np.arange(CHUNK), len(poses) - 1)]
+def _in_chunks(function: Callable[[Floats], NDArray[Any]], poses: Floats) -> NDArray[Any]:
+    """Return what a function of CHUNK poses returns for each of these; the last one fills the last chunk."""
+    rows = np.arange(-(-len(poses) // CHUNK) * CHUNK).reshape(-1, CHUNK)
+    return np.concatenate([function(poses[each]) for each in np.minimum(rows, len(poses) - 1)])[: len(poses)]
 
 
 def _readings(planes: Planes, poses: Floats) -> Floats:

@@ -1,7 +1,7 @@
 """Planar twins of one robot, side by side, each with its own wheels, motors and obstacles."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any, NamedTuple, Self
 
@@ -119,18 +119,17 @@ class Planes:
 
     def taken(self, indices: NDArray[np.intp] | slice) -> Self:
         """Return copies of twins at these indices, or the twins of a slice themselves."""
-        made = object.__new__(type(self))
-        made.__dict__.update(self.__dict__)
-        for name in _ROWS:
-            setattr(made, name, getattr(self, name)[indices])
-        return made
+        return self._of(getattr(self, name)[indices] for name in _ROWS)
 
     def joined(self, other: Self) -> Self:
         """Return these twins and others of the same time."""
+        return self._of(np.concatenate([getattr(self, name), getattr(other, name)]) for name in _ROWS)
+
+    def _of(self, rows: Iterable[NDArray[Any]]) -> Self:
+        """Return twins in the same playpen whose arrays, in the order of _ROWS, are these."""
         made = object.__new__(type(self))
         made.__dict__.update(self.__dict__)
-        for name in _ROWS:
-            setattr(made, name, np.concatenate([getattr(self, name), getattr(other, name)]))
+        made.__dict__.update(zip(_ROWS, rows, strict=True))
         return made
 
     @property

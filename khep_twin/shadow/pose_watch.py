@@ -91,7 +91,7 @@ class PoseWatch:
         if not is_known:
             began_ns, last_ns = self.vague_ns
             self.vague_ns = (began_ns if last_ns == before_ns else time_ns), time_ns
-        if self.surprise.max() <= THRESHOLDS.surprised:
+        if whole <= THRESHOLDS.surprised:
             self.surprised_ns = None
         elif self.surprised_ns is None:
             self.surprised_ns = time_ns

@@ -86,12 +86,10 @@ class Search:
         self._snapshots: deque[tuple[int, Particles]] = deque()
         self._actions: deque[Action] = deque()
         self._places: PlaceMap | None = None
-        self._last_ns = 0
 
     def note(self, action: Action) -> None:
         """Note an action."""
         self._actions.append(action)
-        self._last_ns = action.time_ns
 
     def keep(self, time_ns: int, tracker: ParticleFilter) -> None:
         """Keep what a filter knows at a time [ns], now and then, unless something seems to have happened."""
@@ -119,7 +117,8 @@ class Search:
         found = tracker.like(particles)
         found.consider(changes)
         actions = [action for action in self._actions if action.time_ns > begin_ns]
-        jumps = {max(each, begin_ns): 0.0 for each in onset.jumps_ns if each > self._last_ns - JUMPED_NS}
+        first_ns = self._actions[-1].time_ns - JUMPED_NS
+        jumps = {max(each, begin_ns): 0.0 for each in onset.jumps_ns if each > first_ns}
         for action in actions:
             # Until then the robot was sound, too.
             sound = found.evidence + math.log(max(found.probabilities[0], _LEAST))

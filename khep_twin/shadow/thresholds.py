@@ -18,7 +18,7 @@ class Thresholds:
         known_turn: Standard deviation of a known heading [rad] (assumed).
         usual: Surprise of one reading that is usual (assumed).
         surprise_s: Time constant over which surprise is summed [s].
-        surprised: Sum of one sensor from which on the robot may be elsewhere.
+        surprised: Sum of one sensor from which on a pose is unsure.
         startled: Sum of one sensor from which on what has happened is searched for.
         most_startled: The same after searches that have found nothing, at the most.
         raised: Factor of each of them.
