@@ -15,9 +15,9 @@ _PLACE_REFINED = 0.002, 0.002, math.radians(2)
 
 
 class Displaced(Hypothesis):
-    """A robot that was pushed a little, or slid: no fault, but twins that did not are not where it is."""
+    """A robot that is a little off, as it was pushed, slid or was taken for elsewhere: no fault."""
 
-    channel, rare, quota, is_fault = "proximity", 5.0, 300, False
+    channel, rare, quota, is_found, is_fault = "proximity", 5.0, 300, True, False
 
     @property
     def name(self) -> str:
@@ -25,11 +25,11 @@ class Displaced(Hypothesis):
         return "robot displaced"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Push the robot."""
+        """Move the robot."""
         _push(particles, _DISPLACED, rng)
 
     def end(self, particles: Particles) -> None:
-        """Do nothing: it is not pushed back."""
+        """Do nothing: it is not moved back."""
 
 
 class Lifted(Hypothesis):

@@ -16,7 +16,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Action, Seen, repeat
 from khep_twin.shadow.changes import FaultChange
-from khep_twin.shadow.displacements import Lifted
+from khep_twin.shadow.displacements import Displaced
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Particles, drawn
 from khep_twin.shadow.place_map import PlaceMap, Sight
@@ -30,7 +30,7 @@ GROUP = 120
 """Particles of a snapshot."""
 
 HERE, ELSEWHERE = 600, 1500
-"""Particles that begin where the robot was, and of one that was put elsewhere."""
+"""Particles that begin where the robot was, and of one that is elsewhere."""
 
 EARLIER_NS = 300_000_000
 """Time by which faults begin before replies surprise [ns]."""
@@ -129,23 +129,45 @@ class Search:
             for action in actions:
                 if action.time_ns <= since_ns:
                     repeat(action, few)
-            elsewhere = self._elsewhere(found, few, since_ns, use)
-            _add(found, elsewhere.particles, sound + elsewhere.evidence - found.evidence, since_ns)
+            for number, change in enumerate(changes, 1):
+                if change.hypothesis.is_found:
+                    if isinstance(change.hypothesis, Displaced):
+                        poses, logs = self._near(few)
+                    else:
+                        poses, logs = self._anywhere(few, since_ns, use)
+                    elsewhere = self._elsewhere(found, few, poses, logs, since_ns, use)
+                    elsewhere.evidence += sound - found.evidence - change.hypothesis.rare
+                    _add(found, number, elsewhere, since_ns)
         return found
 
+    def _near(self, few: Particles) -> tuple[Floats, Floats]:
+        """Return places near those of particles, and the logarithms of their weights."""
+        near = few.drawn(STEPS[0].places, 0.5)
+        Displaced().begin(near, self._rng)
+        return near.planes.poses.copy(), np.zeros(len(near))
+
+    def _anywhere(self, few: Particles, since_ns: int, use: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+        """Return places by readings since a time [ns], and the logarithms of their weights."""
+        if self._places is None:
+            self._places = PlaceMap(self._setup)
+        sights = self._sights(few.drawn(1, 0.5), since_ns)
+        return self._places.draw(STEPS[0].places, sights, use, self._rng)
+
     def _elsewhere(
-        self, tracker: ParticleFilter, few: Particles, since_ns: int, use: NDArray[np.bool_]
+        self,
+        tracker: ParticleFilter,
+        few: Particles,
+        poses: Floats,
+        logs: Floats,
+        since_ns: int,
+        use: NDArray[np.bool_],
     ) -> ParticleFilter:
-        """Return a filter of particles that were put anywhere at a time [ns], by all replies since.
+        """Return a filter of particles that were put at places at a time [ns], by all replies since.
 
         The places become probable step by step, and are drawn anew, close to what they are, after each: what
         fits within millimetres and degrees is rare among any that are drawn.
         """
-        if self._places is None:
-            self._places = PlaceMap(self._setup)
         actions = [action for action in self._actions if action.time_ns > since_ns]
-        sights = self._sights(few.drawn(1, 0.5), since_ns)
-        poses, logs = self._places.draw(STEPS[0].places, sights, use, self._rng)
         first = [action for action in actions if action.time_ns <= since_ns + FIRST_NS]
         evidence = 0.0
         for step, count in zip(STEPS, [*(each.places for each in STEPS[1:]), ELSEWHERE], strict=True):
@@ -189,11 +211,11 @@ def _told(tracker: ParticleFilter, actions: Sequence[Action], use: NDArray[np.bo
     return tracker.particles.logs + math.log(len(tracker.particles)) + tracker.evidence
 
 
-def _add(tracker: ParticleFilter, particles: Particles, log: float, since_ns: int) -> None:
-    """Add particles of a robot that was put elsewhere at a time [ns], with the logarithm of their weight."""
-    number = next(n for n, each in enumerate(tracker.changes, 1) if isinstance(each.hypothesis, Lifted))
+def _add(tracker: ParticleFilter, number: int, other: ParticleFilter, since_ns: int) -> None:
+    """Add the particles of another filter, with a change since a time [ns], by its evidence."""
+    particles = other.particles
     particles.changes[:] = number
     particles.since_ns[:] = since_ns
-    particles.logs += log - Lifted.rare
+    particles.logs += other.evidence
     tracker.particles = tracker.particles.joined(particles)
     tracker.particles.logs -= log_of_sum(tracker.particles.logs)
