@@ -182,7 +182,7 @@ def follow(path: Path, playpen: str, settings: ShadowSettings, told: bool = True
         truth,
         times_ns,
         np.array([each.estimate.pose for each in updates]),
-        _poses_at(truth, times_ns),
+        poses_at(truth, times_ns),
         np.array([each.reckoned for each in updates]),
         np.array([each.estimate.covariance for each in updates]),
         np.array([str(each.state) for each in updates]),
@@ -255,7 +255,7 @@ def alternating(names: Sequence[str], number: int) -> str:
     return names[number % len(names)]
 
 
-def _poses_at(truth: Truth, times_ns: NDArray[np.int64]) -> Floats:
+def poses_at(truth: Truth, times_ns: NDArray[np.int64]) -> Floats:
     """Return the actual poses at times [ns] (n, 3); headings are not wrapped."""
     headings = np.unwrap(truth.poses[:, 2])
     columns = truth.poses[:, 0], truth.poses[:, 1], headings

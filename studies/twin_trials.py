@@ -3,6 +3,7 @@
     python -m studies twin-trials                        # all of them: hours
     python -m studies twin-trials pose --runs 4 --seconds 120
     python -m studies twin-trials alarms --fault "dead motor" --runs 6 --detail
+    python -m studies twin-trials bounds --fault "weak motor" --runs 6 --detail
     python -m studies twin-trials healthy --hours 20 --jobs 2
 
 Each robot is another of the same make, steps in MuJoCo and talks at 9600 baud; its host asks N and sets
@@ -11,14 +12,13 @@ speeds. The same options give the same tables, but for CPU times.
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from itertools import starmap
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,9 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.shadow.shadow import ShadowSettings
 from stand_ins.hosts import HOSTS, hosts_of
 from stand_ins.line_times import TIMES
-from studies.fault_trials import FADES_NS, FAULTS, Outcome, run_trial
+from studies.fault_bounds import bounds
+from studies.fault_recordings import FAULTS
+from studies.fault_trials import FADES_NS, run_trial
 from studies.healthy_trials import (
     ALL,
     HEALTHY_COLUMNS,
@@ -38,122 +40,11 @@ from studies.healthy_trials import (
     healthy_recordings,
     run_healthy,
 )
+from studies.pose_trials import pose, unknown
 from studies.reliability import binned, claims, draw
-from studies.twin_runs import Floats, Recording, follow
+from studies.trial_tables import Map, Options, counted, head, note, noticeable, row
+from studies.twin_runs import Recording, follow
 from tools.command_table import command_line
-
-POSE = "obstacles", "looping-maze", "workshop"
-
-NEAR_MM = 30.0
-"""Distance within which a pose that was unknown counts as found."""
-
-_TRIES = 6
-"""Seeds for each trial that is wanted; the fault of many is not noticeable."""
-
-Map = Callable[[Callable[..., Any], Iterable[tuple[Any, ...]]], Iterable[Any]]
-"""Map of a function over arguments, on one or several cores, in order."""
-
-
-class Options(NamedTuple):
-    """Options of the trials.
-
-    Attributes:
-        folder: Folder of the recordings.
-        runs: Number of runs of each kind.
-        seconds: Length of a run of a sound robot [s].
-        hours: Length of all healthy runs together [h].
-        first: Seed of the first run.
-        faults: Faults of the alarms' trials.
-        playpens: Playpens of the healthy runs.
-        hosts: Hosts of healthy runs and the alarms' trials; without any, all that a seed may have.
-        times: Times of the line of healthy runs and the alarms' trials.
-        settings: Settings of the shadow.
-        detail: Print a line for each run.
-        picture: Path of a picture of the reliability; None for none.
-        run: Map over all cores.
-    """
-
-    folder: Path
-    runs: int
-    seconds: float
-    hours: float
-    first: int
-    faults: Sequence[str]
-    playpens: Sequence[str]
-    hosts: Sequence[str]
-    times: str
-    settings: ShadowSettings
-    detail: bool
-    picture: Path | None
-    run: Map
-
-
-class Errors(NamedTuple):
-    """Errors of a run: distance [mm] and heading [degrees] of the estimate and of dead reckoning (n, 2)."""
-
-    estimate: Floats
-    reckoned: Floats
-    alarms: list[str]
-
-
-def pose(options: Options) -> None:
-    """Print errors of poses whose start is known within 10 mm and 5 degrees."""
-    head("playpen", "asks", "runs", "median", "95 %", "heading 95 %", "reckoned", "95 %", "heading 95 %")
-    for counters in (False, True):
-        for playpen in POSE:
-            tasks = [
-                (options.folder, playpen, seed, options.seconds, counters, options.settings)
-                for seed in _seeds(options)
-            ]
-            found: list[Errors] = list(options.run(pose_errors, tasks))
-            estimate = np.concatenate([each.estimate for each in found])
-            reckoned = np.concatenate([each.reckoned for each in found])
-            asks = "N, H, D" if counters else "N, D"
-            row(playpen, asks, len(found), *_quantiles(estimate), *_quantiles(reckoned))
-            if options.detail:
-                for task, each in zip(tasks, found, strict=True):
-                    row("", f"seed {task[2]}", "", *_quantiles(each.estimate), *_quantiles(each.reckoned))
-                    note(each.alarms)
-    print("\nErrors of position in mm, of heading in degrees, over all replies to N of all runs.\n")
-
-
-def pose_errors(
-    folder: Path, playpen: str, seed: int, seconds: float, counters: bool, settings: ShadowSettings
-) -> Errors:
-    """Return the errors of one run."""
-    name = "counters" if counters else "sound"
-    path = Recording(name, playpen, seed, seconds, asks_counters=counters).path(folder)
-    found = follow(path, playpen, settings)
-    told = [f"{each.fault} at {each.raised_ns / NS_PER_S:.1f} s" for each in found.alarms]
-    return Errors(found.errors(found.poses), found.errors(found.reckoned), told)
-
-
-def unknown(options: Options) -> None:
-    """Print how many poses are found whose start is unknown."""
-    head("playpen", "runs", "within 30 mm at 30 s", "at 60 s", "median error at 60 s")
-    settings = options.settings
-    lost = ShadowSettings(seed=settings.seed, particles=settings.particles, known=False)
-    tasks = [(options.folder, seed, lost) for seed in _seeds(options)]
-    found: list[tuple[float, float]] = list(options.run(unknown_errors, tasks))
-    half, whole = np.array(found).T
-    row(
-        "workshop",
-        len(found),
-        int((half < NEAR_MM).sum()),
-        int((whole < NEAR_MM).sum()),
-        f"{np.median(whole):.0f} mm",
-    )
-    if options.detail:
-        note(f"seed {task[1]}: {each:.0f} mm" for task, each in zip(tasks, whole, strict=True))
-    print()
-
-
-def unknown_errors(folder: Path, seed: int, settings: ShadowSettings) -> tuple[float, float]:
-    """Return the errors of position after 30 and 60 s of a run [mm]."""
-    found = follow(Recording("sound", "workshop", seed, 60).path(folder), "workshop", settings)
-    errors = found.errors(found.poses)[:, 0]
-    half = int(np.searchsorted(found.times_ns, 30 * NS_PER_S)) - 1
-    return float(errors[half]), float(errors[-1])
 
 
 def alarms(options: Options) -> None:
@@ -170,7 +61,7 @@ def alarms(options: Options) -> None:
         "wrong names",
     )
     for fault in options.faults:
-        found = list(_noticeable(fault, options))
+        found = list(noticeable(run_trial, fault, options))
         if not found:
             row(fault, 0, *[""] * 7)
             continue
@@ -195,21 +86,6 @@ def alarms(options: Options) -> None:
                 for seed, each in found
             )
     print("\nRuns are those in which the fault is noticeable; delays count from the first such reply.\n")
-
-
-def _noticeable(fault: str, options: Options) -> Iterator[tuple[int, Outcome]]:
-    """Yield the outcomes of the wanted number of trials whose fault is noticeable, with their seeds."""
-    seed, missing = options.first, options.runs
-    while missing and seed < options.first + _TRIES * options.runs:
-        tasks = [
-            (fault, each, options.folder, options.settings, options.hosts, options.times)
-            for each in range(seed, seed + missing)
-        ]
-        for task, outcome in zip(tasks, options.run(run_trial, tasks), strict=True):
-            if outcome is not None:
-                missing -= 1
-                yield task[1], outcome
-        seed += len(tasks)
 
 
 def healthy(options: Options) -> None:
@@ -245,7 +121,7 @@ def reliability(options: Options) -> None:
     """Print how often what is said with a probability is right, over sound and faulty robots."""
     said = [claim for each in _healthy(options) for claim in claims(each.alarms, each.suspected)]
     for fault in options.faults:
-        said += [claim for _, outcome in _noticeable(fault, options) for claim in outcome.claims]
+        said += [claim for _, outcome in noticeable(run_trial, fault, options) for claim in outcome.claims]
     head("probability", "alarms", "suspicions", "said, mean", "right", "95 % interval")
     for each in binned(said):
         shares = (f"{100 * share:.1f} %" for share in (each.said, each.true, *each.interval))
@@ -292,42 +168,12 @@ SECTIONS: dict[str, Callable[[Options], None]] = {
     "pose": pose,
     "unknown": unknown,
     "alarms": alarms,
+    "bounds": bounds,
     "healthy": healthy,
     "stalls": stalls,
     "reliability": reliability,
     "cost": cost,
 }
-
-
-def head(*names: str) -> None:
-    """Print the head of a table."""
-    row(*names)
-    row(*["---"] * len(names))
-
-
-def row(*cells: object) -> None:
-    """Print a row of a table."""
-    print(f"| {' | '.join(map(str, cells))} |", flush=True)
-
-
-def note(lines: Iterable[str]) -> None:
-    """Print lines below a row."""
-    for line in lines:
-        print(f"    {line}", flush=True)
-
-
-def counted(names: Counter[str]) -> str:
-    """Return names with their numbers, the most frequent first."""
-    return ", ".join(f"{number} {name}" for name, number in names.most_common())
-
-
-def _quantiles(errors: Floats) -> tuple[str, str, str]:
-    median, most = np.quantile(errors[:, 0], (0.5, 0.95))
-    return f"{median:.1f}", f"{most:.1f}", f"{np.quantile(errors[:, 1], 0.95):.1f}"
-
-
-def _seeds(options: Options) -> range:
-    return range(options.first, options.first + options.runs)
 
 
 @contextmanager
@@ -347,7 +193,7 @@ def main() -> None:
     options.add_argument("--runs", type=int, default=20, help="number of runs of each kind")
     options.add_argument("--seconds", type=float, default=300.0, help="length of a run of a sound robot [s]")
     options.add_argument("--hours", type=float, default=2.0, help="simulated hours of healthy robots")
-    options.add_argument("--fault", action="append", choices=FAULTS, help="a fault for alarms; all without")
+    options.add_argument("--fault", action="append", choices=FAULTS, help="for alarms, bounds; all without")
     options.add_argument("--playpen", action="append", choices=ALL, help="one for healthy; all without")
     options.add_argument(
         "--host", action="append", choices=HOSTS, help="a host; all that a seed may have without"

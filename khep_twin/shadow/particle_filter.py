@@ -173,16 +173,7 @@ class ParticleFilter:
 
     def _see(self, seen: Seen, use: NDArray[np.bool_]) -> None:
         """Weigh the particles by a reply to N of the sensors to rely on (8,)."""
-        particles = self.particles
-        # Errors of the model persist: readings count by how far their correlation, exp(-way / PERSISTENCE),
-        # has fallen.
-        new = part_new(self._way, PERSISTENCE)
-        self._way = 0.0
-        # At a time that is not certain, by a tick at the least, the sensors were somewhere on their way.
-        ahead, _, turn = np.abs(particles.planes.robots["speeds"][:, :3]).T
-        uncertain_s = (TICK_NS + max(seen.late_ns - seen.time_ns, 0)) * 1e-9
-        way = uncertain_s * float(self.weights @ (ahead + SENSOR_RADIUS * turn))
-        new *= PERSISTENCE / (PERSISTENCE + way)
+        particles, new = self.particles, self._part_new(seen)
         self.expected, self.surprise, logs = self._model.explain(particles, seen.readings, use, new)
         new *= MANY_TEMPER if len(particles) - self._quota > MANY else 1.0
         self.surprise *= new
@@ -190,6 +181,18 @@ class ParticleFilter:
         norm = log_of_sum(particles.logs)
         self.evidence += norm
         particles.logs -= norm
+
+    def _part_new(self, seen: Seen) -> float:
+        """Return the part of a reply to N that is new, after the way since the last."""
+        # Errors of the model persist: readings count by how far their correlation, exp(-way / PERSISTENCE),
+        # has fallen.
+        new = part_new(self._way, PERSISTENCE)
+        self._way = 0.0
+        # At a time that is not certain, by a tick at the least, the sensors were somewhere on their way.
+        ahead, _, turn = np.abs(self.particles.planes.robots["speeds"][:, :3]).T
+        uncertain_s = (TICK_NS + max(seen.late_ns - seen.time_ns, 0)) * 1e-9
+        way = uncertain_s * float(self.weights @ (ahead + SENSOR_RADIUS * turn))
+        return new * (PERSISTENCE / (PERSISTENCE + way))
 
     def estimate(self, time_ns: int) -> PoseEstimate:
         """Return the estimate of the pose, of the most probable change."""

@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 
 from khep_twin.log.shadow_channels import PoseState
+from khep_twin.shadow.actions import Seen
+from khep_twin.shadow.particle_filter import LEAST_NEW
 from khep_twin.shadow.shadow import ShadowSettings
 from stand_ins.hosts import TUNED
 from stand_ins.recordings import Truth
-from studies import fault_trials, twin_trials
+from studies import fault_recordings, pose_trials, twin_trials
+from studies.fault_bounds import gap, posterior
+from studies.fault_oracle import Explanation, parts_new
 from studies.fault_trials import judge, looking_alike
 from studies.healthy_trials import ALL, healthy_cells, healthy_recordings, inside, run_healthy
 from studies.reliability import Claim, binned, claims, draw
@@ -41,7 +45,7 @@ def printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 def test_poses_are_nearer_than_those_of_dead_reckoning(
     printed: Table, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(twin_trials, "POSE", ("obstacles",))
+    monkeypatch.setattr(pose_trials, "POSE", ("obstacles",))
     rows = printed("pose", "--seconds", "20", "--first", "1")
     assert [row["asks"] for row in rows] == ["N, D", "N, H, D"]
     for row in rows:
@@ -53,11 +57,25 @@ def test_poses_are_nearer_than_those_of_dead_reckoning(
 @pytest.mark.long
 def test_a_dead_sensor_is_named(printed: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("BEGINS_S", (5.0, 6.0)), ("LASTS_S", 8.0), ("AFTER_S", 4.0)):
-        monkeypatch.setattr(fault_trials, name, value)
+        monkeypatch.setattr(fault_recordings, name, value)
     (row,) = printed("alarms", "--fault", "dead sensor", "--first", "6")
     assert (row["fault"], row["runs"], row["named in 3 s"]) == ("dead sensor", "1", "1")
     assert row["ended in 5 s"] == "1 of 1"
     assert row["wrong names"] == ""
+
+
+@pytest.mark.long
+def test_an_oracle_names_a_dead_motor(printed: Table, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("BEGINS_S", (5.0, 6.0)), ("LASTS_S", 8.0), ("AFTER_S", 4.0)):
+        monkeypatch.setattr(fault_recordings, name, value)
+    (row,) = printed("bounds", "--fault", "dead motor", "--fault", "dead sensor", "--first", "521")
+    assert (row["fault"], row["runs"], row["right name sure"], row["or alike"]) == (
+        "dead motor",
+        "1",
+        "1",
+        "1",
+    )
+    assert float(row["lowest"]) > 10
 
 
 def truth() -> Truth:
@@ -135,6 +153,36 @@ def test_one_as_sure_as_an_alarm_of_faults_that_look_alike_is_a_pair(
     assert (found.named, found.paired) == (False, True)
     # One that is raised ten seconds after the fault's end is false.
     assert [each.right for each in found.claims] == [False, False]
+
+
+def test_a_bound_is_the_probability_of_a_name_and_its_distance_from_the_best_other_one() -> None:
+    found = [
+        Explanation("sound", 0, -20),
+        Explanation("weak motor left", -2, -7),
+        Explanation("slipping wheel left", -3, -8),
+    ]
+    assert gap(found, "weak motor left") == 1
+    assert gap(found, "sound") == -13
+    assert gap(found, "missing block0") == -np.inf
+    odds = np.exp([-20, -9, -11])
+    chances = posterior(found)
+    assert list(chances) == ["sound", "weak motor left", "slipping wheel left"]
+    assert list(chances.values()) == pytest.approx(odds / odds.sum())
+    # Far below what a number can hold, only differences count.
+    far = [each._replace(evidence=each.evidence - 1e4) for each in found]
+    assert posterior(far) == pytest.approx(chances)
+
+
+def test_a_reply_is_as_new_as_the_robot_has_moved() -> None:
+    times = np.arange(0, 3 * SECOND, SECOND // 50)
+    poses = np.zeros((len(times), 3))
+    poses[:, 0] = 0.05 * np.clip(times / SECOND - 1, 0, 1)  # It drives from 1 to 2 s.
+    none = np.zeros(0, np.int64)
+    found = Truth(times, poses, poses[0], poses[0], np.zeros(0, np.str_), none, none, none)
+    replies = [Seen(round(each * SECOND), np.zeros(8, np.int64)) for each in (0.5, 1, 1.02, 1.9, 2.5, 2.9)]
+    first, standing, slow, far, _, stopped = parts_new(found, replies).values()
+    assert [first, standing, stopped] == pytest.approx([LEAST_NEW] * 3)
+    assert LEAST_NEW < slow < 0.2 < 0.8 < far < 1
 
 
 def test_said_and_true_are_compared_in_bins(tmp_path: Path) -> None:

@@ -1,0 +1,220 @@
+"""An oracle of faults: filters that know everything but what is wrong, one for each explanation.
+
+They begin with the true pose, within a millimetre and a degree, where the fault begins, or shortly before it
+is noticeable; with wheels and sensors as a filter has learned them until the fault; and they know how far the
+robot really goes between replies. All particles of a filter have the fault of its explanation.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.playpen import Playpen
+from khep_twin.randomness import stream
+from khep_twin.shadow.actions import Action, Commanded, Seen, repeat
+from khep_twin.shadow.candidates import Candidates
+from khep_twin.shadow.hypotheses import Hypothesis, Unexpected
+from khep_twin.shadow.particle_filter import PERSISTENCE, SENSOR_RADIUS, ParticleFilter, part_new
+from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.planes import TICK_NS
+from khep_twin.shadow.recording import recorded
+from khep_twin.shadow.sensor_model import log_of_sum
+from khep_twin.shadow.shadow import Shadow, ShadowSettings
+from khep_twin.shadow.start import Spread, begun
+from khep_twin.units import N_SENSORS
+from stand_ins.recordings import Truth
+from studies.fault_recordings import Made
+from studies.twin_runs import Floats, poses_at, told_playpen
+
+SOUND = "sound"
+"""Name of the explanation without a fault."""
+
+KNOWN = 1e-3, 1e-3, math.radians(1)
+"""Standard deviations of the pose that the oracle knows [m, rad]."""
+
+EARLIER_NS = NS_PER_S // 2
+"""Time before the first noticeable reply at which it begins at the earliest, for things [ns]: before that
+they are out of reach, while what a wheel does adds up from the fault's begin on."""
+
+ADDED_NS = 400_000_000, 250_000_000, 100_000_000
+"""Times before that reply at which a thing may have come into reach that the playpen does not have [ns]."""
+
+BEGUN_S = 1.0
+"""Time in which a fault may have begun, besides that for which it was out of reach [s] (assumed)."""
+
+PARTICLES = 600
+"""Particles of each explanation."""
+
+_SPEEDS = 4
+"""Pairs of speeds that are told, the most frequent ones."""
+
+USE: NDArray[np.bool_] = np.ones(N_SENSORS, np.bool_)
+
+
+class Explanation(NamedTuple):
+    """Explanation of the replies: a name, the logarithms of its odds before and of what replies tell."""
+
+    name: str
+    prior: float
+    evidence: float
+
+
+class _Listener(Shadow):
+    """A shadow that notes actions, and follows none."""
+
+    def __init__(self, playpen: Playpen) -> None:
+        super().__init__(playpen, ShadowSettings(particles=1))
+        self.actions: list[Action] = []
+
+    def _follow(self, action: Action) -> Floats:
+        self._reckon(action)
+        self.actions.append(action)
+        return np.full(2, np.nan)
+
+
+class _Informed(ParticleFilter):
+    """A filter that knows which part of each reply is new, by its time [ns].
+
+    Twins that stand would have others count less than those that drive, and could not be compared.
+    """
+
+    parts: Mapping[int, float]
+
+    def _part_new(self, seen: Seen) -> float:
+        return self.parts[seen.time_ns]
+
+
+class Oracle:
+    """Filters of the explanations of one trial, which begin with the true pose."""
+
+    def __init__(self, trial: Made, settings: ShadowSettings, until_ns: int) -> None:
+        self._truth, self._seed, self._until_ns = trial.truth, settings.seed, until_ns
+        self._seen_ns = int(trial.truth.noticeable_ns[0])
+        changed_ns = int(trial.truth.changed_ns[0])
+        begin_ns = changed_ns
+        if trial.trial.changes:
+            begin_ns = max(begin_ns, self._seen_ns - EARLIER_NS)
+        playpen = told_playpen(trial.room, trial.truth)
+        listener = _Listener(playpen)
+        for each in recorded(trial.path).heard:
+            if each.time_ns <= until_ns:
+                listener.feed(*each)
+        self._setup = EpisodeSetup(playpen, planar=True)
+        self._near = Candidates(self._setup)
+        self._actions = [each for each in listener.actions if each.time_ns > begin_ns]
+        self._parts = parts_new(self._truth, [each for each in listener.actions if isinstance(each, Seen)])
+        before = listener.actions[: -len(self._actions)]
+        self._start = self._followed(before, changed_ns, begin_ns, settings.particles)
+
+    def _followed(self, actions: Sequence[Action], changed_ns: int, begin_ns: int, count: int) -> Particles:
+        """Return particles at the true pose, with wheels and sensors as learned before the fault."""
+        rng = stream(self._seed, "oracle")
+        x, y, heading = self._truth.start.tolist()
+        spread = Spread(KNOWN[0], KNOWN[2])
+        particles = begun(self._setup, [(x, y, heading)], spread, count, rng)
+        tracker = ParticleFilter(self._setup, particles, rng, count)
+        for action in actions:
+            if action.time_ns <= changed_ns:
+                tracker.act(action, USE)
+            else:
+                repeat(action, tracker.particles)
+                self._put(tracker.particles, action.time_ns, rng)
+            if isinstance(action, Seen):
+                self._near.pass_by(action.time_ns, tracker)
+        particles = tracker.particles.drawn(PARTICLES, 0.5)
+        particles.planes.advance_to(begin_ns)
+        self._put(particles, begin_ns, rng)
+        return particles
+
+    def _put(self, particles: Particles, time_ns: int, rng: np.random.Generator) -> None:
+        """Put particles where the robot is, in motion as they are."""
+        (pose,) = poses_at(self._truth, np.array([time_ns]))
+        particles.planes.move(pose + KNOWN * rng.standard_normal((len(particles), 3)))
+
+    def explanations(self) -> list[Explanation]:
+        """Return all explanations of the replies."""
+        whole = _Branch(self._start, 0.0, self._actions)
+        sound, branches = self._tracker(whole, SOUND), list[_Branch]()
+        begins_ns = [self._seen_ns - each for each in ADDED_NS]
+        surprise, evidences = np.zeros(N_SENSORS), [(0, 0.0)]
+        for number, action in enumerate(self._actions):
+            while begins_ns and action.time_ns > begins_ns[0]:
+                del begins_ns[0]
+                particles = sound.particles.drawn(PARTICLES, 0.5)
+                branches.append(_Branch(particles, sound.evidence, self._actions[number:]))
+            sound.act(action, USE)
+            if isinstance(action, Seen):
+                self._near.pass_by(action.time_ns, sound)
+                evidences.append((action.time_ns, sound.evidence))
+                if abs(action.time_ns - self._seen_ns) < ADDED_NS[0]:
+                    surprise += sound.surprise
+        found = [Explanation(SOUND, 0.0, self._at_end(evidences))]
+        for change in self._near.since(self._seen_ns, int(np.argmax(surprise)), counted=False):
+            begun_so = branches if isinstance(change.hypothesis, Unexpected) else [whole]
+            logs = np.array([self._evidence(change.hypothesis, each) for each in begun_so])
+            prior = math.log(change.rate * (BEGUN_S + change.unseen_s))
+            evidence = log_of_sum(logs) - math.log(len(logs))
+            found.append(Explanation(change.hypothesis.name, prior, evidence))
+        return found
+
+    def _evidence(self, hypothesis: Hypothesis, branch: "_Branch") -> float:
+        """Return the evidence at the end for a fault that has begun where twins branch off."""
+        tracker = self._tracker(branch, hypothesis.name)
+        rng = stream(self._seed, "oracle", hypothesis.name, "values")
+        hypothesis.begin(tracker.particles, rng)
+        evidences = [(0, branch.evidence)]
+        for action in branch.actions:
+            particles = tracker.particles
+            tracker.act(action, USE)
+            if tracker.particles is not particles:
+                hypothesis.refine(tracker.particles, rng)
+            if isinstance(action, Seen):
+                evidences.append((action.time_ns, branch.evidence + tracker.evidence))
+        return self._at_end(evidences)
+
+    def _at_end(self, evidences: Sequence[tuple[int, float]]) -> float:
+        """Return evidence by time [ns] at the end, between two replies."""
+        times, values = zip(*evidences, strict=True)
+        return float(np.interp(self._until_ns, times, values))
+
+    def _tracker(self, branch: "_Branch", name: str) -> _Informed:
+        particles = branch.particles.drawn(PARTICLES, 0.5)
+        tracker = _Informed(self._setup, particles, stream(self._seed, "oracle", name), PARTICLES)
+        tracker.parts = self._parts
+        return tracker
+
+    @property
+    def speeds(self) -> str:
+        """Speeds that the host has set most often since the begin, with their numbers."""
+        found = Counter((each.left, each.right) for each in self._actions if isinstance(each, Commanded))
+        return ", ".join(f"{number} x {left} {right}" for (left, right), number in found.most_common(_SPEEDS))
+
+
+class _Branch(NamedTuple):
+    """Twins of a sound robot from which on a fault is considered: their evidence so far, what follows."""
+
+    particles: Particles
+    evidence: float
+    actions: Sequence[Action]
+
+
+def parts_new(truth: Truth, replies: Sequence[Seen]) -> dict[int, float]:
+    """Return the parts of replies to N that are new, by their times [ns], after the robot's true way."""
+    steps = np.abs(np.diff(truth.poses[:, :2], axis=0)).sum(axis=1)
+    steps += SENSOR_RADIUS * np.abs(np.diff(np.unwrap(truth.poses[:, 2])))
+    ways = np.concatenate([[0.0], np.cumsum(steps)])
+    parts: dict[int, float] = {}
+    last = 0.0
+    for each in replies:
+        uncertain_ns = TICK_NS + max(each.late_ns - each.time_ns, 0)
+        ends = each.time_ns - uncertain_ns, each.time_ns
+        before, way = np.interp(ends, truth.times_ns, ways).tolist()
+        parts[each.time_ns] = part_new(way - last, PERSISTENCE) * PERSISTENCE / (PERSISTENCE + way - before)
+        last = way
+    return parts

@@ -1,0 +1,93 @@
+"""Trials of the shadow's poses: sound stand-in robots, whose start is known or not."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from khep_twin.clock import NS_PER_S
+from khep_twin.shadow.shadow import ShadowSettings
+from studies.trial_tables import Options, head, note, row
+from studies.twin_runs import Floats, Recording, follow
+
+POSE = "obstacles", "looping-maze", "workshop"
+
+NEAR_MM = 30.0
+"""Distance within which a pose that was unknown counts as found."""
+
+
+class Errors(NamedTuple):
+    """Errors of a run: distance [mm] and heading [degrees] of the estimate and of dead reckoning (n, 2)."""
+
+    estimate: Floats
+    reckoned: Floats
+    alarms: list[str]
+
+
+def pose(options: Options) -> None:
+    """Print errors of poses whose start is known within 10 mm and 5 degrees."""
+    head("playpen", "asks", "runs", "median", "95 %", "heading 95 %", "reckoned", "95 %", "heading 95 %")
+    for counters in (False, True):
+        for playpen in POSE:
+            tasks = [
+                (options.folder, playpen, seed, options.seconds, counters, options.settings)
+                for seed in _seeds(options)
+            ]
+            found: list[Errors] = list(options.run(pose_errors, tasks))
+            estimate = np.concatenate([each.estimate for each in found])
+            reckoned = np.concatenate([each.reckoned for each in found])
+            asks = "N, H, D" if counters else "N, D"
+            row(playpen, asks, len(found), *_quantiles(estimate), *_quantiles(reckoned))
+            if options.detail:
+                for task, each in zip(tasks, found, strict=True):
+                    row("", f"seed {task[2]}", "", *_quantiles(each.estimate), *_quantiles(each.reckoned))
+                    note(each.alarms)
+    print("\nErrors of position in mm, of heading in degrees, over all replies to N of all runs.\n")
+
+
+def pose_errors(
+    folder: Path, playpen: str, seed: int, seconds: float, counters: bool, settings: ShadowSettings
+) -> Errors:
+    """Return the errors of one run."""
+    name = "counters" if counters else "sound"
+    path = Recording(name, playpen, seed, seconds, asks_counters=counters).path(folder)
+    found = follow(path, playpen, settings)
+    told = [f"{each.fault} at {each.raised_ns / NS_PER_S:.1f} s" for each in found.alarms]
+    return Errors(found.errors(found.poses), found.errors(found.reckoned), told)
+
+
+def unknown(options: Options) -> None:
+    """Print how many poses are found whose start is unknown."""
+    head("playpen", "runs", "within 30 mm at 30 s", "at 60 s", "median error at 60 s")
+    settings = options.settings
+    lost = ShadowSettings(seed=settings.seed, particles=settings.particles, known=False)
+    tasks = [(options.folder, seed, lost) for seed in _seeds(options)]
+    found: list[tuple[float, float]] = list(options.run(unknown_errors, tasks))
+    half, whole = np.array(found).T
+    row(
+        "workshop",
+        len(found),
+        int((half < NEAR_MM).sum()),
+        int((whole < NEAR_MM).sum()),
+        f"{np.median(whole):.0f} mm",
+    )
+    if options.detail:
+        note(f"seed {task[1]}: {each:.0f} mm" for task, each in zip(tasks, whole, strict=True))
+    print()
+
+
+def unknown_errors(folder: Path, seed: int, settings: ShadowSettings) -> tuple[float, float]:
+    """Return the errors of position after 30 and 60 s of a run [mm]."""
+    found = follow(Recording("sound", "workshop", seed, 60).path(folder), "workshop", settings)
+    errors = found.errors(found.poses)[:, 0]
+    half = int(np.searchsorted(found.times_ns, 30 * NS_PER_S)) - 1
+    return float(errors[half]), float(errors[-1])
+
+
+def _quantiles(errors: Floats) -> tuple[str, str, str]:
+    median, most = np.quantile(errors[:, 0], (0.5, 0.95))
+    return f"{median:.1f}", f"{most:.1f}", f"{np.quantile(errors[:, 1], 0.95):.1f}"
+
+
+def _seeds(options: Options) -> range:
+    return range(options.first, options.first + options.runs)
