@@ -56,7 +56,6 @@ _PROBABLE = 0.02
 _FINER = 0.6
 """Part of a place's deviation that those drawn from it have."""
 
-
 _LONGEST_S = 5.0
 """Longest time for which a lamp may have changed unseen [s]."""
 
