@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.polygon import contains
-from khep_twin.shadow.changes import BEGINS
 from khep_twin.shadow.light_model import LightModel
 from khep_twin.shadow.particles import drawn
 from khep_twin.shadow.planes import Planes
@@ -22,9 +21,9 @@ Floats = NDArray[np.float64]
 TOLD, OFF, MOVED = range(3)
 """States of a lamp that is believed: as told, off, or where it was found."""
 
-ENDS, RARE, CORRECTED = 5.0, 2.0, 4.0
-"""Logarithms of the odds against the end of a lamp's fault in a second, of what is added against the begin if
-it is moved, and against another place nearby of one that was found elsewhere (assumed)."""
+GOES_OFF, MOVES, ENDS, CORRECTED = 9.0, 11.0, 5.0, 4.0
+"""Logarithms of the odds against a lamp that goes off in a second, or is moved, against the end of that, and
+against another place nearby of one that was found elsewhere (assumed)."""
 
 _GRID = 3
 """First state that is another place of a lamp."""
@@ -85,9 +84,9 @@ class LampBeliefs:
         self._spread: Floats = np.zeros(shape)
         self._spread[:, _GRID:-_FINE] = spacing / math.sqrt(12)
         self._rates: Floats = np.zeros(shape)
-        self._rates[:, :_GRID] = np.exp([-ENDS, -BEGINS, -CORRECTED])
+        self._rates[:, :_GRID] = np.exp([-ENDS, -GOES_OFF, -CORRECTED])
         apart = [_away(places, place) > _NEAR for place in self._told]
-        self._rates[:, _GRID:-_FINE] = math.exp(-BEGINS - RARE) * np.array(apart) / len(places)
+        self._rates[:, _GRID:-_FINE] = math.exp(-MOVES) * np.array(apart) / len(places)
 
     @property
     def probabilities(self) -> tuple[Floats, Floats]:
