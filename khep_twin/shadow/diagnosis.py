@@ -54,7 +54,7 @@ class Diagnosis:
         self._quiet = model.quiet
         self._sensors = SensorWatch(model.quiet, model.limit, self._lit)
         self._wheels, self._line = WheelWatch(), LineWatch()
-        self._lamps = LampWatch([] if planes.lamps_are_unknown else planes.lamps.names)
+        self._lamps = LampWatch(setup.playpen, planes)
         self._begins, self._search = Candidates(setup), Search(setup, rng)
         self._pose = PoseWatch(PoseState.FOLLOWED if self._known else PoseState.LOST)
         self._faults = FaultWatch()
@@ -80,7 +80,8 @@ class Diagnosis:
     @property
     def suspected(self) -> tuple[Suspicion, ...]:
         """Faults that are suspected without an alarm, the most probable first."""
-        return self._faults.suspected
+        found = (*self._faults.suspected, *self._lamps.suspected)
+        return tuple(sorted(found, key=lambda each: -each.probability))
 
     def hear(self, exchange: Exchange) -> None:
         """Begin with an exchange, whose actions follow."""
@@ -110,10 +111,11 @@ class Diagnosis:
         return told
 
     def see_light(self, time_ns: int, readings: NDArray[np.int64]) -> Floats:
-        """Take a reply to O; return the expected readings (8,) [counts]."""
+        """Take a reply to O; return the expected readings (8,) [counts], NaN unless the robot is followed."""
         self.filter.act(Waited(time_ns), self._sensors.sound)
-        if self._known:
-            self.ended += self._lamps.see(time_ns, readings, self.filter.particles)
+        if not self._known or self.state is not PoseState.FOLLOWED:
+            return np.full_like(self._lamps.expected, np.nan)
+        self.ended += self._lamps.see(time_ns, readings, self.filter.particles)
         return self._lamps.expected
 
     def _count(self, action: Counted, told: Floats) -> None:

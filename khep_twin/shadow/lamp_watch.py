@@ -1,28 +1,33 @@
-"""Watch of the lamps by the ambient light that O reads: those that are off, or elsewhere."""
+"""Watch of the lamps by the ambient light that O reads: those that are off, or elsewhere.
+
+Each reply weighs the hypotheses of `lamp_beliefs` by their likelihood (`light_model`). A fault has an alarm
+once it is certain; after a while it is believed from then on, and others may begin.
+"""
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.log.shadow_channels import Alarm
+from khep_twin.clock import NS_PER_S
+from khep_twin.log.shadow_channels import Alarm, Suspicion
+from khep_twin.playpen import Playpen
+from khep_twin.shadow.lamp_beliefs import MOVED, OFF, TOLD, LampBeliefs, offsets
+from khep_twin.shadow.light_model import LightModel
 from khep_twin.shadow.particle_filter import SENSOR_RADIUS, part_new
 from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.planes import Planes
+from khep_twin.shadow.thresholds import THRESHOLDS
 
 Floats = NDArray[np.float64]
 
-RAISED, ENDED = 10.0, 6.0
-"""Logarithms of the odds from which on an alarm is raised, and ends."""
-
-_FEW = 40
+_FEW = 8
 """Particles whose light is computed."""
 
-_MODEL = 0.2
-"""Relative deviation of a lamp's light from the model's (assumed)."""
-
-_BRIGHT = 60.0
-"""Light of a lamp that tells something, at the least [counts]."""
+_UNSURE = 0.012, 0.012, math.radians(3)
+"""Deviation of poses beyond that of the particles [m, m, rad] (assumed)."""
 
 _MOST_TOLD = 4.0
 """Most that one reply tells, in logarithms (assumed)."""
@@ -33,25 +38,43 @@ _CHANGED = 150
 _PERSISTENCE = 0.01
 """Way of a sensor over which errors of a lamp's light persist [m] (assumed)."""
 
-_MOST = 0.05
-"""Part of the readings that nothing explains (assumed)."""
+_SUREST = 0.999
+"""Highest probability that an alarm tells."""
+
+_NAMES = {OFF: "off", MOVED: "moved"}
+
+
+class _Rising(NamedTuple):
+    """Time since when a fault is not improbable, since when it is sure [ns], and replies since then."""
+
+    since_ns: int
+    sure_ns: int
+    replies: int
 
 
 class LampWatch:
-    """Watch of a playpen's lamps.
+    """Watch of a playpen's lamps; of those that shine in turns nothing is told.
+
+    Args:
+        playpen: Playpen.
+        planes: Twins of its robot.
 
     Attributes:
-        names: Their names.
-        expected: Ambient readings expected at the last reply (8,) [counts].
+        expected: Ambient readings expected at the last reply (8,) [counts]; NaN before, and where lamps
+            shine in turns.
+        suspected: Faults that are suspected without an alarm, the most probable first.
     """
 
-    def __init__(self, names: list[str]) -> None:
-        self.names = names
-        self._odds = np.zeros((len(names), 2))
-        self._since_ns = [0] * len(names)
-        self._alarms: dict[int, Alarm] = {}
-        self.expected: Floats = np.full(8, np.nan)
+    def __init__(self, playpen: Playpen, planes: Planes) -> None:
+        self._names = [] if planes.lamps_are_unknown else planes.lamps.names
+        self._model = LightModel(planes)
+        self._beliefs = LampBeliefs(playpen, planes) if self._names else None
+        self.expected = self._model.expected(np.full(8, math.nan if planes.lamps.names else 0.0))
+        self.suspected: tuple[Suspicion, ...] = ()
+        self._rising: dict[tuple[int, int], _Rising] = {}
+        self._alarms: dict[tuple[int, int], Alarm] = {}
         self._last: tuple[NDArray[np.int64], Floats] = np.zeros(8, np.int64), np.zeros(3)
+        self._last_ns = 0
 
     @property
     def alarms(self) -> list[Alarm]:
@@ -60,47 +83,62 @@ class LampWatch:
 
     def see(self, time_ns: int, readings: NDArray[np.int64], particles: Particles) -> tuple[Alarm, ...]:
         """Take a reply to O (8,) [counts], with particles of its time; return the alarms that end by it."""
-        few = particles.drawn(_FEW, 0.5)
-        new = self._new(readings, few.planes.poses.mean(axis=0))
-        ambient = few.planes.ambient
-        dark, floor, noise = (float(ambient[name]) for name in ("dark", "floor", "noise"))
-        light = few.planes.lamplight(1.0)
-        whole = light.sum(axis=2)
-        self.expected = np.maximum(dark - whole.mean(axis=0), floor)
+        beliefs, model = self._beliefs, self._model
+        if beliefs is None:
+            return ()
+        planes = particles.drawn(_FEW, 0.5).planes
+        planes.move(planes.poses + _APART)
+        light, others, vague = beliefs.light(planes, model)
+        self.expected = model.expected(light[0].mean(axis=0))
+        new = self._new(readings, planes.poses.mean(axis=0))
+        parts = new * model.new(light)
+        logs = [model.logs(readings, others, parts, vague), model.logs(readings, light[..., None], parts)]
+        told = np.concatenate(logs)
+        beliefs.take((time_ns - self._last_ns) / NS_PER_S, np.exp(np.maximum(told - told.max(), -_MOST_TOLD)))
+        self._last_ns = time_ns
+        if (beliefs.state == TOLD).all():
+            model.learn(readings, light, beliefs.sure, new)
+        return self._decide(time_ns, beliefs)
+
+    def _decide(self, time_ns: int, beliefs: LampBeliefs) -> tuple[Alarm, ...]:
+        """Raise and end alarms; believe what is certain."""
+        alone, every = beliefs.probabilities
         ended: list[Alarm] = []
-        for lamp, name in enumerate(self.names):
-            own = light[:, :, lamp]
-            lit = _log(readings, whole, dark, floor, noise)
-            off = _log(readings, whole - own, dark, floor, noise)
-            # Any reading is as probable as another; those at the floor are counted together.
-            clipped = readings <= floor + _CLIPPED * noise
-            elsewhere = np.log(np.where(clipped, _CLIPPED * noise, 1) / (dark - floor))
-            bright = own.mean(axis=0) > _BRIGHT
-            # A lamp that was moved lights what it did not, and leaves what it did.
-            seen = bright | (readings < self.expected - 4 * noise - _BRIGHT)
-            if not seen.any():
-                continue
-            step = np.array([(off - lit)[seen].sum(), np.maximum(elsewhere - lit, -3.0)[seen].sum()])
-            step = new * np.clip(step, -_MOST_TOLD, _MOST_TOLD)
-            if bright.sum() == 0:
-                step[0] = min(step[0], 0)
-            alarm = self._alarms.get(lamp)
-            if alarm is None:
-                self._odds[lamp] = np.maximum(self._odds[lamp] + step, 0)
-                if not self._odds[lamp].any():
-                    self._since_ns[lamp] = time_ns
-                kind = int(np.argmax(self._odds[lamp]))
-                if self._odds[lamp, kind] > RAISED:
-                    fault = f"{name} {('off', 'moved')[kind]}"
-                    self._alarms[lamp] = Alarm(fault, "light", self._since_ns[lamp], time_ns, 0.99)
-                    self._odds[lamp] = 0
-            else:
-                kind = int(alarm.fault.endswith("moved"))
-                self._odds[lamp] = np.maximum(self._odds[lamp] - step, 0)
-                if self._odds[lamp, kind] > ENDED:
-                    ended.append(replace(self._alarms.pop(lamp), ended_ns=time_ns))
-                    self._odds[lamp] = 0
+        suspected: list[Suspicion] = []
+        for lamp, state in ((lamp, state) for lamp in range(len(every)) for state in _NAMES):
+            key, chance = (lamp, state), float(every[lamp, state])
+            since_ns = self._since_ns(key, chance, time_ns)
+            alarm = self._alarms.get(key)
+            if alarm is not None and chance < 1 - THRESHOLDS.sure:
+                ended.append(replace(self._alarms.pop(key), ended_ns=time_ns))
+            elif alarm is None and chance > THRESHOLDS.suspected:
+                suspected.append(Suspicion((self._fault(key),), "light", since_ns, chance))
+        certain = np.argwhere(alone > THRESHOLDS.sure)
+        for lamp, state in certain.tolist():
+            alarm = self._alarms.get((lamp, state))
+            is_settled = alarm is not None and time_ns - alarm.raised_ns > THRESHOLDS.settled_ns
+            if state == TOLD or is_settled:
+                beliefs.believe(lamp, state)
+        self.suspected = tuple(sorted(suspected, key=lambda each: -each.probability))
         return tuple(ended)
+
+    def _since_ns(self, key: tuple[int, int], chance: float, time_ns: int) -> int:
+        """Take the probability of a fault, raise its alarm; return since when it is not improbable [ns]."""
+        before = self._rising.pop(key, _Rising(time_ns, time_ns, 0))
+        if chance < 1 - THRESHOLDS.sure:
+            return time_ns
+        is_sure = chance > THRESHOLDS.sure
+        now = _Rising(before.since_ns, before.sure_ns if is_sure else time_ns, (before.replies + 1) * is_sure)
+        self._rising[key] = now
+        is_held = time_ns - now.sure_ns >= THRESHOLDS.held_ns and now.replies >= THRESHOLDS.replies
+        if key not in self._alarms and is_held and time_ns - now.since_ns >= THRESHOLDS.told_ns:
+            sureness = min(chance, _SUREST)
+            self._alarms[key] = Alarm(self._fault(key), "light", now.since_ns, time_ns, sureness)
+        return now.since_ns
+
+    def _fault(self, key: tuple[int, int]) -> str:
+        """Return the name of a fault."""
+        return f"{self._names[key[0]]} {_NAMES[key[1]]}"
 
     def _new(self, readings: NDArray[np.int64], pose: Floats) -> float:
         """Return the part of readings that tells anything new, at a pose."""
@@ -111,21 +149,5 @@ class LampWatch:
         return part_new(way, _PERSISTENCE)
 
 
-_CLIPPED = 3.0
-"""Deviations of the noise within which a reading is taken for one at the floor."""
-
-
-def _log(readings: NDArray[np.int64], light: Floats, dark: float, floor: float, noise: float) -> Floats:
-    """Return the log likelihood of each reading, over all particles (8,)."""
-    deviation = np.sqrt(noise * noise + (_MODEL * light) ** 2 + 4)
-    edge = floor + _CLIPPED * noise
-    clipped = readings <= edge
-    z = (np.where(clipped, edge, readings) - (dark - light)) / deviation
-    inside = np.exp(-0.5 * z * z) / (deviation * math.sqrt(math.tau))
-    inside = np.where(clipped, _below(z), inside)
-    return np.log(((1 - _MOST) * inside + _MOST / 500).mean(axis=0))
-
-
-def _below(z: Floats) -> Floats:
-    """Return the probability of a normal number below z, to 0.01."""
-    return 1 / (1 + np.exp(-np.clip(1.702 * z, -500, 500)))
+_APART: Floats = np.column_stack([offsets(_FEW), np.roll(offsets(_FEW), 3, axis=0)[:, 0]]) * _UNSURE
+"""Offsets of the particles' poses (_FEW, 3)."""

@@ -267,20 +267,43 @@ class Planes:
         middle = poses[:, 2] + turn / 2
         self.move(poses + np.stack([ahead * np.cos(middle), ahead * np.sin(middle), turn], axis=1))
 
-    def lamplight(self, least: float) -> Floats:
+    def lamplight(self, least: float, turns: Floats | float = 0.0) -> Floats:
         """Return the light of each lamp at each sensor, below the dark level (n, 8, n_lamps) [counts].
 
         It holds at the start of the last step; of lamps that shine in turns each may be the one that is on.
-        What cannot reach `least` counts as 0 [counts].
+        What cannot reach `least` counts as 0 [counts]. The sensors are turned to the left from their headings
+        (8,) [rad].
         """
-        if not (self.lamps_are_unknown or self.lamps.steady):
-            self.lamps.update(self.ticks * TICK_NS, ())
+        return self._lamplight(self._light, self.powers, least, turns)
+
+    def lamplight_from(self, places: Floats, powers: Floats, least: float, turns: Floats | float) -> Floats:
+        """Return the same of lamps of these powers (m,) [W] at places x, y, z (m, 3) [m]."""
+        law, known, hidden = self._light
+        bulbs = np.zeros(len(places), known.dtype)
+        bulbs["x"], bulbs["y"], bulbs["z"] = places.T
+        law = law.copy()
+        law["known"] = False  # Nothing is known of what may hide them.
+        return self._lamplight((law, bulbs, hidden), powers, least, turns)
+
+    @property
+    def powers(self) -> Floats:
+        """Powers of the lamps; of those that shine in turns as if each were the one that is on (m,) [W]."""
         time_ns, lamps = self.ticks * TICK_NS, self.lamps
-        powers = np.array(lamps.possible_powers(time_ns) if self.lamps_are_unknown else lamps.powers)
-        light = np.zeros((len(self), units.N_SENSORS, len(powers)))
+        if not (self.lamps_are_unknown or lamps.steady):
+            lamps.update(time_ns, ())
+        return np.array(lamps.possible_powers(time_ns) if self.lamps_are_unknown else lamps.powers)
+
+    def _lamplight(
+        self, light: tuple[Any, Any, Any], powers: Floats, least: float, turns: Floats | float
+    ) -> Floats:
+        found = np.zeros((len(self), units.N_SENSORS, len(powers)))
+        sensors = self.sensors.copy()
+        ambient = sensors["ambient"]
+        axes = (ambient["ahead"] + 1j * ambient["left"]) * np.exp(1j * np.asarray(turns))
+        ambient["ahead"], ambient["left"] = axes.real, axes.imag
         if powers.any():
-            self._code.lamplight(*self._scenes, self.sensors, *self._light, powers, least, light)
-        return light
+            self._code.lamplight(*self._scenes, sensors, *light, powers, least, found)
+        return found
 
     def command(self, command: int, left: int, right: int) -> None:
         """Execute a command of `compiled` on all boards."""

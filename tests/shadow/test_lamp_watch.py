@@ -9,7 +9,7 @@ import pytest
 from twins import SECOND, metric, particles_at, setup_of
 
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.log.shadow_channels import Alarm
+from khep_twin.log.shadow_channels import Alarm, Suspicion
 from khep_twin.randomness import stream
 from khep_twin.shadow.lamp_watch import LampWatch
 from khep_twin.shadow.planes import Planes
@@ -32,7 +32,7 @@ class Watched:
 
     def __init__(self) -> None:
         self._particles = particles_at(*[(200, 200, 0)] * 60, name="two-lamps")
-        self.watch = LampWatch(self._particles.planes.lamps.names)
+        self.watch = LampWatch(setup_of("two-lamps").playpen, self._particles.planes)
         self._rng = stream(0, "lamps")
         self._turn = 0
         self.ended: list[Alarm] = []
@@ -71,19 +71,42 @@ def test_a_lamp_that_is_off_or_elsewhere_is_named_until_it_is_back(
 ) -> None:
     watched = Watched()
     watched.see(10, SOUND)
-    assert fault in watched.see(10, changes)
-    (alarm,) = (each for each in watched.watch.alarms if each.fault == fault)
+    assert watched.see(10, changes) == [fault]
+    (alarm,) = watched.watch.alarms
     assert alarm.channel == "light"
-    assert 8 * SECOND < alarm.since_ns <= alarm.raised_ns < 20 * SECOND
-    assert fault not in watched.see(12, SOUND)
-    assert fault in [each.fault for each in watched.ended]
-    assert all((each.ended_ns or 0) > each.raised_ns for each in watched.ended)
+    assert 8 * SECOND < alarm.since_ns <= alarm.raised_ns - SECOND < 20 * SECOND
+    assert 0.95 < alarm.sureness < 1
+    assert watched.see(12, SOUND) == []
+    (ended,) = watched.ended
+    assert ended.fault == fault
+    assert 20 * SECOND < (ended.ended_ns or 0) < 32 * SECOND
+
+
+def test_a_second_fault_may_follow_once_the_first_is_settled() -> None:
+    watched = Watched()
+    watched.see(5, SOUND)
+    assert watched.see(15, ELSEWHERE) == ["in-the-open moved"]
+    assert watched.see(10, OFF) == ["in-the-open off"]
+    assert [each.fault for each in watched.ended] == ["in-the-open moved"]
+
+
+def test_a_fault_is_suspected_before_it_has_an_alarm() -> None:
+    watched = Watched()
+    watched.see(10, SOUND)
+    assert watched.watch.suspected == ()
+    found: list[Suspicion] = []
+    while not watched.see(0.1, OFF):
+        found += watched.watch.suspected
+    assert found[0].channel == "light"
+    assert {each.faults for each in found} >= {("in-the-open off",)}
+    assert all(each.probability > 0.2 for each in found)
+    assert watched.watch.suspected == ()
 
 
 def test_what_is_expected_is_the_light_at_the_particles() -> None:
     particles = particles_at((110, 130, -135), name="two-lamps")
     particles.planes.advance(1)
-    watch = LampWatch(particles.planes.lamps.names)
+    watch = LampWatch(setup_of("two-lamps").playpen, particles.planes)
     assert np.isnan(watch.expected).all()
     watch.see(0, np.full(8, 480), particles)
     assert watch.expected[2:4].max() < 300 < 400 < watch.expected[6:].min()

@@ -166,6 +166,18 @@ def test_a_lamp_lights_the_sensors_that_it_is_before_and_nothing_behind_a_thing(
     assert not planes.lamplight(1e6).any()
 
 
+def test_lamps_elsewhere_shine_as_those_that_stand_there_and_have_shadows() -> None:
+    planes = planes_at((110, 130, -135), (300, 250, 90), name="two-lamps")
+    planes.advance(1)
+    told, turns = np.array(planes.lamps.positions), np.full(8, 0.3)
+    here = planes.lamplight_from(told, planes.powers, 0.0, turns)
+    np.testing.assert_allclose(here, planes.lamplight(0.0, turns), rtol=1e-9)
+    assert np.abs(here - planes.lamplight(0.0)).max() > 5
+    before, behind = np.array([[0.3, 0.3, 0.015], [0.3, 0.4, 0.015]])
+    light = planes.lamplight_from(np.array([before, behind]), np.full(2, 5.0), 0.0, 0.0)[1].max(axis=0)
+    assert light[0] > 100 > 5 > light[1]
+
+
 def test_put_twins_are_at_rest_and_keep_their_counters() -> None:
     planes = planes_at(OPEN)
     planes.command(SPEED, 8, 8)
