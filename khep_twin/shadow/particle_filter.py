@@ -267,7 +267,7 @@ class ParticleFilter:
             return self._count
         poses = self.particles.planes.poses[weights > 1e-3 / len(weights)]
         cells = np.unique(np.floor(poses / (0.03, 0.03, math.radians(15))), axis=0)
-        return int(np.clip(10 * len(cells), self._count, most))
+        return int(np.clip(100 * len(cells), self._count, most))
 
     def _drift(self, rough: Floats) -> None:
         """Move the particles by the noise since the last drift, and by a deviation (3,) [m, rad]."""
