@@ -199,6 +199,12 @@ class ParticleFilter:
         likely = self.particles.changes == np.argmax(self.probabilities)
         poses, weights = self.particles.planes.poses[likely], self.weights[likely]
         weights /= weights.sum()
+        # Twins are at a whole tick; the robot went on since.
+        ahead, aside, turn = self.particles.planes.robots["speeds"][likely, :3].T
+        cosine, sine = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        speeds = np.stack([cosine * ahead - sine * aside, sine * ahead + cosine * aside, turn], axis=1)
+        since_s = min(max(time_ns - self.particles.planes.ticks * TICK_NS, 0), TICK_NS) * 1e-9
+        poses = poses + speeds * since_s
         x, y = float(weights @ poses[:, 0]), float(weights @ poses[:, 1])
         heading = math.atan2(weights @ np.sin(poses[:, 2]), weights @ np.cos(poses[:, 2]))
         off: Floats = poses - np.array([x, y, heading])
