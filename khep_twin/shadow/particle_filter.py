@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
-from khep_twin.shadow.actions import Action, Counted, Seen, repeat
+from khep_twin.shadow.actions import LATE_NS, Action, Commanded, Counted, Seen, repeat
 from khep_twin.shadow.changes import FaultChange, mixed, quotas
 from khep_twin.shadow.particles import Particles, drawn
 from khep_twin.shadow.planes import TICK_NS
@@ -52,6 +52,8 @@ LEAST_EFFECTIVE = 0.5
 FEW, ROUGH = 0.1, 0.3
 """Part of the particles that count, below which those drawn of them are spread by this part of their spread:
 few of a wide cloud fit a reading (assumed)."""
+
+_TICK_S = TICK_NS * 1e-9
 
 _FRESH_TICKS = 25
 """Time for whose noise few particles are spread that become many [ticks]."""
@@ -99,6 +101,10 @@ class ParticleFilter:
         self.expected: Floats = np.zeros(8)
         self.surprise: Floats = np.zeros(8)
         self._drifted_ticks = particles.planes.ticks
+        self._uncertain_s = _TICK_S
+        """Time within which the last command was executed [s]."""
+        self._jolts: Floats = np.zeros(3)
+        """Variances by changes of speed since the last drift [m^2, rad^2]."""
         self._way = 0.0
         """Way of a sensor since the last reply to N [m]."""
         self._taught = particles.wheels
@@ -120,8 +126,12 @@ class ParticleFilter:
 
     def weigh(self, action: Action, use: NDArray[np.bool_]) -> Floats:
         """Follow an action as `act` does, with the same particles."""
-        before = self.particles.planes.poses
+        before, speeds = self.particles.planes.poses, self._speeds
         repeat(action, self.particles)
+        # Twins obey at whole ticks; the robot did at a time that is not certain.
+        self._jolts += self.weights @ np.square(self._speeds - speeds) * (self._uncertain_s**2 / 12)
+        if isinstance(action, Commanded):
+            self._uncertain_s = _TICK_S + min(max(action.late_ns - action.time_ns, 0), LATE_NS) * 1e-9
         along = np.abs(self.particles.planes.poses - before) @ (1, 1, SENSOR_RADIUS)
         self._way += float(self.weights @ along)
         if isinstance(action, Seen):
@@ -129,6 +139,14 @@ class ParticleFilter:
         if isinstance(action, Counted):
             return self.weights @ self.particles.count(action.counters)
         return np.full(2, np.nan)
+
+    @property
+    def _speeds(self) -> Floats:
+        """Speeds of the particles along x, y [m/s] and in turning [rad/s] (n, 3)."""
+        ahead, aside, turn = self.particles.planes.robots["speeds"][:, :3].T
+        heading = self.particles.planes.poses[:, 2]
+        cosine, sine = np.cos(heading), np.sin(heading)
+        return np.stack([cosine * ahead - sine * aside, sine * ahead + cosine * aside, turn], axis=1)
 
     @property
     def range_left(self) -> Floats:
@@ -189,9 +207,8 @@ class ParticleFilter:
         new = part_new(self._way, PERSISTENCE)
         self._way = 0.0
         # At a time that is not certain, by a tick at the least, the sensors were somewhere on their way.
-        ahead, _, turn = np.abs(self.particles.planes.robots["speeds"][:, :3]).T
-        uncertain_s = (TICK_NS + max(seen.late_ns - seen.time_ns, 0)) * 1e-9
-        way = uncertain_s * float(self.weights @ (ahead + SENSOR_RADIUS * turn))
+        uncertain_s = _TICK_S + max(seen.late_ns - seen.time_ns, 0) * 1e-9
+        way = uncertain_s * float(self.weights @ np.abs(self._speeds) @ (1, 1, SENSOR_RADIUS))
         return new * (PERSISTENCE / (PERSISTENCE + way))
 
     def estimate(self, time_ns: int) -> PoseEstimate:
@@ -200,11 +217,8 @@ class ParticleFilter:
         poses, weights = self.particles.planes.poses[likely], self.weights[likely]
         weights /= weights.sum()
         # Twins are at a whole tick; the robot went on since.
-        ahead, aside, turn = self.particles.planes.robots["speeds"][likely, :3].T
-        cosine, sine = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        speeds = np.stack([cosine * ahead - sine * aside, sine * ahead + cosine * aside, turn], axis=1)
         since_s = min(max(time_ns - self.particles.planes.ticks * TICK_NS, 0), TICK_NS) * 1e-9
-        poses = poses + speeds * since_s
+        poses = poses + self._speeds[likely] * since_s
         x, y = float(weights @ poses[:, 0]), float(weights @ poses[:, 1])
         heading = math.atan2(weights @ np.sin(poses[:, 2]), weights @ np.cos(poses[:, 2]))
         off: Floats = poses - np.array([x, y, heading])
@@ -273,7 +287,7 @@ class ParticleFilter:
             return self._count
         poses = self.particles.planes.poses[weights > 1e-3 / len(weights)]
         cells = np.unique(np.floor(poses / (0.03, 0.03, math.radians(15))), axis=0)
-        return int(np.clip(100 * len(cells), self._count, most))
+        return int(np.clip(200 * len(cells), self._count, most))
 
     def _drift(self, rough: Floats) -> None:
         """Move the particles by the noise since the last drift, and by a deviation (3,) [m, rad]."""
@@ -282,7 +296,8 @@ class ParticleFilter:
         self._drifted_ticks = planes.ticks
         count = len(particles)
         slips = planes.robots["last"][:, flat.SLIPS] != 0
-        noise = np.array([PLACE_NOISE, PLACE_NOISE, TURN_NOISE]) * root
+        noise = np.sqrt(np.square((PLACE_NOISE, PLACE_NOISE, TURN_NOISE)) * root * root + self._jolts)
+        self._jolts = np.zeros(3)
         moved = rng.standard_normal((count, 3)) * (noise * np.where(slips, SLIP_NOISE, 1.0)[:, None] + rough)
         planes.move(planes.poses + moved)
         particles.forget(root * root, rng)
