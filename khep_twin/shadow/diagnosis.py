@@ -63,6 +63,7 @@ class Diagnosis:
         self._late = False
         self._tried_ns = 0
         self._onset: Onset | None = None
+        self._has_found = self._doubts = False
         self.ended: tuple[Alarm, ...] = ()
 
     @property
@@ -143,22 +144,29 @@ class Diagnosis:
 
     def _look_back(self, time_ns: int) -> None:
         """Search for what has happened if replies surprise; drop faults that are improbable."""
-        onset, nothing = self._pose.onset, float(self.filter.probabilities[0])
+        onset, before = self._pose.onset, self._onset
+        if self._doubts and onset is None:
+            onset = before
+        nothing = float(self.filter.probabilities[0])
         is_explained, passed_ns = nothing < THRESHOLDS.explained, time_ns - self._tried_ns
         if onset is None:
             if nothing > THRESHOLDS.dropped and passed_ns >= THRESHOLDS.dropped_ns:
                 self.filter.consider([])
             return
-        if not self._known or passed_ns < (THRESHOLDS.tried_ns if is_explained else THRESHOLDS.waited_ns):
+        is_found = is_explained and self._has_found
+        if not self._known or passed_ns < (THRESHOLDS.tried_ns if is_found else THRESHOLDS.waited_ns):
             return
-        self._tried_ns = time_ns
-        self._onset = self._onset.later(onset) if is_explained and self._onset is not None else onset
+        self._tried_ns, self._doubts = time_ns, False
+        if before is not None and (is_explained or time_ns - before.calm_ns < THRESHOLDS.window_ns):
+            onset = before.later(onset)  # The last search has found too little, or nothing.
+        self._onset = onset
         changes = self._candidates(self._onset.calm_ns)
         found = self._search.again(self.filter, self._onset, changes, self._sensors.sound)
         if found is not None:
             self.filter = found
             self._pose.explain()
-            if found.probabilities[0] > THRESHOLDS.explained:
+            self._has_found = bool(found.probabilities[0] <= THRESHOLDS.explained)
+            if not self._has_found:
                 self._pose.expect()
 
     @property
@@ -195,6 +203,8 @@ class Diagnosis:
             self._lift(certain, time_ns)
         elif not certain.faults[0].is_fault:
             self._adopt(certain.numbers[0], time_ns)
+        elif not self._has_found:
+            self._doubts = True  # It became probable after the search, where no other place can.
         elif not self._pose.was_vague(since_ns):
             self._faults.raise_alarm(certain, time_ns)
 

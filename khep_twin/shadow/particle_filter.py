@@ -63,6 +63,9 @@ _LONGEST_TICKS, _LONGEST_SOUND_TICKS = 10, 50
 """Longest time after which the particles are drawn anew, with changes that may begin then, and without
 [ticks]."""
 
+_IN_CELL, _IN_CELL_CHANGED = 200, 10
+"""Particles for each cell of 30 mm and 15 degrees where the robot may be, and with changes (assumed)."""
+
 _IMPROBABLE = 0.01
 """Probability below which a change need not be considered any more."""
 
@@ -193,7 +196,7 @@ class ParticleFilter:
         """Weigh the particles by a reply to N of the sensors to rely on (8,)."""
         particles, new = self.particles, self._part_new(seen)
         self.expected, self.surprise, logs = self._model.explain(particles, seen.readings, use, new)
-        new *= MANY_TEMPER if len(particles) - self._quota > MANY else 1.0
+        new *= MANY_TEMPER if not self.changes and len(particles) > MANY else 1.0
         self.surprise *= new
         particles.logs += new * logs.sum(axis=1)
         norm = log_of_sum(particles.logs)
@@ -287,7 +290,8 @@ class ParticleFilter:
             return self._count
         poses = self.particles.planes.poses[weights > 1e-3 / len(weights)]
         cells = np.unique(np.floor(poses / (0.03, 0.03, math.radians(15))), axis=0)
-        return int(np.clip(200 * len(cells), self._count, most))
+        in_each = _IN_CELL_CHANGED if self.changes else _IN_CELL
+        return int(np.clip(in_each * len(cells), self._count, most))
 
     def _drift(self, rough: Floats) -> None:
         """Move the particles by the noise since the last drift, and by a deviation (3,) [m, rad]."""

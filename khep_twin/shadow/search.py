@@ -17,6 +17,7 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Action, Seen, repeat
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.displacements import Displaced
+from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Particles, drawn
 from khep_twin.shadow.place_map import PlaceMap, Sight
@@ -29,8 +30,8 @@ Floats = NDArray[np.float64]
 GROUP = 120
 """Particles of a snapshot."""
 
-HERE, ELSEWHERE = 600, 1500
-"""Particles that begin where the robot was, and of one that is elsewhere."""
+HERE = 600
+"""Particles that begin where the robot was."""
 
 EARLIER_NS = 300_000_000
 """Time by which faults begin before replies surprise [ns]."""
@@ -49,23 +50,23 @@ class _Step(NamedTuple):
     """A step in which places become probable.
 
     Attributes:
-        places: Number of places.
+        times: Number of places, as a multiple of the quota.
         power: Power of the likelihood of the first replies.
         spread: Deviation of places after it [m].
     """
 
-    places: int
+    times: float
     power: float
     spread: float
 
 
-STEPS = _Step(3000, 0.02, 8e-3), _Step(3000, 0.05, 5e-3), _Step(2000, 0.13, 3e-3), _Step(1500, 0.3, 2e-3)
-"""Steps by the first replies (assumed)."""
+STEPS = _Step(5, 0.02, 8e-3), _Step(5, 0.05, 5e-3), _Step(3.5, 0.13, 3e-3), _Step(2.5, 0.3, 2e-3)
+"""Steps by the first replies (assumed); the last has as many places as are left."""
 
 SNAPSHOT_NS = 250_000_000
 """Interval of the snapshots [ns]."""
 
-KEPT_NS = 5 * NS_PER_S
+KEPT_NS = 8 * NS_PER_S
 """Time for which they are kept [ns]."""
 
 _LEAST = 1e-9
@@ -129,48 +130,40 @@ class Search:
             for action in actions:
                 if action.time_ns <= since_ns:
                     repeat(action, few)
-            for number, change in enumerate(changes, 1):
+            for number, change in enumerate(found.changes, 1):
                 if change.hypothesis.is_found:
-                    if isinstance(change.hypothesis, Displaced):
-                        poses, logs = self._near(few)
-                    else:
-                        poses, logs = self._anywhere(few, since_ns, use)
-                    elsewhere = self._elsewhere(found, few, poses, logs, since_ns, use)
+                    elsewhere = self._elsewhere(found, few, change.hypothesis, since_ns, use)
                     elsewhere.evidence += sound - found.evidence - change.hypothesis.rare
                     _add(found, number, elsewhere, since_ns)
         return found
-
-    def _near(self, few: Particles) -> tuple[Floats, Floats]:
-        """Return places near those of particles, and the logarithms of their weights."""
-        near = few.drawn(STEPS[0].places, 0.5)
-        Displaced().begin(near, self._rng)
-        return near.planes.poses.copy(), np.zeros(len(near))
-
-    def _anywhere(self, few: Particles, since_ns: int, use: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-        """Return places by readings since a time [ns], and the logarithms of their weights."""
-        if self._places is None:
-            self._places = PlaceMap(self._setup)
-        sights = self._sights(few.drawn(1, 0.5), since_ns)
-        return self._places.draw(STEPS[0].places, sights, use, self._rng)
 
     def _elsewhere(
         self,
         tracker: ParticleFilter,
         few: Particles,
-        poses: Floats,
-        logs: Floats,
+        hypothesis: Hypothesis,
         since_ns: int,
         use: NDArray[np.bool_],
     ) -> ParticleFilter:
-        """Return a filter of particles that were put at places at a time [ns], by all replies since.
+        """Return a filter of particles that were put elsewhere at a time [ns], by all replies since.
 
         The places become probable step by step, and are drawn anew, close to what they are, after each: what
         fits within millimetres and degrees is rare among any that are drawn.
         """
+        counts = [round(each.times * hypothesis.quota) for each in STEPS]
+        if isinstance(hypothesis, Displaced):
+            near = few.drawn(counts[0], 0.5)
+            hypothesis.begin(near, self._rng)
+            poses, logs = near.planes.poses.copy(), np.zeros(counts[0])
+        else:
+            if self._places is None:
+                self._places = PlaceMap(self._setup)
+            sights = self._sights(few.drawn(1, 0.5), since_ns)
+            poses, logs = self._places.draw(counts[0], sights, use, self._rng)
         actions = [action for action in self._actions if action.time_ns > since_ns]
         first = [action for action in actions if action.time_ns <= since_ns + FIRST_NS]
         evidence = 0.0
-        for step, count in zip(STEPS, [*(each.places for each in STEPS[1:]), ELSEWHERE], strict=True):
+        for step, count in zip(STEPS, [*counts[1:], counts[-1]], strict=True):
             logs += step.power * _told(self._put(tracker, few, poses), first, use)
             norm = log_of_sum(logs)
             evidence += norm - math.log(len(logs))
@@ -182,7 +175,7 @@ class Search:
         logs = _told(found, actions[len(first) :], use) - sum(each.power for each in STEPS) * begun
         norm = log_of_sum(logs)
         found.particles.logs = logs - norm
-        found.evidence = evidence + norm - math.log(ELSEWHERE)
+        found.evidence = evidence + norm - math.log(counts[-1])
         return found
 
     def _put(self, tracker: ParticleFilter, few: Particles, poses: Floats) -> ParticleFilter:

@@ -62,7 +62,7 @@ class Thresholds:
     waited_ns: int = 200_000_000
     tried_ns: int = NS_PER_S
     explained: float = 0.5
-    window_ns: int = 3 * NS_PER_S
+    window_ns: int = 6 * NS_PER_S
     dropped: float = 0.9
     dropped_ns: int = 1_500_000_000
     found_ns: int = 5 * NS_PER_S
