@@ -6,14 +6,14 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from scenes import arena, robot
-from twins import ALL, AT_THE_CRATE, EXACT, SECOND, metric, planes_at, readings, setup_of
+from twins import ALL, AT_THE_CRATE, EXACT, OPEN, SECOND, metric, planes_at, readings, setup_of
 
 from khep_twin import playpen as playpens
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
-from khep_twin.shadow.actions import Commanded, Counted, Seen
+from khep_twin.shadow.actions import Commanded, Counted, Seen, Waited
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.hypotheses import QUOTA, of_wheels
 from khep_twin.shadow.particle_filter import LEAST_DEVIATION, ParticleFilter, PoseEstimate
@@ -129,6 +129,37 @@ def test_an_estimate_is_a_mean_by_the_weights_and_headings_are_a_circle() -> Non
     tracker.particles.logs = np.log([0.9, 0.1])
     assert tracker.estimate(7).pose[0] == pytest.approx(0.31)
     assert tracker.estimate(7).time_ns == 7
+
+
+def test_an_estimate_goes_on_from_the_last_whole_tick_to_the_time_of_the_reply() -> None:
+    tracker = filtering(setup_of("workshop"), metric(OPEN), EXACT)
+    tracker.act(Commanded(0, SPEED, 10, 10), ALL)
+    tracker.act(Waited(SECOND), ALL)
+    x, *_ = tracker.estimate(SECOND).pose
+    assert tracker.estimate(SECOND + 5_000_000).pose[0] - x == pytest.approx(0.0004, rel=0.05)  # 80 mm/s
+
+
+def test_changes_of_speed_make_a_pose_less_certain() -> None:
+    spreads: list[float] = []
+    for speed in (1, 15):
+        tracker = filtering(setup_of("workshop"), metric(OPEN), EXACT)
+        for turn in range(20):
+            time_ns = turn * SECOND // 10
+            way = speed * (turn % 2 * 2 - 1)
+            tracker.act(Commanded(time_ns, SPEED, -way, way), ALL)
+            tracker.act(Seen(time_ns + SECOND // 20, np.zeros(8, np.int64)), ALL)
+        spreads.append(math.sqrt(tracker.estimate(2 * SECOND).covariance[2, 2]))
+    assert 2 * spreads[0] < spreads[1] < math.radians(15)
+
+
+@pytest.mark.parametrize(("places", "least"), [(1, 300), (4, 800)])
+def test_the_more_places_are_possible_the_more_particles_are_kept(places: int, least: int) -> None:
+    setup, x = setup_of("default"), np.linspace(0.15, 0.45, places)
+    particles = begun(setup, [(each, 0.25, 0.0) for each in x.tolist()], EXACT, 2400, stream(0, "start"))
+    tracker = ParticleFilter(setup, particles, stream(0, "filter"), 300)
+    tracker.act(Commanded(0, SPEED, 1, 1), ALL)
+    tracker.act(Seen(SECOND, np.zeros(8, np.int64)), ALL)
+    assert least <= len(tracker.particles) <= 2 * least
 
 
 def test_particles_that_are_taken_over_become_as_many_as_are_wanted_and_differ() -> None:

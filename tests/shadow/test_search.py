@@ -1,5 +1,7 @@
 """Search for what has happened to a robot, by its last replies."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from twins import ALL, AT_THE_CRATE, SECOND, metric, planes_at, readings, setup_of
@@ -7,7 +9,7 @@ from twins import ALL, AT_THE_CRATE, SECOND, metric, planes_at, readings, setup_
 from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Commanded, Seen
 from khep_twin.shadow.changes import FaultChange
-from khep_twin.shadow.displacements import Lifted
+from khep_twin.shadow.displacements import Displaced, Lifted
 from khep_twin.shadow.hypotheses import StandingWheel, Unexpected
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.pose_watch import Onset
@@ -42,9 +44,9 @@ class Turning:
             self.search.keep(time_ns, self.filter)
         return time_ns
 
-    def found(self, since_ns: int) -> ParticleFilter:
+    def found(self, since_ns: int, changes: Sequence[FaultChange] = CHANGES) -> ParticleFilter:
         """Search for what has happened since a time [ns]."""
-        found = self.search.again(self.filter, Onset(since_ns, (since_ns,)), CHANGES, ALL)
+        found = self.search.again(self.filter, Onset(since_ns, (since_ns,)), changes, ALL)
         assert found is not None
         assert np.exp(found.particles.logs).sum() == pytest.approx(1)
         return found
@@ -68,6 +70,17 @@ def test_a_robot_that_was_put_elsewhere_is_found_there_and_one_that_was_not_is_n
     x, y, _ = (found.particles.planes.poses[found.particles.changes == 1]).T
     assert x.std() > 0.05
     assert np.hypot(x - 0.56, y - 0.12).min() < 0.03
+
+
+def test_a_robot_that_is_a_little_off_is_found_there_and_not_elsewhere() -> None:
+    turning = Turning()
+    since_ns = turning.turn(2)
+    x, y, heading = turning.robot.poses[0].tolist()
+    turning.robot.move(np.array([[x + 0.012, y - 0.008, heading - 0.3]]))
+    turning.turn(1)
+    found = turning.found(since_ns, [*CHANGES, FaultChange(Displaced(), True)])
+    assert found.probabilities[4] > 0.98
+    assert np.hypot(*(found.estimate(0).pose - turning.robot.poses[0])[:2]) < 0.01
 
 
 def test_a_wheel_that_has_come_to_a_stand_is_told_from_a_robot_that_was_put_elsewhere() -> None:
