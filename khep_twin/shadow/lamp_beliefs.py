@@ -38,7 +38,7 @@ _NEAR = 0.05
 """Distance from its own place up to which a lamp is not elsewhere [m]: poses are no better known."""
 
 _FINEST = 0.004
-"""Deviation below which no place of a lamp is told [m] (assumed)."""
+"""Least deviation of a lamp's place [m] (assumed)."""
 
 _NEARBY = 0.01
 """Deviation of places that are nearby, at the least [m] (assumed)."""

@@ -53,7 +53,7 @@ class _Rising(NamedTuple):
 
 
 class LampWatch:
-    """Watch of a playpen's lamps; of those that shine in turns nothing is told.
+    """Watch of a playpen's lamps; those that shine in turns are not watched.
 
     Args:
         playpen: Playpen.
