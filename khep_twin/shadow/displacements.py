@@ -17,7 +17,7 @@ _PLACE_REFINED = 0.002, 0.002, math.radians(2)
 class Displaced(Hypothesis):
     """A robot that is a little off, as it was pushed, slid or was taken for elsewhere: no fault."""
 
-    channel, rare, quota, is_found, is_fault = "proximity", 5.0, 300, True, False
+    channel, rare, quota, is_found, is_fault = "proximity", 8.0, 300, True, False
 
     @property
     def name(self) -> str:

@@ -56,7 +56,7 @@ class Thresholds:
     startled: float = 2.0
     most_startled: float = 8.0
     raised: float = 2.0
-    raised_s: float = 30.0
+    raised_s: float = 10.0
     calm: float = 0.3
     in_sight: int = 100
     waited_ns: int = 200_000_000
