@@ -77,7 +77,7 @@ def test_a_robot_that_is_a_little_off_is_found_there_and_not_elsewhere() -> None
     since_ns = turning.turn(2)
     x, y, heading = turning.robot.poses[0].tolist()
     turning.robot.move(np.array([[x + 0.012, y - 0.008, heading - 0.3]]))
-    turning.turn(1)
+    turning.turn(1.5)
     found = turning.found(since_ns, [*CHANGES, FaultChange(Displaced(), True)])
     assert found.probabilities[4] > 0.98
     assert np.hypot(*(found.estimate(0).pose - turning.robot.poses[0])[:2]) < 0.01
