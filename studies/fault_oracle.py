@@ -215,6 +215,6 @@ def parts_new(truth: Truth, replies: Sequence[Seen]) -> dict[int, float]:
         uncertain_ns = TICK_NS + max(each.late_ns - each.time_ns, 0)
         ends = each.time_ns - uncertain_ns, each.time_ns
         before, way = np.interp(ends, truth.times_ns, ways).tolist()
-        parts[each.time_ns] = part_new(way - last, PERSISTENCE) * PERSISTENCE / (PERSISTENCE + way - before)
+        parts[each.time_ns] = part_new(way - last, PERSISTENCE, way - before)
         last = way
     return parts

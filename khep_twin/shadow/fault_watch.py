@@ -17,9 +17,6 @@ from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.thresholds import THRESHOLDS
 
-_SUREST = 0.999
-"""Highest probability that an alarm tells."""
-
 _TOLD_NAME = 0.1
 """Part of the probability of faults that look alike from which on one of them is told (assumed)."""
 
@@ -124,7 +121,7 @@ class FaultWatch:
         is_one = alike.parts[0] >= THRESHOLDS.named
         name = alike.faults[0].name if is_one else OR.join(alike.names)
         sureness = alike.probability * (alike.parts[0] if is_one else 1.0)
-        return Alarm(name, alike.faults[0].channel, alike.since_ns, time_ns, min(sureness, _SUREST))
+        return Alarm(name, alike.faults[0].channel, alike.since_ns, time_ns, min(sureness, THRESHOLDS.surest))
 
     def rename(self, alike: Alike) -> bool:
         """Give the alarm of several names the one that is certain now; return whether it has another name."""
@@ -132,7 +129,7 @@ class FaultWatch:
             return False
         if alike.parts[0] < THRESHOLDS.named:
             return False
-        sureness = min(alike.probability * alike.parts[0], _SUREST)
+        sureness = min(alike.probability * alike.parts[0], THRESHOLDS.surest)
         alarm = replace(self.leading[1], fault=alike.faults[0].name, sureness=sureness)
         self.leading = alike, alarm
         return True

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.playpen import Playpen
-from khep_twin.playpen.polygon import contains
 from khep_twin.shadow.light_model import LightModel
 from khep_twin.shadow.particles import drawn
 from khep_twin.shadow.planes import Planes
+from khep_twin.shadow.start import inside
 
 Floats = NDArray[np.float64]
 
@@ -195,11 +195,11 @@ _OFFSETS = offsets(_FINE)
 
 def _grid(playpen: Playpen, count: int) -> tuple[Floats, float]:
     """Return about so many places on a grid within the arena (n, 2), and their distance [m]."""
-    corners = [(x / 1e3, y / 1e3) for x, y in playpen.arena.corners]
-    low: Floats = np.min(corners, axis=0)
-    size: Floats = np.max(corners, axis=0) - low
+    corners = np.array(playpen.arena.corners) * 1e-3
+    low: Floats = corners.min(axis=0)
+    size: Floats = corners.max(axis=0) - low
     spacing = math.sqrt(float(size.prod()) / count)
     columns, rows = np.ceil(size / spacing).astype(int).tolist()
     parts = [((i + 0.5) / columns, (j + 0.5) / rows) for i in range(columns) for j in range(rows)]
     places: Floats = low + np.array(parts) * size
-    return places[[contains(corners, x, y) for x, y in places.tolist()]], spacing
+    return places[inside(corners, places)], spacing

@@ -38,9 +38,6 @@ _CHANGED = 150
 _PERSISTENCE = 0.01
 """Way of a sensor over which errors of a lamp's light persist [m] (assumed)."""
 
-_SUREST = 0.999
-"""Highest probability that an alarm tells."""
-
 _NAMES = {OFF: "off", MOVED: "moved"}
 
 
@@ -132,7 +129,7 @@ class LampWatch:
         self._rising[key] = now
         is_held = time_ns - now.sure_ns >= THRESHOLDS.held_ns and now.replies >= THRESHOLDS.replies
         if key not in self._alarms and is_held and time_ns - now.since_ns >= THRESHOLDS.told_ns:
-            sureness = min(chance, _SUREST)
+            sureness = min(chance, THRESHOLDS.surest)
             self._alarms[key] = Alarm(self._fault(key), "light", now.since_ns, time_ns, sureness)
         return now.since_ns
 

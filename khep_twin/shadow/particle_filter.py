@@ -70,9 +70,13 @@ _IMPROBABLE = 0.01
 """Probability below which a change need not be considered any more."""
 
 
-def part_new(way: float, persistence: float) -> float:
-    """Return the part of a reading that is new after a sensor's way, with that of its errors [m]."""
-    return max(math.tanh(way / (2 * persistence)), LEAST_NEW)
+def part_new(way: float, persistence: float, vague: float = 0.0) -> float:
+    """Return the part of a reading that is new after a sensor's way, with that of its errors [m].
+
+    Errors persist: a reading counts by how far their correlation, exp(-way / persistence), has fallen. The
+    sensor was somewhere on the last part of its way, which is vague [m].
+    """
+    return max(math.tanh(way / (2 * persistence)), LEAST_NEW) * (persistence / (persistence + vague))
 
 
 class PoseEstimate(NamedTuple):
@@ -205,14 +209,11 @@ class ParticleFilter:
 
     def _part_new(self, seen: Seen) -> float:
         """Return the part of a reply to N that is new, after the way since the last."""
-        # Errors of the model persist: readings count by how far their correlation, exp(-way / PERSISTENCE),
-        # has fallen.
-        new = part_new(self._way, PERSISTENCE)
-        self._way = 0.0
-        # At a time that is not certain, by a tick at the least, the sensors were somewhere on their way.
+        # The time is not certain, by a tick at the least.
         uncertain_s = _TICK_S + max(seen.late_ns - seen.time_ns, 0) * 1e-9
-        way = uncertain_s * float(self.weights @ np.abs(self._speeds) @ (1, 1, SENSOR_RADIUS))
-        return new * (PERSISTENCE / (PERSISTENCE + way))
+        vague = uncertain_s * float(self.weights @ np.abs(self._speeds) @ (1, 1, SENSOR_RADIUS))
+        way, self._way = self._way, 0.0
+        return part_new(way, PERSISTENCE, vague)
 
     def estimate(self, time_ns: int) -> PoseEstimate:
         """Return the estimate of the pose, of the most probable change."""

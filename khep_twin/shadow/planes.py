@@ -297,10 +297,12 @@ class Planes:
         self, light: tuple[Any, Any, Any], powers: Floats, least: float, turns: Floats | float
     ) -> Floats:
         found = np.zeros((len(self), units.N_SENSORS, len(powers)))
-        sensors = self.sensors.copy()
-        ambient = sensors["ambient"]
-        axes = (ambient["ahead"] + 1j * ambient["left"]) * np.exp(1j * np.asarray(turns))
-        ambient["ahead"], ambient["left"] = axes.real, axes.imag
+        sensors = self.sensors
+        if np.any(turns):
+            sensors = sensors.copy()
+            ambient = sensors["ambient"]
+            axes = (ambient["ahead"] + 1j * ambient["left"]) * np.exp(1j * np.asarray(turns))
+            ambient["ahead"], ambient["left"] = axes.real, axes.imag
         if powers.any():
             self._code.lamplight(*self._scenes, sensors, *light, powers, least, found)
         return found

@@ -154,7 +154,7 @@ class Search:
         if isinstance(hypothesis, Displaced):
             near = few.drawn(counts[0], 0.5)
             hypothesis.begin(near, self._rng)
-            poses, logs = near.planes.poses.copy(), np.zeros(counts[0])
+            poses, logs = near.planes.poses, np.zeros(counts[0])
         else:
             if self._places is None:
                 self._places = PlaceMap(self._setup)

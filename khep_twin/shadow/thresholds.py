@@ -37,6 +37,7 @@ class Thresholds:
         begun_ns: Time after a known start from which on they are: it is known to about a centimetre [ns].
         suspected: Probability from which on a fault is suspected (assumed).
         sure: Probability from which on there is one of faults that look alike: that of an alarm.
+        surest: Highest probability that an alarm tells.
         named: Part of that probability that one of them has, to give the alarm its name.
         replies: Replies from which something may be told, however long they take.
         told_ns: Time for which replies show a fault before an alarm, and for which they surprise until a pose
@@ -70,6 +71,7 @@ class Thresholds:
     begun_ns: int = 4 * NS_PER_S
     suspected: float = 0.2
     sure: float = 0.95
+    surest: float = 0.999
     named: float = 0.8
     replies: int = 3
     told_ns: int = NS_PER_S
