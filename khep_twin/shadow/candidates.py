@@ -44,11 +44,10 @@ class Candidates:
                     came_ns, unseen_ns = time_ns, time_ns - max(left_ns, 0)
                 self._near[name] = came_ns, time_ns, unseen_ns
 
-    def since(self, calm_ns: int, sensor: int, counted: bool) -> Iterator[FaultChange]:
+    def since(self, calm_ns: int, counted: bool) -> Iterator[FaultChange]:
         """Yield the faults that may have begun since the pose was confirmed last [ns].
 
-        The sensor is the one whose readings surprise most; `counted` if counters tell which wheel stands or
-        is slow.
+        `counted` if counters tell which wheel stands or is slow.
         """
         for wheel in of_wheels():
             if not counted or isinstance(wheel, SlippingWheel):
@@ -59,4 +58,4 @@ class Candidates:
                 unseen_s = unseen_ns / NS_PER_S if calm_ns - came_ns < MET_NS else 0.0
                 yield FaultChange(Missing(name, rows), True, unseen_s)
                 yield FaultChange(Moved(name, rows), True, unseen_s)
-        yield FaultChange(Unexpected(sensor), True)
+        yield FaultChange(Unexpected(), True)

@@ -16,8 +16,8 @@ from khep_twin.shadow.particles import Particles, drawn
 
 Floats = NDArray[np.float64]
 
-BEGINS, ENDS = 7.0, 3.0
-"""Logarithms of the odds against a fault that begins, and against one that ends, in a second (assumed)."""
+ENDS = 3.0
+"""Logarithm of the odds against a fault that ends, in a second (assumed)."""
 
 UNDONE = 0.005
 """Rate at which a change turns out not to have happened, lest what nothing tells becomes probable [1/s]."""
@@ -47,10 +47,10 @@ class FaultChange(NamedTuple):
 
     @property
     def rate(self) -> float:
-        """Probability in a second."""
+        """Probability in a second that it happens by itself."""
         if self.hypothesis.is_found:
             return 0.0
-        return math.exp(-(BEGINS + self.hypothesis.rare if self.begins else ENDS))
+        return math.exp(-(self.hypothesis.rare if self.begins else ENDS))
 
     def happen(self, particles: Particles, rng: np.random.Generator) -> None:
         """Let it happen to particles."""

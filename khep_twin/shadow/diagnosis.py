@@ -99,6 +99,7 @@ class Diagnosis:
         if isinstance(action, Seen):
             left = self.filter.range_left
             is_sure = self.state is PoseState.FOLLOWED and self._pose.is_proven
+            is_sure &= action.time_ns - self._tried_ns > THRESHOLDS.window_ns
             if self._lamps.alarms or (self._lit and not is_sure):
                 left = np.zeros_like(left)  # Any sensor may be blinded.
             elif self._lit:
@@ -152,14 +153,15 @@ class Diagnosis:
         if onset is None:
             if nothing > THRESHOLDS.dropped and passed_ns >= THRESHOLDS.dropped_ns:
                 self.filter.consider([])
+            elif self.filter.changes and passed_ns >= THRESHOLDS.window_ns and self._faults.leading is None:
+                self._give_up(time_ns)
             return
-        is_found = is_explained and self._has_found
-        if not self._known or passed_ns < (THRESHOLDS.tried_ns if is_found else THRESHOLDS.waited_ns):
-            return
-        self._tried_ns, self._doubts = time_ns, False
         if before is not None and (is_explained or time_ns - before.calm_ns < THRESHOLDS.window_ns):
             onset = before.later(onset)  # The last search has found too little, or nothing.
-        self._onset = onset
+        again_ns = min((time_ns - onset.jumps_ns[0]) // 2, THRESHOLDS.tried_ns)
+        if not (self._known or self._doubts) or passed_ns < max(again_ns, THRESHOLDS.waited_ns):
+            return
+        self._tried_ns, self._doubts, self._onset = time_ns, False, onset
         changes = self._candidates(self._onset.calm_ns)
         found = self._search.again(self.filter, self._onset, changes, self._sensors.sound)
         if found is not None:
@@ -168,6 +170,13 @@ class Diagnosis:
             self._has_found = bool(found.probabilities[0] <= THRESHOLDS.explained)
             if not self._has_found:
                 self._pose.expect()
+
+    def _give_up(self, time_ns: int) -> None:
+        """Go on with a sound robot, if one is likely, as nothing has told a fault for so long."""
+        is_fault = [False, *(each.hypothesis.is_fault for each in self.filter.changes)]
+        sound = np.where(is_fault, 0.0, self.filter.probabilities)
+        if sound.max() > 1 - THRESHOLDS.sure:
+            self._adopt(int(sound.argmax()), time_ns)
 
     @property
     def _is_losing(self) -> bool:
@@ -199,12 +208,12 @@ class Diagnosis:
         since_ns = certain.since_ns
         if time_ns - since_ns < THRESHOLDS.told_ns or not self._faults.is_named(certain, time_ns):
             return
-        if isinstance(certain.faults[0], Lifted):
-            self._lift(certain, time_ns)
-        elif not certain.faults[0].is_fault:
+        if not certain.faults[0].is_fault:
             self._adopt(certain.numbers[0], time_ns)
         elif not self._has_found:
             self._doubts = True  # It became probable after the search, where no other place can.
+        elif isinstance(certain.faults[0], Lifted):
+            self._lift(certain, time_ns)
         elif not self._pose.was_vague(since_ns):
             self._faults.raise_alarm(certain, time_ns)
 
@@ -245,6 +254,5 @@ class Diagnosis:
         if any(fault.channel == "wheels" for fault in settled):
             return changes  # What else seems wrong follows from that.
         present = {fault.name for fault in settled}
-        sensor, counted = int(np.argmax(self._pose.surprise)), self._counted is not None
-        begins = self._begins.since(calm_ns, sensor, counted)
+        begins = self._begins.since(calm_ns, self._counted is not None)
         return changes + [each for each in begins if each.hypothesis.name not in present]

@@ -13,11 +13,24 @@ _DISPLACED = 0.012, 0.012, math.radians(12)
 _PLACE_REFINED = 0.002, 0.002, math.radians(2)
 """Standard deviations by which a pose is drawn anew [m, rad] (assumed)."""
 
+_TURN = 10.0
+"""Deviation of headings drawn anew, as a multiple of that of places [rad/m] (assumed)."""
 
-class Displaced(Hypothesis):
+
+class _Elsewhere(Hypothesis):
+    """A robot that is elsewhere; the rates are those of a time when something surprising happens."""
+
+    channel, has_place, is_found = "proximity", True, True
+
+    def draw_near(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
+        """Draw its pose anew."""
+        _push(particles, (spread, spread, _TURN * spread), rng)
+
+
+class Displaced(_Elsewhere):
     """A robot that is a little off, as it was pushed, slid or was taken for elsewhere: no fault."""
 
-    channel, rare, quota, is_found, is_fault = "proximity", 8.0, 300, True, False
+    rare, quota, is_fault = 6.0, 300, False
 
     @property
     def name(self) -> str:
@@ -32,10 +45,10 @@ class Displaced(Hypothesis):
         """Do nothing: it is not moved back."""
 
 
-class Lifted(Hypothesis):
+class Lifted(_Elsewhere):
     """A robot that was put elsewhere at once; `Search` has the places where that may be."""
 
-    channel, rare, quota, is_found = "proximity", 14.0, 600, True
+    rare, quota = 14.0, 600
 
     @property
     def name(self) -> str:

@@ -14,6 +14,7 @@ from khep_twin.episodes.planar import plane as flat
 from khep_twin.sensing.mujoco_scene import visible
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import AWAY, N_SPARE
+from khep_twin.units import N_SENSORS
 
 Floats = NDArray[np.float64]
 
@@ -47,14 +48,18 @@ _LEAST_SPREAD = 0.003
 
 _HEIGHT = 0.05
 
+_CIRCLE = flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH
+"""Columns of a round thing's place and radius."""
+
 
 class Hypothesis(ABC):
     """One fault.
 
     Attributes:
         channel: Channel in which it shows.
-        rare: Logarithm of the odds against it, beside the others.
+        rare: Logarithm of the odds against it, in a second (assumed).
         quota: Particles that consider it, at the least.
+        has_place: True if it has a place, which a search makes probable step by step.
         is_found: True if only a search can tell where it leads: it does not begin, or end, by itself.
         is_fault: True unless nobody needs to be told.
     """
@@ -62,6 +67,7 @@ class Hypothesis(ABC):
     channel: ClassVar[str]
     rare: ClassVar[float]
     quota: ClassVar[int] = QUOTA
+    has_place: ClassVar[bool] = False
     is_found: ClassVar[bool] = False
     is_fault: ClassVar[bool] = True
 
@@ -87,6 +93,10 @@ class Hypothesis(ABC):
         """Draw what differs among equally probable particles with the fault anew, close to what it is."""
         return  # by default nothing does
 
+    def draw_near(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
+        """Draw the place of each particle anew, within a standard deviation of what it is [m]."""
+        raise NotImplementedError
+
 
 @dataclass(frozen=True)
 class _OfWheel(Hypothesis):
@@ -110,7 +120,7 @@ class _OfWheel(Hypothesis):
 class StandingWheel(_OfWheel):
     """A wheel that stands: one without current, which yields to a push, or one that is blocked."""
 
-    kind, rare = "dead motor or blocked wheel", 2.5
+    kind, rare = "dead motor or blocked wheel", 9.5
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Take the current from every other motor, block the others."""
@@ -125,7 +135,7 @@ class StandingWheel(_OfWheel):
 class WeakMotor(_OfWheel):
     """A motor that gives a part of its torque."""
 
-    kind, rare = "weak motor", 2.5
+    kind, rare = "weak motor", 9.5
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Weaken the motor."""
@@ -144,7 +154,7 @@ class WeakMotor(_OfWheel):
 class SlippingWheel(_OfWheel):
     """A wheel whose tyre slips on the floor."""
 
-    kind, rare = "slipping wheel", 3.0
+    kind, rare = "slipping wheel", 10.0
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Make the tyre slip."""
@@ -165,7 +175,7 @@ class SlippingWheel(_OfWheel):
 class _OfThing(Hypothesis):
     """A fault of a thing of the playpen: its name, and its rows among those of the plane."""
 
-    channel, rare = "proximity", 2.0
+    channel, rare = "proximity", 10.0
     kind: ClassVar[str]
     thing: str
     rows: tuple[int, ...]
@@ -199,7 +209,7 @@ class Missing(_OfThing):
 class Moved(_OfThing):
     """A thing that is not where the playpen says."""
 
-    kind = "moved"
+    kind, has_place = "moved", True
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Move the thing."""
@@ -209,17 +219,22 @@ class Moved(_OfThing):
 
     def refine(self, particles: Particles, rng: np.random.Generator) -> None:
         """Draw its place anew."""
-        offsets = refined(particles.planes.offsets(self.rows), _LEAST_SPREAD, rng)
+        self._offset(particles, refined(particles.planes.offsets(self.rows), _LEAST_SPREAD, rng))
+
+    def draw_near(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
+        """Draw its place anew."""
+        offsets = particles.planes.offsets(self.rows)
+        self._offset(particles, offsets + spread * rng.standard_normal(offsets.shape))
+
+    def _offset(self, particles: Particles, offsets: Floats) -> None:
         by = np.hypot(*offsets.T)[:, None]
         particles.planes.offset(self.rows, offsets * np.maximum(MOVED_LEAST / np.maximum(by, 1e-9), 1))
 
 
-@dataclass(frozen=True)
 class Unexpected(Hypothesis):
-    """A thing that is not in the playpen, seen by a sensor."""
+    """A thing that is not in the playpen."""
 
-    channel, rare = "proximity", 1.0
-    sensor: int
+    channel, rare, quota, has_place = "proximity", 11.0, 300, True
 
     @property
     def name(self) -> str:
@@ -227,13 +242,14 @@ class Unexpected(Hypothesis):
         return "unexpected thing"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Put a cylinder in front of the sensor of each robot."""
+        """Put a cylinder in front of one sensor of each robot."""
         planes, count = particles.planes, len(particles)
         x, y, heading = planes.poses.T
-        ahead, left, cosine, sine, _ = planes.robots["mounts"][0, self.sensor].tolist()
+        mounts = planes.robots["mounts"][0, rng.integers(N_SENSORS, size=count)]
+        ahead, left, cosine, sine = mounts[:, :4].T
         radius = rng.uniform(*ADDED_RADII, count)
         off = rng.uniform(0.001, ADDED_REACH, count) + radius
-        way = heading + math.atan2(sine, cosine) + rng.standard_normal(count) * math.radians(20)
+        way = heading + np.arctan2(sine, cosine) + rng.standard_normal(count) * math.radians(20)
         c, s = np.cos(heading), np.sin(heading)
         row = planes.things[:, -N_SPARE]
         row[:, flat.CENTRE_X] = x + c * ahead - s * left + off * np.cos(way)
@@ -249,9 +265,15 @@ class Unexpected(Hypothesis):
 
     def refine(self, particles: Particles, rng: np.random.Generator) -> None:
         """Draw its place and its size anew."""
-        columns = [flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH]
         row = particles.planes.things[:, -N_SPARE]
-        row[:, columns] = refined(row[:, columns], _LEAST_SPREAD, rng)
+        row[:, _CIRCLE] = refined(row[:, _CIRCLE], _LEAST_SPREAD, rng)
+        particles.planes.remeasure()
+
+    def draw_near(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
+        """Draw its place and its size anew."""
+        row = particles.planes.things[:, -N_SPARE]
+        row[:, _CIRCLE] += spread * rng.standard_normal((len(particles), len(_CIRCLE)))
+        row[:, flat.LENGTH] = np.clip(row[:, flat.LENGTH], *ADDED_RADII)
         particles.planes.remeasure()
 
 

@@ -96,6 +96,7 @@ class ParticleFilter:
         evidence: Logarithm of the probability of all readings so far.
         expected: Readings expected last, over all particles (8,).
         surprise: What the last reply was less likely than an expected one, by sensor (8,), in logarithms.
+        new: Part of the last reply to N that was new.
     """
 
     def __init__(
@@ -107,6 +108,7 @@ class ParticleFilter:
         self.evidence = 0.0
         self.expected: Floats = np.zeros(8)
         self.surprise: Floats = np.zeros(8)
+        self.new = 1.0
         self._drifted_ticks = particles.planes.ticks
         self._uncertain_s = _TICK_S
         """Time within which the last command was executed [s]."""
@@ -131,8 +133,12 @@ class ParticleFilter:
             self._renew()
         return told
 
-    def weigh(self, action: Action, use: NDArray[np.bool_]) -> Floats:
-        """Follow an action as `act` does, with the same particles."""
+    def weigh(self, action: Action, use: NDArray[np.bool_], new: float | None = None) -> Floats:
+        """Follow an action as `act` does, with the same particles; a part of a reply to N is new.
+
+        By default that is by the way of these particles. Evidence of two filters compares only if the parts
+        are the same.
+        """
         before, speeds = self.particles.planes.poses, self._speeds
         repeat(action, self.particles)
         # Twins obey at whole ticks; the robot did at a time that is not certain.
@@ -142,6 +148,8 @@ class ParticleFilter:
         along = np.abs(self.particles.planes.poses - before) @ (1, 1, SENSOR_RADIUS)
         self._way += float(self.weights @ along)
         if isinstance(action, Seen):
+            part = self._part_new(action)
+            self.new = part if new is None else new
             self._see(action, use)
         if isinstance(action, Counted):
             return self.weights @ self.particles.count(action.counters)
@@ -198,7 +206,7 @@ class ParticleFilter:
 
     def _see(self, seen: Seen, use: NDArray[np.bool_]) -> None:
         """Weigh the particles by a reply to N of the sensors to rely on (8,)."""
-        particles, new = self.particles, self._part_new(seen)
+        particles, new = self.particles, self.new
         self.expected, self.surprise, logs = self._model.explain(particles, seen.readings, use, new)
         new *= MANY_TEMPER if not self.changes and len(particles) > MANY else 1.0
         self.surprise *= new

@@ -16,7 +16,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Action, Seen, repeat
 from khep_twin.shadow.changes import FaultChange
-from khep_twin.shadow.displacements import Displaced
+from khep_twin.shadow.displacements import Lifted
 from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Particles, drawn
@@ -24,6 +24,7 @@ from khep_twin.shadow.place_map import PlaceMap, Sight
 from khep_twin.shadow.planes import AWAY
 from khep_twin.shadow.pose_watch import Onset
 from khep_twin.shadow.sensor_model import log_of_sum
+from khep_twin.shadow.thresholds import THRESHOLDS
 
 Floats = NDArray[np.float64]
 
@@ -36,14 +37,11 @@ HERE = 600
 EARLIER_NS = 300_000_000
 """Time by which faults begin before replies surprise [ns]."""
 
-JUMPED_NS = 2_500_000_000
-"""Time for which a robot may have been elsewhere before a search [ns]."""
-
 FIRST_NS = 500_000_000
-"""Time after a robot was put elsewhere whose replies are enough to draw places [ns]."""
+"""Time after something is in sight whose replies are enough to draw places [ns]."""
 
-TURN = 10.0
-"""Deviation of headings after each step, as a multiple of that of places [rad/m] (assumed)."""
+MOST_FIRST_NS = 1_500_000_000
+"""The same after something was put elsewhere, if nothing is in sight [ns]."""
 
 
 class _Step(NamedTuple):
@@ -75,8 +73,20 @@ _LEAST = 1e-9
 _SOUND = 0.9
 """Probability that nothing has happened, above which what is known is kept."""
 
-_SIGHTS = 8
-"""Replies by which places are drawn."""
+_SIGHTS = 4
+"""Replies with something in sight by which places are drawn, and as many without."""
+
+
+class _Heard(NamedTuple):
+    """An action, and the part of a reply to N that was new."""
+
+    action: Action
+    new: float
+
+    @property
+    def has_sight(self) -> bool:
+        """True of a reply with something in sight."""
+        return isinstance(self.action, Seen) and bool(self.action.readings.max() > THRESHOLDS.in_sight)
 
 
 class Search:
@@ -118,89 +128,97 @@ class Search:
         found = tracker.like(particles)
         found.consider(changes)
         actions = [action for action in self._actions if action.time_ns > begin_ns]
-        first_ns = self._actions[-1].time_ns - JUMPED_NS
-        jumps = {max(each, begin_ns): 0.0 for each in onset.jumps_ns if each > first_ns}
+        jumps = {max(each, begin_ns): 0.0 for each in onset.jumps_ns}
+        heard: list[_Heard] = []
         for action in actions:
+            found.act(action, use)
+            heard.append(_Heard(action, found.new))
             # Until then the robot was sound, too.
             sound = found.evidence + math.log(max(found.probabilities[0], _LEAST))
             jumps |= {since_ns: sound for since_ns in jumps if action.time_ns <= since_ns}
-            found.act(action, use)
         for since_ns, sound in jumps.items():
             few = start.drawn(GROUP, 0.5)
             for action in actions:
                 if action.time_ns <= since_ns:
                     repeat(action, few)
             for number, change in enumerate(found.changes, 1):
-                if change.hypothesis.is_found:
-                    elsewhere = self._elsewhere(found, few, change.hypothesis, since_ns, use)
-                    elsewhere.evidence += sound - found.evidence - change.hypothesis.rare
-                    _add(found, number, elsewhere, since_ns)
+                if change.begins and change.hypothesis.has_place:
+                    since = [each for each in heard if each.action.time_ns > since_ns]
+                    placed = self._placed(found, few, change.hypothesis, since, use)
+                    placed.evidence += sound - found.evidence - change.hypothesis.rare
+                    placed.evidence += math.log1p(change.unseen_s)
+                    _add(found, number, placed, since_ns)
         return found
 
-    def _elsewhere(
+    def _placed(
         self,
         tracker: ParticleFilter,
         few: Particles,
         hypothesis: Hypothesis,
-        since_ns: int,
+        since: Sequence[_Heard],
         use: NDArray[np.bool_],
     ) -> ParticleFilter:
-        """Return a filter of particles that were put elsewhere at a time [ns], by all replies since.
+        """Return a filter of particles with a fault that has a place, by all replies since it began.
 
         The places become probable step by step, and are drawn anew, close to what they are, after each: what
         fits within millimetres and degrees is rare among any that are drawn.
         """
         counts = [round(each.times * hypothesis.quota) for each in STEPS]
-        if isinstance(hypothesis, Displaced):
-            near = few.drawn(counts[0], 0.5)
-            hypothesis.begin(near, self._rng)
-            poses, logs = near.planes.poses, np.zeros(counts[0])
-        else:
+        begun = few.drawn(counts[0], 0.5)
+        logs = np.zeros(counts[0])
+        if isinstance(hypothesis, Lifted):
             if self._places is None:
                 self._places = PlaceMap(self._setup)
-            sights = self._sights(few.drawn(1, 0.5), since_ns)
+            sights = _sights(few.drawn(1, 0.5), since)
             poses, logs = self._places.draw(counts[0], sights, use, self._rng)
-        actions = [action for action in self._actions if action.time_ns > since_ns]
-        first = [action for action in actions if action.time_ns <= since_ns + FIRST_NS]
+            begun.planes.put(poses)
+        else:
+            hypothesis.begin(begun, self._rng)
+        seen_ns = next((each.action.time_ns for each in since if each.has_sight), since[0].action.time_ns)
+        first_ns = min(seen_ns + FIRST_NS, since[0].action.time_ns + MOST_FIRST_NS)
+        first = [each for each in since if each.action.time_ns <= first_ns]
         evidence = 0.0
         for step, count in zip(STEPS, [*counts[1:], counts[-1]], strict=True):
-            logs += step.power * _told(self._put(tracker, few, poses), first, use)
+            logs += step.power * _told(_copied(tracker, begun), first, use)
             norm = log_of_sum(logs)
             evidence += norm - math.log(len(logs))
-            rows = drawn(np.exp(logs - norm), count, self._rng.random())
-            poses = poses[rows] + step.spread * self._rng.standard_normal((count, 3)) * (1, 1, TURN)
+            begun = begun.taken(drawn(np.exp(logs - norm), count, self._rng.random()))
+            begun.logs = np.full(count, -math.log(count))
+            hypothesis.draw_near(begun, step.spread, self._rng)
             logs = np.zeros(count)
-        found = self._put(tracker, few, poses)
-        begun = _told(found, first, use)
-        logs = _told(found, actions[len(first) :], use) - sum(each.power for each in STEPS) * begun
+        found = _copied(tracker, begun)
+        told = _told(found, first, use)
+        logs = _told(found, since[len(first) :], use) - sum(each.power for each in STEPS) * told
         norm = log_of_sum(logs)
         found.particles.logs = logs - norm
         found.evidence = evidence + norm - math.log(counts[-1])
         return found
 
-    def _put(self, tracker: ParticleFilter, few: Particles, poses: Floats) -> ParticleFilter:
-        """Return a filter of particles that were put at poses."""
-        particles = few.drawn(len(poses), 0.5)
-        particles.planes.put(poses)
-        return tracker.like(particles)
 
-    def _sights(self, one: Particles, since_ns: int) -> list[Sight]:
-        """Return some of the readings since then, with the way of one twin that touches nothing."""
-        one.planes.move(np.array([[-AWAY, -AWAY, 0.0]]))
-        seen: list[Sight] = []
-        for action in self._actions:
-            if action.time_ns > since_ns:
-                repeat(action, one)
-                if isinstance(action, Seen):
-                    x, y, heading = one.planes.poses[0].tolist()
-                    seen.append(Sight((x + AWAY, y + AWAY, heading), action.readings))
-        return [seen[len(seen) * number // _SIGHTS] for number in range(_SIGHTS)] if seen else []
+def _sights(one: Particles, since: Sequence[_Heard]) -> list[Sight]:
+    """Return some of the readings since then, with the way of one twin that touches nothing.
+
+    Half of them are of replies with something in sight, if there are any.
+    """
+    one.planes.move(np.array([[-AWAY, -AWAY, 0.0]]))
+    seen: tuple[list[Sight], list[Sight]] = [], []
+    for each in since:
+        repeat(each.action, one)
+        if isinstance(each.action, Seen):
+            x, y, heading = one.planes.poses[0].tolist()
+            seen[each.has_sight].append(Sight((x + AWAY, y + AWAY, heading), each.action.readings))
+    return [of[len(of) * number // _SIGHTS] for of in seen if of for number in range(_SIGHTS)]
 
 
-def _told(tracker: ParticleFilter, actions: Sequence[Action], use: NDArray[np.bool_]) -> Floats:
+def _copied(tracker: ParticleFilter, particles: Particles) -> ParticleFilter:
+    """Return a filter of copies of particles that are equally probable."""
+    return tracker.like(particles.drawn(len(particles), 0.5))
+
+
+def _told(tracker: ParticleFilter, heard: Sequence[_Heard], use: NDArray[np.bool_]) -> Floats:
     """Follow actions; return what all replies tell of each particle, in logarithms (n,)."""
-    for action in actions:
-        tracker.weigh(action, use)
+    for action, new in heard:
+        tracker.weigh(action, use, new)
     return tracker.particles.logs + math.log(len(tracker.particles)) + tracker.evidence
 
 
@@ -211,4 +229,6 @@ def _add(tracker: ParticleFilter, number: int, other: ParticleFilter, since_ns: 
     particles.since_ns[:] = since_ns
     particles.logs += other.evidence
     tracker.particles = tracker.particles.joined(particles)
-    tracker.particles.logs -= log_of_sum(tracker.particles.logs)
+    norm = log_of_sum(tracker.particles.logs)
+    tracker.particles.logs -= norm
+    tracker.evidence += norm

@@ -26,7 +26,7 @@ class Thresholds:
         calm: Sum of any sensor below which replies do not surprise, or a tenth of what they do later.
         in_sight: Counts of a reading that confirms a pose.
         waited_ns: Time after the begin of the surprise before the search [ns].
-        tried_ns: Interval of searches while something else may explain replies [ns].
+        tried_ns: Longest interval of searches while replies surprise: half the time that they repeat [ns].
         explained: Probability that nothing has happened, below which something does.
         window_ns: Time before now from which on something may have happened [ns].
         dropped: Probability that nothing has, above which faults are not considered any more.
@@ -61,7 +61,7 @@ class Thresholds:
     calm: float = 0.3
     in_sight: int = 100
     waited_ns: int = 200_000_000
-    tried_ns: int = NS_PER_S
+    tried_ns: int = 2 * NS_PER_S
     explained: float = 0.5
     window_ns: int = 6 * NS_PER_S
     dropped: float = 0.9

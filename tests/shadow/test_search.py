@@ -19,7 +19,7 @@ from khep_twin.shadow.wheel_commands import SPEED
 
 ELSEWHERE = 560.0, 120.0, 100.0
 TURNING = 3, -3
-CHANGES = [FaultChange(each, True) for each in (Lifted(), StandingWheel(0), Unexpected(3))]
+CHANGES = [FaultChange(each, True) for each in (Lifted(), StandingWheel(0), Unexpected())]
 
 
 class Turning:
