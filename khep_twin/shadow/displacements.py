@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from khep_twin.shadow.hypotheses import Hypothesis
+from khep_twin.shadow.hypotheses import Placed
 from khep_twin.shadow.particles import Particles
 
 _DISPLACED = 0.012, 0.012, math.radians(12)
@@ -17,10 +17,10 @@ _TURN = 10.0
 """Deviation of headings drawn anew, as a multiple of that of places [rad/m] (assumed)."""
 
 
-class _Elsewhere(Hypothesis):
-    """A robot that is elsewhere; the rates are those of a time when something surprising happens."""
+class _Elsewhere(Placed):
+    """A robot that is elsewhere; its odds are those at a time when replies surprise, not in a second."""
 
-    channel, has_place, is_found = "proximity", True, True
+    channel, is_found = "proximity", True
 
     def draw_near(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
         """Draw its pose anew."""

@@ -59,7 +59,6 @@ class Hypothesis(ABC):
         channel: Channel in which it shows.
         rare: Logarithm of the odds against it, in a second (assumed).
         quota: Particles that consider it, at the least.
-        has_place: True if it has a place, which a search makes probable step by step.
         is_found: True if only a search can tell where it leads: it does not begin, or end, by itself.
         is_fault: True unless nobody needs to be told.
     """
@@ -67,7 +66,6 @@ class Hypothesis(ABC):
     channel: ClassVar[str]
     rare: ClassVar[float]
     quota: ClassVar[int] = QUOTA
-    has_place: ClassVar[bool] = False
     is_found: ClassVar[bool] = False
     is_fault: ClassVar[bool] = True
 
@@ -93,9 +91,13 @@ class Hypothesis(ABC):
         """Draw what differs among equally probable particles with the fault anew, close to what it is."""
         return  # by default nothing does
 
+
+class Placed(Hypothesis):
+    """One fault that has a place, which a search makes probable step by step."""
+
+    @abstractmethod
     def draw_near(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
         """Draw the place of each particle anew, within a standard deviation of what it is [m]."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -206,10 +208,10 @@ class Missing(_OfThing):
         particles.planes.remeasure()
 
 
-class Moved(_OfThing):
+class Moved(_OfThing, Placed):
     """A thing that is not where the playpen says."""
 
-    kind, has_place = "moved", True
+    kind = "moved"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Move the thing."""
@@ -231,10 +233,10 @@ class Moved(_OfThing):
         particles.planes.offset(self.rows, offsets * np.maximum(MOVED_LEAST / np.maximum(by, 1e-9), 1))
 
 
-class Unexpected(Hypothesis):
+class Unexpected(Placed):
     """A thing that is not in the playpen."""
 
-    channel, rare, quota, has_place = "proximity", 11.0, 300, True
+    channel, rare, quota = "proximity", 11.0, 300
 
     @property
     def name(self) -> str:

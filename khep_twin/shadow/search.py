@@ -17,7 +17,7 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Action, Seen, repeat
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.displacements import Lifted
-from khep_twin.shadow.hypotheses import Hypothesis
+from khep_twin.shadow.hypotheses import Placed
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Particles, drawn
 from khep_twin.shadow.place_map import PlaceMap, Sight
@@ -142,10 +142,11 @@ class Search:
                 if action.time_ns <= since_ns:
                     repeat(action, few)
             for number, change in enumerate(found.changes, 1):
-                if change.begins and change.hypothesis.has_place:
+                fault = change.hypothesis
+                if change.begins and isinstance(fault, Placed):
                     since = [each for each in heard if each.action.time_ns > since_ns]
-                    placed = self._placed(found, few, change.hypothesis, since, use)
-                    placed.evidence += sound - found.evidence - change.hypothesis.rare
+                    placed = self._placed(found, few, fault, since, use)
+                    placed.evidence += sound - found.evidence - fault.rare
                     placed.evidence += math.log1p(change.unseen_s)
                     _add(found, number, placed, since_ns)
         return found
@@ -154,7 +155,7 @@ class Search:
         self,
         tracker: ParticleFilter,
         few: Particles,
-        hypothesis: Hypothesis,
+        fault: Placed,
         since: Sequence[_Heard],
         use: NDArray[np.bool_],
     ) -> ParticleFilter:
@@ -163,17 +164,17 @@ class Search:
         The places become probable step by step, and are drawn anew, close to what they are, after each: what
         fits within millimetres and degrees is rare among any that are drawn.
         """
-        counts = [round(each.times * hypothesis.quota) for each in STEPS]
+        counts = [round(each.times * fault.quota) for each in STEPS]
         begun = few.drawn(counts[0], 0.5)
         logs = np.zeros(counts[0])
-        if isinstance(hypothesis, Lifted):
+        if isinstance(fault, Lifted):
             if self._places is None:
                 self._places = PlaceMap(self._setup)
             sights = _sights(few.drawn(1, 0.5), since)
             poses, logs = self._places.draw(counts[0], sights, use, self._rng)
             begun.planes.put(poses)
         else:
-            hypothesis.begin(begun, self._rng)
+            fault.begin(begun, self._rng)
         seen_ns = next((each.action.time_ns for each in since if each.has_sight), since[0].action.time_ns)
         first_ns = min(seen_ns + FIRST_NS, since[0].action.time_ns + MOST_FIRST_NS)
         first = [each for each in since if each.action.time_ns <= first_ns]
@@ -184,7 +185,7 @@ class Search:
             evidence += norm - math.log(len(logs))
             begun = begun.taken(drawn(np.exp(logs - norm), count, self._rng.random()))
             begun.logs = np.full(count, -math.log(count))
-            hypothesis.draw_near(begun, step.spread, self._rng)
+            fault.draw_near(begun, step.spread, self._rng)
             logs = np.zeros(count)
         found = _copied(tracker, begun)
         told = _told(found, first, use)
