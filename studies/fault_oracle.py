@@ -142,7 +142,7 @@ class Oracle:
         whole = _Branch(self._start, 0.0, self._actions)
         sound, branches = self._tracker(whole, SOUND), list[_Branch]()
         begins_ns = [self._seen_ns - each for each in ADDED_NS]
-        surprise, evidences = np.zeros(N_SENSORS), [(0, 0.0)]
+        evidences = [(0, 0.0)]
         for number, action in enumerate(self._actions):
             while begins_ns and action.time_ns > begins_ns[0]:
                 del begins_ns[0]
@@ -152,10 +152,8 @@ class Oracle:
             if isinstance(action, Seen):
                 self._near.pass_by(action.time_ns, sound)
                 evidences.append((action.time_ns, sound.evidence))
-                if abs(action.time_ns - self._seen_ns) < ADDED_NS[0]:
-                    surprise += sound.surprise
         found = [Explanation(SOUND, 0.0, self._at_end(evidences))]
-        for change in self._near.since(self._seen_ns, int(np.argmax(surprise)), counted=False):
+        for change in self._near.since(self._seen_ns, counted=False):
             begun_so = branches if isinstance(change.hypothesis, Unexpected) else [whole]
             logs = np.array([self._evidence(change.hypothesis, each) for each in begun_so])
             prior = math.log(change.rate * (BEGUN_S + change.unseen_s))
