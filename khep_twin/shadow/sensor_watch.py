@@ -88,7 +88,11 @@ class SensorWatch:
             self._odds[sensor] = max(self._odds[sensor] + told, 0)
         # Several that read 0 at once are blinded by a lamp, which the twins believe to be farther.
         dark = (action.readings == 0) & (self._odds > RAISED / 2)
-        blinded = dark & (self._lit and dark.sum() > 1)
+        blinded = dark & (dark.sum() > 1)
+        # Several that repeat bright readings, about as long, are at the end of the range that a lamp leaves.
+        lasts_ns, bright = action.time_ns - np.array(self._since_ns), action.readings > self._quiet
+        blinded |= (bright[:, None] & bright & (2 * lasts_ns >= lasts_ns[:, None])).sum(axis=1) > 1
+        blinded &= self._lit
         for sensor, now in enumerate(action.readings.tolist()):
             if self._odds[sensor] > RAISED and sensor not in self._alarms and not blinded[sensor]:
                 fault = f"dead sensor {sensor}" if now == 0 else f"stuck sensor {sensor}"

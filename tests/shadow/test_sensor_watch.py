@@ -129,6 +129,16 @@ def test_sensors_that_read_0_at_once_are_blinded_where_there_are_lamps() -> None
     assert [alarm.fault for alarm in watched.see(5, holding(2, 0))] == ["dead sensor 2"]
 
 
+def test_sensors_that_repeat_bright_readings_at_once_are_at_their_limit_where_there_are_lamps() -> None:
+    def hold(readings: Integers) -> None:
+        readings[2:4] = 471, 721
+
+    assert [alarm.fault for alarm in Watched(BUSY).see(4, hold)] == ["stuck sensor 2", "stuck sensor 3"]
+    lit = Watched(BUSY, lit=True)
+    assert lit.see(4, hold) == []
+    assert [alarm.fault for alarm in lit.see(4, holding(2, 471))] == ["stuck sensor 2"]
+
+
 @pytest.mark.parametrize(("left", "names"), [(0.8, []), (1.0, ["dead sensor 3"])])
 def test_where_a_lamp_may_shine_more_than_expected_a_sensor_that_reads_0_is_not_dead(
     left: float, names: list[str]
