@@ -141,10 +141,10 @@ class Search:
             for action in actions:
                 if action.time_ns <= since_ns:
                     repeat(action, few)
+            since = [each for each in heard if each.action.time_ns > since_ns]
             for number, change in enumerate(found.changes, 1):
                 fault = change.hypothesis
                 if change.begins and isinstance(fault, Placed):
-                    since = [each for each in heard if each.action.time_ns > since_ns]
                     placed = self._placed(found, few, fault, since, use)
                     placed.evidence += sound - found.evidence - fault.rare
                     placed.evidence += math.log1p(change.unseen_s)
