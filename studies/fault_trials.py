@@ -133,7 +133,7 @@ def judge(
             lambda fault, time_ns, readings: (
                 since_ns <= time_ns
                 and (ended_ns < 0 or time_ns <= ended_ns + FADES_NS)
-                and any(_right(each, readings, names) for each in fault.split(OR))
+                and any(_right(each, readings, names) for each in (fault, *fault.split(OR)))
             ),
         ),
     )
