@@ -162,7 +162,7 @@ class Diagnosis:
         if not (self._known or self._doubts) or passed_ns < max(again_ns, THRESHOLDS.waited_ns):
             return
         self._tried_ns, self._doubts, self._onset = time_ns, False, onset
-        changes = self._candidates(self._onset.calm_ns)
+        changes = self._candidates(self._onset)
         found = self._search.again(self.filter, self._onset, changes, self._sensors.sound)
         if found is not None:
             self.filter = found
@@ -244,9 +244,9 @@ class Diagnosis:
         self.filter.adopt(number)
         self._pose.explain()
 
-    def _candidates(self, calm_ns: int) -> list[FaultChange]:
-        """Return what may have happened since the pose was confirmed last [ns]."""
-        settled = [fault for fault, _ in self._faults.settled]
+    def _candidates(self, onset: Onset) -> list[FaultChange]:
+        """Return what may have happened since the pose was confirmed last."""
+        settled = self._faults.had(self._search.begin_ns(onset))
         changes = [FaultChange(each, True) for each in (Lifted(), Displaced())]
         changes += [FaultChange(fault, False) for fault in settled]
         if self._is_losing or not self._pose.is_proven:
@@ -254,5 +254,5 @@ class Diagnosis:
         if any(fault.channel == "wheels" for fault in settled):
             return changes  # What else seems wrong follows from that.
         present = {fault.name for fault in settled}
-        begins = self._begins.since(calm_ns, self._counted is not None)
+        begins = self._begins.since(onset.calm_ns, self._counted is not None)
         return changes + [each for each in begins if each.hypothesis.name not in present]

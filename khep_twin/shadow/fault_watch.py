@@ -65,6 +65,8 @@ class FaultWatch:
         self.suspected: tuple[Suspicion, ...] = ()
         self._sure: tuple[int, int] | None = None
         """Time since when faults that look alike are so probable [ns], and number of replies since."""
+        self._over: dict[Hypothesis, int] = {}
+        """Settled faults that have ended, and when [ns]."""
 
     @property
     def alarms(self) -> list[Alarm]:
@@ -97,8 +99,14 @@ class FaultWatch:
             return 0, ()
         fault = tracker.changes[number - 1].hypothesis
         ended = tuple(replace(alarm, ended_ns=time_ns) for each, alarm in self.settled if each is fault)
+        self._over[fault] = time_ns
         self.settled = [each for each in self.settled if each[0] is not fault]
         return number, ended
+
+    def had(self, time_ns: int) -> list[Hypothesis]:
+        """Return the settled faults that the robot had at a time or since [ns]."""
+        over = [fault for fault, ended_ns in self._over.items() if ended_ns > time_ns]
+        return [fault for fault, _ in self.settled] + over
 
     def has_gone(self, tracker: ParticleFilter) -> bool:
         """Return whether the leading faults explain the replies no more."""

@@ -21,9 +21,13 @@ Floats = NDArray[np.float64]
 TOLD, OFF, MOVED = range(3)
 """States of a lamp that is believed: as told, off, or where it was found."""
 
-GOES_OFF, MOVES, ENDS, CORRECTED = 9.0, 11.0, 5.0, 4.0
+GOES_OFF, MOVES, ENDS, CORRECTED = 9.0, 9.5, 5.0, 4.0
 """Logarithms of the odds against a lamp that goes off in a second, or is moved, against the end of that, and
 against another place nearby of one that was found elsewhere (assumed)."""
+
+MOVED_BY = 0.12
+"""Standard deviation by which half of the lamps that are moved are so, along x and y [m] (assumed); the others
+may be anywhere."""
 
 _GRID = 3
 """First state that is another place of a lamp."""
@@ -85,8 +89,10 @@ class LampBeliefs:
         self._spread[:, _GRID:-_FINE] = spacing / math.sqrt(12)
         self._rates: Floats = np.zeros(shape)
         self._rates[:, :_GRID] = np.exp([-ENDS, -GOES_OFF, -CORRECTED])
-        apart = [_away(places, place) > _NEAR for place in self._told]
-        self._rates[:, _GRID:-_FINE] = math.exp(-MOVES) * np.array(apart) / len(places)
+        for rates, place in zip(self._rates[:, _GRID:-_FINE], self._told, strict=True):
+            away = _away(places, place)
+            near = np.exp(-np.square(away / MOVED_BY) / 2)
+            rates[:] = math.exp(-MOVES) * (away > _NEAR) * (near / near.sum() + 1 / len(places)) / 2
 
     @property
     def probabilities(self) -> tuple[Floats, Floats]:

@@ -119,10 +119,7 @@ class Search:
         """Return a filter that considers changes since the onset; None if nothing is known of before."""
         if not self._snapshots:
             return None
-        begin_ns, start = next(
-            (each for each in reversed(self._snapshots) if each[0] <= onset.calm_ns - EARLIER_NS),
-            self._snapshots[0],
-        )
+        begin_ns, start = self._start(onset)
         particles = start.drawn(HERE, 0.5)
         particles.changes[:] = 0
         found = tracker.like(particles)
@@ -150,6 +147,15 @@ class Search:
                     placed.evidence += math.log1p(change.unseen_s)
                     _add(found, number, placed, since_ns)
         return found
+
+    def begin_ns(self, onset: Onset) -> int:
+        """Return the time at which a search for what has happened since an onset begins [ns]."""
+        return self._start(onset)[0] if self._snapshots else onset.calm_ns
+
+    def _start(self, onset: Onset) -> tuple[int, Particles]:
+        """Return the last snapshot before an onset, or the first one of all."""
+        before = (each for each in reversed(self._snapshots) if each[0] <= onset.calm_ns - EARLIER_NS)
+        return next(before, self._snapshots[0])
 
     def _placed(
         self,
