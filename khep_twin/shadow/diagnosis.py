@@ -219,7 +219,7 @@ class Diagnosis:
 
     def _lift(self, certain: Alike, time_ns: int) -> None:
         """Go on where the robot was put."""
-        if not self._is_losing and self._pose.is_proven:
+        if not self._is_losing and self._pose.is_proven and not self._pose.was_vague(certain.since_ns):
             self._lifted = (self._faults.alarm(certain, time_ns),)
         self._adopt(certain.numbers[0], time_ns)
         self._pose.lose()

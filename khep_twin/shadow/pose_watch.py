@@ -58,14 +58,14 @@ class PoseWatch:
     Attributes:
         state: State of the pose.
         surprise: Surprise of each sensor, summed over the last replies (8,), in logarithms.
-        vague_ns: Begin and end of the last time for which the pose was not known [ns]; -1 before any.
+        vague_ns: Begin and end of the last time for which the pose was not known [ns]; long ago before any.
         surprised_ns: Time since when replies surprise [ns]; None while they do not.
     """
 
     def __init__(self, state: PoseState) -> None:
         self.state = state
         self.surprise: Floats = np.zeros(8)
-        self.vague_ns = -1, -1
+        self.vague_ns = 0, -THRESHOLDS.window_ns
         self.surprised_ns: int | None = None
         self._seen_ns = self._unsettled_ns = self._turned_ns = 0
         self._is_settled: bool = state is PoseState.FOLLOWED
@@ -148,5 +148,5 @@ class PoseWatch:
         return self.state is not PoseState.LOST and not is_new
 
     def was_vague(self, time_ns: int) -> bool:
-        """Return whether the pose was not known at a time [ns], or just before, of the last such time."""
-        return self.vague_ns[0] <= time_ns <= self.vague_ns[1] + THRESHOLDS.told_ns
+        """Return whether the pose was not known at a time [ns], or lately then, by the last such time."""
+        return self.vague_ns[0] <= time_ns <= self.vague_ns[1] + THRESHOLDS.found_ns
