@@ -159,7 +159,8 @@ class Diagnosis:
         if before is not None and (is_explained or time_ns - before.calm_ns < THRESHOLDS.window_ns):
             onset = before.later(onset)  # The last search has found too little, or nothing.
         again_ns = min((time_ns - onset.jumps_ns[0]) // 2, THRESHOLDS.tried_ns)
-        if not (self._known or self._doubts) or passed_ns < max(again_ns, THRESHOLDS.waited_ns):
+        was_known = not self._pose.was_vague(onset.calm_ns)
+        if not (was_known or self._doubts) or passed_ns < max(again_ns, THRESHOLDS.waited_ns):
             return
         self._tried_ns, self._doubts, self._onset = time_ns, False, onset
         changes = self._candidates(self._onset)
@@ -214,12 +215,12 @@ class Diagnosis:
             self._doubts = True  # It became probable after the search, where no other place can.
         elif isinstance(certain.faults[0], Lifted):
             self._lift(certain, time_ns)
-        elif not self._pose.was_vague(since_ns):
+        elif not self._pose.was_vague(since_ns, THRESHOLDS.found_ns):
             self._faults.raise_alarm(certain, time_ns)
 
     def _lift(self, certain: Alike, time_ns: int) -> None:
         """Go on where the robot was put."""
-        if not self._is_losing and self._pose.is_proven and not self._pose.was_vague(certain.since_ns):
+        if not self._is_losing and self._pose.is_proven and not self._pose.was_vague(certain.since_ns, THRESHOLDS.found_ns):
             self._lifted = (self._faults.alarm(certain, time_ns),)
         self._adopt(certain.numbers[0], time_ns)
         self._pose.lose()

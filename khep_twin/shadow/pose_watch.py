@@ -147,6 +147,6 @@ class PoseWatch:
         is_new = self._seen_ns - (found_ns or 0) < wanted_ns
         return self.state is not PoseState.LOST and not is_new
 
-    def was_vague(self, time_ns: int) -> bool:
+    def was_vague(self, time_ns: int, lately_ns: int = 0) -> bool:
         """Return whether the pose was not known at a time [ns], or lately then, by the last such time."""
-        return self.vague_ns[0] <= time_ns <= self.vague_ns[1] + THRESHOLDS.found_ns
+        return self.vague_ns[0] <= time_ns <= self.vague_ns[1] + lately_ns

@@ -28,8 +28,8 @@ def test_it_is_unsure_while_the_region_is_wide_or_replies_surprise() -> None:
     assert seen(watch, 12, 20, known=False)[-1] is PoseState.UNSURE
     assert watch.was_vague(15 * TENTH)
     assert not watch.was_vague(5 * TENTH)
-    assert watch.was_vague(60 * TENTH)
-    assert not watch.was_vague(80 * TENTH)
+    assert not watch.was_vague(30 * TENTH)
+    assert watch.was_vague(30 * TENTH, 2 * 10 * TENTH)
     assert seen(watch, 20, 30)[-1] is PoseState.FOLLOWED
     assert seen(watch, 30, 40, surprise=True)[-1] is PoseState.UNSURE
     assert watch.surprised_ns == 31 * TENTH
