@@ -101,7 +101,11 @@ def judge(
         each for each in alarms if each.raised_ns >= since_ns and _right(each.fault, each.readings, names)
     ]
     alike = looking_alike(names)
-    together = [each for each in alarms if each.raised_ns >= since_ns and alike >= {*each.fault.split(OR)}]
+    together = [
+        each
+        for each in alarms
+        if each.raised_ns >= since_ns and (_has(each.fault, names) or alike >= {*each.fault.split(OR)})
+    ]
     alike_ns = [each.raised_ns for each in [*right, *together]]
     alike_ns += [each.time_ns for each in suspected if each.probability >= SURE and alike >= set(each.faults)]
     delay_s = (right[0].raised_ns - seen_ns) / NS_PER_S if right else math.nan
@@ -133,7 +137,7 @@ def judge(
             lambda fault, time_ns, readings: (
                 since_ns <= time_ns
                 and (ended_ns < 0 or time_ns <= ended_ns + FADES_NS)
-                and any(_right(each, readings, names) for each in (fault, *fault.split(OR)))
+                and (_right(fault, readings, names) or _has(fault, names))
             ),
         ),
     )
@@ -149,6 +153,11 @@ def looking_alike(names: Sequence[str]) -> set[str]:
         if name.startswith(kind)
     }
     return {*names, *(kind + rest for kinds, rest in found for kind in kinds)}
+
+
+def _has(fault: str, names: Sequence[str]) -> bool:
+    """Return whether one of the names that a fault may have is right, each of which may be that of a pair."""
+    return OR in fault and any(OR + name + OR in OR + fault + OR for name in names)
 
 
 def _right(fault: str, readings: Sequence[float], names: tuple[str, ...]) -> bool:

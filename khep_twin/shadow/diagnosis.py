@@ -61,6 +61,8 @@ class Diagnosis:
         self._lifted: tuple[Alarm, ...] = ()
         self._counted: Floats | None = None
         self._late = False
+        self._lossy_ns = -THRESHOLDS.found_ns
+        """Time of the last reply on a line that loses commands [ns]."""
         self._tried_ns = 0
         self._onset: Onset | None = None
         self._has_found = self._doubts = False
@@ -135,6 +137,8 @@ class Diagnosis:
         if self._lifted and time_ns - self._lifted[0].raised_ns > SHOWN_NS:
             self.ended += tuple(replace(alarm, ended_ns=time_ns) for alarm in self._lifted)
             self._lifted = ()
+        if any(alarm.fault == LOSING for alarm in self._line.alarms):
+            self._lossy_ns = time_ns
         is_sound = np.argmax(self.filter.probabilities) == 0
         is_known = self._known or not is_sound
         self._pose.see(time_ns, self.filter.surprise, in_sight=in_sight, is_known=is_known)
@@ -179,10 +183,18 @@ class Diagnosis:
         if sound.max() > 1 - THRESHOLDS.sure:
             self._adopt(int(sound.argmax()), time_ns)
 
+    def _was_lossy(self, time_ns: int) -> bool:
+        """Return whether the line lost commands at a time, or lately then [ns]."""
+        return time_ns <= self._lossy_ns + THRESHOLDS.found_ns
+
+    def _was_obscure(self, time_ns: int) -> bool:
+        """Return whether twins knew little of what the robot did at a time, or lately then [ns]."""
+        return self._was_lossy(time_ns) or self._pose.was_vague(time_ns, THRESHOLDS.found_ns)
+
     @property
-    def _is_losing(self) -> bool:
-        """True while the line loses commands: then twins know little of what a robot does."""
-        return any(each.fault == LOSING for each in self._line.alarms)
+    def _is_crippled(self) -> bool:
+        """True of a robot with a settled fault of a wheel: what else seems wrong follows from that."""
+        return any(fault.channel == "wheels" for fault, _ in self._faults.settled)
 
     @property
     def _known(self) -> bool:
@@ -215,12 +227,12 @@ class Diagnosis:
             self._doubts = True  # It became probable after the search, where no other place can.
         elif isinstance(certain.faults[0], Lifted):
             self._lift(certain, time_ns)
-        elif not self._pose.was_vague(since_ns, THRESHOLDS.found_ns):
+        elif not self._was_obscure(since_ns):
             self._faults.raise_alarm(certain, time_ns)
 
     def _lift(self, certain: Alike, time_ns: int) -> None:
         """Go on where the robot was put."""
-        if not self._is_losing and self._pose.is_proven and not self._pose.was_vague(certain.since_ns, THRESHOLDS.found_ns):
+        if self._pose.is_proven and not (self._is_crippled or self._was_obscure(certain.since_ns)):
             self._lifted = (self._faults.alarm(certain, time_ns),)
         self._adopt(certain.numbers[0], time_ns)
         self._pose.lose()
@@ -250,10 +262,9 @@ class Diagnosis:
         settled = self._faults.had(self._search.begin_ns(onset))
         changes = [FaultChange(each, True) for each in (Lifted(), Displaced())]
         changes += [FaultChange(fault, False) for fault in settled]
-        if self._is_losing or not self._pose.is_proven:
+        is_crippled = any(fault.channel == "wheels" for fault in settled)
+        if is_crippled or not self._pose.is_proven or self._was_lossy(onset.calm_ns):
             return changes
-        if any(fault.channel == "wheels" for fault in settled):
-            return changes  # What else seems wrong follows from that.
         present = {fault.name for fault in settled}
         begins = self._begins.since(onset.calm_ns, self._counted is not None)
         return changes + [each for each in begins if each.hypothesis.name not in present]

@@ -155,6 +155,20 @@ def test_one_as_sure_as_an_alarm_of_faults_that_look_alike_is_a_pair(
     assert [each.right for each in found.claims] == [False, False]
 
 
+@pytest.mark.parametrize(
+    ("fault", "is_right"),
+    [
+        ("dead motor or blocked wheel left", True),
+        ("dead motor or blocked wheel left or weak motor left", True),
+        ("weak motor left or slipping wheel left", False),
+        ("dead motor or blocked wheel right", False),
+    ],
+)
+def test_an_alarm_of_several_names_is_right_if_one_of_them_is(fault: str, is_right: bool) -> None:
+    found = judge(("dead motor or blocked wheel left",), truth(), 30 * SECOND, [raised(fault, 14)])
+    assert [each.right for each in found.claims] == [is_right]
+
+
 def test_a_bound_is_the_probability_of_a_name_and_its_distance_from_the_best_other_one() -> None:
     found = [
         Explanation("sound", 0, -20),
