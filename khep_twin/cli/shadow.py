@@ -109,7 +109,8 @@ def shadow(
 
         _beside_robot(numbered(relay), settings.baud, words, endpoint, logging, poll)
         return
-    found = options.load(playpen, robot)
+    found, has_others = options.load(playpen, robot)
+    settings = replace(settings, others=has_others)
     if line_fd is not None:
         run = ShadowRun(found, settings, exit_on or (), output)
         _follow_line(line_fd, run, run.show_in_viewer(web=web) if view else nullcontext())

@@ -242,14 +242,15 @@ class ShadowOptions:
         """Return these options as words of a command line."""
         return [f"--{field.name}={getattr(self, field.name)}" for field in fields(self)]
 
-    def load(self, name: str, robot: int = 0) -> "Playpen":
-        """Return the playpen with the robot alone, at its start."""
+    def load(self, name: str, robot: int = 0) -> tuple["Playpen", bool]:
+        """Return the playpen with the robot alone, at its start, and whether it has others."""
         from khep_twin.playpen import Playpen, at_start
 
         found = Playpen.load(name)
         if not 0 <= robot < len(found.robots):
             wanted = f"0 to {len(found.robots) - 1}" if len(found.robots) > 1 else "0"
             raise PlaypenError(f"{name}: robot {robot}; expected {wanted}, as it has {len(found.robots)}")
+        has_others = len(found.robots) > 1
         found = found.model_copy(update={"robots": (found.robots[robot],)})
         if pose := _POSE.fullmatch(self.start):
             x_mm, y_mm, heading_deg = map(float, pose.groups())
@@ -258,7 +259,7 @@ class ShadowOptions:
                 wanted = f"a place in the arena of {arena.width_mm:g} x {arena.height_mm:g} mm"
                 raise usage(f"--start {self.start}: outside; expected {wanted}")
             found = at_start(found, 0, (x_mm, y_mm, heading_deg))
-        return found
+        return found, has_others
 
     def settings(self, baud: int) -> "ShadowSettings":
         """Return the settings of a shadow."""

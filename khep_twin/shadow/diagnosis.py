@@ -40,16 +40,19 @@ class Diagnosis:
         setup: Playpen with the robot, prepared for the plane.
         tracker: Filter.
         rng: Random stream.
+        others: Whether other robots drive in the playpen.
 
     Attributes:
         filter: Filter, whose particles have the present faults.
         ended: Alarms that the last exchange has ended.
     """
 
-    def __init__(self, setup: EpisodeSetup, tracker: ParticleFilter, rng: np.random.Generator) -> None:
+    def __init__(
+        self, setup: EpisodeSetup, tracker: ParticleFilter, rng: np.random.Generator, *, others: bool = False
+    ) -> None:
         planes = tracker.particles.planes
         self.filter, self._rng = tracker, rng
-        self._lit = bool(planes.lamps.names)
+        self._lit, self._others = bool(planes.lamps.names), others
         model = SensorModel(planes)
         self._quiet = model.quiet
         self._sensors = SensorWatch(model.quiet, model.limit, self._lit)
@@ -89,6 +92,8 @@ class Diagnosis:
     def hear(self, exchange: Exchange) -> None:
         """Begin with an exchange, whose actions follow."""
         self.ended = self._line.hear(exchange)
+        if self._pose.is_blind(exchange.heard_ns) and not self._known:
+            self._pose.doubt(exchange.heard_ns)
 
     def follow(self, action: Action) -> Floats:
         """Follow an action; return what counters tell beyond commands (2,)."""
@@ -97,6 +102,9 @@ class Diagnosis:
         if isinstance(action, Seen) and self._lamps.alarms:
             # Which sensors the lamps leave their range is not known.
             use &= (action.readings > self._quiet) & (self.filter.range_left > UNLIT)
+        if isinstance(action, Seen) and self._others:
+            # What is seen where nothing is expected may be another robot.
+            use &= (action.readings <= self._quiet) | (self.filter.expected > THRESHOLDS.in_sight)
         told = self.filter.act(action, use)
         if isinstance(action, Seen):
             left = self.filter.range_left

@@ -26,8 +26,8 @@ GOES_OFF, MOVES, ENDS, CORRECTED = 9.0, 9.5, 5.0, 4.0
 against another place nearby of one that was found elsewhere (assumed)."""
 
 MOVED_BY = 0.12
-"""Standard deviation by which half of the lamps that are moved are so, along x and y [m] (assumed); the others
-may be anywhere."""
+"""Standard deviation by which half of the lamps that are moved are so, along x and y [m] (assumed); the
+others may be anywhere."""
 
 _GRID = 3
 """First state that is another place of a lamp."""

@@ -1,10 +1,16 @@
 """Watch of the line: replies that are missing or damaged, and restarts."""
 
+import re
 from collections import deque
 from dataclasses import replace
 
+from khep_twin.board.protocol import Malformed
+from khep_twin.firmware import parse
 from khep_twin.log.exchanges import BANNER, Exchange
 from khep_twin.log.shadow_channels import Alarm
+
+_VERSIONS = re.compile(rb"b,\d+\.\d+,\d+\.\d+")
+"""Reply to B, whose versions are no integers."""
 
 LOSING, RESTART = "line losing bytes", "restart"
 """Names of the faults."""
@@ -63,6 +69,8 @@ def _is_bad(exchange: Exchange) -> bool:
         return False
     if not exchange.command:
         return True
-    if not exchange.letter:
+    if not exchange.letter or isinstance(parse(exchange.command), Malformed):
         return exchange.reply is None
+    if exchange.letter == "B":
+        return _VERSIONS.fullmatch(exchange.reply or b"") is None
     return exchange.values is None

@@ -107,6 +107,15 @@ class PoseWatch:
         elif time_ns - self._unsettled_ns > THRESHOLDS.found_ns:
             self.state, self._found_ns = PoseState.FOLLOWED, time_ns
 
+    def is_blind(self, time_ns: int) -> bool:
+        """Return whether the pose is followed though no reply to N has come for a while, at a time [ns]."""
+        return self.state is PoseState.FOLLOWED and time_ns - self._seen_ns > THRESHOLDS.told_ns
+
+    def doubt(self, time_ns: int) -> None:
+        """Take that the pose is not known any more at a time [ns]."""
+        self.state, self._is_settled, self._turned_ns = PoseState.UNSURE, False, time_ns
+        self.vague_ns = time_ns, time_ns
+
     def lose(self) -> None:
         """Begin a search for the pose."""
         self.state, self._unsettled_ns = PoseState.LOST, self._seen_ns

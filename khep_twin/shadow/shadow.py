@@ -81,6 +81,7 @@ class ShadowSettings:
         known: Whether the start is the playpen's, or one of its spots, to `spread`; False for anywhere.
         spread: What is known of the start and of the robot: standard deviations.
         baud: Speed of the robot's line [baud].
+        others: Whether other robots drive in the playpen: what is seen where it has nothing may be one.
     """
 
     seed: int = 0
@@ -88,6 +89,7 @@ class ShadowSettings:
     known: bool = True
     spread: Spread = PUBLISHED
     baud: int = 9600
+    others: bool = False
 
 
 class Residuals(NamedTuple):
@@ -157,7 +159,8 @@ class Shadow:
         count = settings.particles * (len(starts) if settings.known else ANYWHERE)
         start = begun(self._setup, starts if settings.known else None, settings.spread, count, rng)
         tracker = ParticleFilter(self._setup, start, rng, settings.particles)
-        self._diagnosis = Diagnosis(self._setup, tracker, stream(settings.seed, "shadow", "hypotheses"))
+        rng = stream(settings.seed, "shadow", "hypotheses")
+        self._diagnosis = Diagnosis(self._setup, tracker, rng, others=settings.others)
         self._reckoned = begun(self._setup, starts, Spread(0, 0, 0, 0, 0, 0), 1, rng)
         board = self._reckoned.planes
         self._firmware = Firmware(ROMS[entry.rom], entry.mode, None, board.registers[0], board.processor[0])

@@ -27,12 +27,12 @@ LATENESS_NS = 5_000_000
 class Driven:
     """A robot in a plane that turns away from what it sees, its diagnosis, and the alarms so far."""
 
-    def __init__(self, seed: int, counters: bool = False, particles: int = 300) -> None:
+    def __init__(self, seed: int, counters: bool = False, particles: int = 300, others: bool = False) -> None:
         setup = setup_of("workshop")
         self.robot = planes_at((START[0] + 5, START[1] - 4, START[2] + 3))
         start = begun(setup, [metric(START)], PUBLISHED, particles, stream(seed, "start"))
         tracker = ParticleFilter(setup, start, stream(seed, "filter"), particles)
-        self.diagnosis = Diagnosis(setup, tracker, stream(seed, "hypotheses"))
+        self.diagnosis = Diagnosis(setup, tracker, stream(seed, "hypotheses"), others=others)
         self._rng, self._counters = stream(seed, "robot"), counters
         self._turning, self._side = 0, 1
         self.raised: dict[tuple[str, int], Alarm] = {}
@@ -121,6 +121,18 @@ def test_a_robot_that_was_put_elsewhere_is_told_for_a_second_and_lost_until_it_i
     driven.drive(1.5)
     assert driven.diagnosis.alarms == ()
     assert [alarm.fault for alarm in driven.ended] == ["robot lifted"]
+
+
+def test_a_thing_that_is_not_in_the_playpen_is_no_fault_where_other_robots_drive() -> None:
+    driven = Driven(2, others=True)
+    driven.drive(4)
+    x, y, heading = driven.robot.poses[0].tolist()
+    place = x + 0.05 * math.cos(heading), y + 0.05 * math.sin(heading)
+    circle = [flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH, flat.WIDTH, flat.TOP, flat.TOUCHED, flat.REFLECTANCE]
+    driven.robot.things[:, -1, circle] = *place, 0.02, -1, 0.05, 1, 1
+    driven.robot.remeasure()
+    driven.drive(3)
+    assert driven.names == []
 
 
 @pytest.mark.long

@@ -48,8 +48,10 @@ def test_a_reply_that_is_lost_now_and_then_is_no_fault() -> None:
         replace(SILENT, abandoned=True),
         Exchange(b"", 0, b"Copyright", 0, output_of=BANNER),
         Exchange(b"sens", 0, b"anything", 0),
+        Exchange(b"B", 0, b"b,5.02,5.01", 0),
+        Exchange(b"J,1,10,0", 0, b"z,Protocol error", 0),
     ],
-    ids=["the host left", "output of a banner", "a tool"],
+    ids=["the host left", "output of a banner", "a tool", "versions", "malformed"],
 )
 def test_what_is_no_loss_is_none(exchange: Exchange) -> None:
     watch = LineWatch()

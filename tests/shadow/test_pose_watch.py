@@ -21,6 +21,17 @@ def seen(
     return states
 
 
+def test_a_pose_that_is_not_known_any_more_is_unsure_without_a_reply_to_n_as_well() -> None:
+    watch = PoseWatch(PoseState.FOLLOWED)
+    seen(watch, 1, 10)
+    assert not watch.is_blind(15 * TENTH)
+    assert watch.is_blind(30 * TENTH)
+    watch.doubt(30 * TENTH)
+    assert watch.state is PoseState.UNSURE
+    assert watch.was_vague(30 * TENTH)
+    assert seen(watch, 31, 40)[-1] is PoseState.FOLLOWED
+
+
 def test_it_is_unsure_while_the_region_is_wide_or_replies_surprise() -> None:
     watch = PoseWatch(PoseState.FOLLOWED)
     assert set(seen(watch, 1, 10)) == {PoseState.FOLLOWED}
