@@ -21,7 +21,7 @@ from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.displacements import Displaced, Lifted
 from khep_twin.shadow.fault_watch import Alike, FaultWatch
 from khep_twin.shadow.lamp_watch import LampWatch
-from khep_twin.shadow.line_watch import LOSING, SHOWN_NS, LineWatch
+from khep_twin.shadow.line_watch import SHOWN_NS, LineWatch
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.pose_watch import Onset, PoseWatch
 from khep_twin.shadow.search import Search
@@ -64,8 +64,6 @@ class Diagnosis:
         self._lifted: tuple[Alarm, ...] = ()
         self._counted: Floats | None = None
         self._late = False
-        self._lossy_ns = -THRESHOLDS.found_ns
-        """Time of the last reply on a line that loses commands [ns]."""
         self._tried_ns = 0
         self._onset: Onset | None = None
         self._has_found = self._doubts = False
@@ -145,8 +143,6 @@ class Diagnosis:
         if self._lifted and time_ns - self._lifted[0].raised_ns > SHOWN_NS:
             self.ended += tuple(replace(alarm, ended_ns=time_ns) for alarm in self._lifted)
             self._lifted = ()
-        if any(alarm.fault == LOSING for alarm in self._line.alarms):
-            self._lossy_ns = time_ns
         is_sound = np.argmax(self.filter.probabilities) == 0
         is_known = self._known or not is_sound
         self._pose.see(time_ns, self.filter.surprise, in_sight=in_sight, is_known=is_known)
@@ -193,7 +189,7 @@ class Diagnosis:
 
     def _was_lossy(self, time_ns: int) -> bool:
         """Return whether the line lost commands at a time, or lately then [ns]."""
-        return time_ns <= self._lossy_ns + THRESHOLDS.found_ns
+        return time_ns <= self._line.lossy_ns + THRESHOLDS.found_ns
 
     def _was_obscure(self, time_ns: int) -> bool:
         """Return whether twins knew little of what the robot did at a time, or lately then [ns]."""

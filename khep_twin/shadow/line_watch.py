@@ -26,11 +26,17 @@ SHOWN_NS = 1_000_000_000
 
 
 class LineWatch:
-    """Watch of a robot's line."""
+    """Watch of a robot's line.
+
+    Attributes:
+        alarms: Alarms that last.
+        lossy_ns: Time of the last exchange while it lost bytes [ns]; long ago before any.
+    """
 
     def __init__(self) -> None:
         self._bad_ns: deque[int] = deque()
         self.alarms: list[Alarm] = []
+        self.lossy_ns = -2 * _SOUND_NS
 
     def hear(self, exchange: Exchange) -> tuple[Alarm, ...]:
         """Take an exchange; return the alarms that end by it."""
@@ -45,6 +51,8 @@ class LineWatch:
                 self._bad_ns.popleft()
             if len(self._bad_ns) >= _BAD and all(alarm.fault != LOSING for alarm in self.alarms):
                 self.alarms.append(Alarm(LOSING, "line", self._bad_ns[0], time_ns, 0.99))
+        if any(alarm.fault == LOSING for alarm in self.alarms):
+            self.lossy_ns = time_ns
         return ended
 
     def _end(self, time_ns: int) -> tuple[Alarm, ...]:

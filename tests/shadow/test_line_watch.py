@@ -32,6 +32,7 @@ def test_a_line_that_loses_bytes_again_and_again_is_named_until_it_is_sound(bad:
     ended = [each for tenth in range(20, 120) for each in heard(watch, SOUND, tenth / 10)]
     assert [each.fault for each in ended] == [LOSING]
     assert 2 * SECOND < (ended[0].ended_ns or 0) < 12 * SECOND
+    assert (ended[0].ended_ns or 0) - SECOND < watch.lossy_ns < (ended[0].ended_ns or 0)
     assert watch.alarms == []
 
 
