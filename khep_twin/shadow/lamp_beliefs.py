@@ -29,6 +29,9 @@ MOVED_BY = 0.12
 """Standard deviation by which half of the lamps that are moved are so, along x and y [m] (assumed); the
 others may be anywhere."""
 
+_NEVER = 1e-9
+"""Least sum of weights of places near a lamp; one far outside the arena has none."""
+
 _GRID = 3
 """First state that is another place of a lamp."""
 
@@ -92,7 +95,8 @@ class LampBeliefs:
         for rates, place in zip(self._rates[:, _GRID:-_FINE], self._told, strict=True):
             away = _away(places, place)
             near = np.exp(-np.square(away / MOVED_BY) / 2)
-            rates[:] = math.exp(-MOVES) * (away > _NEAR) * (near / near.sum() + 1 / len(places)) / 2
+            shares = (near / max(near.sum(), _NEVER) + 1 / len(places)) / 2
+            rates[:] = math.exp(-MOVES) * (away > _NEAR) * shares
 
     @property
     def probabilities(self) -> tuple[Floats, Floats]:
