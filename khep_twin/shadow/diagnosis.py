@@ -195,10 +195,9 @@ class Diagnosis:
         """Return whether twins knew little of what the robot did at a time, or lately then [ns]."""
         return self._was_lossy(time_ns) or self._pose.was_vague(time_ns, THRESHOLDS.found_ns)
 
-    @property
-    def _is_crippled(self) -> bool:
-        """True of a robot with a settled fault of a wheel: what else seems wrong follows from that."""
-        return any(fault.channel == "wheels" for fault, _ in self._faults.settled)
+    def _was_crippled(self, time_ns: int) -> bool:
+        """Return whether a wheel failed at a time or since [ns]: what else seems wrong follows from that."""
+        return any(fault.channel == "wheels" for fault in self._faults.had(time_ns))
 
     @property
     def _known(self) -> bool:
@@ -236,7 +235,7 @@ class Diagnosis:
 
     def _lift(self, certain: Alike, time_ns: int) -> None:
         """Go on where the robot was put."""
-        if self._pose.is_proven and not (self._is_crippled or self._was_obscure(certain.since_ns)):
+        if self._pose.is_proven and not (self._was_crippled(time_ns) or self._was_obscure(certain.since_ns)):
             self._lifted = (self._faults.alarm(certain, time_ns),)
         self._adopt(certain.numbers[0], time_ns)
         self._pose.lose()
@@ -263,12 +262,11 @@ class Diagnosis:
 
     def _candidates(self, onset: Onset) -> list[FaultChange]:
         """Return what may have happened since the pose was confirmed last."""
-        settled = self._faults.had(self._search.begin_ns(onset))
+        begin_ns = self._search.begin_ns(onset)
+        present = {fault.name: fault for fault in self._faults.had(begin_ns)}
         changes = [FaultChange(each, True) for each in (Lifted(), Displaced())]
-        changes += [FaultChange(fault, False) for fault in settled]
-        is_crippled = any(fault.channel == "wheels" for fault in settled)
-        if is_crippled or not self._pose.is_proven or self._was_lossy(onset.calm_ns):
+        changes += [FaultChange(fault, False) for fault in present.values()]
+        if self._was_crippled(begin_ns) or not self._pose.is_proven or self._was_lossy(onset.calm_ns):
             return changes
-        present = {fault.name for fault in settled}
         begins = self._begins.since(onset.calm_ns, self._counted is not None)
         return changes + [each for each in begins if each.hypothesis.name not in present]

@@ -79,13 +79,19 @@ def test_one_that_is_told_apart_has_its_name_and_its_own_probability() -> None:
     assert (ended.fault, ended.ended_ns) == ("weak motor left", 5 * SECOND)
 
 
-def test_a_fault_that_has_ended_is_known_to_a_search_that_begins_before() -> None:
+def settled(fault: Hypothesis) -> FaultWatch:
+    """Return a watch with one settled fault."""
     watch = FaultWatch()
-    see(watch, 2.0, {SLIP: 0.99})
-    certain = see(watch, 3.0, {SLIP: 0.99})
+    see(watch, 2.0, {fault: 0.99})
+    certain = see(watch, 3.0, {fault: 0.99})
     assert certain is not None
     watch.raise_alarm(certain, 3 * SECOND)
     watch.settle(certain)
+    return watch
+
+
+def test_a_fault_that_has_ended_is_known_to_a_search_that_begins_before() -> None:
+    watch = settled(SLIP)
     assert watch.had(8 * SECOND) == [SLIP]
     watch.over(9 * SECOND, cast(Any, Tracker({SLIP: 0.99}, begins=False)))
     assert watch.had(8 * SECOND) == [SLIP]
@@ -93,12 +99,7 @@ def test_a_fault_that_has_ended_is_known_to_a_search_that_begins_before() -> Non
 
 
 def test_a_settled_fault_ends_when_its_end_is_certain() -> None:
-    watch = FaultWatch()
-    see(watch, 2.0, {GONE: 0.99})
-    certain = see(watch, 3.0, {GONE: 0.99})
-    assert certain is not None
-    watch.raise_alarm(certain, 3 * SECOND)
-    watch.settle(certain)
+    watch = settled(GONE)
     assert watch.over(4 * SECOND, cast(Any, Tracker({GONE: 0.9}, begins=False))) == (0, ())
     number, (ended,) = watch.over(5 * SECOND, cast(Any, Tracker({GONE: 0.99}, begins=False)))
     assert (number, ended.fault, ended.ended_ns) == (1, "missing block4", 5 * SECOND)
