@@ -156,6 +156,15 @@ class Planes:
         """Poses x, y [m] and heading [rad], which is not wrapped (n, 3)."""
         return self.robots["joints"][:, :3].copy()
 
+    @property
+    def pushes(self) -> Floats:
+        """Directions x, y in which obstacles push the twins, of length 1, or 0 where none does (n, 2)."""
+        ahead, aside = self.robots["grips"][:, [flat.PUSHED, flat.PUSHED_ASIDE]].T
+        heading = self.robots["joints"][:, flat.HEADING]
+        push = (ahead + 1j * aside) * np.exp(1j * heading)
+        push /= np.where(push == 0, 1, np.abs(push))
+        return np.stack([push.real, push.imag], axis=1)
+
     def put(self, poses: Floats) -> None:
         """Put the twins at rest at poses x, y [m], heading [rad] (n, 3); counters are kept."""
         self.move(poses)

@@ -69,6 +69,38 @@ def test_a_robot_whose_start_is_known_is_followed() -> None:
     assert 0.1 < np.median(errors[late:] / deviations[late:]) < 4
 
 
+def test_particles_that_push_are_turned_by_what_they_push() -> None:
+    """Noise must not take them off the wall, which turns the robot; no reply tells."""
+    start = (671.0, 150.0, 70.0)
+    robot = planes_at(start)
+    tracker = filtering(setup_of("workshop"), metric(start), EXACT)
+    for each in (robot, tracker.particles.planes):
+        each.command(SPEED, 3, 3)
+    nothing = np.zeros(8, np.bool_)
+    for _ in range(40):
+        robot.advance(TICKS)
+        tracker.act(Seen(robot.ticks * SECOND // 100, readings(robot)), nothing)
+    turned = robot.poses[0, 2] - metric(start)[2]
+    assert turned < math.radians(-30)
+    estimate = tracker.estimate(0)
+    assert estimate.pose[2] == pytest.approx(robot.poses[0, 2], abs=math.radians(5))
+    assert off_mm(estimate, robot) < 4
+
+
+def test_particles_that_stand_against_a_wall_stay() -> None:
+    start = (671.0, 250.0, 0.0)
+    robot = planes_at(start)
+    tracker = filtering(setup_of("workshop"), metric(start), EXACT)
+    for speed in (3, 0):
+        for each in (robot, tracker.particles.planes):
+            each.command(SPEED, speed, speed)
+        before = tracker.estimate(0)
+        for _ in range(60):
+            robot.advance(TICKS)
+            tracker.act(Seen(robot.ticks * SECOND // 100, readings(robot)), np.zeros(8, np.bool_))
+    assert tracker.estimate(0).covariance[1, 1] < 1.5 * before.covariance[1, 1]
+
+
 def test_particles_spread_in_the_open_where_no_reply_tells_them_apart(field: Playpen) -> None:
     setup = EpisodeSetup(field, planar=True)
     robot = Planes(setup, 1)
