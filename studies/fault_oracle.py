@@ -19,7 +19,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Action, Commanded, Seen, repeat
 from khep_twin.shadow.candidates import Candidates
-from khep_twin.shadow.hypotheses import Hypothesis, Unexpected
+from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.particle_filter import PERSISTENCE, SENSOR_RADIUS, ParticleFilter, part_new
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import TICK_NS
@@ -27,6 +27,7 @@ from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.sensor_model import log_of_sum
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.start import Spread, begun
+from khep_twin.shadow.thing_faults import Unexpected
 from khep_twin.units import N_SENSORS
 from stand_ins.recordings import Truth
 from studies.fault_recordings import Made

@@ -10,8 +10,9 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.shadow.changes import FaultChange
-from khep_twin.shadow.hypotheses import Missing, Moved, SlippingWheel, Unexpected, of_wheels, things_of
 from khep_twin.shadow.particle_filter import ParticleFilter
+from khep_twin.shadow.thing_faults import Missing, Moved, Unexpected, things_of
+from khep_twin.shadow.wheel_faults import SlippingWheel, of_wheels
 
 NEAR = 0.12
 """Farthest distance of a thing from the robot's centre, to be missed or, moved a little, seen [m]."""

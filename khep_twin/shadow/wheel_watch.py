@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.log.shadow_channels import Alarm
-from khep_twin.shadow.hypotheses import StandingWheel, WeakMotor
+from khep_twin.shadow.wheel_faults import StandingWheel, WeakMotor
 
 Floats = NDArray[np.float64]
 

@@ -5,16 +5,10 @@ import pytest
 from twins import AT_THE_CRATE, SECOND, particles_at, setup_of
 
 from khep_twin.shadow.changes import FaultChange, mixed
-from khep_twin.shadow.hypotheses import (
-    QUOTA,
-    STRONGEST,
-    WEAKEST,
-    Missing,
-    StandingWheel,
-    WeakMotor,
-    things_of,
-)
+from khep_twin.shadow.hypotheses import QUOTA
 from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.thing_faults import Missing, things_of
+from khep_twin.shadow.wheel_faults import STRONGEST, WEAKEST, StandingWheel, WeakMotor
 
 STANDS, WEAK = FaultChange(StandingWheel(0), True), FaultChange(WeakMotor(1), True)
 

@@ -9,7 +9,9 @@ from twins import SECOND
 
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.fault_watch import Alike, FaultWatch
-from khep_twin.shadow.hypotheses import Hypothesis, Missing, SlippingWheel, WeakMotor
+from khep_twin.shadow.hypotheses import Hypothesis
+from khep_twin.shadow.thing_faults import Missing
+from khep_twin.shadow.wheel_faults import SlippingWheel, WeakMotor
 
 WEAK: Hypothesis = WeakMotor(0)
 SLIP: Hypothesis = SlippingWheel(0)

@@ -1,4 +1,4 @@
-"""What may be wrong: a fault begins in the twins that are given it, and ends without a trace."""
+"""Hypotheses: a fault begins in the twins that are given it, and ends without a trace."""
 
 import math
 
@@ -7,19 +7,11 @@ import pytest
 from twins import AT_THE_CRATE, OPEN, light_of, particles_at, setup_of
 
 from khep_twin.episodes.planar import plane as flat
-from khep_twin.shadow.hypotheses import (
-    MOVED_LEAST,
-    REFINED,
-    Hypothesis,
-    Missing,
-    Moved,
-    Unexpected,
-    of_wheels,
-    refined,
-    things_of,
-)
+from khep_twin.shadow.hypotheses import REFINED, Hypothesis, refined
 from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.thing_faults import MOVED_LEAST, Missing, Moved, Unexpected, things_of
 from khep_twin.shadow.wheel_commands import SPEED
+from khep_twin.shadow.wheel_faults import of_wheels
 
 
 def of_things() -> list[Hypothesis]:

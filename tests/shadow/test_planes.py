@@ -15,8 +15,8 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.errors import MissingNumbaError
 from khep_twin.playpen import Playpen
-from khep_twin.shadow.hypotheses import things_of
 from khep_twin.shadow.planes import AWAY, Planes
+from khep_twin.shadow.thing_faults import things_of
 from khep_twin.shadow.wheel_commands import SPEED
 
 STARTS = (360.0, 240.0, -70.0), AT_THE_CRATE, (120.0, 200.0, 90.0)

@@ -11,12 +11,13 @@ from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Commanded, Seen
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.displacements import Displaced, Lifted
-from khep_twin.shadow.hypotheses import StandingWheel, Unexpected
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.pose_watch import Onset
 from khep_twin.shadow.search import KEPT_NS, Search
 from khep_twin.shadow.start import PUBLISHED, begun
+from khep_twin.shadow.thing_faults import Unexpected
 from khep_twin.shadow.wheel_commands import SPEED
+from khep_twin.shadow.wheel_faults import StandingWheel
 
 ELSEWHERE = 560.0, 120.0, 100.0
 TURNING = 3, -3
