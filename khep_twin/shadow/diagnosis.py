@@ -40,19 +40,16 @@ class Diagnosis:
         setup: Playpen with the robot, prepared for the plane.
         tracker: Filter.
         rng: Random stream.
-        others: Whether other robots drive in the playpen.
 
     Attributes:
         filter: Filter, whose particles have the present faults.
         ended: Alarms that the last exchange has ended.
     """
 
-    def __init__(
-        self, setup: EpisodeSetup, tracker: ParticleFilter, rng: np.random.Generator, *, others: bool = False
-    ) -> None:
+    def __init__(self, setup: EpisodeSetup, tracker: ParticleFilter, rng: np.random.Generator) -> None:
         planes = tracker.particles.planes
         self.filter, self._rng = tracker, rng
-        self._lit, self._others = bool(planes.lamps.names), others
+        self._lit = bool(planes.lamps.names)
         model = SensorModel(planes)
         self._quiet = model.quiet
         self._sensors = SensorWatch(model.quiet, model.limit, self._lit)
@@ -100,9 +97,6 @@ class Diagnosis:
         if isinstance(action, Seen) and self._lamps.alarms:
             # Which sensors the lamps leave their range is not known.
             use &= (action.readings > self._quiet) & (self.filter.range_left > UNLIT)
-        if isinstance(action, Seen) and self._others:
-            # What is seen where nothing is expected may be another robot.
-            use &= (action.readings <= self._quiet) | (self.filter.expected > THRESHOLDS.in_sight)
         told = self.filter.act(action, use)
         if isinstance(action, Seen):
             left = self.filter.range_left

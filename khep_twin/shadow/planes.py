@@ -71,6 +71,7 @@ class Planes:
         registers: States of the boards (n, N_REGISTERS).
         processor: States of the processors (n, N_PROCESSOR).
         lamps: Lamps of the playpen.
+        others: Whether other robots drive there, which the twins do not have.
         strength: Parts of the motors' torque, left and right (n, 2); below 0 for a wheel that is blocked.
     """
 
@@ -106,6 +107,7 @@ class Planes:
             as_records(light.bulbs, Bulb()),
             as_records(light.hidden, Hidden()),
         )
+        self.others = False
         drive = self._code.MotorDrive(
             flat.LEFT_ANGLE, flat.RIGHT_ANGLE, flat.LEFT_ANGLE, flat.RIGHT_ANGLE, state.motor_constant
         )

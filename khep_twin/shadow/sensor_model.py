@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import Planes, SensorLaw
+from khep_twin.shadow.thresholds import THRESHOLDS
 
 Floats = NDArray[np.float64]
 
@@ -49,6 +50,7 @@ class SensorModel:
         quantum = int(proximity["quantum"])
         self.limit = int(proximity["limit"])
         self.range_left: Floats = np.ones(8)
+        self._expected: Floats = np.zeros(8)
         self.quiet = 10 * max(float(proximity["idle"]), float(proximity["floor"]))
         noise = np.square(proximity["noise"]) + quantum * quantum / 12
         self._law = SensorLaw(
@@ -73,6 +75,9 @@ class SensorModel:
         likelihoods (n, 8).
         """
         told = left = range_left(particles.planes)
+        if particles.planes.others:
+            # What is seen where nothing was expected may be another robot.
+            use = use & ((readings <= self.quiet) | (self._expected > THRESHOLDS.in_sight))
         if particles.planes.lamps_are_unknown:
             # A sensor that a lamp may blind tells only what it sees.
             is_lit = left.min(axis=0) < UNLIT
@@ -82,7 +87,7 @@ class SensorModel:
             particles.traits, particles.covariances, self._law, told, readings, use, new
         )
         weights = np.exp(particles.logs - log_of_sum(particles.logs))
-        expected = np.clip(weights @ counts, 0, self.limit)
+        self._expected = expected = np.clip(weights @ counts, 0, self.limit)
         self.range_left = weights @ left
         clipped = (readings <= self.quiet) | (readings >= self._law.full)
         best = np.where(clipped, 1.0, 1 / (weights @ deviations * math.sqrt(math.tau)))

@@ -158,9 +158,10 @@ class Shadow:
         starts = known_starts(self._setup)
         count = settings.particles * (len(starts) if settings.known else ANYWHERE)
         start = begun(self._setup, starts if settings.known else None, settings.spread, count, rng)
+        start.planes.others = settings.others
         tracker = ParticleFilter(self._setup, start, rng, settings.particles)
         hypotheses = stream(settings.seed, "shadow", "hypotheses")
-        self._diagnosis = Diagnosis(self._setup, tracker, hypotheses, others=settings.others)
+        self._diagnosis = Diagnosis(self._setup, tracker, hypotheses)
         self._reckoned = begun(self._setup, starts, Spread(0, 0, 0, 0, 0, 0), 1, rng)
         board = self._reckoned.planes
         self._firmware = Firmware(ROMS[entry.rom], entry.mode, None, board.registers[0], board.processor[0])

@@ -31,8 +31,9 @@ class Driven:
         setup = setup_of("workshop")
         self.robot = planes_at((START[0] + 5, START[1] - 4, START[2] + 3))
         start = begun(setup, [metric(START)], PUBLISHED, particles, stream(seed, "start"))
+        start.planes.others = others
         tracker = ParticleFilter(setup, start, stream(seed, "filter"), particles)
-        self.diagnosis = Diagnosis(setup, tracker, stream(seed, "hypotheses"), others=others)
+        self.diagnosis = Diagnosis(setup, tracker, stream(seed, "hypotheses"))
         self._rng, self._counters = stream(seed, "robot"), counters
         self._turning, self._side = 0, 1
         self.raised: dict[tuple[str, int], Alarm] = {}

@@ -57,6 +57,19 @@ def test_what_is_expected_surprises_less_than_what_is_not() -> None:
     assert np.delete(surprise, [3, 7]).max() < 0.7
 
 
+def test_where_other_robots_drive_only_things_that_are_missing_surprise() -> None:
+    particles, told = particles_at(AT_THE_CRATE), seen()
+    particles.planes.others = True
+    particles.planes.advance(1)
+    model = SensorModel(particles.planes)
+    model.explain(particles, told, ALL)
+    other = told.copy()
+    other[3], other[7] = 0, 700
+    _, surprise, _ = model.explain(particles, other, ALL)
+    assert surprise[3] > 1
+    assert surprise[7] == 0
+
+
 def test_a_sensor_that_is_not_relied_on_tells_nothing() -> None:
     particles, model = standing(AT_THE_CRATE)
     told, use = seen(), ALL.copy()
