@@ -90,7 +90,7 @@ class PoseWatch:
             self._heard.popleft()
         if not is_known:
             began_ns, last_ns = self.vague_ns
-            self.vague_ns = (began_ns if last_ns == before_ns else time_ns), time_ns
+            self.vague_ns = (began_ns if last_ns >= before_ns else time_ns), time_ns
         if whole <= THRESHOLDS.surprised:
             self.surprised_ns = None
         elif self.surprised_ns is None:

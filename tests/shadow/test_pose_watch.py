@@ -28,8 +28,9 @@ def test_a_pose_that_is_not_known_any_more_is_unsure_without_a_reply_to_n_as_wel
     assert watch.is_blind(30 * TENTH)
     watch.doubt(30 * TENTH)
     assert watch.state is PoseState.UNSURE
-    assert watch.was_vague(30 * TENTH)
-    assert seen(watch, 31, 40)[-1] is PoseState.FOLLOWED
+    seen(watch, 34, 35, known=False)
+    assert watch.was_vague(32 * TENTH)
+    assert seen(watch, 35, 45)[-1] is PoseState.FOLLOWED
 
 
 def test_it_is_unsure_while_the_region_is_wide_or_replies_surprise() -> None:
