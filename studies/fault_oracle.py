@@ -20,8 +20,9 @@ from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Action, Commanded, Seen, repeat
 from khep_twin.shadow.candidates import Candidates
 from khep_twin.shadow.hypotheses import Hypothesis
-from khep_twin.shadow.particle_filter import PERSISTENCE, SENSOR_RADIUS, ParticleFilter, part_new
+from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.persistence import PERSISTENCE, SENSOR_RADIUS, part_new
 from khep_twin.shadow.planes import TICK_NS
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.sensor_model import log_of_sum

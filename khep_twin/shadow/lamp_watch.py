@@ -16,8 +16,8 @@ from khep_twin.log.shadow_channels import Alarm, Suspicion
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.lamp_beliefs import MOVED, OFF, TOLD, LampBeliefs, offsets
 from khep_twin.shadow.light_model import LightModel
-from khep_twin.shadow.particle_filter import SENSOR_RADIUS, part_new
 from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.persistence import SENSOR_RADIUS, part_new
 from khep_twin.shadow.planes import Planes
 from khep_twin.shadow.thresholds import THRESHOLDS
 

@@ -17,34 +17,17 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.shadow.actions import LATE_NS, Action, Commanded, Counted, Seen, repeat
 from khep_twin.shadow.changes import FaultChange, mixed, quotas
+from khep_twin.shadow.motion_noise import moves
 from khep_twin.shadow.particles import Particles, drawn
+from khep_twin.shadow.persistence import PERSISTENCE, SENSOR_RADIUS, part_new
 from khep_twin.shadow.planes import TICK_NS
 from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
 
 Floats = NDArray[np.float64]
 
-PLACE_NOISE, TURN_NOISE = 1e-3, 0.015
-"""Noise of the motion in a second's square root, besides wheels [m, rad] (assumed)."""
-
-SLIP_NOISE = 2.0, 2.0, 6.0
-"""Factors of that noise along x, y and in turning where a tyre slips or something is touched (assumed: a
-robot in MuJoCo and one in the plane are 5 to 25 mm and 15 degrees apart after 3 to 10 s of pushing)."""
-
-STANDING = 0.05
-"""Speed of both wheels below which a robot stands, and does not slip [rad/s] (assumed)."""
-
-PERSISTENCE = 0.004
-"""Way of a sensor over which errors of the model persist [m] (assumed)."""
-
-LEAST_NEW = 0.05
-"""Power of the likelihood of a reading where the robot stands (assumed)."""
-
 MANY, MANY_TEMPER = 3000, 0.17
 """Number of particles that are many, of a robot that may be anywhere, and the power of their likelihood: what
 is dropped too early is lost."""
-
-SENSOR_RADIUS = 0.025
-"""Distance of the sensors from the centre, about [m]."""
 
 LEAST_DEVIATION = 5e-4, 5e-4, 2e-3
 """Standard deviations below which no pose is told [m, rad] (assumed): twins that lean against a wall agree on
@@ -72,15 +55,6 @@ _IN_CELL, _IN_CELL_CHANGED = 200, 10
 
 _IMPROBABLE = 0.01
 """Probability below which a change need not be considered any more."""
-
-
-def part_new(way: float, persistence: float, vague: float = 0.0) -> float:
-    """Return the part of a reading that is new after a sensor's way, with that of its errors [m].
-
-    Errors persist: a reading counts by how far their correlation, exp(-way / persistence), has fallen. The
-    sensor was somewhere on the last part of its way, which is vague [m].
-    """
-    return max(math.tanh(way / (2 * persistence)), LEAST_NEW) * (persistence / (persistence + vague))
 
 
 class PoseEstimate(NamedTuple):
@@ -307,17 +281,9 @@ class ParticleFilter:
 
     def _drift(self, rough: Floats) -> None:
         """Move the particles by the noise since the last drift, and by a deviation (3,) [m, rad]."""
-        particles, planes, rng = self.particles, self.particles.planes, self._rng
-        root = math.sqrt((planes.ticks - self._drifted_ticks) * TICK_NS * 1e-9)
+        particles, planes = self.particles, self.particles.planes
+        passed_s = (planes.ticks - self._drifted_ticks) * TICK_NS * 1e-9
         self._drifted_ticks = planes.ticks
-        turning = np.abs(planes.robots["speeds"][:, flat.LEFT_ANGLE :]).max(axis=1) > STANDING
-        slips = turning & (planes.robots["last"][:, flat.SLIPS] != 0)
-        noise = np.sqrt(np.square((PLACE_NOISE, PLACE_NOISE, TURN_NOISE)) * root * root + self._jolts)
+        planes.move(planes.poses + moves(planes, passed_s, self._jolts, rough, self._rng))
         self._jolts = np.zeros(3)
-        moved: Floats = rng.standard_normal((len(particles), 3))
-        moved *= noise * np.where(slips[:, None], SLIP_NOISE, 1.0) + rough
-        # What pushes stays in touch: off a thing, it would neither be turned by it nor held.
-        push = planes.pushes
-        moved[:, :2] -= (moved[:, :2] * push).sum(axis=1, keepdims=True) * push
-        planes.move(planes.poses + moved)
-        particles.forget(root * root, rng)
+        particles.forget(passed_s, self._rng)

@@ -9,7 +9,7 @@ import pytest
 
 from khep_twin.log.shadow_channels import PoseState
 from khep_twin.shadow.actions import Seen
-from khep_twin.shadow.particle_filter import LEAST_NEW
+from khep_twin.shadow.persistence import LEAST_NEW
 from khep_twin.shadow.shadow import ShadowSettings
 from stand_ins.hosts import TUNED
 from stand_ins.recordings import Truth
