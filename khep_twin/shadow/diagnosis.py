@@ -115,9 +115,10 @@ class Diagnosis:
         return told
 
     def see_light(self, time_ns: int, readings: NDArray[np.int64]) -> Floats:
-        """Take a reply to O; return the expected readings (8,) [counts], NaN unless the robot is followed."""
+        """Take a reply to O; return the expected readings (8,) [counts], NaN for a pose not known well."""
         self.filter.act(Waited(time_ns), self._sensors.sound)
-        if not self._known or self.state is not PoseState.FOLLOWED:
+        is_followed = self.state is PoseState.FOLLOWED
+        if not (is_followed and self._knows(THRESHOLDS.lit, THRESHOLDS.lit_turn)):
             return np.full_like(self._lamps.expected, np.nan)
         self.ended += self._lamps.see(time_ns, readings, self.filter.particles)
         return self._lamps.expected
@@ -196,9 +197,12 @@ class Diagnosis:
     @property
     def _known(self) -> bool:
         """True if the pose is known."""
+        return self._knows(THRESHOLDS.known, THRESHOLDS.known_turn)
+
+    def _knows(self, place: float, turn: float) -> bool:
+        """Return whether the pose is known to these standard deviations [m, rad]."""
         spread = self.filter.estimate(0).covariance.diagonal()
-        place, turn = THRESHOLDS.known**2, THRESHOLDS.known_turn**2
-        return bool(spread[0] + spread[1] < place and spread[2] < turn)
+        return bool(spread[0] + spread[1] < place**2 and spread[2] < turn**2)
 
     def _diagnose(self, time_ns: int) -> None:
         """Raise and end alarms as changes become probable."""

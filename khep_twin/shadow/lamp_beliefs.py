@@ -107,10 +107,11 @@ class LampBeliefs:
         every[lamps, self.state] += np.maximum(1 - alone.sum(axis=1), 0)
         return alone, every
 
-    def light(self, planes: Planes, model: LightModel) -> tuple[Floats, Floats, Floats]:
-        """Return the light of all lamps, with its slope, as believed (2, n, 8), and otherwise (2, n, 8, m).
+    def light(self, planes: Planes, model: LightModel) -> tuple[Floats, Floats]:
+        """Return the light of all lamps, with its slope (2, n, 8, m + 1), and its variance (n, 8, m + 1).
 
-        Each of m is with another state of one lamp. The last array is the variance by its place (n, 8, m).
+        Each of the first m is with another state of one lamp, of whose place the variance is; the last is as
+        believed.
         """
         used = (self._weights > 0) | (self._rates > 0)
         used[:, :_GRID] = False
@@ -126,8 +127,9 @@ class LampBeliefs:
         whole = own.sum(axis=3)
         away = np.square(self._places - (*planes.poses[:, :2].mean(axis=0), 0)).sum(axis=2)
         vague = np.square(_FALLING * self._spread) / away * np.square(each[0])
-        others = whole[..., None, None] - own[..., None] + each
-        return whole, others.reshape(*whole.shape, -1), vague.reshape(*whole.shape[1:], -1)
+        others = (whole[..., None, None] - own[..., None] + each).reshape(*whole.shape, -1)
+        every = np.concatenate([others, whole[..., None]], axis=3)
+        return every, np.pad(vague.reshape(*whole.shape[1:], -1), ((0, 0), (0, 0), (0, 1)))
 
     def take(self, passed_s: float, told: Floats) -> None:
         """Take likelihoods of the m other states and of what is believed, a time after the last ones [s]."""

@@ -38,6 +38,9 @@ _CHANGED = 150
 _PERSISTENCE = 0.01
 """Way of a sensor over which errors of a lamp's light persist [m] (assumed)."""
 
+_POSE_PERSISTENCE = 0.02
+"""Way of the robot over which an error of the pose persists [m] (assumed)."""
+
 _NAMES = {OFF: "off", MOVED: "moved"}
 
 
@@ -72,6 +75,8 @@ class LampWatch:
         self._alarms: dict[tuple[int, int], Alarm] = {}
         self._last: tuple[NDArray[np.int64], Floats] = np.zeros(8, np.int64), np.zeros(3)
         self._last_ns = 0
+        self._at: Floats = np.zeros((_FEW, 1))
+        """Logarithms of how probable each of few poses is by each hypothesis (n, m)."""
 
     @property
     def alarms(self) -> list[Alarm]:
@@ -83,14 +88,12 @@ class LampWatch:
         beliefs, model = self._beliefs, self._model
         if beliefs is None:
             return ()
-        planes = particles.drawn(_FEW, 0.5).planes
-        planes.move(planes.poses + _APART)
-        light, others, vague = beliefs.light(planes, model)
+        planes, mean = _spread(particles)
+        every, vague = beliefs.light(planes, model)
+        light = every[..., -1]
         self.expected = model.expected(light[0].mean(axis=0))
-        new = self._new(readings, planes.poses.mean(axis=0))
-        parts = new * model.new(light)
-        logs = [model.logs(readings, others, parts, vague), model.logs(readings, light[..., None], parts)]
-        told = np.concatenate(logs)
+        new, way = self._new(readings, mean)
+        told = self._told(model.logs(readings, every, new * model.new(light), vague), way)
         beliefs.take((time_ns - self._last_ns) / NS_PER_S, np.exp(np.maximum(told - told.max(), -_MOST_TOLD)))
         self._last_ns = time_ns
         if (beliefs.state == TOLD).all():
@@ -137,14 +140,45 @@ class LampWatch:
         """Return the name of a fault."""
         return f"{self._names[key[0]]} {_NAMES[key[1]]}"
 
-    def _new(self, readings: NDArray[np.int64], pose: Floats) -> float:
-        """Return the part of readings that tells anything new, at a pose."""
+    def _told(self, logs: Floats, way: float) -> Floats:
+        """Return what a reply tells of each hypothesis (m,), by its log likelihoods at few poses (n, m).
+
+        An error of the pose lasts: which of the poses is right is learned for each hypothesis, and forgotten
+        with the robot's way [m].
+        """
+        before = self._at * math.exp(-way / _POSE_PERSISTENCE)
+        self._at = before - _log_of_means(before) + logs
+        return _log_of_means(self._at)
+
+    def _new(self, readings: NDArray[np.int64], pose: Floats) -> tuple[float, float]:
+        """Return the part of readings that tells anything new at a pose, and the way there [m]."""
         (before, last), self._last = self._last, (readings, pose)
+        way = np.abs(pose - last)
         if np.abs(readings - before).max() > _CHANGED:
-            return 1.0
-        way = float(np.abs(pose - last) @ (1, 1, SENSOR_RADIUS))
-        return part_new(way, _PERSISTENCE)
+            return 1.0, float(way[:2].sum())
+        return part_new(float(way @ (1, 1, SENSOR_RADIUS)), _PERSISTENCE), float(way[:2].sum())
 
 
-_APART: Floats = np.column_stack([offsets(_FEW), np.roll(offsets(_FEW), 3, axis=0)[:, 0]]) * _UNSURE
-"""Offsets of the particles' poses (_FEW, 3)."""
+_APART: Floats = np.column_stack([offsets(_FEW), np.roll(offsets(_FEW), 3, axis=0)[:, 0]])
+"""Offsets of poses, in standard deviations (_FEW, 3)."""
+
+
+def _spread(particles: Particles) -> tuple[Planes, Floats]:
+    """Return few twins at poses that particles may have, always spread in the same way, and the mean (3,)."""
+    first = int(particles.logs.argmax())
+    weights: Floats = np.exp(particles.logs - particles.logs[first])
+    weights /= weights.sum()
+    off = particles.planes.poses - particles.planes.poses[first]
+    off[:, 2] = (off[:, 2] + math.pi) % math.tau - math.pi
+    mean: Floats = weights @ off
+    covariance: Floats = (off - mean).T @ ((off - mean) * weights[:, None]) + np.diag(np.square(_UNSURE))
+    mean += particles.planes.poses[first]
+    planes = particles.planes.taken(np.full(_FEW, first))
+    planes.move(mean + _APART @ np.transpose(np.linalg.cholesky(covariance)))
+    return planes, mean
+
+
+def _log_of_means(logs: Floats) -> Floats:
+    """Return the logarithms of the means of numbers with these logarithms, by column (n, m) -> (m,)."""
+    most = logs.max(axis=0)
+    return most + np.log(np.exp(logs - most).mean(axis=0))

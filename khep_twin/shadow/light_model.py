@@ -84,15 +84,12 @@ class LightModel:
     def logs(
         self, readings: NDArray[np.int64], light: Floats, new: Floats, vague: Floats | float = 0.0
     ) -> Floats:
-        """Return the log likelihoods of a reply for light with its slope (2, n, 8, m).
+        """Return the log likelihoods of a reply for light with its slope (2, n, 8, m), of each twin (n, m).
 
-        Twins are equally probable; of each reading a part is new (8,), `vague` is the variance of the light
-        (n, 8, m). The result is (m,).
+        Of each reading a part is new (8,), `vague` is the variance of the light (n, 8, m).
         """
         chance = self._chances(readings, light, vague)[0]
-        logs = np.einsum("nsm,s->nm", np.log(chance), new)
-        most = logs.max(axis=0)
-        return most + np.log(np.exp(logs - most).mean(axis=0))
+        return np.einsum("nsm,s->nm", np.log(chance), new)
 
     def learn(self, readings: NDArray[np.int64], light: Floats, part: float, new: float) -> None:
         """Learn the traits from a reply for light (2, n, 8), believed in part, of which a part is new."""

@@ -16,6 +16,8 @@ class Thresholds:
     Attributes:
         known: Standard deviation of a known position [m] (assumed).
         known_turn: Standard deviation of a known heading [rad] (assumed).
+        lit: Standard deviation of a position that is known well enough to tell of lamps [m] (assumed).
+        lit_turn: The same of a heading [rad] (assumed).
         usual: Surprise of one reading that is usual (assumed).
         surprise_s: Time constant over which surprise is summed [s].
         surprised: Sum of one sensor from which on a pose is unsure.
@@ -51,6 +53,8 @@ class Thresholds:
 
     known: float = 0.025
     known_turn: float = math.radians(10)
+    lit: float = 0.012
+    lit_turn: float = math.radians(4)
     usual: float = 0.15
     surprise_s: float = 0.7
     surprised: float = 3.0

@@ -31,9 +31,9 @@ def test_light_that_explains_a_reply_is_more_likely_than_none() -> None:
     light = light_at((150, 170, -135), model)
     both = np.stack([light, np.zeros_like(light)], axis=3)
     readings = np.rint(model.expected(light[0, 0])).astype(np.int64)
-    bright, dark = model.logs(readings, both, np.ones(8)).tolist()
+    ((bright, dark),) = model.logs(readings, both, np.ones(8)).tolist()
     assert bright > dark + 10
-    bright, dark = model.logs(np.full(8, 485), both, np.ones(8)).tolist()
+    ((bright, dark),) = model.logs(np.full(8, 485), both, np.ones(8)).tolist()
     assert dark > bright + 5
 
 
@@ -41,7 +41,7 @@ def test_a_place_that_is_vague_tells_less() -> None:
     model = model_of()
     light = light_at((150, 170, -135), model)[..., None]
     off = np.full(8, 485)
-    exact, vague = (float(model.logs(off, light, np.ones(8), each * light[0] ** 2)[0]) for each in (0.0, 1.0))
+    exact, vague = (model.logs(off, light, np.ones(8), each * light[0] ** 2).item() for each in (0.0, 1.0))
     assert vague > exact + 5
 
 
