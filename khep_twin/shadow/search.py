@@ -172,12 +172,12 @@ class Search:
         """
         counts = [round(each.times * fault.quota) for each in STEPS]
         begun = few.drawn(counts[0], 0.5)
-        logs = np.zeros(counts[0])
+        owed = np.zeros(counts[0])
         if isinstance(fault, Lifted):
             if self._places is None:
                 self._places = PlaceMap(self._setup)
             sights = _sights(few.drawn(1, 0.5), since)
-            poses, logs = self._places.draw(counts[0], sights, use, self._rng)
+            poses, owed = self._places.draw(counts[0], sights, use, self._rng)
             begun.planes.put(poses)
         else:
             fault.begin(begun, self._rng)
@@ -186,16 +186,16 @@ class Search:
         first = [each for each in since if each.action.time_ns <= first_ns]
         evidence = 0.0
         for step, count in zip(STEPS, [*counts[1:], counts[-1]], strict=True):
-            logs += step.power * _told(_copied(tracker, begun), first, use)
+            logs = step.power * _told(_copied(tracker, begun), first, use)
             norm = log_of_sum(logs)
             evidence += norm - math.log(len(logs))
-            begun = begun.taken(drawn(np.exp(logs - norm), count, self._rng.random()))
+            rows = drawn(np.exp(logs - norm), count, self._rng.random())
+            begun, owed = begun.taken(rows), owed[rows]
             begun.logs = np.full(count, -math.log(count))
             fault.draw_near(begun, step.spread, self._rng)
-            logs = np.zeros(count)
         found = _copied(tracker, begun)
         told = _told(found, first, use)
-        logs = _told(found, since[len(first) :], use) - sum(each.power for each in STEPS) * told
+        logs = owed + _told(found, since[len(first) :], use) - sum(each.power for each in STEPS) * told
         norm = log_of_sum(logs)
         found.particles.logs = logs - norm
         found.evidence = evidence + norm - math.log(counts[-1])
