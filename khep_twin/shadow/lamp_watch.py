@@ -141,10 +141,10 @@ class LampWatch:
         return f"{self._names[key[0]]} {_NAMES[key[1]]}"
 
     def _told(self, logs: Floats, way: float) -> Floats:
-        """Return what a reply tells of each hypothesis (m,), by its log likelihoods at few poses (n, m).
+        """Return the log likelihood of a reply by each hypothesis (m,), from those at few poses (n, m).
 
-        An error of the pose lasts: which of the poses is right is learned for each hypothesis, and forgotten
-        with the robot's way [m].
+        An error of the pose lasts: each hypothesis weighs the poses by all replies, and forgets them with the
+        robot's way [m].
         """
         before = self._at * math.exp(-way / _POSE_PERSISTENCE)
         self._at = before - _log_of_means(before) + logs

@@ -177,6 +177,7 @@ class Search:
             if self._places is None:
                 self._places = PlaceMap(self._setup)
             sights = _sights(few.drawn(1, 0.5), since)
+            # All sights draw the places, which is made up for at the end: the first are alike in many places.
             poses, owed = self._places.draw(counts[0], sights, use, self._rng)
             begun.planes.put(poses)
         else:
@@ -223,7 +224,7 @@ def _copied(tracker: ParticleFilter, particles: Particles) -> ParticleFilter:
 
 
 def _told(tracker: ParticleFilter, heard: Sequence[_Heard], use: NDArray[np.bool_]) -> Floats:
-    """Follow actions; return what all replies tell of each particle, in logarithms (n,)."""
+    """Follow actions; return the log likelihoods of all replies by each particle (n,)."""
     for action, new in heard:
         tracker.weigh(action, use, new)
     return tracker.particles.logs + math.log(len(tracker.particles)) + tracker.evidence

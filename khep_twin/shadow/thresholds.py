@@ -16,7 +16,7 @@ class Thresholds:
     Attributes:
         known: Standard deviation of a known position [m] (assumed).
         known_turn: Standard deviation of a known heading [rad] (assumed).
-        lit: Standard deviation of a position that is known well enough to tell of lamps [m] (assumed).
+        lit: Standard deviation of a position by which lamps are compared, at the most [m] (assumed).
         lit_turn: The same of a heading [rad] (assumed).
         usual: Surprise of one reading that is usual (assumed).
         surprise_s: Time constant over which surprise is summed [s].

@@ -8,12 +8,13 @@ from twins import ALL, AT_THE_CRATE, SECOND, metric, planes_at, readings, setup_
 
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.randomness import stream
+from khep_twin.shadow import search
 from khep_twin.shadow.actions import Commanded, Seen
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.displacements import Displaced, Lifted
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.pose_watch import Onset
-from khep_twin.shadow.search import KEPT_NS, Search
+from khep_twin.shadow.search import Search
 from khep_twin.shadow.start import PUBLISHED, begun
 from khep_twin.shadow.thing_faults import Unexpected
 from khep_twin.shadow.wheel_commands import SPEED
@@ -32,8 +33,12 @@ class Turning:
         self.robot, self._rng = planes_at(AT_THE_CRATE), stream(0, "robot")
         start = begun(setup, [metric(AT_THE_CRATE)], PUBLISHED, 500, rng)
         self.filter, self.search = ParticleFilter(setup, start, rng, 500), Search(setup, rng)
-        self._act(Commanded(0, SPEED, *TURNING))
-        self.robot.command(SPEED, *TURNING)
+        self.drive(TURNING)
+
+    def drive(self, speeds: tuple[int, int]) -> None:
+        """Drive at other speeds from now on."""
+        self._act(Commanded(self.robot.ticks * SECOND // 100, SPEED, *speeds))
+        self.robot.command(SPEED, *speeds)
 
     def turn(self, seconds: float) -> int:
         """Turn on for a time; return it [ns]."""
@@ -95,6 +100,21 @@ def test_a_robot_that_was_put_elsewhere_seconds_ago_is_found_there() -> None:
     assert turning.found(since_ns).probabilities[1] > 0.98
 
 
+def test_a_robot_is_found_by_all_that_it_has_seen_where_the_first_sight_fits_many_places() -> None:
+    turning = Turning()
+    since_ns = turning.turn(2)
+    turning.robot.move(np.array([metric((669, 142, 233))]))
+    turning.turn(0.6)
+    for speeds in ((6, 6), TURNING, (6, 6)):
+        turning.drive(speeds)
+        turning.turn(1)
+    found = turning.found(since_ns)
+    assert found.probabilities[1] > 0.98
+    lifted = found.particles.changes == 1
+    off = np.hypot(*(found.particles.planes.poses[lifted] - turning.robot.poses[0])[:, :2].T)
+    assert found.weights[lifted][off < 0.03].sum() > 0.5
+
+
 def test_a_thing_that_was_added_is_found_where_it_is() -> None:
     turning = Turning()
     since_ns = turning.turn(2)
@@ -120,11 +140,12 @@ def test_a_wheel_that_has_come_to_a_stand_is_told_from_a_robot_that_was_put_else
     assert turning.found(since_ns).probabilities[2] > 0.9
 
 
-def test_nothing_is_told_of_what_was_too_long_ago() -> None:
+def test_nothing_is_told_of_what_was_too_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search, "KEPT_NS", 2 * SECOND)
     turning = Turning()
     nothing = turning.search.again(turning.filter, Onset(0, (0,)), CHANGES, ALL)
     assert nothing is None
-    turning.turn(2 + KEPT_NS / SECOND)
+    turning.turn(4)
     assert turning.found(0).probabilities[0] > 0.9
 
 
