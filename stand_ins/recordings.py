@@ -8,15 +8,15 @@ NAME.npz the truth. Simulated time is the only clock, so a recording is the same
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board import fault_injection
-from khep_twin.clock import to_ns
+from khep_twin.board.fault_injection import parse_fault
+from khep_twin.clock import NEVER_NS, to_ns
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import Start, at_spots, at_start, no_room
@@ -32,8 +32,8 @@ class Truth:
     """Truth of a recording.
 
     A hidden change is noticeable from the first reply on that differs from that of a second world, which has
-    the same seed and everything else, and gets the same bytes at the same times, but not this change. It
-    differs if
+    the same seed and everything else, and gets the same bytes at the same times, but not this change; the end
+    of a fault, from the first one that differs from that of a world in which it goes on. It differs if
 
     - a count of N or O is off by more than 100 counts and more than 25 % of the larger one, a counter of H by
       more than 100 pulses, in this reply and, in the same channel, in the next to the same command;
@@ -49,6 +49,7 @@ class Truth:
         changed_ns: Time of each (k,) [ns]; -1 if there was no room for it.
         ended_ns: End of each (k,) [ns]; -1 if it does not end.
         noticeable_ns: Arrival of the first reply that each changes noticeably (k,) [ns]; -1 if none is.
+        over_ns: The same of the end of each (k,) [ns]; -1 if it does not end, too.
     """
 
     times_ns: NDArray[np.int64]
@@ -59,6 +60,7 @@ class Truth:
     changed_ns: NDArray[np.int64]
     ended_ns: NDArray[np.int64]
     noticeable_ns: NDArray[np.int64]
+    over_ns: NDArray[np.int64]
 
     def save(self, path: Path) -> None:
         """Write it as NumPy's .npz."""
@@ -106,19 +108,22 @@ def record(
     """
     told = at_spots(playpen, seed) if start is None else at_start(playpen, 0, start)
     actual = _misplaced(told, seed, start_error)
-    run = Run(actual, seed, vary, faults, changes)
+    parsed = [parse_fault(fault) for fault in faults]
+    run = Run(actual, seed, vary, parsed, changes)
     asks = [b"N\n", *([b"H\n"] if asks_counters else []), *([b"O\n"] if asks_light else [])]
     settings = {"relay": "stand-in", "baud": BAUD}
     recorder = LineRecorder(path, settings, lambda: run.relayed_ns)
     line_times = LineTimes(times, seed)
     exchanges = list(converse(run, recorder, line_times, seed, HOSTS[host], asks, to_ns(seconds)))
     recorder.close()
-    seen_ns: list[int] = []
-    for index in range(len(faults) + len(changes)):
-        fewer = [fault for number, fault in enumerate(faults) if number != index]
-        without = _without(run.made, index - len(faults))
-        seen_ns.append(noticeable(exchanges, Run(actual, seed, vary, fewer, without)))
-    parsed = [fault_injection.parse_fault(fault) for fault in faults]
+    seen_ns, over_ns = list[int](), [-1] * (len(parsed) + len(changes))
+    for index in range(len(over_ns)):
+        others = [*parsed[:index], *parsed[index + 1 :]]
+        without = _without(run.made, index - len(parsed))
+        seen_ns.append(noticeable(exchanges, Run(actual, seed, vary, others, without)))
+        if index < len(parsed) and parsed[index].ends:
+            lasting = [*parsed[:index], replace(parsed[index], end_ns=NEVER_NS), *parsed[index + 1 :]]
+            over_ns[index] = noticeable(exchanges, Run(actual, seed, vary, lasting, run.made))
     starts_ns = [fault.start_ns for fault in parsed]
     ends_ns = [fault.end_ns if fault.ends else -1 for fault in parsed]
     truth = Truth(
@@ -130,6 +135,7 @@ def record(
         np.array([*starts_ns, *(-1 if each is None else to_ns(each.at_s) for each in run.made)], np.int64),
         np.array([*ends_ns, *[-1] * len(changes)], np.int64),
         np.array(seen_ns, np.int64),
+        np.array(over_ns, np.int64),
     )
     truth.save(path.with_suffix(".npz"))
     return truth

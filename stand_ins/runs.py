@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from khep_twin.board import fault_injection
+from khep_twin.board.fault_injection import Fault
 from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.playpen import Block, Playpen
@@ -71,16 +71,15 @@ class Run:
     """
 
     def __init__(
-        self, playpen: Playpen, seed: int, vary: bool, faults: Sequence[str], changes: Sequence[Change | None]
+        self,
+        playpen: Playpen,
+        seed: int,
+        vary: bool,
+        faults: Sequence[Fault],
+        changes: Sequence[Change | None],
     ) -> None:
         wanted = [change for change in changes if change is not None]
-        self.world = World(
-            with_added(playpen, wanted),
-            seed=seed,
-            vary=vary,
-            faults=[fault_injection.parse_fault(fault) for fault in faults],
-            compiled=True,
-        )
+        self.world = World(with_added(playpen, wanted), seed=seed, vary=vary, faults=faults, compiled=True)
         self.robot = self.world.robots[0]
         self.relayed_ns = 0
         self.times_ns: list[int] = []

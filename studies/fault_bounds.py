@@ -17,7 +17,7 @@ from khep_twin.shadow.sensor_model import log_of_sum
 from khep_twin.shadow.shadow import ShadowSettings
 from studies.fault_oracle import Explanation, Oracle
 from studies.fault_recordings import made
-from studies.fault_trials import SOON_NS, SURE, looking_alike
+from studies.fault_trials import SOON_NS, looking_alike
 from studies.trial_tables import Options, head, note, noticeable, row
 
 BOUNDED = (
@@ -28,8 +28,12 @@ BOUNDED = (
     "thing gone",
     "thing moved",
     "thing added",
+    "robot lifted",
 )
-"""Faults that twins explain: those of wheels and of things."""
+"""Faults that twins explain: those of wheels, of things and of the pose."""
+
+SURE = 0.95
+"""Probability from which on an oracle is sure."""
 
 
 class Bound(NamedTuple):

@@ -2,7 +2,8 @@
 
 They begin with the true pose, within a millimetre and a degree, where the fault begins, or shortly before it
 is noticeable; with wheels and sensors as a filter has learned them until the fault; and they know how far the
-robot really goes between replies. All particles of a filter have the fault of its explanation.
+robot really goes between replies. All particles of a filter have the fault of its explanation. That a robot was
+lifted is considered where it was: the oracle knows where to, but not before that it is this one of all places.
 """
 
 import math
@@ -19,6 +20,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Action, Commanded, Seen, repeat
 from khep_twin.shadow.candidates import Candidates
+from khep_twin.shadow.displacements import Lifted
 from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Particles
@@ -29,7 +31,8 @@ from khep_twin.shadow.sensor_model import log_of_sum
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.start import Spread, begun
 from khep_twin.shadow.thing_faults import Unexpected
-from khep_twin.units import N_SENSORS
+from khep_twin.units import N_SENSORS, SCAN_NS
+from stand_ins import hidden_changes
 from stand_ins.recordings import Truth
 from studies.fault_recordings import Made
 from studies.twin_runs import Floats, poses_at, told_playpen
@@ -99,8 +102,12 @@ class Oracle:
         self._truth, self._seed, self._until_ns = trial.truth, settings.seed, until_ns
         self._seen_ns = int(trial.truth.noticeable_ns[0])
         changed_ns = int(trial.truth.changed_ns[0])
-        begin_ns = changed_ns
-        if trial.trial.changes:
+        begin_ns, self._lifted_ns = changed_ns, 0
+        if any(isinstance(each, hidden_changes.Lifted) for each in trial.trial.changes):
+            # The world changes at one of its samples, and is still the old one at that before.
+            self._lifted_ns = -(-changed_ns // SCAN_NS) * SCAN_NS
+            begin_ns = self._lifted_ns - SCAN_NS
+        elif trial.trial.changes:
             begin_ns = max(begin_ns, self._seen_ns - EARLIER_NS)
         playpen = told_playpen(trial.room, trial.truth)
         listener = _Listener(playpen)
@@ -161,7 +168,17 @@ class Oracle:
             prior = math.log(change.rate * (BEGUN_S + change.unseen_s))
             evidence = log_of_sum(logs) - math.log(len(logs))
             found.append(Explanation(change.hypothesis.name, prior, evidence))
-        return found
+        return [*found, self._lifted()] if self._lifted_ns else found
+
+    def _lifted(self) -> Explanation:
+        """Return that the robot was put where it is, one of as many places as the pose is known to."""
+        fault, particles = Lifted(), self._start.drawn(PARTICLES, 0.5)
+        particles.planes.advance_to(self._lifted_ns)
+        self._put(particles, self._lifted_ns, stream(self._seed, "oracle", fault.name, "place"))
+        branch = _Branch(particles, 0.0, [each for each in self._actions if each.time_ns > self._lifted_ns])
+        arena = self._setup.playpen.arena
+        places = arena.width_mm * arena.height_mm * 1e-6 * math.tau / (math.tau**1.5 * math.prod(KNOWN))
+        return Explanation(fault.name, -fault.rare - math.log(places), self._evidence(fault, branch))
 
     def _evidence(self, hypothesis: Hypothesis, branch: "_Branch") -> float:
         """Return the evidence at the end for a fault that has begun where twins branch off."""

@@ -180,6 +180,7 @@ class Made(NamedTuple):
         path: Path of the log.
         truth: Truth of the recording, whose first hidden thing is the fault.
         ended_ns: End of the fault [ns]; -1 if it does not end.
+        over_ns: Arrival of the first reply that its end changes noticeably [ns]; -1 if none is.
     """
 
     trial: Trial
@@ -187,6 +188,7 @@ class Made(NamedTuple):
     path: Path
     truth: Truth
     ended_ns: int
+    over_ns: int
 
 
 def made(fault: str, seed: int, folder: Path, hosts: Sequence[str], times: str) -> Made | None:
@@ -222,10 +224,12 @@ def made(fault: str, seed: int, folder: Path, hosts: Sequence[str], times: str) 
     )
     path = faulty.path(folder)
     truth = Truth.load(path.with_suffix(".npz"))
-    ended_ns = int(truth.ended_ns[0] if len(trial.changes) < 2 else truth.changed_ns[1])
+    is_undone = len(trial.changes) > 1
+    ended_ns = int(truth.changed_ns[1] if is_undone else truth.ended_ns[0])
+    over_ns = int(truth.noticeable_ns[1] if is_undone else truth.over_ns[0])
     if truth.noticeable_ns[0] < truth.changed_ns[0] or (ended_ns >= 0 and truth.noticeable_ns[0] > ended_ns):
         return None
-    return Made(trial, room, path, truth, ended_ns)
+    return Made(trial, room, path, truth, ended_ns, over_ns)
 
 
 def _things(playpen: Playpen) -> list[tuple[str, tuple[Block | Cylinder, ...]]]:

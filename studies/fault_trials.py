@@ -21,10 +21,7 @@ SOON_NS = 3 * NS_PER_S
 """Time for which a noticeable fault may go without its name [ns]."""
 
 FADES_NS = 5 * NS_PER_S
-"""Time after the end of a fault for which it is right to say that there is one [ns]."""
-
-SURE = 0.95
-"""Probability from which a suspicion is as good as an alarm."""
+"""Time after the noticeable end of a fault for which it is right to say that there is one [ns]."""
 
 ALIKE = ("weak motor", "slipping wheel", STANDING), ("missing", "moved")
 """Faults that look alike for a while."""
@@ -35,11 +32,12 @@ class Outcome(NamedTuple):
 
     Attributes:
         named: Whether the fault was named rightly in time.
-        paired: Whether it was given its name or one that looks alike in time, by an alarm or as sure as one.
+        paired: Whether it was given its name or one that looks alike in time.
         delay_s: Time of that after the fault was noticeable [s]; NaN without a right name.
         wrong: Other names.
-        end_s: Time for which a right name outlasted the fault [s]; NaN if it did not end, or none was given.
-        ends: Whether the fault was named and ended.
+        end_s: Time for which a right name outlasted the first reply that showed the end of the fault [s]; NaN if
+            the name did not end, or none was given.
+        ends: Whether the fault was named, and its end is noticeable.
         busiest_s: CPU time of the busiest second [s].
         text: Fault, names and times, for a person.
         claims: Alarms and suspicions, and whether they are right.
@@ -72,18 +70,16 @@ def run_trial(
     recorded = made(fault, seed, folder, hosts, times)
     if recorded is None:
         return None
-    trial, room, path, truth, ended_ns = recorded
-    followed = follow(path, room, settings)
-    if len(trial.changes) > 1:
-        ended_ns = int(truth.noticeable_ns[1])  # A thing is back once the robot meets it.
-    outcome = judge(trial.names, truth, ended_ns, followed.alarms, followed.suspected)
+    followed = follow(recorded.path, recorded.room, settings)
+    given = recorded.trial.names, recorded.truth, recorded.over_ns
+    outcome = judge(*given, followed.alarms, followed.suspected)
     return outcome._replace(busiest_s=float(followed.cpu_s.max()))
 
 
 def judge(
     names: tuple[str, ...],
     truth: Truth,
-    ended_ns: int,
+    over_ns: int,
     alarms: list[Raised],
     suspected: Sequence[Suspected] = (),
 ) -> Outcome:
@@ -92,7 +88,7 @@ def judge(
     Args:
         names: Right names.
         truth: Truth of the recording, whose first hidden thing is the fault.
-        ended_ns: End of the fault, noticeable where its world changes back [ns]; -1 if it does not end.
+        over_ns: Arrival of the first reply that its end changes noticeably [ns]; -1 if none is.
         alarms: Alarms of the shadow.
         suspected: Its suspicions.
     """
@@ -107,19 +103,18 @@ def judge(
         if each.raised_ns >= since_ns and (_has(each.fault, names) or alike >= {*each.fault.split(OR)})
     ]
     alike_ns = [each.raised_ns for each in [*right, *together]]
-    alike_ns += [each.time_ns for each in suspected if each.probability >= SURE and alike >= set(each.faults)]
     delay_s = (right[0].raised_ns - seen_ns) / NS_PER_S if right else math.nan
     last_ns = max((each.ended_ns for each in right), default=-1)
     lasting = any(each.ended_ns < 0 for each in right)
-    ends = bool(right) and (ended_ns >= 0 or "robot lifted" in names)
-    end_s = math.nan if lasting or not ends else max(last_ns - max(ended_ns, since_ns), 0) / NS_PER_S
+    ends = bool(right) and over_ns >= 0
+    end_s = math.nan if lasting or not ends else max(last_ns - over_ns, 0) / NS_PER_S
     told = [
         f"{each.fault} {each.raised_ns / NS_PER_S:.1f} to "
         + (f"{each.ended_ns / NS_PER_S:.1f}" if each.ended_ns >= 0 else "the end")
         for each in alarms
     ]
     text = f"{truth.hidden[0]} at {since_ns / NS_PER_S:.1f}, seen {seen_ns / NS_PER_S:.1f}"
-    text += f", ended {ended_ns / NS_PER_S:.1f}: " if ended_ns >= 0 else ": "
+    text += f", over {over_ns / NS_PER_S:.1f}: " if over_ns >= 0 else ": "
     return Outcome(
         bool(right) and right[0].raised_ns <= seen_ns + SOON_NS,
         any(since_ns <= each <= seen_ns + SOON_NS for each in alike_ns),
@@ -136,7 +131,7 @@ def judge(
             suspected,
             lambda fault, time_ns, readings: (
                 since_ns <= time_ns
-                and (ended_ns < 0 or time_ns <= ended_ns + FADES_NS)
+                and (over_ns < 0 or time_ns <= over_ns + FADES_NS)
                 and (_right(fault, readings, names) or _has(fault, names))
             ),
         ),

@@ -81,8 +81,8 @@ class Diagnosis:
     @property
     def suspected(self) -> tuple[Suspicion, ...]:
         """Faults that are suspected without an alarm, the most probable first."""
-        found = (*self._faults.suspected, *self._lamps.suspected)
-        return tuple(sorted(found, key=lambda each: -each.probability))
+        found = sorted((*self._faults.suspected, *self._lamps.suspected), key=lambda each: -each.probability)
+        return tuple(replace(each, probability=THRESHOLDS.believed * each.probability) for each in found)
 
     def hear(self, exchange: Exchange) -> None:
         """Begin with an exchange, whose actions follow."""

@@ -18,8 +18,9 @@ LOSING, RESTART = "line losing bytes", "restart"
 _BAD, _WITHIN_NS = 3, 5_000_000_000
 """Damaged or missing replies within so much time that make an alarm (assumed): a single one happens [ns]."""
 
-_SOUND_NS = 5_000_000_000
-"""Time without one after which the alarm ends [ns]."""
+_SOUND, _SOUND_NS = 5, 5_000_000_000
+"""Time without one after which the alarm ends: so many of their mean intervals, for which a line that loses
+bytes at that rate rarely loses none (exp(-5)), or this one [ns]."""
 
 SHOWN_NS = 1_000_000_000
 """Time for which the alarm of what happens at once is kept [ns]."""
@@ -56,11 +57,12 @@ class LineWatch:
         return ended
 
     def _end(self, time_ns: int) -> tuple[Alarm, ...]:
+        sound_ns = min(_SOUND * _WITHIN_NS // max(len(self._bad_ns), 1), _SOUND_NS)
         over = [
             alarm
             for alarm in self.alarms
             if (alarm.fault == RESTART and time_ns - alarm.raised_ns > SHOWN_NS)
-            or (alarm.fault == LOSING and time_ns - self._bad_ns[-1] > _SOUND_NS)
+            or (alarm.fault == LOSING and time_ns - self._bad_ns[-1] > sound_ns)
         ]
         self.alarms = [alarm for alarm in self.alarms if alarm not in over]
         return tuple(replace(alarm, ended_ns=time_ns) for alarm in over)

@@ -82,7 +82,7 @@ def truth() -> Truth:
     """A sensor that is dead from 10 s to 30 s, which shows from 12 s on."""
     none, times = np.zeros((0, 3)), np.zeros(0, np.int64)
     changed_ns, ended_ns, noticeable_ns = (np.array([time_s * SECOND]) for time_s in (10, 30, 12))
-    return Truth(times, none, none, none, np.array(["dead:2"]), changed_ns, ended_ns, noticeable_ns)
+    return Truth(times, none, none, none, np.array(["dead:2"]), changed_ns, ended_ns, noticeable_ns, ended_ns)
 
 
 def raised(fault: str, raised_s: float, ended_s: float = -1, reading: float = 0) -> Raised:
@@ -126,33 +126,20 @@ def test_a_stuck_sensor_may_be_called_dead_while_it_reads_0(reading: float, name
     assert found.named == named
 
 
+def test_an_alarm_of_a_fault_that_looks_alike_is_a_pair_in_time_and_false_later() -> None:
+    alarms = [raised("slipping wheel left", 14, 31), raised("weak motor left", 40)]
+    suspected = [Suspected(("weak motor left", "slipping wheel left"), 13 * SECOND, 0.6, (0.0,) * 8)]
+    found = judge(("weak motor left",), truth(), 30 * SECOND, alarms, suspected)
+    assert (found.named, found.paired) == (False, True)
+    # One that is raised ten seconds after the fault's end is false.
+    assert [each.right for each in found.claims] == [False, False, True]
+
+
 def test_faults_of_the_same_wheel_look_alike() -> None:
     left = {"weak motor left", "slipping wheel left", "dead motor or blocked wheel left"}
     assert looking_alike(["weak motor left"]) == left
     assert looking_alike(["moved block1"]) == {"moved block1", "missing block1"}
     assert looking_alike(["robot lifted"]) == {"robot lifted"}
-
-
-@pytest.mark.parametrize(
-    ("names", "said", "paired"),
-    [
-        (("weak motor left", "slipping wheel left"), 0.96, True),
-        (("weak motor left", "slipping wheel left"), 0.9, False),
-        (("weak motor left", "missing block0"), 0.96, False),
-    ],
-)
-def test_one_as_sure_as_an_alarm_of_faults_that_look_alike_is_a_pair(
-    names: tuple[str, ...], said: float, paired: bool
-) -> None:
-    suspected = [Suspected(names, 13 * SECOND, said, (0.0,) * 8)]
-    found = judge(("weak motor left",), truth(), 30 * SECOND, [], suspected)
-    assert (found.named, found.paired) == (False, paired)
-    assert found.claims == [Claim(said, False, True)]
-    late = [raised("slipping wheel left", 14, 31), raised("weak motor left", 40)]
-    found = judge(("weak motor left",), truth(), 30 * SECOND, late)
-    assert (found.named, found.paired) == (False, True)
-    # One that is raised ten seconds after the fault's end is false.
-    assert [each.right for each in found.claims] == [False, False]
 
 
 @pytest.mark.parametrize(
@@ -192,7 +179,7 @@ def test_a_reply_is_as_new_as_the_robot_has_moved() -> None:
     poses = np.zeros((len(times), 3))
     poses[:, 0] = 0.05 * np.clip(times / SECOND - 1, 0, 1)  # It drives from 1 to 2 s.
     none = np.zeros(0, np.int64)
-    found = Truth(times, poses, poses[0], poses[0], np.zeros(0, np.str_), none, none, none)
+    found = Truth(times, poses, poses[0], poses[0], np.zeros(0, np.str_), none, none, none, none)
     replies = [Seen(round(each * SECOND), np.zeros(8, np.int64)) for each in (0.5, 1, 1.02, 1.9, 2.5, 2.9)]
     first, standing, slow, far, _, stopped = parts_new(found, replies).values()
     assert [first, standing, stopped] == pytest.approx([LEAST_NEW] * 3)
