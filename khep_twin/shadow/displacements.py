@@ -48,7 +48,7 @@ class Displaced(_Elsewhere):
 class Lifted(_Elsewhere):
     """A robot that was put elsewhere at once; `Search` has the places where that may be."""
 
-    rare, quota = 14.0, 600
+    rare, quota = 10.0, 600
 
     @property
     def name(self) -> str:

@@ -2,6 +2,11 @@
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
 SENSOR_RADIUS = 0.025
 """Distance of the sensors from the centre, about [m]."""
 
@@ -10,6 +15,18 @@ PERSISTENCE = 0.004
 
 LEAST_NEW = 0.05
 """Power of the likelihood of a reading where the robot stands (assumed)."""
+
+CHANGED = 100.0, 0.25
+"""Counts and part of the larger reading by which one changes that is new however far the robot went: a robot
+that was lifted, or that moves where the twins are stuck (assumed)."""
+
+
+def parts_new(way: float, vague: float, before: NDArray[np.int64], readings: NDArray[np.int64]) -> Floats:
+    """Return the parts of proximity readings that are new, after those before (8,); see `part_new`."""
+    least, part = CHANGED
+    changed = np.abs(readings - before) > np.maximum(least, part * np.maximum(readings, before))
+    of_changed, of_others = (part_new(each, PERSISTENCE, vague) for each in (math.inf, way))
+    return np.where(changed, of_changed, of_others)
 
 
 def part_new(way: float, persistence: float, vague: float = 0.0) -> float:

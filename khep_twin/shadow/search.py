@@ -78,10 +78,10 @@ _SIGHTS = 4
 
 
 class _Heard(NamedTuple):
-    """An action, and the part of a reply to N that was new."""
+    """An action, and the parts of a reply to N that were new (8,)."""
 
     action: Action
-    new: float
+    new: Floats
 
     @property
     def has_sight(self) -> bool:
