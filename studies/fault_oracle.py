@@ -24,7 +24,7 @@ from khep_twin.shadow.displacements import Lifted
 from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.persistence import SENSOR_RADIUS, parts_new
+from khep_twin.shadow.persistence import PERSISTENCE, SENSOR_RADIUS, part_new
 from khep_twin.shadow.planes import TICK_NS
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.sensor_model import log_of_sum
@@ -84,15 +84,15 @@ class _Listener(Shadow):
 
 
 class _Informed(ParticleFilter):
-    """A filter that knows which parts of each reply are new, by its time [ns].
+    """A filter that knows which part of each reply is new, by its time [ns].
 
     Twins that stand would have others count less than those that drive, and could not be compared.
     """
 
-    parts: Mapping[int, Floats]
+    parts: Mapping[int, float]
 
-    def _parts_new(self, seen: Seen) -> Floats:
-        return self.parts[seen.time_ns]
+    def _parts_new(self, seen: Seen) -> tuple[float, float]:
+        return self.parts[seen.time_ns], self.parts[seen.time_ns]
 
 
 class Oracle:
@@ -117,7 +117,7 @@ class Oracle:
         self._setup = EpisodeSetup(playpen, planar=True)
         self._near = Candidates(self._setup)
         self._actions = [each for each in listener.actions if each.time_ns > begin_ns]
-        self._parts = true_parts(self._truth, [each for each in listener.actions if isinstance(each, Seen)])
+        self._parts = parts_new(self._truth, [each for each in listener.actions if isinstance(each, Seen)])
         before = listener.actions[: -len(self._actions)]
         self._start = self._followed(before, changed_ns, begin_ns, settings.particles)
 
@@ -221,17 +221,17 @@ class _Branch(NamedTuple):
     actions: Sequence[Action]
 
 
-def true_parts(truth: Truth, replies: Sequence[Seen]) -> dict[int, Floats]:
-    """Return the parts of replies to N that are new, by their times [ns], after the robot's true way (8,)."""
+def parts_new(truth: Truth, replies: Sequence[Seen]) -> dict[int, float]:
+    """Return the parts of replies to N that are new, by their times [ns], after the robot's true way."""
     steps = np.abs(np.diff(truth.poses[:, :2], axis=0)).sum(axis=1)
     steps += SENSOR_RADIUS * np.abs(np.diff(np.unwrap(truth.poses[:, 2])))
     ways = np.concatenate([[0.0], np.cumsum(steps)])
-    parts: dict[int, Floats] = {}
-    last, readings = 0.0, replies[0].readings
+    parts: dict[int, float] = {}
+    last = 0.0
     for each in replies:
         uncertain_ns = TICK_NS + max(each.late_ns - each.time_ns, 0)
         ends = each.time_ns - uncertain_ns, each.time_ns
         before, way = np.interp(ends, truth.times_ns, ways).tolist()
-        parts[each.time_ns] = parts_new(way - last, way - before, readings, each.readings)
-        last, readings = way, each.readings
+        parts[each.time_ns] = part_new(way - last, PERSISTENCE, way - before)
+        last = way
     return parts

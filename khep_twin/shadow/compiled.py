@@ -162,7 +162,7 @@ def _explain(
             chances[twin, channel] = chance
             if use[channel] and range_left[twin, channel] >= 1:
                 # Of an observation that is new in part, its own variance counts as much more.
-                trust = (1 - law.outliers) * inside / chance * variance / (variance + own * (1 / new[channel] - 1))
+                trust = (1 - law.outliers) * inside / chance * variance / (variance + own * (1 / new - 1))
                 step = trust * off / deviation
                 sensor[0] += step * first
                 sensor[1] += step * second

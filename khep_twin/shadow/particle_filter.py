@@ -19,7 +19,7 @@ from khep_twin.shadow.actions import LATE_NS, Action, Commanded, Counted, Seen, 
 from khep_twin.shadow.changes import FaultChange, mixed, quotas
 from khep_twin.shadow.motion_noise import moves
 from khep_twin.shadow.particles import Particles, drawn
-from khep_twin.shadow.persistence import SENSOR_RADIUS, parts_new
+from khep_twin.shadow.persistence import PERSISTENCE, SENSOR_RADIUS, has_changed, part_new
 from khep_twin.shadow.planes import TICK_NS
 from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
 
@@ -87,7 +87,8 @@ class ParticleFilter:
         self.expected: Floats = np.zeros(8)
         self.surprise: Floats = np.zeros(8)
         self.new: Floats = np.ones(8)
-        self._readings: NDArray[np.int64] | None = None
+        self._read: Floats | None = None
+        """Readings of the last reply to N, and what they were beyond those expected (2, 8) [counts]."""
         self._drifted_ticks = particles.planes.ticks
         self._uncertain_s = _TICK_S
         """Time within which the last command was executed [s]."""
@@ -127,9 +128,7 @@ class ParticleFilter:
         along = np.abs(self.particles.planes.poses - before) @ (1, 1, SENSOR_RADIUS)
         self._way += float(self.weights @ along)
         if isinstance(action, Seen):
-            parts = self._parts_new(action)
-            self.new = parts if new is None else new
-            self._see(action, use)
+            self._see(action, use, new)
         if isinstance(action, Counted):
             return self.weights @ self.particles.count(action.counters)
         return np.full(2, np.nan)
@@ -183,25 +182,28 @@ class ParticleFilter:
         self._drifted_ticks = self.particles.planes.ticks - _FRESH_TICKS
         self._drift(np.zeros(3))
 
-    def _see(self, seen: Seen, use: NDArray[np.bool_]) -> None:
-        """Weigh the particles by a reply to N of the sensors to rely on (8,)."""
-        particles, new = self.particles, self.new
-        self.expected, self.surprise, logs = self._model.explain(particles, seen.readings, use, new)
-        new = new * (MANY_TEMPER if not self.changes and len(particles) > MANY else 1.0)
-        self.surprise *= new
-        particles.logs += logs @ new
+    def _see(self, seen: Seen, use: NDArray[np.bool_], new: Floats | None) -> None:
+        """Weigh the particles by a reply to N of the sensors to rely on, of which parts are new (8,)."""
+        particles, (unchanged, changed) = self.particles, self._parts_new(seen)
+        part = unchanged if new is None else float(new.min())
+        self.expected, self.surprise, logs = self._model.explain(particles, seen.readings, use, part)
+        read: Floats = np.stack([seen.readings, seen.readings - self.expected])
+        before, self._read = read if self._read is None else self._read, read
+        self.new = np.where(has_changed(before, read), changed, unchanged) if new is None else new
+        weight = self.new * (MANY_TEMPER if not self.changes and len(particles) > MANY else 1.0)
+        self.surprise *= weight
+        particles.logs += logs @ weight
         norm = log_of_sum(particles.logs)
         self.evidence += norm
         particles.logs -= norm
 
-    def _parts_new(self, seen: Seen) -> Floats:
-        """Return the parts of a reply to N that are new, after the way since the last (8,)."""
+    def _parts_new(self, seen: Seen) -> tuple[float, float]:
+        """Return the parts of a reading that are new if it is as after the way since the last, or has changed."""
         # The time is not certain, by a tick at the least.
         uncertain_s = _TICK_S + max(seen.late_ns - seen.time_ns, 0) * 1e-9
         vague = uncertain_s * float(self.weights @ np.abs(self._speeds) @ (1, 1, SENSOR_RADIUS))
         way, self._way = self._way, 0.0
-        before, self._readings = self._readings, seen.readings
-        return parts_new(way, vague, seen.readings if before is None else before, seen.readings)
+        return part_new(way, PERSISTENCE, vague), part_new(math.inf, PERSISTENCE, vague)
 
     def estimate(self, time_ns: int) -> PoseEstimate:
         """Return the estimate of the pose, of the most probable change."""

@@ -17,16 +17,15 @@ LEAST_NEW = 0.05
 """Power of the likelihood of a reading where the robot stands (assumed)."""
 
 CHANGED = 100.0, 0.25
-"""Counts and part of the larger reading by which one changes that is new however far the robot went: a robot
-that was lifted, or that moves where the twins are stuck (assumed)."""
+"""Counts, and part of the larger reading, by which a reading and its error change where both are new, however
+little the twins have moved: the robot was lifted, or moves where they are stuck (assumed)."""
 
 
-def parts_new(way: float, vague: float, before: NDArray[np.int64], readings: NDArray[np.int64]) -> Floats:
-    """Return the parts of proximity readings that are new, after those before (8,); see `part_new`."""
+def has_changed(before: Floats, after: Floats) -> NDArray[np.bool_]:
+    """Return which sensors' readings, and what they are beyond those expected, have changed (2, 8) to (8,)."""
     least, part = CHANGED
-    changed = np.abs(readings - before) > np.maximum(least, part * np.maximum(readings, before))
-    of_changed, of_others = (part_new(each, PERSISTENCE, vague) for each in (math.inf, way))
-    return np.where(changed, of_changed, of_others)
+    most = np.maximum(least, part * np.maximum(before[0], after[0]))
+    return (np.abs(after - before) > most).all(axis=0)
 
 
 def part_new(way: float, persistence: float, vague: float = 0.0) -> float:

@@ -248,7 +248,7 @@ class Planes:
         range_left: Floats,
         readings: NDArray[np.int64],
         use: NDArray[np.bool_],
-        new: Floats,
+        new: float,
     ) -> tuple[Floats, Floats, Floats]:
         """Return expected counts, their deviations and readings' probabilities (n, 8); learn the traits.
 
@@ -259,7 +259,7 @@ class Planes:
             range_left: Part of each sensor's range that the lamps leave (n, 8).
             readings: Proximity (8,) [counts].
             use: Sensors that may be learned from (8,).
-            new: Parts of the readings that are new (8,).
+            new: Part of the readings that is new.
         """
         light, slope = self.illuminate(traits[:, :, 1])
         counts, deviations, chances = np.zeros((3, len(self), units.N_SENSORS))

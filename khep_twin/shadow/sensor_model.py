@@ -65,9 +65,9 @@ class SensorModel:
         )
 
     def explain(
-        self, particles: Particles, readings: NDArray[np.int64], use: NDArray[np.bool_], new: Floats
+        self, particles: Particles, readings: NDArray[np.int64], use: NDArray[np.bool_], new: float = 1.0
     ) -> tuple[Floats, Floats, Floats]:
-        """Learn the traits of the particles' sensors from readings (8,) [counts], of which parts are new (8,).
+        """Learn the traits of the particles' sensors from readings (8,) [counts], of which a part is new.
 
         Sensors that are not to be relied on (8,) have likelihood 1.
 

@@ -13,7 +13,6 @@ from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.sensor_model import SensorModel, log_of_sum, range_left, range_left_at_least
 
 BESIDE_THE_LAMP = 600.0, 275.0, 0.0
-NEW = np.ones(8)
 X, Y, HEADING = AT_THE_CRATE
 
 
@@ -40,7 +39,7 @@ def test_the_right_pose_is_the_likeliest(gain: float) -> None:
         *[(X + dx, Y + dy, HEADING + turn) for dx, dy, turn in [*places, *turns, (150, -60, 0)]],
     ]
     particles, model = standing(*poses)
-    _, _, logs = model.explain(particles, seen(gain), ALL, NEW)
+    _, _, logs = model.explain(particles, seen(gain), ALL)
     assert np.argmax(logs.sum(axis=1)) == 0
     # One that sees nothing of it is out of the question.
     assert logs.sum(axis=1)[-1] < logs.sum(axis=1)[0] - 1
@@ -48,12 +47,12 @@ def test_the_right_pose_is_the_likeliest(gain: float) -> None:
 
 def test_what_is_expected_surprises_less_than_what_is_not() -> None:
     (particles, model), told = standing(AT_THE_CRATE), seen()
-    expected, usual, _ = model.explain(particles, told, ALL, NEW)
+    expected, usual, _ = model.explain(particles, told, ALL)
     assert expected == pytest.approx(told, abs=1)
     assert usual.max() < 1
     other = told.copy()
     other[3], other[7] = 0, 700
-    _, surprise, _ = model.explain(particles, other, ALL, NEW)
+    _, surprise, _ = model.explain(particles, other, ALL)
     assert surprise[[3, 7]].min() > 1
     assert np.delete(surprise, [3, 7]).max() < 0.7
 
@@ -63,10 +62,10 @@ def test_where_other_robots_drive_only_things_that_are_missing_surprise() -> Non
     particles.planes.others = True
     particles.planes.advance(1)
     model = SensorModel(particles.planes)
-    model.explain(particles, told, ALL, NEW)
+    model.explain(particles, told, ALL)
     other = told.copy()
     other[3], other[7] = 0, 700
-    _, surprise, _ = model.explain(particles, other, ALL, NEW)
+    _, surprise, _ = model.explain(particles, other, ALL)
     assert surprise[3] > 1
     assert surprise[7] == 0
 
@@ -75,7 +74,7 @@ def test_a_sensor_that_is_not_relied_on_tells_nothing() -> None:
     particles, model = standing(AT_THE_CRATE)
     told, use = seen(), ALL.copy()
     told[3], use[3] = 0, False
-    _, surprise, logs = model.explain(particles, told, use, NEW)
+    _, surprise, logs = model.explain(particles, told, use)
     assert surprise[3] == logs[0, 3] == 0
     assert not particles.traits[0, 3].any()
     assert particles.traits[0, 4].all()
@@ -89,8 +88,8 @@ def test_traits_are_learned_by_the_sensors_that_see_something() -> None:
     assert nothing.any()
     before = particles.covariances.copy()
     for _ in range(100):
-        model.explain(particles, told, ALL, NEW)
-    expected, _, _ = model.explain(particles, told, ALL, NEW)
+        model.explain(particles, told, ALL)
+    expected, _, _ = model.explain(particles, told, ALL)
     assert expected[sees] == pytest.approx(told[sees], abs=2)
     variances = np.einsum("stt->st", particles.covariances[0])
     assert (variances[sees, 0] < 0.7 * np.einsum("stt->st", before[0])[sees, 0]).all()
@@ -109,7 +108,7 @@ def test_a_sensors_gain_heading_and_threshold_are_told_apart_by_many_views() -> 
         planes.put(np.array([metric((X + dx, Y + dy, HEADING + turn))]))
         light = planes.illuminate(np.full((1, 8), own[1]))[0][0]
         counts = math.exp(own[0]) * light - threshold - own[2] + 20 * rng.standard_normal(8)
-        model.explain(particles, np.rint(counts.clip(0, 1023)).astype(np.int64), ALL, NEW)
+        model.explain(particles, np.rint(counts.clip(0, 1023)).astype(np.int64), ALL)
     gain, turn, shift = particles.traits[0, 1:5].T
     assert gain == pytest.approx(np.full(4, own[0]), abs=0.06)
     assert turn == pytest.approx(np.full(4, own[1]), abs=math.radians(1.5))
@@ -121,12 +120,12 @@ def test_what_is_beyond_the_range_tells_on_which_side_the_count_is(reading: int,
     (particles, model), told = standing(AT_THE_CRATE), seen()
     sees = (told > 100) & (told < 900)
     for _ in range(50):
-        model.explain(particles, np.full(8, reading), ALL, NEW)
+        model.explain(particles, np.full(8, reading), ALL)
     assert (sign * particles.traits[0, sees, 0] > 0.02).all()
     far = particles_at(AT_THE_CRATE)
     far.traits[:, :, 0] = 3.0 * sign  # Counts that are beyond anyhow.
     far.planes.advance(1)
-    model.explain(far, np.full(8, reading), ALL, NEW)
+    model.explain(far, np.full(8, reading), ALL)
     assert far.traits[0, sees, 0] == pytest.approx(np.full(sees.sum(), 3.0 * sign), abs=1e-3)
 
 
@@ -137,7 +136,7 @@ def test_beside_a_lamp_sensors_have_a_part_of_their_range_as_those_of_an_episode
     episode.begin(options=EpisodeOptions(noise=False, start=BESIDE_THE_LAMP))
     episode.run(0.1)
     told = np.array(episode.readings()[0])
-    expected, surprise, _ = model.explain(particles, told, ALL, NEW)
+    expected, surprise, _ = model.explain(particles, told, ALL)
     assert model.range_left[2:4].max() < 0.7
     assert model.range_left[6:].min() > 0.9
     assert (expected <= 1023 * model.range_left + 1e-9).all()
@@ -159,11 +158,11 @@ def test_where_one_of_several_lamps_is_on_a_sensor_that_it_may_blind_tells_only_
     assert planes.lamps_are_unknown
     planes.advance(1)
     blind = np.zeros(8, np.int64)
-    _, surprise, logs = model.explain(particles, blind, ALL, NEW)
+    _, surprise, logs = model.explain(particles, blind, ALL)
     lit = model.range_left < 0.97
     assert lit.any()
     assert surprise[lit].tolist() == logs[0, lit].tolist() == [0.0] * lit.sum()
-    _, _, logs = model.explain(particles, np.full(8, 500), ALL, NEW)
+    _, _, logs = model.explain(particles, np.full(8, 500), ALL)
     assert (logs[0] != 0).all()
 
 
