@@ -91,8 +91,8 @@ class _Informed(ParticleFilter):
 
     parts: Mapping[int, float]
 
-    def _parts_new(self, seen: Seen) -> tuple[float, float]:
-        return self.parts[seen.time_ns], self.parts[seen.time_ns]
+    def _part_new(self, seen: Seen) -> float:
+        return self.parts[seen.time_ns]
 
 
 class Oracle:

@@ -19,7 +19,7 @@ from khep_twin.shadow.actions import LATE_NS, Action, Commanded, Counted, Seen, 
 from khep_twin.shadow.changes import FaultChange, mixed, quotas
 from khep_twin.shadow.motion_noise import moves
 from khep_twin.shadow.particles import Particles, drawn
-from khep_twin.shadow.persistence import PERSISTENCE, SENSOR_RADIUS, has_changed, part_new
+from khep_twin.shadow.persistence import PERSISTENCE, SENSOR_RADIUS, part_new
 from khep_twin.shadow.planes import TICK_NS
 from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
 
@@ -74,7 +74,7 @@ class ParticleFilter:
         evidence: Logarithm of the probability of all readings so far.
         expected: Readings expected last, over all particles (8,).
         surprise: What the last reply was less likely than an expected one, by sensor (8,), in logarithms.
-        new: Parts of the last reply to N that were new, by sensor (8,).
+        new: Part of the last reply to N that was new.
     """
 
     def __init__(
@@ -86,9 +86,7 @@ class ParticleFilter:
         self.evidence = 0.0
         self.expected: Floats = np.zeros(8)
         self.surprise: Floats = np.zeros(8)
-        self.new: Floats = np.ones(8)
-        self._read: Floats | None = None
-        """Readings of the last reply to N, and what they were beyond those expected (2, 8) [counts]."""
+        self.new = 1.0
         self._drifted_ticks = particles.planes.ticks
         self._uncertain_s = _TICK_S
         """Time within which the last command was executed [s]."""
@@ -113,8 +111,8 @@ class ParticleFilter:
             self._renew()
         return told
 
-    def weigh(self, action: Action, use: NDArray[np.bool_], new: Floats | None = None) -> Floats:
-        """Follow an action as `act` does, with the same particles; parts of a reply to N are new (8,).
+    def weigh(self, action: Action, use: NDArray[np.bool_], new: float | None = None) -> Floats:
+        """Follow an action as `act` does, with the same particles; a part of a reply to N is new.
 
         By default that is by the way of these particles. Evidence of two filters compares only if the parts
         are the same.
@@ -128,7 +126,9 @@ class ParticleFilter:
         along = np.abs(self.particles.planes.poses - before) @ (1, 1, SENSOR_RADIUS)
         self._way += float(self.weights @ along)
         if isinstance(action, Seen):
-            self._see(action, use, new)
+            part = self._part_new(action)
+            self.new = part if new is None else new
+            self._see(action, use)
         if isinstance(action, Counted):
             return self.weights @ self.particles.count(action.counters)
         return np.full(2, np.nan)
@@ -182,28 +182,24 @@ class ParticleFilter:
         self._drifted_ticks = self.particles.planes.ticks - _FRESH_TICKS
         self._drift(np.zeros(3))
 
-    def _see(self, seen: Seen, use: NDArray[np.bool_], new: Floats | None) -> None:
-        """Weigh the particles by a reply to N of the sensors to rely on, of which parts are new (8,)."""
-        particles, (unchanged, changed) = self.particles, self._parts_new(seen)
-        part = unchanged if new is None else float(new.min())
-        self.expected, self.surprise, logs = self._model.explain(particles, seen.readings, use, part)
-        read: Floats = np.stack([seen.readings, seen.readings - self.expected])
-        before, self._read = read if self._read is None else self._read, read
-        self.new = np.where(has_changed(before, read), changed, unchanged) if new is None else new
-        weight = self.new * (MANY_TEMPER if not self.changes and len(particles) > MANY else 1.0)
-        self.surprise *= weight
-        particles.logs += logs @ weight
+    def _see(self, seen: Seen, use: NDArray[np.bool_]) -> None:
+        """Weigh the particles by a reply to N of the sensors to rely on (8,)."""
+        particles, new = self.particles, self.new
+        self.expected, self.surprise, logs = self._model.explain(particles, seen.readings, use, new)
+        new *= MANY_TEMPER if not self.changes and len(particles) > MANY else 1.0
+        self.surprise *= new
+        particles.logs += new * logs.sum(axis=1)
         norm = log_of_sum(particles.logs)
         self.evidence += norm
         particles.logs -= norm
 
-    def _parts_new(self, seen: Seen) -> tuple[float, float]:
-        """Return the parts of a reading that are new if it is as after the way since the last, or has changed."""
+    def _part_new(self, seen: Seen) -> float:
+        """Return the part of a reply to N that is new, after the way since the last."""
         # The time is not certain, by a tick at the least.
         uncertain_s = _TICK_S + max(seen.late_ns - seen.time_ns, 0) * 1e-9
         vague = uncertain_s * float(self.weights @ np.abs(self._speeds) @ (1, 1, SENSOR_RADIUS))
         way, self._way = self._way, 0.0
-        return part_new(way, PERSISTENCE, vague), part_new(math.inf, PERSISTENCE, vague)
+        return part_new(way, PERSISTENCE, vague)
 
     def estimate(self, time_ns: int) -> PoseEstimate:
         """Return the estimate of the pose, of the most probable change."""

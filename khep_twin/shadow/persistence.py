@@ -2,11 +2,6 @@
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-Floats = NDArray[np.float64]
-
 SENSOR_RADIUS = 0.025
 """Distance of the sensors from the centre, about [m]."""
 
@@ -15,17 +10,6 @@ PERSISTENCE = 0.004
 
 LEAST_NEW = 0.05
 """Power of the likelihood of a reading where the robot stands (assumed)."""
-
-CHANGED = 100.0, 0.25
-"""Counts, and part of the larger reading, by which a reading and its error change where both are new, however
-little the twins have moved: the robot was lifted, or moves where they are stuck (assumed)."""
-
-
-def has_changed(before: Floats, after: Floats) -> NDArray[np.bool_]:
-    """Return which sensors' readings, and what they are beyond those expected, have changed (2, 8) to (8,)."""
-    least, part = CHANGED
-    most = np.maximum(least, part * np.maximum(before[0], after[0]))
-    return (np.abs(after - before) > most).all(axis=0)
 
 
 def part_new(way: float, persistence: float, vague: float = 0.0) -> float:

@@ -78,10 +78,10 @@ _SIGHTS = 4
 
 
 class _Heard(NamedTuple):
-    """An action, and the parts of a reply to N that were new (8,)."""
+    """An action, and the part of a reply to N that was new."""
 
     action: Action
-    new: Floats
+    new: float
 
     @property
     def has_sight(self) -> bool:

@@ -243,20 +243,6 @@ def test_a_robot_that_pushes_teaches_nothing_of_its_wheels(
     assert moved / before.std() == pytest.approx(shift, abs=0.25)
 
 
-def test_a_reading_that_changes_where_twins_stand_counts_once_as_all_of_it_is_new() -> None:
-    """A robot that stood at the crate was lifted: the error of its twins is not the one that they had before."""
-    tracker, robot = filtering(setup_of("workshop"), metric(AT_THE_CRATE), EXACT), planes_at(AT_THE_CRATE)
-    tenth = robot.ticks * SECOND // 100
-    robot.advance(10)
-    surprises: list[float] = []
-    for counts in (readings(robot), np.zeros(8, np.int64), np.zeros(8, np.int64)):
-        tenth += SECOND // 10
-        tracker.act(Seen(tenth, counts), ALL)
-        surprises.append(float(tracker.surprise.max()))
-    first, changed, same = surprises
-    assert changed > 2 > 10 * max(first, same)
-
-
 def test_faults_that_are_considered_add_their_quota_once() -> None:
     setup = setup_of("workshop")
     tracker = ParticleFilter(
