@@ -2,8 +2,8 @@
 
 They begin with the true pose, within a millimetre and a degree, where the fault begins, or shortly before it
 is noticeable; with wheels and sensors as a filter has learned them until the fault; and they know how far the
-robot really goes between replies. All particles of a filter have the fault of its explanation. That a robot was
-lifted is considered where it was: the oracle knows where to, but not before that it is this one of all places.
+robot really goes between replies. All particles of a filter have the fault of its explanation. That a robot
+was lifted is considered where it was; the oracle knows where to, at the odds of this one of all places.
 """
 
 import math
@@ -25,7 +25,7 @@ from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.persistence import PERSISTENCE, SENSOR_RADIUS, part_new
-from khep_twin.shadow.planes import TICK_NS
+from khep_twin.shadow.planar_bodies import TICK_NS
 from khep_twin.shadow.recording import recorded
 from khep_twin.shadow.sensor_model import log_of_sum
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
@@ -78,7 +78,7 @@ class _Listener(Shadow):
         self.actions: list[Action] = []
 
     def _follow(self, action: Action) -> Floats:
-        self._reckon(action)
+        self._reckoning.advance_to(action.time_ns)
         self.actions.append(action)
         return np.full(2, np.nan)
 

@@ -35,7 +35,7 @@ class Outcome(NamedTuple):
         paired: Whether it was given its name or one that looks alike in time.
         delay_s: Time of that after the fault was noticeable [s]; NaN without a right name.
         wrong: Other names.
-        end_s: Time for which a right name outlasted the first reply that showed the end of the fault [s]; NaN if
+        end_s: Time for which a right name outlasted the first reply that showed the fault's end [s]; NaN if
             the name did not end, or none was given.
         ends: Whether the fault was named, and its end is noticeable.
         busiest_s: CPU time of the busiest second [s].

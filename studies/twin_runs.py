@@ -14,7 +14,8 @@ from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_start
 from khep_twin.shadow.following import Follower, LastingAlarms
 from khep_twin.shadow.recording import recorded
-from khep_twin.shadow.shadow import Shadow, ShadowSettings, Update
+from khep_twin.shadow.shadow import Shadow, ShadowSettings
+from khep_twin.shadow.update import Update
 from stand_ins.hidden_changes import Change
 from stand_ins.hosts import hosts_of
 from stand_ins.recordings import Truth, free_start, record

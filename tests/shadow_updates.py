@@ -8,9 +8,10 @@ import numpy as np
 
 from khep_twin.log.shadow_channels import Alarm, PoseState, Suspicion
 from khep_twin.playpen import Playpen
-from khep_twin.shadow.particle_filter import Floats, PoseEstimate
-from khep_twin.shadow.shadow import Residuals, ShadowSettings, Update
+from khep_twin.shadow.pose_estimate import Floats, PoseEstimate
+from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.shadow.shadow_log import ShadowLog
+from khep_twin.shadow.update import Residuals, Update
 
 MS = 1_000_000
 ALARM = Alarm("stuck sensor 2", "proximity", 800 * MS, 1000 * MS, 0.975)

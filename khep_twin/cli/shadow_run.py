@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
     from khep_twin.shadow.following import AlarmChange
     from khep_twin.shadow.recording import Heard
-    from khep_twin.shadow.shadow import ShadowSettings, Update
+    from khep_twin.shadow.shadow import ShadowSettings
     from khep_twin.shadow.shadow_log import ShadowLog
+    from khep_twin.shadow.update import Update
 
 
 class ExitOn(StrEnum):

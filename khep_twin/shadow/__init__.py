@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from khep_twin.shadow.shadow import Shadow as Shadow
     from khep_twin.shadow.shadow import ShadowSettings as ShadowSettings
-    from khep_twin.shadow.shadow import Update as Update
+    from khep_twin.shadow.update import Update as Update
 else:
     from khep_twin import lazy
 

@@ -11,7 +11,8 @@ from typing import NamedTuple
 from khep_twin.clock import NS_PER_S
 from khep_twin.log.shadow_channels import Alarm, PoseState, StateTimes
 from khep_twin.shadow.recording import Heard
-from khep_twin.shadow.shadow import Shadow, Update
+from khep_twin.shadow.shadow import Shadow
+from khep_twin.shadow.update import Update
 
 STEP_NS = NS_PER_S // 5
 """Step of the silence after which the pose is estimated without a reply [ns] (assumed)."""

@@ -8,7 +8,7 @@ them; where few of them count, they are drawn anew. Some have a fault that may h
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,8 @@ from khep_twin.shadow.changes import FaultChange, mixed, quotas
 from khep_twin.shadow.motion_noise import moves
 from khep_twin.shadow.particles import Particles, drawn
 from khep_twin.shadow.persistence import PERSISTENCE, SENSOR_RADIUS, part_new
-from khep_twin.shadow.planes import TICK_NS
+from khep_twin.shadow.planar_bodies import TICK_NS
+from khep_twin.shadow.pose_estimate import PoseEstimate
 from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
 
 Floats = NDArray[np.float64]
@@ -28,10 +29,6 @@ Floats = NDArray[np.float64]
 MANY, MANY_TEMPER = 3000, 0.17
 """Number of particles that are many, of a robot that may be anywhere, and the power of their likelihood: what
 is dropped too early is lost."""
-
-LEAST_DEVIATION = 5e-4, 5e-4, 2e-3
-"""Standard deviations below which no pose is told [m, rad] (assumed): twins that lean against a wall agree on
-their distance from it, but no robot's body is known better."""
 
 LEAST_EFFECTIVE = 0.5
 """Part of the particles that count, below which they are drawn anew."""
@@ -45,7 +42,6 @@ _TICK_S = TICK_NS * 1e-9
 _FRESH_TICKS = 25
 """Time for whose noise few particles are spread that become many [ticks]."""
 
-
 _LONGEST_TICKS, _LONGEST_SOUND_TICKS = 10, 50
 """Longest time after which the particles are drawn anew, with changes that may begin then, and without
 [ticks]."""
@@ -55,14 +51,6 @@ _IN_CELL, _IN_CELL_CHANGED = 200, 10
 
 _IMPROBABLE = 0.01
 """Probability below which a change need not be considered any more."""
-
-
-class PoseEstimate(NamedTuple):
-    """Estimate of a pose x, y [m] and heading [rad] at a time [ns]: mean and covariance (3, 3)."""
-
-    time_ns: int
-    pose: tuple[float, float, float]
-    covariance: Floats
 
 
 class ParticleFilter:
@@ -209,12 +197,7 @@ class ParticleFilter:
         # Twins are at a whole tick; the robot went on since.
         since_s = min(max(time_ns - self.particles.planes.ticks * TICK_NS, 0), TICK_NS) * 1e-9
         poses = poses + self._speeds[likely] * since_s
-        x, y = float(weights @ poses[:, 0]), float(weights @ poses[:, 1])
-        heading = math.atan2(weights @ np.sin(poses[:, 2]), weights @ np.cos(poses[:, 2]))
-        off: Floats = poses - np.array([x, y, heading])
-        off[:, 2] = (off[:, 2] + math.pi) % math.tau - math.pi
-        covariance = (off * weights[:, None]).T @ off + np.diag(np.square(LEAST_DEVIATION))
-        return PoseEstimate(time_ns, (x, y, heading), covariance)
+        return PoseEstimate.of(time_ns, poses, weights)
 
     @property
     def weights(self) -> Floats:

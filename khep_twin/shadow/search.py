@@ -21,7 +21,7 @@ from khep_twin.shadow.hypotheses import Placed
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Particles, drawn
 from khep_twin.shadow.place_map import PlaceMap, Sight
-from khep_twin.shadow.planes import AWAY
+from khep_twin.shadow.planar_bodies import AWAY
 from khep_twin.shadow.pose_watch import Onset
 from khep_twin.shadow.sensor_model import log_of_sum
 from khep_twin.shadow.thresholds import THRESHOLDS

@@ -1,6 +1,6 @@
 """A shadow: the twin beside a robot, fed by the bytes of its line alone.
 
-    shadow = Shadow(playpen, ShadowSettings(start=None))
+    shadow = Shadow(playpen, ShadowSettings(known=False))
     for update in shadow.feed(time_ns, to_robot, data):
         print(update.estimate.pose, update.alarms)
 
@@ -8,67 +8,35 @@ Commands move the particles (`particle_filter`) as they move the robot, replies 
 Bytes and times alone decide: the same recording gives the same updates, bit for bit.
 """
 
-import math
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin import firmware, units
-from khep_twin.board import kernel
-from khep_twin.board.protocol import Command
-from khep_twin.board.rom import ROMS
 from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.firmware import Firmware, parse
 from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
-from khep_twin.log.shadow_channels import Alarm, PoseState, Suspicion
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
-from khep_twin.shadow.actions import (
-    LATE_NS,
-    Action,
-    Commanded,
-    Configured,
-    Counted,
-    Restarted,
-    Seen,
-    Waited,
-)
+from khep_twin.shadow.actions import LATE_NS, Action, Counted, Restarted, Seen, Waited
 from khep_twin.shadow.diagnosis import Diagnosis
-from khep_twin.shadow.particle_filter import ParticleFilter, PoseEstimate
+from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import LearnedValues
+from khep_twin.shadow.reckoning import Reckoning
 from khep_twin.shadow.start import PUBLISHED, Spread, begun, known_starts
-from khep_twin.shadow.wheel_commands import DUTY, POSITION, SPEED, TARGET
-from khep_twin.units import BITS_PER_BYTE
+from khep_twin.shadow.update import NOTHING_ASKED, Residuals, Update
+from khep_twin.units import BITS_PER_BYTE, N_SENSORS
 
 Floats = NDArray[np.float64]
 
 ANYWHERE = 20
 """Particles for each of those in `ShadowSettings`, while the robot may be anywhere."""
 
-COMMANDS = {"D": SPEED, "P": DUTY, "C": TARGET, "G": POSITION}
-"""Commands whose effect depends on a board's registers."""
-
-LIMITS = {
-    "D": firmware.SPEED_LIMIT_PULSES,
-    "P": units.DUTY_LIMIT,
-    "C": firmware.TARGET_LIMIT_PULSES,
-    "G": 2**31 - 1,
-}
-"""Largest arguments of these."""
-
 _LINE_END = 2
 """Bytes that end a reply."""
 
 _LONGEST_NS = 100_000_000
 """Silence after which the pose is estimated without a reply [ns]."""
-
-_NONE: Floats = np.full(units.N_SENSORS, np.nan)
-
-Pose = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,53 +60,6 @@ class ShadowSettings:
     others: bool = False
 
 
-class Residuals(NamedTuple):
-    """Deviations of the last replies from what the twins expect; NaN where nothing was asked.
-
-    Attributes:
-        proximity: Readings less expected ones (8,) [counts].
-        light: Ambient readings less expected ones (8,) [counts].
-        wheels: Counters less expected ones since they were asked last, left and right (2,) [pulses].
-        timing: Time of the reply beyond that of its bytes on the line [s].
-    """
-
-    proximity: Floats
-    light: Floats
-    wheels: Floats
-    timing: float
-
-
-@dataclass(frozen=True, slots=True)
-class Update:
-    """State of a shadow after a reply with values.
-
-    Attributes:
-        time_ns: Time at which the robot has read its registers, in that of the line [ns].
-        estimate: Estimated pose.
-        reckoned: Pose x, y [m], heading [rad] by commands alone, as the calibration's robot would drive.
-        particles: Poses of equally probable particles (n, 3) [m, rad].
-        expected: Expected proximity (8,) [counts].
-        measured: Proximity as replied last (8,) [counts]; NaN before the first.
-        residuals: Deviations of the replies.
-        state: State of the estimate.
-        suspected: Faults that are suspected without an alarm, the most probable first.
-        alarms: Alarms that last.
-        ended: Alarms that have ended with this reply.
-    """
-
-    time_ns: int
-    estimate: PoseEstimate
-    reckoned: Pose
-    particles: Floats
-    expected: Floats
-    measured: Floats
-    residuals: Residuals
-    state: PoseState
-    suspected: tuple[Suspicion, ...]
-    alarms: tuple[Alarm, ...]
-    ended: tuple[Alarm, ...]
-
-
 class Shadow:
     """The twin beside a robot.
 
@@ -153,7 +74,6 @@ class Shadow:
     def __init__(self, playpen: Playpen, settings: ShadowSettings) -> None:
         self.settings = settings
         self._setup = EpisodeSetup(playpen, planar=True)
-        entry = self._setup.entry
         rng = stream(settings.seed, "shadow")
         starts = known_starts(self._setup)
         count = settings.particles * (len(starts) if settings.known else ANYWHERE)
@@ -162,11 +82,10 @@ class Shadow:
         tracker = ParticleFilter(self._setup, start, rng, settings.particles)
         hypotheses = stream(settings.seed, "shadow", "hypotheses")
         self._diagnosis = Diagnosis(self._setup, tracker, hypotheses)
-        self._reckoned = begun(self._setup, starts, Spread(0, 0, 0, 0, 0, 0), 1, rng)
-        board = self._reckoned.planes
-        self._firmware = Firmware(ROMS[entry.rom], entry.mode, None, board.registers[0], board.processor[0])
+        reckoned = begun(self._setup, starts, Spread(0, 0, 0, 0, 0, 0), 1, rng)
+        self._reckoning = Reckoning(self._setup, reckoned.planes)
         self._dialogue = Dialogue(self._byte_ns)
-        self._measured: Floats = np.full(units.N_SENSORS, np.nan)
+        self._measured: Floats = np.full(N_SENSORS, np.nan)
         self._time_ns = 0
 
     @property
@@ -192,7 +111,7 @@ class Shadow:
         if time_ns - self._time_ns > _LONGEST_NS:
             self._time_ns = time_ns
             self._follow(Waited(time_ns))
-            updates.append(self._update(Residuals(_NONE, _NONE, _NONE[:2], math.nan)))
+            updates.append(self._update(NOTHING_ASKED))
         return updates
 
     @property
@@ -203,9 +122,9 @@ class Shadow:
         """Repeat an exchange on the particles; return an update if its reply has values."""
         before = self._diagnosis.alarms
         self._diagnosis.hear(exchange)
-        residuals = Residuals(_NONE, _NONE, _NONE[:2], math.nan)
+        residuals = NOTHING_ASKED
         if exchange.reply is not None and BANNER in exchange.reply:
-            self._firmware.reset()
+            self._reckoning.reset()
             self._follow(Restarted(exchange.heard_ns))
         if not exchange.command:
             return self._update(residuals) if before != self._diagnosis.alarms else None
@@ -220,10 +139,10 @@ class Shadow:
         late_ns = max(late_ns, time_ns)
         values = exchange.values
         if exchange.reply is None or values is not None:
-            for action in self._executed(time_ns, late_ns, exchange):
+            for action in self._reckoning.executed(time_ns, late_ns, exchange):
                 self._follow(action)
         match exchange.letter, values:
-            case "N", tuple() if len(values) == units.N_SENSORS:
+            case "N", tuple() if len(values) == N_SENSORS:
                 readings = np.array(values)
                 self._follow(Seen(time_ns, readings, late_ns))
                 self._measured = readings.astype(np.float64)
@@ -231,7 +150,7 @@ class Shadow:
             case "H", (int(left), int(right)):
                 beyond = self._follow(Counted(time_ns, np.array([left, right]), late_ns))
                 residuals = residuals._replace(wheels=beyond)
-            case "O", tuple() if len(values) == units.N_SENSORS:
+            case "O", tuple() if len(values) == N_SENSORS:
                 light = np.array(values)
                 residuals = residuals._replace(light=light - self._diagnosis.see_light(time_ns, light))
             case _ if before == self._diagnosis.alarms:
@@ -242,47 +161,15 @@ class Shadow:
 
     def _follow(self, action: Action) -> Floats:
         """Repeat an action on all twins; return what counters tell beyond commands (2,)."""
-        self._reckon(action)
+        self._reckoning.advance_to(action.time_ns)
         return self._diagnosis.follow(action)
-
-    def _reckon(self, action: Action) -> None:
-        """Repeat an action on the twin of dead reckoning, whose board the firmware has set already."""
-        self._reckoned.planes.advance_to(action.time_ns)
-
-    def _executed(self, time_ns: int, late_ns: int, exchange: Exchange) -> Iterator[Action]:
-        """Execute a command on the board of dead reckoning; yield what it is for all others.
-
-        Args:
-            time_ns: Time at which the robot has executed it at the earliest [ns].
-            late_ns: Time at which it has at the latest [ns].
-            exchange: Command with its reply.
-        """
-        self._reckon(Waited(time_ns))
-        board, line = self._reckoned.planes.registers[0], exchange.command
-        before = board.copy()
-        match parse(line):
-            case Command(letter, (int(left), int(right))) if letter in COMMANDS:
-                self._firmware.receive(line + b"\n")
-                limit = LIMITS[letter]
-                left, right = kernel.clip(left, limit), kernel.clip(right, limit)
-                # The line may have lost the command, or its reply.
-                is_doubtful = exchange.reply is None
-                yield Commanded(time_ns, COMMANDS[letter], left, right, is_doubtful, late_ns)
-            case Command():
-                # Gains, profiles and LEDs: registers that do not depend on any other.
-                self._firmware.receive(line + b"\n")
-                if len(changed := np.flatnonzero(board != before)):
-                    yield Configured(time_ns, changed, board[changed])
-            case _:
-                pass
 
     def _update(self, residuals: Residuals) -> Update:
         """Return the present state."""
-        x, y, heading = self._reckoned.planes.poses[0].tolist()
         return Update(
             self._time_ns,
             self._diagnosis.filter.estimate(self._time_ns),
-            (x, y, math.remainder(heading, math.tau)),
+            self._reckoning.pose,
             self._diagnosis.filter.poses,
             self._diagnosis.filter.expected,
             self._measured,

@@ -41,7 +41,8 @@ from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.sensing import calibration
 from khep_twin.shadow.following import LastingAlarms
 from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
-from khep_twin.shadow.shadow import ShadowSettings, Update
+from khep_twin.shadow.shadow import ShadowSettings
+from khep_twin.shadow.update import Update
 from khep_twin.units import SENSOR_LABELS
 
 ROBOT = "khepera0"

@@ -20,8 +20,9 @@ from typing import Self
 
 from khep_twin.log.viewer.process import end_process
 from khep_twin.playpen import Playpen
-from khep_twin.shadow.shadow import ShadowSettings, Update
+from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.shadow.shadow_log import LIVE_FLUSH_NS, ShadowLog
+from khep_twin.shadow.update import Update
 from khep_twin.signals import clear_at_end, undisturbed
 from khep_twin.status_line import BESIDE
 

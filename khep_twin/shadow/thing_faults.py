@@ -12,7 +12,7 @@ from khep_twin.episodes.planar import plane as flat
 from khep_twin.sensing.mujoco_scene import visible
 from khep_twin.shadow.hypotheses import Hypothesis, Placed, refined
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.planes import AWAY, N_SPARE
+from khep_twin.shadow.planar_bodies import AWAY, N_SPARE
 from khep_twin.units import N_SENSORS
 
 Floats = NDArray[np.float64]

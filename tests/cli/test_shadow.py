@@ -19,7 +19,8 @@ from khep_twin.log.reader import read_arrays, read_log
 from khep_twin.log.shadow_channels import Alarm, PoseState
 from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
-from khep_twin.shadow.shadow import Shadow, Update
+from khep_twin.shadow.shadow import Shadow
+from khep_twin.shadow.update import Update
 from stand_ins.recordings import Truth, record
 
 SOME = ("--particles", "100")

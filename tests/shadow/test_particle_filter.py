@@ -16,8 +16,9 @@ from khep_twin.randomness import stream
 from khep_twin.shadow.actions import Commanded, Counted, Seen, Waited
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.hypotheses import QUOTA
-from khep_twin.shadow.particle_filter import LEAST_DEVIATION, ParticleFilter, PoseEstimate
+from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.planes import Planes
+from khep_twin.shadow.pose_estimate import LEAST_DEVIATION, PoseEstimate
 from khep_twin.shadow.start import PUBLISHED, Spread, anywhere, begun
 from khep_twin.shadow.wheel_commands import SPEED
 from khep_twin.shadow.wheel_faults import of_wheels

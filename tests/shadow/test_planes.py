@@ -15,7 +15,8 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.errors import MissingNumbaError
 from khep_twin.playpen import Playpen
-from khep_twin.shadow.planes import AWAY, Planes
+from khep_twin.shadow.planar_bodies import AWAY
+from khep_twin.shadow.planes import Planes
 from khep_twin.shadow.thing_faults import things_of
 from khep_twin.shadow.wheel_commands import SPEED
 

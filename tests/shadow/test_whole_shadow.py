@@ -14,7 +14,8 @@ from khep_twin.playpen import Playpen
 from khep_twin.shadow.following import AlarmChange, Follower
 from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
 from khep_twin.shadow.recording import Heard, recorded
-from khep_twin.shadow.shadow import Shadow, ShadowSettings, Update
+from khep_twin.shadow.shadow import Shadow, ShadowSettings
+from khep_twin.shadow.update import Update
 from studies.twin_runs import Followed, Recording, follow, told_playpen
 
 STUCK, SINCE_S, UNTIL_S, RESTART_S, LENGTH_S = 3, 4, 9, 12, 20

@@ -142,7 +142,9 @@ def test_a_change_is_noticeable_from_the_first_reply_on_that_it_changes(tmp_path
     assert noticed([], Gone(1.0, "cylinder2"))[1] == -1
 
 
-def test_the_end_of_a_fault_is_noticeable_where_a_robot_that_keeps_it_replies_otherwise(tmp_path: Path) -> None:
+def test_the_end_of_a_fault_is_noticeable_where_a_robot_that_keeps_it_replies_otherwise(
+    tmp_path: Path,
+) -> None:
     path, faults = tmp_path / "run.mcap", ["dead:left@0.2-1", "brown-out@1.5"]
     found = record(path, PLAYPEN, seed=3, seconds=2, host="wanderer", asks_counters=True, faults=faults)
     motor_ns, reset_ns = found.over_ns.tolist()

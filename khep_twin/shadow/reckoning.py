@@ -1,0 +1,85 @@
+"""Dead reckoning: a twin that drives by commands alone, and whose board tells what a command does."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from khep_twin import firmware, units
+from khep_twin.board import kernel
+from khep_twin.board.protocol import Command
+from khep_twin.board.rom import ROMS
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.firmware import Firmware, parse
+from khep_twin.log.exchanges import Exchange
+from khep_twin.shadow.actions import Action, Commanded, Configured
+from khep_twin.shadow.planes import Planes
+from khep_twin.shadow.wheel_commands import DUTY, POSITION, SPEED, TARGET
+
+Pose = tuple[float, float, float]
+
+COMMANDS = {"D": SPEED, "P": DUTY, "C": TARGET, "G": POSITION}
+"""Commands whose effect depends on a board's registers."""
+
+LIMITS = {
+    "D": firmware.SPEED_LIMIT_PULSES,
+    "P": units.DUTY_LIMIT,
+    "C": firmware.TARGET_LIMIT_PULSES,
+    "G": 2**31 - 1,
+}
+"""Largest arguments of these."""
+
+
+class Reckoning:
+    """Twin that drives by commands alone, as the calibration's robot would.
+
+    Args:
+        setup: Playpen with the robot, prepared for the plane.
+        planes: Twin, one.
+    """
+
+    def __init__(self, setup: EpisodeSetup, planes: Planes) -> None:
+        self._planes, entry = planes, setup.entry
+        board = planes.registers[0], planes.processor[0]
+        self._firmware = Firmware(ROMS[entry.rom], entry.mode, None, *board)
+
+    @property
+    def pose(self) -> Pose:
+        """Pose x, y [m] and heading [rad]."""
+        x, y, heading = self._planes.poses[0].tolist()
+        return x, y, math.remainder(heading, math.tau)
+
+    def reset(self) -> None:
+        """Reset the board."""
+        self._firmware.reset()
+
+    def advance_to(self, time_ns: int) -> None:
+        """Drive on to a time [ns]."""
+        self._planes.advance_to(time_ns)
+
+    def executed(self, time_ns: int, late_ns: int, exchange: Exchange) -> Iterator[Action]:
+        """Execute a command; yield what it is for twins with other wheels.
+
+        Args:
+            time_ns: Time at which the robot has executed it at the earliest [ns].
+            late_ns: Time at which it has at the latest [ns].
+            exchange: Command with its reply.
+        """
+        self.advance_to(time_ns)
+        board, line = self._planes.registers[0], exchange.command
+        before = board.copy()
+        match parse(line):
+            case Command(letter, (int(left), int(right))) if letter in COMMANDS:
+                self._firmware.receive(line + b"\n")
+                limit = LIMITS[letter]
+                left, right = kernel.clip(left, limit), kernel.clip(right, limit)
+                # The line may have lost the command, or its reply.
+                is_doubtful = exchange.reply is None
+                yield Commanded(time_ns, COMMANDS[letter], left, right, is_doubtful, late_ns)
+            case Command():
+                # Gains, profiles and LEDs: registers that do not depend on any other.
+                self._firmware.receive(line + b"\n")
+                if len(changed := np.flatnonzero(board != before)):
+                    yield Configured(time_ns, changed, board[changed])
+            case _:
+                pass
