@@ -141,12 +141,12 @@ class PoseWatch:
         heard = reversed([each for each in self._heard if each.time_ns <= quiet.time_ns])
         begun = next((each for each in heard if each.in_sight), self._heard[0])
         since = [each for each in self._heard if each.time_ns > quiet.time_ns] or [self._heard[-1]]
-        most = max(each.own for each in since)
-        jump_ns = next(each.before_ns for each in since if each.own >= most / 2)
+        largest = max(since, key=lambda each: each.own)
+        jump_ns = next(each.before_ns for each in since if each.own >= largest.own / 2)
         replies = sum(each.time_ns > jump_ns for each in since)
         if since[-1].time_ns - jump_ns < THRESHOLDS.waited_ns or replies < THRESHOLDS.replies:
             return None
-        return Onset(begun.time_ns, (jump_ns,))
+        return Onset(begun.time_ns, tuple(dict.fromkeys((jump_ns, largest.before_ns))))
 
     @property
     def is_proven(self) -> bool:
