@@ -25,7 +25,8 @@ class Onset(NamedTuple):
 
     Attributes:
         calm_ns: Time of the last reply that confirmed the pose [ns].
-        jumps_ns: Times of replies before those that surprised most [ns].
+        jumps_ns: Times of replies before the first one that surprised by half as much as any, and before the
+            one that surprised most [ns].
     """
 
     calm_ns: int

@@ -50,6 +50,15 @@ def test_it_is_unsure_while_the_region_is_wide_or_replies_surprise() -> None:
     assert watch.onset is None
 
 
+def test_what_surprises_most_may_have_begun_later_than_the_surprise() -> None:
+    watch = PoseWatch(PoseState.FOLLOWED)
+    seen(watch, 1, 10)
+    for number in range(10, 14):
+        watch.see(number * TENTH, MUCH * (1.8 if number == 13 else 1), in_sight=False, is_known=True)
+    seen(watch, 14, 17)
+    assert watch.onset == (5 * TENTH, (9 * TENTH, 12 * TENTH))
+
+
 def test_surprise_begins_after_the_last_reply_that_confirmed_the_pose() -> None:
     watch = PoseWatch(PoseState.FOLLOWED)
     seen(watch, 1, 30)
