@@ -48,7 +48,7 @@ PICTURES = {
 }
 """First bytes of pictures, by Pillow's name of their format; PPM is also PBM and PGM."""
 
-# What Pillow tells of damaged files is in the errors here; without a handler Python prints it.
+# Messages of Pillow about damaged files are in the errors here; without a handler Python prints it.
 logging.getLogger("PIL").addHandler(logging.NullHandler())
 
 _EXPECTED = "a MAT file of Matlab 4 to 7.2, or a PNG, TIFF, GIF, BMP, JPEG, PBM, PGM or PPM"

@@ -38,9 +38,8 @@ class Thresholds:
             explanation [ns].
         begun_ns: Time after a known start from which on they are: it is known to about a centimetre [ns].
         suspected: Probability from which on a fault is suspected (assumed).
-        believed: Part of a suspicion's probability that is told: a fault that is not considered may be the
-            reason as well. Of 47 that said 95 % or more with all of it (faults with seeds 930 to 959), 22
-            were right.
+        believed: Factor of a suspicion's probability: a fault that is not considered may be the reason as
+            well. Of 47 of 95 % or more with a factor of 1 (faults with seeds 930 to 959), 22 were right.
         sure: Probability from which on there is one of faults that look alike: that of an alarm.
         surest: Highest probability that an alarm tells.
         named: Part of that probability that one of them has, to give the alarm its name.
