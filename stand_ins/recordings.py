@@ -49,7 +49,8 @@ class Truth:
         changed_ns: Time of each (k,) [ns]; -1 if there was no room for it.
         ended_ns: End of each (k,) [ns]; -1 if it does not end.
         noticeable_ns: Arrival of the first reply that each changes noticeably (k,) [ns]; -1 if none is.
-        over_ns: The same of the end of each (k,) [ns]; -1 if it does not end, too.
+        over_ns: Arrival of the first reply that the end of each changes noticeably (k,) [ns]; -1 if none is,
+            as without an end, and for changes.
     """
 
     times_ns: NDArray[np.int64]

@@ -2,8 +2,9 @@
 
 They begin with the true pose, within a millimetre and a degree, where the fault begins, or shortly before it
 is noticeable; with wheels and sensors as a filter has learned them until the fault; and they know how far the
-robot really goes between replies. All particles of a filter have the fault of its explanation. That a robot
-was lifted is considered where it was; the oracle knows where to, at the odds of this one of all places.
+robot really goes between replies. All particles of a filter have the fault of its explanation. In trials of
+lifts one explanation is a lift at its true time to its true place; its odds are divided by the number of
+places that are told apart within a millimetre and a degree.
 """
 
 import math
@@ -102,11 +103,10 @@ class Oracle:
         self._truth, self._seed, self._until_ns = trial.truth, settings.seed, until_ns
         self._seen_ns = int(trial.truth.noticeable_ns[0])
         changed_ns = int(trial.truth.changed_ns[0])
-        begin_ns, self._lifted_ns = changed_ns, 0
+        begin_ns, self._lifted_ns = changed_ns, None
         if any(isinstance(each, hidden_changes.Lifted) for each in trial.trial.changes):
-            # The world changes at one of its samples, and is still the old one at that before.
-            self._lifted_ns = -(-changed_ns // SCAN_NS) * SCAN_NS
-            begin_ns = self._lifted_ns - SCAN_NS
+            # The sample of its time is that after the lift.
+            begin_ns, self._lifted_ns = changed_ns - SCAN_NS, changed_ns
         elif trial.trial.changes:
             begin_ns = max(begin_ns, self._seen_ns - EARLIER_NS)
         playpen = told_playpen(trial.room, trial.truth)
@@ -168,14 +168,21 @@ class Oracle:
             prior = math.log(change.rate * (BEGUN_S + change.unseen_s))
             evidence = log_of_sum(logs) - math.log(len(logs))
             found.append(Explanation(change.hypothesis.name, prior, evidence))
-        return [*found, self._lifted()] if self._lifted_ns else found
+        if self._lifted_ns is not None:
+            before = [evidence for time_ns, evidence in evidences if time_ns <= self._lifted_ns]
+            found.append(self._lifted(self._lifted_ns, before[-1]))
+        return found
 
-    def _lifted(self) -> Explanation:
-        """Return that the robot was put where it is, one of as many places as the pose is known to."""
+    def _lifted(self, time_ns: int, evidence: float) -> Explanation:
+        """Return a lift to the true place at a time [ns], with the evidence of replies before it.
+
+        The sum over all places would have as much evidence at the least.
+        """
         fault, particles = Lifted(), self._start.drawn(PARTICLES, 0.5)
-        particles.planes.advance_to(self._lifted_ns)
-        self._put(particles, self._lifted_ns, stream(self._seed, "oracle", fault.name, "place"))
-        branch = _Branch(particles, 0.0, [each for each in self._actions if each.time_ns > self._lifted_ns])
+        particles.planes.advance_to(time_ns)
+        self._put(particles, time_ns, stream(self._seed, "oracle", fault.name, "place"))
+        particles.planes.put(particles.planes.poses)  # at rest
+        branch = _Branch(particles, evidence, [each for each in self._actions if each.time_ns > time_ns])
         arena = self._setup.playpen.arena
         places = arena.width_mm * arena.height_mm * 1e-6 * math.tau / (math.tau**1.5 * math.prod(KNOWN))
         return Explanation(fault.name, -fault.rare - math.log(places), self._evidence(fault, branch))

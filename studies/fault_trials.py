@@ -36,7 +36,7 @@ class Outcome(NamedTuple):
         delay_s: Time of that after the fault was noticeable [s]; NaN without a right name.
         wrong: Other names.
         end_s: Time for which a right name outlasted the first reply that showed the fault's end [s]; NaN if
-            the name did not end, or none was given.
+            the name did not end, none was given, or no reply showed it.
         ends: Whether the fault was named, and its end is noticeable.
         busiest_s: CPU time of the busiest second [s].
         text: Fault, names and times, for a person.
@@ -88,7 +88,8 @@ def judge(
     Args:
         names: Right names.
         truth: Truth of the recording, whose first hidden thing is the fault.
-        over_ns: Arrival of the first reply that its end changes noticeably [ns]; -1 if none is.
+        over_ns: Arrival of the first reply that its end changes noticeably [ns]; -1 if none is: then a name
+            that was right once stays right.
         alarms: Alarms of the shadow.
         suspected: Its suspicions.
     """

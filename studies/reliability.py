@@ -50,7 +50,7 @@ def claims(
     """Return what was said in a run.
 
     An alarm says one name as it is raised. A suspicion says that it is one of its names, and counts once in
-    each bin that its probability enters; one that becomes an alarm counts in bins below that.
+    each bin that its probability enters.
 
     Args:
         alarms: Alarms.
@@ -59,14 +59,8 @@ def claims(
     """
     found = [Claim(each.sureness, True, right(each.fault, each.raised_ns, each.readings)) for each in alarms]
     for each in suspected:
-        raised = [
-            alarm.sureness
-            for alarm in alarms
-            if alarm.fault in each.faults and alarm.raised_ns >= each.time_ns
-        ]
-        if not raised or each.probability < min(*raised, LEVELS[-3]):
-            is_right = any(right(fault, each.time_ns, each.readings) for fault in each.faults)
-            found.append(Claim(each.probability, False, is_right))
+        is_right = any(right(fault, each.time_ns, each.readings) for fault in each.faults)
+        found.append(Claim(each.probability, False, is_right))
     return found
 
 

@@ -3,8 +3,8 @@
 While replies are as expected, the filter has sound twins alone. Once they surprise, a new one begins where
 they did not yet, with twins of each fault that may begin (`changes`), of each that may end, and of a robot
 that was put elsewhere (`search`). `FaultWatch` tells which has become certain; the filter goes on with its
-twins. `PoseWatch` has the state of the pose: while it is lost, no fault has an alarm. Sensors, counters, lamps
-and the line are watched on their own. All limits are those of `THRESHOLDS`.
+twins. `PoseWatch` has the state of the pose: while it is lost, no fault of wheels or things is considered.
+Sensors, counters, lamps and the line are watched on their own. All limits are those of `THRESHOLDS`.
 """
 
 from dataclasses import replace

@@ -17,8 +17,8 @@ from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.thresholds import THRESHOLDS
 
-_NAMED = 0.1
-"""Part of the probability of faults that look alike from which on one of them is named (assumed)."""
+_LISTED = 0.1
+"""Part of the probability of faults that look alike from which on a suspicion lists one of them (assumed)."""
 
 
 class Alike(NamedTuple):
@@ -47,7 +47,7 @@ class Alike(NamedTuple):
     def names(self) -> tuple[str, ...]:
         """Names of those that are probable."""
         pairs = zip(self.faults, self.parts, strict=True)
-        return tuple(fault.name for fault, part in pairs if part >= _NAMED)
+        return tuple(fault.name for fault, part in pairs if part >= _LISTED)
 
 
 class FaultWatch:

@@ -19,8 +19,8 @@ _BAD, _WITHIN_NS = 3, 5_000_000_000
 """Damaged or missing replies within so much time that make an alarm (assumed): a single one happens [ns]."""
 
 _SOUND, _SOUND_NS = 5, 5_000_000_000
-"""Time without one after which the alarm ends: so many of their mean intervals, for which a line that loses
-bytes at that rate rarely loses none (exp(-5)), or this one [ns]."""
+"""Time without one after which the alarm ends: so many of their mean intervals, at most this one [ns]. Where
+losses are independent, one interval in 150 (exp(5)) is so long."""
 
 SHOWN_NS = 1_000_000_000
 """Time for which the alarm of what happens at once is kept [ns]."""
@@ -65,6 +65,8 @@ class LineWatch:
             or (alarm.fault == LOSING and time_ns - self._bad_ns[-1] > sound_ns)
         ]
         self.alarms = [alarm for alarm in self.alarms if alarm not in over]
+        if any(alarm.fault == LOSING for alarm in over):
+            self._bad_ns.clear()
         return tuple(replace(alarm, ended_ns=time_ns) for alarm in over)
 
 

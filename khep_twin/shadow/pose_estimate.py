@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 LEAST_DEVIATION = 5e-4, 5e-4, 2e-3
-"""Least standard deviations of a pose [m, rad] (assumed): twins that lean against a wall agree on their distance
-from it, but no robot's body is known better."""
+"""Least standard deviations of a pose [m, rad] (assumed): twins that lean against a wall agree on their
+distance from it, but no robot's body is known better."""
 
 
 class PoseEstimate(NamedTuple):

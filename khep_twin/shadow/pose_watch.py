@@ -25,15 +25,18 @@ class Onset(NamedTuple):
 
     Attributes:
         calm_ns: Time of the last reply that confirmed the pose [ns].
-        jumps_ns: Times of replies before the first one that surprised by half as much as any, and before the
-            one that surprised most [ns].
+        jumps_ns: Times of the replies before the first one with half of the largest surprise or more, and
+            before the one with the largest [ns]; one time if they are the same.
     """
 
     calm_ns: int
     jumps_ns: tuple[int, ...]
 
     def later(self, other: "Onset") -> "Onset":
-        """Return this begin, with the surprise of a later one that it does not explain."""
+        """Return this begin, with the surprise of a later one that it does not explain.
+
+        Of its own times it keeps the first, lest each search repeats more than the one before.
+        """
         return Onset(self.calm_ns, (self.jumps_ns[0], *other.jumps_ns))
 
 

@@ -15,6 +15,7 @@ from khep_twin.shadow.actions import Commanded, Counted, Seen
 from khep_twin.shadow.diagnosis import Diagnosis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.start import PUBLISHED, begun
+from khep_twin.shadow.thresholds import THRESHOLDS
 from khep_twin.shadow.wheel_commands import SPEED
 
 START = 360.0, 240.0, -70.0
@@ -38,6 +39,7 @@ class Driven:
         self._turning, self._side = 0, 1
         self.raised: dict[tuple[str, int], Alarm] = {}
         self.ended: list[Alarm] = []
+        self.suspected: list[float] = []
 
     def drive(self, seconds: float) -> None:
         """Drive on for a time."""
@@ -58,6 +60,7 @@ class Driven:
             diagnosis.follow(Commanded(time_ns, SPEED, *speeds))
             self.raised |= {(alarm.fault, alarm.raised_ns): alarm for alarm in diagnosis.alarms}
             self.ended += diagnosis.ended
+            self.suspected += [each.probability for each in diagnosis.suspected]
 
     @property
     def names(self) -> list[str]:
@@ -119,6 +122,7 @@ def test_a_robot_that_was_put_elsewhere_is_told_for_a_second_and_lost_until_it_i
     driven.drive(2)
     assert driven.names == ["robot lifted"]
     assert driven.diagnosis.state is PoseState.LOST
+    assert 0.5 < max(driven.suspected) <= THRESHOLDS.believed  # until it was certain
     driven.drive(1.5)
     assert driven.diagnosis.alarms == ()
     assert [alarm.fault for alarm in driven.ended] == ["robot lifted"]

@@ -65,17 +65,24 @@ def test_a_dead_sensor_is_named(printed: Table, monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.long
-def test_an_oracle_names_a_dead_motor(printed: Table, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_oracle_names_a_dead_motor_and_a_lift(printed: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("BEGINS_S", (5.0, 6.0)), ("LASTS_S", 8.0), ("AFTER_S", 4.0)):
         monkeypatch.setattr(fault_recordings, name, value)
-    (row,) = printed("bounds", "--fault", "dead motor", "--fault", "dead sensor", "--first", "521")
-    assert (row["fault"], row["runs"], row["right name sure"], row["or alike"]) == (
+    rows = printed(
+        "bounds",
+        "--fault",
         "dead motor",
-        "1",
-        "1",
-        "1",
+        "--fault",
+        "dead sensor",
+        "--fault",
+        "robot lifted",
+        "--first",
+        "521",
     )
-    assert float(row["lowest"]) > 10
+    assert [row["fault"] for row in rows] == ["dead motor", "robot lifted"]
+    for row in rows:
+        assert (row["runs"], row["right name sure"], row["or alike"]) == ("1", "1", "1")
+        assert float(row["lowest"]) > 10
 
 
 def truth() -> Truth:
@@ -131,6 +138,7 @@ def test_an_alarm_of_a_fault_that_looks_alike_is_a_pair_in_time_and_false_later(
     suspected = [Suspected(("weak motor left", "slipping wheel left"), 13 * SECOND, 0.6, (0.0,) * 8)]
     found = judge(("weak motor left",), truth(), 30 * SECOND, alarms, suspected)
     assert (found.named, found.paired) == (False, True)
+    assert not judge(("weak motor left",), truth(), 30 * SECOND, [], suspected).paired
     # One that is raised ten seconds after the fault's end is false.
     assert [each.right for each in found.claims] == [False, False, True]
 
@@ -189,11 +197,10 @@ def test_a_reply_is_as_new_as_the_robot_has_moved() -> None:
 def test_said_and_true_are_compared_in_bins(tmp_path: Path) -> None:
     alarm = raised("dead sensor 2", 13)._replace(sureness=0.97)
     names = ("dead sensor 2",)
-    suspected = [Suspected(names, round(at_s * SECOND), said, ()) for at_s, said in ((11, 0.5), (12, 0.96))]
+    suspected = [Suspected(names, round(at_s * SECOND), said, ()) for at_s, said in ((11, 0.5), (13, 0.66))]
     said = claims([alarm], suspected, lambda fault, time_ns, _: time_ns > 12 * SECOND)
-    # What becomes an alarm is counted as that, and below it as a suspicion.
-    assert said == [Claim(0.97, True, True), Claim(0.5, False, False)]
-    low, high = binned([*said, *[Claim(0.98, True, False)] * 3])
+    assert said == [Claim(0.97, True, True), Claim(0.5, False, False), Claim(0.66, False, True)]
+    low, _, high = binned([*said, *[Claim(0.98, True, False)] * 3])
     assert (low.alarms, low.suspicions, low.true) == (0, 1, 0)
     assert (high.low, high.alarms, high.true) == (0.95, 4, 0.25)
     assert high.interval[0] < 0.25 < high.interval[1]
