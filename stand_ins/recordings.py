@@ -49,8 +49,8 @@ class Truth:
         changed_ns: Time of each (k,) [ns]; -1 if there was no room for it.
         ended_ns: End of each (k,) [ns]; -1 if it does not end.
         noticeable_ns: Arrival of the first reply that each changes noticeably (k,) [ns]; -1 if none is.
-        over_ns: Arrival of the first reply that the end of each changes noticeably (k,) [ns]; -1 if none is,
-            as without an end, and for changes.
+        over_ns: Arrival of the first reply that the end of each changes noticeably, or the end itself of a
+            fault of the line (k,) [ns]; -1 if none is, as without an end, and for changes.
     """
 
     times_ns: NDArray[np.int64]
@@ -117,16 +117,16 @@ def record(
     line_times = LineTimes(times, seed)
     exchanges = list(converse(run, recorder, line_times, seed, HOSTS[host], asks, to_ns(seconds)))
     recorder.close()
-    seen_ns, over_ns = list[int](), [-1] * (len(parsed) + len(changes))
+    starts_ns = [fault.start_ns for fault in parsed]
+    ends_ns = [fault.end_ns if fault.ends else -1 for fault in parsed]
+    seen_ns, over_ns = list[int](), [*ends_ns, *[-1] * len(changes)]
     for index in range(len(over_ns)):
         others = [*parsed[:index], *parsed[index + 1 :]]
         without = _without(run.made, index - len(parsed))
         seen_ns.append(noticeable(exchanges, Run(actual, seed, vary, others, without)))
-        if index < len(parsed) and parsed[index].ends:
+        if index < len(parsed) and parsed[index].device and parsed[index].ends:
             lasting = [*parsed[:index], replace(parsed[index], end_ns=NEVER_NS), *parsed[index + 1 :]]
             over_ns[index] = noticeable(exchanges, Run(actual, seed, vary, lasting, run.made))
-    starts_ns = [fault.start_ns for fault in parsed]
-    ends_ns = [fault.end_ns if fault.ends else -1 for fault in parsed]
     truth = Truth(
         np.array(run.times_ns),
         np.array(run.poses),

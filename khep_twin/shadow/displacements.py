@@ -17,7 +17,7 @@ _TURN = 10.0
 """Deviation of headings drawn anew, as a multiple of that of places [rad/m] (assumed)."""
 
 
-class _Elsewhere(Placed):
+class Elsewhere(Placed):
     """A robot that is elsewhere; its odds are those at a time when replies surprise, not in a second."""
 
     channel, is_found = "proximity", True
@@ -27,7 +27,7 @@ class _Elsewhere(Placed):
         _push(particles, (spread, spread, _TURN * spread), rng)
 
 
-class Displaced(_Elsewhere):
+class Displaced(Elsewhere):
     """A robot that is a little off, as it was pushed, slid or was taken for elsewhere: no fault."""
 
     rare, quota, is_fault = 6.0, 300, False
@@ -45,7 +45,7 @@ class Displaced(_Elsewhere):
         """Do nothing: it is not moved back."""
 
 
-class Lifted(_Elsewhere):
+class Lifted(Elsewhere):
     """A robot that was put elsewhere at once; `Search` has the places where that may be."""
 
     rare, quota = 10.0, 600

@@ -25,19 +25,18 @@ class Onset(NamedTuple):
 
     Attributes:
         calm_ns: Time of the last reply that confirmed the pose [ns].
-        jumps_ns: Times of the replies before the first one with half of the largest surprise or more, and
-            before the one with the largest [ns]; one time if they are the same.
+        jumps_ns: Times of the replies before those with half of the largest surprise or more, the first one
+            of each onset [ns].
+        most_ns: Time of the reply before the one with the largest [ns].
     """
 
     calm_ns: int
     jumps_ns: tuple[int, ...]
+    most_ns: int
 
     def later(self, other: "Onset") -> "Onset":
-        """Return this begin, with the surprise of a later one that it does not explain.
-
-        Of its own times it keeps the first, lest each search repeats more than the one before.
-        """
-        return Onset(self.calm_ns, (self.jumps_ns[0], *other.jumps_ns))
+        """Return this begin, with the surprise of a later one that it does not explain."""
+        return Onset(self.calm_ns, (self.jumps_ns[0], *other.jumps_ns), other.most_ns)
 
 
 class _Heard(NamedTuple):
@@ -150,7 +149,7 @@ class PoseWatch:
         replies = sum(each.time_ns > jump_ns for each in since)
         if since[-1].time_ns - jump_ns < THRESHOLDS.waited_ns or replies < THRESHOLDS.replies:
             return None
-        return Onset(begun.time_ns, tuple(dict.fromkeys((jump_ns, largest.before_ns))))
+        return Onset(begun.time_ns, (jump_ns,), largest.before_ns)
 
     @property
     def is_proven(self) -> bool:

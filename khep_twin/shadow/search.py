@@ -16,7 +16,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.shadow.actions import Action, Seen, repeat
 from khep_twin.shadow.changes import FaultChange
-from khep_twin.shadow.displacements import Lifted
+from khep_twin.shadow.displacements import Elsewhere, Lifted
 from khep_twin.shadow.hypotheses import Placed
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Particles, drawn
@@ -125,7 +125,8 @@ class Search:
         found = tracker.like(particles)
         found.consider(changes)
         actions = [action for action in self._actions if action.time_ns > begin_ns]
-        jumps = {max(each, begin_ns): 0.0 for each in onset.jumps_ns}
+        begun_ns = {max(each, begin_ns) for each in onset.jumps_ns}
+        jumps = dict.fromkeys((*sorted(begun_ns), max(onset.most_ns, begin_ns)), 0.0)
         heard: list[_Heard] = []
         for action in actions:
             found.act(action, use)
@@ -141,7 +142,8 @@ class Search:
             since = [each for each in heard if each.action.time_ns > since_ns]
             for number, change in enumerate(found.changes, 1):
                 fault = change.hypothesis
-                if change.begins and isinstance(fault, Placed):
+                is_wanted = since_ns in begun_ns or isinstance(fault, Elsewhere)
+                if change.begins and isinstance(fault, Placed) and is_wanted:
                     placed = self._placed(found, few, fault, since, use)
                     placed.evidence += sound - found.evidence - fault.rare
                     placed.evidence += math.log1p(change.unseen_s)

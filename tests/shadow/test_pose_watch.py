@@ -56,7 +56,7 @@ def test_what_surprises_most_may_have_begun_later_than_the_surprise() -> None:
     for number in range(10, 14):
         watch.see(number * TENTH, MUCH * (1.8 if number == 13 else 1), in_sight=False, is_known=True)
     seen(watch, 14, 17)
-    assert watch.onset == (5 * TENTH, (9 * TENTH, 12 * TENTH))
+    assert watch.onset == (5 * TENTH, (9 * TENTH,), 12 * TENTH)
 
 
 def test_surprise_begins_after_the_last_reply_that_confirmed_the_pose() -> None:
@@ -66,14 +66,15 @@ def test_surprise_begins_after_the_last_reply_that_confirmed_the_pose() -> None:
     seen(watch, 30, 31, surprise=True)
     assert watch.onset is None  # not for long enough
     seen(watch, 31, 35, surprise=True)
-    assert watch.onset == (25 * TENTH, (29 * TENTH,))
+    assert watch.onset == (25 * TENTH, (29 * TENTH,), 29 * TENTH)
     watch.explain()
     assert watch.onset is None
     assert watch.state is PoseState.FOLLOWED
     seen(watch, 35, 40, surprise=True)
     later = watch.onset
     assert later is not None
-    assert Onset(25 * TENTH, (29 * TENTH,)).later(later) == (25 * TENTH, (29 * TENTH, 35 * TENTH))
+    both = Onset(25 * TENTH, (29 * TENTH,), 29 * TENTH).later(later)
+    assert both == (25 * TENTH, (29 * TENTH, 35 * TENTH), later.most_ns)
     for _ in range(9):
         watch.expect()  # Searches have found nothing.
     assert watch.onset is None

@@ -53,7 +53,7 @@ class Turning:
 
     def found(self, since_ns: int, changes: Sequence[FaultChange] = CHANGES) -> ParticleFilter:
         """Search for what has happened since a time [ns]."""
-        found = self.search.again(self.filter, Onset(since_ns, (since_ns,)), changes, ALL)
+        found = self.search.again(self.filter, Onset(since_ns, (since_ns,), since_ns), changes, ALL)
         assert found is not None
         assert np.exp(found.particles.logs).sum() == pytest.approx(1)
         return found
@@ -143,7 +143,7 @@ def test_a_wheel_that_has_come_to_a_stand_is_told_from_a_robot_that_was_put_else
 def test_nothing_is_told_of_what_was_too_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "KEPT_NS", 2 * SECOND)
     turning = Turning()
-    nothing = turning.search.again(turning.filter, Onset(0, (0,)), CHANGES, ALL)
+    nothing = turning.search.again(turning.filter, Onset(0, (0,), 0), CHANGES, ALL)
     assert nothing is None
     turning.turn(4)
     assert turning.found(0).probabilities[0] > 0.9

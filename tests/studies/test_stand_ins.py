@@ -145,11 +145,11 @@ def test_a_change_is_noticeable_from_the_first_reply_on_that_it_changes(tmp_path
 def test_the_end_of_a_fault_is_noticeable_where_a_robot_that_keeps_it_replies_otherwise(
     tmp_path: Path,
 ) -> None:
-    path, faults = tmp_path / "run.mcap", ["dead:left@0.2-1", "brown-out@1.5"]
+    path, faults = tmp_path / "run.mcap", ["dead:left@0.2-1", "drop:0.1@1.2-1.4", "brown-out@1.5"]
     found = record(path, PLAYPEN, seed=3, seconds=2, host="wanderer", asks_counters=True, faults=faults)
-    motor_ns, reset_ns = found.over_ns.tolist()
+    motor_ns, line_ns, reset_ns = found.over_ns.tolist()
     assert 1_000_000_000 < motor_ns < 1_500_000_000
-    assert reset_ns == -1
+    assert (line_ns, reset_ns) == (1_400_000_000, -1)
 
 
 @pytest.mark.parametrize(
