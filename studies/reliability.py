@@ -88,14 +88,11 @@ def draw(bins: Sequence[Bin], target: Path) -> None:
     panel.errorbar(
         said, true, np.abs(ends - true), fmt="o", ms=4, color="#1b4965", capsize=3, label="with 95 % interval"
     )
-    for each in bins:
-        panel.annotate(
-            str(each.alarms + each.suspicions),
-            (each.said, each.true),
-            (5, -11),
-            textcoords="offset points",
-            fontsize=8,
-        )
+    for number, each in enumerate(reversed(bins)):
+        count = str(each.alarms + each.suspicions)
+        # The last bins are so narrow that their numbers stand on both sides.
+        place = (4, -11) if number % 2 == 0 else (-4 - 5 * len(count), -11)
+        panel.annotate(count, (each.said, each.true), place, textcoords="offset points", fontsize=8)
     panel.set(
         xlabel="probability that the shadow says",
         ylabel="share that is right",
