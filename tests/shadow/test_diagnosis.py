@@ -29,8 +29,8 @@ class Driven:
     """A robot in a plane that turns away from what it sees, its diagnosis, and the alarms so far."""
 
     def __init__(self, seed: int, counters: bool = False, particles: int = 300, others: bool = False) -> None:
-        setup = setup_of("workshop")
-        self.robot = planes_at((START[0] + 5, START[1] - 4, START[2] + 3))
+        setup = setup_of("workshop", lit=False)
+        self.robot = planes_at((START[0] + 5, START[1] - 4, START[2] + 3), lit=False)
         start = begun(setup, [metric(START)], PUBLISHED, particles, stream(seed, "start"))
         start.planes.others = others
         tracker = ParticleFilter(setup, start, stream(seed, "filter"), particles)
@@ -119,11 +119,11 @@ def test_a_robot_that_was_put_elsewhere_is_told_for_a_second_and_lost_until_it_i
     driven = Driven(2)
     driven.drive(4)
     driven.robot.move(np.array([metric((80.0, 371.0, -45.0))]))
-    driven.drive(2)
+    driven.drive(1.5)
     assert driven.names == ["robot lifted"]
     assert driven.diagnosis.state is PoseState.LOST
     assert 0.5 < max(driven.suspected) <= THRESHOLDS.believed  # until it was certain
-    driven.drive(1.5)
+    driven.drive(1)
     assert driven.diagnosis.alarms == ()
     assert [alarm.fault for alarm in driven.ended] == ["robot lifted"]
 

@@ -29,8 +29,8 @@ class Turning:
     """A robot that turns at the crate, its filter and the search."""
 
     def __init__(self) -> None:
-        setup, rng = setup_of("workshop"), stream(0, "filter")
-        self.robot, self._rng = planes_at(AT_THE_CRATE), stream(0, "robot")
+        setup, rng = setup_of("workshop", lit=False), stream(0, "filter")
+        self.robot, self._rng = planes_at(AT_THE_CRATE, lit=False), stream(0, "robot")
         start = begun(setup, [metric(AT_THE_CRATE)], PUBLISHED, 500, rng)
         self.filter, self.search = ParticleFilter(setup, start, rng, 500), Search(setup, rng)
         self.drive(TURNING)
@@ -92,6 +92,7 @@ def test_a_robot_that_is_a_little_off_is_found_there_and_not_elsewhere_in_any_or
     assert np.hypot(*(found.estimate(0).pose - turning.robot.poses[0])[:2]) < 0.01
 
 
+@pytest.mark.long
 def test_a_robot_that_was_put_elsewhere_seconds_ago_is_found_there() -> None:
     turning = Turning()
     since_ns = turning.turn(2)

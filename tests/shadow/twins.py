@@ -31,10 +31,11 @@ EXACT = Spread(0, 0, 0, 0, 0, 0)
 
 
 @functools.cache
-def setup_of(name: str) -> EpisodeSetup:
-    """A shipped playpen, prepared for the plane."""
+def setup_of(name: str, lit: bool = True) -> EpisodeSetup:
+    """A shipped playpen, prepared for the plane, with its lamps or without them, which is faster."""
     pytest.importorskip("numba", reason="numba is not installed")
-    return EpisodeSetup(Playpen.load(name), planar=True)
+    playpen = Playpen.load(name)
+    return EpisodeSetup(playpen if lit else playpen.model_copy(update={"lamps": ()}), planar=True)
 
 
 def metric(pose: Pose) -> Pose:
@@ -43,9 +44,9 @@ def metric(pose: Pose) -> Pose:
     return x_mm / 1e3, y_mm / 1e3, math.radians(heading_deg)
 
 
-def planes_at(*poses: Pose, name: str = "workshop") -> Planes:
+def planes_at(*poses: Pose, name: str = "workshop", lit: bool = True) -> Planes:
     """A twin at each pose."""
-    planes = Planes(setup_of(name), len(poses))
+    planes = Planes(setup_of(name, lit), len(poses))
     planes.put(np.array([metric(pose) for pose in poses]))
     return planes
 
