@@ -85,10 +85,7 @@ def alarms(options: Options) -> None:
                 f"{'' if each.named else 'NOT NAMED '}seed {seed}, {each.text} (busiest {each.busiest_s:.2f})"
                 for seed, each in found
             )
-    print(
-        "\nRuns are those in which the fault is noticeable; delays count from the first such reply, ends from"
-    )
-    print("the first one that shows the end.\n")
+    print("\nRuns are those with a noticeable fault; delays and ends count from the first reply with them.\n")
 
 
 def healthy(options: Options) -> None:

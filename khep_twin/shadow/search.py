@@ -142,8 +142,9 @@ class Search:
             since = [each for each in heard if each.action.time_ns > since_ns]
             for number, change in enumerate(found.changes, 1):
                 fault = change.hypothesis
-                is_wanted = since_ns in begun_ns or isinstance(fault, Elsewhere)
-                if change.begins and isinstance(fault, Placed) and is_wanted:
+                # Replies surprise most as a robot is put elsewhere, from the begin on at what else there is.
+                may_begin = since_ns in begun_ns or isinstance(fault, Elsewhere)
+                if change.begins and isinstance(fault, Placed) and may_begin:
                     placed = self._placed(found, few, fault, since, use)
                     placed.evidence += sound - found.evidence - fault.rare
                     placed.evidence += math.log1p(change.unseen_s)

@@ -58,7 +58,7 @@ def test_poses_are_nearer_than_those_of_dead_reckoning(
 def test_a_dead_sensor_is_named(printed: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("BEGINS_S", (5.0, 6.0)), ("LASTS_S", 8.0), ("AFTER_S", 4.0)):
         monkeypatch.setattr(fault_recordings, name, value)
-    (row,) = printed("alarms", "--fault", "dead sensor", "--first", "6")
+    (row,) = printed("alarms", "--fault", "dead sensor", "--first", "11")
     assert (row["fault"], row["runs"], row["named in 3 s"]) == ("dead sensor", "1", "1")
     assert row["ended in 5 s"] == "1 of 1"
     assert row["wrong names"] == ""
@@ -68,17 +68,8 @@ def test_a_dead_sensor_is_named(printed: Table, monkeypatch: pytest.MonkeyPatch)
 def test_an_oracle_names_a_dead_motor_and_a_lift(printed: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("BEGINS_S", (5.0, 6.0)), ("LASTS_S", 8.0), ("AFTER_S", 4.0)):
         monkeypatch.setattr(fault_recordings, name, value)
-    rows = printed(
-        "bounds",
-        "--fault",
-        "dead motor",
-        "--fault",
-        "dead sensor",
-        "--fault",
-        "robot lifted",
-        "--first",
-        "521",
-    )
+    faults = "dead motor", "dead sensor", "robot lifted"
+    rows = printed("bounds", *(word for fault in faults for word in ("--fault", fault)), "--first", "521")
     assert [row["fault"] for row in rows] == ["dead motor", "robot lifted"]
     for row in rows:
         assert (row["runs"], row["right name sure"], row["or alike"]) == ("1", "1", "1")
@@ -135,7 +126,7 @@ def test_a_stuck_sensor_may_be_called_dead_while_it_reads_0(reading: float, name
 
 def test_an_alarm_of_a_fault_that_looks_alike_is_a_pair_in_time_and_false_later() -> None:
     alarms = [raised("slipping wheel left", 14, 31), raised("weak motor left", 40)]
-    suspected = [Suspected(("weak motor left", "slipping wheel left"), 13 * SECOND, 0.6, (0.0,) * 8)]
+    suspected = [Suspected(("weak motor left", "slipping wheel left"), 13 * SECOND, 0.96, (0.0,) * 8)]
     found = judge(("weak motor left",), truth(), 30 * SECOND, alarms, suspected)
     assert (found.named, found.paired) == (False, True)
     assert not judge(("weak motor left",), truth(), 30 * SECOND, [], suspected).paired
