@@ -20,6 +20,7 @@
     ├── SeedError         a seed that is negative or too large, a ValueError as well
     ├── StoppedError      a command to a robot whose run is ending
     ├── MissingExtraError a part of khep_twin whose package is not installed
+    ├── DeviceError       a device on which episodes cannot run
     ├── SnapshotError     a state of a simulation that cannot be resumed
     └── DivergedError     a simulation that left the bounds of physics
 
@@ -225,6 +226,10 @@ class MissingExtraError(KhepTwinError):
         return type(self), self._given
 
 
+class DeviceError(KhepTwinError):
+    """A device on which episodes cannot run, such as a card that is not there."""
+
+
 EXTRAS = {"matplotlib": "pictures", "scipy": "fit"}
 """Extras whose packages are imported where they are needed, by package."""
 
@@ -278,8 +283,8 @@ def pip_install_extra(extra: str) -> str:
 
 def pip_install_required(package: str) -> str:
     """Return the command that installs a package that khep_twin requires."""
-    lines = (line.partition(";")[0].strip() for line in metadata.requires("khep-twin") or [])
-    return pip_install(*(line for line in lines if line.startswith(package)))
+    needed = (line for line in metadata.requires("khep-twin") or [] if "extra ==" not in line)
+    return pip_install(*(line.partition(";")[0].strip() for line in needed if line.startswith(package)))
 
 
 def in_a_line(error: BaseException) -> str:

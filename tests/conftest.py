@@ -16,6 +16,9 @@ import pytest
 from khep_twin import playpen
 from khep_twin.playpen import Playpen
 
+# What a card would run, numba's simulator of CUDA runs: before anything imports numba.
+os.environ["NUMBA_ENABLE_CUDASIM"] = "1"
+
 # Machines are as slow as they are: no example fails for the time that it takes.
 hypothesis.settings.register_profile("patient", deadline=None)
 hypothesis.settings.load_profile("patient")

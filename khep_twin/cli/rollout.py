@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,7 +27,9 @@ from khep_twin.cli.progress import progress as progress_bar
 
 if TYPE_CHECKING:
     from khep_twin.board.fault_injection import Fault
+    from khep_twin.episodes.controllers import Driver
     from khep_twin.episodes.episode import Episode, EpisodeSetup
+    from khep_twin.episodes.episode_options import EpisodeOptions
     from khep_twin.playpen import Playpen
 
 NO_LINE = {"line": "none"}
@@ -61,6 +64,9 @@ class PhysicsOptions:
         ),
     ] = None
     planar: Annotated[bool, typer.Option("--planar", help="Simulate in a plane, not in MuJoCo.")] = False
+    device: Annotated[
+        str, typer.Option(help="Run on the cpu, or, with --planar, on an NVIDIA card, cuda.")
+    ] = "cpu"
 
     def setup(
         self, playpen: "Playpen", driver: object, faults: "Iterable[Fault]", log: Path | None
@@ -110,6 +116,7 @@ def rollout(
     """
     from khep_twin.board.fault_injection import parse_fault
     from khep_twin.episodes import Episode, EpisodeOptions, Policy
+    from khep_twin.episodes.device import chosen_device
     from khep_twin.lab.experiment.controller_files import find_driver
     from khep_twin.playpen.starts import at_spots
     from khep_twin.ports.twin import Twin, equipped
@@ -126,11 +133,17 @@ def rollout(
     try:
         setup = physics.setup(playpen, found, map(parse_fault, options.faults), logging.log)
         periods = length.cycles or setup.periods(60.0 if length.seconds is None else length.seconds)
-        compiled = None if is_compiled() else False
+        device = chosen_device(physics.device, setup, driver, physics.line, 1)
+        compiled = None if device == "cuda" or is_compiled() else False
         episode = Episode(setup, driver, compiled=compiled, observed=logging.log is not None)
     except ValueError as error:
         raise usage(str(error)) from None
-    episode.begin(options.seed, EpisodeOptions(noise=options.noise, vary=options.vary, line=physics.line))
+    own = EpisodeOptions(noise=options.noise, vary=options.vary, line=physics.line)
+    if device == "cuda":
+        on_card = _run_on_card(setup, driver, function, options.seed, own, periods, picture is not None)
+        _print(*on_card, playpen, picture, logging.force)
+        return
+    episode.begin(options.seed, own)
     recorder = None
     with ExitStack() as stack:
         if logging.log is not None:
@@ -141,10 +154,8 @@ def rollout(
             recorder = recorded.recorder
             tell_kept(recorder)
         times, paths = _run(episode, setup, function, periods, picture is not None)
-    _print_metrics(episode, periods)
-    if picture is not None:
-        _draw(playpen, times, paths, picture, logging.force)
-        typer.echo(f"picture  {picture}")
+    metrics = [episode.metrics(robot) for robot in range(len(episode.boards))]
+    _print(metrics, periods, times, paths, playpen, picture, logging.force)
     logging.check(recorder)
     if logging.log is not None:
         tell_written("log", [logging.log])
@@ -164,7 +175,7 @@ def _run(
         while episode.steps < until:
             if function is not None:
                 for robot in range(len(paths)):
-                    episode.drive(*_speeds(function, episode, robot), robot)
+                    episode.drive(*_speeds(function, *episode.readings(robot)), robot)
                 episode.next_reading(until)
             else:
                 episode.step(min(at_once * setup.steps_per_period, until - episode.steps))
@@ -174,6 +185,34 @@ def _run(
             if show is not None:
                 show(episode.steps / until)
     return times, paths
+
+
+def _run_on_card(
+    setup: "EpisodeSetup",
+    driver: "Driver",
+    function: Callable[..., Any] | None,
+    seed: int,
+    options: "EpisodeOptions",
+    periods: int,
+    drawn: bool,
+) -> tuple[list[dict[str, float]], int, list[float], list[list[Pose]]]:
+    """Run an episode on a card; return metrics, periods, times [s] and the robot's path, as `_run` does."""
+    from khep_twin.episodes import Policy, batch
+    from khep_twin.errors import DivergedError
+
+    if function is not None:
+        decide = partial(_speeds, function)
+        driver = Policy(lambda proximity, ambient, _: [decide(proximity[0].tolist(), ambient[0].tolist())])
+    period = setup.period_ns / 1e9
+    every = period if drawn else None
+    results = batch.rollout(
+        setup, driver, [seed], periods * period, options=options, paths_every=every, device="cuda"
+    )
+    for failure in results.failures:
+        raise DivergedError(failure.reason)
+    metrics = {name: float(values[0]) for name, values in results.metrics.items()}
+    times = [period * sample for sample in range(periods + 1)] if drawn else [periods * period]
+    return [metrics], periods, times, [[tuple(pose) for pose in results.paths[0].tolist()]]
 
 
 def is_compiled() -> bool:
@@ -188,16 +227,26 @@ def is_compiled() -> bool:
     return compiled
 
 
-def _print_metrics(episode: "Episode", periods: int) -> None:
+def _print(
+    each: list[dict[str, float]],
+    periods: int,
+    times: list[float],
+    paths: list[list[Pose]],
+    playpen: "Playpen",
+    picture: Path | None,
+    replace: bool,
+) -> None:
+    """Print the metrics of each robot, and draw the paths."""
     from khep_twin.lab.experiment.series_run import metric_lines
 
-    typer.echo(f"{periods} cycles in {episode.time_ns / 1e9:.1f} s")
-    n_robots = len(episode.boards)
-    each = [episode.metrics(robot) for robot in range(n_robots)]
-    if n_robots > 1:
+    typer.echo(f"{periods} cycles in {times[-1]:.1f} s")
+    if (n_robots := len(each)) > 1:
         typer.echo(f"{'':20}" + "".join(f"{f'khepera{robot}':<12}" for robot in range(n_robots)).rstrip())
     for line in metric_lines(each):  # homing is undefined without a home
         typer.echo(line)
+    if picture is not None:
+        _draw(playpen, times, paths, picture, replace)
+        typer.echo(f"picture  {picture}")
 
 
 def _draw(
@@ -216,12 +265,12 @@ def _draw(
     save(draw(playpen, drawn), picture, replace)
 
 
-def _speeds(function: Callable[..., Any], episode: "Episode", robot: int) -> tuple[float, float]:
+def _speeds(function: Callable[..., Any], *readings: list[int]) -> tuple[float, float]:
     """Return the left and right speed that a user's function makes of the readings [pulses/10 ms]."""
     from khep_twin.errors import ControllerError
     from khep_twin.lab.experiment.controllers import call, name_of
 
-    speeds = call(function, *episode.readings(robot))
+    speeds = call(function, *readings)
     try:
         left, right = speeds
         return float(left), float(right)

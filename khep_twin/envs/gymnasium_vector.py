@@ -29,6 +29,7 @@ from khep_twin.envs.reset_options import ResetOptions
 from khep_twin.envs.task_batch import TaskBatch
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation, Task
+from khep_twin.episodes.device import Device
 from khep_twin.episodes.episode_batch import Rows
 from khep_twin.episodes.episode_options import checked_count
 from khep_twin.errors import KhepTwinError, MissingExtraError, choices
@@ -61,6 +62,7 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
         num_envs: Number of environments.
         task: Task, or its name.
         threads: Number of threads; by default one per core.
+        device: "cpu"; "cuda" for an NVIDIA card, in the plane; or "auto" for a card that they fill.
         autoreset_mode: Autoreset mode, or its value.
         playpen: Playpen instead of the task's, or a list of them: environment i has the i-th, and so on from
             the first one again.
@@ -81,6 +83,7 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
         render_mode: str | None = None,
         view: View = "auto",
         threads: int | None = None,
+        device: Device = "cpu",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         playpen: PlaypenLike | Sequence[PlaypenLike] | None = None,
         **options: Any,
@@ -103,7 +106,7 @@ class KheperaVectorEnvironment(MadeAnew, VectorEnv[Observation, NDArray[np.float
         self.single_observation_space, self.single_action_space = spaces(setup)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._batch = TaskBatch(setups, num_envs, min(most, num_envs))
+        self._batch = TaskBatch(setups, num_envs, min(most, num_envs), device)
         self.guard, self._rows = self._batch.guard, np.arange(num_envs)
         self._over = np.zeros(num_envs, np.bool_)
         self._unbegun = ~self._over

@@ -24,6 +24,8 @@ from khep_twin.copies import NotCopied
 from khep_twin.envs.reset_options import ResetOptions
 from khep_twin.envs.task_setup import EpisodeBeginning, TaskSetup
 from khep_twin.envs.tasks import Observation, State
+from khep_twin.episodes.controllers import Policy
+from khep_twin.episodes.device import Device
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_batch import EpisodeBatch
 from khep_twin.one_thread import one_thread
@@ -39,6 +41,7 @@ class TaskBatch(NotCopied):
             so on from the first one again.
         count: Number of episodes.
         threads: Number of threads.
+        device: "cpu"; "cuda" for an NVIDIA card, in the plane; or "auto" for a card that the episodes fill.
 
     Attributes:
         setup: Prepared task, the first.
@@ -57,13 +60,20 @@ class TaskBatch(NotCopied):
 
     INSTEAD = "another TaskBatch of the same setup, begun with the same seeds"
 
-    def __init__(self, setup: TaskSetup | Sequence[TaskSetup], count: int = 1, threads: int = 1) -> None:
+    def __init__(
+        self,
+        setup: TaskSetup | Sequence[TaskSetup],
+        count: int = 1,
+        threads: int = 1,
+        device: Device = "cpu",
+    ) -> None:
         setups = [setup] if isinstance(setup, TaskSetup) else setup
         self.setup = setup = setups[0]
         self._own = [setups[index % len(setups)] for index in range(count)]
         self._used = list(self._own)
         self._idle = defaultdict[TaskSetup, list[Episode]](list)
-        self._batch = EpisodeBatch([each.episode() for each in self._own], threads)
+        self._device: Device = setup.device(device, count)
+        self._batch = self._new_batch(threads)
         self.guard, self.poses = self._batch.guard, self._batch.poses
         shape = count, len(setup.playpen.robots)
         self.observations: Observation = np.zeros((*shape, len(setup.task.labels)), np.float32)
@@ -102,6 +112,8 @@ class TaskBatch(NotCopied):
         for (row, seed), begun in zip(pairs, beginnings, strict=True):
             self._batch.begin(row, seed, begun.options, self._exchanged(row, begun.setup))
             self.seeds[row], self.beginnings[row] = seed, begun
+        for error in self._batch.switch_on().values():
+            raise error
         self.periods[rows], self._charges_ns[rows], self.returns[rows] = 0, self._charge_ns, 0.0
         self._pulses[rows] = self._batch.registers[rows][..., _ENCODERS]
         self.rewards[rows], self.ended[rows] = 0.0, False
@@ -161,13 +173,26 @@ class TaskBatch(NotCopied):
         """End the threads."""
         self._batch.close()
 
+    def _new_batch(self, threads: int) -> EpisodeBatch:
+        if self._device == "cpu":
+            return EpisodeBatch([each.episode() for each in self._own], threads)
+        from khep_twin.episodes.cuda.card_batch import CardBatch
+
+        shared = {each: each.episode(self._device) for each in dict.fromkeys(self._own)}
+        return CardBatch([shared[each] for each in self._own], Policy())
+
     def _exchanged(self, row: int, setup: TaskSetup) -> Episode | None:
         """Return an episode of a setup if another one is in use, which is kept for later."""
         used = self._used[row]
         if used is setup:
             return None
-        another = self._idle[setup].pop() if self._idle[setup] else setup.episode()
-        self._idle[used].append(self._batch.episodes[row])
+        idle = self._idle[setup]
+        if self._device == "cpu":
+            another = idle.pop() if idle else setup.episode()
+            self._idle[used].append(self._batch.episodes[row])
+        else:
+            another = idle[0] if idle else setup.episode(self._device)  # for all episodes of the setup
+            idle[:] = [another]
         self._used[row] = setup
         self._know(row, setup)
         return another

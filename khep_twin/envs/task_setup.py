@@ -21,6 +21,7 @@ from khep_twin.envs.randomization import Randomization, placed_at, starts_of
 from khep_twin.envs.reset_options import ResetOptions, checked_lamps, checked_playpen, is_nested
 from khep_twin.envs.tasks import Task, action_limit, find, speeds_of
 from khep_twin.episodes.controllers import Policy
+from khep_twin.episodes.device import Device, chosen_device
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions, Home, check_numbers, checked_count
 from khep_twin.episodes.episode_setup import EpisodeSetup
@@ -156,9 +157,21 @@ class TaskSetup(MadeAnew):
             placed_at(self.playpen, self._start)
         self._variants: list[tuple[PlaypenLike, Self]] = []
 
-    def episode(self) -> Episode:
-        """Return the memory of an episode whose speeds are the caller's."""
-        return Episode(self._setup, Policy(requests=self._requests), compiled=self._compiled)
+    def episode(self, device: Device = "cpu") -> Episode:
+        """Return the memory of an episode whose speeds are the caller's; on a card it is only begun."""
+        driver = Policy(requests=self._requests)
+        if device == "cuda":
+            from khep_twin.episodes.cuda.card_batch import PreparedEpisode
+
+            return PreparedEpisode(self._setup, driver)
+        return Episode(self._setup, driver, compiled=self._compiled)
+
+    def device(self, wanted: Device, count: int) -> Device:
+        """Return where a number of episodes run, as `episodes.device.chosen_device` does."""
+        delay = self.randomize.delay if self.randomize else None
+        line = self.line if delay is None else MeasuredCycle(delay[1], self.period_ns / NS_PER_S)
+        lamps = None if self._lamps is None else [self._lamps]
+        return chosen_device(wanted, self._setup, Policy(), line, count, lamps)
 
     def speeds(self, action: object) -> NDArray[np.float64]:
         """Return an action, or several, as speeds: see `tasks.speeds_of`."""

@@ -9,7 +9,8 @@
 
 Each episode depends on its own seed, genes, start and lamps alone: results are the same, bit for bit, with
 any number of threads, and the same as those of a single `Episode` with the same setup. Only the results grow
-with the number of episodes: every thread has memory for one episode and reuses it.
+with the number of episodes: every thread has memory for one episode and reuses it. With `device="cuda"` an
+NVIDIA card runs episodes in the plane (`cuda`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.episodes.controllers import Driver, Floats, Network, Policy
+from khep_twin.episodes.device import Device, chosen_device
 from khep_twin.episodes.episode import Episode, is_compiled
 from khep_twin.episodes.episode_batch import EpisodeBatch
 from khep_twin.episodes.episode_options import (
@@ -33,7 +35,7 @@ from khep_twin.episodes.episode_options import (
 )
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.line import LineTimes
-from khep_twin.episodes.metrics import METRICS
+from khep_twin.episodes.metrics import METRICS, means_of
 from khep_twin.errors import DivergedError
 from khep_twin.machine import n_cores
 from khep_twin.playpen import Lamp, PlaypenLike
@@ -43,6 +45,9 @@ from khep_twin.units import SCAN_NS
 
 BATCH_SIZE = 64
 """Episodes in one call of a policy: enough for arrays to pay, at a bounded use of memory."""
+
+CARD_BATCH_SIZE = 32_768
+"""Episodes on a card at once: several for each of its threads, and some 200 MB on the card and beside it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +104,8 @@ def rollout(
     line: LineTimes = None,
     options: EpisodeOptions = DEFAULT_OPTIONS,
     paths_every: float | None = None,
+    planar: bool = False,
+    device: Device = "cpu",
     threads: int | None = None,
     compiled: bool | None = None,
 ) -> RolloutResult:
@@ -119,26 +126,43 @@ def rollout(
         options: Options of all episodes, but for those that each is given its own of.
         paths_every: Time between the poses of the result's paths [s], a part of `seconds` and whole control
             periods; None for no paths.
+        planar: Whether a playpen that is no setup is simulated in the plane.
+        device: "cpu"; "cuda" for an NVIDIA card, in the plane; or "auto" for a card if there is one that can
+            run these episodes, and they fill it.
         threads: Number of threads; by default one per core. Uncompiled episodes use one.
         compiled: Whether to run compiled; None if numba is installed. The first time this waits for
             numba, for some ten seconds.
 
     Raises:
         ValueError: The number of genes, starts or lamps is not that of the seeds, or a value is out of range.
+        DeviceError: There is no card that can run the episodes.
         ControllerError: Genes do not fit the controller, or numba cannot compile it.
         PlaypenError: The playpen has a feature that episodes without a serial line do not support.
     """
-    fast = is_compiled(compiled)
     period_ns = driver.period_ns if isinstance(driver, Network) else SCAN_NS
-    setup = playpen if isinstance(playpen, EpisodeSetup) else EpisodeSetup(playpen, period_ns=period_ns)
+    setup = playpen
+    if not isinstance(setup, EpisodeSetup):
+        setup = EpisodeSetup(setup, period_ns=period_ns, planar=planar)
+    elif planar and setup.planar_scene is None:
+        raise ValueError("planar = True: and a setup in MuJoCo; expected EpisodeSetup(..., planar=True)")
     count = len(seeds)
     n_robots = len(setup.playpen.robots)
     most = n_cores() if threads is None else checked_count(threads, "threads")
     common = options if line is None else replace(options, line=line)
     batch = _Batch(setup, seeds, seconds, common, genes, starts, lamps, paths_every)
     batch.check(driver)
+    on_card = chosen_device(device, setup, driver, common.line, count, lamps) == "cuda"
     results = _Results(count, n_robots, len(movable_names(setup.playpen)), batch.n_samples)
+    fast = on_card or is_compiled(compiled)
     workers = most if fast else 1
+    if on_card:
+        from khep_twin.episodes.cuda.card_batch import CardBatch, PreparedEpisode
+
+        episode = PreparedEpisode(setup, driver)
+        for first in range(0, count, CARD_BATCH_SIZE):
+            group = range(first, min(first + CARD_BATCH_SIZE, count))
+            _run_together(CardBatch([episode] * len(group), driver), driver, group, batch, results)
+        return results.result()
     room = min(BATCH_SIZE if isinstance(driver, Policy) else workers, count)
     episodes = [Episode(setup, driver, compiled=fast) for _ in range(room)]
     if isinstance(driver, Policy) and count:
@@ -221,12 +245,30 @@ class _Results:
         """Store the results of an episode that has ended."""
         self.registers[index], self.poses[index] = episode.boards, episode.poses
         self.objects[index] = episode.objects
+        self._rate(slice(index, index + 1), episode.sums[None])
         if failure is not None:
-            self.failures.append(Failure(index, seed, episode.steps, str(failure)))
-            return
-        for robot in range(len(episode.boards)):
-            for name, value in episode.metrics(robot).items():
-                self.metrics[name][index, robot] = value
+            self._fail(index, seed, episode.steps, failure)
+
+    def keep_group(
+        self, group: range, seeds: Sequence[int], lanes: EpisodeBatch, failures: Mapping[int, DivergedError]
+    ) -> None:
+        """Store the results of episodes side by side."""
+        rows, of_all, count = slice(group.start, group.stop), self.registers, len(group)
+        of_all[rows], self.poses[rows] = lanes.registers[:count], lanes.joint_poses[:count]
+        self.objects[rows] = lanes.objects[:count]
+        self._rate(rows, lanes.sums[:count])
+        for lane, failure in sorted(failures.items()):
+            self._fail(group[lane], int(seeds[group[lane]]), int(lanes.steps[lane]), failure)
+
+    def _rate(self, rows: slice, sums: Floats) -> None:
+        """Store the metrics of episodes, of their sums (n, n_robots, N_SUMS)."""
+        for name, values in means_of(sums).items():
+            self.metrics[name][rows] = values
+
+    def _fail(self, index: int, seed: int, step: int, failure: DivergedError) -> None:
+        self.failures.append(Failure(index, seed, step, str(failure)))
+        for values in self.metrics.values():
+            values[index] = np.nan
 
     def result(self) -> RolloutResult:
         """Return all results."""
@@ -269,9 +311,9 @@ def _share_out(
 
 
 def _run_together(
-    lanes: EpisodeBatch, policy: Policy, group: range, batch: _Batch, results: _Results
+    lanes: EpisodeBatch, driver: Driver, group: range, batch: _Batch, results: _Results
 ) -> None:
-    """Run episodes side by side, one control period at a time."""
+    """Run episodes side by side, a policy's by one control period at a time."""
     failures: dict[int, DivergedError] = {}
     lanes.last_step = batch.setup.periods(batch.seconds) * batch.setup.steps_per_period
     for lane, index in enumerate(group):
@@ -279,34 +321,39 @@ def _run_together(
             lanes.begin(lane, int(batch.seeds[index]), batch.options(index))
         except DivergedError as error:
             failures[lane] = error
-    n_robots = lanes.speeds.shape[1]
+    failures |= lanes.switch_on()
     steps_per_sample = max(lanes.last_step // max(batch.n_samples - 1, 1), 1)
     while True:
         if batch.n_samples:
             due = lanes.steps[: len(group)] % steps_per_sample == 0
             due[list(failures)] = False
-            for lane in np.flatnonzero(due).tolist():
-                sample = lanes.steps[lane] // steps_per_sample
-                results.paths[group[lane], :, sample] = lanes.episodes[lane].poses
+            lane = np.flatnonzero(due)
+            sample = lanes.steps[lane] // steps_per_sample
+            results.paths[lane + group.start, :, sample] = lanes.joint_poses[lane]
         going = lanes.steps[: len(group)] < lanes.last_step
         going[list(failures)] = False
         living = np.flatnonzero(going)
         if not len(living):
             break
-        board = lanes.registers[living].reshape(-1, N_REGISTERS)
-        which = np.repeat(living + group.start, n_robots)
-        decided = policy.decide(board[:, PROXIMITY], board[:, AMBIENT], which)
-        try:
-            speeds = np.asarray(decided, np.float64)
-        except (TypeError, ValueError) as error:
-            raise ValueError(
-                f"the policy returned no speeds: {error}; expected an array ({len(which)}, 2)"
-            ) from error
-        if speeds.shape != (len(which), 2):
-            raise ValueError(
-                f"the policy returned speeds of shape {speeds.shape}; expected ({len(which)}, 2)"
-            )
-        lanes.speeds[living] = speeds.reshape(-1, n_robots, 2)
-        failures |= lanes.step(living, batch.setup.steps_per_period)
-    for lane, index in enumerate(group):
-        results.keep(index, int(batch.seeds[index]), lanes.episodes[lane], failures.get(lane))
+        if isinstance(driver, Policy):
+            lanes.speeds[living] = _decided(driver, lanes, living, group)
+            failures |= lanes.step(living, batch.setup.steps_per_period)
+        else:
+            failures |= lanes.step(living, steps_per_sample)
+    results.keep_group(group, batch.seeds, lanes, failures)
+
+
+def _decided(policy: Policy, lanes: EpisodeBatch, living: NDArray[np.int64], group: range) -> Floats:
+    """Return the speeds that a policy decides on for some episodes (n_living, n_robots, 2)."""
+    board = lanes.registers[living].reshape(-1, N_REGISTERS)
+    which = np.repeat(living + group.start, lanes.registers.shape[1])
+    decided = policy.decide(board[:, PROXIMITY], board[:, AMBIENT], which)
+    try:
+        speeds = np.asarray(decided, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"the policy returned no speeds: {error}; expected an array ({len(which)}, 2)"
+        ) from error
+    if speeds.shape != (len(which), 2):
+        raise ValueError(f"the policy returned speeds of shape {speeds.shape}; expected ({len(which)}, 2)")
+    return speeds.reshape(len(living), -1, 2)

@@ -300,7 +300,12 @@ class Episode(NotCopied):
     def metrics(self, robot: int = 0) -> dict[str, float]:
         """Return a robot's metrics so far (`metrics.METRICS`); "homing" is NaN without a home."""
         self._insist()
-        return metrics_of(self._controllers.sums[robot])
+        return metrics_of(self.sums[robot])
+
+    @property
+    def sums(self) -> Floats:
+        """Sums of the metrics of each robot so far (n_robots, metrics.N_SUMS)."""
+        return np.asarray(self._controllers.sums, np.float64)
 
     @property
     def _awaits_speeds(self) -> bool:

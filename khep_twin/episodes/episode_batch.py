@@ -42,7 +42,6 @@ class EpisodeBatch(NotCopied):
         threads: Number of threads.
 
     Attributes:
-        episodes: Episodes.
         speeds: Speeds of the wheels, which each step sets first (n, n_robots, 2) [pulses/10 ms].
         registers: States of the boards (n, n_robots, N_REGISTERS).
         poses: True x, y [m] and heading [rad] of the robots (n, n_robots, 3).
@@ -54,7 +53,7 @@ class EpisodeBatch(NotCopied):
     INSTEAD = "another EpisodeBatch of new episodes, begun with the same seeds"
 
     def __init__(self, episodes: Sequence[Episode], threads: int) -> None:
-        self.guard, self.episodes = RLock(), list(episodes)
+        self.guard, self._own = RLock(), list(episodes)
         count, n_robots = len(episodes), len(episodes[0].boards)
         self._joint = JointRun.of(count, n_robots, 0)
         self.speeds, self.registers, self.poses = self._joint.speeds, self._joint.registers, self._joint.poses
@@ -77,10 +76,8 @@ class EpisodeBatch(NotCopied):
         episode: Episode | None = None,
     ) -> None:
         """Start an episode, or another `episode` in its place; errors are those of `Episode.begin`."""
-        if episode is not None:
-            self.episodes[index] = episode
+        episode = self._own[index] = episode or self._own[index]
         self._runs_jointly[index], self._joint.untils[index] = False, 0
-        episode = self.episodes[index]
         episode.begin(seed, options)
         self._at_line[index] = episode.is_at_line
         if episode.is_at_line:
@@ -106,22 +103,52 @@ class EpisodeBatch(NotCopied):
         failures: dict[int, DivergedError] = {}
         if len(chosen):
             self._run_jointly(chosen)
-            for index in chosen[joint.reasons[chosen] != DONE].tolist():
-                self._attempt(index, self._finish, failures)
+            failures = self._failures(chosen)
         for index in apart:
             self._attempt(index, lambda index: self._step_alone(index, steps), failures)
         for index in at_line:
-            self.steps[index] = self.episodes[index].steps
+            self.steps[index] = self._own[index].steps
         return failures
+
+    def switch_on(self) -> dict[int, DivergedError]:
+        """Switch on the robots of episodes that have begun, where `begin` has not; return the failures."""
+        return {}
+
+    @property
+    def episodes(self) -> Sequence[Episode]:
+        """Episodes."""
+        return self._own
+
+    @property
+    def joint_poses(self) -> NDArray[np.float64]:
+        """Poses as of `Episode.poses` (n, n_robots, 3); headings may differ from `poses` in the last bit."""
+        return np.array([episode.poses for episode in self._own])
+
+    @property
+    def sums(self) -> NDArray[np.float64]:
+        """Sums of the metrics of the robots (n, n_robots, N_SUMS)."""
+        return np.array([episode.sums for episode in self._own])
+
+    @property
+    def objects(self) -> NDArray[np.float64]:
+        """Positions x, y [m] and headings [rad] of the movable objects (n, n_objects, 3)."""
+        return np.array([episode.objects for episode in self._own])
 
     def close(self) -> None:
         """End the threads."""
         if self._pool is not None:
             self._pool.shutdown()
 
+    def _failures(self, rows: NDArray[np.int64]) -> dict[int, DivergedError]:
+        """Act for early returns from a joint run; return the failures by episode."""
+        failures: dict[int, DivergedError] = {}
+        for index in rows[self._joint.reasons[rows] != DONE].tolist():
+            self._attempt(index, self._finish, failures)
+        return failures
+
     def _attempt(self, index: int, action: Callable[[int], None], failures: dict[int, DivergedError]) -> None:
         """Do something with an episode, note its failure, and look at it again."""
-        episode = self.episodes[index]
+        episode = self._own[index]
         try:
             action(index)
         except DivergedError as error:
@@ -134,22 +161,22 @@ class EpisodeBatch(NotCopied):
         reason, until = int(self._joint.reasons[index]), int(self._joint.untils[index])
         if reason == NO_SPEED:
             self._drive(index)  # which tells the speed
-        self.episodes[index].finish_steps(reason, until)
+        self._own[index].finish_steps(reason, until)
 
     def _step_alone(self, index: int, steps: int) -> None:
         self._drive(index)
         if self._at_line[index]:
-            self.episodes[index].next_reading(self.last_step)
+            self._own[index].next_reading(self.last_step)
         else:
-            self.episodes[index].step(steps)
+            self._own[index].step(steps)
 
     def _drive(self, index: int) -> None:
         for robot, (left, right) in enumerate(self.speeds[index].tolist()):
-            self.episodes[index].drive(left, right, robot)
+            self._own[index].drive(left, right, robot)
 
     def _take(self, index: int) -> None:
         """Take the arrays of an episode, and what it shows."""
-        episode = self.episodes[index]
+        episode = self._own[index]
         episode.observe(self._joint, index)
         found = episode.joint_arguments
         self._runs_jointly[index] = False
@@ -158,7 +185,7 @@ class EpisodeBatch(NotCopied):
         self._run, given = found
         arrays = list(_arrays(given))
         if not self._groups:
-            addresses = np.zeros((len(self.episodes), len(arrays)), np.int64)
+            addresses = np.zeros((len(self._own), len(arrays)), np.int64)
             self._joint = self._joint._replace(addresses=addresses)
         kind = (episode.is_at_line, *(each.shape for each in arrays))
         self._group_of[index] = self._groups.setdefault(kind, len(self._groups))

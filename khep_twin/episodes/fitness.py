@@ -33,7 +33,7 @@ def obstacle_avoidance(left_pulses: Number, right_pulses: Number, nearest: Numbe
         nearest: Largest proximity as a part of its limit.
     """
     left, right = _part(left_pulses), _part(right_pulses)
-    return (abs(left) + abs(right)) / 2 * (1 - np.sqrt(abs(left - right) / 2)) * (1 - nearest)
+    return (abs(left) + abs(right)) / 2 * (1 - root(abs(left - right) / 2)) * (1 - nearest)
 
 
 @compilable
@@ -51,7 +51,7 @@ def light_seeking(darkest: Number, dark: Number, floor: Number) -> Number:
         dark: Reading in the dark [counts].
         floor: Reading in the brightest light [counts].
     """
-    return np.minimum(np.maximum((dark - darkest) / (dark - floor), 0.0), 1.0)
+    return clipped((dark - darkest) / (dark - floor), 0.0, 1.0)
 
 
 @compilable
@@ -64,8 +64,8 @@ def wall_following(left_pulses: Number, right_pulses: Number, side: Number) -> N
         side: Larger reading s of the sensors that look aside, as a part of the limit; s0 is half of it.
     """
     left, right = _part(left_pulses), _part(right_pulses)
-    along = np.maximum(left + right, 0.0) / 2 * (1 - np.sqrt(abs(left - right) / 2))
-    return along * np.maximum(1 - abs(side - WALL_COUNTS_SHARE) / WALL_COUNTS_SHARE, 0.0)
+    along = clipped(left + right, 0.0, 2.0) / 2 * (1 - root(abs(left - right) / 2))
+    return along * clipped(1 - abs(side - WALL_COUNTS_SHARE) / WALL_COUNTS_SHARE, 0.0, 1.0)
 
 
 @compilable
@@ -81,4 +81,16 @@ def effort(left_pulses: Number, right_pulses: Number) -> Number:
 @compilable
 def _part(pulses: Number) -> Number:
     """Return a speed as a part of the top speed, -1 to 1."""
-    return np.maximum(-1.0, np.minimum(1.0, pulses / TOP_SPEED_PULSES))
+    return clipped(pulses / TOP_SPEED_PULSES, -1.0, 1.0)
+
+
+@compilable
+def root(number: Number) -> Number:
+    """Return the square root."""
+    return np.sqrt(number)
+
+
+@compilable
+def clipped(number: Number, low: float, high: float) -> Number:
+    """Return a number within limits."""
+    return np.minimum(np.maximum(number, low), high)

@@ -63,10 +63,15 @@ def sums_at_start(n_robots: int, home: Sequence[float] | NDArray[np.float64]) ->
     return sums
 
 
-def metrics_of(sums: Vector[float]) -> dict[str, float]:
+def metrics_of(sums: NDArray[np.float64]) -> dict[str, float]:
     """Return the metrics of a robot from its sums (N_SUMS,)."""
-    periods = max(float(sums[PERIODS]), 1.0)
-    totals = {name: float(sums[metric]) for metric, name in enumerate(METRICS)}
+    return {name: float(value) for name, value in means_of(sums).items()}
+
+
+def means_of(sums: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Return the metrics of robots from their sums (..., N_SUMS), each (...)."""
+    periods = np.maximum(sums[..., PERIODS], 1.0)
+    totals = {name: sums[..., metric] for metric, name in enumerate(METRICS)}
     return {name: total if name in TOTALS else total / periods for name, total in totals.items()}
 
 

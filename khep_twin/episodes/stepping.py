@@ -89,7 +89,7 @@ class JointRun(NamedTuple):
         addresses: Addresses of the arrays of each episode (n, n_arrays).
         rows: Rows of the episodes to run, in all arrays (n_rows,).
         untils: Number of steps since the start up to which each episode is run (n,).
-        speeds: Speeds of the wheels, set before (n, n_robots, 2) [pulses/10 ms].
+        speeds: Speeds of the wheels, set before (n, n_robots, 2) [pulses/10 ms]; (0, n_robots, 2) for none.
         reasons: Reason of each return, filled in (n,).
         registers: States of the boards afterwards, filled in (n, n_robots, N_REGISTERS).
         poses: True x, y [m] and heading [rad] afterwards, filled in (n, n_robots, 3).
@@ -166,7 +166,7 @@ def run_in_turn(
     if len(joint.rows) > 0:
         row = joint.rows[turn]
         until = int(joint.untils[row])
-        for robot in range(len(simulated.robots)):
+        for robot in range(len(simulated.robots) if len(joint.speeds) else 0):
             state = simulated.robots[robot]
             left, right = joint.speeds[row, robot, 0], joint.speeds[row, robot, 1]
             if controllers.kind == CALLER:

@@ -18,7 +18,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from pydantic import Field, FiniteFloat
 
-from khep_twin.playpen import BULB_RADIUS_MM, Lamp, Playpen
+from khep_twin.playpen import BULB_RADIUS_MM, Lamp, Lighting, Playpen
 from khep_twin.playpen.polygon import distance
 from khep_twin.sensing.light import Light
 from khep_twin.units import STEP_NS, metres
@@ -46,6 +46,12 @@ class LampsState(NamedTuple):
     time_ns: Annotated[int, Field(ge=0, lt=2**62)]
     steady: bool
     phase: FiniteFloat | None
+
+
+def are_steady(lamps: Sequence[Lamp], lighting: Lighting) -> bool:
+    """Return whether the powers of lamps never change."""
+    one_by_one = lighting.mode != "all" and bool(lamps)
+    return not one_by_one and not any(lamp.blink_period_s or lamp.on_s for lamp in lamps)
 
 
 class Lamps:
@@ -82,7 +88,7 @@ class Lamps:
         self.positions = [(metres(lamp.x_mm), metres(lamp.y_mm), metres(lamp.z_mm)) for lamp in self._lamps]
         self._full = [lamp.power_w * lamp.dim for lamp in self._lamps]
         one_by_one = self._lighting.mode != "all" and bool(self._lamps)
-        self.steady = not one_by_one and not any(lamp.blink_period_s or lamp.on_s for lamp in self._lamps)
+        self.steady = are_steady(self._lamps, self._lighting)
         self._off: set[int] = set()
         self.lit: int | None = None
         if one_by_one:

@@ -8,7 +8,7 @@ this file, or in the user's cache, until a source changes.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
@@ -59,10 +59,7 @@ def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
         sources: Modules of the functions that it calls.
     """
     register()
-    digest = hashlib.sha256(f"{numba.__version__} {mujoco.__version__}".encode())
-    for module in (*sources, foreign, linking):
-        digest.update(Path(str(module.__file__)).read_bytes())
-    function.__qualname__ = f"{function.__name__}_{digest.hexdigest()[:14]}"
+    function.__qualname__ = f"{function.__name__}_{stamp((*sources, foreign, linking))}"
     # Reference counts of arrays would take half of the time, and nothing here makes arrays.
     make = numba.njit(nogil=True, _nrt=False, error_model="numpy", pipeline_class=OuterCompiler)
     made = make(function)
@@ -70,6 +67,14 @@ def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
         made.enable_caching()
     ANNOUNCER.add(made, sources)
     return made
+
+
+def stamp(sources: Iterable[ModuleType]) -> str:
+    """Return a digest of modules' sources and of the versions of numba and MuJoCo."""
+    digest = hashlib.sha256(f"{numba.__version__} {mujoco.__version__}".encode())
+    for module in sources:
+        digest.update(Path(str(module.__file__)).read_bytes())
+    return digest.hexdigest()[:14]
 
 
 def register() -> None:

@@ -59,6 +59,7 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
             vary=group.vary,
             home=None if home is None else (home.x_mm, home.y_mm, home.radius_mm, home.charge_s),
         ),
+        device=study.device,
         threads=threads,
     )
     failed = {failure.index: failure for failure in results.failures}

@@ -16,6 +16,7 @@ import numpy as np
 
 from khep_twin import __version__, playpen
 from khep_twin.episodes.controllers import Braitenberg, Driver, Floats, Network
+from khep_twin.episodes.device import chosen_device
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.network_file import SUFFIX
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError
@@ -155,7 +156,8 @@ def _playpen(file: StudyFile, name: str) -> Playpen:
         found = Playpen.load(name if name in playpen.names() else file.folder / name)
         if len(found.robots) > 1:
             raise PlaypenError(f"{found.name}: {len(found.robots)} robots; expected one in a study")
-        EpisodeSetup(found, planar=file.study.planar)  # raises early for unsupported features
+        setup = EpisodeSetup(found, planar=file.study.planar)  # raises early for unsupported features
+        chosen_device(file.study.device, setup, Braitenberg(), None, file.study.rollouts_per_task)
     except KhepTwinError as error:
         raise checked(file, ("playpens",), f'playpens: "{name}"', error) from None
     return found

@@ -25,6 +25,7 @@ from pydantic import Field, model_validator
 
 from khep_twin.clock import n_steps, to_ns
 from khep_twin.episodes.controllers import Network
+from khep_twin.episodes.device import Device
 from khep_twin.episodes.fitness import TOP_SPEED_PULSES
 from khep_twin.episodes.metrics import METRICS
 from khep_twin.episodes.network_file import SUFFIX
@@ -124,6 +125,7 @@ class Study(TomlTable):
     first_seed: Annotated[int, Field(ge=0, le=2**62)] = 0
     seconds: Annotated[float, Field(gt=0, le=10**6)]
     planar: Annotated[bool, Field(description="true or false")] = False
+    device: Annotated[Device, Field(description='"cpu", "cuda" or "auto"')] = "cpu"
     step_ms: Annotated[float | None, Field(gt=0, description="2.5, 5 or 10")] = None
     line_baud: Annotated[int | None, Field(ge=1, le=10**9, description="such as 9600")] = None
     period_ms: Annotated[int, Field(ge=10, le=10**4, multiple_of=10, description="a multiple of 10")] = 20
@@ -144,6 +146,10 @@ class Study(TomlTable):
     def _problems(self) -> Iterator[Problem]:
         if self.step_ms not in (None, 2.5, 5.0, 10.0):
             yield Problem.of(("step_ms",), f"step_ms = {self.step_ms:g}", "2.5, 5 or 10")
+        if self.device == "cuda" and not self.planar:
+            yield Problem.of(("device",), 'device = "cuda": episodes in MuJoCo', "planar = true")
+        if self.device == "cuda" and self.programs:
+            yield Problem.of(("device",), 'device = "cuda": and a [[program]]', "networks or braitenberg")
         try:
             n_steps(to_ns(self.seconds), self.period_ms * 1_000_000)
         except ValueError:

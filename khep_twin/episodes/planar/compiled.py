@@ -16,6 +16,9 @@ from khep_twin.simulation.compiled import compiled
 from khep_twin.simulation.foreign import implements, moved
 from khep_twin.step import Simulated, StepInputs
 
+PLANE_SOURCES = (*EPISODE_SOURCES, casting, contact_solver, motion, plane, pushing, shadows)
+"""Modules that are compiled."""
+
 for query in casting.QUERIES:
     implements(getattr(scene, query.__name__), Plane)(query)
 
@@ -34,5 +37,5 @@ def _run(given, until, stops, joint):
     return reason
 
 
-run = compiled(_run, (*EPISODE_SOURCES, casting, contact_solver, motion, plane, pushing, shadows))
+run = compiled(_run, PLANE_SOURCES)
 """`stepping.run` in a plane, compiled, of one episode or of many."""

@@ -1,7 +1,6 @@
 """One robot in a plane, as episodes use it: the counterpart of `World`."""
 
 import copy
-import math
 from collections.abc import Sequence
 from functools import cache, partial
 from threading import RLock
@@ -153,8 +152,7 @@ class PlanarForms:
     @property
     def pose(self) -> tuple[float, float, float]:
         """True x, y [m] and heading [rad]."""
-        x, y, heading = self.state["joints"][:3].tolist()
-        return x, y, math.atan2(math.sin(heading), math.cos(heading))
+        return flat.true_pose(self.state["joints"].tolist())
 
     @property
     def joints(self) -> Floats:

@@ -1,6 +1,7 @@
 """Data of a plane: a robot's numbers, the obstacles around it, and distances to them."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from khep_twin.compilable import compilable
@@ -48,6 +49,12 @@ X, Y, HEADING, LEFT_ANGLE, RIGHT_ANGLE = 0, 1, 2, 3, 4
 """Indices in `PlanarRobot.joints` [m, rad]; `PlanarRobot.speeds` has the speeds forwards, to the left, of
 rotation, and of the wheels [m/s, rad/s]."""
 N_JOINTS = 5
+
+
+def true_pose(joints: Sequence[float]) -> tuple[float, float, float]:
+    """Return x, y [m] and the heading [rad], -pi to pi, of joint positions (N_JOINTS,)."""
+    heading = joints[HEADING]
+    return joints[X], joints[Y], math.atan2(math.sin(heading), math.cos(heading))
 
 
 class PlanarRobot(NamedTuple):

@@ -1,0 +1,85 @@
+"""Choice of where the episodes of a batch run: on the CPU's cores, or on an NVIDIA card (`cuda`)."""
+
+from collections.abc import Sequence
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, Literal, get_args
+
+from khep_twin.episodes.controllers import Driver, Function, Policy
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.episodes.line import LineTimes
+from khep_twin.errors import DeviceError, choices, pip_install_extra
+from khep_twin.playpen import Lamp
+from khep_twin.sensing.lamps import are_steady
+
+Device = Literal["cpu", "cuda", "auto"]
+
+FILLING = 256
+"""Episodes for each multiprocessor of a card that fill it: one for each thread that its registers allow."""
+
+
+def chosen_device(
+    wanted: str,
+    setup: EpisodeSetup,
+    driver: Driver,
+    line: LineTimes,
+    count: int,
+    lamps: Sequence[Sequence[Lamp]] | None = None,
+) -> Device:
+    """Return "cpu" or "cuda" for the episodes of a batch.
+
+    Args:
+        wanted: Device, or "auto" for a card that can run the episodes, if they fill it.
+        setup: Setup of the episodes.
+        driver: Controller of the robots.
+        line: Line between controllers and robots.
+        count: Number of episodes.
+        lamps: Lamps of each episode; None for the playpen's.
+
+    Raises:
+        DeviceError: The device is unknown, there is no card, or it cannot run such episodes.
+    """
+    if wanted not in get_args(Device):
+        raise DeviceError(f"device = {wanted!r}: unknown; {choices(str(wanted), get_args(Device))}")
+    if wanted == "cpu":
+        return "cpu"
+    trouble = _refusal(setup, driver, line, lamps) or missing_card()
+    if wanted == "auto":
+        return "cpu" if trouble or count < FILLING * _n_processors() else "cuda"
+    if trouble:
+        raise DeviceError(f'device = "cuda": {trouble}')
+    return "cuda"
+
+
+@cache
+def missing_card() -> str:
+    """Return why no card can run episodes here, and what is expected; empty if one can."""
+    if find_spec("numba_cuda") is None:
+        return f"numba-cuda is not installed; to install it: {pip_install_extra('cuda13')}"
+    cuda: Any = import_module("numba.cuda")
+    if cuda.is_available():
+        return ""
+    reason = str(cuda.cuda_error() or "no device").strip().partition("\n")[0].rstrip(".: ")
+    return f"no NVIDIA card: {reason}; expected a card and its driver"
+
+
+def _refusal(
+    setup: EpisodeSetup, driver: Driver, line: LineTimes, lamps: Sequence[Sequence[Lamp]] | None
+) -> str:
+    """Return what a card does not run, and what is expected; empty if it runs these episodes."""
+    if setup.planar_scene is None:
+        return "episodes in MuJoCo; expected planar=True"
+    if isinstance(driver, Function):
+        return "a Function; expected a Network, Braitenberg, ConstantSpeed or Policy"
+    if isinstance(driver, Policy) and line is not None:
+        return f"a Policy at a line of {line}; expected no line"
+    lighting = setup.playpen.lighting
+    if not all(are_steady(each, lighting) for each in lamps or [setup.playpen.lamps]):
+        return "lamps that change; expected steady ones"
+    return ""
+
+
+def _n_processors() -> int:
+    cuda: Any = import_module("numba.cuda")
+    return getattr(cuda.get_current_device(), "MULTIPROCESSOR_COUNT", 1)

@@ -1,0 +1,68 @@
+"""Compile the kernel to PTX, for a card that is not there: python cuda_ptx.py STAMP.
+
+Print the stamp of the sources, for which it need not be compiled again, and the size of the PTX.
+"""
+
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numba import cuda, types
+from numba.cuda import dispatcher
+from numba.cuda.typing.typeof import typeof
+
+from khep_twin import Braitenberg, rollout
+from khep_twin.episodes import device
+from khep_twin.episodes.cuda import kernel, lowering
+from khep_twin.simulation.compiled import stamp
+
+CARD = SimpleNamespace(compute_capability=(9, 0), MULTIPROCESSOR_COUNT=1)
+
+
+class OnCard(np.ndarray):
+    """Array in place of one on a card."""
+
+    def copy_to_host(self, to: Any = None) -> Any:
+        return np.array(self)
+
+
+class Compiler:
+    """Kernel that is compiled and not launched."""
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+
+    def __getitem__(self, configuration: object) -> Any:
+        return self._compile
+
+    def _compile(self, *arguments: Any) -> None:
+        signature = types.void(*map(type_of, arguments))
+        run = kernel.body(self._capacity)
+        # `cuda.compile` has the function by this name in a module of its own.
+        sys.modules["numba.cuda.compiler"].compile_cuda = dispatcher.compile_cuda
+        ptx, _ = cuda.compile(run, signature, cc=(9, 0), device=False, abi="numba", opt=False)
+        assert ".visible .entry" in ptx
+        print(STAMP, len(ptx))
+        sys.exit()
+
+
+def type_of(value: Any) -> Any:
+    if isinstance(value, tuple):
+        kinds = [type_of(each) for each in value]
+        return types.NamedTuple(kinds, type(value)) if hasattr(value, "_fields") else types.Tuple(kinds)
+    return typeof(value.view(np.ndarray) if isinstance(value, OnCard) else value)
+
+
+STAMP = stamp((*kernel.SOURCES, kernel, lowering, SimpleNamespace(__file__=__file__)))
+
+if __name__ == "__main__":
+    if sys.argv[1:] == [STAMP]:
+        print(STAMP)
+        sys.exit()
+    dispatcher.get_current_device = cuda.get_current_device = lambda: CARD
+    cuda.to_device = lambda array: np.ascontiguousarray(array).view(OnCard)
+    cuda.device_array = lambda shape, dtype: np.zeros(shape, dtype).view(OnCard)
+    kernel.kernel, device.missing_card = Compiler, lambda: ""
+    rollout("obstacles", Braitenberg(), range(2), 0.04, planar=True, device="cuda")
+    raise SystemExit("the kernel was not launched")

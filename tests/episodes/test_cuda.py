@@ -1,0 +1,225 @@
+"""Episodes on a card: in numba's simulator the same bits as the CPU's, and a kernel that compiles."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import good, line_of
+
+from khep_twin import make_vec
+from khep_twin.episodes import batch
+from khep_twin.episodes.batch import RolloutResult, rollout
+from khep_twin.episodes.controllers import (
+    Braitenberg,
+    ConstantSpeed,
+    Driver,
+    Function,
+    Network,
+    Policy,
+)
+from khep_twin.episodes.device import FILLING, chosen_device
+from khep_twin.episodes.episode_options import EpisodeOptions
+from khep_twin.episodes.episode_setup import EpisodeSetup
+from khep_twin.errors import DeviceError, PlaypenError
+from khep_twin.playpen import Lamp, Playpen
+
+pytestmark = [
+    pytest.mark.skipif(importlib.util.find_spec("numba_cuda") is None, reason="numba-cuda is not installed"),
+    # Words of random draws, which a card wraps.
+    pytest.mark.filterwarnings("ignore:overflow encountered in scalar multiply:RuntimeWarning"),
+]
+
+NETWORK = Network(hidden=(5,), recurrent=True)
+GENES = np.random.default_rng(52).normal(scale=1.5, size=(3, NETWORK.n_genes))
+PERIODS = 0.04
+"""Two control periods [s]."""
+
+LAMPS = [
+    [],
+    [Lamp(x_mm=300, y_mm=300, power_w=5, flicker=0.4)],
+    [Lamp(x_mm=100, y_mm=600, power_w=5), Lamp(x_mm=600, y_mm=300, power_w=3)],
+]
+
+
+def planar(name: str, **options: Any) -> EpisodeSetup:
+    found = Playpen.load(name)
+    return EpisodeSetup(
+        found.model_copy(update={"robots": (found.robots[0].model_copy(update={"turrets": ()}),)}),
+        planar=True,
+        **options,
+    )
+
+
+def assert_same(one: RolloutResult, other: RolloutResult) -> None:
+    for name, values in one.metrics.items():
+        assert values.tobytes() == other.metrics[name].tobytes(), name
+    assert one.registers.tolist() == other.registers.tolist()
+    for ours, theirs in ((one.poses, other.poses), (one.objects, other.objects), (one.paths, other.paths)):
+        np.testing.assert_array_equal(ours, theirs)
+    assert one.failures == other.failures
+
+
+def compare(setup: EpisodeSetup, driver: Driver, seconds: float = PERIODS, **options: Any) -> RolloutResult:
+    """Run three episodes on a card and on the CPU; return results, which are the same."""
+    on_card = rollout(setup, driver, range(3), seconds, device="cuda", **options)
+    assert_same(on_card, rollout(setup, driver, range(3), seconds, compiled=False, **options))
+    return on_card
+
+
+@pytest.mark.parametrize("name", ["obstacles", "looping-maze", "default", "garbage"])
+def test_networks_do_on_a_card_what_they_do_on_the_cpu(name: str) -> None:
+    compare(planar(name), NETWORK, genes=GENES)
+
+
+@pytest.mark.parametrize("driver", [Braitenberg(), ConstantSpeed(12, -7)], ids=["braitenberg", "constant"])
+def test_so_do_other_controllers_whose_paths_are_sampled(driver: Driver) -> None:
+    assert len(compare(planar("obstacles"), driver, paths_every=0.02).paths[0]) == 3
+
+
+def test_a_robot_drawn_anew_lamps_of_its_own_and_a_start_are_each_episodes_own() -> None:
+    starts = [(200.0, 200.0, 90.0), (300.0, 150.0, 0.0), (150.0, 400.0, -40.0)]
+    options = EpisodeOptions(vary=True, home=(200.0, 200.0, 100.0, 1.0))
+    found = compare(planar("obstacles"), Braitenberg(), lamps=LAMPS, starts=starts, options=options)
+    assert len(set(found.metrics["light_seeking"].tolist())) > 1
+
+
+def test_pushed_objects_and_a_line_are_on_a_card_too() -> None:
+    setup = planar("garbage", at_line=True)
+    cylinder = setup.playpen.cylinders[0]
+    starts = [(cylinder.x_mm - 45, cylinder.y_mm, 0.0)] * 3
+    found = compare(setup, NETWORK, 0.2, genes=GENES + 1, starts=starts, line=38400)
+    assert not np.array_equal(found.objects[0], found.objects[1])
+
+
+def test_a_policy_decides_for_the_robots_on_a_card_until_one_fails() -> None:
+    def decide(proximity: Any, ambient: Any, which: Any) -> Any:
+        return 10 - proximity[:, [3, 2]] / np.where(which == 1, np.nan, 100)[:, None]
+
+    found = compare(planar("obstacles"), Policy(decide), paths_every=0.02)
+    assert [failure.index for failure in found.failures] == [1]
+    assert "expected finite numbers" in found.failures[0].reason
+
+
+@pytest.mark.filterwarnings("ignore:invalid value encountered:RuntimeWarning")
+def test_a_network_whose_speed_is_no_number_fails_with_the_words_of_the_cpu() -> None:
+    found = compare(planar("obstacles"), Network(top_speed=float("inf")), genes=np.zeros((3, 18)))
+    assert [failure.step for failure in found.failures] == [0, 0, 0]
+    assert "a controller gave a speed that is no number" in found.failures[0].reason
+
+
+def test_more_episodes_than_fit_on_a_card_are_run_in_bounded_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch, "CARD_BATCH_SIZE", 2)
+    compare(planar("default"), NETWORK, genes=GENES)
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_environments_on_a_card_are_those_of_the_cpu(mode: str) -> None:
+    def steps(device: str) -> list[Any]:
+        environments = make_vec(
+            "khep_twin/Homing-v0",
+            num_envs=3,
+            planar=True,
+            device=device,
+            seconds=0.2,
+            details=True,
+            vary=True,
+            autoreset_mode=mode,
+        )
+        found: list[Any] = [environments.reset(seed=4)]
+        rng = np.random.default_rng(1)
+        found += [environments.step(rng.uniform(-1, 1, (3, 2)).astype(np.float32)) for _ in range(6)]
+        environments.close()
+        return found
+
+    np.testing.assert_equal(plain(steps("cuda")), plain(steps("cpu")))
+
+
+def plain(value: Any) -> Any:
+    """Return nested results without arrays of objects, which numpy's comparison cannot take."""
+    if isinstance(value, dict):
+        return {key: plain(each) for key, each in value.items()}
+    if isinstance(value, tuple | list) or (isinstance(value, np.ndarray) and value.dtype.kind == "O"):
+        return [plain(each) for each in value]
+    return value
+
+
+BLINKING = [[Lamp(x_mm=100, y_mm=100, power_w=1, blink_period_s=1)]]
+
+
+@pytest.mark.parametrize(
+    ("setup", "driver", "line", "lamps", "message"),
+    [
+        (EpisodeSetup("default"), Braitenberg(), None, None, "episodes in MuJoCo; expected planar=True"),
+        (
+            planar("default"),
+            Function(lambda p, a, m, g: (1, 1)),
+            None,
+            None,
+            "a Function; expected a Network",
+        ),
+        (planar("default"), Policy(), 9600, None, "a Policy at a line of 9600; expected no line"),
+        (planar("default"), Braitenberg(), None, BLINKING, "lamps that change; expected steady ones"),
+    ],
+    ids=["mujoco", "function", "policy at a line", "lamps"],
+)
+def test_what_a_card_does_not_run_is_refused_by_name(
+    setup: EpisodeSetup, driver: Driver, line: int | None, lamps: Any, message: str
+) -> None:
+    with pytest.raises(DeviceError, match=message):
+        chosen_device("cuda", setup, driver, line, 1, lamps)
+    assert chosen_device("auto", setup, driver, line, 10**6, lamps) == "cpu"
+
+
+def test_auto_takes_a_card_that_the_episodes_fill() -> None:
+    setup = planar("default")
+    assert chosen_device("auto", setup, Braitenberg(), None, FILLING - 1) == "cpu"
+    assert chosen_device("auto", setup, Braitenberg(), None, FILLING) == "cuda"
+    with pytest.raises(DeviceError, match=r"device = 'gpu': unknown; did you mean 'cpu'"):
+        chosen_device("gpu", setup, Braitenberg(), None, 1)
+
+
+def test_playpens_of_other_shapes_are_refused_in_one_batch_of_environments() -> None:
+    with pytest.raises(PlaypenError, match="other numbers of obstacles than in the first playpen"):
+        make_vec(
+            "khep_twin/ObstacleAvoidance-v0",
+            num_envs=2,
+            planar=True,
+            device="cuda",
+            playpen=["default", "obstacles"],
+        ).reset()
+
+
+def test_the_command_runs_on_a_card_as_on_the_cpu(tmp_path: Path) -> None:
+    words = ("rollout", "--planar", "--seconds", "0.2", "--picture")
+    ours = good(*words, "card.png", "--device", "cuda", folder=tmp_path)
+    assert ours.replace("card", "cpu") == good(*words, "cpu.png", folder=tmp_path)
+    assert (tmp_path / "card.png").read_bytes() == (tmp_path / "cpu.png").read_bytes()
+
+
+def test_without_a_card_the_command_says_so_in_one_line() -> None:
+    words = "-m", "khep_twin", "rollout", "--planar", "--device", "cuda"
+    told = line_of(python(*words, CUDA_VISIBLE_DEVICES=""))
+    assert told.startswith('device = "cuda": no NVIDIA card: ')
+    assert told.endswith("; expected a card and its driver")
+
+
+def test_the_kernel_compiles_for_a_card(request: pytest.FixtureRequest) -> None:
+    script = Path(__file__).with_name("cuda_ptx.py")
+    known = str(request.config.cache.get("khep_twin/ptx", "")) if request.config.cache else ""
+    told = python(script, known)
+    assert told.returncode == 0, told.stderr
+    if request.config.cache:
+        request.config.cache.set("khep_twin/ptx", told.stdout.split()[0])
+
+
+def python(*words: object, **environment: str) -> "subprocess.CompletedProcess[str]":
+    """Run a Python program that does not use numba's simulator."""
+    own = os.environ | {"NUMBA_ENABLE_CUDASIM": "0"} | environment
+    return subprocess.run(
+        [sys.executable, *map(str, words)], env=own, capture_output=True, text=True, check=False
+    )
