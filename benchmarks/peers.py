@@ -58,6 +58,7 @@ class Kheperax(AbstractContextManager["Kheperax"]):
     Args:
         python: Python that can import Kheperax.
         playpen: Playpen with one robot; its walls have no thickness, and a cylinder has `N_SIDES` sides.
+        platform: Platform of JAX: "cpu", or "cuda" for a card.
 
     Attributes:
         versions: Versions of Kheperax and jax.
@@ -66,14 +67,15 @@ class Kheperax(AbstractContextManager["Kheperax"]):
         KhepTwinError: Kheperax does not start; its own last line gives the reason.
     """
 
-    def __init__(self, python: str, playpen: Playpen) -> None:
+    def __init__(self, python: str, playpen: Playpen, platform: str = "cpu") -> None:
         self._process = subprocess.Popen(
             [python, str(_PEER)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env={**os.environ, "JAX_PLATFORMS": "cpu"},
+            # A card would round 32-bit factors to fewer bits by default.
+            env={**os.environ, "JAX_PLATFORMS": platform, "JAX_DEFAULT_MATMUL_PRECISION": "highest"},
         )
         self.versions: dict[str, str] = self._ask(json.dumps(scene(playpen)))
 

@@ -42,6 +42,7 @@ wish.add_argument("--sigma", type=float, default=0.05, help="standard deviation 
 wish.add_argument("--seconds", type=float, default=72.0, help="duration of an episode")
 wish.add_argument("--seed", type=int, default=0)
 wish.add_argument("--line", type=int, help="speed of the line between controller and robot [baud]")
+wish.add_argument("--device", default="cpu", help="cpu, or cuda for an NVIDIA card, with --batch 4096")
 wish.add_argument("--judge", type=int, default=20, help="number of elites that are judged again")
 wish.add_argument("--picture", type=Path, help="draw the archive over the maze to this file")
 wish.add_argument("--elites", type=Path, help="write genomes, objectives and descriptors to this NPZ file")
@@ -59,8 +60,8 @@ plane, mujoco = EpisodeSetup(maze, planar=True), EpisodeSetup(maze)
 
 def judge(setup: EpisodeSetup, genomes: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the objective of each genome (n,) and the position at the end (n, 2) [m]."""
-    seeds = [seed] * len(genomes)
-    results = rollout(setup, NETWORK, seeds, options.seconds, genes=genomes, line=options.line)
+    seeds, device = [seed] * len(genomes), options.device if setup is plane else "cpu"
+    results = rollout(setup, NETWORK, seeds, options.seconds, genes=genomes, line=options.line, device=device)
     return 1 - np.nan_to_num(results.metrics["effort"], nan=1.0), results.poses[:, :2]
 
 

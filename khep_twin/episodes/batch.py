@@ -156,12 +156,7 @@ def rollout(
     fast = on_card or is_compiled(compiled)
     workers = most if fast else 1
     if on_card:
-        from khep_twin.episodes.cuda.card_batch import CardBatch, PreparedEpisode
-
-        episode = PreparedEpisode(setup, driver)
-        for first in range(0, count, CARD_BATCH_SIZE):
-            group = range(first, min(first + CARD_BATCH_SIZE, count))
-            _run_together(CardBatch([episode] * len(group), driver), driver, group, batch, results)
+        _run_on_card(driver, batch, results)
         return results.result()
     room = min(BATCH_SIZE if isinstance(driver, Policy) else workers, count)
     episodes = [Episode(setup, driver, compiled=fast) for _ in range(room)]
@@ -308,6 +303,24 @@ def _share_out(
         # On an interruption, wait for the episodes that have begun, not for all of them.
         for _ in turns:
             pass
+
+
+def _run_on_card(driver: Driver, batch: _Batch, results: _Results) -> None:
+    """Run episodes on a card; the CPU prepares a group of them while the card runs another one."""
+    from khep_twin.episodes.cuda.card_batch import CardBatch, PreparedEpisode
+
+    def work(first: int) -> None:
+        group = range(first, min(first + CARD_BATCH_SIZE, len(batch.seeds)))
+        lanes = CardBatch([PreparedEpisode(batch.setup, driver)] * len(group), driver)
+        _run_together(lanes, driver, group, batch, results)
+
+    with ThreadPoolExecutor(1 if isinstance(driver, Policy) else 2) as pool:
+        groups = [pool.submit(work, first) for first in range(0, len(batch.seeds), CARD_BATCH_SIZE)]
+        try:
+            for done in groups:
+                done.result()
+        finally:  # on an interruption, wait for the groups that have begun
+            pool.shutdown(cancel_futures=True)
 
 
 def _run_together(

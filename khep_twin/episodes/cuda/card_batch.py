@@ -17,7 +17,9 @@ Imported only where numba-cuda is installed.
 # numba-cuda is not typed.
 # pyright: basic, reportMissingTypeStubs=false, reportArgumentType=false, reportOptionalSubscript=false
 
+import operator
 from collections.abc import Callable, Sequence
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -42,6 +44,9 @@ BLOCK = 64
 
 BLOCKS_PER_PROCESSOR = 4
 """Blocks that a multiprocessor runs at once: as many as its registers allow, with 255 for each thread."""
+
+_LAUNCH = Lock()
+"""One launch at a time, until its results are there; others of the process prepare theirs meanwhile."""
 
 
 class PreparedEpisode(Episode):
@@ -72,6 +77,7 @@ class CardBatch(EpisodeBatch):
         self._constants = ConstantRows(len(episodes))
         self._joint = self._joint._replace(addresses=np.zeros((1, 1), np.int64))  # of the CPU's arrays
         self._table: _Table | None = None
+        self._first: tuple[object, ...] | None = None
         self._copied: NDArray[np.int64] | None = None
 
     @one_thread
@@ -94,7 +100,14 @@ class CardBatch(EpisodeBatch):
                 "expected the same in all playpens of a batch on a card"
             )
         self._fresh[index] = self._table.layout.take(given)
-        self._constants.take(index, constants_of(given))
+        # The arrays of robots that are not drawn anew have the same content if they are the same objects.
+        arrays = () if options.vary else (*given[1:6], given[-1])
+        if arrays and self._first is not None and all(map(operator.is_, arrays, self._first)):
+            own = {"genes": given[0].genes, "home": given[0].home, "powers": given[-2]}
+            self._constants.take(index, own)
+        else:
+            self._constants.take(index, constants_of(given))
+        self._first = arrays if self._first is None else self._first
         self.steps[index], self._runs_jointly[index] = 0, True
 
     @one_thread
@@ -175,7 +188,7 @@ class CardBatch(EpisodeBatch):
         on_card = type(joint)(*(cuda.to_device(array) for array in given))
         processors = getattr(cuda.get_current_device(), "MULTIPROCESSOR_COUNT", 1)  # the simulator tells none
         blocks = min(-(-len(rows) // BLOCK), processors * BLOCKS_PER_PROCESSOR)
-        with kernel.compiling():
+        with _LAUNCH, kernel.compiling():
             kernel.kernel(table.layout.capacity)[blocks, min(BLOCK, len(rows))](
                 kernel.Constants(**table.common, **self._constants.on_card()),
                 table.like,
@@ -185,8 +198,8 @@ class CardBatch(EpisodeBatch):
                 0 if fresh is None else -1,
                 on_card,
             )
-        for name in ("reasons", "registers", "poses"):
-            getattr(on_card, name).copy_to_host(getattr(joint, name))
+            for name in ("reasons", "registers", "poses"):
+                getattr(on_card, name).copy_to_host(getattr(joint, name))
         self._copied = None
 
 

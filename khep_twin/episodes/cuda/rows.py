@@ -31,16 +31,15 @@ class ConstantRows:
         self._on_card: dict[str, Any] = {}
 
     def take(self, index: int, constants: Mapping[str, Row]) -> None:
-        """Take the constants of an episode."""
-        for name, row in constants.items():
-            common = self._common.get(name)
-            if common is None:
-                common = self._common[name] = row.copy()
-            others = self._others[name]
-            before = others.pop(index, common)
+        """Take the constants of an episode; those left out are the same as the first one's."""
+        if not self._common:
+            self._common = {name: row.copy() for name, row in constants.items()}
+        for name, common in self._common.items():
+            others, row = self._others[name], constants.get(name, common)
+            before = others.pop(index, None)
             if not _equal(row, common):
                 others[index] = row.copy()
-            if not _equal(row, before):
+            if before is not None or index in others:
                 self._on_card.pop(name, None)
 
     def on_card(self) -> dict[str, Any]:

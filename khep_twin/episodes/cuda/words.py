@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from khep_twin.episodes.cuda.kernel import Arena
 from khep_twin.episodes.cuda.views import N_LIVE
+from khep_twin.episodes.planar import planar_world
 from khep_twin.episodes.planar import plane as flat
 
 Given = tuple[Any, ...]
@@ -16,14 +17,14 @@ Given = tuple[Any, ...]
 
 Words = NDArray[np.int64]
 
-LIVE = {
-    "robot": ("registers", "processor", "sensor_states", "strengths", "voltage", "noise"),
-    "plane": ("joints", "speeds", "ctrl", "force", "grips", "last"),
-}
-"""Fields of the records of the robot and of the plane that each episode has of its own."""
-
 BUFFERS = "contacts", "hidden"
 """Fields of the record of the plane that are buffers."""
+
+LIVE = {
+    "robot": ("registers", "processor", "sensor_states", "strengths", "voltage", "noise"),
+    "plane": tuple(name for name in planar_world.LIVE if name not in BUFFERS),
+}
+"""Fields of the records of the robot and of the plane that each episode has of its own."""
 
 _LEAST_WORDS = 1024
 """Least number of words of an arena (assumed); a power of two, so that few kernels are compiled."""
