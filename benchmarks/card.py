@@ -157,8 +157,8 @@ def main(words: list[str] | None = None) -> int:
         return 1
     seconds = 0.1 if given.quick else 60.0
     sizes = (2, 4) if given.quick else (1024, 4096, 16_384, 65_536, 262_144)
-    card = cuda.get_current_device()
-    print(f"{getattr(card, 'name', 'simulated')}, {n_cores()} cores")
+    name = getattr(cuda.get_current_device(), "name", "simulated")
+    print(f"{name}, {n_cores()} cores")
     begin = time.perf_counter()
     rollout("default", Braitenberg(), range(1), 0.1, planar=True, device="cuda")
     print(f"compiled or loaded in {time.perf_counter() - begin:.1f} s", *_resources())

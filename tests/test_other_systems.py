@@ -58,7 +58,8 @@ def test_every_module_but_those_of_terminals_is_imported() -> None:
         "import pkgutil, khep_twin\n"
         "names = [each.name for each in pkgutil.walk_packages(khep_twin.__path__, 'khep_twin.')]\n"
         f"for name in sorted(set(names) - {ALONE!r}):\n"
-        "    if not name.startswith('khep_twin.assets'):\n"
+        # Not for numba's simulator, which tests have in place of a card.
+        "    if not name.startswith('khep_twin.assets') and name != 'khep_twin.episodes.cuda.lowering':\n"
         "        __import__(name)\n"
         "print(len(names))"
     )

@@ -1,10 +1,8 @@
 """Choice of where the episodes of a batch run: on the CPU's cores, or on an NVIDIA card (`cuda`)."""
 
 from collections.abc import Sequence
-from functools import cache
-from importlib import import_module
 from importlib.util import find_spec
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from khep_twin.episodes.controllers import Driver, Function, Policy
 from khep_twin.episodes.episode_setup import EpisodeSetup
@@ -45,23 +43,22 @@ def chosen_device(
     if wanted == "cpu":
         return "cpu"
     trouble = _refusal(setup, driver, line, lamps) or missing_card()
-    if wanted == "auto":
-        return "cpu" if trouble or count < FILLING * _n_processors() else "cuda"
-    if trouble:
+    if trouble and wanted == "cuda":
         raise DeviceError(f'device = "cuda": {trouble}')
-    return "cuda"
+    if trouble:
+        return "cpu"
+    from khep_twin.episodes.cuda import card
+
+    return "cuda" if wanted == "cuda" or count >= FILLING * card.n_processors() else "cpu"
 
 
-@cache
 def missing_card() -> str:
     """Return why no card can run episodes here, and what is expected; empty if one can."""
     if find_spec("numba_cuda") is None:
         return f"numba-cuda is not installed; to install it: {pip_install_extra('cuda13')}"
-    cuda: Any = import_module("numba.cuda")
-    if cuda.is_available():
-        return ""
-    reason = str(cuda.cuda_error() or "no device").strip().partition("\n")[0].rstrip(".: ")
-    return f"no NVIDIA card: {reason}; expected a card and its driver"
+    from khep_twin.episodes.cuda import card
+
+    return card.trouble()
 
 
 def _refusal(
@@ -78,8 +75,3 @@ def _refusal(
     if not all(are_steady(each, lighting) for each in lamps or [setup.playpen.lamps]):
         return "lamps that change; expected steady ones"
     return ""
-
-
-def _n_processors() -> int:
-    cuda: Any = import_module("numba.cuda")
-    return getattr(cuda.get_current_device(), "MULTIPROCESSOR_COUNT", 1)

@@ -125,7 +125,7 @@ class Study(TomlTable):
     first_seed: Annotated[int, Field(ge=0, le=2**62)] = 0
     seconds: Annotated[float, Field(gt=0, le=10**6)]
     planar: Annotated[bool, Field(description="true or false")] = False
-    device: Annotated[Device, Field(description='"cpu", "cuda" or "auto"')] = "cpu"
+    device: Device = "cpu"
     step_ms: Annotated[float | None, Field(gt=0, description="2.5, 5 or 10")] = None
     line_baud: Annotated[int | None, Field(ge=1, le=10**9, description="such as 9600")] = None
     period_ms: Annotated[int, Field(ge=10, le=10**4, multiple_of=10, description="a multiple of 10")] = 20

@@ -35,7 +35,7 @@ def loaded(folder: Path, text: str) -> studies.StudyFile:
         ("seconds = 0.2", "seconds = 0.21", r"study.toml:6: seconds = 0.21; expected whole .* of 20 ms"),
         ("step_ms = 10", "step_ms = 3", r"study.toml:7: step_ms = 3; expected 2.5, 5 or 10"),
         ("step_ms = 10", 'device = "cuda"', r"study.toml:7: device = \"cuda\": .*; expected planar = true"),
-        ("step_ms = 10", 'device = "gpu"', r"study.toml:7: device = \"gpu\"; expected \"cpu\", \"cuda\" or"),
+        ("step_ms = 10", 'device = "gpu"', r"study.toml:7: device = \"gpu\": unknown; did you mean 'cpu'"),
         ('["default"]', '["default", "default"]', r"study.toml:3: playpens has \"default\" twice"),
         ('["default"]', '["defualt"]', r"study.toml:3: playpens: \"defualt\": .*no such file"),
         ('["default"]', '["gripper"]\nplanar = true', r"study.toml:3: playpens: \"gripper\": .*turrets"),

@@ -27,7 +27,7 @@ from numba import cuda
 from numpy.typing import NDArray
 
 from khep_twin.episodes.controllers import Driver, Floats, Policy
-from khep_twin.episodes.cuda import kernel
+from khep_twin.episodes.cuda import card, kernel
 from khep_twin.episodes.cuda.rows import ConstantRows
 from khep_twin.episodes.cuda.words import EpisodeWords, Given, constants_of
 from khep_twin.episodes.episode import Episode
@@ -186,8 +186,7 @@ class CardBatch(EpisodeBatch):
         speeds = joint.speeds if self._is_driven and fresh is None else joint.speeds[:0]
         given = joint._replace(rows=rows, untils=untils, speeds=speeds)
         on_card = type(joint)(*(cuda.to_device(array) for array in given))
-        processors = getattr(cuda.get_current_device(), "MULTIPROCESSOR_COUNT", 1)  # the simulator tells none
-        blocks = min(-(-len(rows) // BLOCK), processors * BLOCKS_PER_PROCESSOR)
+        blocks = min(-(-len(rows) // BLOCK), card.n_processors() * BLOCKS_PER_PROCESSOR)
         with _LAUNCH, kernel.compiling():
             kernel.kernel(table.layout.capacity)[blocks, min(BLOCK, len(rows))](
                 kernel.Constants(**table.common, **self._constants.on_card()),
