@@ -27,9 +27,9 @@ from numba import cuda
 
 from benchmarks.peers import Kheperax, kheperax_python
 from benchmarks.scale import PLAYPENS
-from khep_twin.episodes import batch
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Braitenberg, Driver, Floats, Network
+from khep_twin.episodes.cuda import card as device
 from khep_twin.episodes.cuda import card_batch, kernel
 from khep_twin.episodes.device import missing_card
 from khep_twin.episodes.episode_setup import EpisodeSetup
@@ -135,7 +135,7 @@ def million(count: int, seconds: float) -> None:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
     print(
         f"  {took:.0f} s; {used:,.0f} MiB are kept on the card; the CPU has used {peak:,.0f} MiB, of them "
-        f"{count * 8 * (80 + 3 + 7) / 2**20:,.0f} for results, in batches of {batch.CARD_BATCH_SIZE:,}"
+        f"{count * 8 * (80 + 3 + 7) / 2**20:,.0f} for results"
     )
 
 
@@ -160,7 +160,7 @@ def main(words: list[str] | None = None) -> int:
     name = getattr(cuda.get_current_device(), "name", "simulated")
     print(f"{name}, {n_cores()} cores")
     begin = time.perf_counter()
-    rollout("default", Braitenberg(), range(1), 0.1, planar=True, device="cuda")
+    rollout("obstacles", Braitenberg(), range(1), 0.1, planar=True, device="cuda")
     print(f"compiled or loaded in {time.perf_counter() - begin:.1f} s", *_resources())
     rollout("default", Braitenberg(), range(1), 0.1, planar=True)
     if "compare" in given.parts:
@@ -178,13 +178,13 @@ def main(words: list[str] | None = None) -> int:
                     expected = speed(name, driver, count, seconds)
     if "blocks" in given.parts:
         print("\nblocks at once on each multiprocessor, of 64 threads")
-        plain = card_batch.BLOCKS_PER_PROCESSOR
+        plain, count = device.FILLING, 2 * device.FILLING * device.n_processors()
         for blocks in (1, 2, 4, 8):
-            card_batch.BLOCKS_PER_PROCESSOR = blocks
+            device.FILLING = blocks * card_batch.BLOCK
             if left(given.limit) > 20:
                 print(f"{blocks:3}", end="")
-                speed("obstacles", NETWORK, min(32_768, sizes[-1]), seconds)
-        card_batch.BLOCKS_PER_PROCESSOR = plain
+                speed("obstacles", NETWORK, min(count, sizes[-1]), seconds)
+        device.FILLING = plain
     if "kheperax" in given.parts and left(given.limit) > 60:
         kheperax(given.kheperax, sizes[-2:], seconds)
     if "million" in given.parts:

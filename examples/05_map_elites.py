@@ -55,7 +55,8 @@ NETWORK = Network(hidden=(8,))
 
 maze = Playpen.load("deceptive-maze")
 side = maze.arena.width_mm / 1000
-plane, mujoco = EpisodeSetup(maze, planar=True), EpisodeSetup(maze)
+plane = EpisodeSetup(maze, planar=True, at_line=options.line is not None)
+mujoco = EpisodeSetup(maze)
 
 
 def judge(setup: EpisodeSetup, genomes: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:

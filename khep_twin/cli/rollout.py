@@ -65,7 +65,7 @@ class PhysicsOptions:
     ] = None
     planar: Annotated[bool, typer.Option("--planar", help="Simulate in a plane, not in MuJoCo.")] = False
     device: Annotated[
-        str, typer.Option(help="Run on the cpu, or, with --planar, on an NVIDIA card, cuda.")
+        str, typer.Option(help="Run on the cpu, or, with --planar, on an NVIDIA card: cuda.")
     ] = "cpu"
 
     def setup(
@@ -134,15 +134,16 @@ def rollout(
         setup = physics.setup(playpen, found, map(parse_fault, options.faults), logging.log)
         periods = length.cycles or setup.periods(60.0 if length.seconds is None else length.seconds)
         device = chosen_device(physics.device, setup, driver, physics.line, 1)
-        compiled = None if device == "cuda" or is_compiled() else False
-        episode = Episode(setup, driver, compiled=compiled, observed=logging.log is not None)
     except ValueError as error:
         raise usage(str(error)) from None
     own = EpisodeOptions(noise=options.noise, vary=options.vary, line=physics.line)
+    seconds = periods * setup.period_ns / 1e9
     if device == "cuda":
         on_card = _run_on_card(setup, driver, function, options.seed, own, periods, picture is not None)
-        _print(*on_card, playpen, picture, logging.force)
+        _print(periods, seconds, *on_card, playpen, picture, logging.force)
         return
+    compiled = None if is_compiled() else False
+    episode = Episode(setup, driver, compiled=compiled, observed=logging.log is not None)
     episode.begin(options.seed, own)
     recorder = None
     with ExitStack() as stack:
@@ -155,7 +156,7 @@ def rollout(
             tell_kept(recorder)
         times, paths = _run(episode, setup, function, periods, picture is not None)
     metrics = [episode.metrics(robot) for robot in range(len(episode.boards))]
-    _print(metrics, periods, times, paths, playpen, picture, logging.force)
+    _print(periods, seconds, metrics, times, paths, playpen, picture, logging.force)
     logging.check(recorder)
     if logging.log is not None:
         tell_written("log", [logging.log])
@@ -195,8 +196,8 @@ def _run_on_card(
     options: "EpisodeOptions",
     periods: int,
     drawn: bool,
-) -> tuple[list[dict[str, float]], int, list[float], list[list[Pose]]]:
-    """Run an episode on a card; return metrics, periods, times [s] and the robot's path, as `_run` does."""
+) -> tuple[list[dict[str, float]], list[float], list[list[Pose]]]:
+    """Run an episode on a card; return metrics, times [s] and path of the robot, as `_run` does."""
     from khep_twin.episodes import Policy, batch
     from khep_twin.errors import DivergedError
 
@@ -211,8 +212,8 @@ def _run_on_card(
     for failure in results.failures:
         raise DivergedError(failure.reason)
     metrics = {name: float(values[0]) for name, values in results.metrics.items()}
-    times = [period * sample for sample in range(periods + 1)] if drawn else [periods * period]
-    return [metrics], periods, times, [[tuple(pose) for pose in results.paths[0].tolist()]]
+    times = [period * sample for sample in range(periods + 1)] if drawn else []
+    return [metrics], times, [[tuple(pose) for pose in results.paths[0].tolist()]]
 
 
 def is_compiled() -> bool:
@@ -228,8 +229,9 @@ def is_compiled() -> bool:
 
 
 def _print(
-    each: list[dict[str, float]],
     periods: int,
+    seconds: float,
+    each: list[dict[str, float]],
     times: list[float],
     paths: list[list[Pose]],
     playpen: "Playpen",
@@ -239,7 +241,7 @@ def _print(
     """Print the metrics of each robot, and draw the paths."""
     from khep_twin.lab.experiment.series_run import metric_lines
 
-    typer.echo(f"{periods} cycles in {times[-1]:.1f} s")
+    typer.echo(f"{periods} cycles in {seconds:.1f} s")
     if (n_robots := len(each)) > 1:
         typer.echo(f"{'':20}" + "".join(f"{f'khepera{robot}':<12}" for robot in range(n_robots)).rstrip())
     for line in metric_lines(each):  # homing is undefined without a home

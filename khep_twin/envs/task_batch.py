@@ -72,7 +72,8 @@ class TaskBatch(NotCopied):
         self._own = [setups[index % len(setups)] for index in range(count)]
         self._used = list(self._own)
         self._idle = defaultdict[TaskSetup, list[Episode]](list)
-        self._device: Device = setup.device(device, count)
+        chosen = [each.device(device, count, setup) for each in setups]
+        self._device: Device = "cpu" if "cpu" in chosen else "cuda"
         self._batch = self._new_batch(threads)
         self.guard, self.poses = self._batch.guard, self._batch.poses
         shape = count, len(setup.playpen.robots)
@@ -109,6 +110,8 @@ class TaskBatch(NotCopied):
         pairs = list(zip(numbers, seeds, strict=True))
         # All of them first, so that a mistake changes nothing.
         beginnings = [self._own[row].beginning(seed, given[row]) for row, seed in pairs]
+        for begun in beginnings if self._device == "cuda" else ():
+            begun.setup.device("cuda", 1, self.setup, begun.options.lamps)
         for (row, seed), begun in zip(pairs, beginnings, strict=True):
             self._batch.begin(row, seed, begun.options, self._exchanged(row, begun.setup))
             self.seeds[row], self.beginnings[row] = seed, begun
@@ -207,10 +210,7 @@ class TaskBatch(NotCopied):
         self.returns[rows] += self.rewards[rows]
         for name, part in self.setup.task.reward_parts(state).items():
             self.parts.setdefault(name, np.zeros(self.rewards.shape))[rows] = part.reshape(len(rows), -1)
-        numbers: list[int] = rows.tolist()
-        for row in numbers:
-            episode = self._batch.episodes[row]
-            self.touches[row] = [episode.touches(robot) for robot in range(self.touches.shape[1])]
+        self.touches[rows] = self._batch.touches(rows)
 
     def _state(self, rows: NDArray[np.int64]) -> State:
         """Return the state of all robots of some episodes; count what their wheels and charges have done."""

@@ -166,12 +166,15 @@ class TaskSetup(MadeAnew):
             return PreparedEpisode(self._setup, driver)
         return Episode(self._setup, driver, compiled=self._compiled)
 
-    def device(self, wanted: Device, count: int) -> Device:
-        """Return where a number of episodes run, as `episodes.device.chosen_device` does."""
+    def device(
+        self, wanted: Device, count: int, like: "TaskSetup", lamps: Sequence[Lamp] | None = None
+    ) -> Device:
+        """Return where episodes run beside those of another setup, as `device.chosen_device` does."""
         delay = self.randomize.delay if self.randomize else None
         line = self.line if delay is None else MeasuredCycle(delay[1], self.period_ns / NS_PER_S)
-        lamps = None if self._lamps is None else [self._lamps]
-        return chosen_device(wanted, self._setup, Policy(), line, count, lamps)
+        lamps = self._lamps if lamps is None else lamps
+        lit = None if lamps is None else [lamps]
+        return chosen_device(wanted, self._setup, Policy(), line, count, lit, like._setup)
 
     def speeds(self, action: object) -> NDArray[np.float64]:
         """Return an action, or several, as speeds: see `tasks.speeds_of`."""

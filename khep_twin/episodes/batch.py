@@ -13,10 +13,11 @@ with the number of episodes: every thread has memory for one episode and reuses 
 NVIDIA card runs episodes in the plane (`cuda`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
+from threading import Event
 from typing import Any, cast
 
 import numpy as np
@@ -46,8 +47,8 @@ from khep_twin.units import SCAN_NS
 BATCH_SIZE = 64
 """Episodes in one call of a policy: enough for arrays to pay, at a bounded use of memory."""
 
-CARD_BATCH_SIZE = 32_768
-"""Episodes on a card at once: several for each of its threads, and some 200 MB on the card and beside it."""
+CARD_SPAN_NS = 10_000_000_000
+"""Longest simulated time of one launch on a card [ns]: a card that shows a desktop ends longer ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +143,8 @@ def rollout(
     period_ns = driver.period_ns if isinstance(driver, Network) else SCAN_NS
     setup = playpen
     if not isinstance(setup, EpisodeSetup):
-        setup = EpisodeSetup(setup, period_ns=period_ns, planar=planar)
+        at_line = planar and (line or options.line) is not None
+        setup = EpisodeSetup(setup, period_ns=period_ns, planar=planar, at_line=at_line)
     elif planar and setup.planar_scene is None:
         raise ValueError("planar = True: and a setup in MuJoCo; expected EpisodeSetup(..., planar=True)")
     count = len(seeds)
@@ -164,7 +166,8 @@ def rollout(
         with closing(EpisodeBatch(episodes, min(workers, room))) as lanes:
             for first in range(0, count, BATCH_SIZE):
                 group = range(first, min(first + BATCH_SIZE, count))
-                _run_together(lanes, driver, group, batch, results)
+                for _ in _run_together(lanes, driver, group, batch, results):
+                    pass
     else:
         with ThreadPoolExecutor(workers) as pool:
             _share_out(pool, episodes, batch, results)
@@ -235,9 +238,11 @@ class _Results:
         self.objects = np.zeros((count, n_objects, 3))
         self.paths = np.full((count, n_robots, n_samples, 3), np.nan)
         self.failures: list[Failure] = []
+        self._kept: set[int] = set()
 
     def keep(self, index: int, seed: int, episode: Episode, failure: DivergedError | None) -> None:
-        """Store the results of an episode that has ended."""
+        """Store the results of an episode that has ended, or has not begun."""
+        self._kept.add(index)
         self.registers[index], self.poses[index] = episode.boards, episode.poses
         self.objects[index] = episode.objects
         self._rate(slice(index, index + 1), episode.sums[None])
@@ -247,15 +252,19 @@ class _Results:
     def keep_group(
         self, group: range, seeds: Sequence[int], lanes: EpisodeBatch, failures: Mapping[int, DivergedError]
     ) -> None:
-        """Store the results of episodes side by side."""
-        rows, of_all, count = slice(group.start, group.stop), self.registers, len(group)
-        of_all[rows], self.poses[rows] = lanes.registers[:count], lanes.joint_poses[:count]
-        self.objects[rows] = lanes.objects[:count]
-        self._rate(rows, lanes.sums[:count])
-        for lane, failure in sorted(failures.items()):
-            self._fail(group[lane], int(seeds[group[lane]]), int(lanes.steps[lane]), failure)
+        """Store the results of episodes side by side that have begun, all but those in `kept`."""
+        lane = np.array([lane for lane, index in enumerate(group) if index not in self._kept], np.int64)
+        if not len(lane):
+            return
+        rows = lane + group.start
+        self.registers[rows], self.poses[rows] = lanes.boards[lane], lanes.joint_poses[lane]
+        self.objects[rows] = lanes.objects[lane]
+        self._rate(rows, lanes.sums[lane])
+        for failed, failure in sorted(failures.items()):
+            if (index := group[failed]) not in self._kept:
+                self._fail(index, int(seeds[index]), int(lanes.steps[failed]), failure)
 
-    def _rate(self, rows: slice, sums: Floats) -> None:
+    def _rate(self, rows: NDArray[np.int64] | slice, sums: Floats) -> None:
         """Store the metrics of episodes, of their sums (n, n_robots, N_SUMS)."""
         for name, values in means_of(sums).items():
             self.metrics[name][rows] = values
@@ -307,26 +316,37 @@ def _share_out(
 
 def _run_on_card(driver: Driver, batch: _Batch, results: _Results) -> None:
     """Run episodes on a card; the CPU prepares a group of them while the card runs another one."""
+    from khep_twin.episodes.cuda import card
     from khep_twin.episodes.cuda.card_batch import CardBatch, PreparedEpisode
 
-    def work(first: int) -> None:
-        group = range(first, min(first + CARD_BATCH_SIZE, len(batch.seeds)))
-        lanes = CardBatch([PreparedEpisode(batch.setup, driver)] * len(group), driver)
-        _run_together(lanes, driver, group, batch, results)
+    size, interrupted = 2 * card.FILLING * card.n_processors(), Event()
 
-    with ThreadPoolExecutor(1 if isinstance(driver, Policy) else 2) as pool:
-        groups = [pool.submit(work, first) for first in range(0, len(batch.seeds), CARD_BATCH_SIZE)]
+    def work(first: int) -> None:
+        group = range(first, min(first + size, len(batch.seeds)))
+        lanes = CardBatch([PreparedEpisode(batch.setup, driver)] * len(group), driver)
+        for _ in _run_together(lanes, driver, group, batch, results):
+            if interrupted.is_set():
+                return
+
+    firsts = range(0, len(batch.seeds), size)
+    if isinstance(driver, Policy):  # which is called in the caller's thread
+        for first in firsts:
+            work(first)
+        return
+    with ThreadPoolExecutor(2) as pool:
+        groups = [pool.submit(work, first) for first in firsts]
         try:
             for done in groups:
                 done.result()
-        finally:  # on an interruption, wait for the groups that have begun
+        finally:
+            interrupted.set()
             pool.shutdown(cancel_futures=True)
 
 
 def _run_together(
     lanes: EpisodeBatch, driver: Driver, group: range, batch: _Batch, results: _Results
-) -> None:
-    """Run episodes side by side, a policy's by one control period at a time."""
+) -> Iterator[None]:
+    """Run episodes side by side, a policy's by one control period at a time; yield after each part."""
     failures: dict[int, DivergedError] = {}
     lanes.last_step = batch.setup.periods(batch.seconds) * batch.setup.steps_per_period
     for lane, index in enumerate(group):
@@ -334,15 +354,17 @@ def _run_together(
             lanes.begin(lane, int(batch.seeds[index]), batch.options(index))
         except DivergedError as error:
             failures[lane] = error
+            results.keep(index, int(batch.seeds[index]), lanes.memory(lane), error)
     failures |= lanes.switch_on()
     steps_per_sample = max(lanes.last_step // max(batch.n_samples - 1, 1), 1)
+    span = max(CARD_SPAN_NS // batch.setup.step_ns, 1)
     while True:
         if batch.n_samples:
             due = lanes.steps[: len(group)] % steps_per_sample == 0
             due[list(failures)] = False
-            lane = np.flatnonzero(due)
-            sample = lanes.steps[lane] // steps_per_sample
-            results.paths[lane + group.start, :, sample] = lanes.joint_poses[lane]
+            if len(lane := np.flatnonzero(due)):
+                sample = lanes.steps[lane] // steps_per_sample
+                results.paths[lane + group.start, :, sample] = lanes.joint_poses[lane]
         going = lanes.steps[: len(group)] < lanes.last_step
         going[list(failures)] = False
         living = np.flatnonzero(going)
@@ -352,7 +374,10 @@ def _run_together(
             lanes.speeds[living] = _decided(driver, lanes, living, group)
             failures |= lanes.step(living, batch.setup.steps_per_period)
         else:
-            failures |= lanes.step(living, steps_per_sample)
+            done = int(lanes.steps[living[0]])
+            left = min(lanes.last_step, done - done % steps_per_sample + steps_per_sample) - done
+            failures |= lanes.step(living, min(left, span))
+        yield
     results.keep_group(group, batch.seeds, lanes, failures)
 
 

@@ -13,9 +13,6 @@ from khep_twin.sensing.lamps import are_steady
 
 Device = Literal["cpu", "cuda", "auto"]
 
-FILLING = 256
-"""Episodes for each multiprocessor of a card that fill it: one for each thread that its registers allow."""
-
 
 def chosen_device(
     wanted: str,
@@ -24,6 +21,7 @@ def chosen_device(
     line: LineTimes,
     count: int,
     lamps: Sequence[Sequence[Lamp]] | None = None,
+    like: EpisodeSetup | None = None,
 ) -> Device:
     """Return "cpu" or "cuda" for the episodes of a batch.
 
@@ -34,6 +32,7 @@ def chosen_device(
         line: Line between controllers and robots.
         count: Number of episodes.
         lamps: Lamps of each episode; None for the playpen's.
+        like: Setup of other episodes of the batch.
 
     Raises:
         DeviceError: The device is unknown, there is no card, or it cannot run such episodes.
@@ -42,14 +41,14 @@ def chosen_device(
         raise DeviceError(f"device = {wanted!r}: unknown; {choices(str(wanted), get_args(Device))}")
     if wanted == "cpu":
         return "cpu"
-    trouble = _refusal(setup, driver, line, lamps) or missing_card()
+    trouble = refusal(setup, driver, line, lamps, like) or missing_card()
     if trouble and wanted == "cuda":
         raise DeviceError(f'device = "cuda": {trouble}')
     if trouble:
         return "cpu"
     from khep_twin.episodes.cuda import card
 
-    return "cuda" if wanted == "cuda" or count >= FILLING * card.n_processors() else "cpu"
+    return "cuda" if wanted == "cuda" or count >= card.FILLING * card.n_processors() else "cpu"
 
 
 def missing_card() -> str:
@@ -61,17 +60,29 @@ def missing_card() -> str:
     return card.trouble()
 
 
-def _refusal(
-    setup: EpisodeSetup, driver: Driver, line: LineTimes, lamps: Sequence[Sequence[Lamp]] | None
+def refusal(
+    setup: EpisodeSetup,
+    driver: Driver,
+    line: LineTimes,
+    lamps: Sequence[Sequence[Lamp]] | None = None,
+    like: EpisodeSetup | None = None,
 ) -> str:
     """Return what a card does not run, and what is expected; empty if it runs these episodes."""
     if setup.planar_scene is None:
-        return "episodes in MuJoCo; expected planar=True"
+        return "episodes in MuJoCo; expected episodes in the plane (planar)"
     if isinstance(driver, Function):
         return "a Function; expected a Network, Braitenberg, ConstantSpeed or Policy"
     if isinstance(driver, Policy) and line is not None:
-        return f"a Policy at a line of {line}; expected no line"
+        return f"a controller in plain Python at a line of {line}; expected no line"
     lighting = setup.playpen.lighting
     if not all(are_steady(each, lighting) for each in lamps or [setup.playpen.lamps]):
         return "lamps that change; expected steady ones"
+    if like is not None and (found := _obstacles(setup)) != (expected := _obstacles(like)):
+        return f"{setup.playpen.name} has {found}; expected {expected}, as in {like.playpen.name}"
     return ""
+
+
+def _obstacles(setup: EpisodeSetup) -> str:
+    """Return the numbers of obstacles in words."""
+    scene = setup.planar_scene
+    return "" if scene is None else f"{len(scene.things)} obstacles, {len(scene.bodies)} of them movable"

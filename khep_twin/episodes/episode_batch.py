@@ -120,6 +120,20 @@ class EpisodeBatch(NotCopied):
         return self._own
 
     @property
+    def boards(self) -> NDArray[np.int64]:
+        """States of the boards (n, n_robots, N_REGISTERS), at a line also what no policy has read yet."""
+        return np.array([episode.boards for episode in self._own])
+
+    def touches(self, rows: Rows) -> NDArray[np.bool_]:
+        """Return whether the robots of some episodes touch anything but the floor (n_rows, n_robots)."""
+        robots = range(self.speeds.shape[1])
+        return np.array([[self._own[row].touches(robot) for robot in robots] for row in rows], np.bool_)
+
+    def memory(self, index: int) -> Episode:
+        """Return the memory in which an episode was begun last."""
+        return self._own[index]
+
+    @property
     def joint_poses(self) -> NDArray[np.float64]:
         """Poses as of `Episode.poses` (n, n_robots, 3); headings may differ from `poses` in the last bit."""
         return np.array([episode.poses for episode in self._own])

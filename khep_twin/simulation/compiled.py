@@ -59,7 +59,7 @@ def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
         sources: Modules of the functions that it calls.
     """
     register()
-    function.__qualname__ = f"{function.__name__}_{stamp((*sources, foreign, linking))}"
+    function.__qualname__ = f"{function.__name__}_{stamp(map(source_of, (*sources, foreign, linking)))}"
     # Reference counts of arrays would take half of the time, and nothing here makes arrays.
     make = numba.njit(nogil=True, _nrt=False, error_model="numpy", pipeline_class=OuterCompiler)
     made = make(function)
@@ -69,12 +69,17 @@ def compiled(function: Function, sources: tuple[ModuleType, ...]) -> Function:
     return made
 
 
-def stamp(sources: Iterable[ModuleType]) -> str:
-    """Return a digest of modules' sources and of the versions of numba and MuJoCo."""
+def stamp(sources: Iterable[Path]) -> str:
+    """Return a digest of source files, and of the versions of numba and MuJoCo."""
     digest = hashlib.sha256(f"{numba.__version__} {mujoco.__version__}".encode())
-    for module in sources:
-        digest.update(Path(str(module.__file__)).read_bytes())
+    for source in sources:
+        digest.update(source.read_bytes())
     return digest.hexdigest()[:14]
+
+
+def source_of(module: ModuleType) -> Path:
+    """Return the source file of a module."""
+    return Path(str(module.__file__))
 
 
 def register() -> None:

@@ -122,7 +122,9 @@ def _join(ray: ModuleType, address: str | None, workers: int | None) -> None:
 
 def _coming(ray: ModuleType, work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
     """Yield the tasks' results as they arrive."""
-    remote = ray.remote(num_cpus=1, max_retries=MOST_RETRIES)(_do)
+    # A task that asks for no card sees none.
+    cards = {"num_gpus": 1} if work.study.device == "cuda" else {}
+    remote = ray.remote(num_cpus=1, max_retries=MOST_RETRIES, **cards)(_do)
     shared = ray.put(work)
     following = iter(tasks)
     pending: dict[object, Shard] = {}

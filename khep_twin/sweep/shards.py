@@ -16,7 +16,7 @@ import numpy as np
 
 from khep_twin import __version__, playpen
 from khep_twin.episodes.controllers import Braitenberg, Driver, Floats, Network
-from khep_twin.episodes.device import chosen_device
+from khep_twin.episodes.device import refusal
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.network_file import SUFFIX
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError
@@ -157,7 +157,8 @@ def _playpen(file: StudyFile, name: str) -> Playpen:
         if len(found.robots) > 1:
             raise PlaypenError(f"{found.name}: {len(found.robots)} robots; expected one in a study")
         setup = EpisodeSetup(found, planar=file.study.planar)  # raises early for unsupported features
-        chosen_device(file.study.device, setup, Braitenberg(), None, file.study.rollouts_per_task)
+        if file.study.device == "cuda" and (trouble := refusal(setup, Braitenberg(), None)):
+            raise PlaypenError(f'device = "cuda": {trouble}')
     except KhepTwinError as error:
         raise checked(file, ("playpens",), f'playpens: "{name}"', error) from None
     return found

@@ -4,6 +4,7 @@ Print the stamp of the sources, for which it need not be compiled again, and the
 """
 
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +15,7 @@ from numba.cuda.typing.typeof import typeof
 
 from khep_twin import Braitenberg, rollout
 from khep_twin.episodes import device
-from khep_twin.episodes.cuda import kernel, lowering
+from khep_twin.episodes.cuda import kernel
 from khep_twin.simulation.compiled import stamp
 
 CARD = SimpleNamespace(compute_capability=(9, 0), MULTIPROCESSOR_COUNT=1)
@@ -54,7 +55,7 @@ def type_of(value: Any) -> Any:
     return typeof(value.view(np.ndarray) if isinstance(value, OnCard) else value)
 
 
-STAMP = stamp((*kernel.SOURCES, kernel, lowering, SimpleNamespace(__file__=__file__)))
+STAMP = f"{kernel.STAMP}-{stamp([Path(__file__)])}"
 
 if __name__ == "__main__":
     if sys.argv[1:] == [STAMP]:

@@ -11,6 +11,7 @@ from numba_marks import KINDS, with_numba
 
 from khep_twin import playpen
 from khep_twin.board.fault_injection import parse_fault
+from khep_twin.board.kernel import PROXIMITY, Wheel
 from khep_twin.episodes import batch
 from khep_twin.episodes.batch import RolloutResult, rollout
 from khep_twin.episodes.controllers import Braitenberg, ConstantSpeed, Function, Network, Policy
@@ -326,3 +327,29 @@ def test_a_policy_at_a_line_has_no_paths() -> None:
     policy = Policy(lambda proximity, ambient, index: np.zeros((len(index), 2)))
     with pytest.raises(ValueError, match=r"paths_every = 0\.2: a policy at a line is asked at uneven times"):
         rollout("default", policy, [1], 0.6, line=38400, paths_every=0.2, compiled=False)
+
+
+def test_registers_at_the_end_are_the_boards_where_a_policy_has_read_older_ones() -> None:
+    setup, policy = (
+        EpisodeSetup("obstacles", planar=True, at_line=True),
+        Policy(lambda p, a, which: 0 * p[:, :2] + 9),
+    )
+    found = rollout(setup, policy, [1], 0.5, line=9600, compiled=False)
+    episode = Episode(setup, policy, compiled=False)
+    episode.begin(1, EpisodeOptions(line=9600))
+    until = setup.periods(0.5) * setup.steps_per_period
+    episode.next_reading(until)
+    while episode.steps < until:
+        episode.drive(9, 9)
+        episode.next_reading(until)
+    assert found.registers[0].tolist() == episode.registers.tolist()
+    assert found.registers[0, PROXIMITY].tolist() != episode.readings()[0]
+
+
+def test_an_episode_that_does_not_begin_has_registers_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch, "BATCH_SIZE", 1)
+    setup, policy = EpisodeSetup("obstacles", planar=True), Policy(lambda p, a, which: 0 * p[:, :2] + 9)
+    starts = [(200.0, 200.0, 0.0), (1e9, 0.0, 0.0)]
+    found = rollout(setup, policy, [1, 2], 0.5, starts=starts, compiled=False)
+    assert [failure.index for failure in found.failures] == [1]
+    assert (found.registers[:, Wheel.POSITION] != 0).tolist() == [True, False]

@@ -12,7 +12,6 @@ import pytest
 from command_line import good, line_of
 
 from khep_twin import make_vec
-from khep_twin.episodes import batch
 from khep_twin.episodes.batch import RolloutResult, rollout
 from khep_twin.episodes.controllers import (
     Braitenberg,
@@ -22,10 +21,13 @@ from khep_twin.episodes.controllers import (
     Network,
     Policy,
 )
-from khep_twin.episodes.device import FILLING, chosen_device
+from khep_twin.episodes.cuda import card
+from khep_twin.episodes.device import chosen_device
+from khep_twin.episodes.episode import Episode
+from khep_twin.episodes.episode_batch import EpisodeBatch
 from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.errors import DeviceError, PlaypenError
+from khep_twin.errors import DeviceError
 from khep_twin.playpen import Lamp, Playpen
 
 pytestmark = [
@@ -113,7 +115,7 @@ def test_a_network_whose_speed_is_no_number_fails_with_the_words_of_the_cpu() ->
 
 
 def test_more_episodes_than_fit_on_a_card_are_run_in_bounded_batches(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batch, "CARD_BATCH_SIZE", 2)
+    monkeypatch.setattr(card, "FILLING", 1)
     compare(planar("default"), NETWORK, genes=GENES)
 
 
@@ -154,7 +156,13 @@ BLINKING = [[Lamp(x_mm=100, y_mm=100, power_w=1, blink_period_s=1)]]
 @pytest.mark.parametrize(
     ("setup", "driver", "line", "lamps", "message"),
     [
-        (EpisodeSetup("default"), Braitenberg(), None, None, "episodes in MuJoCo; expected planar=True"),
+        (
+            EpisodeSetup("default"),
+            Braitenberg(),
+            None,
+            None,
+            "episodes in MuJoCo; expected episodes in the pl",
+        ),
         (
             planar("default"),
             Function(lambda p, a, m, g: (1, 1)),
@@ -162,7 +170,7 @@ BLINKING = [[Lamp(x_mm=100, y_mm=100, power_w=1, blink_period_s=1)]]
             None,
             "a Function; expected a Network",
         ),
-        (planar("default"), Policy(), 9600, None, "a Policy at a line of 9600; expected no line"),
+        (planar("default"), Policy(), 9600, None, "plain Python at a line of 9600; expected no line"),
         (planar("default"), Braitenberg(), None, BLINKING, "lamps that change; expected steady ones"),
     ],
     ids=["mujoco", "function", "policy at a line", "lamps"],
@@ -177,21 +185,54 @@ def test_what_a_card_does_not_run_is_refused_by_name(
 
 def test_auto_takes_a_card_that_the_episodes_fill() -> None:
     setup = planar("default")
-    assert chosen_device("auto", setup, Braitenberg(), None, FILLING - 1) == "cpu"
-    assert chosen_device("auto", setup, Braitenberg(), None, FILLING) == "cuda"
+    assert chosen_device("auto", setup, Braitenberg(), None, card.FILLING - 1) == "cpu"
+    assert chosen_device("auto", setup, Braitenberg(), None, card.FILLING) == "cuda"
     with pytest.raises(DeviceError, match=r"device = 'gpu': unknown; did you mean 'cpu'"):
         chosen_device("gpu", setup, Braitenberg(), None, 1)
 
 
+def environments(device: str, **options: Any) -> Any:
+    return make_vec(
+        "khep_twin/ObstacleAvoidance-v0", num_envs=2, planar=True, device=device, seconds=0.2, **options
+    )
+
+
 def test_playpens_of_other_shapes_are_refused_in_one_batch_of_environments() -> None:
-    with pytest.raises(PlaypenError, match="other numbers of obstacles than in the first playpen"):
-        make_vec(
-            "khep_twin/ObstacleAvoidance-v0",
-            num_envs=2,
-            planar=True,
-            device="cuda",
-            playpen=["default", "obstacles"],
-        ).reset()
+    message = (
+        "obstacles has 15 obstacles, 0 of them movable; expected 4 obstacles, 0 of them movable, as in defa"
+    )
+    with pytest.raises(DeviceError, match=message):
+        environments("cuda", playpen=["default", "obstacles"])
+    environments("auto", playpen=["default", "obstacles"]).reset()
+
+
+def test_a_reset_that_is_refused_changes_nothing() -> None:
+    found: list[Any] = []
+    for device in ("cuda", "cpu"):
+        both = environments(device)
+        both.reset(seed=3)
+        both.step(np.full((2, 2), 0.5, np.float32))
+        if device == "cuda":
+            with pytest.raises(DeviceError, match="lamps that change"):
+                both.reset(options={"lamps": [[], *BLINKING]})
+        found.append(plain(both.step(np.full((2, 2), 0.5, np.float32))))
+    np.testing.assert_equal(*found)
+
+
+def test_each_robot_of_a_batch_may_be_drawn_anew_or_not() -> None:
+    from khep_twin.episodes.cuda.card_batch import CardBatch, PreparedEpisode
+
+    setup, found = planar("obstacles"), list[Any]()
+    on_card = CardBatch([PreparedEpisode(setup, Policy())] * 3, Policy())
+    for lanes in (on_card, EpisodeBatch([Episode(setup, Policy()) for _ in range(3)], 1)):
+        for index in range(3):
+            lanes.begin(index, index, EpisodeOptions(vary=index == 0))
+        assert not lanes.switch_on()
+        lanes.speeds[:] = 12, 9
+        assert not lanes.step(range(3), 4)
+        found.append((lanes.poses.tolist(), lanes.boards.tolist(), lanes.sums.tobytes()))
+        assert [episode.steps for episode in lanes.episodes] == [4, 4, 4]
+    assert found[0] == found[1]
 
 
 def test_the_command_runs_on_a_card_as_on_the_cpu(tmp_path: Path) -> None:

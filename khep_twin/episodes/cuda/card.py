@@ -10,6 +10,9 @@ from functools import cache
 
 from numba import cuda
 
+FILLING = 256
+"""Episodes for each multiprocessor of a card that fill it: one for each thread, of 255 registers."""
+
 
 @cache
 def trouble() -> str:

@@ -16,6 +16,7 @@ Imported only where numba-cuda is installed.
 
 # numba-cuda is not typed.
 # pyright: basic, reportMissingTypeStubs=false, reportArgumentType=false, reportOptionalSubscript=false
+# pyright: reportOptionalMemberAccess=false
 
 import operator
 from collections.abc import Callable, Sequence
@@ -29,12 +30,12 @@ from numpy.typing import NDArray
 from khep_twin.episodes.controllers import Driver, Floats, Policy
 from khep_twin.episodes.cuda import card, kernel
 from khep_twin.episodes.cuda.rows import ConstantRows
-from khep_twin.episodes.cuda.words import EpisodeWords, Given, constants_of
+from khep_twin.episodes.cuda.words import EpisodeWords, Words, constants_of
 from khep_twin.episodes.episode import Episode
-from khep_twin.episodes.episode_batch import EpisodeBatch
+from khep_twin.episodes.episode_batch import EpisodeBatch, Rows
 from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
-from khep_twin.episodes.planar.plane import true_pose
+from khep_twin.episodes.planar.plane import PUSHED, PUSHED_ASIDE, true_pose
 from khep_twin.errors import DivergedError, PlaypenError
 from khep_twin.one_thread import one_thread
 from khep_twin.step import DONE
@@ -42,11 +43,8 @@ from khep_twin.step import DONE
 BLOCK = 64
 """Threads of a block."""
 
-BLOCKS_PER_PROCESSOR = 4
-"""Blocks that a multiprocessor runs at once: as many as its registers allow, with 255 for each thread."""
-
 _LAUNCH = Lock()
-"""One launch at a time, until its results are there; others of the process prepare theirs meanwhile."""
+"""One launch at a time, until its results are there; other threads prepare episodes meanwhile."""
 
 
 class PreparedEpisode(Episode):
@@ -56,7 +54,9 @@ class PreparedEpisode(Episode):
         super().__init__(setup, driver, compiled=True)
 
     def _advance(self, *arguments: Any) -> int:
-        return DONE
+        if arguments[-2] < 0:
+            return DONE  # the card switches the robot on
+        raise RuntimeError("a card runs this episode; expected CardBatch.step")
 
 
 class CardBatch(EpisodeBatch):
@@ -73,12 +73,13 @@ class CardBatch(EpisodeBatch):
         super().__init__(episodes, threads=1)
         self._is_driven = isinstance(driver, Policy)
         self._begun: list[tuple[int, EpisodeOptions]] = [(0, DEFAULT_OPTIONS)] * len(episodes)
-        self._fresh: dict[int, NDArray[np.int64]] = {}
+        self._fresh: dict[int, Words] = {}
         self._constants = ConstantRows(len(episodes))
         self._joint = self._joint._replace(addresses=np.zeros((1, 1), np.int64))  # of the CPU's arrays
+        self._layout: EpisodeWords | None = None
+        self._first: tuple[object, ...] = ()
         self._table: _Table | None = None
-        self._first: tuple[object, ...] | None = None
-        self._copied: NDArray[np.int64] | None = None
+        self._copied: Words | None = None
 
     @one_thread
     def begin(
@@ -89,25 +90,22 @@ class CardBatch(EpisodeBatch):
         episode: Episode | None = None,
     ) -> None:
         """Start an episode, or another `episode` in its place; `switch_on` has to follow."""
-        self._own[index] = episode or self._own[index]
-        self._begun[index] = seed, options
-        given = self._prepared(index)
-        if self._table is None:
-            self._table = _Table(given, len(self._own))
-        if not self._table.layout.fits(given):
-            raise PlaypenError(
-                f"{self._own[index].playpen.name}: other numbers of obstacles than in the first playpen; "
-                "expected the same in all playpens of a batch on a card"
-            )
-        self._fresh[index] = self._table.layout.take(given)
+        own = episode or self._own[index]
+        given = _arguments(own, seed, options)
         # The arrays of robots that are not drawn anew have the same content if they are the same objects.
         arrays = () if options.vary else (*given[1:6], given[-1])
-        if arrays and self._first is not None and all(map(operator.is_, arrays, self._first)):
-            own = {"genes": given[0].genes, "home": given[0].home, "powers": given[-2]}
-            self._constants.take(index, own)
-        else:
-            self._constants.take(index, constants_of(given))
-        self._first = arrays if self._first is None else self._first
+        is_as_first = arrays and self._first and all(map(operator.is_, arrays, self._first))
+        if self._layout is None:
+            self._layout, self._first = EpisodeWords(given), arrays
+        if not self._layout.fits(given):
+            raise PlaypenError(
+                f"{own.playpen.name}: other numbers of obstacles, or another controller, than in the first "
+                "episode; expected the same in all episodes of a batch on a card"
+            )
+        self._own[index], self._begun[index] = own, (seed, options)
+        self._fresh[index] = self._layout.take(given)
+        of_it = {"genes": given[0].genes, "home": given[0].home, "powers": given[-2]}
+        self._constants.take(index, of_it if is_as_first else constants_of(given))
         self.steps[index], self._runs_jointly[index] = 0, True
 
     @one_thread
@@ -122,51 +120,50 @@ class CardBatch(EpisodeBatch):
 
     @property
     def episodes(self) -> Sequence[Episode]:
-        """Episodes, each copied from the card when it is looked at."""
+        """Episodes, each copied from the card when it is looked at; the next look may change it."""
         return _Restored(self._restored, len(self._own))
 
     @property
+    def boards(self) -> NDArray[np.int64]:
+        """States of the boards (n, n_robots, N_REGISTERS)."""
+        return self.registers
+
+    @property
     def joint_poses(self) -> Floats:
-        """Poses by `Episode.poses` (n, n_robots, 3)."""
-        joints = self._begun_table.copied(self._begun_table.layout.joints)
-        return np.array([[true_pose(joint)] for joint in joints.T.tolist()])
+        """Poses as of `Episode.poses` (n, n_robots, 3)."""
+        return np.array([[true_pose(joints)] for joints in self._told["joints"].T.tolist()])
 
     @property
     def sums(self) -> Floats:
         """Sums of the metrics of the robots (n, n_robots, N_SUMS)."""
-        return self._begun_table.copied(self._begun_table.layout.sums).T[:, None]
+        return self._told["sums"].T[:, None]
 
     @property
     def objects(self) -> Floats:
         """Positions x, y [m] and headings [rad] of the movable objects (n, n_objects, 3)."""
-        layout = self._begun_table.layout
-        return layout.objects(self._begun_table.copied(range(layout.first.things, layout.first.order)))
+        return self._layout.objects(self._told["things"])
+
+    def touches(self, rows: Rows) -> NDArray[np.bool_]:
+        """Return whether the robots of some episodes touch anything but the floor (n_rows, n_robots)."""
+        pushes = self._told["grips"]
+        return ((pushes[PUSHED] != 0) | (pushes[PUSHED_ASIDE] != 0))[np.asarray(rows), None]
 
     @property
-    def _begun_table(self) -> "_Table":
+    def _told(self) -> dict[str, Floats]:
         if self._table is None:
-            raise ValueError("no episode has begun; expected begin() first")
-        return self._table
-
-    def _prepared(self, index: int) -> Given:
-        """Begin an episode in the CPU's memory; return its arguments."""
-        episode, (seed, options) = self._own[index], self._begun[index]
-        episode.begin(seed, options)
-        found = episode.joint_arguments
-        if found is None:
-            raise PlaypenError(
-                f"{episode.playpen.name}: has lamps that change; expected steady ones on a card"
-            )
-        return found[1]
+            raise ValueError("no episode has been switched on; expected begin() and switch_on() first")
+        return self._table.told
 
     def _restored(self, index: int) -> Episode:
         """Return an episode, copied from the card unless its robot is still to be switched on."""
-        table, given = self._begun_table, self._prepared(index)
-        if index not in self._fresh:
+        episode, begun = self._own[index], self._begun[index]
+        given = _arguments(episode, *begun)
+        if self._layout is not None and self._table is not None and index not in self._fresh:
             if self._copied is None:
-                self._copied = table.words.copy_to_host()
-            table.layout.put(self._copied[:, index], given)
-        return self._own[index]
+                with _LAUNCH:
+                    self._copied = self._table.words.copy_to_host()
+            self._layout.put(self._copied[:, index], given)
+        return episode
 
     def _finish(self, index: int) -> None:
         self._restored(index)
@@ -176,29 +173,31 @@ class CardBatch(EpisodeBatch):
         """Leave an episode that has failed as it is."""
 
     def _run_jointly(self, rows: NDArray[np.int64]) -> None:
+        for error in self.switch_on().values():
+            raise error
         self._launch(rows, None, self.steps)
 
-    def _launch(
-        self, rows: NDArray[np.int64], fresh: NDArray[np.int64] | None, untils: NDArray[np.int64]
-    ) -> None:
+    def _launch(self, rows: NDArray[np.int64], fresh: Words | None, untils: NDArray[np.int64]) -> None:
         """Run some episodes on the card; with `fresh`, their words (n_words, n_rows), switch them on."""
-        joint, table = self._joint, self._begun_table
-        speeds = joint.speeds if self._is_driven and fresh is None else joint.speeds[:0]
-        given = joint._replace(rows=rows, untils=untils, speeds=speeds)
-        on_card = type(joint)(*(cuda.to_device(array) for array in given))
-        blocks = min(-(-len(rows) // BLOCK), card.n_processors() * BLOCKS_PER_PROCESSOR)
+        speeds = self.speeds if self._is_driven and fresh is None else self.speeds[:0]
+        joint = self._joint._replace(rows=rows, untils=untils, speeds=speeds)
+        blocks = min(-(-len(rows) // BLOCK), card.n_processors() * max(card.FILLING // BLOCK, 1))
         with _LAUNCH, kernel.compiling():
-            kernel.kernel(table.layout.capacity)[blocks, min(BLOCK, len(rows))](
-                kernel.Constants(**table.common, **self._constants.on_card()),
-                table.like,
-                table.layout.first,
-                table.words,
-                table.words if fresh is None else cuda.to_device(fresh),
+            if self._table is None:
+                self._table = _Table(self._layout, len(self._own))
+            on_card = type(joint)(*map(cuda.to_device, joint))
+            kernel.kernel(self._layout.capacity)[blocks, min(BLOCK, len(rows))](
+                kernel.Constants(**self._table.common, **self._constants.on_card()),
+                self._table.like,
+                self._layout.first,
+                self._table.words,
+                self._table.words if fresh is None else cuda.to_device(fresh),
                 0 if fresh is None else -1,
                 on_card,
             )
             for name in ("reasons", "registers", "poses"):
                 getattr(on_card, name).copy_to_host(getattr(joint, name))
+            self._table.tell()
         self._copied = None
 
 
@@ -206,15 +205,21 @@ class _Table:
     """Words of n episodes on the card, and what all of them have in common.
 
     Args:
-        given: Arguments of the first episode.
+        layout: Layout of the words.
         count: Number of episodes.
+
+    Attributes:
+        words: Words on the card (n_words, n).
+        like: `kernel.Arena` of arrays on the card.
+        common: Constants without rows, by name.
+        told: Numbers of the episodes after the last launch, by the names of `EpisodeWords.told` (n_words, n).
     """
 
-    def __init__(self, given: Given, count: int) -> None:
-        self.layout = EpisodeWords(given)
-        self.words: Any = cuda.device_array((self.layout.n_kept, count), np.int64)
-        self.like = kernel.Arena(*(cuda.to_device(np.ascontiguousarray(each)) for each in self.layout.like))
-        of = given[0]
+    def __init__(self, layout: EpisodeWords, count: int) -> None:
+        self._layout = layout
+        self.words: Any = cuda.device_array((layout.n_kept, count), np.int64)
+        self.like = kernel.Arena(*(cuda.to_device(np.ascontiguousarray(each)) for each in layout.like))
+        of = layout.controllers
         self.common = {
             "kind": of.kind,
             "recurrent": of.recurrent,
@@ -222,10 +227,14 @@ class _Table:
             "sizes": cuda.to_device(of.sizes),
             "line": cuda.to_device(of.line),
         }
+        self.told: dict[str, Floats] = {}
 
-    def copied(self, words: range) -> Floats:
-        """Return some words of all episodes (n_words, n)."""
-        return self.words[words.start : words.stop].copy_to_host().view(np.float64)
+    def tell(self) -> None:
+        """Copy from the card what is told after each launch."""
+        for name, words in self._layout.told.items():
+            shape = len(words), self.words.shape[1]
+            part = self.words[words.start : words.stop].copy_to_host() if words else np.zeros(shape)
+            self.told[name] = part.view(np.float64)
 
 
 class _Restored(Sequence[Episode]):
@@ -244,5 +253,15 @@ class _Restored(Sequence[Episode]):
 
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
-            return [self._restored(each) for each in range(*index.indices(self._count))]
+            raise TypeError(
+                f"{index} of episodes on a card; expected one index, as the next look may change it"
+            )
         return self._restored(range(self._count)[index])
+
+
+def _arguments(episode: Episode, seed: int, options: EpisodeOptions) -> tuple[Any, ...]:
+    """Begin an episode; return its arguments for compiled code."""
+    episode.begin(seed, options)
+    if (found := episode.joint_arguments) is None:
+        raise PlaypenError(f"{episode.playpen.name}: lamps that change; expected steady ones on a card")
+    return found[1]

@@ -13,8 +13,9 @@ Imported only where numba-cuda is installed.
 
 import time
 from collections.abc import Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from numba import config, cuda, types
@@ -26,12 +27,14 @@ from khep_twin.episodes.cuda.views import array_at, record_at, row_of, scene_of,
 from khep_twin.episodes.planar.compiled import PLANE_SOURCES
 from khep_twin.episodes.planar.plane import Plane
 from khep_twin.sensing.light import Light
-from khep_twin.simulation.compiled import stamp
+from khep_twin.simulation.compiled import source_of, stamp
 from khep_twin.status_line import announced
 from khep_twin.step import STOPPED, Simulated, StepInputs
 
-SOURCES = (*PLANE_SOURCES, views)
-"""Modules that are compiled."""
+STAMP = stamp(
+    [*map(source_of, (*PLANE_SOURCES, views)), *map(Path(__file__).with_name, ("lowering.py", "kernel.py"))]
+)
+"""Digest of all sources that are compiled."""
 
 ANNOUNCEMENT = "khep_twin: compiling for the card"
 """Begin of each line of an announcement."""
@@ -57,6 +60,7 @@ class Constants(NamedTuple):
         tables: Quantiles of the random draws.
         genes: Genes of the robots.
         home: Home of the robots.
+        table: Cumulated light of faces, of `Proximity`.
         things: Obstacles, of which the fixed ones' constants are read.
         timing: Divisions of time.
         law: Law of the lamps' light.
@@ -75,6 +79,7 @@ class Constants(NamedTuple):
     tables: Any
     genes: Any
     home: Any
+    table: Any
     things: Any
     timing: Any
     law: Any
@@ -123,6 +128,12 @@ class _Proximity(NamedTuple):
     proximity: Any
 
 
+class _Table(NamedTuple):
+    """Field of `Proximity` that its record is without."""
+
+    table: Any
+
+
 def body(capacity: int) -> Any:
     """Return the kernel's function for arenas of a number of words."""
 
@@ -167,7 +178,8 @@ def body(capacity: int) -> Any:
                 kept.seen,
             )
             robot = row_of(constants.robots, lane)
-            proximity = split(robot.sensors.proximity, buffers.proximity)
+            table = _Table(row_of(constants.table, lane))
+            proximity = split(split(robot.sensors.proximity, table), buffers.proximity)
             sensors = _Sensors(split(robot.sensors, _Proximity(proximity)))
             plane = Plane(
                 things_at(row_of(constants.things, lane), own, len(order)),
@@ -179,9 +191,9 @@ def body(capacity: int) -> Any:
             )
             simulated = Simulated(
                 scene_of(plane),
-                row_of(constants.timing, lane),
+                row_of(constants.timing, lane)[0],
                 Light(
-                    row_of(constants.law, lane),
+                    row_of(constants.law, lane)[0],
                     row_of(constants.bulbs, lane),
                     row_of(constants.hidden, lane),
                 ),
@@ -205,8 +217,12 @@ def kernel(capacity: int) -> Any:
     """Return the kernel for arenas of a number of words, compiled when it is first launched."""
     run = body(capacity)
     # numba's cache checks only the kernel's own source, as `simulation.compiled.compiled` says.
-    run.__qualname__ = f"run_{capacity}_{stamp(SOURCES)}"
-    return cuda.jit(cache=True)(run)
+    run.__qualname__ = f"run_{capacity}_{STAMP}"
+    made = cuda.jit(run)
+    if not SIMULATED:
+        with suppress(RuntimeError):  # where no folder can be written, nothing is cached
+            made.enable_caching()
+    return made
 
 
 @contextmanager

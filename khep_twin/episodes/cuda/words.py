@@ -1,6 +1,7 @@
 """Words of an episode in a thread's arena, and its constants, as the CPU prepares them."""
 
 from collections.abc import Iterator
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -26,6 +27,10 @@ LIVE = {
 }
 """Fields of the records of the robot and of the plane that each episode has of its own."""
 
+_NOT_IN_ROBOTS = frozenset({*LIVE["robot"], "sensors.proximity.table", "sensors.proximity.found"})
+_NOT_IN_PLANES = frozenset({*LIVE["plane"], *BUFFERS})
+"""Fields that the records of constants are without."""
+
 _LEAST_WORDS = 1024
 """Least number of words of an arena (assumed); a power of two, so that few kernels are compiled."""
 
@@ -41,8 +46,9 @@ class EpisodeWords:
         first: Index of the first word of each.
         n_kept: Number of words that are kept between launches.
         capacity: Number of words of an arena.
-        joints: Indices of the words of the joint positions.
-        sums: Indices of those of the sums of metrics.
+        controllers: Controllers of that episode.
+        told: Indices of the words of joint positions, impulses and sums, by "joints", "grips" and "sums", and
+            of the movable objects, "things".
     """
 
     def __init__(self, given: Given) -> None:
@@ -58,6 +64,7 @@ class EpisodeWords:
         plane = np.dtype([(name, planes.dtype[name]) for name in BUFFERS], align=True)
         seen = np.dtype([("found", found.dtype, found.shape[1:])])
         self._n_fixed, self._n_movable = len(order), len(bodies)
+        self._shape, self.controllers = _shape_of(given), controllers
         n_own = self._n_fixed * N_LIVE + self._n_movable * flat.N_COLUMNS
         self.like = Arena(
             np.zeros(1, np.dtype(kept, align=True)),
@@ -76,12 +83,16 @@ class EpisodeWords:
         self.capacity = max(_LEAST_WORDS, 1 << (ends[-1] - 1).bit_length())
         starts = np.cumsum([0, *(array.size for _, array in live)]).tolist()
         places = {path: range(*ends) for (path, _), ends in zip(live, pairwise(starts), strict=True)}
-        self.joints, self.sums = places["plane", "joints"], places[("sums",)]
+        self.told = {
+            "joints": places["plane", "joints"],
+            "grips": places["plane", "grips"],
+            "sums": places[("sums",)],
+            "things": range(self.first.things + self._n_fixed * N_LIVE, self.first.order),
+        }
 
     def fits(self, given: Given) -> bool:
-        """Return whether an episode is of this shape."""
-        _, (_, order, _, bodies, _, _), *_ = given
-        return (len(order), len(bodies)) == (self._n_fixed, self._n_movable)
+        """Return whether an episode has as many obstacles, and the same kind of controller and line."""
+        return _shape_of(given) == self._shape
 
     def take(self, given: Given) -> Words:
         """Return the words of an episode that are kept (n_kept,)."""
@@ -106,9 +117,9 @@ class EpisodeWords:
         """Return x, y [m] and heading [rad] of the movable objects (n, n_objects, 3).
 
         Args:
-            things: Words of the part `things` of n episodes (n_words, n).
+            things: Numbers of the movable objects of n episodes (n_words, n).
         """
-        rows = things[self._n_fixed * N_LIVE :].reshape(self._n_movable, flat.N_COLUMNS, things.shape[1])
+        rows = things.reshape(self._n_movable, flat.N_COLUMNS, things.shape[1])
         headings = np.arctan2(rows[:, flat.SINE], rows[:, flat.COSINE])
         return np.stack([rows[:, flat.CENTRE_X], rows[:, flat.CENTRE_Y], headings], axis=-1).swapaxes(0, 1)
 
@@ -127,14 +138,22 @@ def constants_of(given: Given) -> dict[str, NDArray[Any]]:
         "genes": controllers.genes,
         "home": controllers.home,
         "things": things,
-        "timing": timing[0],
-        "law": law[0],
+        "table": robots["sensors"]["proximity"]["table"][0],
+        "timing": timing,
+        "law": law,
         "bulbs": bulbs,
         "hidden": hidden,
         "powers": powers,
-        "robots": _cleared(robots, LIVE["robot"]),
-        "planes": _cleared(planes, (*LIVE["plane"], *BUFFERS)),
+        "robots": _without(robots[0], _NOT_IN_ROBOTS),
+        "planes": _without(planes[0], _NOT_IN_PLANES),
     }
+
+
+def _shape_of(given: Given) -> tuple[object, ...]:
+    """Return what all episodes of a batch have in common."""
+    controllers, (_, order, _, bodies, _, _), *_ = given
+    of_network = controllers.sizes.tolist(), controllers.recurrent, controllers.top_speed
+    return len(order), len(bodies), controllers.kind, *of_network, controllers.line.tolist()
 
 
 def _live(given: Given) -> Iterator[tuple[tuple[str, ...], NDArray[Any]]]:
@@ -148,9 +167,24 @@ def _live(given: Given) -> Iterator[tuple[tuple[str, ...], NDArray[Any]]]:
     yield ("counters",), given[7]
 
 
-def _cleared(records: Any, names: tuple[str, ...]) -> Any:
-    """Return a copy of a record without some fields' values."""
-    record = records.copy()
-    for name in names:
-        record[name] = 0
-    return record[0]
+def _without(record: Any, paths: frozenset[str]) -> Any:
+    """Return a record without the fields at some paths, of names with points between them."""
+    made: Any = np.zeros((), _type_without(record.dtype, paths))
+    for name in made.dtype.names:
+        part = record[name]
+        made[name] = _without(part, _below(paths, name)) if part.dtype.names else part
+    return made
+
+
+@cache
+def _type_without(kind: Any, paths: frozenset[str]) -> Any:
+    fields = {name: kind[name] for name in kind.names if name not in paths}
+    fields = {
+        name: _type_without(field, _below(paths, name)) if field.names else field
+        for name, field in fields.items()
+    }
+    return np.dtype(list(fields.items()), align=True)
+
+
+def _below(paths: frozenset[str], name: str) -> frozenset[str]:
+    return frozenset(path.partition(".")[2] for path in paths if path.startswith(f"{name}."))
