@@ -1,6 +1,7 @@
 """The shipped playpens: each runs the Braitenberg controller for a while, and says what it is."""
 
 import pytest
+from shares import share
 
 from khep_twin import playpen as playpens
 from khep_twin.files.toml_files import folder
@@ -36,7 +37,7 @@ def test_these_playpens_ship() -> None:
 
 
 @pytest.mark.parametrize("seconds", [3, pytest.param(30, marks=pytest.mark.long)])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", share(NAMES, 2))
 def test_a_braitenberg_vehicle_drives_without_a_warning(name: str, seconds: int) -> None:
     twin = open_twin(name, TwinOptions(seed=1))
     with Khepera(Serial.of(twin, timeout=1.0)) as robot:

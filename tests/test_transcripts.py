@@ -11,6 +11,7 @@ from urllib.parse import parse_qsl, urlsplit
 import pytest
 import serial
 from served_twin import served
+from shares import share
 
 import khep_twin  # noqa: F401  (teaches pyserial khep://)
 
@@ -79,8 +80,14 @@ def play(transcript: Path, port: Any) -> None:
                 raise ValueError(place)
 
 
-@pytest.mark.parametrize("transcript", TRANSCRIPTS, ids=lambda path: path.stem)
-@pytest.mark.parametrize("way_in", [in_process, behind_a_pty])
+CASES = [(in_process, each) for each in TRANSCRIPTS]
+
+
+@pytest.mark.parametrize(
+    ("way_in", "transcript"),
+    CASES + share([(behind_a_pty, each) for each in TRANSCRIPTS], 2),
+    ids=lambda each: getattr(each, "stem", "") or each.__name__,
+)
 def test_what_is_said_is_what_is_written(transcript: Path, way_in: Any) -> None:
     with way_in(url_of(transcript)) as port:
         play(transcript, port)

@@ -99,13 +99,16 @@ def script(text: str) -> list[str]:
 
 @pytest.mark.parametrize(
     ("how", "number"),
-    [
-        ("loops", signal.SIGINT),
-        ("sleeps", signal.SIGTERM),
-        ("moves on", signal.SIGHUP),
-        ("asks on", signal.SIGINT),
-        ("waits in C", signal.SIGTERM),
-    ],
+    share(
+        [
+            ("loops", signal.SIGINT),
+            ("sleeps", signal.SIGTERM),
+            ("moves on", signal.SIGHUP),
+            ("asks on", signal.SIGINT),
+            ("waits in C", signal.SIGTERM),
+        ],
+        2,
+    ),
 )
 def test_a_second_signal_ends_a_run_whose_controller_never_returns(
     how: str, number: signal.Signals, tmp_path: Path

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from serial.tools import list_ports
 from served_twin import LISTS_PORTS, served
+from shares import share
 
 from khep_twin.cli import completion
 from khep_twin.errors import PortInUse, PortTimeout
@@ -52,10 +53,10 @@ def test_the_command_lists_and_asks() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
-@pytest.mark.parametrize("kind", [(), ("--tcp", ":0"), ("--rfc2217", ":0")])
-def test_asking_leaves_a_running_session_undisturbed(kind: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("options", share(["", "--tcp :0", "--rfc2217 :0"], 3))
+def test_asking_leaves_a_running_session_undisturbed(options: str) -> None:
     command = [*LISTS_PORTS, "--probe"]
-    with served("default", *kind) as (process, url):
+    with served("default", *options.split()) as (process, url):
         with Khepera(url) as robot:
             asking = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
             n_asked = 0

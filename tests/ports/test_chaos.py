@@ -13,6 +13,7 @@ import pytest
 import serial
 from forked import Forked
 from served_twin import ask, exchange, served, stop
+from shares import share
 
 CONNECTS = int(os.environ.get("KHEP_OPENINGS", "60"))
 PAUSE = 0.02
@@ -132,7 +133,7 @@ def path(request: pytest.FixtureRequest) -> Iterator[str]:
 
 @pytest.mark.parametrize(
     "misdeed",
-    [leave_cooked, leave_exclusive, two_at_once, flow_control, wrong_speed, rubbish, never_reads],
+    share([leave_cooked, leave_exclusive, two_at_once, flow_control, wrong_speed, rubbish, never_reads], 2),
     ids=lambda misdeed: misdeed.__name__,
 )
 def test_a_second_later_the_next_host_gets_its_first_reply(path: str, misdeed: Callable[[str], None]) -> None:

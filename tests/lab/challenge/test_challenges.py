@@ -281,9 +281,9 @@ def test_a_table_has_a_line_for_every_file_whatever_it_does(
 )
 def test_a_file_that_hangs_is_ended_and_has_a_line(short: Path, tmp_path: Path, text: str) -> None:
     (tmp_path / "hangs.py").write_text(text)
-    found = score_file(load(str(short)), str(tmp_path / "hangs.py"), real_seconds=2)
+    found = score_file(load(str(short)), str(tmp_path / "hangs.py"), real_seconds=1)
     assert found.score is None
-    assert "hangs.py: not finished after 2 s of real time; expected cycles that end" in found.reason
+    assert "hangs.py: not finished after 1 s of real time; expected cycles that end" in found.reason
 
 
 def test_what_a_file_starts_is_ended_with_it(short: Path, tmp_path: Path) -> None:
