@@ -210,15 +210,15 @@ class _Table:
 
     Attributes:
         words: Words on the card (n_words, n).
-        like: `kernel.Arena` of arrays on the card.
+        like: `kernel.LocalMemory` of arrays on the card.
         common: Constants without rows, by name.
-        told: Numbers of the episodes after the last launch, by the names of `EpisodeWords.told` (n_words, n).
+        told: Numbers of the episodes after the last launch by the names of `EpisodeWords.told` (n_words, n).
     """
 
     def __init__(self, layout: EpisodeWords, count: int) -> None:
         self._layout = layout
         self.words: Any = cuda.device_array((layout.n_kept, count), np.int64)
-        self.like = kernel.Arena(*(cuda.to_device(np.ascontiguousarray(each)) for each in layout.like))
+        self.like = kernel.LocalMemory(*(cuda.to_device(np.ascontiguousarray(each)) for each in layout.like))
         of = layout.controllers
         self.common = {
             "kind": of.kind,

@@ -90,7 +90,7 @@ class Constants(NamedTuple):
     planes: Any
 
 
-class Arena(NamedTuple):
+class LocalMemory(NamedTuple):
     """Parts of a thread's memory, in order: each an array of its shape, or the index of its first word.
 
     Attributes:
@@ -135,32 +135,32 @@ class _Table(NamedTuple):
 
 
 def body(capacity: int) -> Any:
-    """Return the kernel's function for arenas of a number of words."""
+    """Return the kernel's function for a number of words of local memory."""
 
     def run(constants, like, first, words, fresh, until, joint):
         """Run the episodes of a joint run.
 
         Args:
             constants: `Constants`.
-            like: `Arena` of arrays.
-            first: `Arena` of the indices of their first words.
+            like: `LocalMemory` of arrays.
+            first: `LocalMemory` of the indices of their first words.
             words: Words of the episodes (n_words, n).
             fresh: Words of the episodes to switch on (n_words, n_rows).
             until: Number of steps, as for `stepping.run`: below 0 to switch on the episodes of `fresh`.
             joint: `stepping.JointRun` of the episodes.
         """
-        arena = cuda.local.array(capacity, types.int64)
+        local = cuda.local.array(capacity, types.int64)
         for turn in range(cuda.grid(1), len(joint.rows), cuda.gridsize(1)):
             lane = joint.rows[turn]
             for word in range(len(words)):
-                arena[word] = fresh[word, turn] if until < 0 else words[word, lane]
+                local[word] = fresh[word, turn] if until < 0 else words[word, lane]
             for word in range(len(words), capacity):
-                arena[word] = 0
-            kept = record_at(arena, first.kept, like.kept)
-            buffers = record_at(arena, first.buffers, like.buffers)
-            order = array_at(arena, first.order, like.order)
-            own = array_at(arena, first.things, like.things)
-            values = array_at(arena, first.values, like.values)
+                local[word] = 0
+            kept = record_at(local, first.kept, like.kept)
+            buffers = record_at(local, first.buffers, like.buffers)
+            order = array_at(local, first.order, like.order)
+            own = array_at(local, first.things, like.things)
+            values = array_at(local, first.values, like.values)
             controllers = stepping.Controllers(
                 constants.kind,
                 0,
@@ -168,7 +168,7 @@ def body(capacity: int) -> Any:
                 constants.recurrent,
                 constants.top_speed,
                 row_of(constants.genes, lane),
-                array_at(arena, first.memory, like.memory),
+                array_at(local, first.memory, like.memory),
                 values,
                 values,
                 row_of(constants.home, lane),
@@ -184,9 +184,9 @@ def body(capacity: int) -> Any:
             plane = Plane(
                 things_at(row_of(constants.things, lane), own, len(order)),
                 order,
-                array_at(arena, first.near, like.near),
-                array_at(arena, first.bodies, like.bodies),
-                array_at(arena, first.touches, like.touches),
+                array_at(local, first.near, like.near),
+                array_at(local, first.bodies, like.bodies),
+                array_at(local, first.touches, like.touches),
                 split(split(row_of(constants.planes, lane), kept.plane), buffers.plane),
             )
             simulated = Simulated(
@@ -207,14 +207,14 @@ def body(capacity: int) -> Any:
                 if until < 0:
                     break
             for word in range(len(words)):
-                words[word, lane] = arena[word]
+                words[word, lane] = local[word]
 
     return run
 
 
 @cache
 def kernel(capacity: int) -> Any:
-    """Return the kernel for arenas of a number of words, compiled when it is first launched."""
+    """Return the kernel for a number of words of local memory, compiled when it is first launched."""
     run = body(capacity)
     # numba's cache checks only the kernel's own source, as `simulation.compiled.compiled` says.
     run.__qualname__ = f"run_{capacity}_{STAMP}"

@@ -104,29 +104,29 @@ def _things_at(typing_context, fixed, own, n_fixed):
 
 
 @intrinsic
-def _array_at(typing_context, arena, first, like):
-    """Return an array as another one, at a word of an arena."""
+def _array_at(typing_context, local, first, like):
+    """Return an array as another one, at a word of local memory."""
 
     def generate(context, builder, signature, arguments):
         array = context.make_array(like)(context, builder, arguments[2])
         array.data = _place(context, builder, signature, arguments, array.data.type)
         return array._getvalue()
 
-    return like(arena, types.intp, like), generate
+    return like(local, types.intp, like), generate
 
 
 @intrinsic
-def _record_at(typing_context, arena, first, like):
-    """Return a record as those of an array, at a word of an arena."""
+def _record_at(typing_context, local, first, like):
+    """Return a record as those of an array, at a word of local memory."""
 
     def generate(context, builder, signature, arguments):
         return _place(context, builder, signature, arguments, context.get_value_type(like.dtype))
 
-    return like.dtype(arena, types.intp, like), generate
+    return like.dtype(local, types.intp, like), generate
 
 
 def _place(context, builder, signature, arguments, kind):
-    """Return the pointer to a word of an arena."""
+    """Return the pointer to a word of local memory."""
     words = context.make_array(signature.args[0])(context, builder, arguments[0]).data
     return builder.bitcast(builder.gep(words, [arguments[1]]), kind)
 
@@ -153,8 +153,8 @@ for _query in casting.QUERIES:
 for _query, _function in (
     (views.split, lambda record, over: _split(record, over)),
     (views.things_at, lambda fixed, own, n_fixed: _things_at(fixed, own, n_fixed)),
-    (views.array_at, lambda arena, first, like: _array_at(arena, first, like)),
-    (views.record_at, lambda arena, first, like: _record_at(arena, first, like)),
+    (views.array_at, lambda local, first, like: _array_at(local, first, like)),
+    (views.record_at, lambda local, first, like: _record_at(local, first, like)),
     (views.row_of, lambda rows, lane: rows[min(lane, len(rows) - 1)]),
     (views.scene_of, lambda plane: plane),
     (queries.decide, _nothing),

@@ -1,7 +1,7 @@
 """Data of an episode in a thread's own memory, with constants that threads share.
 
-A thread has an array of words, its arena. `record_at` and `array_at` return parts of it; `split` and
-`things_at` return a record and a table of which some numbers are in the arena, and the others are shared.
+A thread's local memory is an array of words. `record_at` and `array_at` return parts of it; `split` and
+`things_at` return a record and a table of which some numbers are in it, and the others are shared.
 These forms are for numba's simulator of CUDA; `lowering` has those for a card.
 """
 
@@ -17,15 +17,15 @@ N_LIVE = ACROSS + 1 - DISTANCE
 """Columns of a fixed obstacle that change: its distance, and its impulses on the body."""
 
 
-def record_at(arena: Any, first: int, like: Any) -> Any:
-    """Return a record as those of an array, at a word of an arena."""
+def record_at(local: Any, first: int, like: Any) -> Any:
+    """Return a record as those of an array, at a word of local memory."""
     kind = like.dtype
-    return _Record(np.asarray(arena)[first : first + kind.itemsize // 8].view(kind)[0])
+    return _Record(np.asarray(local)[first : first + kind.itemsize // 8].view(kind)[0])
 
 
-def array_at(arena: Any, first: int, like: Any) -> Any:
-    """Return an array of a shape and type, at a word of an arena."""
-    return np.asarray(arena)[first : first + like.size].view(like.dtype).reshape(like.shape)
+def array_at(local: Any, first: int, like: Any) -> Any:
+    """Return an array of a shape and type, at a word of local memory."""
+    return np.asarray(local)[first : first + like.size].view(like.dtype).reshape(like.shape)
 
 
 def row_of(rows: Any, lane: int) -> Any:

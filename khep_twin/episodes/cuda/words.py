@@ -1,4 +1,4 @@
-"""Words of an episode in a thread's arena, and its constants, as the CPU prepares them."""
+"""Words of an episode in a thread's local memory, and its constants, as the CPU prepares them."""
 
 from collections.abc import Iterator
 from functools import cache
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.episodes.cuda.kernel import Arena
+from khep_twin.episodes.cuda.kernel import LocalMemory
 from khep_twin.episodes.cuda.views import N_LIVE
 from khep_twin.episodes.planar import planar_world
 from khep_twin.episodes.planar import plane as flat
@@ -32,20 +32,20 @@ _NOT_IN_PLANES = frozenset({*LIVE["plane"], *BUFFERS})
 """Fields that the records of constants are without."""
 
 _LEAST_WORDS = 1024
-"""Least number of words of an arena (assumed); a power of two, so that few kernels are compiled."""
+"""Least number of words of local memory (assumed); a power of two, so that few kernels are compiled."""
 
 
 class EpisodeWords:
-    """Layout of the words of episodes of one shape: the parts of `kernel.Arena`, one after the other.
+    """Layout of the words of episodes of one shape: the parts of `kernel.LocalMemory`, one after the other.
 
     Args:
         given: Arguments of one of the episodes.
 
     Attributes:
-        like: Array of each part of the arena.
+        like: Array of each part of it.
         first: Index of the first word of each.
         n_kept: Number of words that are kept between launches.
-        capacity: Number of words of an arena.
+        capacity: Number of words of local memory.
         controllers: Controllers of that episode.
         told: Indices of the words of joint positions, impulses and sums, by "joints", "grips" and "sums", and
             of the movable objects, "things".
@@ -66,7 +66,7 @@ class EpisodeWords:
         self._n_fixed, self._n_movable = len(order), len(bodies)
         self._shape, self.controllers = _shape_of(given), controllers
         n_own = self._n_fixed * N_LIVE + self._n_movable * flat.N_COLUMNS
-        self.like = Arena(
+        self.like = LocalMemory(
             np.zeros(1, np.dtype(kept, align=True)),
             controllers.memory,
             np.zeros(n_own),
@@ -78,7 +78,7 @@ class EpisodeWords:
             touches[: len(touches) if len(bodies) else 0],
         )
         ends = np.cumsum([array.nbytes // 8 for array in self.like]).tolist()
-        self.first = Arena(0, *ends[:-1])
+        self.first = LocalMemory(0, *ends[:-1])
         self.n_kept = self.first.buffers
         self.capacity = max(_LEAST_WORDS, 1 << (ends[-1] - 1).bit_length())
         starts = np.cumsum([0, *(array.size for _, array in live)]).tolist()
