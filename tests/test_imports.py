@@ -16,6 +16,7 @@ ORDER = [
     ["signals", "status_line", "invocation"],
     ["files"],
     ["board"],
+    ["khepera4"],
     ["playpen"],
     ["sensing"],
     ["firmware", "sensors", "robot_to_mjcf"],

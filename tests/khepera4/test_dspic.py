@@ -1,0 +1,140 @@
+"""The dsPIC of the Khepera IV: its registers, and its motors against recordings and the manual's figures."""
+
+import math
+
+import pytest
+
+from khep_twin.khepera4.dspic import Dspic
+from khep_twin.khepera4.motor_control import PWM_LIMIT
+from khep_twin.khepera4.registers import Control, Register
+
+LAG = 1 - math.exp(-0.010 / 0.195)
+"""Part of a wheel's lag behind its free speed that a control period takes away."""
+
+
+class Wheels:
+    """Wheels with the lag, the free speed and the friction of `motor_control`."""
+
+    def __init__(self, dspic: Dspic) -> None:
+        self.dspic, self.at, self.speeds = dspic, [0.0, 0.0], [0.0, 0.0]
+
+    def run(self, ticks: int) -> list[int]:
+        """Return the left wheel's speed after each control period [pulses/10 ms]."""
+        found: list[int] = []
+        for _ in range(ticks):
+            pwm = self.dspic.tick(*map(round, self.at))
+            for side in range(2):
+                drive, before = 0.625 * pwm[side], self.speeds[side]
+                friction = math.copysign(min(abs(drive), 36) if before == 0 else 36, before or drive)
+                after = before + LAG * (drive - friction - before)
+                self.speeds[side] = 0.0 if after * before < 0 and abs(drive) <= 36 else after
+                self.at[side] += self.speeds[side]
+            found.append(speed_of(self.dspic))
+        return found
+
+
+def speed_of(dspic: Dspic) -> int:
+    return int.from_bytes(dspic.read(Register.SPEED_LEFT, 2), "little", signed=True)
+
+
+def whole(value: int, size: int = 2) -> bytes:
+    return value.to_bytes(size, "little", signed=True)
+
+
+def driven(gains: tuple[int, int, int], control: Control, order: int) -> Wheels:
+    dspic = Dspic()
+    dspic.write(bytes([Register.KP, *gains]))
+    dspic.write(bytes([Register.SPEED_ORDER_LEFT]) + whole(order) * 2)
+    dspic.write(bytes([Register.CONTROL, control]))
+    return Wheels(dspic)
+
+
+@pytest.mark.parametrize(("gains", "settled"), [((10, 0, 0), 199), ((40, 0, 0), 370), ((10, 1, 0), 500)])
+def test_a_speed_settles_where_a_real_robots_does(gains: tuple[int, int, int], settled: int) -> None:
+    assert driven(gains, Control.SPEED, 500).run(400)[-1] == pytest.approx(settled, rel=0.1)
+
+
+def test_a_strong_integral_overshoots_as_a_real_robots_does() -> None:
+    speeds = driven((10, 10, 0), Control.SPEED, 500).run(400)
+    assert max(speeds) == pytest.approx(750, rel=0.1)
+    assert speeds[-1] == pytest.approx(500, rel=0.02)
+
+
+def test_a_profile_holds_its_least_speed_and_rises_by_its_acceleration() -> None:
+    wheels = driven((10, 5, 1), Control.SPEED_PROFILE, 400)
+    seconds = 1.27 + 0.07  # 380 steps of 3 in 10 ms, behind the hold
+    assert wheels.run(round(100 * seconds))[-1] < 400
+    assert wheels.run(60)[-1] == pytest.approx(400, rel=0.05)
+    wheels.dspic.write(bytes([Register.SPEED_ORDER_LEFT]) + whole(0) * 2)
+    assert wheels.run(200)[-1] == pytest.approx(0, abs=2)
+
+
+def test_a_move_of_70000_pulses_takes_what_the_manuals_figure_shows() -> None:
+    dspic = Dspic()
+    wheels = Wheels(dspic)
+    dspic.write(bytes([Register.POSITION_ORDER_LEFT]) + whole(70_000, 4) + whole(-70_000, 4))
+    dspic.write(bytes([Register.CONTROL, Control.POSITION]))
+    ticks = 0
+    while dspic.read(Register.ON_TARGET, 1) != bytes([0b11]):
+        wheels.run(1)
+        ticks += 1
+        assert ticks < 1000
+    assert ticks * 0.010 == pytest.approx(3.05, rel=0.05)
+    wheels.run(200)
+    for register, target in ((Register.POSITION_LEFT, 70_000), (Register.POSITION_RIGHT, -70_000)):
+        found = int.from_bytes(dspic.read(register, 4), "little", signed=True)
+        assert found == pytest.approx(target, abs=40)
+
+
+def test_a_short_move_begins_where_a_long_one_has_ended() -> None:
+    dspic = Dspic()
+    wheels = Wheels(dspic)
+    dspic.write(bytes([Register.CONTROL, Control.POSITION]))
+    for target in (3000, 3050):
+        dspic.write(bytes([Register.POSITION_ORDER_LEFT]) + whole(target, 4) * 2)
+        assert dspic.tick(*map(round, wheels.at)) != (0, 0)
+        wheels.run(300)
+        assert dspic.read(Register.ON_TARGET, 1) == bytes([0b11])
+
+
+def test_an_open_loop_gives_its_pwm_clipped_to_what_is_full() -> None:
+    dspic = Dspic()
+    dspic.write(bytes([Register.PWM_ORDER_LEFT]) + whole(1000) + whole(-9000))
+    dspic.write(bytes([Register.CONTROL, Control.OPEN_LOOP]))
+    assert dspic.tick(0, 0) == (1000, -PWM_LIMIT)
+    dspic.write(bytes([Register.CONTROL, Control.IDLE]))
+    assert dspic.tick(0, 0) == (0, 0)
+
+
+def test_a_read_runs_on_through_the_map_and_ends_with_zeros() -> None:
+    dspic = Dspic()
+    dspic.sense(Register.PROXIMITY, range(100, 112))
+    found = dspic.read(Register.AMBIENT, 48)
+    assert found[:24] == bytes(24)
+    assert [int.from_bytes(found[at : at + 2], "little") for at in range(24, 48, 2)] == list(range(100, 112))
+    dspic.set_battery(bytes(range(12)))
+    assert dspic.read(Register.BATTERY, 16) == bytes([*range(12), 0, 0, 0, 0])
+
+
+def test_what_cannot_be_written_stays_and_a_reset_takes_back_the_rest() -> None:
+    dspic = Dspic()
+    before = dspic.read(0, 256)
+    dspic.write(bytes([Register.SPEED_LEFT, 1, 2, 3, 4]))
+    dspic.write(bytes([Register.REVISION, 0xFF]))
+    dspic.write(b"")
+    assert dspic.read(0, 256) == before
+    dspic.write(bytes([Register.LEDS, *range(9)]))
+    assert dspic.leds == bytes(range(9))
+    dspic.write(bytes([Register.ULTRASONIC_ENABLED, 0b101]))
+    assert dspic.ultrasonic_enabled == 0b101
+    dspic.reset()
+    assert dspic.read(0, 256) == before
+
+
+def test_a_reset_of_the_encoders_counts_from_zero_again() -> None:
+    dspic = Dspic()
+    dspic.tick(1000, 2000)
+    dspic.write(bytes([Register.RESET_ENCODERS, 1]))
+    assert dspic.read(Register.POSITION_LEFT, 8) == bytes(8)
+    dspic.tick(1010, 1995)
+    assert dspic.read(Register.POSITION_LEFT, 8) == whole(10, 4) + whole(-5, 4)
