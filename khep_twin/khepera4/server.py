@@ -35,9 +35,9 @@ LEFT_WEIGHTS, RIGHT_WEIGHTS = (2, 3, 4, -7, -4, -3, -2, 1), (-2, -3, -4, -9, 4, 
 FORWARDS, LEAST_SPEED, TURNING = 200, 10, 120
 NEAREST, FARTHEST, GAIN_DIVISOR = 500, 80, 3
 BLOCKED, PATIENCE, MOVED = 250, 5, 4424
-"""Numbers of the vehicle: weights of the eight sensors; speed without obstacles, least speed, and that of a turn
-in place [pulses/10 ms]; readings with the largest and without an effect; the front's reading for which it turns
-where it has not moved by 30 mm [pulses] for so many rounds."""
+"""Numbers of the vehicle: weights of the eight sensors; speed without obstacles, least speed, and that of a
+turn in place [pulses/10 ms]; readings with the largest and without an effect; the reading in front for which
+it turns where it has not moved by 30 mm [pulses] for so many rounds."""
 
 _FRONT = 3
 _INTEGER = re.compile(rb"\s*[+-]?\d+")

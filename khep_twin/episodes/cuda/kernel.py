@@ -12,6 +12,7 @@ Imported only where numba-cuda is installed.
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportPrivateImportUsage=false
 
 import time
+import warnings
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
@@ -229,6 +230,8 @@ def kernel(capacity: int) -> Any:
 def compiling() -> Generator[None]:
     """Compile what is launched within as on the CPU: no fused multiply-adds, and large functions once.
 
+    numba's advice on small grids is left out: few episodes do not fill a card.
+
     A fused multiply-add rounds once where the CPU's code rounds twice. numba-cuda has no option for it, nor
     for what `compilable.ONCE` asks, so its own function for one compilation is replaced meanwhile.
     """
@@ -256,4 +259,6 @@ def compiling() -> Generator[None]:
     with ExitStack() as shown:
         dispatcher.compile_cuda = compile_cuda
         shown.callback(setattr, dispatcher, "compile_cuda", plain)
+        shown.enter_context(warnings.catch_warnings())
+        warnings.filterwarnings("ignore", "Grid size")
         yield
