@@ -149,6 +149,7 @@ def test_round_trips_go_over_two_pseudo_terminals() -> None:
     assert twin.note.startswith("p50 ")
 
 
+@pytest.mark.long
 def test_many_lines_are_polled_and_their_delays_measured() -> None:
     with swarm_rows("default", 0.3) as rows:
         table = measure("default", rows, 1, unit="s of each line per s")

@@ -1,4 +1,4 @@
-"""The Khepera IV: what is its own. So far the microcontroller of its motors and sensors, as programs see it.
+"""The Khepera IV: what is its own. So far what its programs see: device nodes, microcontroller and motors.
 
 Sources, as cited in this package:
     manual      Khepera IV User Manual 3.0, K-Team, 2015

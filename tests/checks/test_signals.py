@@ -279,7 +279,7 @@ def test_a_robot_that_is_held_stands_and_is_not_moved_any_more() -> None:
         robot.set_speed(0, 0)
 
 
-@pytest.mark.parametrize("name", share([name for name in KINDS if "hangs" not in name], 2))
+@pytest.mark.parametrize("name", share([name for name in KINDS if "hangs" not in name], 6))
 def test_a_command_that_is_ended_at_a_random_moment_leaves_nothing_behind(name: str) -> None:
     found = end(name, 4, begun=True)
     # How long it takes on a busy machine is for `python -m checks signals` to say.

@@ -1,34 +1,24 @@
 """The dsPIC of the Khepera IV: its registers, and its motors against recordings and the manual's figures."""
 
-import math
-
 import pytest
 
 from khep_twin.khepera4.dspic import Dspic
 from khep_twin.khepera4.motor_control import PWM_LIMIT
 from khep_twin.khepera4.registers import Control, Register
-
-LAG = 1 - math.exp(-0.010 / 0.195)
-"""Part of a wheel's lag behind its free speed that a control period takes away."""
+from khep_twin.khepera4.wheels import Wheels
 
 
-class Wheels:
-    """Wheels with the lag, the free speed and the friction of `motor_control`."""
+class Driven:
+    """A dsPIC with wheels off the ground."""
 
     def __init__(self, dspic: Dspic) -> None:
-        self.dspic, self.at, self.speeds = dspic, [0.0, 0.0], [0.0, 0.0]
+        self.dspic, self.wheels = dspic, Wheels()
 
     def run(self, ticks: int) -> list[int]:
         """Return the left wheel's speed after each control period [pulses/10 ms]."""
         found: list[int] = []
         for _ in range(ticks):
-            pwm = self.dspic.tick(*map(round, self.at))
-            for side in range(2):
-                drive, before = 0.625 * pwm[side], self.speeds[side]
-                friction = math.copysign(min(abs(drive), 36) if before == 0 else 36, before or drive)
-                after = before + LAG * (drive - friction - before)
-                self.speeds[side] = 0.0 if after * before < 0 and abs(drive) <= 36 else after
-                self.at[side] += self.speeds[side]
+            self.wheels.turn(self.dspic.tick(*self.wheels.pulses))
             found.append(speed_of(self.dspic))
         return found
 
@@ -41,12 +31,12 @@ def whole(value: int, size: int = 2) -> bytes:
     return value.to_bytes(size, "little", signed=True)
 
 
-def driven(gains: tuple[int, int, int], control: Control, order: int) -> Wheels:
+def driven(gains: tuple[int, int, int], control: Control, order: int) -> Driven:
     dspic = Dspic()
     dspic.write(bytes([Register.KP, *gains]))
     dspic.write(bytes([Register.SPEED_ORDER_LEFT]) + whole(order) * 2)
     dspic.write(bytes([Register.CONTROL, control]))
-    return Wheels(dspic)
+    return Driven(dspic)
 
 
 @pytest.mark.parametrize(("gains", "settled"), [((10, 0, 0), 199), ((40, 0, 0), 370), ((10, 1, 0), 500)])
@@ -71,7 +61,7 @@ def test_a_profile_holds_its_least_speed_and_rises_by_its_acceleration() -> None
 
 def test_a_move_of_70000_pulses_takes_what_the_manuals_figure_shows() -> None:
     dspic = Dspic()
-    wheels = Wheels(dspic)
+    wheels = Driven(dspic)
     dspic.write(bytes([Register.POSITION_ORDER_LEFT]) + whole(70_000, 4) + whole(-70_000, 4))
     dspic.write(bytes([Register.CONTROL, Control.POSITION]))
     ticks = 0
@@ -88,11 +78,11 @@ def test_a_move_of_70000_pulses_takes_what_the_manuals_figure_shows() -> None:
 
 def test_a_short_move_begins_where_a_long_one_has_ended() -> None:
     dspic = Dspic()
-    wheels = Wheels(dspic)
+    wheels = Driven(dspic)
     dspic.write(bytes([Register.CONTROL, Control.POSITION]))
     for target in (3000, 3050):
         dspic.write(bytes([Register.POSITION_ORDER_LEFT]) + whole(target, 4) * 2)
-        assert dspic.tick(*map(round, wheels.at)) != (0, 0)
+        assert dspic.tick(*wheels.wheels.pulses) != (0, 0)
         wheels.run(300)
         assert dspic.read(Register.ON_TARGET, 1) == bytes([0b11])
 
