@@ -12,10 +12,10 @@ result (minus an error number where it failed), a length, a 64-bit value, and it
     6 HELLO      number of the thread, as the kernel counts; without an answer
 
 One thread runs at a time: a question is answered while all threads of the program and of its children wait,
-for an answer or for something else (a lock, another thread, a key: what the kernel calls sleeping). The lowest
-thread number is first. A wait ends when no other question is left, the shortest first; simulated time passes
-meanwhile. So a run repeats. A question for the time costs `ASKED_NS`: a program that waits in a loop ends.
-Where a thread computes for longer than `PATIENCE_S`, the others go on.
+for an answer or for something else (a lock, another thread, a key: what the kernel calls sleeping). The thread
+of the lowest number is first. A wait ends when no other question is left, the shortest first; simulated time
+passes meanwhile. So a run repeats. A question for the time costs `ASKED_NS`: a program that waits in a loop
+ends. Where a thread computes for longer than `PATIENCE_S`, the others go on.
 """
 
 import errno
@@ -27,6 +27,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
+from typing import Any
 
 from khep_twin.khepera4.machine import READS, Machine
 
@@ -36,6 +37,7 @@ ASKED_NS = 1_000
 PATIENCE_S = 0.05
 """Real time for which one thread may compute while others have asked [s] (assumed)."""
 
+_FAMILY: Any = getattr(socket, "AF_UNIX", None)  # which Windows lacks
 _QUESTION, _MESSAGE, _ANSWER = struct.Struct("<III"), struct.Struct("<HHH"), struct.Struct("<iIq")
 
 
@@ -61,7 +63,7 @@ class DeviceServer:
 
     def __init__(self, machine: Machine, path: Path, clock: Callable[[], int] | None = None) -> None:
         self._machine, self._clock = machine, clock
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket = socket.socket(_FAMILY, socket.SOCK_STREAM)
         self._socket.bind(str(path))
         self._socket.listen(64)
         self._selector = selectors.DefaultSelector()
