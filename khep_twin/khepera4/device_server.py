@@ -13,8 +13,8 @@ result (minus an error number where it failed), a length, a 64-bit value, and it
 
 One thread runs at a time: a question is answered while all threads of the program and of its children wait,
 for an answer or for something else: a lock, another thread, a key, whatever the kernel calls sleeping. The
-thread of the lowest number is first. A wait ends when no other question is left, the shortest first; simulated
-time passes meanwhile. So a run repeats. A question for the time costs `ASKED_NS`: a program that waits in a
+thread of the lowest number is first. A wait ends when no other question is left, the shortest first, and the
+time of it has passed. So a run repeats. A question for the time costs `ASKED_NS`: a program that waits in a
 loop ends. Where a thread computes for longer than `PATIENCE_S`, the others go on.
 """
 
