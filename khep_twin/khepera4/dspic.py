@@ -1,8 +1,8 @@
 """The dsPIC of the Khepera IV: its registers on the I2C bus, and its control of the motors.
 
     dspic = Dspic()
-    dspic.write(bytes([Register.SPEED_ORDER_LEFT]) + (500).to_bytes(2, "little") * 2)
-    dspic.write(bytes([Register.CONTROL, Control.SPEED]))
+    dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT]) + (500).to_bytes(2, "little") * 2)
+    dspic.write(bytes([DspicRegister.CONTROL, Control.SPEED]))
     left, right = dspic.tick(0, 0)
 
 A write is the number of a register and the bytes for it and those behind it; a read names a register and runs
@@ -19,7 +19,7 @@ from khep_twin.khepera4.registers import (
     N_BYTES,
     WRITABLE,
     Control,
-    Register,
+    DspicRegister,
 )
 
 N_INFRARED, N_ULTRASONIC = 12, 5
@@ -27,7 +27,7 @@ N_INFRARED, N_ULTRASONIC = 12, 5
 ground left, front left, front right, right. Ultrasonic ones: left, front left, front, front right, right
 (library)."""
 
-_POSITION_ORDERS = {*range(Register.POSITION_ORDER_LEFT, Register.SPEED_LEFT)}
+_POSITION_ORDERS = {*range(DspicRegister.POSITION_ORDER_LEFT, DspicRegister.SPEED_LEFT)}
 """Bytes of the orders that begin a move."""
 
 
@@ -50,15 +50,15 @@ class Dspic:
         if not message:
             return
         for place, byte in enumerate(message[1:], message[0]):
-            if place in WRITABLE or place == Register.ULTRASONIC_ENABLED:
+            if place in WRITABLE or place == DspicRegister.ULTRASONIC_ENABLED:
                 self._bytes[place] = byte
         written = range(message[0], message[0] + len(message) - 1)
-        if Register.RESET_ENCODERS in written:
+        if DspicRegister.RESET_ENCODERS in written:
             self._left.position = self._right.position = 0
             self._tell()
         if set(written) & _POSITION_ORDERS:
             self._left.is_on_target = self._right.is_on_target = False
-        if Register.CONTROL in written:
+        if DspicRegister.CONTROL in written:
             self._left.stop()
             self._right.stop()
 
@@ -74,14 +74,14 @@ class Dspic:
             left_pulses: Pulses of the left encoder since power-up.
             right_pulses: The same of the right one.
         """
-        counts, kind = (left_pulses, right_pulses), self._bytes[Register.CONTROL]
+        counts, kind = (left_pulses, right_pulses), self._bytes[DspicRegister.CONTROL]
         control = Control(kind) if kind <= Control.OPEN_LOOP else Control.IDLE
         settings = self._settings()
         orders = {
-            Control.POSITION: (Register.POSITION_ORDER_LEFT, 4),
-            Control.OPEN_LOOP: (Register.PWM_ORDER_LEFT, 2),
+            Control.POSITION: (DspicRegister.POSITION_ORDER_LEFT, 4),
+            Control.OPEN_LOOP: (DspicRegister.PWM_ORDER_LEFT, 2),
         }
-        first, size = orders.get(control, (Register.SPEED_ORDER_LEFT, 2))
+        first, size = orders.get(control, (DspicRegister.SPEED_ORDER_LEFT, 2))
         for side, motor in enumerate((self._left, self._right)):
             motor.speed = counts[side] - self._counts[side]
             motor.position = wrap(motor.position + motor.speed)
@@ -90,7 +90,7 @@ class Dspic:
         self._tell()
         return self._left.pwm, self._right.pwm
 
-    def sense(self, register: Register, values: Sequence[int]) -> None:
+    def sense(self, register: DspicRegister, values: Sequence[int]) -> None:
         """Set the registers of some sensors, 2 bytes each."""
         content = b"".join((value & 0xFFFF).to_bytes(2, "little") for value in values)
         self._bytes[register : register + len(content)] = content
@@ -99,23 +99,23 @@ class Dspic:
         """Set the block of the battery gauge (12 bytes)."""
         if len(block) != BATTERY_BYTES:
             raise ValueError(f"a battery block of {len(block)} bytes; expected {BATTERY_BYTES}")
-        self._bytes[Register.BATTERY : Register.BATTERY + BATTERY_BYTES] = block
+        self._bytes[DspicRegister.BATTERY : DspicRegister.BATTERY + BATTERY_BYTES] = block
 
     @property
     def leds(self) -> bytes:
         """Red, green and blue of the LEDs front left, front right and back, 0 to 63 (9,)."""
-        return bytes(self._bytes[Register.LEDS : Register.LEDS + 9])
+        return bytes(self._bytes[DspicRegister.LEDS : DspicRegister.LEDS + 9])
 
     @property
     def ultrasonic_enabled(self) -> int:
         """Mask of the enabled ultrasonic sensors, bit 0 left to bit 4 right."""
-        return self._bytes[Register.ULTRASONIC_ENABLED]
+        return self._bytes[DspicRegister.ULTRASONIC_ENABLED]
 
     def _settings(self) -> Settings:
-        kp, ki, kd, *ramp = self._bytes[Register.KP : Register.LEAST_DECELERATING + 1]
+        kp, ki, kd, *ramp = self._bytes[DspicRegister.KP : DspicRegister.LEAST_DECELERATING + 1]
         step, divider, accelerating, decelerating = ramp
         margin, speed = (
-            self._signed(each, 2) for each in (Register.POSITION_MARGIN, Register.POSITION_SPEED)
+            self._signed(each, 2) for each in (DspicRegister.POSITION_MARGIN, DspicRegister.POSITION_SPEED)
         )
         return Settings(kp, ki, kd, step, divider, accelerating, decelerating, margin, speed)
 
@@ -123,11 +123,13 @@ class Dspic:
         return int.from_bytes(self._bytes[register : register + size], "little", signed=True)
 
     def _tell(self) -> None:
-        """Set the registers that tell of the motors."""
+        """Set the registers of the motors' state."""
         left, right, places = self._left, self._right, self._bytes
-        places[Register.ON_TARGET] = left.is_on_target | right.is_on_target << 1
-        for register, speed in ((Register.SPEED_LEFT, left.speed), (Register.SPEED_RIGHT, right.speed)):
-            places[register : register + 2] = (speed & 0xFFFF).to_bytes(2, "little")
-        both = ((Register.POSITION_LEFT, left.position), (Register.POSITION_RIGHT, right.position))
-        for register, position in both:
-            places[register : register + 4] = (position & 0xFFFFFFFF).to_bytes(4, "little")
+        places[DspicRegister.ON_TARGET] = left.is_on_target | right.is_on_target << 1
+        for first, size, values in (
+            (DspicRegister.SPEED_LEFT, 2, (left.speed, right.speed)),
+            (DspicRegister.POSITION_LEFT, 4, (left.position, right.position)),
+        ):
+            for side, value in enumerate(values):
+                at = first + side * size
+                places[at : at + size] = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little")

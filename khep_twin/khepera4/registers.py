@@ -9,7 +9,7 @@ N_BYTES = 256
 """Bytes of the map; what no register has is 0 (assumed)."""
 
 
-class Register(IntEnum):
+class DspicRegister(IntEnum):
     """First byte of each register; numbers of several bytes are little-endian."""
 
     REVISION = 0x00  # high nibble the letter, from A, low nibble the number
@@ -56,18 +56,18 @@ class Control(IntEnum):
     OPEN_LOOP = 4
 
 
-WRITABLE = range(Register.STATUS_LED, Register.SPEED_LEFT)
+WRITABLE = range(DspicRegister.STATUS_LED, DspicRegister.SPEED_LEFT)
 """Bytes that a write changes, beside the mask of the ultrasonic sensors; others stay (assumed)."""
 
 BATTERY_BYTES = 12
 """Length of the block of the battery gauge."""
 
 AT_RESET = {
-    Register.REVISION: bytes([0x10]),  # revision B, 0 (assumed)
-    Register.KP: bytes([10, 5, 1]),  # gains, as the manual's programs set them
-    Register.ACCELERATION: bytes([3, 0, 20, 1]),
-    Register.POSITION_MARGIN: (10).to_bytes(2, "little"),
-    Register.POSITION_SPEED: (400).to_bytes(2, "little"),
-    Register.ULTRASONIC_ENABLED: bytes([0b11111]),
+    DspicRegister.REVISION: bytes([0x10]),  # revision B, 0 (assumed)
+    DspicRegister.KP: bytes([10, 5, 1]),  # gains, as the manual's programs set them
+    DspicRegister.ACCELERATION: bytes([3, 0, 20, 1]),
+    DspicRegister.POSITION_MARGIN: (10).to_bytes(2, "little"),
+    DspicRegister.POSITION_SPEED: (400).to_bytes(2, "little"),
+    DspicRegister.ULTRASONIC_ENABLED: bytes([0b11111]),
 }
 """Content after a reset; the other bytes are 0 (manual; that all is so at power-up is assumed)."""

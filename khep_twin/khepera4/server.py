@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from khep_twin.board.kernel import divide
 from khep_twin.board.protocol import LINE_END
 from khep_twin.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
-from khep_twin.khepera4.registers import BATTERY_BYTES, Control, Register
+from khep_twin.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
 
 END = b"\r\n"
 ERROR = b"$" + END
@@ -72,12 +72,12 @@ class Kh4Server:
         """Let the vehicle of A decide once, for a control period (assumed; it decides as often as it can)."""
         if not self._wanders:
             return
-        near, position = self._numbers(Register.PROXIMITY, 8), self._positions()
+        near, position = self._numbers(DspicRegister.PROXIMITY, 8), self._positions()
         stands = all(abs(now - then) < MOVED for now, then in zip(position, self._before, strict=True))
         self._rounds = self._rounds + 1 if stands else 0
         self._turns = near[_FRONT] > BLOCKED and (self._turns or self._rounds > PATIENCE)
         if self._turns:
-            self._write(Register.SPEED_ORDER_LEFT, (TURNING, -TURNING))
+            self._write(DspicRegister.SPEED_ORDER_LEFT, (TURNING, -TURNING))
             return
         if self._rounds > PATIENCE or not stands:
             self._rounds, self._before = 0, position
@@ -87,7 +87,7 @@ class Kh4Server:
             for weights in (LEFT_WEIGHTS, RIGHT_WEIGHTS)
         ]
         orders = [max(each, LEAST_SPEED) if each >= 0 else min(each, -LEAST_SPEED) for each in orders]
-        self._write(Register.SPEED_ORDER_LEFT, orders)
+        self._write(DspicRegister.SPEED_ORDER_LEFT, orders)
 
     def _execute(self, line: bytes) -> bytes:
         """Execute a command; return its reply."""
@@ -107,7 +107,7 @@ class Kh4Server:
             return None
         if values[0] == 2:
             if self._wanders:
-                self._write(Register.SPEED_ORDER_LEFT, (0, 0))
+                self._write(DspicRegister.SPEED_ORDER_LEFT, (0, 0))
                 self._set_control(Control.IDLE)
                 self._set_profile(DEFAULT_PROFILE)
             self._wanders = False
@@ -118,28 +118,28 @@ class Kh4Server:
         return ()
 
     def _on_b(self, values: Sequence[int]) -> Sequence[object]:
-        revision = self._dspic.read(Register.REVISION, 1)[0]
+        revision = self._dspic.read(DspicRegister.REVISION, 1)[0]
         return chr((revision >> 4) + ord("A")), revision & 0x0F
 
     def _on_d(self, values: Sequence[int]) -> Sequence[int]:
         self._set_control(Control.SPEED)
-        return self._write(Register.SPEED_ORDER_LEFT, _first(values, 2))
+        return self._write(DspicRegister.SPEED_ORDER_LEFT, _first(values, 2))
 
     def _on_e(self, values: Sequence[int]) -> Sequence[int]:
-        return self._numbers(Register.SPEED_LEFT, 2, signed=True)
+        return self._numbers(DspicRegister.SPEED_LEFT, 2, signed=True)
 
     def _on_f(self, values: Sequence[int]) -> Sequence[int]:
         self._set_control(Control.POSITION)
-        return self._write(Register.POSITION_ORDER_LEFT, _first(values, 2), size=4)
+        return self._write(DspicRegister.POSITION_ORDER_LEFT, _first(values, 2), size=4)
 
     def _on_g(self, values: Sequence[int]) -> Sequence[int]:
-        return self._numbers(Register.ULTRASONIC, N_ULTRASONIC)
+        return self._numbers(DspicRegister.ULTRASONIC, N_ULTRASONIC)
 
     def _on_h(self, values: Sequence[int]) -> Sequence[int]:
-        return self._write(Register.KP, _first(values, 3), size=1)
+        return self._write(DspicRegister.KP, _first(values, 3), size=1)
 
     def _on_i(self, values: Sequence[int]) -> Sequence[int]:
-        return self._write(Register.RESET_ENCODERS, [0], size=1)
+        return self._write(DspicRegister.RESET_ENCODERS, [0], size=1)
 
     def _on_j(self, values: Sequence[int]) -> Sequence[int]:
         return self._set_profile(_first(values, 5))
@@ -147,41 +147,41 @@ class Kh4Server:
     def _on_k(self, values: Sequence[int]) -> Sequence[int] | None:
         if len(values) != 9:
             return None
-        return self._write(Register.LEDS, [value & 0x3F for value in values], size=1)
+        return self._write(DspicRegister.LEDS, [value & 0x3F for value in values], size=1)
 
     def _on_l(self, values: Sequence[int]) -> Sequence[int]:
         self._set_control(Control.OPEN_LOOP)
-        return self._write(Register.PWM_ORDER_LEFT, _first(values, 2))
+        return self._write(DspicRegister.PWM_ORDER_LEFT, _first(values, 2))
 
     def _on_m(self, values: Sequence[int]) -> Sequence[int]:
         self._start()
         return ()
 
     def _on_n(self, values: Sequence[int]) -> Sequence[int]:
-        return self._numbers(Register.PROXIMITY, N_INFRARED)
+        return self._numbers(DspicRegister.PROXIMITY, N_INFRARED)
 
     def _on_o(self, values: Sequence[int]) -> Sequence[int]:
-        return self._numbers(Register.AMBIENT, N_INFRARED)
+        return self._numbers(DspicRegister.AMBIENT, N_INFRARED)
 
     def _on_p(self, values: Sequence[int]) -> Sequence[int]:
-        return self._write(Register.POSITION_MARGIN, _first(values, 1))
+        return self._write(DspicRegister.POSITION_MARGIN, _first(values, 1))
 
     def _on_r(self, values: Sequence[int]) -> Sequence[int]:
         return self._positions()
 
     def _on_s(self, values: Sequence[int]) -> Sequence[int]:
-        return self._numbers(Register.GYROSCOPE, 30, signed=True)
+        return self._numbers(DspicRegister.GYROSCOPE, 30, signed=True)
 
     def _on_t(self, values: Sequence[int]) -> Sequence[int]:
-        return self._numbers(Register.ACCELEROMETER, 30, signed=True)
+        return self._numbers(DspicRegister.ACCELEROMETER, 30, signed=True)
 
     def _on_u(self, values: Sequence[int]) -> Sequence[int]:
-        return self._write(Register.ULTRASONIC_ENABLED, _first(values, 1), size=1)
+        return self._write(DspicRegister.ULTRASONIC_ENABLED, _first(values, 1), size=1)
 
     def _on_v(self, values: Sequence[int]) -> Sequence[object] | None:
         if len(values) != 1 or not 0 <= values[0] < 8:
             return None
-        block = self._dspic.read(Register.BATTERY, BATTERY_BYTES)
+        block = self._dspic.read(DspicRegister.BATTERY, BATTERY_BYTES)
         current, average, temperature = (_signed(block[at : at + 2]) for at in (4, 6, 8))
         voltage = int.from_bytes(block[10:12], "little")
         told: Sequence[object] = (
@@ -197,8 +197,10 @@ class Kh4Server:
         return [told[values[0]]]
 
     def _on_x(self, values: Sequence[int]) -> bytes:
-        readings = [self._dspic.read(each, 25)[1:] for each in (Register.PROXIMITY, Register.AMBIENT)]
-        motors = (*self._numbers(Register.SPEED_LEFT, 2, signed=True), *self._positions())
+        readings = [
+            self._dspic.read(each, 25)[1:] for each in (DspicRegister.PROXIMITY, DspicRegister.AMBIENT)
+        ]
+        motors = (*self._numbers(DspicRegister.SPEED_LEFT, 2, signed=True), *self._positions())
         told = b"".join([b"x", *readings, *(value.to_bytes(4, "little", signed=True) for value in motors)])
         return (told + b"\n\r").ljust(BINARY_BYTES, b"\0")
 
@@ -208,32 +210,32 @@ class Kh4Server:
 
     def _start(self) -> None:
         """Set the motors' settings, as the program does at its start."""
-        self._write(Register.POSITION_MARGIN, [MARGIN])
-        self._write(Register.KP, (10, 5, 1), size=1)
+        self._write(DspicRegister.POSITION_MARGIN, [MARGIN])
+        self._write(DspicRegister.KP, (10, 5, 1), size=1)
         self._set_profile(DEFAULT_PROFILE)
         self._set_control(Control.IDLE)
 
     def _set_profile(self, profile: Sequence[int]) -> Sequence[int]:
-        self._write(Register.ACCELERATION, profile[:4], size=1)
-        return self._write(Register.POSITION_SPEED, profile[4:])
+        self._write(DspicRegister.ACCELERATION, profile[:4], size=1)
+        return self._write(DspicRegister.POSITION_SPEED, profile[4:])
 
     def _set_control(self, control: Control) -> None:
-        self._write(Register.CONTROL, [control], size=1)
+        self._write(DspicRegister.CONTROL, [control], size=1)
 
-    def _write(self, register: Register, values: Sequence[int], size: int = 2) -> Sequence[int]:
+    def _write(self, register: DspicRegister, values: Sequence[int], size: int = 2) -> Sequence[int]:
         """Write numbers of some bytes, cut off as in C; return the values of a reply without any."""
         limit = (1 << 8 * size) - 1
         self._dspic.write(bytes([register]) + b"".join((v & limit).to_bytes(size, "little") for v in values))
         return ()
 
-    def _numbers(self, register: Register, count: int, *, signed: bool = False) -> tuple[int, ...]:
+    def _numbers(self, register: DspicRegister, count: int, *, signed: bool = False) -> tuple[int, ...]:
         """Return numbers of two bytes."""
         content = self._dspic.read(register, 2 * count)
         pairs = (content[at : at + 2] for at in range(0, 2 * count, 2))
         return tuple(int.from_bytes(pair, "little", signed=signed) for pair in pairs)
 
     def _positions(self) -> tuple[int, int]:
-        content = self._dspic.read(Register.POSITION_LEFT, 8)
+        content = self._dspic.read(DspicRegister.POSITION_LEFT, 8)
         return _signed(content[:4]), _signed(content[4:])
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from khep_twin.khepera4.dspic import Dspic
 from khep_twin.khepera4.motor_control import PWM_LIMIT
-from khep_twin.khepera4.registers import Control, Register
+from khep_twin.khepera4.registers import Control, DspicRegister
 from khep_twin.khepera4.wheels import Wheels
 
 
@@ -24,7 +24,7 @@ class Driven:
 
 
 def speed_of(dspic: Dspic) -> int:
-    return int.from_bytes(dspic.read(Register.SPEED_LEFT, 2), "little", signed=True)
+    return int.from_bytes(dspic.read(DspicRegister.SPEED_LEFT, 2), "little", signed=True)
 
 
 def whole(value: int, size: int = 2) -> bytes:
@@ -33,9 +33,9 @@ def whole(value: int, size: int = 2) -> bytes:
 
 def driven(gains: tuple[int, int, int], control: Control, order: int) -> Driven:
     dspic = Dspic()
-    dspic.write(bytes([Register.KP, *gains]))
-    dspic.write(bytes([Register.SPEED_ORDER_LEFT]) + whole(order) * 2)
-    dspic.write(bytes([Register.CONTROL, control]))
+    dspic.write(bytes([DspicRegister.KP, *gains]))
+    dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT]) + whole(order) * 2)
+    dspic.write(bytes([DspicRegister.CONTROL, control]))
     return Driven(dspic)
 
 
@@ -55,23 +55,23 @@ def test_a_profile_holds_its_least_speed_and_rises_by_its_acceleration() -> None
     seconds = 1.27 + 0.07  # 380 steps of 3 in 10 ms, behind the hold
     assert wheels.run(round(100 * seconds))[-1] < 400
     assert wheels.run(60)[-1] == pytest.approx(400, rel=0.05)
-    wheels.dspic.write(bytes([Register.SPEED_ORDER_LEFT]) + whole(0) * 2)
+    wheels.dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT]) + whole(0) * 2)
     assert wheels.run(200)[-1] == pytest.approx(0, abs=2)
 
 
 def test_a_move_of_70000_pulses_takes_what_the_manuals_figure_shows() -> None:
     dspic = Dspic()
     wheels = Driven(dspic)
-    dspic.write(bytes([Register.POSITION_ORDER_LEFT]) + whole(70_000, 4) + whole(-70_000, 4))
-    dspic.write(bytes([Register.CONTROL, Control.POSITION]))
+    dspic.write(bytes([DspicRegister.POSITION_ORDER_LEFT]) + whole(70_000, 4) + whole(-70_000, 4))
+    dspic.write(bytes([DspicRegister.CONTROL, Control.POSITION]))
     ticks = 0
-    while dspic.read(Register.ON_TARGET, 1) != bytes([0b11]):
+    while dspic.read(DspicRegister.ON_TARGET, 1) != bytes([0b11]):
         wheels.run(1)
         ticks += 1
         assert ticks < 1000
     assert ticks * 0.010 == pytest.approx(3.05, rel=0.05)
     wheels.run(200)
-    for register, target in ((Register.POSITION_LEFT, 70_000), (Register.POSITION_RIGHT, -70_000)):
+    for register, target in ((DspicRegister.POSITION_LEFT, 70_000), (DspicRegister.POSITION_RIGHT, -70_000)):
         found = int.from_bytes(dspic.read(register, 4), "little", signed=True)
         assert found == pytest.approx(target, abs=40)
 
@@ -79,43 +79,43 @@ def test_a_move_of_70000_pulses_takes_what_the_manuals_figure_shows() -> None:
 def test_a_short_move_begins_where_a_long_one_has_ended() -> None:
     dspic = Dspic()
     wheels = Driven(dspic)
-    dspic.write(bytes([Register.CONTROL, Control.POSITION]))
+    dspic.write(bytes([DspicRegister.CONTROL, Control.POSITION]))
     for target in (3000, 3050):
-        dspic.write(bytes([Register.POSITION_ORDER_LEFT]) + whole(target, 4) * 2)
+        dspic.write(bytes([DspicRegister.POSITION_ORDER_LEFT]) + whole(target, 4) * 2)
         assert dspic.tick(*wheels.wheels.pulses) != (0, 0)
         wheels.run(300)
-        assert dspic.read(Register.ON_TARGET, 1) == bytes([0b11])
+        assert dspic.read(DspicRegister.ON_TARGET, 1) == bytes([0b11])
 
 
 def test_an_open_loop_gives_its_pwm_clipped_to_what_is_full() -> None:
     dspic = Dspic()
-    dspic.write(bytes([Register.PWM_ORDER_LEFT]) + whole(1000) + whole(-9000))
-    dspic.write(bytes([Register.CONTROL, Control.OPEN_LOOP]))
+    dspic.write(bytes([DspicRegister.PWM_ORDER_LEFT]) + whole(1000) + whole(-9000))
+    dspic.write(bytes([DspicRegister.CONTROL, Control.OPEN_LOOP]))
     assert dspic.tick(0, 0) == (1000, -PWM_LIMIT)
-    dspic.write(bytes([Register.CONTROL, Control.IDLE]))
+    dspic.write(bytes([DspicRegister.CONTROL, Control.IDLE]))
     assert dspic.tick(0, 0) == (0, 0)
 
 
 def test_a_read_runs_on_through_the_map_and_ends_with_zeros() -> None:
     dspic = Dspic()
-    dspic.sense(Register.PROXIMITY, range(100, 112))
-    found = dspic.read(Register.AMBIENT, 48)
+    dspic.sense(DspicRegister.PROXIMITY, range(100, 112))
+    found = dspic.read(DspicRegister.AMBIENT, 48)
     assert found[:24] == bytes(24)
     assert [int.from_bytes(found[at : at + 2], "little") for at in range(24, 48, 2)] == list(range(100, 112))
     dspic.set_battery(bytes(range(12)))
-    assert dspic.read(Register.BATTERY, 16) == bytes([*range(12), 0, 0, 0, 0])
+    assert dspic.read(DspicRegister.BATTERY, 16) == bytes([*range(12), 0, 0, 0, 0])
 
 
 def test_what_cannot_be_written_stays_and_a_reset_takes_back_the_rest() -> None:
     dspic = Dspic()
     before = dspic.read(0, 256)
-    dspic.write(bytes([Register.SPEED_LEFT, 1, 2, 3, 4]))
-    dspic.write(bytes([Register.REVISION, 0xFF]))
+    dspic.write(bytes([DspicRegister.SPEED_LEFT, 1, 2, 3, 4]))
+    dspic.write(bytes([DspicRegister.REVISION, 0xFF]))
     dspic.write(b"")
     assert dspic.read(0, 256) == before
-    dspic.write(bytes([Register.LEDS, *range(9)]))
+    dspic.write(bytes([DspicRegister.LEDS, *range(9)]))
     assert dspic.leds == bytes(range(9))
-    dspic.write(bytes([Register.ULTRASONIC_ENABLED, 0b101]))
+    dspic.write(bytes([DspicRegister.ULTRASONIC_ENABLED, 0b101]))
     assert dspic.ultrasonic_enabled == 0b101
     dspic.reset()
     assert dspic.read(0, 256) == before
@@ -124,7 +124,7 @@ def test_what_cannot_be_written_stays_and_a_reset_takes_back_the_rest() -> None:
 def test_a_reset_of_the_encoders_counts_from_zero_again() -> None:
     dspic = Dspic()
     dspic.tick(1000, 2000)
-    dspic.write(bytes([Register.RESET_ENCODERS, 1]))
-    assert dspic.read(Register.POSITION_LEFT, 8) == bytes(8)
+    dspic.write(bytes([DspicRegister.RESET_ENCODERS, 1]))
+    assert dspic.read(DspicRegister.POSITION_LEFT, 8) == bytes(8)
     dspic.tick(1010, 1995)
-    assert dspic.read(Register.POSITION_LEFT, 8) == whole(10, 4) + whole(-5, 4)
+    assert dspic.read(DspicRegister.POSITION_LEFT, 8) == whole(10, 4) + whole(-5, 4)

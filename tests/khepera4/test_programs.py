@@ -14,7 +14,7 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.khepera4.dspic import Dspic
 from khep_twin.khepera4.machine import CHARGER_PIN, Machine
 from khep_twin.khepera4.programs import run_program
-from khep_twin.khepera4.registers import Register
+from khep_twin.khepera4.registers import DspicRegister
 from khep_twin.khepera4.wheels import Wheels
 
 pytestmark = pytest.mark.skipif(
@@ -90,7 +90,7 @@ def test_pins_reset_the_dspic_and_tell_of_the_charger(
     dspic = Dspic()
     own = Machine(dspic, Wheels().turn)
     own.set_pin(CHARGER_PIN, 0)
-    dspic.write(bytes([Register.KP, 99]))
+    dspic.write(bytes([DspicRegister.KP, 99]))
     assert run_program([str(programs / "pins")], own) == 0
     assert capfd.readouterr().out.splitlines() == ["charger 0", "held ENXIO", "kp 10"]
 

@@ -3,17 +3,17 @@
 import pytest
 
 from khep_twin.khepera4.dspic import Dspic
-from khep_twin.khepera4.registers import Control, Register
+from khep_twin.khepera4.registers import Control, DspicRegister
 from khep_twin.khepera4.server import Kh4Server
 
 
 def sensing() -> Dspic:
     dspic = Dspic()
-    dspic.sense(Register.PROXIMITY, range(12))
-    dspic.sense(Register.AMBIENT, range(900, 912))
-    dspic.sense(Register.ULTRASONIC, [25, 2000, 1000, 0, 250])
-    dspic.sense(Register.GYROSCOPE, range(-15, 15))
-    dspic.sense(Register.ACCELEROMETER, [-16384] * 30)
+    dspic.sense(DspicRegister.PROXIMITY, range(12))
+    dspic.sense(DspicRegister.AMBIENT, range(900, 912))
+    dspic.sense(DspicRegister.ULTRASONIC, [25, 2000, 1000, 0, 250])
+    dspic.sense(DspicRegister.GYROSCOPE, range(-15, 15))
+    dspic.sense(DspicRegister.ACCELEROMETER, [-16384] * 30)
     dspic.set_battery(
         bytes([3])
         + (2000).to_bytes(2, "little")
@@ -82,14 +82,19 @@ def test_a_command_ends_with_its_line_and_what_is_behind_it_is_lost() -> None:
 def test_orders_reach_the_registers_with_their_control_type() -> None:
     dspic = Dspic()
     server = Kh4Server(dspic)
-    assert dspic.read(Register.POSITION_MARGIN, 2) == bytes([20, 0])
+    assert dspic.read(DspicRegister.POSITION_MARGIN, 2) == bytes([20, 0])
     for command, control, register, content in (
-        (b"D,300,-2\n", Control.SPEED, Register.SPEED_ORDER_LEFT, bytes([44, 1, 254, 255])),
-        (b"L,-1\n", Control.OPEN_LOOP, Register.PWM_ORDER_LEFT, bytes([255, 255, 0, 0])),
-        (b"F,65536,x\n", Control.POSITION, Register.POSITION_ORDER_LEFT, bytes([0, 0, 1, 0, 0, 0, 0, 0])),
+        (b"D,300,-2\n", Control.SPEED, DspicRegister.SPEED_ORDER_LEFT, bytes([44, 1, 254, 255])),
+        (b"L,-1\n", Control.OPEN_LOOP, DspicRegister.PWM_ORDER_LEFT, bytes([255, 255, 0, 0])),
+        (
+            b"F,65536,x\n",
+            Control.POSITION,
+            DspicRegister.POSITION_ORDER_LEFT,
+            bytes([0, 0, 1, 0, 0, 0, 0, 0]),
+        ),
     ):
         server.receive(command)
-        assert dspic.read(Register.CONTROL, 1) == bytes([control])
+        assert dspic.read(DspicRegister.CONTROL, 1) == bytes([control])
         assert dspic.read(register, len(content)) == content
     server.receive(b"K,64,65,63,0,0,0,0,0,255\n")
     assert dspic.leds == bytes([0, 1, 63, 0, 0, 0, 0, 0, 63])
@@ -106,7 +111,7 @@ def test_the_binary_reply_has_the_published_programs_length_and_shift() -> None:
 
 
 def orders(dspic: Dspic) -> tuple[int, int]:
-    content = dspic.read(Register.SPEED_ORDER_LEFT, 4)
+    content = dspic.read(DspicRegister.SPEED_ORDER_LEFT, 4)
     left, right = (int.from_bytes(part, "little", signed=True) for part in (content[:2], content[2:]))
     return left, right
 
@@ -117,19 +122,19 @@ def test_its_vehicle_drives_avoids_turns_where_it_is_blocked_and_stops() -> None
     server.receive(b"A,0\n")
     server.tick()
     assert orders(dspic) == (200, 200)
-    dspic.sense(Register.PROXIMITY, [0, 0, 300, 0, 0, 0, 0, 0])  # front left
+    dspic.sense(DspicRegister.PROXIMITY, [0, 0, 300, 0, 0, 0, 0, 0])  # front left
     server.tick()
     assert orders(dspic) == (200 + 4 * 110 // 3, 200 - 4 * 110 // 3)
-    dspic.sense(Register.PROXIMITY, [0, 0, 0, 400, 0, 0, 0, 0])
+    dspic.sense(DspicRegister.PROXIMITY, [0, 0, 0, 400, 0, 0, 0, 0])
     for _ in range(6):
         server.tick()
     assert orders(dspic) == (120, -120)
-    dspic.sense(Register.PROXIMITY, [0] * 8)
+    dspic.sense(DspicRegister.PROXIMITY, [0] * 8)
     server.tick()
     assert orders(dspic) == (200, 200)
     assert server.receive(b"E\n") == b"e,0,0\r\n"
     server.receive(b"A,2\n")
     assert orders(dspic) == (0, 0)
-    assert dspic.read(Register.CONTROL, 1) == bytes([Control.IDLE])
+    assert dspic.read(DspicRegister.CONTROL, 1) == bytes([Control.IDLE])
     server.tick()
     assert orders(dspic) == (0, 0)

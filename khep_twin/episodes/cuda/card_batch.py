@@ -230,7 +230,7 @@ class _Table:
         self.told: dict[str, Floats] = {}
 
     def tell(self) -> None:
-        """Copy from the card what is told after each launch."""
+        """Copy the numbers of `told` from the card."""
         for name, words in self._layout.told.items():
             shape = len(words), self.words.shape[1]
             part = self.words[words.start : words.stop].copy_to_host() if words else np.zeros(shape)
