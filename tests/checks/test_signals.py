@@ -166,6 +166,7 @@ def test_what_does_not_end_is_ended_without_a_second_signal(tmp_path: Path) -> N
     assert (tmp_path / "cleared").exists()
 
 
+@pytest.mark.long
 def test_what_comes_to_its_end_by_itself_is_not_interrupted(tmp_path: Path) -> None:
     text = """
         with answered():

@@ -61,6 +61,7 @@ def test_a_twin_that_nobody_knows_is_calibrated_by_one_command(
     assert "mine.toml: is there already" in complaint(*words, folder=tmp_path, codes=[2])
 
 
+@pytest.mark.long
 def test_a_person_at_a_served_twin_reads_answers_and_interrupts(tmp_path: Path) -> None:
     """Two steps are skipped, the third is driven, and Ctrl-C comes before the wall."""
     hidden(tmp_path)

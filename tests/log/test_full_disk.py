@@ -127,6 +127,7 @@ def test_a_server_whose_log_may_not_grow_loses_at_most_a_second_and_ends(tmp_pat
     assert float(told[1]) - 1 <= until(tmp_path / "run.mcap.part") <= float(told[1])
 
 
+@pytest.mark.long
 def test_a_server_that_is_asked_to_carry_on_goes_on_answering(tmp_path: Path) -> None:
     link = tmp_path / "khepera"
     server, line = serve_until_it_is_full(tmp_path / "run.mcap", "--ignore-log-errors", "--link", str(link))

@@ -141,6 +141,7 @@ def test_a_second_host_is_refused_and_reported() -> None:
     assert "a second host, 127.0.0.1, was refused" in errors
 
 
+@pytest.mark.long
 def test_a_host_that_goes_leaves_nothing_for_the_next() -> None:
     with served("default", "--tcp", "127.0.0.1:0") as (_, url):
         for _ in range(5):

@@ -79,6 +79,7 @@ def test_a_robot_that_was_put_elsewhere_is_found_there_and_one_that_was_not_is_n
     assert np.hypot(x - 0.56, y - 0.12).min() < 0.03
 
 
+@pytest.mark.long
 def test_a_robot_that_is_a_little_off_is_found_there_and_not_elsewhere_in_any_order_of_changes() -> None:
     turning = Turning()
     since_ns = turning.turn(2)

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
-from shares import share
 
 from khep_twin.errors import ChallengeError
 from khep_twin.lab.challenge.challenge import names
@@ -107,7 +106,8 @@ def test_a_second_attempt_is_refused_and_a_stopped_one_leaves_no_process(
     assert ask(page, "challenges")["now"] is None  # pyright: ignore
 
 
-@pytest.mark.parametrize("end", share(["designer", "pages"], 2))
+@pytest.mark.long
+@pytest.mark.parametrize("end", ["designer", "pages"])
 def test_without_a_designer_or_an_open_page_no_process_is_left(
     page: Challenges, ear: Ear, tmp_path: Path, end: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -208,6 +208,7 @@ def test_in_the_maze_a_program_that_turns_to_one_side_finds_the_goal_in_half_of_
     assert file.challenge.passes(found.value) is False
 
 
+@pytest.mark.long
 def test_tables_made_by_one_and_by_two_processes_are_the_same_bytes(
     short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

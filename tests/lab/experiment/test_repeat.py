@@ -179,6 +179,7 @@ def test_a_host_that_takes_back_changes_its_speed_and_hangs_up_repeats(tmp_path:
     assert repeat(recorded) is None
 
 
+@pytest.mark.long
 def test_a_run_served_by_the_clock_on_the_wall_repeats(tmp_path: Path) -> None:
     with served("--log", str(tmp_path / "run.mcap")) as (_, port):
         for _ in range(2):
