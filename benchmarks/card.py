@@ -29,8 +29,7 @@ from benchmarks.peers import Kheperax, kheperax_python
 from benchmarks.scale import PLAYPENS
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Braitenberg, Driver, Floats, Network
-from khep_twin.episodes.cuda import card as device
-from khep_twin.episodes.cuda import card_batch, kernel
+from khep_twin.episodes.cuda import card, card_batch, kernel
 from khep_twin.episodes.device import missing_card
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.machine import n_cores
@@ -38,6 +37,8 @@ from khep_twin.playpen import Playpen
 
 NETWORK = Network(hidden=(5,), recurrent=True)
 BEGUN = time.monotonic()
+WAITING = Lock()
+"""Lock that a launch waits for, so that its own time is measured."""
 
 
 class Clock:
@@ -65,10 +66,6 @@ def clocked() -> Iterator[Clock]:
         yield clock
     finally:
         card_batch.CardBatch._launch = plain
-
-
-WAITING = Lock()
-"""Lock that a launch waits for, so that its own time is measured."""
 
 
 def genes(count: int) -> Floats:
@@ -106,12 +103,12 @@ def speed(name: str, driver: Driver, count: int, seconds: float, device: str = "
         rollout(setup, driver, range(count), seconds, genes=own, device=device)  # type: ignore[arg-type]
         took = time.perf_counter() - begin
     done, kind = count * seconds, "network" if isinstance(driver, Network) else "ROM"
-    card = ""
+    of_card = ""
     if device == "cuda":
         running = clock.all - clock.switching_on
-        card = f"; card {done / running:12,.0f}, {running:.2f} s, transfers {clock.switching_on:.2f} s"
+        of_card = f"; card {done / running:12,.0f}, {running:.2f} s, transfers {clock.switching_on:.2f} s"
     where = device if device == "cuda" else f"{n_cores()} cores"
-    print(f"  {name:14} {kind:8}{where:9}{count:8,} episodes: {done / took:12,.0f}{card}", flush=True)
+    print(f"  {name:14} {kind:8}{where:9}{count:8,} episodes: {done / took:12,.0f}{of_card}", flush=True)
     return took
 
 
@@ -178,13 +175,13 @@ def main(words: list[str] | None = None) -> int:
                     expected = speed(name, driver, count, seconds)
     if "blocks" in given.parts:
         print("\nblocks at once on each multiprocessor, of 64 threads")
-        plain, count = device.FILLING, 2 * device.FILLING * device.n_processors()
+        plain, count = card.FILLING, 2 * card.FILLING * card.n_processors()
         for blocks in (1, 2, 4, 8):
-            device.FILLING = blocks * card_batch.BLOCK
+            card.FILLING = blocks * card_batch.BLOCK
             if left(given.limit) > 20:
                 print(f"{blocks:3}", end="")
                 speed("obstacles", NETWORK, min(count, sizes[-1]), seconds)
-        device.FILLING = plain
+        card.FILLING = plain
     if "kheperax" in given.parts and left(given.limit) > 60:
         kheperax(given.kheperax, sizes[-2:], seconds)
     if "million" in given.parts:

@@ -158,7 +158,7 @@ class CardBatch(EpisodeBatch):
         """Return an episode, copied from the card unless its robot is still to be switched on."""
         episode, begun = self._own[index], self._begun[index]
         given = _arguments(episode, *begun)
-        if self._layout is not None and self._table is not None and index not in self._fresh:
+        if self._table is not None and index not in self._fresh:
             if self._copied is None:
                 with _LAUNCH:
                     self._copied = self._table.words.copy_to_host()
