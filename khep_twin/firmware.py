@@ -109,7 +109,10 @@ class Firmware:
         baud: Speed of the serial line from the next reply on [baud].
         reply_baud: Speed of the line for the last reply [baud]; differs from `baud` after the tool `serial`.
         running: ROM function that runs; empty for none.
+        answer_ns: Time that an answer takes [ns], 0.
     """
+
+    answer_ns = 0
 
     def __init__(
         self,

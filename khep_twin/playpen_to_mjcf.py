@@ -23,13 +23,14 @@ import mujoco
 
 from khep_twin import units
 from khep_twin.playpen import Arena, Block, Cylinder, Patch, Playpen, Wall
-from khep_twin.playpen.footprint import Circle, Footprint, Rectangle
+from khep_twin.playpen.footprint import Circle, Footprint, Rectangle, overlap
 from khep_twin.playpen.merge import merged
 from khep_twin.playpen.polygon import walls_around
 from khep_twin.playpen.stripes import Panel, panels, panels_within
 from khep_twin.playpen.surfaces import Surface
 from khep_twin.robot_to_mjcf import SOLIMP, SOLREF, add_contact, add_robot
 from khep_twin.sensing.line_faces import STRIPE
+from khep_twin.sensing.mujoco_scene import GROUND_GROUP
 
 STEPS_NS = (units.STEP_NS, 2 * units.STEP_NS, 4 * units.STEP_NS)
 """Valid steps of a scene [ns]: the robot's own, of one conversion, and coarser ones for many runs."""
@@ -44,9 +45,19 @@ _FRICTION_RATIO = 5e4
 _PATCH_HEIGHT = 0.0002
 """Height of patches on the floor [m]: as thin as paint."""
 
+_PATCH_RISE = 2e-6
+"""Height of a patch above another that it lies on [m]."""
+
 _PANEL_GAP = 5e-5
 """Distance of stripes in front of what they are on, and their thickness [m]."""
 
+_TABLE_TOP, _TABLE_HEIGHT = 0.02, 0.1
+"""Thickness of a table's top, and its height above the ground [m]."""
+
+_SLAB = 0.01
+"""Thickness of a ramp [m]."""
+
+_GROUND_COLOUR = [0.45, 0.43, 0.40, 1]
 _FLOOR_COLOUR = [0.93, 0.92, 0.88, 1]
 
 
@@ -70,14 +81,17 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
         any(item.movable for items in playpen.objects.values() for item in items),
         n_robots=len(playpen.robots),
     )
-    obstacles = _add_arena(spec, playpen)
+    obstacles, grounds = _add_arena(spec, playpen), ["floor"]
+    if playpen.arena.table:
+        grounds.append(_lower_ground(spec))
     for kind, items in playpen.objects.items():
         for index, item in merged(playpen.blocks) if kind == "block" else enumerate(items):
-            obstacles.append(_add_object(spec, playpen, f"{kind}{index}", item))
+            name = _add_object(spec, playpen, f"{kind}{index}", item)
+            (grounds if isinstance(item, Block) and item.ramp else obstacles).append(name)
     for index, wall in enumerate(playpen.walls):
         obstacles += _add_wall(spec, playpen, f"wall{index}", wall)
     for index, patch in enumerate(playpen.patches):
-        _add_patch(spec, playpen, f"patch{index}", patch)
+        _add_patch(spec, playpen, index, patch)
     for index, lamp in enumerate(playpen.lamps):
         position = [units.metres(lamp.x_mm), units.metres(lamp.y_mm), units.metres(lamp.z_mm)]
         spec.worldbody.add_site(
@@ -92,11 +106,11 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     controls: list[float] = []
     for index, robot in enumerate(playpen.robots):
         prefix = f"khepera{index}/"
-        names, held = add_robot(spec, prefix, robot)
+        names, held = add_robot(spec, prefix, robot, grounds)
         hands.append(names)
         controls += held
         shell = prefix + "shell"
-        for obstacle in [*obstacles, *shells]:
+        for obstacle in [*obstacles, *(grounds if len(grounds) > 1 else ()), *shells]:
             add_contact(spec, shell, obstacle, SHELL_FRICTION)
         shells.append(shell)
     if any(hands):
@@ -189,6 +203,12 @@ def _add_arena(spec: mujoco.MjSpec, playpen: Playpen) -> list[str]:
         solimp=SOLIMP,
         userdata=[playpen.surface("white").reflectance, 0],
     )
+    if arena.table:
+        floor = spec.geom("floor")
+        floor.type, floor.group = mujoco.mjtGeom.mjGEOM_BOX, GROUND_GROUP
+        floor.pos = [width / 2, depth / 2, -_TABLE_TOP / 2]
+        floor.size = [width / 2, depth / 2, _TABLE_TOP / 2]
+        return []
     if arena.outline_mm:
         names: list[str] = []
         for number, shape in enumerate(walls_around(arena.outline_mm, arena.wall_thickness_mm), 1):
@@ -214,6 +234,24 @@ def _add_arena(spec: mujoco.MjSpec, playpen: Playpen) -> list[str]:
     return list(walls)
 
 
+def _lower_ground(spec: mujoco.MjSpec) -> str:
+    """Add the ground below a table; return its name."""
+    floor = spec.geom("floor")
+    spec.worldbody.add_geom(
+        name="ground",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        pos=[floor.pos[0], floor.pos[1], -_TABLE_HEIGHT],
+        size=[floor.size[0] + 0.5, floor.size[1] + 0.5, 0.01],
+        rgba=_GROUND_COLOUR,
+        contype=0,
+        conaffinity=1,
+        solref=SOLREF,
+        solimp=SOLIMP,
+        userdata=[0, 0],
+    )
+    return "ground"
+
+
 def _add_object(spec: mujoco.MjSpec, playpen: Playpen, name: str, item: Block | Cylinder) -> str:
     shape, height = item.footprint, units.metres(item.height_mm)
     if item.movable:
@@ -228,7 +266,27 @@ def _add_object(spec: mujoco.MjSpec, playpen: Playpen, name: str, item: Block | 
         geom = _add_upright(spec, name, shape, height)
         _add_stripes(spec.worldbody, playpen, name, panels(shape, item.stripes), height)
     _paint(geom, playpen, item, item.movable)
+    if isinstance(item, Block) and item.ramp:
+        _make_ramp(geom, item)
     return name
+
+
+def _make_ramp(geom: mujoco.MjsGeom, block: Block) -> None:
+    """Tilt a block so that its top rises along its length, as a slab that begins below the floor."""
+    length, height = units.metres(block.length_mm), units.metres(block.height_mm)
+    heading, slope, half = units.radians(block.angle_deg) / 2, math.atan2(height, length) / 2, _SLAB / 2
+    # By the heading, and then by the slope about its own left.
+    c, s, up, down = math.cos(heading), math.sin(heading), math.cos(slope), -math.sin(slope)
+    geom.quat = [c * up, -s * down, c * down, s * up]
+    back = half * math.sin(2 * slope)
+    x, y = units.metres(block.x_mm), units.metres(block.y_mm)
+    geom.pos = [
+        x + back * math.cos(2 * heading),
+        y + back * math.sin(2 * heading),
+        height / 2 - half * math.cos(2 * slope),
+    ]
+    geom.size = [math.hypot(length, height) / 2, units.metres(block.width_mm) / 2, half]
+    geom.group = GROUND_GROUP
 
 
 def _add_wall(spec: mujoco.MjSpec, playpen: Playpen, name: str, wall: Wall) -> list[str]:
@@ -242,8 +300,10 @@ def _add_wall(spec: mujoco.MjSpec, playpen: Playpen, name: str, wall: Wall) -> l
     return names
 
 
-def _add_patch(spec: mujoco.MjSpec, playpen: Playpen, name: str, patch: Patch) -> None:
-    geom = _add_upright(spec, name, patch.footprint, _PATCH_HEIGHT)
+def _add_patch(spec: mujoco.MjSpec, playpen: Playpen, index: int, patch: Patch) -> None:
+    # A patch on others lies above them, by less than paint is thick.
+    below = sum(overlap(patch.footprint, other.footprint) for other in playpen.patches[:index])
+    geom = _add_upright(spec, f"patch{index}", patch.footprint, _PATCH_HEIGHT + below * _PATCH_RISE)
     _paint(geom, playpen, patch, movable=False)
     geom.conaffinity = 0  # visual only
 

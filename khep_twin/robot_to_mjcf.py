@@ -1,11 +1,17 @@
-"""Robot of a playpen as a part of its scene: khepera.xml fitted to body and calibration, with its turrets.
+"""Robot of a playpen as a part of its scene: its model's file fitted to its calibration, with its turrets.
 
 Contacts of robots are explicit pairs, as stiff as the step allows but for the tyres, which are springs.
 """
 
+# MuJoCo's types are partly unknown.
+# pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false, reportUnknownArgumentType=false
+
 import math
+from collections.abc import Sequence
 from importlib.resources import files
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import mujoco
 
@@ -14,7 +20,7 @@ from khep_twin.board.turrets import find, raised_by
 from khep_twin.playpen import RobotEntry
 from khep_twin.sensing import calibration
 
-ROBOT_FILE = Path(str(files("khep_twin"))) / "assets" / "khepera.xml"
+ASSETS = Path(str(files("khep_twin"))) / "assets"
 
 SOLREF = [2.5 * units.STEP_NS * 1e-9, 1.0]
 """Stiffest contact that is stable at this step: time constant 2.5 steps, critically damped (measured)."""
@@ -27,21 +33,34 @@ _TYRE_SOLIMP = [0.002, 0.002, 0.0005, 0.5, 2]
 at a speed by impedance x friction x speed x time constant: a stiff one leaves the floor, again and again."""
 
 
-def add_robot(spec: mujoco.MjSpec, prefix: str, robot: RobotEntry) -> tuple[list[str], list[float]]:
+_SPRING_SOLIMP = [0.5, 0.5, 0.001, 0.5, 2]
+"""Impedance of supports on springs, at which MuJoCo's stiffness is that of the spring over the moved mass."""
+
+
+def add_robot(
+    spec: mujoco.MjSpec, prefix: str, robot: RobotEntry, grounds: Sequence[str] = ("floor",)
+) -> tuple[list[str], list[float]]:
     """Add a robot with its turrets to the scene.
+
+    Args:
+        spec: Scene.
+        prefix: Prefix of the names of its parts.
+        robot: Entry of the playpen.
+        grounds: Geoms that it may drive on.
 
     Returns:
         Names of the turrets' colliding geoms, and the initial controls of all its motors.
     """
-    child = mujoco.MjSpec.from_file(str(ROBOT_FILE))
+    child = mujoco.MjSpec.from_file(str(ASSETS / robot.body.scene))
     controls = _take_home(child)
     measured = calibration.read(robot.calibration)[0]
-    _fit_body(child, units.BODIES[robot.model])
+    _fit_body(child, robot.body)
     _fit_wheels(child, measured.wheels)
     _fit_motors(child, measured.motors)
-    for sensor, heading_deg in zip(units.Sensor, measured.heading_deg, strict=True):
+    # The Khepera IV's other sensors look at the floor.
+    cameras: list[Any] = list(child.cameras)
+    for camera, heading_deg in zip(cameras, measured.heading_deg, strict=False):
         heading = units.radians(heading_deg)
-        camera = child.camera(sensor.key)
         camera.alt.xyaxes = [math.sin(heading), -math.cos(heading), 0, 0, 0, 1]
     hands: list[str] = []
     kinds = find(robot.turrets)
@@ -59,16 +78,18 @@ def add_robot(spec: mujoco.MjSpec, prefix: str, robot: RobotEntry) -> tuple[list
         quat=[math.cos(heading / 2), 0, 0, math.sin(heading / 2)],
     )
     spec.attach(child, prefix=prefix, frame=frame)
-    for tyre in ("left_tyre", "right_tyre"):
-        pair = add_contact(spec, prefix + tyre, "floor", measured.wheels.friction)
+    for tyre, ground in product(("left_tyre", "right_tyre"), grounds):
+        pair = add_contact(spec, prefix + tyre, ground, measured.wheels.friction)
         pair.solimp = _TYRE_SOLIMP
         # MuJoCo divides it by the impedance: friction acts as fast as that of a stiff contact.
         pair.solreffriction = [SOLREF[0] / _TYRE_SOLIMP[0], 1]
         # The spring begins above the floor, so that the loaded tyre just touches it.
         pair.margin = sag
-    for support in ("front_support", "back_support"):
+    for support, ground in product(("front_support", "back_support"), grounds):
         # Polished balls: without friction, which also keeps odometry clean.
-        add_contact(spec, prefix + support, "floor", 0.0)
+        pair = add_contact(spec, prefix + support, ground, 0.0)
+        if robot.body.support_solref is not None:
+            pair.solref, pair.solimp = robot.body.support_solref, _SPRING_SOLIMP
     return hands, controls
 
 
@@ -95,8 +116,8 @@ def _take_home(part: mujoco.MjSpec) -> list[float]:
 
 
 def _fit_body(robot: mujoco.MjSpec, body: units.Body) -> None:
-    """Set the body of the robot's model; assets/khepera.xml has the Khepera's."""
-    if body is units.BODIES["khepera1"]:
+    """Set the body of a Khepera II; the file has that of another model."""
+    if body is not units.BODIES["khepera2"]:
         return
     for name, rim in (("base", 0.0), ("board", 0.001), ("shell", 0.0)):
         geom = robot.geom(name)
@@ -117,15 +138,15 @@ def _fit_wheels(robot: mujoco.MjSpec, wheels: calibration.WheelCalibration) -> N
     half_base = units.metres(wheels.base_mm) / 2
     for side, y, radius in zip(("left", "right"), (half_base, -half_base), wheels.radii, strict=True):
         wheel, tyre, rim = robot.body(f"{side}_wheel"), robot.geom(f"{side}_tyre"), robot.geom(f"{side}_rim")
-        wheel.inertia = wheel_inertia(wheel.mass, radius)
+        wheel.inertia = wheel_inertia(wheel.mass, radius, 2 * rim.size[1])
         tyre.size = [radius, *tyre.size[1:]]
         rim.size = [radius, *rim.size[1:]]
         wheel.pos = rim.pos = [0, y, radius]
 
 
-def wheel_inertia(mass: float, radius: float) -> list[float]:
+def wheel_inertia(mass: float, radius: float, width: float) -> list[float]:
     """Return the principal inertias of a wheel, a cylinder [kg m^2], about its axle last."""
-    across = mass * (3 * radius**2 + units.WHEEL_WIDTH**2) / 12
+    across = mass * (3 * radius**2 + width**2) / 12
     return [across, across, mass * radius**2 / 2]
 
 

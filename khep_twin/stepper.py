@@ -41,7 +41,8 @@ class Stepper:
         world: World.
         simulation: State that the stepping core works on.
         code: Code that steps it.
-        has_turrets: True if a robot has turrets, which act after each control tick.
+        stops: Reasons of `step` for which robots act amid a run: TICKED for turrets, STEPPED and TICKED for
+            robots that the stepping core does not run.
         shows_leds: True if the scene shows the robots' LEDs.
 
     Attributes:
@@ -55,11 +56,11 @@ class Stepper:
         simulation: Simulation,
         code: SteppingCode,
         *,
-        has_turrets: bool,
+        stops: int,
         shows_leds: bool,
     ) -> None:
         self._world, self._simulation, self._code = world, simulation, code
-        self._has_turrets, self._shows_leds = has_turrets, shows_leds
+        self._stops, self._shows_leds = stops, shows_leds
         self._step_ns = simulation.plain.timing.step_ns
         self._steps_per_sample = simulation.plain.timing.steps_per_supply
         self.rewind()
@@ -81,6 +82,8 @@ class Stepper:
         self._find_faults()
         self._simulation.on_switch = self._on_switch
         self._run(self._simulation.switch_on)
+        for robot in robots:
+            robot.switch_on()
 
     def advance_to(self, time_ns: int) -> None:
         """Advance to a time [ns]: see `World.advance_to`."""
@@ -105,7 +108,7 @@ class Stepper:
     @property
     def is_self_contained(self) -> bool:
         """True if nothing outside the stepping core acts amid a run: no turret, LED, fault or observer."""
-        acts = self._shows_leds or self._has_turrets or bool(self._world.observers)
+        acts = self._shows_leds or bool(self._stops) or bool(self._world.observers)
         return not acts and self._fault_ns == NEVER_NS
 
     def set_state(self, state: WorldState) -> None:
@@ -170,7 +173,7 @@ class Stepper:
             if self._world.observers or any(robot.leds_differ for robot in self.robots):
                 end = boundary
         end = max(end, steps + 1)
-        stops = step.TICKED if self._has_turrets else 0
+        stops = self._stops
         if self._fault_ns <= end * step_ns:
             stops = step.STEPPED | step.TICKED
         while self._run(self._simulation.advance, end, stops) != step.DONE:

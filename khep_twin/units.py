@@ -167,6 +167,10 @@ class Body:
         sensor_positions: Positions of the sensors' faces, x forward and y left of the centre (8, 2) [m].
         sensor_height: Height of the sensors above the ground [m].
         idle_current: Current with the motors at rest [A].
+        height: Height [m].
+        scene: File of its model in the assets.
+        support_solref: Contact of the supports with the floor, as MuJoCo's `solref`; None for stiff ones.
+        in_core: Whether the stepping core runs its board; else the robot does, between the core's steps.
     """
 
     radius: float
@@ -175,6 +179,10 @@ class Body:
     sensor_positions: tuple[tuple[float, float], ...]
     sensor_height: float
     idle_current: float
+    height: float = BODY_HEIGHT
+    scene: str = "khepera.xml"
+    support_solref: tuple[float, float] | None = None
+    in_core: bool = True
 
 
 BODIES = {
@@ -196,10 +204,27 @@ BODIES = {
         0.017,
         0.2464,
     ),
+    "khepera4": Body(
+        0.0704,
+        0.540,
+        0.050,
+        tuple(
+            (0.068 * math.cos(heading), 0.068 * math.sin(heading))
+            for heading in map(math.radians, (135, 90, 45, 0, -45, -90, -135, 180))
+        ),
+        0.01435,
+        0.4857,
+        0.0577,
+        "khepera4/khepera4.xml",
+        (-600.0, -50.0),
+        in_core=False,
+    ),
 }
 """Bodies by model. The Khepera II: 70 mm and 80 g (simulators, host libraries), sensors as in its manual's
 figure 7, scaled to that diameter, their height after Webots; 250 mAh that last 60 minutes (manual II), less
-the motors' share; supports and height like the Khepera's (assumed)."""
+the motors' share; supports and height like the Khepera's (assumed). The Khepera IV: its manual, see
+`assets/khepera4/khepera4.xml`; 3400 mAh that last 7 hours without motors; casters on springs of some 100 N/m,
+without which wheels would leave the floor at the foot of any ramp (assumed)."""
 
 SENSOR_HEADINGS = tuple(math.radians(heading_deg) for heading_deg in (88, 45, 8, -8, -45, -88, 180, 180))
 """Heading of each sensor, counter-clockwise from straight ahead [rad] (a lamp far away, measured on one

@@ -21,6 +21,8 @@ from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import to_ns
 from khep_twin.copies import NotCopied
 from khep_twin.errors import DivergedError, SnapshotError
+from khep_twin.khepera4.robot import Khepera4Robot
+from khep_twin.khepera_robot import KheperaRobot
 from khep_twin.one_thread import one_thread
 from khep_twin.playpen import Lamp, Lighting, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, at_spots
@@ -121,7 +123,10 @@ class World(NotCopied):
         self.simulation = Simulation(self._forms, self.timing)
         self.code = SteppingCode(self.simulation, compiled)
         turrets = any(entry.turrets for entry in self._base.robots)
-        self._stepper = Stepper(self, self.simulation, self.code, has_turrets=turrets, shows_leds=not shared)
+        stops = step.TICKED if turrets else 0
+        if len(self._forms.numbers) < len(self._base.robots):
+            stops = step.STEPPED | step.TICKED
+        self._stepper = Stepper(self, self.simulation, self.code, stops=stops, shows_leds=not shared)
         self._rewind(seed, noise, vary, None, None)
         if not shared:
             self._stepper.begin(self.robots)
@@ -166,11 +171,20 @@ class World(NotCopied):
         forms.reset(playpen)
         self.playpen = playpen if lamps is None else playpen.model_copy(update={"lamps": tuple(lamps)})
         self.lamps = Lamps(self.playpen, cache(partial(stream, seed, "lamps")))
+        records = dict(zip(forms.numbers, simulation.records, strict=True))
         self.robots: tuple[Robot, ...] = tuple(
-            Robot(self, index, at, state, partial(stream, seed, "robot", index), self._robot_settings)
-            for index, (at, state) in enumerate(zip(forms.indices, simulation.records, strict=True))
+            self._robot(index, seed, records.get(index)) for index in range(len(forms.indices))
         )
+        simulation.others = lambda: [robot.disc for robot in self.robots if robot.index not in records]
         simulation.set_lamps(self.lamps, self.playpen.lighting)
+
+    def _robot(self, index: int, seed: int, record: NDArray[np.void] | None) -> Robot:
+        """Return a robot with its record in the stepping core, if that runs it."""
+        at, settings = self._forms.indices[index], self._robot_settings
+        rng = partial(stream, seed, "robot", index)
+        if record is not None:
+            return KheperaRobot(self, index, at, record, rng, settings)
+        return Khepera4Robot(self, index, at, self._forms.drawn(index), rng, settings)
 
     @property
     def poses(self) -> list[tuple[float, float, float]]:
@@ -204,6 +218,8 @@ class World(NotCopied):
         for robot, text in self._untold:
             observer.on_event(self.time_ns, robot, text)
         mujoco.mj_kinematics(self.model, self.data)
+        for each in self.robots:
+            each.refresh()
         observer.sample(self)
 
     def advance_to(self, time_ns: int) -> None:
@@ -330,7 +346,7 @@ class World(NotCopied):
         self.simulation.reseed(seed)
         self.lamps.rng = cache(partial(stream, seed, "lamps"))
         for index, robot in enumerate(self.robots):
-            robot.reseed_line(partial(stream, seed, "robot", index))
+            robot.reseed(partial(stream, seed, "robot", index))
 
     @one_thread
     def set_lamps(
@@ -396,5 +412,7 @@ class World(NotCopied):
         if self.observers:
             # A step leaves the bodies' positions as of its start; the observers sample them as of its end.
             mujoco.mj_kinematics(self.model, self.data)
+            for robot in self.robots:
+                robot.refresh()
             for observer in self.observers:
                 observer.sample(self)

@@ -13,7 +13,7 @@ from khep_twin.board.kernel import PROXIMITY
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 from khep_twin.playpen_to_mjcf import to_mjcf, to_spec
-from khep_twin.robot_to_mjcf import ROBOT_FILE
+from khep_twin.robot_to_mjcf import ASSETS
 from khep_twin.sensing import calibration
 from khep_twin.units import Sensor
 from khep_twin.world import World
@@ -22,7 +22,7 @@ from khep_twin.world import World
 @pytest.fixture(scope="module")
 def robot() -> mujoco.MjModel:
     """The robot alone, as its file has it."""
-    return mujoco.MjModel.from_xml_path(str(ROBOT_FILE))
+    return mujoco.MjModel.from_xml_path(str(ASSETS / "khepera.xml"))
 
 
 def test_mass_and_centre_of_mass_arrive_in_the_model(robot: mujoco.MjModel) -> None:
@@ -61,7 +61,7 @@ def test_the_body_has_its_size(robot: mujoco.MjModel) -> None:
 
 
 def test_a_motor_reaches_its_no_load_speed_and_its_stall_torque(robot: mujoco.MjModel) -> None:
-    spec = mujoco.MjSpec.from_file(str(ROBOT_FILE))
+    spec = mujoco.MjSpec.from_file(str(ASSETS / "khepera.xml"))
     spec.option.gravity = [0, 0, 0]
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -90,7 +90,7 @@ def test_the_sensors_sit_and_look_as_the_constants_say(robot: mujoco.MjModel) ->
 
 @pytest.mark.parametrize("minutes", share([2, 10], 2))
 def test_the_rangefinders_take_turns_for_minutes(minutes: int) -> None:
-    spec = mujoco.MjSpec.from_file(str(ROBOT_FILE))
+    spec = mujoco.MjSpec.from_file(str(ASSETS / "khepera.xml"))
     spec.option.gravity = [0, 0, 0]
     for x, y in ((0.2, 0), (-0.3, 0), (0, 0.25), (0, -0.35)):
         size = [0.01 if x else 0.5, 0.01 if y else 0.5, 0.1]

@@ -125,4 +125,6 @@ ROMS: Mapping[str, Rom] = {
         memory=512 * 1024,
         modes=KHEPERA_2_MODES,
     ),
+    # The server of the Khepera IV, which has no banner and one speed (its manual, chapter 6).
+    "kh4server": Rom(bios="", protocol="", banner=(), modes={1: RunningMode(115200)}),
 }

@@ -62,6 +62,12 @@ class EpisodeSetup:
         name, robots = playpen.name, playpen.robots
         if len(robots) == 0:
             raise PlaypenError(f"{name}: 0 robots; expected one for an episode")
+        for number, robot in enumerate(robots, 1):
+            if not robot.body.in_core:
+                found = f"{name}: robot {number}: model = {robot.model!r}: its board runs at a line only"
+                raise PlaypenError(f"{found}; expected a Khepera for an episode")
+        if planar and (playpen.arena.table or any(block.ramp for block in playpen.blocks)):
+            raise PlaypenError(f"{name}: a table or a ramp; expected level floor and walls in the plane")
         if planar and len(robots) > 1:
             raise PlaypenError(f"{name}: {len(robots)} robots; expected one in the plane")
         if planar and robots[0].turrets:

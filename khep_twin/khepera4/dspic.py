@@ -9,7 +9,8 @@ A write is the number of a register and the bytes for it and those behind it; a 
 on through the map (library).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import astuple
 
 from khep_twin.board.kernel import wrap
 from khep_twin.khepera4.motor_control import Motor, Settings
@@ -32,9 +33,14 @@ _POSITION_ORDERS = {*range(DspicRegister.POSITION_ORDER_LEFT, DspicRegister.SPEE
 
 
 class Dspic:
-    """A dsPIC with its motors."""
+    """A dsPIC with its motors.
+
+    Attributes:
+        before_read: Function that is called with the first register of a read and the one behind the last.
+    """
 
     def __init__(self) -> None:
+        self.before_read: Callable[[int, int], None] = lambda first, last: None
         self.reset()
 
     def reset(self) -> None:
@@ -64,6 +70,7 @@ class Dspic:
 
     def read(self, register: int, count: int) -> bytes:
         """Return bytes from a register on; behind the map there are zeros (assumed)."""
+        self.before_read(register, register + count)
         found = bytes(self._bytes[register : register + count])
         return found + bytes(count - len(found))
 
@@ -101,6 +108,33 @@ class Dspic:
             raise ValueError(f"a battery block of {len(block)} bytes; expected {BATTERY_BYTES}")
         self._bytes[DspicRegister.BATTERY : DspicRegister.BATTERY + BATTERY_BYTES] = block
 
+    def words(self, register: int, count: int) -> list[int]:
+        """Return registers of 2 bytes without a sign, as they are now."""
+        return [self._bytes[at] | self._bytes[at + 1] << 8 for at in range(register, register + 2 * count, 2)]
+
+    @property
+    def motor_numbers(self) -> tuple[Sequence[int], Sequence[int], Sequence[int]]:
+        """Speeds and their orders, positions and their orders, left before right, and PWM."""
+        left, right = self._left, self._right
+        speeds = [self._signed(DspicRegister.SPEED_ORDER_LEFT + at, 2) for at in (0, 2)]
+        positions = [self._signed(DspicRegister.POSITION_ORDER_LEFT + at, 4) for at in (0, 4)]
+        return (
+            (left.speed, right.speed, *speeds),
+            (left.position, right.position, *positions),
+            (left.pwm, right.pwm),
+        )
+
+    def state(self) -> list[int]:
+        """Return the whole state."""
+        return [*self._counts, *astuple(self._left), *astuple(self._right), *self._bytes]
+
+    def set_state(self, state: Sequence[int]) -> None:
+        """Take over a state."""
+        count = len(astuple(self._left))
+        motors = [state[first : first + count] for first in (2, 2 + count)]
+        (self._left, self._right), self._counts = (_motor(each) for each in motors), (state[0], state[1])
+        self._bytes[:] = bytes(state[2 + 2 * count :])
+
     @property
     def leds(self) -> bytes:
         """Red, green and blue of the LEDs front left, front right and back, 0 to 63 (9,)."""
@@ -133,3 +167,9 @@ class Dspic:
             for side, value in enumerate(values):
                 at = first + side * size
                 places[at : at + size] = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little")
+
+
+def _motor(numbers: Sequence[int]) -> Motor:
+    """Return a motor from the numbers of its state."""
+    position, speed, pwm, is_on_target, *rest = numbers
+    return Motor(position, speed, pwm, bool(is_on_target), *rest)

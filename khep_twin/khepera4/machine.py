@@ -1,11 +1,11 @@
 """A Khepera IV as its programs see it: the bus of its dsPIC, its pins, and its time."""
 
 import errno
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Protocol
 
 from khep_twin.khepera4.dspic import Dspic
 from khep_twin.khepera4.registers import ADDRESS
-from khep_twin.units import TICK_NS
 
 BYTE_NS = 25_000
 """Simulated time of a byte on the bus [ns], 9 bits at 400 kHz and what is between (assumed)."""
@@ -17,27 +17,37 @@ READS = 1
 """Flag of a message that reads."""
 
 
+class Clock(Protocol):
+    """Time of a machine, such as a `World`."""
+
+    time_ns: int
+
+    def advance_to(self, time_ns: int) -> None:
+        """Advance to a time [ns], not before the present."""
+        ...
+
+
 class Machine:
-    """A Khepera IV as its programs see it, with its motors.
+    """A Khepera IV as its programs see it.
 
     Args:
         dspic: Its microcontroller.
-        drive: Function that turns the wheels for a control period at a PWM of each, and returns their pulses.
-
-    Attributes:
-        time_ns: Simulated time [ns].
+        clock: Its time.
     """
 
-    def __init__(self, dspic: Dspic, drive: Callable[[tuple[int, int]], tuple[int, int]]) -> None:
-        self.time_ns = 0
-        self._dspic, self._drive = dspic, drive
-        self._pulses, self._pins, self._register = (0, 0), {CHARGER_PIN: 1, RESET_PIN: 1}, 0
+    def __init__(self, dspic: Dspic, clock: Clock) -> None:
+        self._dspic, self._clock = dspic, clock
+        self._pins, self._register = {CHARGER_PIN: 1, RESET_PIN: 1}, 0
+
+    @property
+    def time_ns(self) -> int:
+        """Simulated time [ns]."""
+        return self._clock.time_ns
 
     def advance_to(self, time_ns: int) -> None:
-        """Advance to a time [ns], one control period of 10 ms after another."""
-        for _ in range(time_ns // TICK_NS - self.time_ns // TICK_NS):
-            self._pulses = self._drive(self._dspic.tick(*self._pulses))
-        self.time_ns = max(time_ns, self.time_ns)
+        """Advance to a time [ns], unless it has passed."""
+        if time_ns > self._clock.time_ns:
+            self._clock.advance_to(time_ns)
 
     def transfer(self, messages: Sequence[tuple[int, int, bytes]]) -> bytes:
         """Run messages on the bus; return the content of those that read.

@@ -10,12 +10,20 @@ are missing are 0 (assumed; there they are what an earlier command has left).
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from khep_twin.board.kernel import divide
 from khep_twin.board.protocol import LINE_END
+from khep_twin.board.turrets import Turret, TurretKind
+from khep_twin.firmware import FirmwareState
 from khep_twin.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
 from khep_twin.khepera4.registers import BATTERY_BYTES, Control, DspicRegister
+
+BAUD = 115_200
+"""Speed of the serial line [baud] (manual, chapter 6)."""
+
+ANSWER_NS = 2_000_000
+"""Time from a command to its reply [ns]: that of some 60 bytes on the bus (assumed)."""
 
 END = b"\r\n"
 ERROR = b"$" + END
@@ -44,22 +52,75 @@ _INTEGER = re.compile(rb"\s*[+-]?\d+")
 
 
 class Kh4Server:
-    """The program at its serial line.
+    """The program at its serial line, which starts with the first bytes on it.
 
     Args:
         dspic: Microcontroller that it drives.
         is_charging: Function that tells whether the charger is plugged in.
+
+    Attributes:
+        baud: Speed of the line [baud].
+        reply_baud: The same.
+        turrets: None.
+        answer_ns: Time that an answer takes [ns].
     """
+
+    answer_ns = ANSWER_NS
 
     def __init__(self, dspic: Dspic, is_charging: Callable[[], bool] = lambda: False) -> None:
         self._dspic, self._is_charging = dspic, is_charging
+        self.baud = self.reply_baud = BAUD
+        self.turrets: Mapping[TurretKind, Turret] = {}
+        self.forget()
+
+    def forget(self) -> None:
+        """End the program; it starts anew with the next bytes."""
         self._line = b""
-        self._wanders = self._turns = False
+        self._runs = self._wanders = self._turns = False
         self._rounds, self._before = 0, (0, 0)
-        self._start()
+
+    def forget_line(self) -> None:
+        """Discard the incomplete line."""
+        self._line = b""
+
+    def reset(self) -> bytes:
+        """Reset robot and program; return its banner, which is empty."""
+        self._dspic.reset()
+        self.forget()
+        return b""
+
+    def remedy(self, baud: int) -> str:
+        """Return a hint for setting the robot's line to a host's speed [baud]."""
+        return f"expected {BAUD} baud at the host, not {baud}"
+
+    @property
+    def powered(self) -> bool:
+        """True: the robot's program stops with the robot."""
+        return True
+
+    def state(self) -> FirmwareState:
+        """Return the state besides `numbers`."""
+        return FirmwareState(self.baud, self.reply_baud, "kh4server" if self._runs else "", self._line, {})
+
+    def set_state(self, state: FirmwareState) -> None:
+        """Take over a state."""
+        self._runs, self._line = bool(state.running), state.begun
+
+    @property
+    def numbers(self) -> list[int]:
+        """State of the vehicle."""
+        return [self._wanders, self._turns, self._rounds, *self._before]
+
+    @numbers.setter
+    def numbers(self, numbers: Sequence[int]) -> None:
+        wanders, turns, self._rounds, left, right = numbers
+        self._wanders, self._turns, self._before = bool(wanders), bool(turns), (left, right)
 
     def receive(self, data: bytes) -> bytes:
         """Take bytes from the line; return the reply to the command that they end, if any."""
+        if not self._runs:
+            self._runs = True
+            self._start()
         self._line += data
         while end := LINE_END.search(self._line):
             line, self._line = self._line[: end.start()], self._line[end.end() :]

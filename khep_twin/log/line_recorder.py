@@ -16,10 +16,11 @@ from khep_twin import __version__
 from khep_twin.board.protocol import Command, LineReader
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.firmware import parse
+from khep_twin.khepera_robot import SAMPLED
 from khep_twin.log.channels import FLOATS, IMAGE, INTEGERS, ArrayFrame, ImageFrame
 from khep_twin.log.host_events import events_message
 from khep_twin.log.log_file import FileRecorder, LogFile
-from khep_twin.log.sample_layout import SAMPLED, channel_names
+from khep_twin.log.sample_layout import channel_names
 from khep_twin.log.transcript import Transcript
 from khep_twin.units import K213_NUMBER, K213_PIXELS
 
@@ -68,14 +69,12 @@ class LineRecorder(FileRecorder):
         self._lines = {True: LineReader(), False: LineReader(_REPLY_LIMIT)}
         self._host_events: list[tuple[int, HostEvent]] = []
         self._setpoints: tuple[int, ...] = (0, 0)
-        self._frames = {
-            topic: ArrayFrame(len(columns), kind, label) for topic, _, kind, label, columns in SAMPLED
-        }
+        self._frames = {name: ArrayFrame(len(registers), "f8", label) for name, label, registers in SAMPLED}
         self._image = ImageFrame(K213_PIXELS, f"{ROBOT}/k213")
         attachment = json.dumps(dict(settings), indent=2, sort_keys=True) + "\n"
         facts = {"robots": ROBOT, "khep_twin": __version__, **settings}
         self._file.describe({"configuration.json": attachment}, facts)
-        self._file.add("/channel_names", "std_msgs/msg/String", 0, channel_names())
+        self._file.add("/channel_names", "std_msgs/msg/String", 0, channel_names(SAMPLED))
         self._file.flush()
         self._file.on_failure = on_failure
         self._file.complete = self.close

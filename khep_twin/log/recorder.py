@@ -54,7 +54,8 @@ class WorldRecorder:
         self._log.describe(run.all_attachments(world), run.all_facts(world))
         if run.beginning is None or run.beginning.state is None:
             self._log.add_scene(0, world.model)
-            self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names())
+            channels = (each for robot in world.robots for each in robot.sampled)
+            self._log.add("/channel_names", "std_msgs/msg/String", 0, channel_names(channels))
             self._log.flush()
         else:
             for entries in run.beginning.entries:

@@ -10,14 +10,13 @@ The state is what the hashes are of. Positions and rotations of the bodies follo
 that change have a channel beside it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.board.kernel import AMBIENT, DUTIES, PROXIMITY, SETPOINTS, SPEEDS, Board
 from khep_twin.log.channels import (
     FLOATS,
     IMAGE,
@@ -29,9 +28,8 @@ from khep_twin.log.channels import (
 )
 from khep_twin.log.description import body_name
 from khep_twin.log.snapshots import RecorderState, boards
-from khep_twin.robot import Robot
+from khep_twin.robot import Robot, SampledRegisters
 from khep_twin.sensing.lamps import Lamps
-from khep_twin.units import SENSOR_LABELS
 from khep_twin.world import World
 
 _FINENESS = 2.0**30
@@ -39,19 +37,6 @@ _FINENESS = 2.0**30
 
 Finer digits are noise of contacts, which does not compress: a seventh of the file. The hashes of the state
 include them."""
-
-_SENSORS = ", ".join(SENSOR_LABELS)
-
-_WHEELS = "left, right, setpoint left, setpoint right"
-
-SAMPLED: list[tuple[str, str, str, str, list[int]]] = [
-    ("proximity", FLOATS, "f8", f"{_SENSORS} [counts]", list(PROXIMITY)),
-    ("ambient", FLOATS, "f8", f"{_SENSORS} [counts]", list(AMBIENT)),
-    ("speed", FLOATS, "f8", f"{_WHEELS} [pulses/10 ms]", [*SPEEDS, *SETPOINTS]),
-    ("duty", FLOATS, "f8", "left, right [-255 to 255]", list(DUTIES)),
-    ("leds", FLOATS, "f8", "lateral, frontal [1 is lit]", [int(Board.LED_0), int(Board.LED_1)]),
-]
-"""Channels of every robot: topic, message type, format of numbers, label, and registers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +94,11 @@ class SampleLayout:
         return self._transforms.messages(times_ns, poses)
 
 
-def channel_names() -> bytes:
+def channel_names(channels: Iterable[SampledRegisters]) -> bytes:
     """Return a message that names the numbers of each channel, for viewers that only index them."""
-    topics: dict[str, list[str]] = {}
-    for topic, _, _, label, _ in SAMPLED:
-        topics.setdefault(label, []).append(topic)
+    topics: dict[str, dict[str, None]] = {}
+    for channel in channels:
+        topics.setdefault(channel.label, {})[channel.name] = None
     lines = ["Numbers of each robot's channels:"]
     for label, found in topics.items():
         names, _, unit = label.removesuffix("]").partition(" [")
@@ -128,10 +113,10 @@ def _channels_of(robot: Robot, starts: Iterator[int]) -> Iterator[SampledChannel
     # The kinds end first, so that the next robot has its own columns.
     for kind, board, start in zip(kinds, boards(robot), starts, strict=False):
         if kind is None:
-            for name, schema, numbers, label, registers in SAMPLED:
-                frame = ArrayFrame(len(registers), numbers, label)
+            for name, label, registers in robot.sampled:
+                frame = ArrayFrame(len(registers), "f8", label)
                 columns = [start + each for each in registers]
-                yield SampledChannel(f"/{robot.name}/{name}", schema, frame, columns)
+                yield SampledChannel(f"/{robot.name}/{name}", FLOATS, frame, columns)
         name = "registers" if kind is None else kind.name
         label = ", ".join(kind.names) if kind and kind.names else "registers"
         own = range(start, start + len(board))

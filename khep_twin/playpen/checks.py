@@ -134,6 +134,16 @@ one of 1,000; from 5 g and 10 mm on, in none (measured)."""
 
 
 def _arena_problems(playpen: PlaypenTables) -> Iterator[Problem]:
+    if playpen.arena.table:
+        if playpen.arena.outline_mm:
+            yield Problem.of(("arena", "table"), "arena: table with an outline_mm", "a rectangle for a table")
+        return
+    for index, block in enumerate(playpen.blocks):
+        if block.ramp and (block.movable or block.stripes):
+            place = label("block", index + 1, block.name)
+            yield Problem.of(
+                ("block", index, "ramp"), f"{place}: ramp, movable or striped", "a ramp that is neither"
+            )
     height_mm, turrets = playpen.arena.wall_height_mm, any(robot.turrets for robot in playpen.robots)
     lowest_mm = LOWEST_WALL_WITH_TURRET_MM if turrets else LOWEST_WALL_MM
     if playpen.robots and height_mm < lowest_mm:
@@ -283,4 +293,4 @@ def things(playpen: PlaypenTables) -> Iterator[Thing]:
         yield Thing("spot", number, spot.name, largest, 0, BODY_HEIGHT * 1000, True)
     for number, item in enumerate(playpen.robots, 1):
         if not item.spots:
-            yield Thing("robot", number, item.name, item.footprint, 0, BODY_HEIGHT * 1000, True)
+            yield Thing("robot", number, item.name, item.footprint, 0, item.body.height * 1000, True)

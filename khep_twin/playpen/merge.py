@@ -13,8 +13,8 @@ _SAME = 6
 def merged(blocks: Sequence[Block]) -> list[tuple[int, Block]]:
     """Merge blocks that continue each other; return them with the first number of each.
 
-    Merged are fixed blocks without names and stripes, of one angle, height and surface, that touch or cross
-    along one of their axes and are equally thick across it.
+    Merged are fixed blocks without names and stripes, no ramps, of one angle, height and surface, that touch
+    or cross along one of their axes and are equally thick across it.
     """
     numbered = list(enumerate(blocks))
     candidates = [(number, block) for number, block in numbered if not _stays(block)]
@@ -25,7 +25,7 @@ def merged(blocks: Sequence[Block]) -> list[tuple[int, Block]]:
 
 
 def _stays(block: Block) -> bool:
-    return bool(block.movable or block.name or block.stripes)
+    return bool(block.movable or block.name or block.stripes or block.ramp)
 
 
 def _merged_along(blocks: list[tuple[int, Block]], lengthwise: bool) -> list[tuple[int, Block]]:

@@ -44,6 +44,7 @@ class Arena(TomlTable):
         outline_mm: Corners of a non-rectangular floor, in order, within width and height.
         wall_height_mm: Height of the walls.
         wall_thickness_mm: Thickness of the walls.
+        table: Whether it is a table: without walls, 100 mm above the ground, on which robots may fall.
         surface: Surface of the walls.
         stripes: Stripes on the inner sides of the walls.
     """
@@ -56,6 +57,7 @@ class Arena(TomlTable):
     ] = ()
     wall_height_mm: Height = 50.0
     wall_thickness_mm: Annotated[float, Field(ge=1, le=1000)] = 10.0
+    table: bool = False
     surface: Name = "white"
     stripes: Stripes = ()
 
@@ -168,6 +170,8 @@ class Block(TomlTable):
 
     Attributes:
         stripes: Stripes on its four sides.
+        ramp: Whether it is a ramp, which rises along its length from the floor to its height; the infrared
+            sensors do not see it.
     """
 
     name: ObjectName = None
@@ -181,6 +185,7 @@ class Block(TomlTable):
     stripes: Stripes = ()
     movable: bool = False
     mass_g: Mass = 20.0
+    ramp: bool = False
 
     @property
     def footprint(self) -> Rectangle:
@@ -298,6 +303,7 @@ class RadioChannel(TomlTable):
 MODELS: Mapping[str, Mapping[str, str]] = {
     "khepera1": {"calibration": "khepera1", "rom": "5.02"},
     "khepera2": {"calibration": "khepera2", "rom": "khepera2"},
+    "khepera4": {"calibration": "khepera4", "rom": "kh4server"},
 }
 """Default sensors and firmware of each model of the robot."""
 
@@ -306,7 +312,8 @@ class RobotEntry(TomlTable):
     """A robot at its start.
 
     Attributes:
-        model: Body; for "khepera2", calibration and rom default to "khepera2", too.
+        model: Body; for "khepera2", calibration and rom default to "khepera2", too, and for "khepera4" to
+            "khepera4" and "kh4server".
         calibration: Calibration of its sensors: a name in assets/calibration, or the path of a file.
         mode: Running mode: 1 to 3 for the serial line at 9600, 19200 or 38400 baud, 0 for the
             demonstration that drives by itself, 7 for the self-test, with rom khepera2 also 8 and 9 for
@@ -324,13 +331,13 @@ class RobotEntry(TomlTable):
     spots: Annotated[
         tuple[str, ...], Field(max_length=1000, description='names of spots, such as ["a", "b"]')
     ] = ()
-    model: Literal["khepera1", "khepera2"] = "khepera1"
+    model: Literal["khepera1", "khepera2", "khepera4"] = "khepera1"
     calibration: Annotated[
         str,
         Field(min_length=1, max_length=1024, description="the name of a calibration, or the path of a file"),
     ] = "khepera1"
     mode: Annotated[int, Field(ge=0, le=15)] = 1
-    rom: Literal["5.02", "4.06", "khepera2"] = "5.02"
+    rom: Literal["5.02", "4.06", "khepera2", "kh4server"] = "5.02"
     turrets: Annotated[tuple[str, ...], Field(max_length=32, description='names, such as ["gripper"]')] = ()
     battery_used_min: Annotated[float | None, Field(ge=0, le=1000)] = None
 

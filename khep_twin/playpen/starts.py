@@ -14,7 +14,6 @@ from khep_twin.playpen.footprint import Circle
 from khep_twin.playpen.model import Playpen, place_robots
 from khep_twin.playpen.overlap import Thing, placement_problems
 from khep_twin.randomness import stream
-from khep_twin.units import BODY_HEIGHT
 
 TRIES = 1000
 """Number of poses tried for a robot before it is reported to have no room."""
@@ -95,7 +94,7 @@ def extent(playpen: Playpen) -> tuple[tuple[float, float], tuple[float, float]]:
 def no_room(playpen: Playpen, index: int, x_mm: float, y_mm: float) -> str:
     """Return the reason why a playpen's robot cannot stand at a position [mm]; empty if it can."""
     entry = playpen.robots[index].model_copy(update={"x_mm": x_mm, "y_mm": y_mm, "spots": ()})
-    thing = Thing("robot", index + 1, entry.name, entry.footprint, 0, BODY_HEIGHT * 1e3, True)
+    thing = Thing("robot", index + 1, entry.name, entry.footprint, 0, entry.body.height * 1e3, True)
     for problem in placement_problems([*near(playpen, index, entry.footprint), thing], playpen.arena):
         if problem.location[:2] == thing.place:
             return problem.text

@@ -96,6 +96,7 @@ class AmbientCalibration(TomlTable):
         floor_counts: Reading in the brightest light.
         ceiling_counts: Highest reading, noise included.
         noise_counts: Standard deviation of one reading.
+        rises_with_light: Whether a robot reads the rest to the converter's largest count instead.
     """
 
     heading_deg: Annotated[tuple[_Heading, ...], _Eight]
@@ -106,6 +107,26 @@ class AmbientCalibration(TomlTable):
     dark_counts: _Counts
     floor_counts: _Counts
     ceiling_counts: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)]
+    noise_counts: _Counts
+    rises_with_light: bool = False
+
+
+class GroundCalibration(TomlTable):
+    """Sensors that look at the floor; per-sensor values in the order of the robot's registers.
+
+    Attributes:
+        white_counts: Reading above a white floor.
+        nothing_counts: Reading where nothing is below.
+        spot_mm: Radius of the spot that a sensor sees.
+        noise_counts: Standard deviation of one reading.
+    """
+
+    white_counts: Annotated[
+        tuple[_Counts, ...],
+        Field(min_length=1, max_length=8, description="a list of numbers, one per sensor"),
+    ]
+    nothing_counts: _Counts
+    spot_mm: Annotated[float, Field(ge=0.1, le=50)]
     noise_counts: _Counts
 
 
@@ -119,9 +140,9 @@ class WheelCalibration(TomlTable):
         friction: Friction of the tyres on the floor.
     """
 
-    radius_mm: Annotated[float, Field(ge=6, le=9)] = WHEEL_RADIUS * 1000
+    radius_mm: Annotated[float, Field(ge=6, le=25)] = WHEEL_RADIUS * 1000
     right_over_left: Annotated[float, Field(ge=0.9, le=1.1)] = 1.0
-    base_mm: Annotated[float, Field(ge=40, le=60)] = WHEEL_BASE * 1000
+    base_mm: Annotated[float, Field(ge=40, le=150)] = WHEEL_BASE * 1000
     friction: Annotated[float, Field(ge=0.1, le=3)] = TYRE_FRICTION
 
     @property
@@ -132,14 +153,16 @@ class WheelCalibration(TomlTable):
 
 
 class MotorCalibration(TomlTable):
-    """Both motors, as seen at the wheels, at a supply of 5 V.
+    """Both motors, as seen at the wheels.
 
     Attributes:
+        supply_v: Supply voltage at which the figures hold.
         no_load_speed_rad_s: Speed of an unloaded wheel at full duty.
         stall_torque_n_m: Torque at a blocked wheel at full duty.
         friction_torque_n_m: Dry friction of motor and gear; full duty overcomes it in both figures above.
     """
 
+    supply_v: Annotated[float, Field(ge=1, le=24)] = SUPPLY_VOLTAGE
     no_load_speed_rad_s: Annotated[float, Field(ge=20, le=1000)] = MOTOR_NO_LOAD_SPEED
     stall_torque_n_m: Annotated[float, Field(ge=0.0005, le=0.2)] = MOTOR_STALL_TORQUE
     friction_torque_n_m: Annotated[float, Field(ge=0, le=0.05)] = MOTOR_FRICTION_TORQUE
@@ -148,12 +171,12 @@ class MotorCalibration(TomlTable):
     def constant(self) -> float:
         """Torque at the wheel per current [N m/A], which is also voltage per speed [V s/rad]."""
         used = self.stall_torque_n_m / (self.stall_torque_n_m + self.friction_torque_n_m)
-        return SUPPLY_VOLTAGE / self.no_load_speed_rad_s * used
+        return self.supply_v / self.no_load_speed_rad_s * used
 
     @property
     def resistance(self) -> float:
         """Resistance of the winding [ohm]."""
-        return SUPPLY_VOLTAGE * self.constant / (self.stall_torque_n_m + self.friction_torque_n_m)
+        return self.supply_v * self.constant / (self.stall_torque_n_m + self.friction_torque_n_m)
 
 
 class Calibration(TomlTable):
@@ -167,6 +190,7 @@ class Calibration(TomlTable):
     ambient: AmbientCalibration
     wheels: WheelCalibration = WheelCalibration()
     motors: MotorCalibration = MotorCalibration()
+    ground: GroundCalibration | None = None
 
     @model_validator(mode="after")
     def _levels_are_in_order(self) -> Self:

@@ -22,6 +22,9 @@ Floats = NDArray[np.float64]
 PAINT = 0.0005
 """Height up to which a fixed thing is paint on the floor, which the sensors do not see [m]."""
 
+GROUND_GROUP = 1
+"""Group of geoms to drive on, which the sensors do not see either."""
+
 _ROUNDING = 1e-9
 """Margin for rounding [m]."""
 
@@ -196,6 +199,7 @@ def points_of_a_bulb(number: int) -> Floats:
 def visible(model: mujoco.MjModel) -> list[int]:
     """Return the geoms that sensors see: all that are drawn, but floor and paint."""
     paint = (model.geom_bodyid == 0) & (model.geom_pos[:, 2] < PAINT)
+    paint |= model.geom_group == GROUND_GROUP
     seen = (model.geom_rgba[:, 3] > 0) & (model.geom_type != _PLANE) & ~paint
     return np.flatnonzero(seen).tolist()
 

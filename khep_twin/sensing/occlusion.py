@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from khep_twin.sensing.mujoco_scene import GROUND_GROUP
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.units import BULB_RADIUS, SENSOR_HEIGHT
 
@@ -53,7 +54,7 @@ def _directions(
         box = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX
         height = centre[2] + (size[2] if box else size[1])
         name = model.geom(geom).name
-        if name == "floor" or height <= lowest:
+        if name == "floor" or model.geom_group[geom] == GROUND_GROUP or height <= lowest:
             continue
         x, y = centre[0] - lamp[0], centre[1] - lamp[1]
         w, _, _, z = model.geom_quat[geom].tolist()

@@ -1,6 +1,12 @@
 """Indices of one robot in a compiled scene: the only module that converts its names to numbers."""
 
+# MuJoCo's types are partly unknown.
+# pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false, reportUnknownParameterType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownVariableType=false
+
 import math
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
@@ -8,11 +14,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.units import Sensor
-
 _SIDES = ("left", "right")
 _PARTS = ("tyre", "rim")
-_LEDS = ("led_0", "led_1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +32,7 @@ class RobotIndices:
         wheel_angles: Wheels in qpos.
         wheel_speeds: Wheels in qvel.
         motors: Actuators of the wheels.
-        cameras: Cameras of the infrared sensors (8,).
+        cameras: Cameras of the infrared sensors, in the order of the robot's registers.
         leds: Sites of the LEDs.
         led_lights: Bodies of the LEDs' lights.
     """
@@ -56,9 +59,13 @@ class RobotIndices:
         """
         pose = model.joint(f"{robot}/pose")
         left, right = (model.joint(f"{robot}/{side}_axle") for side in _SIDES)
-        sensors = [f"{robot}/{sensor.key}" for sensor in Sensor]
         left_wheel, right_wheel = (model.body(f"{robot}/{side}_wheel").id for side in _SIDES)
         tyres, rims = ([model.geom(f"{robot}/{side}_{part}").id for side in _SIDES] for part in _PARTS)
+        # Its own parts, not those of a turret on it.
+        own = re.compile(rf"{robot}/[^/]+")
+        cameras = [name for name in _names(model, mujoco.mjtObj.mjOBJ_CAMERA) if own.fullmatch(name)]
+        bodies = [name for name in _names(model, mujoco.mjtObj.mjOBJ_BODY) if own.fullmatch(name)]
+        leds = [name.removesuffix("_light") for name in bodies if name.endswith("_light")]
         left_motor, right_motor = (model.actuator(f"{robot}/{side}_motor").id for side in _SIDES)
         return cls(
             base=model.body(f"{robot}/base").id,
@@ -70,12 +77,20 @@ class RobotIndices:
             wheel_angles=(int(left.qposadr[0]), int(right.qposadr[0])),
             wheel_speeds=(int(left.dofadr[0]), int(right.dofadr[0])),
             motors=(left_motor, right_motor),
-            cameras=tuple(model.camera(sensor).id for sensor in sensors),
-            leds=tuple(model.site(f"{robot}/{led}").id for led in _LEDS),
-            led_lights=tuple(model.body(f"{robot}/{led}_light").id for led in _LEDS),
+            cameras=tuple(model.camera(name).id for name in cameras),
+            leds=tuple(model.site(led).id for led in leds),
+            led_lights=tuple(model.body(f"{led}_light").id for led in leds),
         )
 
     def pose_in(self, qpos: NDArray[np.float64]) -> tuple[float, float, float]:
         """Return the robot's x, y [m] and heading [rad]."""
         x, y, _, qw, qx, qy, qz = qpos[self.pose : self.pose + 7].tolist()
         return x, y, math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+
+
+def _names(model: mujoco.MjModel, kind: mujoco.mjtObj) -> Iterator[str]:
+    """Yield the names of all objects of a kind."""
+    index = 0
+    while (name := mujoco.mj_id2name(model, kind, index)) is not None:
+        yield name
+        index += 1

@@ -88,16 +88,16 @@ def _fit(model: mujoco.MjModel, robot: RobotIndices, calibration: Calibration) -
     half_base = units.metres(calibration.wheels.base_mm) / 2
     for side, (y, radius) in enumerate(zip((half_base, -half_base), calibration.wheels.radii, strict=True)):
         wheel, tyre, rim = robot.wheels[side], robot.tyres[side], robot.rims[side]
-        model.body_inertia[wheel] = wheel_inertia(float(model.body_mass[wheel]), radius)
         model.body_pos[wheel] = model.geom_pos[rim] = 0, y, radius
         model.geom_size[[tyre, rim], 0] = radius
         half_width = float(model.geom_size[rim, 1])
+        model.body_inertia[wheel] = wheel_inertia(float(model.body_mass[wheel]), radius, 2 * half_width)
         model.geom_rbound[tyre], model.geom_rbound[rim] = radius, np.hypot(radius, half_width)
         model.geom_aabb[tyre, 3:], model.geom_aabb[rim, 3:5] = radius, radius
         motors = calibration.motors
         model.dof_frictionloss[robot.wheel_speeds[side]] = motors.friction_torque_n_m
         model.actuator_gainprm[robot.motors[side], :2] = motors.resistance, motors.constant
-    for camera, heading_deg in zip(robot.cameras, calibration.heading_deg, strict=True):
+    for camera, heading_deg in zip(robot.cameras, calibration.heading_deg, strict=False):
         # A camera looks along its -z, with x to its right and y up.
         heading = units.radians(heading_deg)
         c, s = np.cos(heading), np.sin(heading)

@@ -3,7 +3,7 @@
 import copy
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NamedTuple, Self, cast
 
@@ -69,8 +69,8 @@ class SceneModel(NamedTuple):
             if motion_ns != units.STEP_NS:
                 set_step(spec, motion_ns)
             model = spec.compile()
-        # Rangefinders are for MuJoCo alone, as sensors see surfaces; a turret may have its own.
-        if model.nsensor == units.N_SENSORS * len(playpen.robots):
+        # The robots' own are for MuJoCo alone, as the twin computes what they read; a turret's are needed.
+        if all(sensor.name.count("/") < 2 for sensor in spec.sensors):
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
         return cls(playpen, spec, model, timing(playpen, motion_ns, step_ns or motion_ns))
 
@@ -142,28 +142,44 @@ class MujocoForms:
         solids["bound"] = self.model.geom_rbound[solids["geom"]]
         return self._arrays
 
-    def vary(self, spreads: Sequence[np.random.Generator] | None) -> None:
+    def vary(self, spread: Callable[[int], np.random.Generator] | None) -> None:
         """Make the robots others of the same make, by a stream each; None for those of the playpen."""
         if self._fitted is None:
             if self._shared:
                 self.model, self._plain, self._arrays = copy.copy(self.model), None, None
             self._fitted = FittedRobots(self.model, self.indices)
         self._drawn = self._calibrations
-        if spreads is not None:
+        if spread is not None:
             self._drawn = [
-                calibration.varied(measured, spread)
-                for measured, spread in zip(self._calibrations, spreads, strict=True)
+                calibration.varied(measured, spread(number))
+                for number, measured in enumerate(self._calibrations)
             ]
-        self._fitted.fit(None if spreads is None else self._drawn, self._data)
+        self._fitted.fit(None if spread is None else self._drawn, self._data)
+
+    @property
+    def n_robots(self) -> int:
+        """Number of robots in the playpen."""
+        return len(self.indices)
+
+    @property
+    def numbers(self) -> Sequence[int]:
+        """Numbers of those that the stepping core runs."""
+        return [number for number, entry in enumerate(self._playpen.robots) if entry.body.in_core]
 
     def robot_states(self) -> list[RobotState]:
-        """Return the states of the robots."""
-        return [
-            robot_state(
-                self.model, at, (*at.wheel_angles, *at.wheel_speeds, *at.motors, at.pose), drawn, entry
+        """Return the states of these robots."""
+        states: list[RobotState] = []
+        for number in self.numbers:
+            at = self.indices[number]
+            joints = *at.wheel_angles, *at.wheel_speeds, *at.motors, at.pose
+            states.append(
+                robot_state(self.model, at, joints, self._drawn[number], self._playpen.robots[number])
             )
-            for entry, at, drawn in zip(self._playpen.robots, self.indices, self._drawn, strict=True)
-        ]
+        return states
+
+    def drawn(self, number: int) -> Calibration:
+        """Return the calibration of a robot as it is in this run."""
+        return self._drawn[number]
 
     def trouble(self, reason: int) -> str:
         """Return a sentence on why the physics cannot go on."""

@@ -4,7 +4,6 @@ Both kinds of code work on the same memory and give the same bits, so a run may 
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -43,15 +42,28 @@ class SceneForms(Protocol):
         """Return the scene for compiled code, as arrays."""
         ...
 
-    def vary(self, spreads: Sequence[np.random.Generator] | None) -> None:
-        """Make the robots others of the same make, drawn from a stream each; None for those of the playpen.
+    def vary(self, spread: Callable[[int], np.random.Generator] | None) -> None:
+        """Make the robots others of the same make; None for those of the playpen.
 
         The scene's state is lost.
+
+        Args:
+            spread: Function that returns the stream of a robot by its number in the playpen.
         """
         ...
 
+    @property
+    def n_robots(self) -> int:
+        """Number of robots in the playpen."""
+        ...
+
+    @property
+    def numbers(self) -> Sequence[int]:
+        """Numbers of those that the stepping core runs."""
+        ...
+
     def robot_states(self) -> list[RobotState]:
-        """Return the states of the robots."""
+        """Return the states of the robots that the stepping core runs."""
         ...
 
     def light(self, lamps: Lamps, lighting: Lighting) -> Light:
@@ -90,6 +102,7 @@ class Simulation:
         title: Subject of error messages.
         lamps: Lamps of the scene; none at first.
         on_switch: Function that is called when another lamp is on, where lamps are on one at a time.
+        others: Function that returns the discs of the floor that robots outside the stepping core cover.
         records: Robots as records of `step.RobotState` (n_robots,): their present state.
         counters: Counters (step.N_COUNTERS,).
         plain: State for plain code.
@@ -102,6 +115,7 @@ class Simulation:
         self.title = "the simulation"
         self.lamps: Lamps | None = None
         self.on_switch: Callable[[], None] | None = None
+        self.others: Callable[[], list[tuple[float, float, float]]] = list
         self.records: Any = as_records(robots, robots[0]) if robots else np.zeros(0, np.int64)
         self.counters: NDArray[np.int64] = np.zeros(step.N_COUNTERS, np.int64)
         self._keys: tuple[int, ...] = ()
@@ -122,6 +136,10 @@ class Simulation:
     def is_noisy(self) -> bool:
         """True if sensors are noisy."""
         return bool(self._keys)
+
+    def key_words(self, number: int) -> tuple[int, int]:
+        """Return the words of the key of a robot's random draws; 0 without noise."""
+        return key_words(self._keys[number] if self._keys else 0)
 
     @property
     def powers(self) -> Sequence[float]:
@@ -156,9 +174,8 @@ class Simulation:
             noise: Whether sensors are noisy.
             vary: Whether to draw each robot at random around its calibration.
         """
-        rngs = [partial(stream, seed, "robot", index) for index in range(len(self.records))]
         if vary or self._is_varied:
-            self._scene.vary([rng("spread") for rng in rngs] if vary else None)
+            self._scene.vary((lambda number: stream(seed, "robot", number, "spread")) if vary else None)
             self.take_scene()
             robots = self._scene.robot_states()
             for record, robot in zip(self.records, robots, strict=True):
@@ -170,7 +187,7 @@ class Simulation:
         if len(self.records):
             self.records["strengths"] = 1
         self.counters[:] = 0
-        self._draw_by(_keys(seed, len(self.records)) if noise else ())
+        self._draw_by(self._keys_of(seed) if noise else ())
 
     def take_scene(self) -> None:
         """Take the present forms of the scene, which has changed."""
@@ -190,15 +207,15 @@ class Simulation:
         Raises:
             ValueError: It is of other robots.
         """
-        if len(state.keys) not in (0, len(self.records)):
-            raise ValueError(f"random draws of {len(state.keys)} robots; expected {len(self.records)}")
+        if len(state.keys) not in (0, self._scene.n_robots):
+            raise ValueError(f"random draws of {len(state.keys)} robots; expected {self._scene.n_robots}")
         self.counters[:] = state.steps, state.phase, 0, state.drawn
         self._draw_by(state.keys)
 
     def reseed(self, seed: int) -> None:
         """Draw at random by another seed from now on."""
         if self._keys:
-            self._draw_by(_keys(seed, len(self.records)))
+            self._draw_by(self._keys_of(seed))
 
     def set_lamps(self, lamps: Lamps, lighting: Lighting) -> None:
         """Replace the lamps and the law of their light."""
@@ -280,7 +297,7 @@ class Simulation:
         """Update lamps that are on one at a time."""
         if self.lamps is None:
             return
-        discs: list[tuple[float, float, float]] = []
+        discs = self.others()
         for robot in self.plain.robots:
             x, y, _, _ = self.plain.scene.pose(robot.pose)
             discs.append((x, y, robot.radius))
@@ -309,11 +326,15 @@ class Simulation:
             TABLE_ARRAYS[bool(self._keys)],
         )
 
+    def _keys_of(self, seed: int) -> tuple[int, ...]:
+        """Return the key of each robot's random draws."""
+        return tuple(key(seed, "robot", number, "sensors") for number in range(self._scene.n_robots))
+
     def _draw_by(self, keys: tuple[int, ...]) -> None:
         """Draw at random by the key of each robot, or make no noise without any."""
-        for record, own in zip(self.records, keys or [0] * len(self.records), strict=True):
-            record["noise"] = key_words(own)
         self._keys = keys
+        for record, number in zip(self.records, self._scene.numbers, strict=True):
+            record["noise"] = self.key_words(number)
         self.inputs = self.inputs._replace(tables=TABLES[bool(keys)])
         self._bind()
 
@@ -321,11 +342,6 @@ class Simulation:
 def plain_advance(simulated: Simulated, inputs: StepInputs, until: int, stops: int) -> int:
     """Run `step.advance`, or `step.switch_on` where `until` is below 0."""
     return step.switch_on(simulated, inputs) if until < 0 else step.advance(simulated, inputs, until, stops)
-
-
-def _keys(seed: int, count: int) -> tuple[int, ...]:
-    """Return the key of each robot's random draws."""
-    return tuple(key(seed, "robot", index, "sensors") for index in range(count))
 
 
 def _arrays(light: Light) -> tuple[NDArray[np.void], ...]:

@@ -1,16 +1,17 @@
 """The board of a robot at its serial line."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from khep_twin import units
 from khep_twin.board.fault_injection import Injector
 from khep_twin.board.protocol import LINE_END
+from khep_twin.board.turrets import Turret, TurretKind
 from khep_twin.board.uart import HostEvent, HostEventKind, LineSettings, Uart
-from khep_twin.firmware import Firmware
+from khep_twin.firmware import FirmwareState
 from khep_twin.randomness import position, resume
 from khep_twin.simulation.world_state import BoardState, HostState
 
@@ -38,6 +39,55 @@ class LineWorld(Protocol):
         ...
 
 
+class BoardFirmware(Protocol):
+    """Interface of a command interpreter to its line.
+
+    Attributes:
+        turrets: Turrets on top, by their kinds.
+        baud: Speed of the serial line from the next reply on [baud].
+        reply_baud: Speed of the line for the last reply [baud].
+        answer_ns: Time that it takes to answer [ns]; what arrives meanwhile is dropped, unless it is 0.
+    """
+
+    turrets: Mapping[TurretKind, Turret]
+    baud: int
+    reply_baud: int
+    answer_ns: int
+
+    @property
+    def powered(self) -> bool:
+        """True if the supply suffices for the processor."""
+        ...
+
+    def receive(self, data: bytes) -> bytes:
+        """Read bytes from the line; return the replies to the commands that they complete."""
+        ...
+
+    def remedy(self, baud: int) -> str:
+        """Return a hint for setting the robot's line to a host's speed [baud]."""
+        ...
+
+    def forget_line(self) -> None:
+        """Discard the incomplete line."""
+        ...
+
+    def forget(self) -> None:
+        """Clear what a reset clears besides registers."""
+        ...
+
+    def reset(self) -> bytes:
+        """Reset the board, as at power-up; return the banner."""
+        ...
+
+    def state(self) -> FirmwareState:
+        """Return the state besides the registers."""
+        ...
+
+    def set_state(self, state: Any) -> None:
+        """Take over a state, a `FirmwareState`."""
+        ...
+
+
 class WiredBoard:
     """Board of a robot at its serial line, without a body.
 
@@ -60,7 +110,7 @@ class WiredBoard:
         self,
         world: LineWorld,
         index: int,
-        firmware: Firmware,
+        firmware: BoardFirmware,
         faults: Injector,
         unpaced: bool,
         noise: np.random.Generator | None,
@@ -167,7 +217,10 @@ class WiredBoard:
             # A restart sets the speed before its banner, the tool `serial` after its reply.
             self._take_speed(self.firmware.reply_baud)
             if answer:
-                self._reply(answer, taken_ns)
+                answer_ns = taken_ns + self.firmware.answer_ns
+                if self.firmware.answer_ns and (dropped := rx.read(answer_ns)):
+                    self._world.on_bytes(answer_ns, self.index, True, dropped)
+                self._reply(answer, answer_ns)
             self._take_speed(self.firmware.baud)
         # The bytes of an incomplete command are read at once; a whole one that waits stays whole.
         if command is None and (count := rx.arrived(time_ns)):

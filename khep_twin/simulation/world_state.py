@@ -69,7 +69,7 @@ class RobotSnapshot(NamedTuple):
     rx: LineState
     tx: LineState
     host: HostState
-    leds: tuple[int, int]
+    leds: tuple[int, ...]
     faults: InjectorState
     line_noise: StreamState | None
 

@@ -375,7 +375,8 @@ def test_a_model_is_run_without_an_edit_of_the_playpen(tmp_path: Path, kind: Seq
     assert (second.returncode, second.stderr) == (0, "")
     refused = khep_twin(*kind, "--model", "khepera3", folder=tmp_path)
     assert refused.stderr == (
-        "khep-twin: model = 'khepera3': unknown; did you mean 'khepera2'? (choices: khepera1, khepera2)\n"
+        "khep-twin: model = 'khepera3': unknown; did you mean 'khepera4'? "
+        "(choices: khepera1, khepera2, khepera4)\n"
     )
 
 

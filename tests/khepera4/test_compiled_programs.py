@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from khep_twin.errors import KhepTwinError
-from khep_twin.khepera4.dspic import Dspic
 from khep_twin.khepera4.machine import CHARGER_PIN, Machine
 from khep_twin.khepera4.programs import run_program
 from khep_twin.khepera4.registers import DspicRegister
-from khep_twin.khepera4.wheels import Wheels
+from khep_twin.khepera4.robot import Khepera4Robot
+from khep_twin.world import World
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux" or shutil.which("cc") is None, reason="there is no Linux with a C compiler"
@@ -42,7 +42,13 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def machine() -> Machine:
-    return Machine(Dspic(), Wheels().turn)
+    return machine_of(World("arena4"))
+
+
+def machine_of(world: World) -> Machine:
+    robot = world.robots[0]
+    assert isinstance(robot, Khepera4Robot)
+    return Machine(robot.dspic, world)
 
 
 def said(path: Path, capfd: pytest.CaptureFixture[str], *words: str, code: int = 0) -> list[str]:
@@ -87,8 +93,8 @@ def test_time_passes_while_all_threads_and_children_wait_and_a_run_repeats(
 def test_pins_reset_the_dspic_and_tell_of_the_charger(
     programs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    dspic = Dspic()
-    own = Machine(dspic, Wheels().turn)
+    world = World("arena4")
+    own, dspic = machine_of(world), world.robots[0].dspic
     own.set_pin(CHARGER_PIN, 0)
     dspic.write(bytes([DspicRegister.KP, 99]))
     assert run_program([str(programs / "pins")], own) == 0

@@ -5,20 +5,24 @@ import pytest
 from khep_twin.khepera4.dspic import Dspic
 from khep_twin.khepera4.motor_control import PWM_LIMIT
 from khep_twin.khepera4.registers import Control, DspicRegister
-from khep_twin.khepera4.wheels import Wheels
+from khep_twin.khepera4.robot import Khepera4Robot
+from khep_twin.world import World
 
 
 class Driven:
-    """A dsPIC with wheels off the ground."""
+    """A Khepera IV on the floor of its arena."""
 
-    def __init__(self, dspic: Dspic) -> None:
-        self.dspic, self.wheels = dspic, Wheels()
+    def __init__(self) -> None:
+        self.world = World("arena4", noise=False)
+        self.robot = self.world.robots[0]
+        assert isinstance(self.robot, Khepera4Robot)
+        self.dspic = self.robot.dspic
 
     def run(self, ticks: int) -> list[int]:
         """Return the left wheel's speed after each control period [pulses/10 ms]."""
         found: list[int] = []
         for _ in range(ticks):
-            self.wheels.turn(self.dspic.tick(*self.wheels.pulses))
+            self.world.advance(0.01)
             found.append(speed_of(self.dspic))
         return found
 
@@ -32,11 +36,12 @@ def whole(value: int, size: int = 2) -> bytes:
 
 
 def driven(gains: tuple[int, int, int], control: Control, order: int) -> Driven:
-    dspic = Dspic()
-    dspic.write(bytes([DspicRegister.KP, *gains]))
-    dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT]) + whole(order) * 2)
-    dspic.write(bytes([DspicRegister.CONTROL, control]))
-    return Driven(dspic)
+    """Return a robot that turns in place, which may take long without reaching a wall."""
+    robot = Driven()
+    robot.dspic.write(bytes([DspicRegister.KP, *gains]))
+    robot.dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT]) + whole(order) + whole(-order))
+    robot.dspic.write(bytes([DspicRegister.CONTROL, control]))
+    return robot
 
 
 @pytest.mark.parametrize(("gains", "settled"), [((10, 0, 0), 199), ((40, 0, 0), 370), ((10, 1, 0), 500)])
@@ -60,8 +65,8 @@ def test_a_profile_holds_its_least_speed_and_rises_by_its_acceleration() -> None
 
 
 def test_a_move_of_70000_pulses_takes_what_the_manuals_figure_shows() -> None:
-    dspic = Dspic()
-    wheels = Driven(dspic)
+    wheels = Driven()
+    dspic = wheels.dspic
     dspic.write(bytes([DspicRegister.POSITION_ORDER_LEFT]) + whole(70_000, 4) + whole(-70_000, 4))
     dspic.write(bytes([DspicRegister.CONTROL, Control.POSITION]))
     ticks = 0
@@ -77,13 +82,13 @@ def test_a_move_of_70000_pulses_takes_what_the_manuals_figure_shows() -> None:
 
 
 def test_a_short_move_begins_where_a_long_one_has_ended() -> None:
-    dspic = Dspic()
-    wheels = Driven(dspic)
+    wheels = Driven()
+    dspic = wheels.dspic
     dspic.write(bytes([DspicRegister.CONTROL, Control.POSITION]))
     for target in (3000, 3050):
         dspic.write(bytes([DspicRegister.POSITION_ORDER_LEFT]) + whole(target, 4) * 2)
-        assert dspic.tick(*wheels.wheels.pulses) != (0, 0)
-        wheels.run(300)
+        assert max(wheels.run(20)) > 5
+        wheels.run(280)
         assert dspic.read(DspicRegister.ON_TARGET, 1) == bytes([0b11])
 
 

@@ -82,6 +82,7 @@ def test_a_command_ends_with_its_line_and_what_is_behind_it_is_lost() -> None:
 def test_orders_reach_the_registers_with_their_control_type() -> None:
     dspic = Dspic()
     server = Kh4Server(dspic)
+    server.receive(b"\n")
     assert dspic.read(DspicRegister.POSITION_MARGIN, 2) == bytes([20, 0])
     for command, control, register, content in (
         (b"D,300,-2\n", Control.SPEED, DspicRegister.SPEED_ORDER_LEFT, bytes([44, 1, 254, 255])),

@@ -143,7 +143,7 @@ def test_the_shipped_playpens_are_listed() -> None:
 def test_a_shipped_playpen_bears_its_file_s_name_and_has_robots(name: str) -> None:
     playpen = Playpen.load(name)
     assert playpen.name == name
-    assert len(playpen.robots) == (20 if name == "swarm" else 1)
+    assert len(playpen.robots) == {"swarm": 20, "arena4-two": 3}.get(name, 1)
 
 
 def test_the_default_is_four_walls_and_one_robot_in_the_middle() -> None:
@@ -173,7 +173,7 @@ PLACE = "expected a number from 0 to 10000"
 
 WRONG_IN_ARENA = {
     "widht_mm = 3\n": "arena: widht_mm = 3: unknown key; did you mean 'width_mm'? (choices: "
-    "width_mm, height_mm, outline_mm, wall_height_mm, wall_thickness_mm, surface, stripes)",
+    "width_mm, height_mm, outline_mm, wall_height_mm, wall_thickness_mm, table, surface, stripes)",
     'surface = "whit"\n': f"arena: surface = \"whit\": unknown; did you mean 'white'? {SURFACES}",
     "[block]\nx_mm = 1\n": "block; expected [[block]], in two brackets each",
     BLOCK.replace("120", "nan"): f"block 1: x_mm = nan; {PLACE}",
@@ -188,7 +188,7 @@ WRONG_IN_ARENA = {
     BLOCK + "angle_deg = 400\n": "block 1: angle_deg = 400; expected a number from -360 to 360",
     BLOCK + "heigth_mm = 50\n": "block 1: heigth_mm = 50: unknown key; did you mean 'height_mm'? "
     "(choices: name, x_mm, y_mm, angle_deg, length_mm, width_mm, height_mm, surface, stripes, movable, "
-    "mass_g)",
+    "mass_g, ramp)",
     BLOCK + BLOCK + "movable = 1\n": "block 2: movable = 1; expected true or false",
     BLOCK + 'name = ""\n': "block 1: name = \"\"; expected 1 to 64 letters, digits, '_' or '-'",
     BLOCK + 'name = "b"\nsurface = "velvet"\n': f'block 1 (b): surface = "velvet": unknown; {SURFACES}',
@@ -207,15 +207,15 @@ WRONG_IN_ARENA = {
     ROBOT.replace("heading", "haeding"): "robot 1: heading_deg is missing; expected a number from "
     "-360 to 360",
     ROBOT + 'model = "khepera3"\n': 'robot 1: model = "khepera3": unknown; did you mean '
-    "'khepera2'? (choices: khepera1, khepera2)",
+    "'khepera4'? (choices: khepera1, khepera2, khepera4)",
     ROBOT.replace("300", "30") + 'model = "khepera2"\n': "robot 1 at (30, 250) overlaps the left "
     "wall at x = 0; expected 5 mm further in",
     ROBOT + "mode = 4\n": "robot 1: mode = 4: mode 4 runs a user's program from the "
     "robot's memory, and the twin runs no machine code; expected a running mode that the twin has "
     "(0, 1, 2, 3, 7)",
     ROBOT + 'mode = "1"\n': 'robot 1: mode = "1"; expected an integer from 0 to 15',
-    ROBOT
-    + "rom = 5.02\n": "robot 1: rom = 5.02: unknown; did you mean '5.02'? (choices: 5.02, 4.06, khepera2)",
+    ROBOT + "rom = 5.02\n": "robot 1: rom = 5.02: unknown; did you mean '5.02'? "
+    "(choices: 5.02, 4.06, khepera2, kh4server)",
     "[radio]\nloss = 1.1\n" + ROBOT: "radio: loss = 1.1; expected a number from 0 to 1",
     "[radio]\nrange_mm = -1\n" + ROBOT: "radio: range_mm = -1; expected a number from 0 to 100000",
     "[radio]\nair_time_ms = 0\n" + ROBOT: "radio: air_time_ms = 0; expected a number above 0 up to 10000",
@@ -428,7 +428,7 @@ def test_a_playpen_loads_by_path(tmp_path: Path) -> None:
 
 
 def test_a_missing_file_is_reported_with_what_ships(tmp_path: Path) -> None:
-    choices = r"did you mean 'default'\? \(choices: deceptive-maze, default,"
+    choices = r"did you mean 'default'\? \(choices: arena4, arena4-line,"
     with pytest.raises(PlaypenError, match=rf"^defualt: no such file; .*{choices}"):
         Playpen.load("defualt")
 

@@ -50,7 +50,7 @@ def test_a_larger_body_that_has_no_room_is_refused_with_what_is_in_its_way() -> 
 
 
 def test_an_unknown_model_is_reported_with_the_choices() -> None:
-    with pytest.raises(PortError, match=r"model = 'khepera3': unknown; .*\(choices: khepera1, khepera2\)"):
+    with pytest.raises(PortError, match=r"model = 'khepera3': unknown; .*\(choices: khepera1, .*khepera4\)"):
         TwinOptions(model="khepera3")
 
 

@@ -20,7 +20,7 @@ def lines_about(old: str, new: str) -> list[str]:
 
 
 def test_what_ships_can_be_used() -> None:
-    assert calibration.names() == ["khepera1", "khepera1-manual", "khepera2", "khepera2-manual"]
+    assert calibration.names() == ["khepera1", "khepera1-manual", "khepera2", "khepera2-manual", "khepera4"]
     for name in calibration.names():
         assert calibration.read(name)[0].name == name
 

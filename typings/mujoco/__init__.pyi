@@ -216,6 +216,8 @@ class MjsOption:
 class MjsGeom:
     name: str
     conaffinity: int
+    group: int
+    type: mjtGeom
     contype: int
     mass: float
     pos: Sequence[float]

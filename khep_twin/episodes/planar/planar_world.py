@@ -1,7 +1,7 @@
 """One robot in a plane, as episodes use it: the counterpart of `World`."""
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from threading import RLock
 from typing import Any
@@ -117,8 +117,8 @@ class PlanarForms:
         away = np.hypot(things[:, flat.CENTRE_X] - x, things[:, flat.CENTRE_Y] - y)
         self._order[:] = np.argsort(away - things[:, flat.LENGTH], kind="stable")
 
-    def vary(self, spreads: Sequence[np.random.Generator] | None) -> None:
-        """Make the robot another of the same make, drawn from the stream; None for that of the playpen."""
+    def vary(self, spread: Callable[[int], np.random.Generator] | None) -> None:
+        """Make the robot another of the same make, drawn from its stream; None for that of the playpen."""
         if self._fitted is None:
             model = copy.copy(self._model)
             self._fitted = (
@@ -129,13 +129,23 @@ class PlanarForms:
             )
         scene, fitted, model, data = self._fitted
         self._drawn = self._calibration
-        if spreads is None:
+        if spread is None:
             scene = self._planar_scene
         else:
-            self._drawn = calibration.varied(self._calibration, spreads[0])
+            self._drawn = calibration.varied(self._calibration, spread(0))
             fitted.fit([self._drawn], data)
             scene.fit(model, self._indices, data)
         self._sense(scene)
+
+    @property
+    def n_robots(self) -> int:
+        """Number of robots, 1."""
+        return 1
+
+    @property
+    def numbers(self) -> Sequence[int]:
+        """Number of the robot."""
+        return (0,)
 
     def robot_states(self) -> list[RobotState]:
         """Return the state of the robot."""

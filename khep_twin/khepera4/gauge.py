@@ -1,0 +1,93 @@
+"""Battery of the Khepera IV, two lithium polymer cells of 3400 mAh, and its gauge.
+
+The voltage falls in straight lines with the charge (assumed: as such cells do), whatever the load; the robot
+stops at 6.0 V (manual). On a battery that is not to run down the charge stays.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+from khep_twin.units import TICK_NS
+
+CAPACITY = 3.4 * 3600
+"""Charge of a full battery [C] (manual)."""
+
+VOLTAGES = ((0.0, 6.0), (0.05, 6.9), (0.2, 7.3), (0.6, 7.6), (1.0, 8.2))
+"""Part of the charge that is left, and voltage [V]."""
+
+CUT_OFF = 6.0
+"""Voltage at which the robot stops [V] (manual)."""
+
+CURRENT_TICKS, AVERAGE_TICKS = 350, 2800
+"""Control periods over which the gauge takes its current, 3.5 s, and its average, 28 s (manual)."""
+
+_CURRENT_UNIT, _CHARGE_UNIT, _VOLTAGE_UNIT, _DEGREE_UNIT = 78.125e-6, 1.6e-3 * 3600, 9.76e-3, 0.003906
+"""Units of the gauge's registers [A, C, V, degree Celsius] (manual)."""
+
+_DEGREES = 25.0
+"""Temperature (assumed)."""
+
+
+class Gauge:
+    """Battery and gauge.
+
+    Args:
+        used_min: Minutes that it has been used with the motors on, 300 of a whole charge; None for a full one
+            that does not run down.
+    """
+
+    def __init__(self, used_min: float | None) -> None:
+        self._runs_down = used_min is not None
+        self._used = CAPACITY * min((used_min or 0.0) / 300, 1)
+        self._drawn = self._ticks = 0.0
+        self._current = self._average = 0.0
+
+    @property
+    def voltage(self) -> float:
+        """Present voltage [V]."""
+        left = self.left
+        for (low, at_low), (high, at_high) in pairwise(VOLTAGES):
+            if left <= high:
+                return at_low + (at_high - at_low) * (left - low) / (high - low)
+        return VOLTAGES[-1][1]
+
+    @property
+    def left(self) -> float:
+        """Part of the charge that is left."""
+        return 1 - self._used / CAPACITY
+
+    def tick(self, current: float) -> bool:
+        """Draw a current [A] for a control period; return True where the gauge has a new value."""
+        if self._runs_down:
+            self._used = min(self._used + current * TICK_NS * 1e-9, CAPACITY)
+        self._drawn += current
+        self._ticks += 1
+        if self._ticks < CURRENT_TICKS:
+            return False
+        self._current = self._drawn / self._ticks
+        self._average += (self._current - self._average) * CURRENT_TICKS / AVERAGE_TICKS
+        self._drawn = self._ticks = 0.0
+        return True
+
+    @property
+    def block(self) -> bytes:
+        """Registers of the gauge (12 bytes, little-endian)."""
+        left = self.left
+        values = (
+            (round(left * CAPACITY / _CHARGE_UNIT), 2),
+            (round(100 * left), 1),
+            (round(-self._current / _CURRENT_UNIT), 2),
+            (round(-self._average / _CURRENT_UNIT), 2),
+            (round(_DEGREES / _DEGREE_UNIT) & ~0x1F, 2),
+            (round(self.voltage / _VOLTAGE_UNIT) << 5, 2),
+        )
+        told = b"".join((value & (1 << 8 * size) - 1).to_bytes(size, "little") for value, size in values)
+        return b"\0" + told
+
+    def state(self) -> list[float]:
+        """Return the state."""
+        return [self._used, self._drawn, self._ticks, self._current, self._average]
+
+    def set_state(self, state: Sequence[float]) -> None:
+        """Take over a state."""
+        self._used, self._drawn, self._ticks, self._current, self._average = state

@@ -1,0 +1,203 @@
+"""A Khepera or Khepera II of a world: its registers, turrets, supply and faults."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin import step, units
+from khep_twin.board import kernel
+from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL
+from khep_twin.board.kernel import (
+    AMBIENT,
+    DUTIES,
+    LEFT,
+    PROXIMITY,
+    RIGHT,
+    SETPOINTS,
+    SPEEDS,
+    Board,
+    Wheel,
+)
+from khep_twin.board.rom import ROMS
+from khep_twin.board.turrets import find
+from khep_twin.firmware import Firmware
+from khep_twin.robot import Robot, RobotSettings, SampledRegisters, WorldContext
+from khep_twin.sensing.robot_indices import RobotIndices
+from khep_twin.simulation.faulty_wheels import FaultyWheels
+from khep_twin.simulation.turret_place import TurretPlace
+from khep_twin.simulation.world_state import BoardState, RobotSnapshot
+from khep_twin.units import SENSOR_LABELS
+
+_SENSORS, _WHEELS = ", ".join(SENSOR_LABELS), "left, right, setpoint left, setpoint right"
+
+SAMPLED = (
+    SampledRegisters("proximity", f"{_SENSORS} [counts]", PROXIMITY),
+    SampledRegisters("ambient", f"{_SENSORS} [counts]", AMBIENT),
+    SampledRegisters("speed", f"{_WHEELS} [pulses/10 ms]", (*SPEEDS, *SETPOINTS)),
+    SampledRegisters("duty", "left, right [-255 to 255]", DUTIES),
+    SampledRegisters("leds", "lateral, frontal [1 is lit]", (int(Board.LED_0), int(Board.LED_1))),
+)
+"""Channels of the board's registers."""
+
+_RECORDED = ("registers", "processor", "sensor_states", "strengths", "voltage")
+"""Fields of a robot's record that change in a run."""
+
+
+class KheperaRobot(Robot):
+    """A robot whose board the stepping core runs.
+
+    Args:
+        context: World of the robot.
+        index: Index among the playpen's robots.
+        indices: Indices in the scene.
+        state: Record of the stepping core.
+        rng: Function that returns a random stream of the robot by its name.
+        settings: Settings of the world's robots.
+
+    Attributes:
+        registers: State of the board (N_REGISTERS,).
+    """
+
+    firmware: Firmware
+    sampled = SAMPLED
+
+    def __init__(
+        self,
+        context: WorldContext,
+        index: int,
+        indices: RobotIndices,
+        state: NDArray[np.void],
+        rng: Callable[..., np.random.Generator],
+        settings: RobotSettings,
+    ) -> None:
+        entry = context.playpen.robots[index]
+        turrets = {kind: kind.make() for kind in find(entry.turrets)}
+        firmware = Firmware(ROMS[entry.rom], entry.mode, turrets, state["registers"], state["processor"])
+        super().__init__(context, index, indices, firmware, rng, settings)
+        self._state = state
+        self.fit_turrets()
+        self.registers = firmware.registers
+        self._register_view = firmware.register_view
+        self._has_stopped = False
+        self._wheels = None
+        if any(fault.device == WHEEL for fault in settings.faults):
+            self._wheels = FaultyWheels(context.model, context.data, indices)
+
+    def fit_turrets(self) -> None:
+        """Give its turrets their bodies in the scene as it is now; their state is in their registers."""
+        self.turret_bodies = {
+            kind.name: kind.fit(TurretPlace(self._context, self.index, kind, turret.registers, self._state))
+            for kind, turret in self.firmware.turrets.items()
+            if kind.fit is not None
+        }
+
+    def state(self, since_ns: int = -1) -> RobotSnapshot:
+        """Return the state, with the replies that reach the host after a time [ns]."""
+        recorded: dict[str, Any] = {name: self._state[name].tobytes() for name in _RECORDED}
+        return RobotSnapshot(
+            **self.board_state(since_ns)._asdict(),
+            **recorded,
+            stopped=self._has_stopped,
+            leds=tuple(self._shown),
+        )
+
+    def set_state(self, state: RobotSnapshot) -> None:
+        """Take over a state.
+
+        Raises:
+            ValueError: It is of another robot, or another line.
+        """
+        for name in _RECORDED:
+            field, data = self._state[name], getattr(state, name)
+            if len(data) != field.nbytes:
+                raise ValueError(f"{len(data)} bytes of {name}; expected {field.nbytes}")
+            field[:] = np.frombuffer(data, field.dtype)
+        self.set_board_state(BoardState(*(getattr(state, name) for name in BoardState._fields)))
+        self._has_stopped = state.stopped
+        self._show(state.leds)
+        self.apply_faults()
+
+    def act_after(self, reason: int) -> None:
+        """Do what the stepping core has returned for.
+
+        Args:
+            reason: `step.STEPPED` for faults of conversions, TICKED to run the turrets and for other faults,
+                STOPPED to complete the stop of a processor whose supply is too low.
+        """
+        if reason == step.STEPPED:
+            if self.faults.update((SENSOR,), self._context.time_ns):
+                self.apply_faults()
+        elif reason == step.TICKED:
+            self._run_turrets()
+            self._fail()
+        elif reason == step.STOPPED and not self.firmware.powered and not self._has_stopped:
+            self._has_stopped = True
+            self.stop_processor()
+            text = (
+                f"the supply fell to {self._state['voltage'][0]:.2f} V: the processor stands still, "
+                "the motors keep their duty"
+            )
+            self._context.on_event(self.index, text)
+
+    def apply_faults(self) -> None:
+        """Make sensors, motors and wheels as the present faults have them; sound without any."""
+        sensors, strengths, wheels = self._state["sensor_states"], self._state["strengths"], self._wheels
+        sensors[:], strengths[:] = step.SOUND, 1
+        if wheels is not None:
+            wheels.mend()
+        for fault in self.faults.active:
+            if fault.device == SENSOR:
+                state = step.DEAD if fault.kind == "dead" else step.STUCK
+                sensors[fault.which] = max(sensors[fault.which], state)
+            elif fault.device == MOTOR:
+                strengths[fault.which] = min(strengths[fault.which], fault.part)
+            elif wheels is not None and fault.kind == "slip":
+                wheels.slip(fault.which, fault.part)
+            elif wheels is not None and fault.device == WHEEL:
+                wheels.block(fault.which)
+
+    @property
+    def lit_leds(self) -> list[int]:
+        """LEDs as the registers have them, 0 for an unlit one."""
+        return [self._register_view[led] for led in _LEDS]
+
+    def reset_motion(self) -> None:
+        """Reset counters, setpoints, controllers and LEDs, and cut the motors' voltage."""
+        kernel.reset(self._register_view)
+        self.zero_encoders()
+        self._context.data.ctrl[list(self.indices.motors)] = 0.0
+
+    def zero_encoders(self) -> None:
+        """Set the encoders to the wheels' current angles."""
+        angles = self._context.data.qpos[list(self.indices.wheel_angles)].tolist()
+        self.registers[[LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]] = [*map(units.wheel_pulses, angles)]
+
+    def _run_turrets(self) -> None:
+        """Run one control period of the turrets."""
+        for body in self.turret_bodies.values():
+            body.sense()
+        self.firmware.tick_turrets()
+        for body in self.turret_bodies.values():
+            body.drive()
+
+    def _fail(self) -> None:
+        """Begin and end the faults of a control period."""
+        time_ns, data, state = self._context.time_ns, self._context.data, self._state
+        changed = self.faults.update((MOTOR, WHEEL, ""), time_ns)
+        if changed:
+            self.apply_faults()
+        for which in {fault.which for fault in changed if fault.device == MOTOR}:
+            # From the next control period on the stepping core does this.
+            voltage = units.duty_voltage(self.registers[kernel.DUTIES[which]], state["voltage"][0])
+            if state["strengths"][which] != 1:
+                speed = data.qvel[self.indices.wheel_speeds[which]]
+                constant = float(state["motor_constant"])
+                voltage = step.weak_voltage(state["strengths"][which], voltage, constant, speed)
+            data.ctrl[self.indices.motors[which]] = voltage
+        if any(fault.kind == "brown-out" for fault in changed):
+            self.reset_processor()
+
+
+_LEDS = (int(Board.LED_0), int(Board.LED_1))

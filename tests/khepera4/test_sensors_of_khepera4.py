@@ -1,0 +1,210 @@
+"""Sensors of the Khepera IV in a world, against the manual's figures and closed form."""
+
+import math
+
+import numpy as np
+import pytest
+
+from khep_twin.khepera4.inertial import COUNTS_PER_G, DEGREES_PER_COUNT
+from khep_twin.khepera4.registers import Control, DspicRegister
+from khep_twin.khepera4.robot import PULSES_PER_TURN, Khepera4Robot
+from khep_twin.playpen import Playpen
+from khep_twin.playpen.parts import Block
+from khep_twin.units import GRAVITY
+from khep_twin.world import World
+
+WHITE_CM = {
+    1: 1013,
+    2: 1003,
+    3: 985,
+    4: 765,
+    5: 490,
+    6: 380,
+    7: 320,
+    8: 255,
+    9: 230,
+    10: 200,
+    12: 165,
+    14: 144,
+    16: 130,
+    18: 119,
+    20: 111,
+}
+"""Counts before white paper at a distance [cm] (manual, figure 10)."""
+
+FRONT, SONAR_MM, EYE_MM = 3, 66, 68
+"""Sensor in front; distance of the ultrasonic and the infrared sensors from the centre [mm]."""
+
+
+def robot_of(world: World, index: int = 0) -> Khepera4Robot:
+    robot = world.robots[index]
+    assert isinstance(robot, Khepera4Robot)
+    return robot
+
+
+def words(world: World, register: DspicRegister, count: int) -> list[int]:
+    """Return registers as a program reads them."""
+    content = robot_of(world).dspic.read(register, 2 * count)
+    return [int.from_bytes(content[at : at + 2], "little", signed=True) for at in range(0, 2 * count, 2)]
+
+
+def at(x_mm: float, y_mm: float = 1000, heading_deg: float = 0, playpen: str = "arena4-line") -> World:
+    world = World(playpen)
+    world.reset(noise=False, starts=[(x_mm, y_mm, heading_deg)])
+    world.advance(0.2)
+    return world
+
+
+def order(world: World, left: int, right: int, control: Control = Control.SPEED) -> None:
+    content = b"".join(each.to_bytes(2, "little", signed=True) for each in (left, right))
+    first = DspicRegister.PWM_ORDER_LEFT if control is Control.OPEN_LOOP else DspicRegister.SPEED_ORDER_LEFT
+    robot_of(world).dspic.write(bytes([first]) + content)
+    robot_of(world).dspic.write(bytes([DspicRegister.CONTROL, control]))
+
+
+def test_proximity_follows_the_manuals_curve() -> None:
+    for cm, counts in WHITE_CM.items():
+        (found,) = words(at(2000 - EYE_MM - 10 * cm), DspicRegister.PROXIMITY, FRONT + 1)[FRONT:]
+        assert abs(found - counts) <= max(0.05 * counts, 15), cm
+
+
+def test_readings_are_those_of_a_measurement_whenever_they_are_read() -> None:
+    often, seldom = World("arena4", seed=3), World("arena4", seed=3)
+    for world in (often, seldom):
+        order(world, 300, -200)
+    for _ in range(97):
+        often.advance(0.00731)
+        words(often, DspicRegister.AMBIENT, 40)
+    seldom.advance_to(often.time_ns)
+    assert often.snapshot() == seldom.snapshot()
+    assert words(often, DspicRegister.AMBIENT, 29) == words(seldom, DspicRegister.AMBIENT, 29)
+
+
+def test_ground_sensors_tell_floor_line_and_edge_apart() -> None:
+    on_the_line = words(at(1600 - 61, 1000), DspicRegister.PROXIMITY, 12)[8:]
+    assert on_the_line == pytest.approx([930, 51, 51, 930], abs=8)
+    beyond = words(at(1149, 400, playpen="arena4-table"), DspicRegister.PROXIMITY, 12)[8:]
+    assert beyond == pytest.approx([930, 30, 30, 930], abs=8)
+
+
+def test_a_robot_falls_from_a_table_and_climbs_a_ramp() -> None:
+    world = World("arena4-table", noise=False)
+    order(world, 400, 400)
+    world.advance(5)
+    assert world.data.qpos[2] < -0.02
+    world = World("arena4-ramps", noise=False)
+    order(world, 250, 250)
+    world.advance(3.6)
+    assert world.data.qpos[2] == pytest.approx(0.04, abs=0.01)
+    world.advance(4)
+    assert world.data.qpos[2] == pytest.approx(0, abs=1e-3)
+    assert world.poses[0][0] > 1.5
+
+
+@pytest.mark.parametrize(("gap_mm", "reading"), [(200, 0), (260, 26), (700, 70), (1500, 150), (1800, 180)])
+def test_ultrasound_ranges_a_wall_ahead(gap_mm: int, reading: int) -> None:
+    front = words(at(2000 - SONAR_MM - gap_mm), DspicRegister.ULTRASONIC, 5)[2]
+    assert front == pytest.approx(reading, abs=2)
+
+
+def test_ultrasound_misses_oblique_walls_that_are_far_and_meets_things_in_its_beam() -> None:
+    pen = Playpen.load("arena4-line").model_copy(update={"patches": ()})
+    board = Block(x_mm=1900, y_mm=1000, angle_deg=90, length_mm=600, width_mm=20, height_mm=200)
+    for turn_deg, seen in ((0, True), (60, False)):
+        turned = board.model_copy(update={"angle_deg": 90 + turn_deg})
+        world = World(pen.model_copy(update={"blocks": (turned,)}))
+        world.reset(noise=False, starts=[(900, 1000, 0)])
+        world.advance(0.2)
+        front = words(world, DspicRegister.ULTRASONIC, 5)[2]
+        assert (front == pytest.approx(92, abs=2)) == seen
+
+
+def test_disabled_ultrasonic_sensors_say_so_and_leave_their_turns_to_the_others() -> None:
+    world = at(1000)
+    robot_of(world).dspic.write(bytes([DspicRegister.ULTRASONIC_ENABLED, 0b00100]))
+    assert words(world, DspicRegister.ULTRASONIC, 5) == [2000, 2000, 93, 2000, 2000]
+    order(world, 400, 400)
+    world.advance(1)
+    expected = (2.0 - world.poses[0][0] - SONAR_MM / 1000) * 100
+    assert words(world, DspicRegister.ULTRASONIC, 5)[2] == pytest.approx(expected, abs=2)
+
+
+def test_the_accelerometer_feels_gravity_and_a_start() -> None:
+    world = at(400)
+    assert [words(world, DspicRegister.ACCELEROMETER + 20 * axis, 10)[0] for axis in range(3)] == [
+        0,
+        0,
+        -COUNTS_PER_G,
+    ]
+    before = world.data.qvel[0]
+    order(world, 2000, 2000, Control.OPEN_LOOP)
+    world.advance(0.1)
+    # The casters give way, by a hundredth of g.
+    felt = np.mean(words(world, DspicRegister.ACCELEROMETER, 10)) / COUNTS_PER_G * GRAVITY
+    assert felt == pytest.approx((world.data.qvel[0] - before) / 0.1, abs=0.15)
+
+
+def test_the_gyroscope_tells_the_rate_of_a_turn_in_place() -> None:
+    world = at(1000)
+    order(world, -200, 200)
+    world.advance(3)
+    found = np.mean(words(world, DspicRegister.GYROSCOPE + 40, 10)) * DEGREES_PER_COUNT
+    speed = 200 / 0.010 / PULSES_PER_TURN * math.tau * 0.021
+    assert found == pytest.approx(math.degrees(2 * speed / 0.1054), rel=0.01)
+
+
+def test_inertial_values_come_in_packets_of_ten_the_newest_first() -> None:
+    world = World("arena4", seed=1)
+    seen = [tuple(words(world, DspicRegister.ACCELEROMETER, 10))]
+    for _ in range(40):
+        world.advance(0.01)
+        if (found := tuple(words(world, DspicRegister.ACCELEROMETER, 10))) != seen[-1]:
+            seen.append(found)
+    assert len(seen) == 5
+
+
+def test_a_battery_runs_down_and_stops_the_robot() -> None:
+    pen = Playpen.load("arena4")
+    robot = pen.robots[0].model_copy(update={"battery_used_min": 420 * 300 / 420 - 0.05})
+    world = World(pen.model_copy(update={"robots": (robot,)}), noise=False)
+    order(world, 300, -300)
+    world.advance(4)
+    block = robot_of(world).dspic.read(DspicRegister.BATTERY, 12)
+    assert block[3] == 0
+    assert 6.0 <= int.from_bytes(block[10:12], "little") / 32 * 0.00976 < 6.05
+    assert -1.5 < int.from_bytes(block[4:6], "little", signed=True) * 78.125e-6 < -0.48
+    world.advance(8)
+    assert np.abs(world.data.qvel).max() < 1e-3
+
+
+def test_a_snapshot_goes_on_bit_for_bit_with_robots_of_two_models() -> None:
+    world = World("arena4-two", seed=2)
+    order(world, 250, 240)
+    world.robots[1].send(b"D,200,210\r\n")
+    world.robots[2].send(b"D,5,4\n")
+    world.advance(0.6175)
+    taken = world.snapshot()
+    world.advance(0.7)
+    other = World("arena4-two", seed=9)
+    other.restore(taken)
+    other.advance_to(world.time_ns)
+    assert other.snapshot() == world.snapshot()
+    assert world.poses[1][0] < 1.45
+
+
+def test_robots_of_the_same_make_differ_and_a_seed_repeats_them() -> None:
+    world = World("arena4", seed=4, vary=True)
+    again = World("arena4", seed=4, vary=True)
+    for each in (world, again):
+        each.advance(0.1)
+    first = words(world, DspicRegister.PROXIMITY, 12)
+    assert first == words(again, DspicRegister.PROXIMITY, 12)
+    assert max(first[:8]) - min(first[:8]) > 20
+
+
+def test_an_episode_of_a_khepera_iv_is_refused_by_name() -> None:
+    from khep_twin.episodes.episode_setup import EpisodeSetup
+    from khep_twin.errors import PlaypenError
+
+    with pytest.raises(PlaypenError, match="arena4: robot 1: model = 'khepera4': its board runs at a line"):
+        EpisodeSetup("arena4")
