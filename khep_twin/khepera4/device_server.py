@@ -8,20 +8,27 @@ result (minus an error number where it failed), a length, a 64-bit value, and it
     2 GPIO_SET   pin; its value, 32 bits
     3 GPIO_GET   pin; the value is its level
     4 NOW        the value is the simulated time [ns]
-    5 SLEEP      time to wait [ns], 64 bits
-    6 HELLO      number of the thread, as the kernel counts; without an answer
+    5 SLEEP      0, then time to wait [ns], 64 bits, or 1, then the time at which to end; the value is what
+                 is left of it [ns], below 0 where it took longer
+    6 HELLO      number of the thread, as the kernel counts
+    7 CANCEL     ends the wait of its line now, unless that has been answered; without an answer of its own
 
 One thread runs at a time: a question is answered while all threads of the program and of its children wait,
-for an answer or for something else: a lock, another thread, a key, whatever the kernel calls sleeping. The
-thread of the lowest number is first. A wait ends when no other question is left, the shortest first, and the
-time of it has passed. So a run repeats. A question for the time costs `ASKED_NS`: a program that waits in a
-loop ends. Where a thread computes for longer than `PATIENCE_S`, the others go on.
+for an answer or for something else: a lock, another thread, a key, whatever the kernel calls sleeping. A new
+thread and a new process say HELLO before anything else, so they, too, begin when it is their turn. A wait is
+due at its end, all else when it is asked. What is due first is answered, of several the question of the
+thread with the lowest number, and the time until then has passed. So a run repeats. A question for the time
+costs `ASKED_NS`: a program that waits in a loop ends. A thread that computes for longer than `PATIENCE_S` no
+longer holds up the others: from then on their time passes as fast as it computes.
 """
 
+import contextlib
 import errno
+import os
 import selectors
 import socket
 import struct
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -38,9 +45,13 @@ MOST_BYTES = 1 << 20
 """Longest content of a question; what asks for more is no preload library, and loses its line."""
 
 PATIENCE_S = 0.05
-"""Real time for which one thread may compute while others have asked [s] (assumed)."""
+"""Processor time for which threads may compute while others have asked [s] (assumed)."""
+
+STRIDE_NS = 1_000_000_000
+"""Longest simulated time that passes before the program is looked at again: it may have ended [ns]."""
 
 _FAMILY: Any = getattr(socket, "AF_UNIX", None)  # which Windows lacks
+_PEER = getattr(socket, "SO_PEERCRED", 17)
 _QUESTION, _MESSAGE, _ANSWER = struct.Struct("<III"), struct.Struct("<HHH"), struct.Struct("<iIq")
 
 
@@ -53,6 +64,7 @@ class Question(IntEnum):
     NOW = 4
     SLEEP = 5
     HELLO = 6
+    CANCEL = 7
 
 
 class DeviceServer:
@@ -82,17 +94,30 @@ class DeviceServer:
 
     def serve(self, process: int, is_over: Callable[[], bool]) -> None:
         """Answer a process and its children until a function tells that it is over."""
-        since = time.monotonic()
+        threads = _Threads(process)
+        try:
+            self._serve(threads, is_over)
+        finally:
+            threads.close()
+
+    def _serve(self, threads: "_Threads", is_over: Callable[[], bool]) -> None:
+        begun_ns, begun_cpu_ns = 0, -1  # of a thread that computes; -1 while all wait
         while not is_over():
             asked = [line for line in self._lines.values() if line.kind]
             if self._listen(0.0 if asked else 0.02) or not asked:
-                since = time.monotonic()
                 continue
-            if not (_all_wait(process) or time.monotonic() - since > PATIENCE_S):
-                self._listen(0.0001)
-            elif not self._listen(0.0):
-                self._answer_first(asked)
-                since = time.monotonic()
+            if self._clock is not None or threads.all_wait(asked):
+                if self._listen(0.0):
+                    continue
+                begun_cpu_ns = -1
+            else:
+                if begun_cpu_ns < 0:
+                    begun_ns, begun_cpu_ns = self._machine.time_ns, threads.cpu_ns()
+                spent_ns = threads.cpu_ns() - begun_cpu_ns
+                if spent_ns < PATIENCE_S * 1e9 or min(line.due_ns for line in asked) > begun_ns + spent_ns:
+                    self._listen(0.0001)
+                    continue
+            self._answer_first(asked)
 
     def _listen(self, seconds: float) -> bool:
         """Take what comes within a time [s]; return whether there was anything."""
@@ -100,7 +125,7 @@ class DeviceServer:
         for key, _ in events:
             if key.fileobj is self._socket:
                 line, _ = self._socket.accept()
-                self._lines[line] = _Line(line)
+                self._lines[line] = _Line(line, _peer(line))
                 self._selector.register(line, selectors.EVENT_READ)
             elif isinstance(key.fileobj, socket.socket) and not self._hear(self._lines[key.fileobj]):
                 self._end(key.fileobj)
@@ -115,23 +140,31 @@ class DeviceServer:
         content = _received(line.socket, length) if length <= MOST_BYTES else None
         if content is None:
             return False
+        now_ns = self._machine.time_ns
+        if kind == Question.CANCEL:
+            line.due_ns = now_ns
+            return True
         if kind == Question.HELLO:
             line.thread = number
-            return True
-        line.kind, line.number, line.content = kind, number, content
+        line.kind, line.number, line.content, line.due_ns = kind, number, content, now_ns
         if kind == Question.SLEEP:
-            line.wake_ns = self._machine.time_ns + max(int.from_bytes(content, "little", signed=True), 0)
+            ns = int.from_bytes(content, "little", signed=True)
+            line.wake_ns = ns if number else now_ns + ns
+            line.due_ns = max(line.wake_ns, now_ns)
         return True
 
     def _answer_first(self, asked: list["_Line"]) -> None:
         """Answer the question whose turn it is."""
-        line = min(asked, key=lambda line: (line.kind == Question.SLEEP, line.wake_ns, line.thread))
+        line = min(asked, key=lambda line: (line.due_ns, line.thread))
+        if self._clock is None and line.due_ns - self._machine.time_ns > STRIDE_NS:
+            self._machine.advance_to(self._machine.time_ns + STRIDE_NS)
+            return
         result, value, told = 0, 0, b""
         try:
             result, value, told = self._answer(line)
         except OSError as error:
             result = -(error.errno or errno.EIO)
-        line.kind, line.wake_ns = 0, 0
+        line.kind = 0
         try:
             line.socket.sendall(_ANSWER.pack(result, len(told), value) + told)
         except OSError:  # the program has ended meanwhile
@@ -143,7 +176,7 @@ class DeviceServer:
         if self._clock is not None:
             machine.advance_to(self._clock())
         elif kind == Question.SLEEP:
-            machine.advance_to(line.wake_ns)
+            machine.advance_to(line.due_ns)
         elif kind == Question.NOW:
             machine.advance_to(machine.time_ns + ASKED_NS)
         if kind == Question.TRANSFER:
@@ -152,7 +185,9 @@ class DeviceServer:
             machine.set_pin(line.number, int.from_bytes(line.content, "little"))
         elif kind == Question.GPIO_GET:
             return 0, machine.pin(line.number), b""
-        elif kind not in (Question.NOW, Question.SLEEP):
+        elif kind == Question.SLEEP:
+            return 0, line.wake_ns - machine.time_ns, b""
+        elif kind not in (Question.NOW, Question.HELLO):
             raise OSError(errno.ENOSYS, f"question {kind}; expected one of {[*Question]}")
         return 0, machine.time_ns, b""
 
@@ -167,25 +202,110 @@ class _Line:
     """Line of a thread, and its open question; kind 0 for none."""
 
     socket: socket.socket
+    process: int
     thread: int = 0
     kind: int = 0
     number: int = 0
     content: bytes = b""
     wake_ns: int = 0
+    due_ns: int = 0
 
 
-def _all_wait(process: int) -> bool:
-    """Return whether all threads of a process and of its children wait, by the kernel's word."""
+class _Threads:
+    """The threads of a process and of the processes that it has begun, as the kernel sees them.
+
+    Args:
+        process: Number of the process.
+    """
+
+    def __init__(self, process: int) -> None:
+        self._processes, self._seen = {process}, {process}
+        self._files: dict[tuple[int, int], int] = {}
+        self._newest: bytes = b""
+
+    def close(self) -> None:
+        """Close the files of the kernel."""
+        while self._files:
+            os.close(self._files.popitem()[1])
+
+    def all_wait(self, asked: list[_Line]) -> bool:
+        """Return whether all wait, those on the lines of open questions among them.
+
+        Two looks with the same count of switches between threads: all were waiting at once between them.
+        """
+        self._find({line.process for line in asked})
+        if len(asked) == len(self._files) == 1:
+            return True
+        surely = {line.thread for line in asked if line.kind != Question.SLEEP}
+        first = [self._waits(key) for key in [*self._files] if key[1] not in surely]
+        return None not in first and first == [
+            self._waits(key) for key in [*self._files] if key[1] not in surely
+        ]
+
+    def cpu_ns(self) -> int:
+        """Return the processor time that they have had [ns]."""
+        found = 0
+        for process in self._processes:
+            with contextlib.suppress(OSError):  # one that has ended
+                found += time.clock_gettime_ns(~process << 3 | 2)  # as clock_getcpuclockid of the C library
+        return found
+
+    def _find(self, known: set[int]) -> None:
+        """Find new threads, and new processes whose parents are known."""
+        newest = _content(Path("/proc/loadavg")).rpartition(b" ")[2]
+        if newest == self._newest and known <= self._processes:
+            return
+        there = {int(name) for name in os.listdir("/proc") if name.isdigit()}
+        new = there - self._seen
+        parents = {each: _parent(each) for each in new}
+        self._processes |= known
+        while more := {each for each in new - self._processes if parents[each] in self._processes}:
+            self._processes |= more
+        self._processes &= there
+        self._seen, self._newest = there, newest
+        tasks = {(process, task) for process in self._processes for task in _tasks(process)}
+        for key in [key for key in self._files if key not in tasks]:
+            os.close(self._files.pop(key))
+        for process, task in sorted(tasks - self._files.keys()):
+            with contextlib.suppress(OSError):
+                self._files[process, task] = os.open(f"/proc/{process}/task/{task}/status", os.O_RDONLY)
+
+    def _waits(self, key: tuple[int, int]) -> bytes | None:
+        """Return the counts of switches to and from a thread that waits, None of one that does not."""
+        try:
+            told = os.pread(self._files[key], 4096, 0)
+        except OSError:  # it has just ended
+            os.close(self._files.pop(key))
+            return b""
+        state = told.find(b"State:\t") + 7
+        return told[told.rfind(b"\nvoluntary") :] if told[state : state + 1] in b"SZXT" else None
+
+
+def _content(path: Path) -> bytes:
+    """Return the content of a file, nothing where there is none."""
     try:
-        for task in Path(f"/proc/{process}/task").iterdir():
-            if (task / "stat").read_text().rpartition(")")[2].split()[0] not in "SZX":
-                return False
-            children = task / "children"  # which not every kernel tells
-            if children.exists() and not all(_all_wait(int(each)) for each in children.read_text().split()):
-                return False
-    except OSError:  # one has just ended
-        return False
-    return True
+        return path.read_bytes()
+    except OSError:
+        return b""
+
+
+def _parent(process: int) -> int:
+    """Return the number of the process that began one, 0 where that has ended."""
+    told = _content(Path(f"/proc/{process}/stat")).rpartition(b")")[2].split()
+    return int(told[1]) if told else 0
+
+
+def _tasks(process: int) -> list[int]:
+    """Return the numbers of the threads of a process."""
+    try:
+        return [int(name) for name in os.listdir(f"/proc/{process}/task")]
+    except OSError:
+        return []
+
+
+def _peer(line: socket.socket) -> int:
+    """Return the number of the process that opened a line."""
+    return int.from_bytes(line.getsockopt(socket.SOL_SOCKET, _PEER, 4), sys.byteorder)
 
 
 def _received(line: socket.socket, count: int) -> bytes | None:
