@@ -101,10 +101,12 @@ class DeviceServer:
             threads.close()
 
     def _serve(self, threads: "_Threads", is_over: Callable[[], bool]) -> None:
+        assert sys.platform == "linux"
         begun_ns, begun_cpu_ns = 0, -1  # of a thread that computes; -1 while all wait
         while not is_over():
             asked = [line for line in self._lines.values() if line.kind]
-            if self._listen(0.0 if asked else 0.02) or not asked:
+            if not asked:
+                self._listen(0.02)
                 continue
             if self._clock is not None or threads.all_wait(asked):
                 if self._listen(0.0):
@@ -118,6 +120,8 @@ class DeviceServer:
                     self._listen(0.0001)
                     continue
             self._answer_first(asked)
+            os.sched_yield()  # to the thread that has its answer, which mostly asks again
+            self._listen(0.0)
 
     def _listen(self, seconds: float) -> bool:
         """Take what comes within a time [s]; return whether there was anything."""
@@ -222,11 +226,12 @@ class _Threads:
         self._processes, self._seen = {process}, {process}
         self._files: dict[tuple[int, int], int] = {}
         self._newest: bytes = b""
+        self._load = os.open("/proc/loadavg", os.O_RDONLY)
 
     def close(self) -> None:
         """Close the files of the kernel."""
-        while self._files:
-            os.close(self._files.popitem()[1])
+        for file in (self._load, *self._files.values()):
+            os.close(file)
 
     def all_wait(self, asked: list[_Line]) -> bool:
         """Return whether all wait, those on the lines of open questions among them.
@@ -244,6 +249,7 @@ class _Threads:
 
     def cpu_ns(self) -> int:
         """Return the processor time that they have had [ns]."""
+        assert sys.platform == "linux"
         found = 0
         for process in self._processes:
             with contextlib.suppress(OSError):  # one that has ended
@@ -252,7 +258,8 @@ class _Threads:
 
     def _find(self, known: set[int]) -> None:
         """Find new threads, and new processes whose parents are known."""
-        newest = _content(Path("/proc/loadavg")).rpartition(b" ")[2]
+        assert sys.platform == "linux"
+        newest = os.pread(self._load, 256, 0).rpartition(b" ")[2]  # the number of the newest thread
         if newest == self._newest and known <= self._processes:
             return
         there = {int(name) for name in os.listdir("/proc") if name.isdigit()}
@@ -272,6 +279,7 @@ class _Threads:
 
     def _waits(self, key: tuple[int, int]) -> bytes | None:
         """Return the counts of switches to and from a thread that waits, None of one that does not."""
+        assert sys.platform == "linux"
         try:
             told = os.pread(self._files[key], 4096, 0)
         except OSError:  # it has just ended

@@ -65,12 +65,8 @@ __attribute__((constructor)) static void begin(void) {
     pthread_atfork(NULL, NULL, begin_child);
     if (!simulated)
         return;
-    /* The robot has one processor, too. On one, and without being interrupted by those whom it wakes, a thread
-       mostly runs on until it waits. */
-    cpu_set_t own;
-    CPU_ZERO(&own);
-    CPU_SET(sched_getcpu(), &own);
-    sched_setaffinity(0, sizeof own, &own);
+    /* On the one processor of the twin a thread mostly runs on until it waits, unless those whom it wakes
+       interrupt it. */
     sched_setscheduler(0, SCHED_BATCH, &(struct sched_param){0});
     say_hello();
 }
