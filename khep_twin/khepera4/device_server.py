@@ -8,10 +8,13 @@ result (minus an error number where it failed), a length, a 64-bit value, and it
     2 GPIO_SET   pin; its value, 32 bits
     3 GPIO_GET   pin; the value is its level
     4 NOW        the value is the simulated time [ns]
-    5 SLEEP      0, then time to wait [ns], 64 bits, or 1, then the time at which to end; the value is what
-                 is left of it [ns], below 0 where it took longer
+    5 SLEEP      0, then time to wait [ns], 64 bits, or 1, then the time at which to end, the largest number for
+                 none; the value is what is left of it [ns], below 0 where it took longer. Then the place for
+                 whose WAKE it waits as well, and the last wake of it that was seen, 64 bits each; 1 if it came
     6 HELLO      number of the thread, as the kernel counts
     7 CANCEL     ends the wait of its line now, unless that has been answered; without an answer of its own
+    8 WAKE       how many of those who wait for a place in this process, 0 for all; place, number of this wake,
+                 64 bits each; without an answer
 
 One thread runs at a time: a question is answered while all threads of the program and of its children wait,
 for an answer or for something else: a lock, another thread, a key, whatever the kernel calls sleeping. A new
@@ -47,12 +50,16 @@ MOST_BYTES = 1 << 20
 PATIENCE_S = 0.05
 """Processor time for which threads may compute while others have asked [s] (assumed)."""
 
+NEVER_NS = (1 << 63) - 1
+"""End of a wait that has none [ns]."""
+
 STRIDE_NS = 1_000_000_000
 """Longest simulated time that passes before the program is looked at again: it may have ended [ns]."""
 
 _FAMILY: Any = getattr(socket, "AF_UNIX", None)  # which Windows lacks
 _PEER = getattr(socket, "SO_PEERCRED", 17)
 _QUESTION, _MESSAGE, _ANSWER = struct.Struct("<III"), struct.Struct("<HHH"), struct.Struct("<iIq")
+_SLEEP, _WAKE = struct.Struct("<qQQ"), struct.Struct("<QQ")
 
 
 class Question(IntEnum):
@@ -65,6 +72,7 @@ class Question(IntEnum):
     SLEEP = 5
     HELLO = 6
     CANCEL = 7
+    WAKE = 8
 
 
 class DeviceServer:
@@ -84,6 +92,8 @@ class DeviceServer:
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
         self._lines: dict[socket.socket, _Line] = {}
+        self._turn = 0  # of the last wait
+        self._wakes: dict[tuple[int, int], int] = {}  # the last of each process and place
 
     def close(self) -> None:
         """Close the socket and all lines."""
@@ -105,7 +115,7 @@ class DeviceServer:
         begun_ns, begun_cpu_ns = 0, -1  # of a thread that computes; -1 while all wait
         while not is_over():
             asked = [line for line in self._lines.values() if line.kind]
-            if not asked:
+            if min((line.due_ns for line in asked), default=NEVER_NS) == NEVER_NS:
                 self._listen(0.02)
                 continue
             if self._clock is not None or threads.all_wait(asked):
@@ -148,14 +158,31 @@ class DeviceServer:
         if kind == Question.CANCEL:
             line.due_ns = now_ns
             return True
+        if kind == Question.WAKE:
+            self._wake(line.process, number, *_WAKE.unpack(content))
+            return True
         if kind == Question.HELLO:
             line.thread = number
         line.kind, line.number, line.content, line.due_ns = kind, number, content, now_ns
         if kind == Question.SLEEP:
-            ns = int.from_bytes(content, "little", signed=True)
-            line.wake_ns = ns if number else now_ns + ns
+            ns, line.place, seen = _SLEEP.unpack(content)
+            line.wake_ns, line.woken = ns if number else now_ns + ns, False
             line.due_ns = max(line.wake_ns, now_ns)
+            line.turn = self._turn = self._turn + 1
+            if line.place and seen < self._wakes.get((line.process, line.place), 0):
+                line.due_ns, line.woken = now_ns, True
         return True
+
+    def _wake(self, process: int, count: int, place: int, wake: int) -> None:
+        """Wake the first of those who wait for a place, so many or all."""
+        self._wakes[process, place] = wake
+        waiting = [
+            line
+            for line in self._lines.values()
+            if line.kind == Question.SLEEP and (line.process, line.place, line.woken) == (process, place, False)
+        ]
+        for line in sorted(waiting, key=lambda line: line.turn)[: count or None]:
+            line.due_ns, line.woken = self._machine.time_ns, True
 
     def _answer_first(self, asked: list["_Line"]) -> None:
         """Answer the question whose turn it is."""
@@ -190,7 +217,7 @@ class DeviceServer:
         elif kind == Question.GPIO_GET:
             return 0, machine.pin(line.number), b""
         elif kind == Question.SLEEP:
-            return 0, line.wake_ns - machine.time_ns, b""
+            return int(line.woken), line.wake_ns - machine.time_ns, b""
         elif kind not in (Question.NOW, Question.HELLO):
             raise OSError(errno.ENOSYS, f"question {kind}; expected one of {[*Question]}")
         return 0, machine.time_ns, b""
@@ -212,6 +239,9 @@ class _Line:
     number: int = 0
     content: bytes = b""
     wake_ns: int = 0
+    place: int = 0
+    turn: int = 0
+    woken: bool = False
     due_ns: int = 0
 
 

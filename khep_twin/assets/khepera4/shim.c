@@ -55,6 +55,7 @@ static void begin_child(void) {
         }
     memset(&lines, 0, sizeof lines);
     forget_timers();
+    forget_locks();
     say_hello();
 }
 
@@ -182,16 +183,17 @@ int ask(enum question question, uint32_t number, const void *content, uint32_t c
     return result;
 }
 
-/* Wait for a time, or until handles are ready; return 0, or minus an error number: a handler of a signal ran.
-   `left` becomes what is left of the time, below 0 where it took longer. */
-int wait_until(enum sleep kind, int64_t ns, struct pollfd *handles, nfds_t count, const sigset_t *mask,
+/* Wait for a time, or until handles are ready; return 0, 1 after a wake, or minus an error number: a handler of a
+   signal ran. `left` becomes what is left of the time, below 0 where it took longer. */
+int wait_until(enum sleep kind, struct limit limit, struct pollfd *handles, nfds_t count, const sigset_t *mask,
                int64_t *left) {
-    struct { struct header header; int64_t ns; } __attribute__((packed)) message = {{SLEEP, kind, sizeof ns}, ns};
+    struct { struct header header; struct limit limit; } __attribute__((packed)) message = {
+        {SLEEP, kind, sizeof limit}, limit};
     struct header cancel = {CANCEL, 0, 0};
     struct answer answer;
     struct pollfd watched[count + 1];
     struct state before;
-    int error = 0, kept = errno;
+    int error = 0, result = 0, kept = errno;
     block(&before);
     int line = connected();
     if (line >= 0) {
@@ -211,12 +213,30 @@ int wait_until(enum sleep kind, int64_t ns, struct pollfd *handles, nfds_t count
         if ((!watched[count].revents && all(line, &cancel, sizeof cancel, 1)) ||
             all(line, &answer, sizeof answer, 0))
             lose();
+        result = answer.result;
         if (left)
             *left = answer.value;
     }
     restore(&before);
     errno = kept;
-    return -error;
+    return result ? result : -error;
+}
+
+/* Wait until all others wait: for one that has just been woken, and runs beside the one that did it. */
+void take_turn(void) {
+    if (simulated)
+        wait_until(RELATIVE, (struct limit){0}, NULL, 0, NULL, NULL);
+}
+
+void wake(uint32_t count, uint64_t place, uint64_t number) {
+    struct { struct header header; uint64_t place, number; } __attribute__((packed)) message = {
+        {WAKE, count, sizeof place + sizeof number}, place, number};
+    struct state before;
+    block(&before);
+    int line = connected();
+    if (line >= 0 && all(line, &message, sizeof message, 1))
+        lose();
+    restore(&before);
 }
 
 /* Threads and processes ------------------------------------------------------------------------------- */
@@ -471,7 +491,12 @@ ssize_t write(int handle, const void *content, size_t count) {
 ssize_t read(int handle, void *content, size_t count) {
     if (kind_at(handle) == I2C)
         return one(handle, 1, content, count);
-    return REAL(read)(handle, content, count);
+    struct pollfd own = {handle, POLLIN, 0};
+    int waits = simulated && handle >= 0 && !REAL(poll)(&own, 1, 0);
+    ssize_t found = REAL(read)(handle, content, count);
+    if (waits)
+        take_turn();
+    return found;
 }
 
 ssize_t __read_chk(int handle, void *content, size_t count, size_t room) {

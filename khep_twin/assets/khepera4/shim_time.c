@@ -5,7 +5,6 @@
 #include "shim.h"
 
 #include <limits.h>
-#include <semaphore.h>
 #include <string.h>
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
@@ -15,14 +14,11 @@
 #include <sys/timeb.h>
 #include <sys/timerfd.h>
 #include <sys/times.h>
-#include <time.h>
 
 #define BILLION 1000000000LL
 #define FIRST_DAY (1767225600 * BILLION) /* 2026-01-01, 0:00 UTC */
-#define STEP (BILLION / 1000)            /* in which those waits look again that nothing else can wake */
-#define NEVER INT64_MAX
 
-static int64_t now(void) {
+int64_t now(void) {
     int64_t value = 0;
     ask(NOW, 0, NULL, 0, NULL, 0, &value);
     return value;
@@ -33,7 +29,7 @@ static int64_t ns_of(const struct timespec *time) { return most(time->tv_sec, ti
 static int64_t ns_of_us(const struct timeval *time) { return most(time->tv_sec, time->tv_usec * 1000LL); }
 
 /* Return the twin's time for one of any clock: those that began at 0 have not come to the first day. */
-static int64_t since_start(const struct timespec *time) {
+int64_t since_start(const struct timespec *time) {
     int64_t ns = ns_of(time);
     return ns >= FIRST_DAY ? ns - FIRST_DAY : ns;
 }
@@ -115,14 +111,14 @@ int settimeofday(const struct timeval *time, const struct timezone *zone) {
 /* Waits for a time ------------------------------------------------------------------------------------ */
 
 int usleep(useconds_t us) {
-    return simulated ? failed(wait_until(RELATIVE, us * 1000LL, NULL, 0, NULL, NULL)) : REAL(usleep)(us);
+    return simulated ? failed(wait_until(RELATIVE, (struct limit){us * 1000LL}, NULL, 0, NULL, NULL)) : REAL(usleep)(us);
 }
 
 unsigned int sleep(unsigned int seconds) {
     int64_t left = 0;
     if (!simulated)
         return REAL(sleep)(seconds);
-    return wait_until(RELATIVE, seconds * BILLION, NULL, 0, NULL, &left) && left > 0 ? (left + BILLION / 2) / BILLION : 0;
+    return wait_until(RELATIVE, (struct limit){seconds * BILLION}, NULL, 0, NULL, &left) && left > 0 ? (left + BILLION / 2) / BILLION : 0;
 }
 
 /* Return 0 or an error number. */
@@ -130,7 +126,8 @@ static int nap(enum sleep kind, const struct timespec *wanted, struct timespec *
     int64_t rest = 0;
     if (wanted->tv_sec < 0 || wanted->tv_nsec < 0 || wanted->tv_nsec >= BILLION)
         return EINVAL;
-    int error = -wait_until(kind, kind == ABSOLUTE ? since_start(wanted) : ns_of(wanted), NULL, 0, NULL, &rest);
+    struct limit limit = {kind == ABSOLUTE ? since_start(wanted) : ns_of(wanted)};
+    int error = -wait_until(kind, limit, NULL, 0, NULL, &rest);
     if (error && left && kind == RELATIVE)
         *left = time_of(rest > 0 ? rest : 0);
     return error;
@@ -152,10 +149,6 @@ int clock_nanosleep(clockid_t clock, int flags, const struct timespec *wanted, s
 static int ready(struct pollfd *handles, nfds_t count, int64_t ns, const sigset_t *mask, int64_t *left) {
     struct timespec none = {0, 0};
     *left = ns > 0 ? ns : 0;
-    if (ns < 0) {
-        int found = REAL(ppoll)(handles, count, NULL, mask);
-        return found < 0 ? -errno : found;
-    }
     int found = REAL(ppoll)(handles, count, &none, mask);
     if (found)
         return found < 0 ? -errno : found;
@@ -163,7 +156,8 @@ static int ready(struct pollfd *handles, nfds_t count, int64_t ns, const sigset_
         now(); /* a program that looks again and again ends, too */
         return 0;
     }
-    int error = wait_until(RELATIVE, ns, handles, count, mask, left);
+    enum sleep kind = ns < 0 ? ABSOLUTE : RELATIVE;
+    int error = wait_until(kind, (struct limit){ns < 0 ? NEVER : ns}, handles, count, mask, left);
     found = REAL(ppoll)(handles, count, &none, NULL);
     return found ? found : error;
 }
@@ -241,7 +235,7 @@ int pselect(int count, fd_set *in, fd_set *out, fd_set *odd, const struct timesp
 int epoll_pwait(int handle, struct epoll_event *found, int room, int ms, const sigset_t *mask) {
     struct pollfd own = {handle, POLLIN, 0};
     int64_t left;
-    if (!simulated || ms < 0)
+    if (!simulated)
         return REAL(epoll_pwait)(handle, found, room, ms, mask);
     int result = ready(&own, 1, ms * 1000000LL, mask, &left);
     return result < 0 ? failed(result) : REAL(epoll_pwait)(handle, found, room, 0, NULL);
@@ -255,15 +249,13 @@ int epoll_wait(int handle, struct epoll_event *found, int room, int ms) {
 
 /* A thread of this library sleeps until the first of them is due. */
 
-enum use { FREE, ALARM, POSIX, HANDLE, CONDITION };
+enum use { FREE, ALARM, POSIX, HANDLE };
 
 struct timer {
     enum use use;
     int64_t due, every; /* due 0: it does not run */
     struct sigevent event;
     int handle;
-    pthread_cond_t *condition;
-    int passed;
 };
 
 #define MOST_TIMERS 256
@@ -275,11 +267,11 @@ static void hold(sigset_t *before) {
     sigset_t every;
     sigfillset(&every);
     pthread_sigmask(SIG_BLOCK, &every, before);
-    pthread_mutex_lock(&lock);
+    REAL(pthread_mutex_lock)(&lock);
 }
 
 static void let_go(const sigset_t *before) {
-    pthread_mutex_unlock(&lock);
+    REAL(pthread_mutex_unlock)(&lock);
     pthread_sigmask(SIG_SETMASK, before, NULL);
 }
 
@@ -332,10 +324,6 @@ static void fire(struct timer *timer) {
         tell(&timer->event);
     else if (timer->use == HANDLE && REAL(write)(timer->handle, &once, sizeof once) < 0)
         timer->use = FREE;
-    else if (timer->use == CONDITION) {
-        timer->passed = 1;
-        pthread_cond_broadcast(timer->condition);
-    }
 }
 
 static int64_t fire_all(int64_t at) {
@@ -362,7 +350,7 @@ static void *watch(void *given) {
             REAL(poll)(&own, 1, -1);
             first = 0; /* asks for the time */
         }
-        wait_until(ABSOLUTE, first, first ? &own : NULL, first ? 1 : 0, NULL, &left);
+        wait_until(ABSOLUTE, (struct limit){first}, first ? &own : NULL, first ? 1 : 0, NULL, &left);
         at = first - left;
         if (REAL(poll)(&own, 1, 0) == 1 && REAL(read)(changed, &count, sizeof count) < 0)
             return NULL;
@@ -572,88 +560,18 @@ int timerfd_gettime(int handle, struct itimerspec *found) {
     return timer ? get_timer(timer, found) : REAL(timerfd_gettime)(handle, found);
 }
 
-/* Waits for other threads with a limit ---------------------------------------------------------------- */
-
-/* At the limit a timer wakes all that wait for the condition, as they may be at any time. */
-static int wait_for_condition(pthread_cond_t *condition, pthread_mutex_t *mutex, const struct timespec *limit) {
-    int64_t at = now(), until = since_start(limit);
-    if (limit->tv_nsec < 0 || limit->tv_nsec >= BILLION)
-        return EINVAL;
-    struct timer *timer = until > at ? take(CONDITION) : NULL;
-    int result, passed = 1;
-    if (!timer)
-        return ETIMEDOUT;
-    timer->condition = condition;
-    set(timer, at, until, 0, NULL);
-    pthread_cleanup_push(release, timer);
-    result = REAL(pthread_cond_wait)(condition, mutex);
-    passed = timer->passed;
-    pthread_cleanup_pop(1);
-    return result ? result : passed ? ETIMEDOUT : 0;
-}
-
-int pthread_cond_timedwait(pthread_cond_t *condition, pthread_mutex_t *mutex, const struct timespec *limit) {
-    return simulated ? wait_for_condition(condition, mutex, limit)
-                     : REAL(pthread_cond_timedwait)(condition, mutex, limit);
-}
-
-int pthread_cond_clockwait(pthread_cond_t *condition, pthread_mutex_t *mutex, clockid_t clock,
-                           const struct timespec *limit) {
-    return simulated ? wait_for_condition(condition, mutex, limit)
-                     : REAL(pthread_cond_clockwait)(condition, mutex, clock, limit);
-}
-
-/* Return whether there is a next try of what has a limit. */
-static int again(const struct timespec *limit) {
-    int64_t at = now(), until = since_start(limit);
-    if (at >= until)
-        return 0;
-    wait_until(RELATIVE, until - at < STEP ? until - at : STEP, NULL, 0, NULL, NULL);
-    return 1;
-}
-
-/* A wait of which this library hears nothing: it tries, in steps. */
-#define TRIED(name, parameters, given, try)                                                                        \
-    int name parameters {                                                                                          \
-        int error;                                                                                                 \
-        if (!simulated)                                                                                            \
-            return REAL(name) given;                                                                               \
-        while ((error = try) == EBUSY)                                                                             \
-            if (!again(limit))                                                                                     \
-                return ETIMEDOUT;                                                                                  \
-        return error;                                                                                              \
-    }
-#define MUTEX pthread_mutex_t *mutex
-#define RWLOCK pthread_rwlock_t *both
-#define LIMIT const struct timespec *limit
-TRIED(pthread_mutex_timedlock, (MUTEX, LIMIT), (mutex, limit), pthread_mutex_trylock(mutex))
-TRIED(pthread_mutex_clocklock, (MUTEX, clockid_t clock, LIMIT), (mutex, clock, limit), pthread_mutex_trylock(mutex))
-TRIED(pthread_rwlock_timedrdlock, (RWLOCK, LIMIT), (both, limit), pthread_rwlock_tryrdlock(both))
-TRIED(pthread_rwlock_timedwrlock, (RWLOCK, LIMIT), (both, limit), pthread_rwlock_trywrlock(both))
-TRIED(pthread_timedjoin_np, (pthread_t thread, void **end, LIMIT), (thread, end, limit), pthread_tryjoin_np(thread, end))
-
-int sem_timedwait(sem_t *tokens, const struct timespec *limit) {
-    if (!simulated)
-        return REAL(sem_timedwait)(tokens, limit);
-    while (sem_trywait(tokens))
-        if (errno != EAGAIN || !again(limit))
-            return failed(errno == EAGAIN ? -ETIMEDOUT : -errno);
-    return 0;
-}
-
-int sem_clockwait(sem_t *tokens, clockid_t clock, const struct timespec *limit) {
-    return simulated ? sem_timedwait(tokens, limit) : REAL(sem_clockwait)(tokens, clock, limit);
-}
-
+/* Signals are looked for in steps. */
 int sigtimedwait(const sigset_t *wanted, siginfo_t *found, const struct timespec *limit) {
-    struct timespec none = {0, 0}, until;
+    struct timespec none = {0, 0};
     int number;
     if (!simulated || !limit)
         return REAL(sigtimedwait)(wanted, found, limit);
-    until = time_of(now() + ns_of(limit));
+    int64_t end = now() + ns_of(limit);
     while ((number = REAL(sigtimedwait)(wanted, found, &none)) < 0 && errno == EAGAIN)
-        if (!again(&until))
+        if (now() >= end)
             return failed(-EAGAIN);
+        else
+            wait_until(RELATIVE, (struct limit){BILLION / 1000}, NULL, 0, NULL, NULL);
     return number;
 }
 
@@ -718,21 +636,6 @@ int __select64(int count, fd_set *in, fd_set *out, fd_set *odd, struct wide_us *
         *limit = (struct wide_us){own.tv_sec, own.tv_usec};
     return result;
 }
-
-int __pthread_cond_timedwait64(pthread_cond_t *condition, pthread_mutex_t *mutex, const struct wide *limit) {
-    return pthread_cond_timedwait(condition, mutex, NARROW(limit));
-}
-
-int __pthread_cond_clockwait64(pthread_cond_t *condition, pthread_mutex_t *mutex, clockid_t clock,
-                               const struct wide *limit) {
-    return pthread_cond_clockwait(condition, mutex, clock, NARROW(limit));
-}
-
-int __pthread_mutex_timedlock64(pthread_mutex_t *mutex, const struct wide *limit) {
-    return pthread_mutex_timedlock(mutex, NARROW(limit));
-}
-
-int __sem_timedwait64(sem_t *tokens, const struct wide *limit) { return sem_timedwait(tokens, NARROW(limit)); }
 
 /* Set a timer by one of the two functions that do. */
 #define SET64(name, handle_type, real)                                                                             \
