@@ -637,16 +637,44 @@ int __select64(int count, fd_set *in, fd_set *out, fd_set *odd, struct wide_us *
     return result;
 }
 
-/* Set a timer by one of the two functions that do. */
-#define SET64(name, handle_type, real)                                                                             \
-    int name(handle_type handle, int flags, const struct wide_timer *wanted, struct wide_timer *old) {             \
+/* Timers, set or asked by one of the two functions that do. */
+#define TIMER64(name, handle_type)                                                                           \
+    int __##name##_settime64(handle_type handle, int flags, const struct wide_timer *wanted,                       \
+                             struct wide_timer *old) {                                                             \
         struct itimerspec before, own = {narrow(&wanted->interval), narrow(&wanted->value)};                       \
-        int result = real(handle, flags, &own, &before);                                                           \
+        int result = name##_settime(handle, flags, &own, &before);                                                 \
         if (old && !result)                                                                                        \
             *old = (struct wide_timer){widen(before.it_interval), widen(before.it_value)};                         \
         return result;                                                                                             \
+    }                                                                                                              \
+    int __##name##_gettime64(handle_type handle, struct wide_timer *found) {                                       \
+        struct itimerspec own;                                                                                     \
+        int result = name##_gettime(handle, &own);                                                                 \
+        if (!result)                                                                                               \
+            *found = (struct wide_timer){widen(own.it_interval), widen(own.it_value)};                             \
+        return result;                                                                                             \
     }
-SET64(__timer_settime64, timer_t, timer_settime)
-SET64(__timerfd_settime64, int, timerfd_settime)
+TIMER64(timer, timer_t)
+TIMER64(timerfd, int)
+
+struct wide_interval { struct wide_us interval, value; };
+
+int __setitimer64(__itimer_which_t which, const struct wide_interval *wanted, struct wide_interval *old) {
+    struct itimerval before, own = {{wanted->interval.seconds, wanted->interval.us},
+                                    {wanted->value.seconds, wanted->value.us}};
+    int result = setitimer(which, &own, &before);
+    if (old && !result)
+        *old = (struct wide_interval){{before.it_interval.tv_sec, before.it_interval.tv_usec},
+                                      {before.it_value.tv_sec, before.it_value.tv_usec}};
+    return result;
+}
+
+int __getitimer64(__itimer_which_t which, struct wide_interval *found) {
+    struct itimerval own;
+    int result = getitimer(which, &own);
+    *found = (struct wide_interval){{own.it_interval.tv_sec, own.it_interval.tv_usec},
+                                    {own.it_value.tv_sec, own.it_value.tv_usec}};
+    return result;
+}
 
 #endif

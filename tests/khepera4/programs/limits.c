@@ -30,10 +30,8 @@ static void say(const char *name, int result) {
 static struct timespec in(clockid_t clock, int ms) {
     struct timespec time;
     clock_gettime(clock, &time);
-    time.tv_nsec += ms * 1000000L;
-    time.tv_sec += time.tv_nsec / 1000000000;
-    time.tv_nsec %= 1000000000;
-    return time;
+    long long ns = time.tv_nsec + ms * 1000000LL;
+    return (struct timespec){time.tv_sec + ns / 1000000000, ns % 1000000000};
 }
 
 static void *help(void *unused) {
