@@ -8,13 +8,13 @@ result (minus an error number where it failed), a length, a 64-bit value, and it
     2 GPIO_SET   pin; its value, 32 bits
     3 GPIO_GET   pin; the value is its level
     4 NOW        the value is the simulated time [ns]
-    5 SLEEP      0, then time to wait [ns], 64 bits, or 1, then the time at which to end, the largest number for
-                 none; the value is what is left of it [ns], below 0 where it took longer. Then the place for
-                 whose WAKE it waits as well, and the last wake of it that was seen, 64 bits each; 1 if it came
+    5 SLEEP      0, then time to wait [ns], 64 bits, or 1, then the time at which to end, `NEVER_NS` for none;
+                 the value is what is left of it [ns], below 0 where it took longer. Then the place whose WAKE
+                 ends it, too, and the last of its wakes that was seen, 64 bits each; the result is 1 for such
     6 HELLO      number of the thread, as the kernel counts
     7 CANCEL     ends the wait of its line now, unless that has been answered; without an answer of its own
-    8 WAKE       how many of those who wait for a place in this process, 0 for all; place, number of this wake,
-                 64 bits each; without an answer
+    8 WAKE       how many of those who wait for a place in this process, 0 for all; the place and the number
+                 of this wake, 64 bits each; without an answer
 
 One thread runs at a time: a question is answered while all threads of the program and of its children wait,
 for an answer or for something else: a lock, another thread, a key, whatever the kernel calls sleeping. A new
@@ -179,7 +179,8 @@ class DeviceServer:
         waiting = [
             line
             for line in self._lines.values()
-            if line.kind == Question.SLEEP and (line.process, line.place, line.woken) == (process, place, False)
+            if line.kind == Question.SLEEP
+            and (line.process, line.place, line.woken) == (process, place, False)
         ]
         for line in sorted(waiting, key=lambda line: line.turn)[: count or None]:
             line.due_ns, line.woken = self._machine.time_ns, True

@@ -49,7 +49,7 @@ def run_program(
     Raises:
         KhepTwinError: The program cannot be started, or there is no C compiler.
     """
-    own = str(library(bits(arguments[0])))
+    own = str(_library_for(arguments[0]))
     preloaded = f"{own}:{os.environ['LD_PRELOAD']}" if os.environ.get("LD_PRELOAD") else own
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
         path, begun = Path(folder, "devices"), time.monotonic_ns()
@@ -62,6 +62,16 @@ def run_program(
         server = DeviceServer(machine, path, None if simulated else lambda: time.monotonic_ns() - begun)
         with contextlib.closing(server), _one_processor() if simulated else contextlib.nullcontext():
             return _run(arguments, os.environ | own_environment, server)
+
+
+def _library_for(program: str) -> Path:
+    """Return the preload library that a program can load."""
+    if bits(program) == 64:
+        return library()
+    try:
+        return library(32)
+    except KhepTwinError as error:
+        raise KhepTwinError(f"{program}: a program of 32 bits, and {error}") from error
 
 
 def _run(arguments: Sequence[str], environment: dict[str, str], server: DeviceServer) -> int:
@@ -170,7 +180,7 @@ def library(bits: int = 64) -> Path:
             )
             if done.returncode and bits == 32:
                 raise KhepTwinError(
-                    f"a program of 32 bits, for which {compiler} cannot compile; "
+                    f"{compiler} cannot compile for 32 bits; "
                     "expected gcc-multilib (Debian: apt install gcc-multilib)"
                 )
             if done.returncode:

@@ -35,7 +35,7 @@ static unsigned short slaves[MOST_HANDLES];
 static __thread struct { int handles[MOST_LINES], depth; } lines; /* 0: not connected */
 static pthread_key_t ended;
 
-/* Lines ----------------------------------------------------------------------------------------------- */
+/* Lines -------------------------------------------------------------------------------------------------- */
 
 static void hang_up(void *unused) {
     (void)unused;
@@ -239,7 +239,7 @@ void wake(uint32_t count, uint64_t place, uint64_t number) {
     restore(&before);
 }
 
-/* Threads and processes ------------------------------------------------------------------------------- */
+/* Threads and processes ---------------------------------------------------------------------------------- */
 
 struct beginning { void *(*routine)(void *); void *argument; };
 
@@ -285,7 +285,7 @@ pid_t vfork(void) {
     return child;
 }
 
-/* Device nodes ---------------------------------------------------------------------------------------- */
+/* Device nodes ------------------------------------------------------------------------------------------- */
 
 static enum kind kind_of(const char *path) {
     if (!path || strncmp(path, "/dev/", 5))
@@ -324,15 +324,15 @@ static const char *place_of(const char *path, char *room) {
     return path;
 }
 
-#define OPENING(name, lead, pass)                                                                                  \
-    int name(lead const char *path, int flags, ...) {                                                              \
-        char room[PATH_MAX];                                                                                       \
-        enum kind kind = kind_of(path);                                                                            \
-        va_list rest;                                                                                              \
-        va_start(rest, flags);                                                                                     \
-        mode_t mode = flags & (O_CREAT | __O_TMPFILE) ? va_arg(rest, mode_t) : 0;                                  \
-        va_end(rest);                                                                                              \
-        return kind ? opened(kind) : REAL(name)(pass place_of(path, room), flags, mode);                           \
+#define OPENING(name, lead, pass)                                                                            \
+    int name(lead const char *path, int flags, ...) {                                                        \
+        char room[PATH_MAX];                                                                                 \
+        enum kind kind = kind_of(path);                                                                      \
+        va_list rest;                                                                                        \
+        va_start(rest, flags);                                                                               \
+        mode_t mode = flags & (O_CREAT | __O_TMPFILE) ? va_arg(rest, mode_t) : 0;                            \
+        va_end(rest);                                                                                        \
+        return kind ? opened(kind) : REAL(name)(pass place_of(path, room), flags, mode);                     \
     }
 #define NONE
 #define FOLDER int folder,
@@ -348,22 +348,22 @@ int __openat_2(int folder, const char *path, int flags) { return openat(folder, 
 int __openat64_2(int folder, const char *path, int flags) { return openat64(folder, path, flags); }
 
 /* A stream of a node has its handle, for ioctl; the bytes of the stream itself go nowhere. */
-#define STREAM(name)                                                                                               \
-    FILE *name(const char *path, const char *mode) {                                                               \
-        char room[PATH_MAX];                                                                                       \
-        int handle = kind_of(path) ? opened(kind_of(path)) : -1;                                                   \
-        if (kind_of(path))                                                                                         \
-            return handle < 0 ? NULL : fdopen(handle, mode);                                                       \
-        return REAL(name)(place_of(path, room), mode);                                                             \
+#define STREAM(name)                                                                                         \
+    FILE *name(const char *path, const char *mode) {                                                         \
+        char room[PATH_MAX];                                                                                 \
+        int handle = kind_of(path) ? opened(kind_of(path)) : -1;                                             \
+        if (kind_of(path))                                                                                   \
+            return handle < 0 ? NULL : fdopen(handle, mode);                                                 \
+        return REAL(name)(place_of(path, room), mode);                                                       \
     }
 STREAM(fopen)
 STREAM(fopen64)
 
 /* Questions about a path: a node is there, and a character device, as /dev/null is. */
-#define ABOUT(type, name, parameters, before, after)                                                               \
-    type name parameters {                                                                                         \
-        char room[PATH_MAX];                                                                                       \
-        return REAL(name)(before kind_of(path) ? "/dev/null" : place_of(path, room) after);                        \
+#define ABOUT(type, name, parameters, before, after)                                                         \
+    type name parameters {                                                                                   \
+        char room[PATH_MAX];                                                                                 \
+        return REAL(name)(before kind_of(path) ? "/dev/null" : place_of(path, room) after);                  \
     }
 #define COMMA ,
 ABOUT(int, access, (const char *path, int mode), , COMMA mode)

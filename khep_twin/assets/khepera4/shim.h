@@ -21,10 +21,10 @@ enum sleep { RELATIVE, ABSOLUTE };
 #define OWN __attribute__((visibility("hidden")))
 
 /* The function that a name has without this library. */
-#define REAL(name)                                                                                                 \
-    ({                                                                                                             \
-        static __typeof__(&name) found;                                                                            \
-        found ? found : (found = (__typeof__(&name))dlsym(RTLD_NEXT, #name));                                      \
+#define REAL(name)                                                                                           \
+    ({                                                                                                       \
+        static __typeof__(&name) found;                                                                      \
+        found ? found : (found = (__typeof__(&name))dlsym(RTLD_NEXT, #name));                                \
     })
 
 extern OWN unsigned char kinds[MOST_HANDLES]; /* of the handles of this process */

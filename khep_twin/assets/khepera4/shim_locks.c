@@ -182,10 +182,10 @@ sem_t *sem_open(const char *name, int flags, ...) {
     between_processes = 1;
     return REAL(sem_open)(name, flags, mode, value);
 }
-#define SHARED(what)                                                                                               \
-    int pthread_##what##attr_setpshared(pthread_##what##attr_t *how, int shared) {                                 \
-        between_processes |= shared == PTHREAD_PROCESS_SHARED;                                                     \
-        return REAL(pthread_##what##attr_setpshared)(how, shared);                                                 \
+#define SHARED(what)                                                                                         \
+    int pthread_##what##attr_setpshared(pthread_##what##attr_t *how, int shared) {                           \
+        between_processes |= shared == PTHREAD_PROCESS_SHARED;                                               \
+        return REAL(pthread_##what##attr_setpshared)(how, shared);                                           \
     }
 SHARED(mutex)
 SHARED(cond)

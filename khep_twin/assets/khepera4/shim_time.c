@@ -37,7 +37,7 @@ int64_t since_start(const struct timespec *time) {
 static struct timespec time_of(int64_t ns) { return (struct timespec){ns / BILLION, ns % BILLION}; }
 static struct timeval us_of(int64_t ns) { return (struct timeval){ns / BILLION, ns % BILLION / 1000}; }
 
-/* Clocks ---------------------------------------------------------------------------------------------- */
+/* Clocks ------------------------------------------------------------------------------------------------- */
 
 int clock_gettime(clockid_t clock, struct timespec *time) {
     if (!simulated)
@@ -108,7 +108,7 @@ int settimeofday(const struct timeval *time, const struct timezone *zone) {
     return simulated ? failed(-EPERM) : REAL(settimeofday)(time, zone);
 }
 
-/* Waits for a time ------------------------------------------------------------------------------------ */
+/* Waits for a time --------------------------------------------------------------------------------------- */
 
 int usleep(useconds_t us) {
     return simulated ? failed(wait_until(RELATIVE, (struct limit){us * 1000LL}, NULL, 0, NULL, NULL)) : REAL(usleep)(us);
@@ -143,7 +143,7 @@ int clock_nanosleep(clockid_t clock, int flags, const struct timespec *wanted, s
     return nap(flags & TIMER_ABSTIME ? ABSOLUTE : RELATIVE, wanted, left);
 }
 
-/* Waits for handles ----------------------------------------------------------------------------------- */
+/* Waits for handles -------------------------------------------------------------------------------------- */
 
 /* Return how many are ready, or minus an error number; a limit below 0 is none. */
 static int ready(struct pollfd *handles, nfds_t count, int64_t ns, const sigset_t *mask, int64_t *left) {
@@ -245,7 +245,7 @@ int epoll_wait(int handle, struct epoll_event *found, int room, int ms) {
     return simulated ? epoll_pwait(handle, found, room, ms, NULL) : REAL(epoll_wait)(handle, found, room, ms);
 }
 
-/* Timers ---------------------------------------------------------------------------------------------- */
+/* Timers ------------------------------------------------------------------------------------------------- */
 
 /* A thread of this library sleeps until the first of them is due. */
 
@@ -575,7 +575,7 @@ int sigtimedwait(const sigset_t *wanted, siginfo_t *found, const struct timespec
     return number;
 }
 
-/* Times of 64 bits in programs of 32 ---------------------------------------------------------------- */
+/* Times of 64 bits in programs of 32 --------------------------------------------------------------------- */
 
 #if __WORDSIZE == 32
 
@@ -639,20 +639,20 @@ int __select64(int count, fd_set *in, fd_set *out, fd_set *odd, struct wide_us *
 
 /* Timers, set or asked by one of the two functions that do. */
 #define TIMER64(name, handle_type)                                                                           \
-    int __##name##_settime64(handle_type handle, int flags, const struct wide_timer *wanted,                       \
-                             struct wide_timer *old) {                                                             \
-        struct itimerspec before, own = {narrow(&wanted->interval), narrow(&wanted->value)};                       \
-        int result = name##_settime(handle, flags, &own, &before);                                                 \
-        if (old && !result)                                                                                        \
-            *old = (struct wide_timer){widen(before.it_interval), widen(before.it_value)};                         \
-        return result;                                                                                             \
-    }                                                                                                              \
-    int __##name##_gettime64(handle_type handle, struct wide_timer *found) {                                       \
-        struct itimerspec own;                                                                                     \
-        int result = name##_gettime(handle, &own);                                                                 \
-        if (!result)                                                                                               \
-            *found = (struct wide_timer){widen(own.it_interval), widen(own.it_value)};                             \
-        return result;                                                                                             \
+    int __##name##_settime64(handle_type handle, int flags, const struct wide_timer *wanted,                 \
+                             struct wide_timer *old) {                                                       \
+        struct itimerspec before, own = {narrow(&wanted->interval), narrow(&wanted->value)};                 \
+        int result = name##_settime(handle, flags, &own, &before);                                           \
+        if (old && !result)                                                                                  \
+            *old = (struct wide_timer){widen(before.it_interval), widen(before.it_value)};                   \
+        return result;                                                                                       \
+    }                                                                                                        \
+    int __##name##_gettime64(handle_type handle, struct wide_timer *found) {                                 \
+        struct itimerspec own;                                                                               \
+        int result = name##_gettime(handle, &own);                                                           \
+        if (!result)                                                                                         \
+            *found = (struct wide_timer){widen(own.it_interval), widen(own.it_value)};                       \
+        return result;                                                                                       \
     }
 TIMER64(timer, timer_t)
 TIMER64(timerfd, int)
