@@ -1,8 +1,9 @@
 /* Devices and clock of a Khepera IV for a program that was compiled on this machine.
 
-   Loaded into the program by LD_PRELOAD. It answers the device nodes that programs of the robot open, and, with
-   a simulated clock, the calls that ask for the time or wait. Each question goes to the twin on a socket, named in
-   KHEP_TWIN_SOCKET; `khep_twin/khepera4/device_server.py` has the other end and describes the messages. */
+   Loaded into the program by LD_PRELOAD. It answers the device nodes that programs of the robot open, and,
+   with a simulated clock, the calls that ask for the time or wait. Each question goes to the twin on a
+   socket, named in KHEP_TWIN_SOCKET; `khep_twin/khepera4/device_server.py` has the other end and describes
+   the messages. */
 
 #include "shim.h"
 
@@ -21,8 +22,8 @@
 #include <linux/i2c-dev.h>
 #include <linux/i2c.h>
 
-/* A handler of a signal that comes while its thread sleeps asks on a line of its own; one that leaves by longjmp
-   leaves its line behind. */
+/* A handler of a signal that comes while its thread sleeps asks on a line of its own; one that leaves by
+   longjmp leaves its line behind. */
 #define MOST_LINES 8
 #define MOST_BYTES 131072
 
@@ -157,8 +158,8 @@ void say_hello(void) {
 }
 
 /* Ask the twin; return its result, or minus an error number. */
-int ask(enum question question, uint32_t number, const void *content, uint32_t count, void *back, uint32_t room,
-        int64_t *value) {
+int ask(enum question question, uint32_t number, const void *content, uint32_t count, void *back,
+        uint32_t room, int64_t *value) {
     unsigned char together[256];
     struct header header = {question, number, count};
     struct answer answer;
@@ -183,10 +184,10 @@ int ask(enum question question, uint32_t number, const void *content, uint32_t c
     return result;
 }
 
-/* Wait for a time, or until handles are ready; return 0, 1 after a wake, or minus an error number: a handler of a
-   signal ran. `left` becomes what is left of the time, below 0 where it took longer. */
-int wait_until(enum sleep kind, struct limit limit, struct pollfd *handles, nfds_t count, const sigset_t *mask,
-               int64_t *left) {
+/* Wait for a time, or until handles are ready; return 0, 1 after a wake, or minus an error number: a handler
+   of a signal ran. `left` becomes what is left of the time, below 0 where it took longer. */
+int wait_until(enum sleep kind, struct limit limit, struct pollfd *handles, nfds_t count,
+               const sigset_t *mask, int64_t *left) {
     struct { struct header header; struct limit limit; } __attribute__((packed)) message = {
         {SLEEP, kind, sizeof limit}, limit};
     struct header cancel = {CANCEL, 0, 0};
@@ -262,7 +263,7 @@ int pthread_create(pthread_t *made, const pthread_attr_t *how, void *(*routine)(
     return error;
 }
 
-/* With its own memory, as the child would change what this library keeps; the parent waits as it does there. */
+/* With its own memory, as the child would change what this library keeps; the parent waits as it does. */
 pid_t vfork(void) {
     int ends[2];
     char none;
@@ -374,8 +375,10 @@ ABOUT(int, stat, (const char *path, struct stat *found), , COMMA found)
 ABOUT(int, stat64, (const char *path, struct stat64 *found), , COMMA found)
 ABOUT(int, lstat, (const char *path, struct stat *found), , COMMA found)
 ABOUT(int, lstat64, (const char *path, struct stat64 *found), , COMMA found)
-ABOUT(int, fstatat, (int folder, const char *path, struct stat *found, int flags), AT, COMMA found COMMA flags)
-ABOUT(int, fstatat64, (int folder, const char *path, struct stat64 *found, int flags), AT, COMMA found COMMA flags)
+ABOUT(int, fstatat, (int folder, const char *path, struct stat *found, int flags), AT,
+      COMMA found COMMA flags)
+ABOUT(int, fstatat64, (int folder, const char *path, struct stat64 *found, int flags), AT,
+      COMMA found COMMA flags)
 ABOUT(int, statx, (int folder, const char *path, int flags, unsigned int mask, struct statx *found), AT,
       COMMA flags COMMA mask COMMA found)
 ABOUT(DIR *, opendir, (const char *path), , )
@@ -553,11 +556,12 @@ static int i2c_control(int handle, unsigned long request, void *argument) {
     return -ENOTTY;
 }
 
-/* Pins: two versions of the driver differ in the last numbers, so the direction of the data tells a reading. */
+/* Pins: two versions of the driver differ in the last numbers, so the direction of the data tells reading. */
 static int gpio_control(unsigned long request, void *argument) {
     enum { REQUEST = 0x80, FREE, INPUT, OUTPUT };
     struct value { unsigned int gpio; int value; } *given = argument;
-    int number = _IOC_NR(request), writes = _IOC_DIR(request) & _IOC_WRITE, reads = _IOC_DIR(request) & _IOC_READ;
+    int number = _IOC_NR(request), writes = _IOC_DIR(request) & _IOC_WRITE,
+        reads = _IOC_DIR(request) & _IOC_READ;
     if (_IOC_TYPE(request) != 'G')
         return -ENOTTY;
     if (number == REQUEST || number == FREE || number == INPUT)
@@ -591,4 +595,6 @@ int ioctl(int handle, unsigned long request, ...) {
     return REAL(ioctl)(handle, request, argument);
 }
 
-int __ioctl_time64(int handle, unsigned long request, void *argument) { return ioctl(handle, request, argument); }
+int __ioctl_time64(int handle, unsigned long request, void *argument) {
+    return ioctl(handle, request, argument);
+}

@@ -86,10 +86,12 @@ int pthread_mutex_lock(MUTEX) {
     return simulated && !own(mutex) ? get(try_mutex, mutex, NULL, 0) : REAL(pthread_mutex_lock)(mutex);
 }
 int pthread_mutex_timedlock(MUTEX, LIMIT) {
-    return simulated && !own(mutex) ? get(try_mutex, mutex, limit, 0) : REAL(pthread_mutex_timedlock)(mutex, limit);
+    return simulated && !own(mutex) ? get(try_mutex, mutex, limit, 0)
+                                    : REAL(pthread_mutex_timedlock)(mutex, limit);
 }
 int pthread_mutex_clocklock(MUTEX, CLOCK, LIMIT) {
-    return simulated ? pthread_mutex_timedlock(mutex, limit) : REAL(pthread_mutex_clocklock)(mutex, clock, limit);
+    return simulated ? pthread_mutex_timedlock(mutex, limit)
+                     : REAL(pthread_mutex_clocklock)(mutex, clock, limit);
 }
 int pthread_rwlock_rdlock(BOTH) {
     return simulated ? get(try_read, both, NULL, 0) : REAL(pthread_rwlock_rdlock)(both);

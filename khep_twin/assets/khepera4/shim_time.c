@@ -24,7 +24,9 @@ int64_t now(void) {
     return value;
 }
 
-static int64_t most(int64_t seconds, int64_t ns) { return seconds > NEVER / 2 / BILLION ? NEVER / 2 : seconds * BILLION + ns; }
+static int64_t most(int64_t seconds, int64_t ns) {
+    return seconds > NEVER / 2 / BILLION ? NEVER / 2 : seconds * BILLION + ns;
+}
 static int64_t ns_of(const struct timespec *time) { return most(time->tv_sec, time->tv_nsec); }
 static int64_t ns_of_us(const struct timeval *time) { return most(time->tv_sec, time->tv_usec * 1000LL); }
 
@@ -58,8 +60,7 @@ int clock_getres(clockid_t clock, struct timespec *time) {
 int gettimeofday(struct timeval *time, void *zone) {
     if (!simulated)
         return REAL(gettimeofday)(time, zone);
-    if (time)
-        *time = us_of(now() + FIRST_DAY);
+    *time = us_of(now() + FIRST_DAY);
     return 0;
 }
 
@@ -111,14 +112,17 @@ int settimeofday(const struct timeval *time, const struct timezone *zone) {
 /* Waits for a time --------------------------------------------------------------------------------------- */
 
 int usleep(useconds_t us) {
-    return simulated ? failed(wait_until(RELATIVE, (struct limit){us * 1000LL}, NULL, 0, NULL, NULL)) : REAL(usleep)(us);
+    return simulated ? failed(wait_until(RELATIVE, (struct limit){us * 1000LL}, NULL, 0, NULL, NULL))
+                     : REAL(usleep)(us);
 }
 
 unsigned int sleep(unsigned int seconds) {
     int64_t left = 0;
     if (!simulated)
         return REAL(sleep)(seconds);
-    return wait_until(RELATIVE, (struct limit){seconds * BILLION}, NULL, 0, NULL, &left) && left > 0 ? (left + BILLION / 2) / BILLION : 0;
+    return wait_until(RELATIVE, (struct limit){seconds * BILLION}, NULL, 0, NULL, &left) && left > 0
+               ? (left + BILLION / 2) / BILLION
+               : 0;
 }
 
 /* Return 0 or an error number. */
@@ -166,7 +170,8 @@ static int64_t limit_of(const struct timespec *limit) { return limit ? ns_of(lim
 
 int poll(struct pollfd *handles, nfds_t count, int ms) {
     int64_t left;
-    return simulated ? failed(ready(handles, count, ms * 1000000LL, NULL, &left)) : REAL(poll)(handles, count, ms);
+    return simulated ? failed(ready(handles, count, ms * 1000000LL, NULL, &left))
+                     : REAL(poll)(handles, count, ms);
 }
 
 int ppoll(struct pollfd *handles, nfds_t count, const struct timespec *limit, const sigset_t *mask) {
@@ -181,7 +186,8 @@ int __poll_chk(struct pollfd *handles, nfds_t count, int ms, size_t room) {
     return poll(handles, count, ms);
 }
 
-int __ppoll_chk(struct pollfd *handles, nfds_t count, const struct timespec *limit, const sigset_t *mask, size_t room) {
+int __ppoll_chk(struct pollfd *handles, nfds_t count, const struct timespec *limit, const sigset_t *mask,
+                size_t room) {
     (void)room;
     return ppoll(handles, count, limit, mask);
 }
@@ -225,7 +231,8 @@ int select(int count, fd_set *in, fd_set *out, fd_set *odd, struct timeval *limi
     return failed(result);
 }
 
-int pselect(int count, fd_set *in, fd_set *out, fd_set *odd, const struct timespec *limit, const sigset_t *mask) {
+int pselect(int count, fd_set *in, fd_set *out, fd_set *odd, const struct timespec *limit,
+            const sigset_t *mask) {
     int64_t left;
     if (!simulated)
         return REAL(pselect)(count, in, out, odd, limit, mask);
@@ -449,7 +456,8 @@ int setitimer(__itimer_which_t which, const struct itimerval *wanted, struct iti
     return 0;
 }
 
-static int set_timer(struct timer *timer, int absolute, const struct itimerspec *wanted, struct itimerspec *old) {
+static int set_timer(struct timer *timer, int absolute, const struct itimerspec *wanted,
+                     struct itimerspec *old) {
     int64_t every, at = now(), due = wanted->it_value.tv_sec || wanted->it_value.tv_nsec;
     if (wanted->it_value.tv_nsec >= BILLION || wanted->it_value.tv_sec < 0 || wanted->it_value.tv_nsec < 0)
         return failed(-EINVAL);
@@ -583,7 +591,9 @@ struct wide { int64_t seconds; int32_t rest, unused; };
 struct wide_us { int64_t seconds, us; };
 struct wide_timer { struct wide interval, value; };
 
-static struct timespec narrow(const struct wide *time) { return (struct timespec){time->seconds, time->rest}; }
+static struct timespec narrow(const struct wide *time) {
+    return (struct timespec){time->seconds, time->rest};
+}
 static struct wide widen(struct timespec time) { return (struct wide){time.tv_sec, time.tv_nsec, 0}; }
 
 #define NARROW(given) ((given) ? &(struct timespec){(given)->seconds, (given)->rest} : NULL)
@@ -625,7 +635,8 @@ int __ppoll64(struct pollfd *handles, nfds_t count, const struct wide *limit, co
     return ppoll(handles, count, NARROW(limit), mask);
 }
 
-int __pselect64(int count, fd_set *in, fd_set *out, fd_set *odd, const struct wide *limit, const sigset_t *mask) {
+int __pselect64(int count, fd_set *in, fd_set *out, fd_set *odd, const struct wide *limit,
+                const sigset_t *mask) {
     return pselect(count, in, out, odd, NARROW(limit), mask);
 }
 

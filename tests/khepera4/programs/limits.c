@@ -66,7 +66,8 @@ int main(void) {
     pthread_mutex_lock(&mutex);
     say("condition in vain", pthread_cond_timedwait(&condition, &mutex, &limit) == ETIMEDOUT);
     limit = in(CLOCK_MONOTONIC, 250);
-    say("and by the other clock", pthread_cond_clockwait(&condition, &mutex, CLOCK_MONOTONIC, &limit) == ETIMEDOUT);
+    say("and by the other clock",
+        pthread_cond_clockwait(&condition, &mutex, CLOCK_MONOTONIC, &limit) == ETIMEDOUT);
     limit = in(CLOCK_REALTIME, 250);
     say("semaphore in vain", sem_timedwait(&tokens, &limit) < 0 && errno == ETIMEDOUT);
     say("select in vain", pselect(ends[0] + 1, &set, NULL, NULL, &(struct timespec){0, 250000000}, NULL));

@@ -11,8 +11,10 @@ int main(void) {
     struct stat found, same;
     unsigned char first = 0;
     int number = 0, entries = 0;
-    printf("bus %d %d\n", access("/dev/i2c-2", R_OK | W_OK), stat("/dev/i2c-2", &found) || !S_ISCHR(found.st_mode));
-    printf("pins %d %d\n", access("/dev/user-gpio", F_OK), lstat("/dev/pwm8", &same) || !S_ISCHR(same.st_mode));
+    printf("bus %d %d\n", access("/dev/i2c-2", R_OK | W_OK),
+           stat("/dev/i2c-2", &found) || !S_ISCHR(found.st_mode));
+    printf("pins %d %d\n", access("/dev/user-gpio", F_OK),
+           lstat("/dev/pwm8", &same) || !S_ISCHR(same.st_mode));
     printf("camera %d\n", open("/dev/video6", O_RDWR));
     FILE *bus = fopen("/dev/i2c-2", "r+");
     printf("stream %d\n", ioctl(fileno(bus), I2C_SLAVE, 0x30));

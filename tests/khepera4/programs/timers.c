@@ -69,7 +69,8 @@ int main(void) {
 
     timer_t timer;
     struct itimerspec every = {{0, 20000000}, {0, 50000000}}, once = {{0, 0}, {0, 70000000}}, found;
-    struct sigevent event = {.sigev_notify = SIGEV_SIGNAL, .sigev_signo = SIGUSR1, .sigev_value.sival_int = 77};
+    struct sigevent event = {
+        .sigev_notify = SIGEV_SIGNAL, .sigev_signo = SIGUSR1, .sigev_value.sival_int = 77};
     timer_create(CLOCK_MONOTONIC, &event, &timer);
     begin();
     timer_settime(timer, 0, &every, NULL);
@@ -80,7 +81,8 @@ int main(void) {
     printf("value %d, next in %.3f\n", number, found.it_value.tv_nsec / 1e9);
     timer_delete(timer);
 
-    event = (struct sigevent){.sigev_notify = SIGEV_THREAD, .sigev_notify_function = call, .sigev_value.sival_int = 5};
+    event = (struct sigevent){
+        .sigev_notify = SIGEV_THREAD, .sigev_notify_function = call, .sigev_value.sival_int = 5};
     timer_create(CLOCK_REALTIME, &event, &timer);
     begin();
     timer_settime(timer, 0, &once, NULL);

@@ -18,7 +18,9 @@ static void say(const char *name) {
     struct timespec time;
     char line[64];
     clock_gettime(CLOCK_MONOTONIC, &time);
-    if (write(1, line, snprintf(line, sizeof line, "%s %ld.%03ld\n", name, (long)time.tv_sec, time.tv_nsec / 1000000)) < 0)
+    if (write(1, line,
+              snprintf(line, sizeof line, "%s %ld.%03ld\n", name, (long)time.tv_sec,
+                       time.tv_nsec / 1000000)) < 0)
         _exit(1);
 }
 
