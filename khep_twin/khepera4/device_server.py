@@ -19,9 +19,9 @@ result (minus an error number where it failed), a length, a 64-bit value, and it
 One thread runs at a time: a question is answered while all threads of the program and of its children wait,
 for an answer or for something else: a lock, another thread, a key, whatever the kernel calls sleeping. A new
 thread and a new process say HELLO before anything else, so they, too, begin when it is their turn. A wait is
-due at its end, all else when it is asked. What is due first is answered, of several the question of the
-thread with the lowest number, and the time until then has passed. So a run repeats. A question for the time
-costs `ASKED_NS`: a program that waits in a loop ends. A thread that computes for longer than `PATIENCE_S` no
+due at its end or wake, all else when it is asked. What is due first is answered, of several the question of
+the thread with the lowest number, then those that were woken, the longest wait first, and the time until then
+has passed. So a run repeats. A question for the time costs `ASKED_NS`: a program that waits in a loop ends. A thread that computes for longer than `PATIENCE_S` no
 longer holds up the others: from then on their time passes as fast as it computes.
 """
 
@@ -33,7 +33,7 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -73,6 +73,9 @@ class Question(IntEnum):
     HELLO = 6
     CANCEL = 7
     WAKE = 8
+
+
+_LENGTHS = {Question.SLEEP: _SLEEP.size, Question.WAKE: _WAKE.size}
 
 
 class DeviceServer:
@@ -118,7 +121,7 @@ class DeviceServer:
             if min((line.due_ns for line in asked), default=NEVER_NS) == NEVER_NS:
                 self._listen(0.02)
                 continue
-            if self._clock is not None or threads.all_wait(asked):
+            if self._clock is not None or threads.all_wait(self._lines.values()):
                 if self._listen(0.0):
                     continue
                 begun_cpu_ns = -1
@@ -155,6 +158,8 @@ class DeviceServer:
         if content is None:
             return False
         now_ns = self._machine.time_ns
+        if length != _LENGTHS.get(kind, length):
+            return False
         if kind == Question.CANCEL:
             line.due_ns = now_ns
             return True
@@ -163,12 +168,13 @@ class DeviceServer:
             return True
         if kind == Question.HELLO:
             line.thread = number
-        line.kind, line.number, line.content, line.due_ns = kind, number, content, now_ns
+        line.kind, line.number, line.content, line.due_ns, line.turn = kind, number, content, now_ns, 0
         if kind == Question.SLEEP:
             ns, line.place, seen = _SLEEP.unpack(content)
             line.wake_ns, line.woken = ns if number else now_ns + ns, False
             line.due_ns = max(line.wake_ns, now_ns)
-            line.turn = self._turn = self._turn + 1
+            self._turn += 1
+            line.turn = self._turn if line.place else 0
             if line.place and seen < self._wakes.get((line.process, line.place), 0):
                 line.due_ns, line.woken = now_ns, True
         return True
@@ -187,7 +193,7 @@ class DeviceServer:
 
     def _answer_first(self, asked: list["_Line"]) -> None:
         """Answer the question whose turn it is."""
-        line = min(asked, key=lambda line: (line.due_ns, line.thread))
+        line = min(asked, key=lambda line: (line.due_ns, line.turn, line.thread))
         if self._clock is None and line.due_ns - self._machine.time_ns > STRIDE_NS:
             self._machine.advance_to(self._machine.time_ns + STRIDE_NS)
             return
@@ -264,19 +270,21 @@ class _Threads:
         for file in (self._load, *self._files.values()):
             os.close(file)
 
-    def all_wait(self, asked: list[_Line]) -> bool:
-        """Return whether all wait, those on the lines of open questions among them.
+    def all_wait(self, lines: Collection[_Line]) -> bool:
+        """Return whether all wait, those with an open question among them.
 
         Two looks with the same count of switches between threads: all were waiting at once between them.
         """
-        self._find({line.process for line in asked})
-        if len(asked) == len(self._files) == 1:
+        asked = [line for line in lines if line.kind]
+        self._find({(line.process, line.thread) for line in asked})
+        if len(asked) == len(lines) == len(self._files) == 1:
             return True
-        surely = {line.thread for line in asked if line.kind != Question.SLEEP}
-        first = [self._waits(key) for key in [*self._files] if key[1] not in surely]
-        return None not in first and first == [
-            self._waits(key) for key in [*self._files] if key[1] not in surely
-        ]
+        surely = {
+            line.thread for line in asked if line.kind != Question.SLEEP
+        }  # which a signal does not wake
+        looked = [key for key in self._files if key[1] not in surely]
+        first = [self._waits(key) for key in looked]
+        return None not in first and first == [self._waits(key) for key in looked]
 
     def cpu_ns(self) -> int:
         """Return the processor time that they have had [ns]."""
@@ -287,34 +295,33 @@ class _Threads:
                 found += time.clock_gettime_ns(~process << 3 | 2)  # as clock_getcpuclockid of the C library
         return found
 
-    def _find(self, known: set[int]) -> None:
-        """Find new threads, and new processes whose parents are known."""
+    def _find(self, known: set[tuple[int, int]]) -> None:
+        """Find new threads, those with a line among them, and new processes, whose parents are known."""
         assert sys.platform == "linux"
         newest = os.pread(self._load, 256, 0).rpartition(b" ")[2]  # the number of the newest thread
-        if newest == self._newest and known <= self._processes:
+        if newest == self._newest and known <= self._files.keys():
             return
         there = {int(name) for name in os.listdir("/proc") if name.isdigit()}
         new = there - self._seen
         parents = {each: _parent(each) for each in new}
-        self._processes |= known
+        self._processes |= {process for process, _ in known}
         while more := {each for each in new - self._processes if parents[each] in self._processes}:
             self._processes |= more
         self._processes &= there
         self._seen, self._newest = there, newest
         tasks = {(process, task) for process in self._processes for task in _tasks(process)}
-        for key in [key for key in self._files if key not in tasks]:
+        for key in self._files.keys() - tasks:
             os.close(self._files.pop(key))
         for process, task in sorted(tasks - self._files.keys()):
             with contextlib.suppress(OSError):
                 self._files[process, task] = os.open(f"/proc/{process}/task/{task}/status", os.O_RDONLY)
 
     def _waits(self, key: tuple[int, int]) -> bytes | None:
-        """Return the counts of switches to and from a thread that waits, None of one that does not."""
+        """Return the counts of switches to and from a thread that waits, None of one that runs."""
         assert sys.platform == "linux"
         try:
             told = os.pread(self._files[key], 4096, 0)
-        except OSError:  # it has just ended
-            os.close(self._files.pop(key))
+        except OSError:
             return b""
         state = told.find(b"State:\t") + 7
         return told[told.rfind(b"\nvoluntary") :] if told[state : state + 1] in b"SZXT" else None

@@ -111,12 +111,14 @@ def _one_processor() -> Generator[None, None, None]:
     """Keep this thread and what it starts on one processor: they take turns, and going to another is slow."""
     assert sys.platform == "linux"
     before = os.sched_getaffinity(0)
-    here = Path("/proc/thread-self/stat").read_text().rpartition(")")[2].split()[36]
-    os.sched_setaffinity(0, {int(here)})
+    with contextlib.suppress(OSError):  # where that is not allowed, it is slower
+        here = Path("/proc/thread-self/stat").read_text().rpartition(")")[2].split()[36]
+        os.sched_setaffinity(0, {int(here)})
     try:
         yield
     finally:
-        os.sched_setaffinity(0, before)
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(0, before)
 
 
 def _files(folder: Path, robot_id: int) -> Path:
