@@ -20,9 +20,10 @@ One thread runs at a time: a question is answered while all threads of the progr
 for an answer or for something else: a lock, another thread, a key, whatever the kernel calls sleeping. A new
 thread and a new process say HELLO before anything else, so they, too, begin when it is their turn. A wait is
 due at its end or wake, all else when it is asked. What is due first is answered, of several the question of
-the thread with the lowest number, then those that were woken, the longest wait first, and the time until then
-has passed. So a run repeats. A question for the time costs `ASKED_NS`: a program that waits in a loop ends. A thread that computes for longer than `PATIENCE_S` no
-longer holds up the others: from then on their time passes as fast as it computes.
+the thread with the lowest number, then those that wait for a place, the longest first, and the time until
+then has passed. So a run repeats. A question for the time costs `ASKED_NS`: a program that waits in a loop
+ends. A thread that computes for longer than `PATIENCE_S` no longer holds up the others: from then on their
+time passes as fast as it computes.
 """
 
 import contextlib

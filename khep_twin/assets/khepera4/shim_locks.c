@@ -50,6 +50,16 @@ static int64_t end_of(const struct timespec *limit) { return limit ? since_start
 
 typedef int attempt(void *);
 
+/* Whether a wait goes on after a handler of a signal; which one ran is not known, so all have to say so. */
+static int restarts(void) {
+    struct sigaction action;
+    for (int i = 1; i < NSIG; i++)
+        if (!sigaction(i, NULL, &action) && action.sa_handler != SIG_DFL && action.sa_handler != SIG_IGN &&
+            !(action.sa_flags & SA_RESTART))
+            return 0;
+    return 1;
+}
+
 /* Try until it is not busy; return an error number. */
 static int get(attempt *attempt, void *at, const struct timespec *limit, int interruptible) {
     int error = attempt(at), result = 1;
@@ -59,7 +69,7 @@ static int get(attempt *attempt, void *at, const struct timespec *limit, int int
         uint64_t seen = enlist(at);
         if ((error = attempt(at)) == EBUSY) {
             result = wait_for(at, seen, end_of(limit));
-            error = result == -EINTR && interruptible ? EINTR : attempt(at);
+            error = result == -EINTR && interruptible && !restarts() ? EINTR : attempt(at);
         }
         strike(at);
     }
