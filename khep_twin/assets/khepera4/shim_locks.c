@@ -83,7 +83,7 @@ static int try_token(void *at) { return sem_trywait(at) ? (errno == EAGAIN ? EBU
 
 /* Whether a thread would wait for itself, of which the mutex itself has to tell. */
 static int own(const pthread_mutex_t *mutex) {
-    return mutex->__data.__owner == gettid() && (mutex->__data.__kind & 3) == PTHREAD_MUTEX_ERRORCHECK;
+    return (mutex->__data.__kind & 3) == PTHREAD_MUTEX_ERRORCHECK && mutex->__data.__owner == gettid();
 }
 
 #define MUTEX pthread_mutex_t *mutex
