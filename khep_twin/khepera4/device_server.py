@@ -8,22 +8,33 @@ result (minus an error number where it failed), a length, a 64-bit value, and it
     2 GPIO_SET   pin; its value, 32 bits
     3 GPIO_GET   pin; the value is its level
     4 NOW        the value is the simulated time [ns]
-    5 SLEEP      time to wait [ns], 64 bits
-    6 HELLO      number of the thread, as the kernel counts; without an answer
+    5 SLEEP      0, then time to wait [ns], 64 bits, or 1, then the time at which to end, `NEVER_NS` for none;
+                 the value is what is left of it [ns], below 0 where it took longer. Then the place whose WAKE
+                 ends it, too, and the last of its wakes that was seen, 64 bits each; the result is 1 for such
+    6 HELLO      number of the thread, as the kernel counts
+    7 CANCEL     ends the wait of its line now, unless that has been answered; without an answer of its own
+    8 WAKE       how many of those who wait for a place in this process, 0 for all; the place and the number
+                 of this wake, 64 bits each; without an answer
 
 One thread runs at a time: a question is answered while all threads of the program and of its children wait,
-for an answer or for something else: a lock, another thread, a key, whatever the kernel calls sleeping. The
-thread of the lowest number is first. A wait ends when no other question is left, the shortest first, and the
-time of it has passed. So a run repeats. A question for the time costs `ASKED_NS`: a program that waits in a
-loop ends. Where a thread computes for longer than `PATIENCE_S`, the others go on.
+for an answer or for something else: a lock, another thread, a key, whatever the kernel calls sleeping. A new
+thread and a new process say HELLO before anything else, so they, too, begin when it is their turn. A wait is
+due at its end or wake, all else when it is asked. What is due first is answered, of several the question of
+the thread with the lowest number, then those that wait for a place, the longest first, and the time until
+then has passed. So a run repeats. A question for the time costs `ASKED_NS`: a program that waits in a loop
+ends. A thread that computes for longer than `PATIENCE_S` no longer holds up the others: from then on their
+time passes as fast as it computes.
 """
 
+import contextlib
 import errno
+import os
 import selectors
 import socket
 import struct
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -38,10 +49,18 @@ MOST_BYTES = 1 << 20
 """Longest content of a question; what asks for more is no preload library, and loses its line."""
 
 PATIENCE_S = 0.05
-"""Real time for which one thread may compute while others have asked [s] (assumed)."""
+"""Processor time for which threads may compute while others have asked [s] (assumed)."""
+
+NEVER_NS = (1 << 63) - 1
+"""End of a wait that has none [ns]."""
+
+STRIDE_NS = 1_000_000_000
+"""Longest simulated time that passes before the program is looked at again: it may have ended [ns]."""
 
 _FAMILY: Any = getattr(socket, "AF_UNIX", None)  # which Windows lacks
+_PEER = getattr(socket, "SO_PEERCRED", 17)
 _QUESTION, _MESSAGE, _ANSWER = struct.Struct("<III"), struct.Struct("<HHH"), struct.Struct("<iIq")
+_SLEEP, _WAKE = struct.Struct("<qQQ"), struct.Struct("<QQ")
 
 
 class Question(IntEnum):
@@ -53,6 +72,11 @@ class Question(IntEnum):
     NOW = 4
     SLEEP = 5
     HELLO = 6
+    CANCEL = 7
+    WAKE = 8
+
+
+_LENGTHS = {Question.SLEEP: _SLEEP.size, Question.WAKE: _WAKE.size}
 
 
 class DeviceServer:
@@ -72,6 +96,8 @@ class DeviceServer:
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
         self._lines: dict[socket.socket, _Line] = {}
+        self._turn = 0  # of the last wait
+        self._wakes: dict[tuple[int, int], int] = {}  # the last of each process and place
 
     def close(self) -> None:
         """Close the socket and all lines."""
@@ -82,17 +108,34 @@ class DeviceServer:
 
     def serve(self, process: int, is_over: Callable[[], bool]) -> None:
         """Answer a process and its children until a function tells that it is over."""
-        since = time.monotonic()
+        threads = _Threads(process)
+        try:
+            self._serve(threads, is_over)
+        finally:
+            threads.close()
+
+    def _serve(self, threads: "_Threads", is_over: Callable[[], bool]) -> None:
+        assert sys.platform == "linux"
+        begun_ns, begun_cpu_ns = 0, -1  # of a thread that computes; -1 while all wait
         while not is_over():
             asked = [line for line in self._lines.values() if line.kind]
-            if self._listen(0.0 if asked else 0.02) or not asked:
-                since = time.monotonic()
+            if min((line.due_ns for line in asked), default=NEVER_NS) == NEVER_NS:
+                self._listen(0.02)
                 continue
-            if not (_all_wait(process) or time.monotonic() - since > PATIENCE_S):
-                self._listen(0.0001)
-            elif not self._listen(0.0):
-                self._answer_first(asked)
-                since = time.monotonic()
+            if self._clock is not None or threads.all_wait(self._lines.values()):
+                if self._listen(0.0):
+                    continue
+                begun_cpu_ns = -1
+            else:
+                if begun_cpu_ns < 0:
+                    begun_ns, begun_cpu_ns = self._machine.time_ns, threads.cpu_ns()
+                spent_ns = threads.cpu_ns() - begun_cpu_ns
+                if spent_ns < PATIENCE_S * 1e9 or min(line.due_ns for line in asked) > begun_ns + spent_ns:
+                    self._listen(0.0001)
+                    continue
+            self._answer_first(asked)
+            os.sched_yield()  # to the thread that has its answer, which mostly asks again
+            self._listen(0.0)
 
     def _listen(self, seconds: float) -> bool:
         """Take what comes within a time [s]; return whether there was anything."""
@@ -100,7 +143,7 @@ class DeviceServer:
         for key, _ in events:
             if key.fileobj is self._socket:
                 line, _ = self._socket.accept()
-                self._lines[line] = _Line(line)
+                self._lines[line] = _Line(line, _peer(line))
                 self._selector.register(line, selectors.EVENT_READ)
             elif isinstance(key.fileobj, socket.socket) and not self._hear(self._lines[key.fileobj]):
                 self._end(key.fileobj)
@@ -115,23 +158,52 @@ class DeviceServer:
         content = _received(line.socket, length) if length <= MOST_BYTES else None
         if content is None:
             return False
+        now_ns = self._machine.time_ns
+        if length != _LENGTHS.get(kind, length):
+            return False
+        if kind == Question.CANCEL:
+            line.due_ns = now_ns
+            return True
+        if kind == Question.WAKE:
+            self._wake(line.process, number, *_WAKE.unpack(content))
+            return True
         if kind == Question.HELLO:
             line.thread = number
-            return True
-        line.kind, line.number, line.content = kind, number, content
+        line.kind, line.number, line.content, line.due_ns, line.turn = kind, number, content, now_ns, 0
         if kind == Question.SLEEP:
-            line.wake_ns = self._machine.time_ns + max(int.from_bytes(content, "little", signed=True), 0)
+            ns, line.place, seen = _SLEEP.unpack(content)
+            line.wake_ns, line.woken = ns if number else now_ns + ns, False
+            line.due_ns = max(line.wake_ns, now_ns)
+            self._turn += 1
+            line.turn = self._turn if line.place else 0
+            if line.place and seen < self._wakes.get((line.process, line.place), 0):
+                line.due_ns, line.woken = now_ns, True
         return True
+
+    def _wake(self, process: int, count: int, place: int, wake: int) -> None:
+        """Wake the first of those who wait for a place, so many or all."""
+        self._wakes[process, place] = wake
+        waiting = [
+            line
+            for line in self._lines.values()
+            if line.kind == Question.SLEEP
+            and (line.process, line.place, line.woken) == (process, place, False)
+        ]
+        for line in sorted(waiting, key=lambda line: line.turn)[: count or None]:
+            line.due_ns, line.woken = self._machine.time_ns, True
 
     def _answer_first(self, asked: list["_Line"]) -> None:
         """Answer the question whose turn it is."""
-        line = min(asked, key=lambda line: (line.kind == Question.SLEEP, line.wake_ns, line.thread))
+        line = min(asked, key=lambda line: (line.due_ns, line.turn, line.thread))
+        if self._clock is None and line.due_ns - self._machine.time_ns > STRIDE_NS:
+            self._machine.advance_to(self._machine.time_ns + STRIDE_NS)
+            return
         result, value, told = 0, 0, b""
         try:
             result, value, told = self._answer(line)
         except OSError as error:
             result = -(error.errno or errno.EIO)
-        line.kind, line.wake_ns = 0, 0
+        line.kind = 0
         try:
             line.socket.sendall(_ANSWER.pack(result, len(told), value) + told)
         except OSError:  # the program has ended meanwhile
@@ -143,7 +215,7 @@ class DeviceServer:
         if self._clock is not None:
             machine.advance_to(self._clock())
         elif kind == Question.SLEEP:
-            machine.advance_to(line.wake_ns)
+            machine.advance_to(line.due_ns)
         elif kind == Question.NOW:
             machine.advance_to(machine.time_ns + ASKED_NS)
         if kind == Question.TRANSFER:
@@ -152,7 +224,9 @@ class DeviceServer:
             machine.set_pin(line.number, int.from_bytes(line.content, "little"))
         elif kind == Question.GPIO_GET:
             return 0, machine.pin(line.number), b""
-        elif kind not in (Question.NOW, Question.SLEEP):
+        elif kind == Question.SLEEP:
+            return int(line.woken), line.wake_ns - machine.time_ns, b""
+        elif kind not in (Question.NOW, Question.HELLO):
             raise OSError(errno.ENOSYS, f"question {kind}; expected one of {[*Question]}")
         return 0, machine.time_ns, b""
 
@@ -167,25 +241,118 @@ class _Line:
     """Line of a thread, and its open question; kind 0 for none."""
 
     socket: socket.socket
+    process: int
     thread: int = 0
     kind: int = 0
     number: int = 0
     content: bytes = b""
     wake_ns: int = 0
+    place: int = 0
+    turn: int = 0
+    woken: bool = False
+    due_ns: int = 0
 
 
-def _all_wait(process: int) -> bool:
-    """Return whether all threads of a process and of its children wait, by the kernel's word."""
+class _Threads:
+    """The threads of a process and of the processes that it has begun, as the kernel sees them.
+
+    Args:
+        process: Number of the process.
+    """
+
+    def __init__(self, process: int) -> None:
+        self._processes, self._seen = {process}, {process}
+        self._files: dict[tuple[int, int], int] = {}
+        self._newest: bytes = b""
+        self._load = os.open("/proc/loadavg", os.O_RDONLY)
+
+    def close(self) -> None:
+        """Close the files of the kernel."""
+        for file in (self._load, *self._files.values()):
+            os.close(file)
+
+    def all_wait(self, lines: Collection[_Line]) -> bool:
+        """Return whether all wait, those with an open question among them.
+
+        Two looks with the same count of switches between threads: all were waiting at once between them.
+        """
+        asked = [line for line in lines if line.kind]
+        self._find({(line.process, line.thread) for line in asked})
+        if len(asked) == len(lines) == len(self._files) == 1:
+            return True
+        surely = {
+            line.thread for line in asked if line.kind != Question.SLEEP
+        }  # which a signal does not wake
+        looked = [key for key in self._files if key[1] not in surely]
+        first = [self._waits(key) for key in looked]
+        return None not in first and first == [self._waits(key) for key in looked]
+
+    def cpu_ns(self) -> int:
+        """Return the processor time that they have had [ns]."""
+        assert sys.platform == "linux"
+        found = 0
+        for process in self._processes:
+            with contextlib.suppress(OSError):  # one that has ended
+                found += time.clock_gettime_ns(~process << 3 | 2)  # as clock_getcpuclockid of the C library
+        return found
+
+    def _find(self, known: set[tuple[int, int]]) -> None:
+        """Find new threads, those with a line among them, and new processes, whose parents are known."""
+        assert sys.platform == "linux"
+        newest = os.pread(self._load, 256, 0).rpartition(b" ")[2]  # the number of the newest thread
+        if newest == self._newest and known <= self._files.keys():
+            return
+        there = {int(name) for name in os.listdir("/proc") if name.isdigit()}
+        new = there - self._seen
+        parents = {each: _parent(each) for each in new}
+        self._processes |= {process for process, _ in known}
+        while more := {each for each in new - self._processes if parents[each] in self._processes}:
+            self._processes |= more
+        self._processes &= there
+        self._seen, self._newest = there, newest
+        tasks = {(process, task) for process in self._processes for task in _tasks(process)}
+        for key in self._files.keys() - tasks:
+            os.close(self._files.pop(key))
+        for process, task in sorted(tasks - self._files.keys()):
+            with contextlib.suppress(OSError):
+                self._files[process, task] = os.open(f"/proc/{process}/task/{task}/status", os.O_RDONLY)
+
+    def _waits(self, key: tuple[int, int]) -> bytes | None:
+        """Return the counts of switches to and from a thread that waits, None of one that runs."""
+        assert sys.platform == "linux"
+        try:
+            told = os.pread(self._files[key], 4096, 0)
+        except OSError:
+            return b""
+        state = told.find(b"State:\t") + 7
+        return told[told.rfind(b"\nvoluntary") :] if told[state : state + 1] in b"SZXT" else None
+
+
+def _content(path: Path) -> bytes:
+    """Return the content of a file, nothing where there is none."""
     try:
-        for task in Path(f"/proc/{process}/task").iterdir():
-            if (task / "stat").read_text().rpartition(")")[2].split()[0] not in "SZX":
-                return False
-            children = task / "children"  # which not every kernel tells
-            if children.exists() and not all(_all_wait(int(each)) for each in children.read_text().split()):
-                return False
-    except OSError:  # one has just ended
-        return False
-    return True
+        return path.read_bytes()
+    except OSError:
+        return b""
+
+
+def _parent(process: int) -> int:
+    """Return the number of the process that began one, 0 where that has ended."""
+    told = _content(Path(f"/proc/{process}/stat")).rpartition(b")")[2].split()
+    return int(told[1]) if told else 0
+
+
+def _tasks(process: int) -> list[int]:
+    """Return the numbers of the threads of a process."""
+    try:
+        return [int(name) for name in os.listdir(f"/proc/{process}/task")]
+    except OSError:
+        return []
+
+
+def _peer(line: socket.socket) -> int:
+    """Return the number of the process that opened a line."""
+    return int.from_bytes(line.getsockopt(socket.SOL_SOCKET, _PEER, 4), sys.byteorder)
 
 
 def _received(line: socket.socket, count: int) -> bytes | None:

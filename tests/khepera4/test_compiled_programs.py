@@ -3,6 +3,7 @@
 import os
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ import pytest
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.khepera4.machine import CHARGER_PIN, Machine
-from khep_twin.khepera4.programs import run_program
+from khep_twin.khepera4.programs import bits, run_program
 from khep_twin.khepera4.registers import DspicRegister
 from khep_twin.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
@@ -38,6 +39,11 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("programs")
     for source in FOLDER.glob("*.c"):
         subprocess.run(["cc", "-o", folder / source.stem, source, "-lpthread"], check=True)
+    strict = ["cc", "-O2", "-D_FORTIFY_SOURCE=2", "-w"]
+    for name in ("limits", "paths"):
+        subprocess.run(
+            [*strict, "-o", folder / f"{name}-strict", FOLDER / f"{name}.c", "-lpthread"], check=True
+        )
     return folder
 
 
@@ -49,6 +55,19 @@ def machine_of(world: World) -> Machine:
     robot = world.robots[0]
     assert isinstance(robot, Khepera4Robot)
     return Machine(robot.dspic, world)
+
+
+def python(source: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run source code beside this file, in a session of its own."""
+    paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    return subprocess.run(
+        [sys.executable, "-c", source, *words],
+        env=os.environ | {"PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        start_new_session=True,
+    )
 
 
 def said(path: Path, capfd: pytest.CaptureFixture[str], *words: str, code: int = 0) -> list[str]:
@@ -90,6 +109,154 @@ def test_time_passes_while_all_threads_and_children_wait_and_a_run_repeats(
         assert said(programs / "threads", capfd) == first
 
 
+def test_timers_of_all_kinds_go_by_simulated_time_and_interrupt_what_waits(
+    programs: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert said(programs / "timers", capfd) == [
+        "pause 2.000",
+        "sleep leaves 3 at 2.000",
+        "nanosleep -1 1 leaves 0.700",
+        "interval 5 0.500",
+        "timer 3 0.090",
+        "value 77, next in 0.020",
+        "called 5 0.070",
+        "after 0.200",
+        "read 8, 1 at 0.050",
+        "select 1 at 0.070",
+        "read 8, 3 at 0.120",
+        "epoll 0 at 0.125",
+        "epoll 1 at 0.130",
+        "poll 0 at 0.380",
+    ]
+
+
+@pytest.mark.parametrize("name", ["limits", "limits-strict"])
+def test_waits_for_threads_and_handles_end_when_they_are_woken_or_at_their_limit(
+    programs: Path, capfd: pytest.CaptureFixture[str], name: str
+) -> None:
+    lines = [line.rpartition(" ") for line in said(programs / name, capfd)]
+    assert [(told, round(float(seconds), 2)) for told, _, seconds in lines] == [
+        ("begin 0", 0.0),
+        ("condition in vain 1", 0.25),
+        ("and by the other clock 1", 0.25),
+        ("semaphore in vain 1", 0.25),
+        ("select in vain 0", 0.25),
+        ("poll in vain 0", 0.25),
+        ("condition 0", 0.55),
+        ("semaphore 0", 0.5),
+        ("poll 1", 0.5),
+        ("mutex in vain 1", 0.1),
+        ("mutex 0", 0.4),
+    ]
+
+
+def test_the_date_begins_with_2026_and_other_clocks_at_0(
+    programs: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert said(programs / "clocks", capfd) == ["2026-01-01 00:00:00", "10 10 10", "10 10", "0.0100"]
+
+
+def test_threads_and_children_take_turns(programs: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert said(programs / "turns", capfd) == [
+        *["ask 0.000", "answer 0.000"] * 5,
+        "system 0.010",
+        "after 0.010",
+        "meanwhile 0.010",
+        "spawned 0.020",
+        "vforked 0.030",
+        "opened 0.040",
+        "end 0.040",
+        "flag",
+    ]
+
+
+def test_who_gets_a_lock_repeats(programs: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    first = said(programs / "order", capfd)
+    assert len(first[0]) == 80 + 80 + 4 + 40
+    for _ in range(5):
+        assert said(programs / "order", capfd) == first
+
+
+@pytest.mark.parametrize("name", ["paths", "paths-strict"])
+def test_nodes_and_files_of_the_robot_are_there_by_path(
+    programs: Path, capfd: pytest.CaptureFixture[str], name: str
+) -> None:
+    assert run_program([str(programs / name)], machine(), robot_id=42) == 0
+    assert capfd.readouterr().out.splitlines() == [
+        "bus 0 0",
+        "pins 0 0",
+        "camera -1",
+        "stream 0",
+        "write 1",
+        "robot 42",
+        "entries 2",
+        "none -1",
+    ]
+
+
+@pytest.mark.parametrize(("how", "told"), [("jump", "jumped"), ("close", "closed")])
+def test_a_program_may_leave_a_handler_by_a_jump_and_close_all_handles(
+    programs: Path, capfd: pytest.CaptureFixture[str], how: str, told: str
+) -> None:
+    assert said(programs / "ends", capfd, how) == [told]
+
+
+@pytest.mark.parametrize(("how", "code", "left"), [("outlive", 4, 1), ("kill", -signal.SIGKILL, 3)])
+def test_a_run_ends_with_the_program_and_children_that_outlive_it_end_too(
+    programs: Path, tmp_path: Path, how: str, code: int, left: int
+) -> None:
+    told = "khep-twin: the twin has ended, and this program with it\n"
+    source = (
+        "from test_compiled_programs import machine, run_program\nimport sys\n"
+        "print(run_program(sys.argv[1:], machine()))\n"
+    )
+    done = python(source, programs / "ends", how)  # which waits for the end of all that have its stderr
+    assert (done.stdout, done.stderr) == (f"{code}\n", told * left)
+
+
+@pytest.mark.parametrize(
+    ("how", "number", "told"),
+    [
+        ("stop", signal.SIGINT, f"up\n{100 + signal.SIGINT}\n"),
+        ("stop", signal.SIGTERM, f"up\n{100 + signal.SIGTERM}\n"),
+        ("long", signal.SIGTERM, f"{-signal.SIGTERM}\n"),  # a sleep of days
+    ],
+)
+def test_a_signal_that_ends_the_twin_is_the_programs(
+    programs: Path, how: str, number: signal.Signals, told: str
+) -> None:
+    source = (
+        "from test_compiled_programs import machine, run_program\nimport os, signal, sys, threading\n"
+        f"number = {int(number)}\nsend = os.kill if number == signal.SIGTERM else os.killpg\n"
+        "threading.Timer(0.1, lambda: send(os.getpid(), number)).start()\n"
+        "print(run_program(sys.argv[1:], machine()))\n"
+    )
+    assert python(source, programs / "ends", how).stdout == told
+
+
+def test_the_bits_of_a_program_are_those_of_its_interpreter(tmp_path: Path) -> None:
+    (tmp_path / "old").write_bytes(b"\x7fELF\x01\x01")
+    (tmp_path / "script").write_text(f"#!{tmp_path / 'old'} -x\n")
+    (tmp_path / "loop").write_text(f"#!{tmp_path / 'loop'}\n")
+    names = ("script", "loop", "none")
+    assert [bits(str(tmp_path / name)) for name in names] == [32, 64, 64]
+    assert bits("sh") == 8 * struct.calcsize("P")
+
+
+def test_a_program_of_32_bits_without_a_compiler_for_them_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    program, compiler = tmp_path / "old", tmp_path / "cc"
+    program.write_bytes(b"\x7fELF\x01\x01")
+    compiler.write_text("#!/bin/sh\nexit 1\n")
+    compiler.chmod(0o755)
+    monkeypatch.setenv("CC", str(compiler))
+    with pytest.raises(
+        KhepTwinError, match=r"old: a program of 32 bits.*; expected gcc-multilib \(Debian: apt install"
+    ):
+        run_program([str(program)], machine())
+
+
 def test_pins_reset_the_dspic_and_tell_of_the_charger(
     programs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -120,14 +287,7 @@ def test_a_program_ends_with_its_twin(programs: Path) -> None:
         "threading.Timer(0.5, lambda: os.kill(os.getpid(), signal.SIGKILL)).start()\n"
         "run_program([sys.argv[1]], machine(), simulated=False)\n"
     )
-    paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
-    done = subprocess.run(
-        [sys.executable, "-c", code, programs / "forever"],
-        env=os.environ | {"PYTHONPATH": paths},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    done = python(code, programs / "forever")
     assert done.returncode == -signal.SIGKILL
     assert done.stderr == "khep-twin: the twin has ended, and this program with it\n"
 
