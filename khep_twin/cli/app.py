@@ -23,6 +23,7 @@ from khep_twin.cli.completion import complete_in_bash, explained
 from khep_twin.cli.conform import conform
 from khep_twin.cli.design import design
 from khep_twin.cli.drive import drive
+from khep_twin.cli.exec import execute
 from khep_twin.cli.fit import fit
 from khep_twin.cli.log import recover, repeat
 from khep_twin.cli.options import Commands, complain
@@ -63,6 +64,7 @@ _LOGS = (view, report, export, recover, repeat, branch)
 _MEASUREMENTS = (sense, fit, calibrate)
 for command in _RUNS + _PORTS + _LOGS + _MEASUREMENTS:
     app.command()(command)
+app.command("exec")(execute)
 app.command("compile")(compile_all)
 app.command()(conform)
 

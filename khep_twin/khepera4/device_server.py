@@ -1,6 +1,6 @@
-"""The devices of a Khepera IV, on a socket, for programs that were compiled for it.
+"""The devices of Khepera IVs, on a socket each, for programs that were compiled for them.
 
-The preload library `assets/khepera4/shim.c` answers the device nodes of a program and asks here, on a line
+The preload library `assets/khepera4/shim*.c` answers the device nodes of a program and asks here, on a line
 for each thread. A question is three 32-bit numbers (question, number, length) and its content, an answer a
 result (minus an error number where it failed), a length, a 64-bit value, and its content, all little-endian:
 
@@ -16,12 +16,12 @@ result (minus an error number where it failed), a length, a 64-bit value, and it
     8 WAKE       how many of those who wait for a place in this process, 0 for all; the place and the number
                  of this wake, 64 bits each; without an answer
 
-One thread runs at a time: a question is answered while all threads of the program and of its children wait,
+One thread runs at a time: a question is answered while all threads of all programs and their children wait,
 for an answer or for something else: a lock, another thread, a key, whatever the kernel calls sleeping. A new
 thread and a new process say HELLO before anything else, so they, too, begin when it is their turn. A wait is
 due at its end or wake, all else when it is asked. What is due first is answered, of several the question of
-the thread with the lowest number, then those that wait for a place, the longest first, and the time until
-then has passed. So a run repeats. A question for the time costs `ASKED_NS`: a program that waits in a loop
+the first robot and its thread with the lowest number, then those that wait for a place, the longest first,
+and the time until then has passed. So a run repeats. A question for the time costs `ASKED_NS`: a program that waits in a loop
 ends. A thread that computes for longer than `PATIENCE_S` no longer holds up the others: from then on their
 time passes as fast as it computes.
 """
@@ -34,7 +34,7 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -80,35 +80,41 @@ _LENGTHS = {Question.SLEEP: _SLEEP.size, Question.WAKE: _WAKE.size}
 
 
 class DeviceServer:
-    """The socket of a machine, for the programs that run on it.
+    """The sockets of machines, for the programs that run on them.
 
     Args:
-        machine: Machine.
-        path: Path of the socket, which must not be there.
+        machines: Machines, which share one time.
+        paths: Path of the socket of each, which must not be there.
         clock: Function that returns the time [ns] where it passes by itself; None for simulated time.
     """
 
-    def __init__(self, machine: Machine, path: Path, clock: Callable[[], int] | None = None) -> None:
-        self._machine, self._clock = machine, clock
-        self._socket = socket.socket(_FAMILY, socket.SOCK_STREAM)
-        self._socket.bind(str(path))
-        self._socket.listen(64)
+    def __init__(
+        self, machines: Sequence[Machine], paths: Sequence[Path], clock: Callable[[], int] | None = None
+    ) -> None:
+        self._machines, self._machine, self._clock = machines, machines[0], clock
         self._selector = selectors.DefaultSelector()
-        self._selector.register(self._socket, selectors.EVENT_READ)
+        self._sockets: dict[socket.socket, int] = {}
+        for index, path in enumerate(paths):
+            own = socket.socket(_FAMILY, socket.SOCK_STREAM)
+            own.bind(str(path))
+            own.listen(64)
+            self._sockets[own] = index
+            self._selector.register(own, selectors.EVENT_READ)
         self._lines: dict[socket.socket, _Line] = {}
         self._turn = 0  # of the last wait
         self._wakes: dict[tuple[int, int], int] = {}  # the last of each process and place
 
     def close(self) -> None:
-        """Close the socket and all lines."""
+        """Close the sockets and all lines."""
         for line in [*self._lines]:
             self._end(line)
         self._selector.close()
-        self._socket.close()
+        for own in self._sockets:
+            own.close()
 
-    def serve(self, process: int, is_over: Callable[[], bool]) -> None:
-        """Answer a process and its children until a function tells that it is over."""
-        threads = _Threads(process)
+    def serve(self, processes: Collection[int], is_over: Callable[[], bool]) -> None:
+        """Answer processes and their children until a function tells that it is over."""
+        threads = _Threads(processes)
         try:
             self._serve(threads, is_over)
         finally:
@@ -120,7 +126,8 @@ class DeviceServer:
         while not is_over():
             asked = [line for line in self._lines.values() if line.kind]
             if min((line.due_ns for line in asked), default=NEVER_NS) == NEVER_NS:
-                self._listen(0.02)
+                if not self._listen(0.02) and self._clock is not None:
+                    self._machine.advance_to(self._clock())
                 continue
             if self._clock is not None or threads.all_wait(self._lines.values()):
                 if self._listen(0.0):
@@ -141,12 +148,15 @@ class DeviceServer:
         """Take what comes within a time [s]; return whether there was anything."""
         events = self._selector.select(seconds)
         for key, _ in events:
-            if key.fileobj is self._socket:
-                line, _ = self._socket.accept()
-                self._lines[line] = _Line(line, _peer(line))
+            ready = key.fileobj
+            if not isinstance(ready, socket.socket):
+                continue
+            if ready in self._sockets:
+                line, _ = ready.accept()
+                self._lines[line] = _Line(line, self._sockets[ready], _peer(line))
                 self._selector.register(line, selectors.EVENT_READ)
-            elif isinstance(key.fileobj, socket.socket) and not self._hear(self._lines[key.fileobj]):
-                self._end(key.fileobj)
+            elif not self._hear(self._lines[ready]):
+                self._end(ready)
         return bool(events)
 
     def _hear(self, line: "_Line") -> bool:
@@ -194,7 +204,7 @@ class DeviceServer:
 
     def _answer_first(self, asked: list["_Line"]) -> None:
         """Answer the question whose turn it is."""
-        line = min(asked, key=lambda line: (line.due_ns, line.turn, line.thread))
+        line = min(asked, key=lambda line: (line.due_ns, line.turn, line.robot, line.thread))
         if self._clock is None and line.due_ns - self._machine.time_ns > STRIDE_NS:
             self._machine.advance_to(self._machine.time_ns + STRIDE_NS)
             return
@@ -211,7 +221,7 @@ class DeviceServer:
 
     def _answer(self, line: "_Line") -> tuple[int, int, bytes]:
         """Return result, value and content of an answer."""
-        machine, kind = self._machine, line.kind
+        machine, kind = self._machines[line.robot], line.kind
         if self._clock is not None:
             machine.advance_to(self._clock())
         elif kind == Question.SLEEP:
@@ -241,6 +251,7 @@ class _Line:
     """Line of a thread, and its open question; kind 0 for none."""
 
     socket: socket.socket
+    robot: int
     process: int
     thread: int = 0
     kind: int = 0
@@ -254,14 +265,14 @@ class _Line:
 
 
 class _Threads:
-    """The threads of a process and of the processes that it has begun, as the kernel sees them.
+    """The threads of processes and of those that they have begun, as the kernel sees them.
 
     Args:
-        process: Number of the process.
+        processes: Numbers of the processes.
     """
 
-    def __init__(self, process: int) -> None:
-        self._processes, self._seen = {process}, {process}
+    def __init__(self, processes: Collection[int]) -> None:
+        self._processes, self._seen = {*processes}, {*processes}
         self._files: dict[tuple[int, int], int] = {}
         self._newest: bytes = b""
         self._load = os.open("/proc/loadavg", os.O_RDONLY)

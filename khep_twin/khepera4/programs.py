@@ -1,7 +1,7 @@
 """Programs that were compiled for a Khepera IV, run on this machine against a twin of it.
 
-    machine = Machine(Dspic(), Wheels().turn)
-    code = run_program(["./program", "argument"], machine)
+    world = World("arena4")
+    (code,) = run_programs([Program(["./program", "argument"], Machine(world.robots[0].dspic, world))])
 
 The program is a native build of the unmodified source. A preload library (`assets/khepera4/shim*.c`),
 compiled once by the user's C compiler, answers the robot's device nodes and, with a simulated clock, what
@@ -21,6 +21,7 @@ import time
 from collections.abc import Generator, Sequence
 from pathlib import Path
 from types import FrameType
+from typing import NamedTuple
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.khepera4.device_server import DeviceServer
@@ -33,35 +34,74 @@ SOURCES = Path(__file__).parents[1] / "assets" / "khepera4"
 """Folder of the preload library."""
 
 
-def run_program(
-    arguments: Sequence[str], machine: Machine, *, simulated: bool = True, robot_id: int = 1
-) -> int:
-    """Run a program on a machine; return its exit code, below 0 for the number of a signal that ended it.
+CONFIGURATION = "section Khepera4\ndevice dsPic i2c 0x30\n"
+"""The robot's `/etc/libkhepera/khepera4.knc`, without which the library finds no dsPIC."""
 
-    SIGINT, which a terminal sends to the program as well, is left to the program; SIGTERM is passed on.
+LAST_S = 2.0
+"""Time of the wall clock that programs have to end by themselves after SIGTERM [s]."""
 
-    Args:
+
+class Program(NamedTuple):
+    """A program on a robot.
+
+    Attributes:
         arguments: The program and its arguments.
         machine: Machine that answers its device nodes.
-        simulated: Whether its time is simulated; else the machine's time is that of this computer.
         robot_id: Number of the robot, in `/etc/khepera/robotid`.
+    """
+
+    arguments: Sequence[str]
+    machine: Machine
+    robot_id: int = 1
+
+
+def run_programs(
+    programs: Sequence[Program], *, simulated: bool = True, until_ns: int | None = None
+) -> list[int]:
+    """Run a program on each of some machines; return their exit codes.
+
+    A code is below 0 for the number of a signal that ended a program. SIGINT, which a terminal sends to the
+    programs as well, is left to them; SIGTERM is passed on. A program that ends leaves the others running.
+
+    Args:
+        programs: Programs, on machines that share one time.
+        simulated: Whether their time is simulated; else it is that of this computer.
+        until_ns: Time at which those that still run get SIGTERM, and after LAST_S are killed [ns].
 
     Raises:
-        KhepTwinError: The program cannot be started, or there is no C compiler.
+        KhepTwinError: A program cannot be started, or there is no C compiler.
     """
-    own = str(_library_for(arguments[0]))
-    preloaded = f"{own}:{os.environ['LD_PRELOAD']}" if os.environ.get("LD_PRELOAD") else own
-    with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
-        path, begun = Path(folder, "devices"), time.monotonic_ns()
-        own_environment = {
-            "LD_PRELOAD": preloaded,
-            "KHEP_TWIN_SOCKET": str(path),
-            "KHEP_TWIN_CLOCK": "simulated" if simulated else "real",
-            "KHEP_TWIN_ETC": str(_files(Path(folder, "etc"), robot_id)),
-        }
-        server = DeviceServer(machine, path, None if simulated else lambda: time.monotonic_ns() - begun)
-        with contextlib.closing(server), _one_processor() if simulated else contextlib.nullcontext():
-            return _run(arguments, os.environ | own_environment, server)
+    libraries = [_library_for(program.arguments[0]) for program in programs]
+    with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder, contextlib.ExitStack() as stack:
+        begun = time.monotonic_ns()
+        paths = [Path(folder, f"devices{index}") for index in range(len(programs))]
+        machines = [program.machine for program in programs]
+        first_ns = machines[0].time_ns
+        clock = None if simulated else lambda: first_ns + time.monotonic_ns() - begun
+        server = stack.enter_context(contextlib.closing(DeviceServer(machines, paths, clock)))
+        if simulated:
+            stack.enter_context(_one_processor())
+        started: list[subprocess.Popen[bytes]] = []
+        stack.callback(_kill, started)
+        for program, library, path in zip(programs, libraries, paths, strict=True):
+            environment = {
+                "LD_PRELOAD": ":".join(filter(None, (str(library), os.environ.get("LD_PRELOAD")))),
+                "KHEP_TWIN_SOCKET": str(path),
+                "KHEP_TWIN_CLOCK": "simulated" if simulated else "real",
+                "KHEP_TWIN_ETC": str(_files(path.with_suffix(".etc"), program.robot_id)),
+            }
+            try:
+                started.append(subprocess.Popen([*program.arguments], env=os.environ | environment))
+            except OSError as error:
+                raise KhepTwinError(f"{program.arguments[0]}: cannot be started: {error.strerror}") from error
+        stack.enter_context(_signals_of(started))
+        numbers = [process.pid for process in started]
+        server.serve(numbers, lambda: _are_over(started, machines[0], until_ns))
+        if any(process.poll() is None for process in started):
+            _terminate(started)
+            last = time.monotonic() + LAST_S
+            server.serve(numbers, lambda: _are_over(started) or time.monotonic() > last)
+    return [process.returncode for process in started]
 
 
 def _library_for(program: str) -> Path:
@@ -74,19 +114,26 @@ def _library_for(program: str) -> Path:
         raise KhepTwinError(f"{program}: a program of 32 bits, and {error}") from error
 
 
-def _run(arguments: Sequence[str], environment: dict[str, str], server: DeviceServer) -> int:
-    try:
-        process = subprocess.Popen([*arguments], env=environment)
-    except OSError as error:
-        raise KhepTwinError(f"{arguments[0]}: cannot be started: {error.strerror}") from error
-    try:
-        with _signals_of(process):
-            server.serve(process.pid, lambda: process.poll() is not None)
-    finally:
+def _are_over(
+    started: Sequence["subprocess.Popen[bytes]"], machine: Machine | None = None, until_ns: int | None = None
+) -> bool:
+    """Return whether all programs have ended, or a time has come."""
+    if machine is not None and until_ns is not None and machine.time_ns >= until_ns:
+        return True
+    return all([process.poll() is not None for process in started])
+
+
+def _terminate(started: Sequence["subprocess.Popen[bytes]"]) -> None:
+    for process in started:
+        if process.poll() is None:
+            process.terminate()
+
+
+def _kill(started: Sequence["subprocess.Popen[bytes]"]) -> None:
+    for process in started:
         if process.poll() is None:
             process.kill()
         process.wait()
-    return process.returncode
 
 
 def bits(program: str) -> int:
@@ -126,16 +173,17 @@ def _files(folder: Path, robot_id: int) -> Path:
     for name in ("khepera", "libkhepera"):
         (folder / name).mkdir(parents=True)
     (folder / "khepera" / "robotid").write_text(f"{robot_id}\n")
+    (folder / "libkhepera" / "khepera4.knc").write_text(CONFIGURATION)
     return folder
 
 
 @contextlib.contextmanager
-def _signals_of(process: "subprocess.Popen[bytes]") -> Generator[None, None, None]:
-    """Leave the signals that end this process to another one meanwhile."""
+def _signals_of(started: Sequence["subprocess.Popen[bytes]"]) -> Generator[None, None, None]:
+    """Leave the signals that end this process to others meanwhile."""
 
     def pass_on(number: int, frame: FrameType | None) -> None:
         if number == signal.SIGTERM:
-            process.terminate()
+            _terminate(started)
 
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -6,14 +6,14 @@ import signal
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.khepera4.machine import CHARGER_PIN, Machine
-from khep_twin.khepera4.programs import bits, run_program
+from khep_twin.khepera4.programs import Program, bits, run_programs
 from khep_twin.khepera4.registers import DspicRegister
 from khep_twin.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
@@ -45,6 +45,13 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
             [*strict, "-o", folder / f"{name}-strict", FOLDER / f"{name}.c", "-lpthread"], check=True
         )
     return folder
+
+
+def run_program(
+    arguments: Sequence[str], machine: Machine, *, simulated: bool = True, robot_id: int = 1
+) -> int:
+    """Run one program; return its exit code."""
+    return run_programs([Program(arguments, machine, robot_id)], simulated=simulated)[0]
 
 
 def machine() -> Machine:
@@ -189,7 +196,7 @@ def test_nodes_and_files_of_the_robot_are_there_by_path(
         "stream 0",
         "write 1",
         "robot 42",
-        "entries 2",
+        "entries 3",
         "none -1",
     ]
 
