@@ -9,6 +9,7 @@ STUDIES = {
     "behaviour": "behaviour",
     "infrared-fits": "infrared_fits",
     "khepera2-fits": "khepera2_fits",
+    "khepera4-programs": "khepera4_programs",
     "infrared-picture": "infrared_picture",
     "lamp-fits": "lamp_fits",
     "lamp-picture": "lamp_picture",

@@ -61,6 +61,9 @@ def execute(
         float | None,
         typer.Option(min=0.01, help="End after this time [s]: SIGTERM, and 2 s later SIGKILL."),
     ] = None,
+    after: Annotated[
+        float, typer.Option(min=0, help="Let the robots go on for this time after the programs [s].")
+    ] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of every random stream of the run.")] = 0,
     noise: Annotated[Switch, typer.Option(help="Add noise to the sensors, as on the robot.")] = Switch.ON,
     vary: Annotated[
@@ -100,6 +103,8 @@ def execute(
         watch(twin)
         until_ns = None if seconds is None else to_ns(seconds)
         codes = run_programs(chosen, simulated=clock is Clock.SIMULATED, until_ns=until_ns)
+        if after:
+            twin.world.advance(after)
         is_cut_off = until_ns is not None and twin.world.time_ns >= until_ns
     if logging.log is not None:
         logging.check(twin.recorder)

@@ -21,9 +21,10 @@ for an answer or for something else: a lock, another thread, a key, whatever the
 thread and a new process say HELLO before anything else, so they, too, begin when it is their turn. A wait is
 due at its end or wake, all else when it is asked. What is due first is answered, of several the question of
 the first robot and its thread with the lowest number, then those that wait for a place, the longest first,
-and the time until then has passed. So a run repeats. A question for the time costs `ASKED_NS`: a program that waits in a loop
-ends. A thread that computes for longer than `PATIENCE_S` no longer holds up the others: from then on their
-time passes as fast as it computes.
+and the time until then has passed. So a run repeats. A question for the time costs `ASKED_NS`: a program that
+waits in a loop ends. A thread that computes for longer than `PATIENCE_S` no longer holds up the others: from
+then on their time passes as fast as it computes. Where all wait without a limit, for a key or for another
+computer, time passes with the wall clock after `OUTSIDE_S`.
 """
 
 import contextlib
@@ -50,6 +51,13 @@ MOST_BYTES = 1 << 20
 
 PATIENCE_S = 0.05
 """Processor time for which threads may compute while others have asked [s] (assumed)."""
+
+OUTSIDE_S = 0.2
+"""Time of the wall clock after which programs that wait without any limit wait for the outside, a key or
+another computer: from then on simulated time passes as the wall clock does [s] (assumed)."""
+
+_LOOK_S = 0.02
+"""Time of the wall clock between two looks at such programs [s]."""
 
 NEVER_NS = (1 << 63) - 1
 """End of a wait that has none [ns]."""
@@ -123,12 +131,20 @@ class DeviceServer:
     def _serve(self, threads: "_Threads", is_over: Callable[[], bool]) -> None:
         assert sys.platform == "linux"
         begun_ns, begun_cpu_ns = 0, -1  # of a thread that computes; -1 while all wait
+        idle = 0  # looks at programs that wait without a limit
         while not is_over():
             asked = [line for line in self._lines.values() if line.kind]
             if min((line.due_ns for line in asked), default=NEVER_NS) == NEVER_NS:
-                if not self._listen(0.02) and self._clock is not None:
+                if self._listen(_LOOK_S):
+                    idle = 0
+                elif self._clock is not None:
                     self._machine.advance_to(self._clock())
+                elif threads.all_wait(self._lines.values()):
+                    idle += 1
+                    if idle * _LOOK_S > OUTSIDE_S:
+                        self._machine.advance_to(self._machine.time_ns + round(_LOOK_S * 1e9))
                 continue
+            idle = 0
             if self._clock is not None or threads.all_wait(self._lines.values()):
                 if self._listen(0.0):
                     continue

@@ -1,0 +1,107 @@
+"""Public programs for the Khepera IV: `python -m studies khepera4-programs FOLDER`.
+
+FOLDER has a folder for each program with its executable `prog`, compiled for this computer with the options
+that `khep-twin exec --cflags` prints, and, where they are needed, a file `arguments` and a file `typed` with
+what is typed at its start. Each runs for 600 simulated seconds at a terminal, with a seed of its own
+place in the list, and a line of the table tells how it ended, how far the robot drove and how near it came to
+something, how much the program wrote, and how fast it ran.
+"""
+
+import math
+import os
+import pty
+import shlex
+import subprocess
+import sys
+import time
+from pathlib import Path
+from tempfile import TemporaryFile
+
+from khep_twin.khepera4.machine import Machine
+from khep_twin.khepera4.programs import Program, run_programs
+from khep_twin.khepera4.registers import DspicRegister
+from khep_twin.khepera4.robot import Khepera4Robot
+from khep_twin.world import World
+from tools.command_table import command_line
+
+_LOOK_NS = 100_000_000
+"""Time between two looks at the robot [ns]."""
+
+
+class Followed:
+    """Time of a world, with the way of its robot.
+
+    Attributes:
+        way: Way of the robot [m].
+        nearest: Largest reading of its sensors around.
+    """
+
+    def __init__(self, world: World, robot: Khepera4Robot) -> None:
+        self._world, self._robot = world, robot
+        self._before, self.way, self.nearest = robot.pose, 0.0, 0
+
+    @property
+    def time_ns(self) -> int:
+        """Time [ns]."""
+        return self._world.time_ns
+
+    def advance_to(self, time_ns: int) -> None:
+        """Advance, and look at the robot on the way."""
+        while (look_ns := (self._world.time_ns // _LOOK_NS + 1) * _LOOK_NS) <= time_ns:
+            self._world.advance_to(look_ns)
+            now = self._robot.pose
+            self.way += math.dist(now[:2], self._before[:2])
+            self._before = now
+            self._robot.dspic.read(DspicRegister.PROXIMITY, 16)
+            near = max(self._robot.dspic.words(DspicRegister.PROXIMITY, 8))
+            self.nearest = max(self.nearest, near)
+        self._world.advance_to(time_ns)
+
+
+def run(folder: Path, seconds: float, seed: int, playpen: str = "arena4") -> str:
+    """Run a program here, whose standard streams are replaced; return the line of the table."""
+    world = World(playpen, seed=seed)
+    robot = world.robots[0]
+    assert isinstance(robot, Khepera4Robot)
+    clock, begun = Followed(world, robot), time.monotonic()
+    leader, follower = pty.openpty()
+    arguments, typed = folder / "arguments", folder / "typed"
+    if typed.exists():
+        os.write(leader, typed.read_bytes())
+    words = shlex.split(arguments.read_text()) if arguments.exists() else []
+    kept = os.dup(1)
+    with TemporaryFile() as said:
+        os.dup2(follower, 0)
+        os.dup2(said.fileno(), 1)
+        program = Program([str(folder / "prog"), *words], Machine(robot.dspic, clock))
+        (code,) = run_programs([program], until_ns=round(seconds * 1e9))
+        os.dup2(kept, 1)
+        written = os.fstat(said.fileno()).st_size
+    passed = world.time_ns * 1e-9
+    ended = f"code {code}" if passed < seconds else "goes on"
+    taken = time.monotonic() - begun
+    x, y, heading = robot.pose
+    return (
+        f"| {folder.name} | {ended} | {passed:.1f} | {clock.way:.2f} | {x:.2f}, {y:.2f}, "
+        f"{math.degrees(heading):.0f}° | {clock.nearest} | {written / 1000:.1f} | {passed / taken:.0f} |"
+    )
+
+
+def main() -> None:
+    """Run all programs of a folder, each in a process of its own."""
+    parser = command_line(__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seconds", type=float, default=600.0)
+    parser.add_argument("--programs", nargs="*", metavar="NAME", help="only these")
+    parser.add_argument("--here", metavar="NAME", help="this one, in this process")
+    given = parser.parse_args()
+    names = sorted(each.parent.name for each in given.folder.glob("*/prog"))
+    if given.here:
+        print(run(given.folder / given.here, given.seconds, names.index(given.here)), flush=True)
+        return
+    print("| program | end | s | m | pose | nearest | kB | x real time |\n|---|---|---|---|---|---|---|---|")
+    for name in given.programs or names:
+        command = [sys.executable, "-m", "studies", "khepera4-programs", str(given.folder)]
+        command += ["--seconds", str(given.seconds), "--here", name]
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+        print(done.stdout.strip() or f"| {name} | failed: {done.returncode} |", flush=True)
