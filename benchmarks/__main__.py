@@ -6,6 +6,7 @@ process that only echoes. `python -m benchmarks --help` lists the options; `benc
 """
 
 import argparse
+import shutil
 import sys
 import time
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ from datetime import date
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks import environments, growth, peers, record
+from benchmarks import environments, growth, khepera4, peers, record
 from benchmarks.ports import line_row, trip_rows
 from benchmarks.scale import NETWORK, POLICY, bare_row, batch_row, episode_row, world_row
 from benchmarks.table import LEGEND, Table, measure, text
@@ -113,6 +114,9 @@ def tables(quick: bool, python: str | None, found: dict[str, str]) -> Iterator[T
     part, rounds = (0.25, 2) if quick else (1.0, 7)
     yield main_job(part, rounds)
     yield ways_in(part, rounds)
+    if sys.platform == "linux" and shutil.which("cc"):
+        with TemporaryDirectory() as folder:
+            yield khepera4.table(Path(folder), part, rounds)
     for name in PEERS[: 1 if quick else None]:
         yield beside_kheperax(name, part, rounds, python, found)
     yield from environments.tables(part, rounds)

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from khep_twin.envs.gymnasium import make as make
     from khep_twin.envs.gymnasium import make_vec as make_vec
     from khep_twin.envs.gymnasium_vector import KheperaVectorEnvironment as KheperaVectorEnvironment
+    from khep_twin.envs.khepera4 import KheperaIVEnvironment as KheperaIVEnvironment
     from khep_twin.envs.pettingzoo import ParallelEnvironment as ParallelEnvironment
     from khep_twin.envs.randomization import Randomization as Randomization
     from khep_twin.envs.task_episode import TaskEpisode as TaskEpisode

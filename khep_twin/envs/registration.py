@@ -13,6 +13,9 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
 
+KHEPERA_4_TASKS = ("KheperaIVObstacleAvoidance", "KheperaIVLineFollowing")
+"""Tasks of `khepera4.TASKS`, which needs Gymnasium."""
+
 _REGISTRY = "gymnasium.envs.registration"
 
 
@@ -33,6 +36,10 @@ def register() -> None:
                 vector_entry_point="khep_twin.envs.gymnasium_vector:KheperaVectorEnvironment",
                 kwargs={"task": task},
             )
+    for task in KHEPERA_4_TASKS:
+        if (name := f"khep_twin/{task}-v0") not in registry.registry:
+            entry = "khep_twin.envs.khepera4:KheperaIVEnvironment"
+            registry.register(name, entry_point=entry, kwargs={"task": task})
 
 
 class _Waiting(MetaPathFinder, Loader):

@@ -108,6 +108,11 @@ class Dspic:
             raise ValueError(f"a battery block of {len(block)} bytes; expected {BATTERY_BYTES}")
         self._bytes[DspicRegister.BATTERY : DspicRegister.BATTERY + BATTERY_BYTES] = block
 
+    def read_words(self, register: int, count: int) -> list[int]:
+        """Read registers of 2 bytes without a sign."""
+        self.before_read(register, register + 2 * count)
+        return self.words(register, count)
+
     def words(self, register: int, count: int) -> list[int]:
         """Return registers of 2 bytes without a sign, as they are now."""
         return [self._bytes[at] | self._bytes[at + 1] << 8 for at in range(register, register + 2 * count, 2)]

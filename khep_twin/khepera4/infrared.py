@@ -24,6 +24,9 @@ from khep_twin.sensing.robot_sensors import RobotSensors
 from khep_twin.sensors import proximity_optics
 from khep_twin.units import COUNTS_LIMIT, N_SENSORS
 
+N_AROUND = N_SENSORS
+"""Number of sensors around; those behind them look at the floor."""
+
 PERIOD_NS = 5_000_000
 """Period of the measurements [ns] (manual)."""
 
@@ -70,15 +73,15 @@ class Infrared:
         first = moment.time_ns // PERIOD_NS * len(self._indices.cameras)
         near: list[int] = []
         light: list[int] = []
-        for channel in range(N_SENSORS):
+        for channel in range(N_AROUND):
             random = draws(self._tables, self._key, first + channel)
             reflected, ambient = convert(
                 past.scene, sensors, moment.light, moment.powers, moment.time_ns, channel, random
             )
             near.append(reflected)
             light.append(ambient)
-        for channel, camera in enumerate(self._indices.cameras[N_SENSORS:]):
-            random = draws(self._tables, self._key, first + N_SENSORS + channel)
+        for channel, camera in enumerate(self._indices.cameras[N_AROUND:]):
+            random = draws(self._tables, self._key, first + N_AROUND + channel)
             if self._ground is not None:
                 near.append(self._floor_counts(self._ground, channel, camera, random[0]))
             # In the robot's shade (assumed).

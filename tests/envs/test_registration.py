@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from khep_twin.envs.registration import KHEPERA_4_TASKS
 from khep_twin.envs.tasks import TASKS
 
 PROGRAM = """
@@ -24,7 +25,7 @@ def test_gymnasium_knows_the_tasks_whichever_is_imported_first(first: str, then:
     pytest.importorskip("gymnasium", reason="gymnasium, the extra [rl], is not installed")
     words = [sys.executable, "-c", PROGRAM.format(first=first, then=then)]
     told = subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
-    assert told[0].split() == [f"khep_twin/{task}-v0" for task in TASKS]
+    assert told[0].split() == [f"khep_twin/{task}-v0" for task in (*TASKS, *KHEPERA_4_TASKS)]
     # Its module is as if it had been imported alone, and nothing waits any longer.
     assert told[1:] == ["False SourceFileLoader True", "[]"]
 

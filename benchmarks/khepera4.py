@@ -1,0 +1,85 @@
+"""Speed of the Khepera IV: its world, and a program that reads all sensors at 20 Hz under `khep-twin exec`."""
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+
+from benchmarks.scale import world_row
+from benchmarks.table import Row, Table, measure, timed
+from khep_twin.khepera4.machine import Machine
+from khep_twin.khepera4.programs import Program, run_programs
+from khep_twin.khepera4.registers import DspicRegister
+from khep_twin.khepera4.robot import Khepera4Robot
+from khep_twin.playpen import Playpen
+from khep_twin.world import World
+
+PLAYPEN = "arena4"
+SOURCE = Path(__file__).with_suffix(".c")
+
+_READ_NS = 50_000_000
+_N_SENSORS = 23
+"""Numbers that a Khepera IV's sensors have: 12 infrared, 5 ultrasonic, 6 inertial; a Khepera has 8."""
+
+
+def opened() -> tuple[World, Khepera4Robot]:
+    """Return a world with a Khepera IV."""
+    world = World(PLAYPEN, seed=1)
+    robot = world.robots[0]
+    assert isinstance(robot, Khepera4Robot)
+    return world, robot
+
+
+def bare(seconds: float) -> None:
+    """Run a loop of mj_step alone."""
+    world, _ = opened()
+    for _ in range(round(seconds * 400)):
+        mujoco.mj_step(world.model, world.data)
+
+
+def reading(seconds: float, reads: bool = True) -> None:
+    """Advance a world, and read all sensors at 20 Hz."""
+    world, robot = opened()
+    for _ in range(round(seconds * 20)):
+        world.advance_to(world.time_ns + _READ_NS)
+        if reads:
+            for register, count in (
+                (DspicRegister.AMBIENT, 29),
+                (DspicRegister.ACCELEROMETER, 30),
+                (DspicRegister.GYROSCOPE, 30),
+            ):
+                robot.dspic.read(register, 2 * count)
+
+
+def executing(program: Path, seconds: float) -> None:
+    """Run the program that reads them."""
+    world, robot = opened()
+    (code,) = run_programs([Program([str(program), str(round(seconds))], Machine(robot.dspic, world))])
+    assert code == 0
+
+
+def table(folder: Path, part: float, rounds: int) -> Table:
+    """Measure a loop of mj_step, worlds of both robots, and the program.
+
+    Args:
+        folder: Folder for the compiled program.
+        part: Fraction of the usual length.
+        rounds: Number of counted rounds.
+    """
+    seconds, program = max(round(20 * part), 1), folder / "khepera4"
+    subprocess.run(["cc", "-O2", "-o", program, SOURCE], check=True)
+
+    def row(name: str, run: Callable[[], None]) -> Row:
+        return Row(name, seconds, timed(run), lambda rate: f"{1000 / rate:.1f} ms a simulated s")
+
+    rows = [
+        row("bare mj_step (floor)", lambda: bare(seconds)),
+        row("World, no program", lambda: reading(seconds, reads=False)),
+        row("World, all sensors at 20 Hz", lambda: reading(seconds)),
+        row("exec, all sensors at 20 Hz", lambda: executing(program, seconds)),
+        world_row("World of a Khepera, obstacles", Playpen.load("obstacles"), seconds),
+        world_row("the same, plain", Playpen.load("obstacles"), seconds, compiled=False),
+    ]
+    remark = f"a Khepera IV's sensors have {_N_SENSORS} numbers, a Khepera's 8"
+    return measure(f"{PLAYPEN}, Khepera IV", rows, rounds, remarks=[remark])

@@ -1,0 +1,272 @@
+"""Tasks for the Khepera IV as Gymnasium environments (extra `rl`).
+
+    import gymnasium, khep_twin
+
+    environment = gymnasium.make("khep_twin/KheperaIVObstacleAvoidance-v0")
+    observation, info = environment.reset(seed=1)
+    observation, reward, terminated, truncated, info = environment.step(environment.action_space.sample())
+
+Tasks, each with the terms of its observation (`TERMS`):
+
+    KheperaIVObstacleAvoidance   proximity, ultrasonic, speed   fast and straight, clear of obstacles (arena4)
+    KheperaIVLineFollowing       ground, speed, gyroscope       fast along a black line (arena4-line)
+
+Every number is normalized to -1 to 1. An action is the speeds of left and right wheel, -1 to 1; 1 is 600
+pulses/10 ms, 407 mm/s. They are orders of the dsPIC's speed control. An episode is truncated at its time
+limit, and terminates when the robot has fallen.
+"""
+
+# Gymnasium's spaces are only partly typed.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from khep_twin.clock import n_steps, to_ns
+from khep_twin.copies import MadeAnew
+from khep_twin.envs.renderer import Picture
+from khep_twin.episodes import fitness
+from khep_twin.errors import KhepTwinError, MissingExtraError, PlaypenError, choices
+from khep_twin.khepera4.infrared import N_AROUND
+from khep_twin.khepera4.registers import Control, DspicRegister
+from khep_twin.khepera4.robot import Khepera4Robot
+from khep_twin.playpen import Playpen, PlaypenLike
+from khep_twin.playpen.starts import Start, anywhere, at_spots
+from khep_twin.units import COUNTS_LIMIT, TICK_NS
+from khep_twin.world import World
+
+try:
+    import gymnasium
+    from gymnasium.spaces import Box
+except ModuleNotFoundError as error:
+    raise MissingExtraError("gymnasium", "rl") from error
+
+TOP_SPEED_PULSES = 600
+"""Speed of a wheel for an action of 1 [pulses/10 ms]: 407 mm/s, half of what the robot can do (assumed)."""
+
+TOP_RATE_COUNTS = 8_000
+"""Rate of turn about the vertical for an observation of 1, in units of the gyroscope: 528 deg/s (assumed)."""
+
+_FALLEN = 0.02
+"""Height by which a robot that has fallen is below its start [m]."""
+
+_FAR_CM = 250
+
+Reading = Callable[[Khepera4Robot, tuple[float, float]], Sequence[float]]
+
+TERMS: dict[str, tuple[int, Reading]] = {
+    "proximity": (N_AROUND, lambda robot, speeds: _scaled(robot, DspicRegister.PROXIMITY, 0, N_AROUND)),
+    "ground": (4, lambda robot, speeds: _scaled(robot, DspicRegister.PROXIMITY, N_AROUND, 4)),
+    "ultrasonic": (5, lambda robot, speeds: [_distance(each) for each in _ultrasonic(robot)]),
+    "speed": (2, lambda robot, speeds: [each / TOP_SPEED_PULSES for each in speeds]),
+    "gyroscope": (1, lambda robot, speeds: [_turn(robot) / TOP_RATE_COUNTS]),
+}
+"""Numbers of each term of an observation, and how they are read: proximity around and of the floor in the
+order of the registers, 1 for the most counts; distances, 1 for 2.5 m and for nothing in range, -1 for none measured
+below 25 cm; speeds as the encoders count them over the period; the last rate of turn to the left."""
+
+
+@dataclass(frozen=True, slots=True)
+class Khepera4Task:
+    """A task for the Khepera IV.
+
+    Attributes:
+        playpen: Name of its playpen.
+        terms: Terms of its observation.
+        reward: Function of the observation's terms by name that returns the reward of a period, 0 to 1.
+        anywhere: Whether an episode begins anywhere; else at the playpen's start.
+    """
+
+    playpen: str
+    terms: tuple[str, ...]
+    reward: Callable[[dict[str, Sequence[float]]], float]
+    anywhere: bool = True
+
+
+def _avoiding(terms: dict[str, Sequence[float]]) -> float:
+    """Return Floreano and Mondada's V (1 - sqrt(dV)) (1 - i), forwards; i counts from the reading at rest."""
+    left, right = (each * fitness.TOP_SPEED_PULSES for each in terms["speed"])
+    if left + right <= 0:
+        return 0.0
+    rest = 100 / COUNTS_LIMIT
+    nearest = max(((max(terms["proximity"]) + 1) / 2 - rest) / (1 - rest), 0.0)
+    return float(fitness.obstacle_avoidance(left, right, min(nearest, 1.0)))
+
+
+def _following(terms: dict[str, Sequence[float]]) -> float:
+    """Return the speed ahead where a sensor in front sees the line."""
+    _, left, right, _ = terms["ground"]
+    return max(sum(terms["speed"]) / 2, 0.0) if min(left, right) < 0 else 0.0
+
+
+TASKS = {
+    "KheperaIVObstacleAvoidance": Khepera4Task("arena4", ("proximity", "ultrasonic", "speed"), _avoiding),
+    "KheperaIVLineFollowing": Khepera4Task(
+        "arena4-line", ("ground", "speed", "gyroscope"), _following, anywhere=False
+    ),
+}
+"""Tasks by name."""
+
+
+class KheperaIVEnvironment(MadeAnew, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """A task for one Khepera IV in MuJoCo.
+
+    `info` has ground truth: "x" and "y" [m], "heading" [rad], "time" [s], and "seed", which repeats the
+    episode: `reset(options={"seed": ...})`.
+
+    Args:
+        task: Name of the task.
+        playpen: Playpen in place of the task's, whose first robot is a Khepera IV.
+        start: Start x, y [mm] and heading [deg] in place of the task's.
+        noise: Whether sensors are noisy.
+        vary: Whether each episode has another robot of the same make.
+        period_ns: Control period [ns], whole ticks of 10 ms.
+        seconds: Time limit [s].
+        render_mode: "rgb_array" for maps, or None.
+
+    Attributes:
+        labels: Labels of the observation's numbers.
+
+    Raises:
+        KhepTwinError: The task or the render mode is unknown.
+        PlaypenError: The playpen's only robot is no Khepera IV.
+        ValueError: The period is not in whole ticks, or the time not in whole periods.
+    """
+
+    KEPT = ("spec", "_np_random", "_np_random_seed")
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
+
+    def __init__(
+        self,
+        task: str = "KheperaIVObstacleAvoidance",
+        *,
+        playpen: PlaypenLike | None = None,
+        start: Start | None = None,
+        noise: bool = True,
+        vary: bool = False,
+        period_ns: int = 5 * TICK_NS,
+        seconds: float = 60.0,
+        render_mode: str | None = None,
+    ) -> None:
+        if task not in TASKS:
+            raise KhepTwinError(f"task {task!r}: unknown; {choices(task, TASKS)}")
+        if render_mode not in (None, "rgb_array"):
+            raise KhepTwinError(f"render_mode {render_mode!r}: unknown; expected rgb_array, or None")
+        if period_ns <= 0 or period_ns % TICK_NS:
+            raise ValueError(f"control period of {period_ns / 1e6:g} ms; expected whole ticks of 10 ms")
+        self._task, self._start, self._noise, self._vary = TASKS[task], start, noise, vary
+        self._playpen = Playpen.load(self._task.playpen if playpen is None else playpen)
+        if [robot.model for robot in self._playpen.robots] != ["khepera4"]:
+            raise PlaypenError(f"{self._playpen.name}: robots; expected one Khepera IV")
+        self._period_ns, self._n_steps = period_ns, n_steps(to_ns(seconds), period_ns)
+        self._world = World(self._playpen)
+        self._left = 0
+        counts = [(term, TERMS[term][0]) for term in self._task.terms]
+        self.labels = tuple(f"{term} {index}" for term, count in counts for index in range(count))
+        self.render_mode = render_mode
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": 1e9 / period_ns}
+        self.observation_space = Box(-1.0, 1.0, (len(self.labels),), np.float32)
+        self.action_space = Box(-1.0, 1.0, (2,), np.float32)
+        self._map: Any = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start an episode; a seed makes it and all later ones reproducible.
+
+        Args:
+            seed: Seed of this and all later episodes.
+            options: "seed" of this episode alone, and its "start".
+        """
+        super().reset(seed=seed)
+        drawn_seed, given = int(self.np_random.integers(2**31)), options or {}
+        if unknown := given.keys() - {"seed", "start"}:
+            raise KhepTwinError(f"options: {min(unknown)!r}: unknown; expected seed and start")
+        self._seed: int = given.get("seed", drawn_seed)
+        start: Start | None = given.get("start", self._start)
+        if start is None:
+            drawn = (anywhere if self._task.anywhere else at_spots)(self._playpen, self._seed).robots[0]
+            start = drawn.x_mm, drawn.y_mm, drawn.heading_deg
+        self._world.reset(self._seed, noise=self._noise, vary=self._vary, starts=[start])
+        self._height = float(self._world.data.qpos[2])
+        self._left, self._counts = self._n_steps, (0, 0)
+        self._robot.dspic.write(bytes([DspicRegister.CONTROL, Control.SPEED]))
+        return self._observe((0.0, 0.0))[0], self._info()
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Advance by a control period with these speeds of left and right wheel (2,).
+
+        Raises:
+            ValueError: The episode is over, or none has begun, or the action is not two numbers.
+        """
+        if self._left <= 0:
+            raise ValueError("the episode is over, or none has begun; expected reset() first")
+        speeds = np.asarray(action, np.float64)
+        if speeds.shape != (2,) or not np.isfinite(speeds).all():
+            raise ValueError(f"action {action!r}; expected two speeds, left and right, from -1 to 1")
+        orders = np.rint(np.clip(speeds, -1, 1) * TOP_SPEED_PULSES).astype("<i2")
+        self._robot.dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT]) + orders.tobytes())
+        self._world.advance_to(self._world.time_ns + self._period_ns)
+        self._left -= 1
+        (_, positions, _), before = self._robot.dspic.motor_numbers, self._counts
+        self._counts = positions[0], positions[1]
+        ticks = self._period_ns // TICK_NS
+        left, right = ((now - then) / ticks for now, then in zip(self._counts, before, strict=True))
+        observation, terms = self._observe((left, right))
+        fallen = float(self._world.data.qpos[2]) < self._height - _FALLEN
+        if fallen:
+            self._left = 0
+        return observation, self._task.reward(terms), fallen, not fallen and self._left == 0, self._info()
+
+    def render(self) -> Picture | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Return a map of the present state; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        if self._map is None:
+            from khep_twin.drawing.moving_map import MovingMap
+
+            self._map = MovingMap(self._world.playpen)
+        objects = [(x, y, heading) for x, y, heading in self._world.objects.tolist()]
+        return self._map.picture(self._world.poses, objects)
+
+    @property
+    def _robot(self) -> Khepera4Robot:
+        robot = self._world.robots[0]
+        assert isinstance(robot, Khepera4Robot)
+        return robot
+
+    def _observe(self, speeds: tuple[float, float]) -> tuple[NDArray[np.float32], dict[str, Sequence[float]]]:
+        """Return the observation, and its terms by name."""
+        terms = {term: TERMS[term][1](self._robot, speeds) for term in self._task.terms}
+        numbers = np.array([each for term in terms.values() for each in term])
+        return np.clip(numbers, -1, 1).astype(np.float32), terms
+
+    def _info(self) -> dict[str, Any]:
+        x, y, heading = self._world.poses[0]
+        return {"x": x, "y": y, "heading": heading, "time": self._world.time_ns / 1e9, "seed": self._seed}
+
+
+def _scaled(robot: Khepera4Robot, register: DspicRegister, first: int, count: int) -> list[float]:
+    counts = robot.dspic.read_words(register, first + count)[first:]
+    return [2 * each / COUNTS_LIMIT - 1 for each in counts]
+
+
+def _ultrasonic(robot: Khepera4Robot) -> list[int]:
+    return robot.dspic.read_words(DspicRegister.ULTRASONIC, TERMS["ultrasonic"][0])
+
+
+def _distance(reading: int) -> float:
+    """Return a distance as a number from -1 to 1."""
+    return 2 * min(reading, _FAR_CM) / _FAR_CM - 1
+
+
+def _turn(robot: Khepera4Robot) -> int:
+    """Return the newest rate of turn to the left [0.066 deg/s]."""
+    (word,) = robot.dspic.read_words(DspicRegister.GYROSCOPE + 40, 1)
+    return word - (word >> 15 << 16)
