@@ -1,4 +1,4 @@
-"""Speed of the Khepera IV: its world, and a program that reads all sensors at 20 Hz under `khep-twin exec`."""
+"""Speed of the Khepera IV: its world, and a program that reads all sensors at 20 Hz under exec."""
 
 import subprocess
 from collections.abc import Callable

@@ -13,7 +13,7 @@ from khep_twin.errors import KhepTwinError, choices
 Offer = tuple[str, str]
 """Value and its description."""
 
-_MOST_CHOICES = 20
+_MOST_CHOICES = 30
 """Longest list of choices in a message."""
 
 

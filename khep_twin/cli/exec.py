@@ -82,11 +82,12 @@ def execute(
         ),
     ] = False,
 ) -> None:
-    """Run a program that was compiled for the Khepera IV, unchanged, on a twin of it.
+    """Run a program of the Khepera IV on a twin of it.
 
-    Linux only. The program is a native build; a preload library, compiled once by your C compiler, answers
-    its device nodes and, with the simulated clock, what asks for the time or waits. Input, output, signals
-    and exit code are the program's; with several, the exit code is the first that is not 0.
+    Linux only. The program is a native build of the unchanged source; a preload library, compiled once by
+    your C compiler, answers its device nodes and, with the simulated clock, what asks for the time or waits.
+    Input, output, signals and exit code are the program's; with several, the exit code is the first that is
+    not 0.
     """
     from khep_twin.khepera4.programs import run_programs
     from khep_twin.ports.twin import TwinOptions, open_twin

@@ -66,8 +66,8 @@ TERMS: dict[str, tuple[int, Reading]] = {
     "gyroscope": (1, lambda robot, speeds: [_turn(robot) / TOP_RATE_COUNTS]),
 }
 """Numbers of each term of an observation, and how they are read: proximity around and of the floor in the
-order of the registers, 1 for the most counts; distances, 1 for 2.5 m and for nothing in range, -1 for none measured
-below 25 cm; speeds as the encoders count them over the period; the last rate of turn to the left."""
+order of the registers, 1 for the most counts; distances, 1 for 2.5 m and for nothing in range, -1 for less
+than 25 cm; speeds as the encoders count them over the period; the last rate of turn to the left."""
 
 
 @dataclass(frozen=True, slots=True)
