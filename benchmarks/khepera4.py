@@ -9,7 +9,7 @@ import mujoco
 from benchmarks.scale import world_row
 from benchmarks.table import Row, Table, measure, timed
 from khep_twin.khepera4.machine import Machine
-from khep_twin.khepera4.programs import Program, run_programs
+from khep_twin.khepera4.programs import RobotProgram, run_programs
 from khep_twin.khepera4.registers import DspicRegister
 from khep_twin.khepera4.robot import Khepera4Robot
 from khep_twin.playpen import Playpen
@@ -55,7 +55,7 @@ def reading(seconds: float, reads: bool = True) -> None:
 def executing(program: Path, seconds: float) -> None:
     """Run the program that reads them."""
     world, robot = opened()
-    (code,) = run_programs([Program([str(program), str(round(seconds))], Machine(robot.dspic, world))])
+    (code,) = run_programs([RobotProgram([str(program), str(round(seconds))], Machine(robot.dspic, world))])
     assert code == 0
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 
 from khep_twin.khepera4.machine import Machine
-from khep_twin.khepera4.programs import Program, run_programs
+from khep_twin.khepera4.programs import RobotProgram, run_programs
 from khep_twin.khepera4.registers import DspicRegister
 from khep_twin.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
@@ -73,7 +73,7 @@ def run(folder: Path, seconds: float, seed: int, playpen: str = "arena4") -> str
     with TemporaryFile() as said:
         os.dup2(follower, 0)
         os.dup2(said.fileno(), 1)
-        program = Program([str(folder / "prog"), *words], Machine(robot.dspic, clock))
+        program = RobotProgram([str(folder / "prog"), *words], Machine(robot.dspic, clock))
         (code,) = run_programs([program], until_ns=round(seconds * 1e9))
         os.dup2(kept, 1)
         written = os.fstat(said.fileno()).st_size

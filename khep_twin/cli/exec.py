@@ -14,7 +14,7 @@ from khep_twin.clock import to_ns
 from khep_twin.errors import PlaypenError
 
 if TYPE_CHECKING:
-    from khep_twin.khepera4.programs import Program
+    from khep_twin.khepera4.programs import RobotProgram
     from khep_twin.ports.twin import Twin
 
 CFLAGS = "-fcommon -funsigned-char -fno-pie -no-pie"
@@ -22,7 +22,7 @@ CFLAGS = "-fcommon -funsigned-char -fno-pie -no-pie"
 in its headers; the robot's `char` has no sign."""
 
 
-class Clock(StrEnum):
+class ProgramClock(StrEnum):
     """Clock of the programs."""
 
     SIMULATED = "simulated"
@@ -54,9 +54,9 @@ def execute(
         ),
     ] = None,
     clock: Annotated[
-        Clock,
+        ProgramClock,
         typer.Option(help="simulated: time passes while the programs wait; real: the wall clock."),
-    ] = Clock.SIMULATED,
+    ] = ProgramClock.SIMULATED,
     seconds: Annotated[
         float | None,
         typer.Option(min=0.01, help="End after this time [s]: SIGTERM, and 2 s later SIGKILL."),
@@ -100,10 +100,10 @@ def execute(
         if logging.log is not None:
             twin.record(logging.log, on_failure=logging.on_failure)
         tell_kept(twin.recorder)
-        watch = live_view.watching(stack, playpen, viewer=viewer, real_time=clock is Clock.REAL)
+        watch = live_view.watching(stack, playpen, viewer=viewer, real_time=clock is ProgramClock.REAL)
         watch(twin)
         until_ns = None if seconds is None else to_ns(seconds)
-        codes = run_programs(chosen, simulated=clock is Clock.SIMULATED, until_ns=until_ns)
+        codes = run_programs(chosen, simulated=clock is ProgramClock.SIMULATED, until_ns=until_ns)
         if after:
             twin.world.advance(after)
         is_cut_off = until_ns is not None and twin.world.time_ns >= until_ns
@@ -130,10 +130,10 @@ def _split(also: list[str]) -> list[list[str]]:
     return found
 
 
-def _on_robots(twin: "Twin", first: int, lines: list[list[str]]) -> list["Program"]:
+def _on_robots(twin: "Twin", first: int, lines: list[list[str]]) -> list["RobotProgram"]:
     """Return the programs on the Khepera IVs of a twin, from a robot on."""
     from khep_twin.khepera4.machine import Machine
-    from khep_twin.khepera4.programs import Program
+    from khep_twin.khepera4.programs import RobotProgram
     from khep_twin.khepera4.robot import Khepera4Robot
 
     name, robots = twin.world.playpen.name, twin.world.robots
@@ -149,6 +149,6 @@ def _on_robots(twin: "Twin", first: int, lines: list[list[str]]) -> list["Progra
             f"{len(lines)} programs; expected up to {len(free)}, the Khepera IVs of {name} from there on"
         )
     return [
-        Program(line, Machine(each.dspic, twin.world), each.index + 1)
+        RobotProgram(line, Machine(each.dspic, twin.world), each.index + 1)
         for line, each in zip(lines, free, strict=False)
     ]

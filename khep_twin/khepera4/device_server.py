@@ -24,7 +24,7 @@ the first robot and its thread with the lowest number, then those that wait for 
 and the time until then has passed. So a run repeats. A question for the time costs `ASKED_NS`: a program that
 waits in a loop ends. A thread that computes for longer than `PATIENCE_S` no longer holds up the others: from
 then on their time passes as fast as it computes. Where all wait without a limit, for a key or for another
-computer, time passes with the wall clock after `OUTSIDE_S`.
+computer, time passes with the wall clock after `OUTSIDE_S`; where one computes and none asks, after `BUSY_S`.
 """
 
 import contextlib
@@ -38,10 +38,11 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from khep_twin.khepera4.machine import READS, Machine
+from khep_twin.khepera4.machine import BYTE_NS, READS, Machine
 
 ASKED_NS = 1_000
 """Simulated time that a question for the time takes [ns] (assumed)."""
@@ -55,6 +56,10 @@ PATIENCE_S = 0.05
 OUTSIDE_S = 0.2
 """Time of the wall clock after which programs that wait without any limit wait for the outside, a key or
 another computer: from then on simulated time passes as the wall clock does [s] (assumed)."""
+
+BUSY_S = 10.0
+"""Time of the wall clock after which programs that compute and ask nothing may go on for ever: from then on
+simulated time passes as the wall clock does, too [s] (assumed)."""
 
 _LOOK_S = 0.02
 """Time of the wall clock between two looks at such programs [s]."""
@@ -131,7 +136,7 @@ class DeviceServer:
     def _serve(self, threads: "_Threads", is_over: Callable[[], bool]) -> None:
         assert sys.platform == "linux"
         begun_ns, begun_cpu_ns = 0, -1  # of a thread that computes; -1 while all wait
-        idle = 0  # looks at programs that wait without a limit
+        idle, waited = 0, True  # looks at programs that wait without a limit, or ask nothing
         while not is_over():
             asked = [line for line in self._lines.values() if line.kind]
             if min((line.due_ns for line in asked), default=NEVER_NS) == NEVER_NS:
@@ -139,9 +144,11 @@ class DeviceServer:
                     idle = 0
                 elif self._clock is not None:
                     self._machine.advance_to(self._clock())
-                elif threads.all_wait(self._lines.values()):
-                    idle += 1
-                    if idle * _LOOK_S > OUTSIDE_S:
+                else:
+                    waits = threads.all_wait(self._lines.values())
+                    idle = idle + 1 if waits == waited else 0
+                    waited = waits
+                    if idle * _LOOK_S > (OUTSIDE_S if waits else BUSY_S):
                         self._machine.advance_to(self._machine.time_ns + round(_LOOK_S * 1e9))
                 continue
             idle = 0
@@ -245,7 +252,11 @@ class DeviceServer:
         elif kind == Question.NOW:
             machine.advance_to(machine.time_ns + ASKED_NS)
         if kind == Question.TRANSFER:
-            return line.number, 0, machine.transfer(_messages(line.number, line.content))
+            return (
+                line.number,
+                0,
+                machine.transfer(_messages(line.number, line.content), BYTE_NS if self._clock is None else 0),
+            )
         if kind == Question.GPIO_SET:
             machine.set_pin(line.number, int.from_bytes(line.content, "little"))
         elif kind == Question.GPIO_GET:
@@ -289,13 +300,16 @@ class _Threads:
 
     def __init__(self, processes: Collection[int]) -> None:
         self._processes, self._seen = {*processes}, {*processes}
-        self._files: dict[tuple[int, int], int] = {}
+        self._files: dict[tuple[int, int], tuple[int, int]] = {}
         self._newest: bytes = b""
+        # The fastest file that changes whenever a thread runs; some kernels count nothing in it.
+        counted = _content(Path("/proc/thread-self/schedstat")).split()
+        self._turns = "schedstat" if any(map(int, counted)) else "status"
         self._load = os.open("/proc/loadavg", os.O_RDONLY)
 
     def close(self) -> None:
         """Close the files of the kernel."""
-        for file in (self._load, *self._files.values()):
+        for file in (self._load, *chain(*self._files.values())):
             os.close(file)
 
     def all_wait(self, lines: Collection[_Line]) -> bool:
@@ -311,8 +325,12 @@ class _Threads:
             line.thread for line in asked if line.kind != Question.SLEEP
         }  # which a signal does not wake
         looked = [key for key in self._files if key[1] not in surely]
-        first = [self._waits(key) for key in looked]
-        return None not in first and first == [self._waits(key) for key in looked]
+        first: list[bytes] = []
+        for key in looked:
+            if (seen := self._waits(key)) is None:
+                return False
+            first.append(seen)
+        return first == [self._waits(key) for key in looked]
 
     def cpu_ns(self) -> int:
         """Return the processor time that they have had [ns]."""
@@ -339,20 +357,28 @@ class _Threads:
         self._seen, self._newest = there, newest
         tasks = {(process, task) for process in self._processes for task in _tasks(process)}
         for key in self._files.keys() - tasks:
-            os.close(self._files.pop(key))
+            for file in self._files.pop(key):
+                os.close(file)
         for process, task in sorted(tasks - self._files.keys()):
             with contextlib.suppress(OSError):
-                self._files[process, task] = os.open(f"/proc/{process}/task/{task}/status", os.O_RDONLY)
+                state = os.open(f"/proc/{process}/task/{task}/stat", os.O_RDONLY)
+                try:
+                    turns = os.open(f"/proc/{process}/task/{task}/{self._turns}", os.O_RDONLY)
+                except OSError:
+                    os.close(state)
+                    raise
+                self._files[process, task] = state, turns
 
     def _waits(self, key: tuple[int, int]) -> bytes | None:
-        """Return the counts of switches to and from a thread that waits, None of one that runs."""
+        """Return how long and how often a thread that waits has run, None of one that runs."""
         assert sys.platform == "linux"
+        state, turns = self._files[key]
         try:
-            told = os.pread(self._files[key], 4096, 0)
+            told = os.pread(state, 4096, 0)
+            place = told.rfind(b")") + 2
+            return os.pread(turns, 4096, 0) if told[place : place + 1] in b"SZXT" else None
         except OSError:
             return b""
-        state = told.find(b"State:\t") + 7
-        return told[told.rfind(b"\nvoluntary") :] if told[state : state + 1] in b"SZXT" else None
 
 
 def _content(path: Path) -> bytes:

@@ -17,7 +17,7 @@ READS = 1
 """Flag of a message that reads."""
 
 
-class Clock(Protocol):
+class MachineTime(Protocol):
     """Time of a machine, such as a `World`."""
 
     time_ns: int
@@ -35,7 +35,7 @@ class Machine:
         clock: Its time.
     """
 
-    def __init__(self, dspic: Dspic, clock: Clock) -> None:
+    def __init__(self, dspic: Dspic, clock: MachineTime) -> None:
         self._dspic, self._clock = dspic, clock
         self._pins, self._register = {CHARGER_PIN: 1, RESET_PIN: 1}, 0
 
@@ -49,11 +49,12 @@ class Machine:
         if time_ns > self._clock.time_ns:
             self._clock.advance_to(time_ns)
 
-    def transfer(self, messages: Sequence[tuple[int, int, bytes]]) -> bytes:
+    def transfer(self, messages: Sequence[tuple[int, int, bytes]], byte_ns: int = BYTE_NS) -> bytes:
         """Run messages on the bus; return the content of those that read.
 
         Args:
             messages: Address, flags, and content of each, of which a reading message has only the length.
+            byte_ns: Time that passes for a byte [ns].
 
         Raises:
             OSError: No device has the address.
@@ -62,7 +63,7 @@ class Machine:
         for address, flags, content in messages:
             if address != ADDRESS or not self._pins[RESET_PIN]:
                 raise OSError(errno.ENXIO, "no device has answered")
-            self.advance_to(self.time_ns + (len(content) + 1) * BYTE_NS)
+            self.advance_to(self.time_ns + (len(content) + 1) * byte_ns)
             if flags & READS:
                 found += self._dspic.read(self._register, len(content))
             elif content:

@@ -1,7 +1,8 @@
 """Programs that were compiled for a Khepera IV, run on this machine against a twin of it.
 
     world = World("arena4")
-    (code,) = run_programs([Program(["./program", "argument"], Machine(world.robots[0].dspic, world))])
+    program = RobotProgram(["./program", "argument"], Machine(world.robots[0].dspic, world))
+    (code,) = run_programs([program])
 
 The program is a native build of the unmodified source. A preload library (`assets/khepera4/shim*.c`),
 compiled once by the user's C compiler, answers the robot's device nodes and, with a simulated clock, what
@@ -41,7 +42,7 @@ LAST_S = 2.0
 """Time of the wall clock that programs have to end by themselves after SIGTERM [s]."""
 
 
-class Program(NamedTuple):
+class RobotProgram(NamedTuple):
     """A program on a robot.
 
     Attributes:
@@ -56,7 +57,7 @@ class Program(NamedTuple):
 
 
 def run_programs(
-    programs: Sequence[Program], *, simulated: bool = True, until_ns: int | None = None
+    programs: Sequence[RobotProgram], *, simulated: bool = True, until_ns: int | None = None
 ) -> list[int]:
     """Run a program on each of some machines; return their exit codes.
 

@@ -13,7 +13,7 @@ import pytest
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.khepera4.machine import CHARGER_PIN, Machine
-from khep_twin.khepera4.programs import Program, bits, run_programs
+from khep_twin.khepera4.programs import RobotProgram, bits, run_programs
 from khep_twin.khepera4.registers import DspicRegister
 from khep_twin.khepera4.robot import Khepera4Robot
 from khep_twin.world import World
@@ -51,7 +51,7 @@ def run_program(
     arguments: Sequence[str], machine: Machine, *, simulated: bool = True, robot_id: int = 1
 ) -> int:
     """Run one program; return its exit code."""
-    return run_programs([Program(arguments, machine, robot_id)], simulated=simulated)[0]
+    return run_programs([RobotProgram(arguments, machine, robot_id)], simulated=simulated)[0]
 
 
 def machine() -> Machine:
