@@ -64,7 +64,7 @@ def numbers_of_c(line: CheckedPort) -> None:
 
 @check("of a long line the first 82 bytes count, and it gets one reply", PUBLISHED)
 def long_line(line: CheckedPort) -> None:
-    line.send("K," + "0,,,,,,,," * 9 + "1,1,1\n")
+    line.send("K," + "0,,,,,,,," * 8 + ",,,,,,,0,1,1,1\n")
     if (answer := line.reply("K")) != "k":
         raise Deviation(f"nine numbers in 82 bytes, and three behind them, gave {answer!r}; expected 'k'")
     line.silent("after the reply to a long line")
