@@ -7,6 +7,7 @@ if TYPE_CHECKING:
     from khep_twin.host.discovery import FoundPort as FoundPort
     from khep_twin.host.discovery import found_ports as found_ports
     from khep_twin.host.gripper import Gripper as Gripper
+    from khep_twin.host.host_robot import HostRobot as HostRobot
     from khep_twin.host.khepera import Khepera as Khepera
     from khep_twin.host.khepera4 import Khepera4 as Khepera4
     from khep_twin.host.khepera4_results import Battery as Battery
