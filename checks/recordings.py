@@ -222,7 +222,7 @@ def options(rng: np.random.Generator) -> TwinOptions:
 def findings(seed: int, folder: Path, seconds: float = 30.0) -> list[str]:
     """Return what the checks of a random log, as a twin's and as a relay's, find."""
     rng = np.random.default_rng(seed)
-    chosen, playpens = options(rng), names("playpens")
+    chosen, playpens = options(rng), [name for name in names("playpens") if "arena4" not in name]
     log, relayed = folder / f"{seed}.mcap", folder / f"{seed}_relay.mcap"
     with open_twin(playpens[rng.integers(len(playpens))], replace(chosen, log=str(log))) as twin:
         relay = Relay(twin)

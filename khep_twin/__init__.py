@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from khep_twin.errors import PortTimeout as PortTimeout
     from khep_twin.host.gripper import Gripper as Gripper
     from khep_twin.host.khepera import Khepera as Khepera
+    from khep_twin.host.khepera4 import Khepera4 as Khepera4
     from khep_twin.host.radio import Radio as Radio
     from khep_twin.host.vision import Vision as Vision
     from khep_twin.lab.experiment.controllers import Controller as Controller

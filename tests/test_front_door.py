@@ -15,7 +15,7 @@ PACKAGE = Path(khep_twin.__file__).parent
 
 NAMES = {
     *("Playpen", "Lamp", "World", "Start", "Sensor"),
-    *("Khepera", "Gripper", "Radio", "Vision"),
+    *("Khepera", "Khepera4", "Gripper", "Radio", "Vision"),
     *("Controller", "NetworkController", "TaskController"),
     *("Twin", "TwinOptions", "open_twin", "serve", "Shadow"),
     *("rollout", "RolloutResult", "Episode", "EpisodeOptions", "EpisodeSetup", "MeasuredCycle"),
@@ -67,7 +67,7 @@ def test_importing_the_package_loads_nothing_but_the_port_and_names_for_gymnasiu
 
 
 def test_a_robot_on_a_cable_needs_no_simulator() -> None:
-    loaded = loaded_by("from khep_twin import Gripper, Khepera, Radio, Vision")
+    loaded = loaded_by("from khep_twin import Gripper, Khepera, Khepera4, Radio, Vision")
     assert not loaded & {"mujoco", "numpy", "numba", "rerun", "mcap", "matplotlib", "pydantic"}
 
 

@@ -8,8 +8,9 @@ import typer
 from khep_twin.cli.completion import logs, ports
 from khep_twin.cli.options import Force, check_new, refuse, usage
 from khep_twin.files.atomic import unusable, write_whole
+from khep_twin.lab.conformance.model import Model
 
-_OF_A_PORT = {"move", "baudrate"}
+_OF_A_PORT = {"move", "baudrate", "model"}
 """Options that mean nothing to a log, by the names of their parameters."""
 
 
@@ -23,7 +24,12 @@ def conform(
         ),
     ],
     move: Annotated[bool, typer.Option("--move", help="Also run the checks that move the robot.")] = False,
-    baudrate: Annotated[int, typer.Option(help="Speed of the line.")] = 9600,
+    model: Annotated[
+        Model, typer.Option(help="Model of the robot: khepera, which the Khepera II is, too, or khepera4.")
+    ] = Model.KHEPERA,
+    baudrate: Annotated[
+        int | None, typer.Option(help="Speed of the line; without, 9600, or 115200 of a Khepera IV.")
+    ] = None,
     report: Annotated[Path | None, typer.Option(help="Write the report as JSON, too.")] = None,
     force: Force = False,
 ) -> None:
@@ -44,9 +50,9 @@ def conform(
         from khep_twin.lab.conformance.port.conform import conform as check_port
 
         if move:
-            ways = dict.fromkeys(check.moves for check in checks(True) if check.moves)
+            ways = dict.fromkeys(check.moves for check in checks(True, model) if check.moves)
             typer.echo(f"the robot {', '.join(ways)}", err=True)
-        outcome = check_port(port, move=move, baudrate=baudrate)
+        outcome = check_port(port, move=move, baudrate=baudrate, model=model)
     typer.echo(outcome.text())
     if report is not None:
         write_whole(report, outcome.json().encode("utf-8"), force)

@@ -42,4 +42,6 @@ def _answer(url: str) -> str:
     if answer is None:
         return ": no answer"
     speed, versions = answer
+    if versions.bios.isalpha():
+        return f": Khepera IV, revision {''.join(versions)} at {speed} baud"
     return f": BIOS {versions.bios}, protocol {versions.protocol} at {speed} baud"

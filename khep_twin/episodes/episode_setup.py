@@ -11,6 +11,7 @@ from khep_twin.clock import n_steps, to_ns
 from khep_twin.episodes.planar.planar import PlanarScene
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen, PlaypenLike
+from khep_twin.playpen.checks import require_kheperas
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.sensing import calibration
 from khep_twin.sensing.robot_indices import RobotIndices
@@ -62,10 +63,7 @@ class EpisodeSetup:
         name, robots = playpen.name, playpen.robots
         if len(robots) == 0:
             raise PlaypenError(f"{name}: 0 robots; expected one for an episode")
-        for number, robot in enumerate(robots, 1):
-            if not robot.body.in_core:
-                found = f"{name}: robot {number}: model = {robot.model!r}: its board runs at a line only"
-                raise PlaypenError(f"{found}; expected a Khepera for an episode")
+        require_kheperas(playpen, "an episode")
         if planar and (playpen.arena.table or any(block.ramp for block in playpen.blocks)):
             raise PlaypenError(f"{name}: a table or a ramp; expected level floor and walls in the plane")
         if planar and len(robots) > 1:

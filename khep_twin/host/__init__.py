@@ -7,7 +7,14 @@ if TYPE_CHECKING:
     from khep_twin.host.discovery import FoundPort as FoundPort
     from khep_twin.host.discovery import found_ports as found_ports
     from khep_twin.host.gripper import Gripper as Gripper
+    from khep_twin.host.host_robot import HostRobot as HostRobot
     from khep_twin.host.khepera import Khepera as Khepera
+    from khep_twin.host.khepera4 import Khepera4 as Khepera4
+    from khep_twin.host.khepera4_results import Battery as Battery
+    from khep_twin.host.khepera4_results import Distances as Distances
+    from khep_twin.host.khepera4_results import InfraredCounts as InfraredCounts
+    from khep_twin.host.khepera4_results import Vector as Vector
+    from khep_twin.host.khepera4_results import Wheels as Wheels
     from khep_twin.host.moves import turn_pulses as turn_pulses
     from khep_twin.host.moves import way_pulses as way_pulses
     from khep_twin.host.radio import Radio as Radio

@@ -5,13 +5,12 @@
     proximity, positions = robot.burst(commands.proximity(), commands.position())
 """
 
-import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import cache
-from typing import Generic, TypeVar
 
 from khep_twin.board.rom import ROMS
+from khep_twin.host.host_command import HostCommand as HostCommand
+from khep_twin.host.host_command import fields, numbers, order
 from khep_twin.host.results import (
     MotionStatus,
     MotorMode,
@@ -23,28 +22,6 @@ from khep_twin.host.results import (
 )
 from khep_twin.units import N_SENSORS
 
-T = TypeVar("T")
-T_co = TypeVar("T_co", covariant=True)
-
-
-_INTEGER = re.compile("-?[0-9]{1,10}")
-"""Numbers in replies: of 32 bits at most."""
-
-
-@dataclass(frozen=True, slots=True)
-class HostCommand(Generic[T_co]):
-    """One command.
-
-    Attributes:
-        request: Line to send, without its ending.
-        read: Function from the reply to its value; raises ValueError with what is expected.
-        repeatable: True if it does no harm twice, as a read; a move does harm.
-    """
-
-    request: str
-    read: Callable[[str], T_co]
-    repeatable: bool = False
-
 
 def mode_codes(bios: str) -> tuple[int, int, int]:
     """Return command K's numbers of speed, position and PWM mode in a BIOS version: before 5 as ROM 4.06."""
@@ -54,36 +31,36 @@ def mode_codes(bios: str) -> tuple[int, int, int]:
 @cache
 def versions() -> HostCommand[Versions]:
     """Return command B: versions of the BIOS and of the protocol."""
-    return HostCommand("B", lambda reply: Versions(*_fields("b", 2, reply)), repeatable=True)
+    return HostCommand("B", lambda reply: Versions(*fields("b", 2, reply)), repeatable=True)
 
 
 @cache
 def speed() -> HostCommand[Speeds]:
     """Return command E: measured speeds [pulses/10 ms]."""
-    return _numbers("E", 2, Speeds._make)
+    return numbers("E", 2, Speeds._make)
 
 
 @cache
 def position() -> HostCommand[Positions]:
     """Return command H: position counters [pulses]."""
-    return _numbers("H", 2, Positions._make)
+    return numbers("H", 2, Positions._make)
 
 
 @cache
 def proximity() -> HostCommand[SensorCounts]:
     """Return command N: eight proximity counts."""
-    return _numbers("N", N_SENSORS, SensorCounts._make)
+    return numbers("N", N_SENSORS, SensorCounts._make)
 
 
 @cache
 def ambient() -> HostCommand[SensorCounts]:
     """Return command O: eight ambient counts."""
-    return _numbers("O", N_SENSORS, SensorCounts._make)
+    return numbers("O", N_SENSORS, SensorCounts._make)
 
 
 def converter(channel: int) -> HostCommand[int]:
     """Return command I: one channel of the converter [counts]."""
-    return _numbers("I", 1, lambda values: values[0], channel)
+    return numbers("I", 1, lambda values: values[0], channel)
 
 
 def status(codes: tuple[int, int, int] = ROMS["5.02"].mode_codes) -> HostCommand[MotionStatus]:
@@ -93,59 +70,59 @@ def status(codes: tuple[int, int, int] = ROMS["5.02"].mode_codes) -> HostCommand
         left, right = (_wheel(*values[at : at + 3], codes=codes) for at in (0, 3))
         return MotionStatus(left, right)
 
-    return _numbers("K", 6, read)
+    return numbers("K", 6, read)
 
 
 def set_speed(left: int, right: int) -> HostCommand[None]:
     """Return command D: speeds [pulses/10 ms]. Only a stop may be sent twice."""
-    return _order("D", left, right, repeatable=left == right == 0)
+    return order("D", left, right, repeatable=left == right == 0)
 
 
 def set_target(left: int, right: int) -> HostCommand[None]:
     """Return command C: targets [pulses]."""
-    return _order("C", left, right)
+    return order("C", left, right)
 
 
 def set_duty(left: int, right: int) -> HostCommand[None]:
     """Return command P: duties, -255 to 255."""
-    return _order("P", left, right)
+    return order("P", left, right)
 
 
 def set_position(left: int, right: int) -> HostCommand[None]:
     """Return command G: position counters [pulses]. Sent twice, it would lose the pulses in between."""
-    return _order("G", left, right)
+    return order("G", left, right)
 
 
 def configure_speed_controller(kp: int, ki: int, kd: int) -> HostCommand[None]:
     """Return command A: gains of the speed controller."""
-    return _order("A", kp, ki, kd, repeatable=True)
+    return order("A", kp, ki, kd, repeatable=True)
 
 
 def configure_position_controller(kp: int, ki: int, kd: int) -> HostCommand[None]:
     """Return command F: gains of the position controller."""
-    return _order("F", kp, ki, kd, repeatable=True)
+    return order("F", kp, ki, kd, repeatable=True)
 
 
 def configure_profile(
     left_speed: int, left_acceleration: int, right_speed: int, right_acceleration: int
 ) -> HostCommand[None]:
     """Return command J: trapezoid of moves, by wheel: speed [pulses/10 ms], acceleration [3.125 mm/s^2]."""
-    return _order("J", left_speed, left_acceleration, right_speed, right_acceleration, repeatable=True)
+    return order("J", left_speed, left_acceleration, right_speed, right_acceleration, repeatable=True)
 
 
 def set_led(led: int, action: int) -> HostCommand[None]:
     """Return command L: LED 0 (lateral) or 1 (frontal); action 0 off, 1 on, 2 toggle."""
-    return _order("L", led, action, repeatable=action != 2)
+    return order("L", led, action, repeatable=action != 2)
 
 
 def read_bus(address: int) -> HostCommand[int]:
     """Return command R: read a byte of the extension bus. A read may have effects: it is not repeated."""
-    return _numbers("R", 1, lambda values: values[0], address, repeatable=False)
+    return numbers("R", 1, lambda values: values[0], address, repeatable=False)
 
 
 def write_bus(data: int, address: int) -> HostCommand[None]:
     """Return command W: write a byte to the extension bus."""
-    return _order("W", data, address)
+    return order("W", data, address)
 
 
 def turret(number: int, message: str) -> HostCommand[str]:
@@ -158,41 +135,6 @@ def turret(number: int, message: str) -> HostCommand[str]:
         return reply.removeprefix(head)
 
     return HostCommand(f"T,{number},{message}", read)
-
-
-def _order(letter: str, *arguments: int, repeatable: bool = False) -> HostCommand[None]:
-    """Return a command whose reply is its letter alone."""
-
-    def read(reply: str) -> None:
-        _fields(letter.lower(), 0, reply)
-
-    return HostCommand(_request(letter, arguments), read, repeatable)
-
-
-def _numbers(
-    letter: str, count: int, make: Callable[[Sequence[int]], T], *arguments: int, repeatable: bool = True
-) -> HostCommand[T]:
-    """Return a command whose reply is its letter and so many integers."""
-
-    def read(reply: str) -> T:
-        fields = _fields(letter.lower(), count, reply)
-        if not all(map(_INTEGER.fullmatch, fields)):
-            raise ValueError("expected integers")
-        return make([int(field) for field in fields])
-
-    return HostCommand(_request(letter, arguments), read, repeatable)
-
-
-def _request(letter: str, arguments: Sequence[int]) -> str:
-    return ",".join([letter, *map(str, arguments)])
-
-
-def _fields(letter: str, count: int, reply: str) -> list[str]:
-    head, *fields = reply.split(",")
-    if head != letter or len(fields) != count:
-        values = f" and {count} values" if count else " alone"
-        raise ValueError(f"expected {letter!r}{values}")
-    return fields
 
 
 def _wheel(on_target: int, mode: int, error: int, *, codes: tuple[int, int, int]) -> WheelStatus:

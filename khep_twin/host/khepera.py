@@ -13,17 +13,15 @@ process, in lock-step.
 """
 
 import math
-from collections.abc import Callable
-from types import TracebackType
-from typing import Any, Literal, Self, TypeVar, overload
+from typing import Any, Literal, TypeVar, overload
 
 import serial
 
-from khep_twin.errors import MoveError, PortError
+from khep_twin.errors import MoveError
 from khep_twin.files.paths import StrPath
 from khep_twin.host import commands
 from khep_twin.host.commands import HostCommand
-from khep_twin.host.line import Line
+from khep_twin.host.host_robot import HostRobot
 from khep_twin.host.moves import LONGEST_WAY_PULSES, turn_pulses, way_pulses
 from khep_twin.host.results import MotionStatus as MotionStatus
 from khep_twin.host.results import MotorMode, Positions, SensorCounts, Speeds, Versions
@@ -42,7 +40,7 @@ _PAUSE = 0.05
 """Pause between two reads of the wheels in a move [s]."""
 
 
-class Khepera:
+class Khepera(HostRobot):
     """A Khepera behind a serial port. A method for each command; leaving it as a context stops the motors.
 
     A missing or malformed reply raises an error with the exchange in it, after the line has been
@@ -70,76 +68,11 @@ class Khepera:
         retries: int = 1,
         wheel_base: float = WHEEL_BASE,
     ) -> None:
-        if not 0 <= timeout < math.inf:
-            raise ValueError(f"timeout = {timeout}; expected a finite number from 0")
         if not 0 < wheel_base < math.inf:
             raise ValueError(f"wheel_base = {wheel_base}; expected a number above 0")
-        try:
-            self._line = Line(url, timeout / 2, baudrate, retries)
-        except PortError as error:
-            raise error.with_traceback(None) from None  # where it is opened is all that its reader needs
+        super().__init__(url, timeout, baudrate, retries)
         self._wheel_base = wheel_base
         self._mode_codes: tuple[int, int, int] | None = None
-        self.name: str = self._line.name
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Stop the motors and close the port.
-
-        Raises:
-            PortError: They could not be stopped, or the port has failed before; the message has the result.
-        """
-        if not self.port.is_open:
-            return
-        stopped, told = self._line.halt()
-        if isinstance(error, PortError):
-            raise type(error)(f"{error}; {told}") from error
-        if not stopped and error is None:
-            raise PortError(f"{self.name}: {told}")
-        if not stopped and error is not None:
-            error.add_note(f"{self.name}: {told}")
-
-    def hold(self) -> None:
-        """Stop the motors, from another thread than the one that drives, and refuse from now on to move.
-
-        Raises:
-            PortError: The motors could not be stopped.
-        """
-        self._line.hold()
-
-    def close(self) -> None:
-        """Stop the motors, if the robot still answers, and close the port."""
-        if self.port.is_open:
-            self._line.halt()
-
-    @property
-    def port(self) -> serial.Serial:
-        """Port, of pyserial."""
-        return self._line.port
-
-    def listen(self, listener: Callable[[str, str], None] | None) -> Callable[[str, str], None] | None:
-        """Call `listener` with each request and its reply from now on; None for no listener.
-
-        Returns:
-            The previous listener.
-        """
-        before, self._line.listener = self._line.listener, listener
-        return before
-
-    # Time ----------------------------------------------------------------------------------------------
-
-    @property
-    def time(self) -> float:
-        """Time of the port [s]: simulated on khep://, else the wall clock's."""
-        return self._line.time
-
-    def sleep(self, duration: float) -> None:
-        """Wait in the port's own time [s]."""
-        self._line.sleep(duration)
 
     # Motors --------------------------------------------------------------------------------------------
 
@@ -299,19 +232,6 @@ class Khepera:
             values += self._line.carry_out(wanted[start : start + BURST])
         return tuple(values)
 
-    def ask(self, request: str) -> str:
-        """Send any line, once, and return the reply, or a tool's first line, both without their ending.
-
-        The rest of a tool's output is read and discarded: its end is the first pause of the timeout.
-
-        Raises:
-            PortTimeout: No whole reply came within the timeout.
-            PortError: The port failed or went away.
-            StoppedError: The line would move a robot that must stand still.
-            ValueError: The request is more than one line.
-        """
-        return self._line.ask(request)
-
     def _drive_by(self, left: int, right: int, timeout: float) -> Positions:
         """Move the wheels on by so many pulses, and wait."""
         start = self.position()
@@ -329,6 +249,3 @@ class Khepera:
             now = self.position()
             raise MoveError(f"{error}; stopped at {tuple(now)} of {target} pulses") from None
         return self.position()
-
-    def _do(self, command: HostCommand[A]) -> A:
-        return self._line.carry_out([command])[0]

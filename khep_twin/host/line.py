@@ -7,13 +7,14 @@ answer may be any one's: the line must have been silent after it, too.
 """
 
 import os
+import re
 import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Literal, TypeVar, cast
+from typing import Literal, NamedTuple, TypeVar, cast
 
 import serial
 
@@ -31,17 +32,40 @@ Value = TypeVar("Value")
 STOP_WAIT = 0.5
 """Longest wait for the answer to the last command, which stops the motors [s]."""
 
-_STOP = "D,0,0"
-"""Request that stops the motors."""
-
 _REPLY_TIMEOUT_S = 1.0
 """Wait for a reply where a port has no timeout; the robot replies within 10 ms [s]."""
 
 LONGEST_OUTPUT = 10.0
 """Longest wait for the end of a tool's output [s]; `list` takes 2 s at 9600 baud."""
 
-_PROBES = "BHEK"
-"""Reads whose replies resynchronize the line."""
+
+class Dialect(NamedTuple):
+    """Protocol of a kind of robots, as far as its line is concerned.
+
+    Attributes:
+        robot: Kind of robots.
+        host: Class that speaks it.
+        versions: Reply to B.
+        probes: Reads whose replies resynchronize the line.
+        stops: Requests that stop the motors, one after the other.
+        moving: Beginnings of requests that move the robot.
+    """
+
+    robot: str
+    host: str
+    versions: re.Pattern[str]
+    probes: str
+    stops: tuple[str, ...]
+    moving: tuple[str, ...]
+
+
+KHEPERA = Dialect(
+    "a Khepera", "Khepera", re.compile(r"b,\d.*"), "BHEK", ("D,0,0",), (*MOVING, "run", "restart")
+)
+KHEPERA4 = Dialect(
+    "a Khepera IV", "Khepera4", re.compile(r"b,[A-P],\d+"), "BERG", ("A,2", "D,0,0"), ("A", "D", "F", "L")
+)
+"""Dialects. The vehicle of the Khepera IV drives on through a D; its H and K are no reads."""
 
 
 class Line:
@@ -52,6 +76,7 @@ class Line:
         timeout: Longest wait for one try of a reply, and for a write [s], in the port's own time.
         baudrate: Speed of the line; "auto" tries `SPEEDS`.
         retries: Number of times a command that may be repeated is sent again.
+        dialect: What the robot speaks.
 
     Attributes:
         port: Port of pyserial.
@@ -59,7 +84,7 @@ class Line:
         listener: Callback that takes each request and its reply, both without their ending, or None.
 
     Raises:
-        PortError: The port cannot be opened, or there is no answer at any speed.
+        PortError: The port cannot be opened, its twin is of another kind, or there is no answer at any speed.
         ValueError: The number of retries is negative or no integer.
     """
 
@@ -69,13 +94,14 @@ class Line:
         timeout: float | None,
         baudrate: int | Literal["auto"],
         retries: int,
+        dialect: Dialect = KHEPERA,
     ) -> None:
         if not (retries >= 0 and float(retries).is_integer()):
             raise ValueError(f"retries={retries!r}; expected an integer from 0")
         if isinstance(url, str | os.PathLike):
             url = numbered(os.fspath(url))
         self._url = url if isinstance(url, str) else None
-        self._retries = retries
+        self._retries, self._dialect, self._told = retries, dialect, ""
         self._unanswered: set[str] = set()
         self.listener: Callable[[str, str], None] | None = None
         self._exchange = threading.RLock()
@@ -86,6 +112,11 @@ class Line:
         # Its stubs declare the members of all ports for this kind only.
         port = open_port(url, speed, timeout) if isinstance(url, str) else cast(serial.Serial, url)
         self.port = port
+        # A twin in this process is known before the first exchange.
+        model = getattr(port, "robot_model", None)
+        if model is not None and (other := KHEPERA4 if model == "khepera4" else KHEPERA) is not dialect:
+            port.close()
+            raise PortError(f"{self.name}: the robot is {other.robot}{self._wish(other)}")
         if baudrate == "auto":
             try:
                 find_speed(self.port, self.name, lambda: self.time)
@@ -169,11 +200,17 @@ class Line:
                     if tries <= 0:
                         raise first from None
                     continue
+                for other in {KHEPERA, KHEPERA4} - {self._dialect}:
+                    if other.versions.fullmatch(self._told):
+                        raise ProtocolError(f"{first}; {other.robot} answers so{self._wish(other)}") from None
             # What came late is as good, if it is whole.
             with suppress(ProtocolError):
                 return self._read(commands, (replies + before)[-len(commands) :])
             if tries <= 0:
                 raise first from None
+
+    def _wish(self, other: Dialect) -> str:
+        return f"; expected {self._dialect.robot}, or khep_twin.host.{other.host} for this one"
 
     def _give_way(self) -> None:
         """Let a stop come first that waits for the line: a lock alone may go to the same thread for ever."""
@@ -182,7 +219,7 @@ class Line:
 
     def _ask(self, requests: Sequence[str], replies: list[str]) -> None:
         """Send lines and append the replies, each as it comes."""
-        if self._held and (moves := [each for each in requests if _moves(each)]):
+        if self._held and (moves := [each for each in requests if self._moves(each)]):
             raise StoppedError(f"{self.name}: {moves[0]!r} is not sent, as the run is to end")
         if self._unanswered and self._settle() is None:
             raise self._silence(requests[0], b"")
@@ -212,7 +249,8 @@ class Line:
 
     def _settle(self) -> list[str] | None:
         """Resynchronize with the robot; return the lines before the answer to a probe, None without one."""
-        probe = next((letter for letter in _PROBES if letter not in self._unanswered), _PROBES[0])
+        probes = self._dialect.probes
+        probe = next((letter for letter in probes if letter not in self._unanswered), probes[0])
         # Answers to each of them may be to come: the line is in step only once it is silent.
         is_repeated = probe in self._unanswered and self.port.timeout is not None
         self._unanswered.add(probe)
@@ -228,6 +266,7 @@ class Line:
             text = _text(line)
             if text.startswith(f"{probe.lower()},"):
                 before = lines.copy()
+                self._told = text if probe == "B" else self._told
                 if not is_repeated:
                     break
             lines.append(text)
@@ -314,30 +353,38 @@ class Line:
             self._close()
 
     def _stop(self) -> None:
-        """Send the stop of the motors, twice if necessary, and wait for the answer."""
+        """Send the stop of the motors, each request twice if necessary, and wait for the answer."""
         wait = STOP_WAIT / 2
         if self.port.timeout is None or not 0 < self.port.timeout <= wait:
             self._set_timeout(wait)
-        for _ in range(2):
-            self._write(f"\n{_STOP}\n".encode("ascii"), _STOP)
-            if _STOP[0] in self._unanswered:  # a speed whose answer, to come yet, is the same
-                if (before := self._settle()) and before[-1] == "d":
-                    return
-                continue
-            end = self.time + wait
-            line = b"\n"
-            while line.endswith(b"\n") and self.time <= end:
-                line = self._read_line(_STOP)
-                if _text(line) == "d":
-                    return
-        raise PortTimeout(f"{self.name}: no reply to {_STOP!r} within {STOP_WAIT} s")
+        for request in self._dialect.stops:
+            if not (self._stops_by(request, wait) or self._stops_by(request, wait)):
+                raise PortTimeout(f"{self.name}: no reply to {request!r} within {STOP_WAIT} s")
+
+    def _stops_by(self, request: str, wait: float) -> bool:
+        """Send a request that stops the motors; return whether it was answered."""
+        answer = request[0].lower()
+        self._write(f"\n{request}\n".encode("ascii"), request)
+        if request[0] in self._unanswered:  # a speed whose answer, to come yet, is the same
+            return bool(before := self._settle()) and before[-1] == answer
+        end = self.time + wait
+        line = b"\n"
+        while line.endswith(b"\n") and self.time <= end:
+            line = self._read_line(request)
+            if _text(line) == answer:
+                return True
+        return False
+
+    def _moves(self, request: str) -> bool:
+        """Return whether a request may move the robot."""
+        return request not in self._dialect.stops and request.lstrip().startswith(self._dialect.moving)
 
     def _set_timeout(self, timeout: float | None) -> None:
         # pyserial negotiates the settings of a port on the network anew for it.
         try:
             self.port.timeout = timeout
         except PORT_FAILURES as error:
-            raise self._failed(_STOP, error) from error
+            raise self._failed(self._dialect.stops[-1], error) from error
 
     def _close(self) -> None:
         self._forget()
@@ -364,11 +411,6 @@ class Line:
         if not leads_to_ours(path):
             return "a terminal that has gone is not opened again, as its number may be reused by now"
         return ""
-
-
-def _moves(request: str) -> bool:
-    """Return whether a request may move the robot."""
-    return request != _STOP and request.lstrip().startswith((*MOVING, "run", "restart"))
 
 
 def _text(line: bytes) -> str:

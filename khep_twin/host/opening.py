@@ -26,7 +26,8 @@ VARIABLE = "KHEP_PORT_"
 _LISTEN = 0.3
 """Wait for an answer at each speed that is tried [s]: B is answered within 0.03 s at 9600 baud."""
 
-_VERSIONS = re.compile(rb"b,[0-9][0-9.]*,[0-9][0-9.]*\r?\n$")
+_VERSIONS = re.compile(rb"b,([0-9][0-9.]*,[0-9][0-9.]*|[A-P],[0-9]+)\r?\n$")
+"""Replies to B of a Khepera, and of a Khepera IV."""
 
 
 def numbered(port: str) -> str:

@@ -104,7 +104,9 @@ class Khepera4Robot(Robot):
     ) -> None:
         for fault in settings.faults:
             if fault.device in (SENSOR, MOTOR, WHEEL):
-                raise FaultError(f"{fault}: robot {index} is a Khepera IV; expected faults of its line")
+                raise FaultError(
+                    f"fault {fault.text!r}: robot {index} is a Khepera IV; expected a fault of its line"
+                )
         self.dspic = Dspic()
         super().__init__(context, index, indices, Kh4Server(self.dspic), rng, settings)
         self.dspic.before_read = self._before_read

@@ -5,8 +5,9 @@
 
 A command is a capital letter and numbers, separated by commas; the reply is its small letter and values. The
 published program is imitated letter by letter (library): a reply drops what has arrived behind its command,
-the voltage of V is not shifted, and X sends 128 bytes, the readings from their second byte on. Numbers that
-are missing are 0 (assumed; there they are what an earlier command has left).
+a wrong A ends the vehicle, too, the voltage of V is not shifted, and X sends 128 bytes, the readings from
+their second byte on. What is undefined in it (memory that it has not written) is 0 here: missing numbers, the
+last byte of the readings of X, all behind its first 67. docs/khepera4.md lists what is not imitated.
 """
 
 import re
@@ -35,6 +36,9 @@ WANDERING_PROFILE = (10, 0, 20, 1, 400)
 
 MARGIN = 20
 """Position margin that the program sets at its start [pulses]."""
+
+LONGEST_LINE = 82
+"""Bytes of a command that are read; the rest of its line is dropped."""
 
 BINARY_BYTES = 128
 """Length of X's reply, of which 67 bytes have a meaning."""
@@ -126,7 +130,8 @@ class Kh4Server:
             line, self._line = self._line[: end.start()], self._line[end.end() :]
             if line:
                 self._line = b""
-                return self._execute(line)
+                return self._execute(line[:LONGEST_LINE])
+        self._line = self._line[:LONGEST_LINE]
         return b""
 
     def tick(self) -> None:
@@ -138,7 +143,7 @@ class Kh4Server:
         self._rounds = self._rounds + 1 if stands else 0
         self._turns = near[_FRONT] > BLOCKED and (self._turns or self._rounds > PATIENCE)
         if self._turns:
-            self._write(DspicRegister.SPEED_ORDER_LEFT, (TURNING, -TURNING))
+            self._drive((TURNING, -TURNING))
             return
         if self._rounds > PATIENCE or not stands:
             self._rounds, self._before = 0, position
@@ -148,7 +153,7 @@ class Kh4Server:
             for weights in (LEFT_WEIGHTS, RIGHT_WEIGHTS)
         ]
         orders = [max(each, LEAST_SPEED) if each >= 0 else min(each, -LEAST_SPEED) for each in orders]
-        self._write(DspicRegister.SPEED_ORDER_LEFT, orders)
+        self._drive(orders)
 
     def _execute(self, line: bytes) -> bytes:
         """Execute a command; return its reply."""
@@ -164,15 +169,13 @@ class Kh4Server:
         return ",".join([letter.lower(), *map(str, answer)]).encode() + END
 
     def _on_a(self, values: Sequence[int]) -> Sequence[int] | None:
-        if len(values) != 1 or values[0] not in (0, 1, 2):
-            return None
-        if values[0] == 2:
+        if values not in ([0], [1]):
             if self._wanders:
-                self._write(DspicRegister.SPEED_ORDER_LEFT, (0, 0))
+                self._drive((0, 0))
                 self._set_control(Control.IDLE)
                 self._set_profile(DEFAULT_PROFILE)
             self._wanders = False
-            return ()
+            return () if values == [2] else None
         self._set_profile(WANDERING_PROFILE)
         self._set_control(Control.SPEED_PROFILE)
         self._wanders, self._turns, self._rounds, self._before = True, False, 0, self._positions()
@@ -240,7 +243,7 @@ class Kh4Server:
         return self._write(DspicRegister.ULTRASONIC_ENABLED, _first(values, 1), size=1)
 
     def _on_v(self, values: Sequence[int]) -> Sequence[object] | None:
-        if len(values) != 1 or not 0 <= values[0] < 8:
+        if len(values) != 1 or (kind := values[0] & 0xFFFF) > 7:
             return None
         block = self._dspic.read(DspicRegister.BATTERY, BATTERY_BYTES)
         current, average, temperature = (_signed(block[at : at + 2]) for at in (4, 6, 8))
@@ -255,11 +258,12 @@ class Kh4Server:
             int(self._is_charging()),
             block[0],
         )
-        return [told[values[0]]]
+        return [told[kind]]
 
     def _on_x(self, values: Sequence[int]) -> bytes:
         readings = [
-            self._dspic.read(each, 25)[1:] for each in (DspicRegister.PROXIMITY, DspicRegister.AMBIENT)
+            self._dspic.read(each, 2 * N_INFRARED)[1:] + b"\0"
+            for each in (DspicRegister.PROXIMITY, DspicRegister.AMBIENT)
         ]
         motors = (*self._numbers(DspicRegister.SPEED_LEFT, 2, signed=True), *self._positions())
         told = b"".join([b"x", *readings, *(value.to_bytes(4, "little", signed=True) for value in motors)])
@@ -279,6 +283,11 @@ class Kh4Server:
     def _set_profile(self, profile: Sequence[int]) -> Sequence[int]:
         self._write(DspicRegister.ACCELERATION, profile[:4], size=1)
         return self._write(DspicRegister.POSITION_SPEED, profile[4:])
+
+    def _drive(self, orders: Sequence[int]) -> None:
+        """Order speeds; where the control is open loop, the library takes them for PWM."""
+        is_open = self._dspic.read(DspicRegister.CONTROL, 1)[0] == Control.OPEN_LOOP
+        self._write(DspicRegister.PWM_ORDER_LEFT if is_open else DspicRegister.SPEED_ORDER_LEFT, orders)
 
     def _set_control(self, control: Control) -> None:
         self._write(DspicRegister.CONTROL, [control], size=1)

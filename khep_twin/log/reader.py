@@ -14,7 +14,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from khep_twin.drawing.paths import DrawnPath
-from khep_twin.errors import LogError
+from khep_twin.errors import LogError, PlaypenError
 from khep_twin.files.atomic import open_regular
 from khep_twin.files.paths import StrPath
 from khep_twin.invocation import command
@@ -24,7 +24,8 @@ from khep_twin.log.content import Content
 from khep_twin.log.decoding import DecodeError, readable
 from khep_twin.log.entries import Entry, Label, label_of, run_facts
 from khep_twin.log.messages import WIDTHS, Messages, TimeSeries, check_time, is_for_repeat
-from khep_twin.playpen import Playpen
+from khep_twin.playpen import Playpen, parse
+from khep_twin.playpen.checks import require_kheperas
 
 PIECE = 32 << 20
 """Most bytes of messages that `read_pieces` reads at a time, besides a chunk."""
@@ -131,6 +132,7 @@ def read_log(path: StrPath) -> LoggedRun:
     path = Path(path)
     with _opened(path) as content:
         label = _label(path, content)
+        require_kheperas_in(label, path, "read_log; read_series reads the channels of any robot")
         messages = Messages(path, content.messages())
     times_ns, poses = messages.poses(label.robots)
     robots = {
@@ -143,6 +145,16 @@ def read_log(path: StrPath) -> LoggedRun:
         for name, pose in zip(label.robots, poses, strict=True)
     }
     return LoggedRun(label.metadata, label.attachments, robots, messages.lines("/events"), path)
+
+
+def require_kheperas_in(label: Label, source: object, what: str) -> None:
+    """Raise a `LogError` where a robot of a log is no Khepera or Khepera II, which `what` is only for."""
+    text = label.attachments.get("playpen.toml", "")
+    if "khepera4" in text:
+        try:
+            require_kheperas(parse(text, "playpen.toml", recorded=True), what)
+        except PlaypenError as error:
+            raise LogError(f"{source}: {error}") from None
 
 
 def read_label(path: StrPath) -> Label:

@@ -6,7 +6,7 @@ from typing import cast
 
 from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
-from khep_twin.errors import Location, Problem, TurretError
+from khep_twin.errors import Location, PlaypenError, Problem, TurretError
 from khep_twin.playpen.footprint import overlap
 from khep_twin.playpen.overlap import Thing, beyond, label, placement_problems
 from khep_twin.playpen.parts import BULB_RADIUS_MM, MODELS, SHORTEST_BLINK_S, RobotEntry, Spot
@@ -40,6 +40,14 @@ def playpen_problems(
         _name_problems(playpen),
         placement_problems(list(things(playpen)), playpen.arena) if placed else (),
     )
+
+
+def require_kheperas(playpen: PlaypenTables, what: str) -> None:
+    """Raise a `PlaypenError` where a robot is no Khepera or Khepera II, which `what` is only for."""
+    for number, robot in enumerate(playpen.robots, 1):
+        if not robot.body.in_core:
+            found = f"{playpen.name}: robot {number}: model = {robot.model!r}"
+            raise PlaypenError(f"{found}; expected a Khepera or Khepera II for {what}")
 
 
 def at_spot(robot: RobotEntry, spot: Spot) -> RobotEntry:
@@ -248,6 +256,9 @@ def _robot_problems(playpen: PlaypenTables) -> Iterator[Problem]:
         place = label("robot", index + 1, robot.name)
         if reason := ROMS[robot.rom].refused(robot.mode):
             yield Problem(("robot", index, "mode"), f"{place}: mode = {robot.mode}: {reason}")
+        for key, value, wanted in unfit(robot):
+            found = f"{place}: {key} = {value!r} with model = {robot.model!r}"
+            yield Problem.of(("robot", index, key), found, wanted)
         try:
             find(robot.turrets)
         except TurretError as error:
@@ -261,6 +272,15 @@ def _robot_problems(playpen: PlaypenTables) -> Iterator[Problem]:
             yield Problem.of(
                 ("robot",), "robots: there is not a spot for each of them, clear of the others", "a spot more"
             )
+
+
+def unfit(robot: RobotEntry) -> Iterator[tuple[str, object, str]]:
+    """Yield keys of a robot that do not fit its model: key, value, and what is expected."""
+    own = MODELS[robot.model]["rom"]
+    if (robot.rom == "kh4server") != (own == "kh4server"):
+        yield "rom", robot.rom, own if own == "kh4server" else "that of a Khepera"
+    if own == "kh4server" and robot.turrets:
+        yield "turrets", [*robot.turrets], "none"
 
 
 def _name_problems(playpen: PlaypenTables) -> Iterator[Problem]:

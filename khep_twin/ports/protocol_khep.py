@@ -104,6 +104,11 @@ class Serial(SerialBase):
         self.twin.advance_to(self.time_ns + to_ns(duration))
 
     @property
+    def robot_model(self) -> str:
+        """Model of the robot, such as "khepera4"."""
+        return self.twin.world.playpen.robots[self.twin.robot.index].model
+
+    @property
     def time_ns(self) -> int:
         """Simulated time since the port was opened [ns]."""
         return self.twin.world.time_ns

@@ -17,7 +17,7 @@ from khep_twin.files.paths import StrPath
 from khep_twin.log.recorder import Recorder, WorldRecorder
 from khep_twin.log.run_description import Beginning, RunDescription
 from khep_twin.playpen import Playpen, PlaypenLike
-from khep_twin.playpen.checks import playpen_problems
+from khep_twin.playpen.checks import playpen_problems, unfit
 from khep_twin.playpen.parts import MODELS
 from khep_twin.randomness import SEED_LIMIT
 from khep_twin.robot import Robot
@@ -232,6 +232,9 @@ def equipped(playpen: PlaypenLike, options: TwinOptions) -> tuple[Playpen, Seque
         model = before.model if options.model is None else options.model
         follows = {} if model == before.model else {"model": model, **MODELS[model]}
         robots[index] = changed = before.model_copy(update={**follows, **changes})
+        for key, value, wanted in unfit(changed):
+            found = f"{key} = {value!r} with model = {changed.model!r}"
+            raise PortError(f"{found}; expected {wanted}", key=key, value=value)
         if reason := ROMS[changed.rom].refused(changed.mode):
             found = f"mode = {changed.mode:X} with rom = {changed.rom!r}: {reason}"
             raise PortError(found, key="mode", value=changed.mode)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from khep_twin.errors import LogError
 from khep_twin.log.decoding import decoded, read_line
-from khep_twin.log.reader import read_raw
+from khep_twin.log.reader import read_raw, require_kheperas_in
 from khep_twin.log.transcript import bytes_of
 
 
@@ -37,6 +37,7 @@ def recorded(path: Path, robot: int = 0) -> RecordedRobot:
         LogError: There is no log, it is not whole, or it has no such line.
     """
     label, found, _ = read_raw(path, lambda topic: topic.endswith("/serial"))
+    require_kheperas_in(label, path, "the shadow")
     names = label.robots
     index = robot if len(names) > 1 else 0
     if not 0 <= index < len(names):

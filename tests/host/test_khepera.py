@@ -203,7 +203,7 @@ def test_a_wrong_answer_is_reported_with_the_exchange(answer: bytes) -> None:
 def test_a_port_that_cannot_be_opened_says_what_would_be_right(url: str, message: str) -> None:
     with pytest.raises(PortError, match=message) as caught:
         Khepera(url)
-    assert len(traceback.extract_tb(caught.value.__traceback__)) == 2
+    assert len(traceback.extract_tb(caught.value.__traceback__)) == 3  # with the class and its base
 
 
 def test_the_host_loads_no_simulator() -> None:

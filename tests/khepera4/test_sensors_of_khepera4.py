@@ -206,5 +206,5 @@ def test_an_episode_of_a_khepera_iv_is_refused_by_name() -> None:
     from khep_twin.episodes.episode_setup import EpisodeSetup
     from khep_twin.errors import PlaypenError
 
-    with pytest.raises(PlaypenError, match="arena4: robot 1: model = 'khepera4': its board runs at a line"):
+    with pytest.raises(PlaypenError, match="arena4: robot 1: model = 'khepera4'; expected a Khepera or"):
         EpisodeSetup("arena4")

@@ -57,6 +57,11 @@ def sensing() -> Dspic:
         ("V,6", "v,0"),
         ("V,7", "v,3"),
         ("V,8", "$"),
+        ("V,-1", "$"),
+        ("V,65541", "v,80"),
+        ("D, 5,6x,,7", "d"),
+        ("B" + "x" * 200, "b,B,0"),
+        ("K,1,2,3,4,5,6,7,8,9,10", "$"),
         ("V", "$"),
         ("A,2", "a"),
         ("A,3", "$"),
@@ -108,6 +113,7 @@ def test_the_binary_reply_has_the_published_programs_length_and_shift() -> None:
     assert len(told) == 128
     assert told[:1] == b"x"
     assert told[1:5] == bytes([0, 1, 0, 2])  # proximity from its second byte on
+    assert told[23:27] == bytes([0, 0, 3, 133])  # behind the last one a byte that nothing has set
     assert told[57:67] == (70_000).to_bytes(4, "little") + (-3).to_bytes(4, "little", signed=True) + b"\n\r"
 
 
@@ -134,8 +140,14 @@ def test_its_vehicle_drives_avoids_turns_where_it_is_blocked_and_stops() -> None
     server.tick()
     assert orders(dspic) == (200, 200)
     assert server.receive(b"E\n") == b"e,0,0\r\n"
-    server.receive(b"A,2\n")
-    assert orders(dspic) == (0, 0)
-    assert dspic.read(DspicRegister.CONTROL, 1) == bytes([Control.IDLE])
+    server.receive(b"L,0,0\n")
     server.tick()
-    assert orders(dspic) == (0, 0)
+    assert dspic.read(DspicRegister.PWM_ORDER_LEFT, 4) == bytes([200, 0, 200, 0])
+    for end, reply in ((b"A,2\n", b"a\r\n"), (b"A,3\n", b"$\r\n"), (b"A\n", b"$\r\n")):
+        server.receive(b"A,1\n")
+        server.tick()
+        assert orders(dspic) == (200, 200)
+        assert server.receive(end) == reply
+        server.tick()
+        assert orders(dspic) == (0, 0)
+        assert dspic.read(DspicRegister.CONTROL, 1) == bytes([Control.IDLE])

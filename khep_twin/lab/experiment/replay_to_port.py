@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PORT_FAILURES, LogError, PortError
-from khep_twin.host import Khepera
+from khep_twin.host import Khepera, Khepera4
 from khep_twin.log.channels import TextLine
 from khep_twin.log.decoding import DecodeError, shown
 from khep_twin.log.recorded import Recorded
 from khep_twin.log.transcript import text_of
+from khep_twin.playpen import parse
 
-MEASURED = {"n": "proximity", "o": "ambient light", "e": "speed", "h": "position"}
+MEASURED = {"n": "proximity", "o": "ambient light", "e": "speed", "h": "position", "r": "position"}
 """Letters of the replies whose values are compared one by one."""
 
 _LAST_WAIT = 0.5
@@ -115,8 +116,17 @@ def replay_to_port(
     robot = min(robots)
     events = [event for _, index, event in recorded.events if index == robot]
     lines = [line for line in recorded.lines[robot] if line.name == "robot"]
-    came = _send(events, url, _baud(recorded, events), lines[-1].time_ns if lines else 0, progress)
+    last_ns = lines[-1].time_ns if lines else 0
+    came = _send(events, url, _baud(recorded, events), _model(recorded, robot), last_ns, progress)
     return _compared(recorded.label.robots[robot], lines, came)
+
+
+def _model(recorded: Recorded, robot: int) -> str:
+    """Return the model of a robot; empty for that of a relay, which is a Khepera."""
+    attachments = recorded.label.attachments
+    if "playpen.toml" not in attachments:
+        return ""
+    return parse(attachments["playpen.toml"], "playpen.toml", recorded=True).robots[robot].model
 
 
 def _baud(recorded: Recorded, events: Sequence[HostEvent]) -> int:
@@ -131,12 +141,18 @@ def _baud(recorded: Recorded, events: Sequence[HostEvent]) -> int:
 
 
 def _send(
-    events: Sequence[HostEvent], url: str, baud: int, last_ns: int, progress: Callable[[float], None] | None
+    events: Sequence[HostEvent],
+    url: str,
+    baud: int,
+    model: str,
+    last_ns: int,
+    progress: Callable[[float], None] | None,
 ) -> list[str]:
-    """Repeat the host events at their times; return the replies."""
+    """Repeat the host events of a model's log at their times; return the replies."""
     came = b""
     # A robot that stays silent at the end is reported by the comparison.
-    with closing(Khepera(url, timeout=0, baudrate=baud)) as khepera:
+    kind = Khepera4 if model == "khepera4" else Khepera
+    with closing(kind(url, timeout=0, baudrate=baud)) as khepera:
         port = khepera.port
         # A simulated port loses nothing, and each read would take time.
         simulated = hasattr(port, "time_ns")

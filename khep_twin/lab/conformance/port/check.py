@@ -156,13 +156,18 @@ class CheckedPort:
         return (time.monotonic_ns() if time_ns is None else time_ns) / NS_PER_S
 
 
-def moves_by_itself(line: CheckedPort) -> bool:
-    """Return whether the robot drives without an order, as in its demonstration, and D does not stop it."""
+def moves_by_itself(line: CheckedPort, counters: str = "H") -> bool:
+    """Return whether the robot drives without an order, as in its demonstration, and D does not stop it.
+
+    Args:
+        line: Line of the robot.
+        counters: Command that reads its positions.
+    """
     for orders in ((), ("D,0,0",)):
         line.order(*orders, pause=_STOPPING if orders else 0.0)
-        before = line.numbers("H", 2)
+        before = line.numbers(counters, 2)
         line.sleep(_STOPPING)
-        after, speeds = line.numbers("H", 2), line.numbers("E", 2)
+        after, speeds = line.numbers(counters, 2), line.numbers("E", 2)
         # Both show it: one alone may be wrong.
         if not any((now - then) * speed > 0 for then, now, speed in zip(before, after, speeds, strict=True)):
             return False

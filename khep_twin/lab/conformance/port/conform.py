@@ -1,17 +1,21 @@
-"""Conformance of a robot or twin at a port to the Khepera's serial protocol.
+"""Conformance of a robot or twin at a port to the serial protocol of its model.
 
-One catalogue of checks for twin and robot, each with the section of the manual (Khepera User Manual 5.02)
-that it tests. Checks that move the robot are optional.
+One catalogue of checks for twin and robot, each with the section of the manual that it tests (Khepera User
+Manual 5.02, Khepera IV User Manual 3.0), or "server" for the program that K-Team has published for the
+Khepera IV. Checks that move the robot are optional.
 """
 
 import json
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass
+from functools import partial
 
 from khep_twin.errors import PORT_FAILURES, PortError
-from khep_twin.host import Khepera
-from khep_twin.lab.conformance.port.catalogue import CHECKS
+from khep_twin.host import Khepera, Khepera4
+from khep_twin.lab.conformance.khepera4 import catalogue as khepera4
+from khep_twin.lab.conformance.model import Model
+from khep_twin.lab.conformance.port import catalogue as khepera
 from khep_twin.lab.conformance.port.check import (
     Check,
     CheckedPort,
@@ -84,35 +88,52 @@ class ConformanceReport:
         return json.dumps({"passed": self.passed, **asdict(self)}, indent=2)
 
 
-def conform(url: str, *, move: bool = False, baudrate: int = 9600) -> ConformanceReport:
-    """Check the robot or twin at a port; with `move` also by the checks that move the robot.
+_CHECKS = {Model.KHEPERA: khepera.CHECKS, Model.KHEPERA4: khepera4.CHECKS}
+_OPEN = {Model.KHEPERA: (Khepera, 9600), Model.KHEPERA4: (Khepera4, 115_200)}
+_COUNTERS = {Model.KHEPERA: "H", Model.KHEPERA4: "R"}
+
+
+def conform(
+    url: str, *, move: bool = False, baudrate: int | None = None, model: Model = Model.KHEPERA
+) -> ConformanceReport:
+    """Check the robot or twin at a port.
+
+    Args:
+        url: URL of the port.
+        move: Run the checks that move the robot, too.
+        baudrate: Speed of the line; without, 9600, and 115200 for a Khepera IV.
+        model: Model of the robot.
 
     Raises:
         PortError: The port cannot be opened.
     """
-    if baudrate < 1:
+    if baudrate is not None and baudrate < 1:
         raise PortError(key="baudrate", value=baudrate, expected="the speed of the line, such as 9600")
+    open_port, usual = _OPEN[model]
     # A broken robot may not even confirm the last stop; the report must survive that.
-    with closing(Khepera(url, baudrate=baudrate)) as robot:
-        return examine(CheckedPort(robot.port), url, move=move)
+    with closing(open_port(url, baudrate=baudrate or usual)) as robot:
+        return examine(CheckedPort(robot.port), url, move=move, model=model)
 
 
-def examine(line: CheckedPort, name: str, *, move: bool = False) -> ConformanceReport:
+def examine(
+    line: CheckedPort, name: str, *, move: bool = False, model: Model = Model.KHEPERA
+) -> ConformanceReport:
     """Run the checks on an open line."""
-    moving = run_check(Check("the robot waits for commands", "", "", _expect_waiting), line).impossible
+    waiting = partial(_expect_waiting, counters=_COUNTERS[model])
+    moving = run_check(Check("the robot waits for commands", "", "", waiting), line).impossible
     results = tuple(
         Result(each.name, each.section, "", impossible=moving)
         if moving and each.at_rest
         else run_check(each, line)
-        for each in checks(move)
+        for each in checks(move, model)
     )
-    skipped = () if move else tuple(each.name for each in checks(True) if each.moves)
+    skipped = () if move else tuple(each.name for each in checks(True, model) if each.moves)
     return ConformanceReport(name, results, skipped)
 
 
-def checks(move: bool) -> Iterator[Check]:
+def checks(move: bool, model: Model = Model.KHEPERA) -> Iterator[Check]:
     """Return all checks, with or without those that move the robot."""
-    return (each for each in CHECKS if move or not each.moves)
+    return (each for each in _CHECKS[model] if move or not each.moves)
 
 
 def run_check(asked: Check, line: CheckedPort) -> Result:
@@ -137,8 +158,8 @@ def run_check(asked: Check, line: CheckedPort) -> Result:
     return Result(asked.name, asked.section, deviation, absent, impossible)
 
 
-def _expect_waiting(line: CheckedPort) -> None:
-    if moves_by_itself(line):
+def _expect_waiting(line: CheckedPort, counters: str) -> None:
+    if moves_by_itself(line, counters):
         raise NotPossibleError(
             "the robot moves by itself, as in its demonstration (mode 0); needs one that waits for commands"
         )

@@ -29,7 +29,7 @@ from khep_twin.log.decoding import DecodeError, decoded, read_line
 from khep_twin.log.entries import Label
 from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
 from khep_twin.log.host_events import read_events
-from khep_twin.log.reader import read_raw
+from khep_twin.log.reader import read_raw, require_kheperas_in
 from khep_twin.log.transcript import bytes_of
 from khep_twin.units import BITS_PER_BYTE
 
@@ -77,6 +77,7 @@ def recorded_lines(path: Path) -> list[RecordedLine]:
     """
     channels = ("/host_events", "/serial", "/events")
     label, found, _ = read_raw(path, lambda topic: topic.endswith(channels))
+    require_kheperas_in(label, path, "the checks of a recording")
     known = _robots_of(label, path)
     events: dict[str, list[HostEvent]] = {}
     for name in label.robots:

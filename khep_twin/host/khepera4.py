@@ -1,0 +1,303 @@
+"""`Khepera4`: a Khepera IV on which kh4server runs, at the other end of a serial port, real or simulated.
+
+The port is a URL of pyserial, as for a `Khepera`: `/dev/rfcomm0` is a robot over Bluetooth, the link of
+`khep-twin serve arena4` a twin in real time, `khep://arena4` a twin in this process, in lock-step.
+
+    from khep_twin.host import Khepera4
+
+    with Khepera4("khep://arena4") as robot:
+        robot.set_speed(0.1, 0.1)
+        robot.sleep(1)
+        print(robot.ultrasonic().front, robot.proximity().front)
+
+Each command waits for its reply: the server drops what has arrived when it answers.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import TypeVar
+
+import serial
+
+from khep_twin.errors import MoveError
+from khep_twin.files.paths import StrPath
+from khep_twin.host.host_command import HostCommand, fields, numbers, order
+from khep_twin.host.host_robot import HostRobot
+from khep_twin.host.khepera4_results import Battery, Distances, InfraredCounts, Vector, Wheels
+from khep_twin.host.line import KHEPERA4
+from khep_twin.units import GRAVITY
+
+R = TypeVar("R")
+
+PULSE_LENGTH = math.pi * 0.042 / 19_456
+"""Way of a wheel in a pulse of its encoder [m]; a speed of 1 is one in 10 ms (manual)."""
+
+SPEED = PULSE_LENGTH / 0.01
+"""Unit of speeds [m/s]."""
+
+WHEEL_BASE = 0.1054
+"""Distance of the wheels [m] (manual)."""
+
+FULL_DUTY = 2940
+"""Duty at which a motor has the whole voltage (manual)."""
+
+N_PACKETS = 10
+"""Values of an accelerometer or a gyroscope in a reply."""
+
+_ACCELERATION, _RATE = GRAVITY / 16_384, math.radians(0.066)
+"""Units of the accelerometer [m/s^2] and of the gyroscope [rad/s] (library)."""
+
+_PAUSE, _ARRIVED_PULSES = 0.05, 200
+"""Pause between two looks at the wheels in a move [s]; wheels that stand so near a target are there: ten
+times the server's margin, for they roll on behind it (1.4 mm)."""
+
+_HIGHEST_MV = 20_000
+"""Voltage above which a server has told the gauge's value with its five lower bits [mV]."""
+
+Colour = tuple[int, int, int]
+"""Red, green and blue, 0 to 63."""
+
+
+class Khepera4(HostRobot):
+    """A Khepera IV behind a serial port. Leaving it as a context stops the motors.
+
+    Errors are those of a `Khepera`: reads are repeated once, commands that move the robot never.
+
+    Args:
+        url: URL of the port, or an open port of pyserial, which keeps its own timeout.
+        timeout: Longest wait for a robot that is silent [s], in the port's own time.
+        baudrate: Speed of the line.
+        retries: Number of repetitions of a read.
+        wheel_base: Distance of the wheels, by which `turn` turns [m].
+
+    Raises:
+        PortError: The port cannot be opened, or its twin is no Khepera IV.
+        ValueError: A duration, distance or number is out of range.
+    """
+
+    def __init__(
+        self,
+        url: StrPath | serial.SerialBase,
+        timeout: float = 1.0,
+        baudrate: int = 115_200,
+        *,
+        retries: int = 1,
+        wheel_base: float = WHEEL_BASE,
+    ) -> None:
+        if not 0 < wheel_base < math.inf:
+            raise ValueError(f"wheel_base = {wheel_base}; expected a number above 0")
+        super().__init__(url, timeout, baudrate, retries, KHEPERA4)
+        self._wheel_base = wheel_base
+        self._target = (0, 0)
+
+    # Motors --------------------------------------------------------------------------------------------
+
+    def set_speed(self, left: float, right: float) -> None:
+        """Drive the wheels at these speeds [m/s], up to about 0.8; 0.003 is the least steady (command D)."""
+        pulses = _pulses("speed", SPEED, (left, right))
+        self._do(order("D", *pulses, repeatable=not any(pulses)))
+
+    def stop(self) -> None:
+        """Stop the wheels, and the vehicle of `wander`."""
+        self.stop_wandering()
+        self.set_speed(0, 0)
+
+    def set_target(self, left: float, right: float) -> None:
+        """Send the wheels to these positions [m] along the profile, and return at once (command F)."""
+        self._send_to(*_pulses("position", PULSE_LENGTH, (left, right)))
+
+    def set_duty(self, left: int, right: int) -> None:
+        """Drive the motors with a fixed duty, -2940 to 2940, uncontrolled (command L)."""
+        self._do(order("L", left, right))
+
+    def reset_position(self) -> None:
+        """Set the positions of the wheels to 0 (command I)."""
+        self._do(order("I"))
+
+    def speed(self) -> Wheels:
+        """Return the measured speeds of the wheels [m/s] (command E)."""
+        return self._do(numbers("E", 2, lambda pulses: _wheels(pulses, SPEED)))
+
+    def position(self) -> Wheels:
+        """Return the positions of the wheels [m] (command R)."""
+        return self._do(numbers("R", 2, lambda pulses: _wheels(pulses, PULSE_LENGTH)))
+
+    def configure_speed_controller(self, kp: int, ki: int, kd: int) -> None:
+        """Set the gains of the speed controller, 0 to 255; 10, 5, 1 at the server's start (command H)."""
+        self._do(order("H", kp, ki, kd, repeatable=True))
+
+    def configure_profile(
+        self,
+        step_pulses: int = 3,
+        divider: int = 0,
+        least_accelerating_pulses: int = 20,
+        least_decelerating_pulses: int = 1,
+        speed_pulses: int = 400,
+    ) -> None:
+        """Set the profile of `set_target` and of the vehicle (command J); the defaults are the server's.
+
+        Args:
+            step_pulses: Change of the speed at a time [pulses/10 ms].
+            divider: Control periods of 10 ms from one change to the next, less one.
+            least_accelerating_pulses: Speed at which a ramp up begins [pulses/10 ms].
+            least_decelerating_pulses: Speed at which a ramp down ends [pulses/10 ms].
+            speed_pulses: Speed of the way in between [pulses/10 ms].
+        """
+        given = step_pulses, divider, least_accelerating_pulses, least_decelerating_pulses, speed_pulses
+        self._do(order("J", *given, repeatable=True))
+
+    def set_margin(self, margin: float) -> None:
+        """Set the distance from a target at which it is reached [m], 20 pulses at the start (command P)."""
+        self._do(order("P", *_pulses("margin", PULSE_LENGTH, [margin]), repeatable=True))
+
+    def reset_motors(self) -> None:
+        """Set gains, profile and margin as at the server's start, and leave the motors idle (command M)."""
+        self._do(order("M", repeatable=True))
+
+    # Moves that wait -----------------------------------------------------------------------------------
+
+    def move(self, distance: float, timeout: float = 30.0) -> Wheels:
+        """Drive straight on by a distance [m], back if it is below 0, and return when it is done.
+
+        Raises:
+            MoveError: It was not done after `timeout` [s], and the motors are stopped.
+        """
+        return self._drive_by(distance, distance, timeout)
+
+    def turn(self, angle: float, timeout: float = 30.0) -> Wheels:
+        """Turn on the spot by an angle [rad], left if it is above 0, and return when it is done.
+
+        Raises:
+            MoveError: It was not done after `timeout` [s], and the motors are stopped.
+        """
+        way = angle * self._wheel_base / 2
+        return self._drive_by(-way, way, timeout)
+
+    def wait_for_target(self, timeout: float = 30.0) -> None:
+        """Wait until both wheels stand where `set_target` has sent them.
+
+        Raises:
+            MoveError: They did not after `timeout` [s].
+        """
+        end, before = self.time + timeout, ()
+        while True:
+            places = self._do(numbers("R", 2, tuple))
+            away = [abs(target - place) for target, place in zip(self._target, places, strict=True)]
+            if places == before and max(away) <= _ARRIVED_PULSES:
+                return
+            if not self.time <= end:
+                raise MoveError(f"{self.name}: not on target after {timeout:g} s")
+            before = places
+            self.sleep(_PAUSE)
+
+    def wander(self) -> None:
+        """Let the server's own vehicle drive and avoid obstacles, until `stop_wandering` (command A)."""
+        self._do(order("A", 0))
+
+    def stop_wandering(self) -> None:
+        """Stop the server's own vehicle; without effect where it does not drive (command A)."""
+        self._do(HostCommand("A,2", lambda reply: fields("a", 0, reply), repeatable=True))
+
+    # Senses --------------------------------------------------------------------------------------------
+
+    def proximity(self) -> InfraredCounts:
+        """Return twelve proximity counts, 0 to 1023 (command N)."""
+        return self._do(numbers("N", 12, InfraredCounts._make))
+
+    def ambient(self) -> InfraredCounts:
+        """Return twelve ambient counts, about 940 in the dark and 0 in bright light (command O)."""
+        return self._do(numbers("O", 12, InfraredCounts._make))
+
+    def ultrasonic(self) -> Distances:
+        """Return five distances [m]; 0 is nearer than 0.25, inf nothing, None disabled (command G)."""
+        return self._do(numbers("G", 5, lambda values: Distances.of(tuple(values))))
+
+    def enable_ultrasonic(self, sensors: Iterable[int] = range(5)) -> None:
+        """Enable these ultrasonic sensors, 0 left to 4 right, and disable the others (command U).
+
+        Each takes 20 ms in turn: fewer measure more often.
+        """
+        chosen = {*sensors}
+        if not chosen <= {*range(5)}:
+            raise ValueError(f"sensors = {sorted(chosen)}; expected some of 0 to 4")
+        self._do(order("U", sum(1 << each for each in chosen), repeatable=True))
+
+    def accelerations(self) -> tuple[Vector, ...]:
+        """Return the last ten values of the accelerometer, 10 ms apart, newest first [m/s^2] (command T).
+
+        At rest x and y are 0 and z is -9.81.
+        """
+        return self._do(numbers("T", 3 * N_PACKETS, lambda values: _vectors(values, _ACCELERATION)))
+
+    def turn_rates(self) -> tuple[Vector, ...]:
+        """Return the last ten values of the gyroscope, newest first [rad/s]; z to the left (command S)."""
+        return self._do(numbers("S", 3 * N_PACKETS, lambda values: _vectors(values, _RATE)))
+
+    def battery(self) -> Battery:
+        """Return the state of the battery (command V, once for each value)."""
+        told = [self._do(_battery_value(kind)) for kind in range(7)]
+        voltage, current, average, charge_mah, temperature, percent, charger = told
+        # The published server tells the gauge's value with its five lower bits.
+        voltage = voltage / 32 if voltage > _HIGHEST_MV else voltage
+        return Battery(
+            voltage / 1000,
+            current / 1000,
+            average / 1000,
+            charge_mah,
+            temperature,
+            percent / 100,
+            bool(charger),
+        )
+
+    # The rest ------------------------------------------------------------------------------------------
+
+    def set_leds(self, left: Colour, right: Colour, back: Colour) -> None:
+        """Set the colours of the LEDs front left, front right and back, 0 to 63 a colour (command K)."""
+        values = [*left, *right, *back]
+        if len(values) != 9 or not all(0 <= value < 64 for value in values):
+            raise ValueError(f"colours {left}, {right}, {back}; expected three numbers from 0 to 63 each")
+        self._do(order("K", *values, repeatable=True))
+
+    def revision(self) -> str:
+        """Return the revision of the microcontroller's program, such as "B0" (command B)."""
+        return self._do(HostCommand("B", lambda reply: "".join(fields("b", 2, reply)), repeatable=True))
+
+    def reset(self) -> None:
+        """Reset the microcontroller: motors, LEDs and positions (command Z)."""
+        self._do(order("Z"))
+
+    def _send_to(self, left_pulses: int, right_pulses: int) -> None:
+        self._target = left_pulses, right_pulses
+        self._do(order("F", left_pulses, right_pulses))
+
+    def _drive_by(self, left: float, right: float, timeout: float) -> Wheels:
+        """Move the wheels on by some ways [m], and wait."""
+        ways, places = _pulses("way", PULSE_LENGTH, (left, right)), self._do(numbers("R", 2, tuple))
+        self._send_to(places[0] + ways[0], places[1] + ways[1])
+        try:
+            self.wait_for_target(timeout)
+        except MoveError as error:
+            self.set_speed(0, 0)
+            raise MoveError(f"{error}; stopped at {tuple(self.position())} m") from None
+        return self.position()
+
+
+def _pulses(name: str, unit: float, values: Sequence[float]) -> list[int]:
+    for value in values:
+        if not math.isfinite(value):
+            raise ValueError(f"{name} = {value}; expected a finite number")
+    return [round(value / unit) for value in values]
+
+
+def _wheels(pulses: Sequence[int], unit: float) -> Wheels:
+    return Wheels(pulses[0] * unit, pulses[1] * unit)
+
+
+def _vectors(values: Sequence[int], unit: float) -> tuple[Vector, ...]:
+    """Return the vectors of a reply, which has all x, then all y, then all z."""
+    axes = [values[at : at + N_PACKETS] for at in range(0, 3 * N_PACKETS, N_PACKETS)]
+    return tuple(Vector(x * unit, y * unit, z * unit) for x, y, z in zip(*axes, strict=True))
+
+
+def _battery_value(kind: int) -> HostCommand[float]:
+    return HostCommand(f"V,{kind}", lambda reply: float(fields("v", 1, reply)[0]), repeatable=True)

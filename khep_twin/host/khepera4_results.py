@@ -1,0 +1,84 @@
+"""Results of a Khepera IV's commands, by name and in SI units; tuples, which index and unpack as such."""
+
+import math
+from typing import NamedTuple, Self
+
+NOTHING_CM, DISABLED_CM = 1000, 2000
+"""Readings of an ultrasonic sensor that hears nothing, and of one that is disabled."""
+
+
+class InfraredCounts(NamedTuple):
+    """Commands N and O: twelve counts, 0 to 1023, around the robot and of the ground below it.
+
+    Proximity is about 1020 at white paper; with nothing there it is what the floor reflects, about 100.
+    """
+
+    back_left: int
+    left: int
+    front_left: int
+    front: int
+    front_right: int
+    right: int
+    back_right: int
+    back: int
+    ground_left: int
+    ground_front_left: int
+    ground_front_right: int
+    ground_right: int
+
+
+class Distances(NamedTuple):
+    """Command G: distances that the ultrasonic sensors measure, 0.25 to 2.5 [m].
+
+    0 stands for something nearer than 0.25 m, infinity for nothing in range, None for a sensor that is
+    disabled (`enable_ultrasonic`).
+    """
+
+    left: float | None
+    front_left: float | None
+    front: float | None
+    front_right: float | None
+    right: float | None
+
+    @classmethod
+    def of(cls, values_cm: tuple[int, ...]) -> Self:
+        """Return the distances of readings [cm]."""
+        codes: dict[int, float | None] = {NOTHING_CM: math.inf, DISABLED_CM: None}
+        return cls._make(codes.get(value, value / 100) for value in values_cm)
+
+
+class Vector(NamedTuple):
+    """A vector in the robot's frame, x forward, y left."""
+
+    x: float
+    y: float
+    z: float
+
+
+class Wheels(NamedTuple):
+    """Speeds [m/s] or positions [m] of the wheels."""
+
+    left: float
+    right: float
+
+
+class Battery(NamedTuple):
+    """Command V: state of the battery.
+
+    Attributes:
+        voltage: Voltage [V].
+        current: Current, below 0 while it is discharged [A].
+        average_current: Its average over the last half minute [A].
+        charge_mah: Remaining charge [mAh].
+        temperature_celsius: Temperature [degrees Celsius].
+        level: Remaining part of the charge, 0 to 1.
+        is_charging: Whether the charger is plugged in.
+    """
+
+    voltage: float
+    current: float
+    average_current: float
+    charge_mah: float
+    temperature_celsius: float
+    level: float
+    is_charging: bool

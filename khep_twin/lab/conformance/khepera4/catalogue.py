@@ -1,0 +1,12 @@
+"""Checks of a Khepera IV at a port, in the order in which they run."""
+
+from khep_twin.lab.conformance.khepera4 import commands, grammar, motion
+from khep_twin.lab.conformance.port.check import Check
+
+CHECKS: tuple[Check, ...] = tuple(
+    value
+    for module in (grammar, commands, motion)
+    for value in vars(module).values()
+    if isinstance(value, Check)
+)
+"""All checks, as they follow each other in these modules."""

@@ -1,0 +1,145 @@
+"""The host's side of a Khepera IV, on twins in lock-step and behind ports."""
+
+import math
+from collections.abc import Iterator
+
+import pytest
+from served_twin import served
+
+from khep_twin.errors import MoveError, PortError, ProtocolError, StoppedError
+from khep_twin.host import Distances, Khepera, Khepera4, Vector
+from khep_twin.host.discovery import who_answers
+from khep_twin.khepera4.registers import Control, DspicRegister
+from khep_twin.khepera4.robot import Khepera4Robot
+
+
+@pytest.fixture
+def robot() -> Iterator[Khepera4]:
+    with Khepera4("khep://arena4?noise=off") as khepera4:
+        yield khepera4
+
+
+def twin_of(robot: Khepera4) -> Khepera4Robot:
+    found = robot.port.twin.robot  # type: ignore[attr-defined]
+    assert isinstance(found, Khepera4Robot)
+    return found
+
+
+def registers(robot: Khepera4, first: DspicRegister, count: int) -> list[int]:
+    return [*twin_of(robot).dspic.read(first, count)]
+
+
+def test_every_setting_reaches_its_registers(robot: Khepera4) -> None:
+    assert robot.revision() == "B0"
+    robot.configure_speed_controller(40, 2, 1)
+    robot.configure_profile(5, 1, 30, 2, 300)
+    robot.set_margin(0.001)
+    assert registers(robot, DspicRegister.KP, 11) == [40, 2, 1, 5, 1, 30, 2, 147, 0, 300 - 256, 1]
+    robot.reset_motors()
+    assert registers(robot, DspicRegister.KP, 11) == [10, 5, 1, 3, 0, 20, 1, 20, 0, 400 - 256, 1]
+    robot.set_leds((1, 2, 3), (4, 5, 6), (7, 8, 63))
+    assert [*twin_of(robot).dspic.leds] == [1, 2, 3, 4, 5, 6, 7, 8, 63]
+    robot.reset()
+    assert [*twin_of(robot).dspic.leds] == [0] * 9
+
+
+def test_speeds_and_positions_are_in_si_units(robot: Khepera4) -> None:
+    robot.set_speed(0.1, -0.1)
+    robot.sleep(1)
+    assert robot.speed() == pytest.approx((0.1, -0.1), abs=0.01)
+    assert robot.position() == pytest.approx((0.09, -0.09), abs=0.02)
+    robot.stop()
+    robot.reset_position()
+    assert robot.position() == pytest.approx((0, 0), abs=1e-3)
+    robot.set_duty(1000, 1000)
+    robot.sleep(0.3)
+    assert min(robot.speed()) > 0.05
+
+
+def test_moves_wait_until_the_wheels_stand_at_their_target(robot: Khepera4) -> None:
+    x, y, heading = twin_of(robot).pose
+    assert robot.move(0.1) == pytest.approx((0.1, 0.1), abs=2e-3)
+    assert twin_of(robot).pose == pytest.approx((x, y + 0.1, heading), abs=3e-3)
+    robot.turn(-math.pi / 2)
+    assert twin_of(robot).pose[2] == pytest.approx(heading - math.pi / 2, abs=0.03)
+    robot.move(0.001)
+    with pytest.raises(MoveError, match=r"not on target after 0\.2 s; stopped at"):
+        robot.move(0.3, timeout=0.2)
+    assert registers(robot, DspicRegister.CONTROL, 1) == [Control.SPEED]
+
+
+def test_sensors_have_names_and_units(robot: Khepera4) -> None:
+    robot.sleep(0.25)
+    assert robot.proximity().front == 96
+    assert robot.proximity().ground_left > 900
+    assert robot.ambient().back == 980
+    assert robot.accelerations() == ((0.0, 0.0, pytest.approx(-9.81, abs=0.02)),) * 10
+    robot.set_speed(-0.05, 0.05)
+    robot.sleep(1)
+    assert robot.turn_rates()[0] == Vector(0, 0, pytest.approx(0.1 / 0.1054, abs=0.05))
+    robot.enable_ultrasonic([2])
+    robot.sleep(0.1)
+    seen = robot.ultrasonic()
+    assert seen.front is not None
+    assert seen[:2] == (None, None) == seen[3:]
+    assert Distances.of((0, 25, 250, 1000, 2000)) == (0, 0.25, 2.5, math.inf, None)
+
+
+def test_a_battery_has_the_voltage_of_its_gauge_whether_a_server_shifts_it_or_not(robot: Khepera4) -> None:
+    battery = robot.battery()
+    assert battery.voltage == pytest.approx(8.2, abs=0.1)
+    assert (battery.level, battery.charge_mah, battery.is_charging) == (1, 3400, False)
+    twin = twin_of(robot)
+    receive = twin.firmware.receive
+    shifted = {b"V,0\n": b"v,7400\r\n"}
+    twin.firmware.receive = lambda data: shifted.get(data) or receive(data)  # type: ignore[method-assign]
+    assert robot.battery().voltage == 7.4
+
+
+def test_its_vehicle_stops_at_the_end_whatever_drives(robot: Khepera4) -> None:
+    with Khepera4("khep://arena4") as other:
+        other.wander()
+        other.sleep(1)
+        assert min(other.speed()) > 0.05
+        twin = twin_of(other)
+    assert twin.dspic.motor_numbers[0][2:] == (0, 0)
+    robot.hold()
+    with pytest.raises(StoppedError, match="'A,0' is not sent"):
+        robot.wander()
+    assert robot.speed() == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda robot: robot.set_speed(math.nan, 0), "speed = nan; expected a finite number"),
+        (lambda robot: robot.set_leds((64, 0, 0), (0, 0, 0), (0, 0, 0)), "expected three numbers from 0 to"),
+        (lambda robot: robot.enable_ultrasonic([5]), r"sensors = \[5\]; expected some of 0 to 4"),
+        (lambda robot: Khepera4("khep://arena4", wheel_base=0), "wheel_base = 0; expected a number above 0"),
+    ],
+)
+def test_what_is_out_of_range_is_refused_before_it_is_sent(robot: Khepera4, wrong, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        wrong(robot)
+
+
+def test_a_robot_of_the_other_kind_is_named_at_a_twin_and_by_its_replies() -> None:
+    with pytest.raises(PortError, match=r"^khep://arena4: the robot is a Khepera IV; expected a Khepera, or"):
+        Khepera("khep://arena4")
+    with pytest.raises(PortError, match=r"the robot is a Khepera; .* or khep_twin.host.Khepera for this one"):
+        Khepera4("khep://default")
+
+
+@pytest.mark.filterwarnings("ignore:set:DeprecationWarning")  # pyserial calls setDaemon
+@pytest.mark.parametrize("kind", [(), ("--tcp", ":0"), ("--rfc2217", ":0")], ids=["pty", "tcp", "rfc2217"])
+def test_a_served_twin_answers_at_each_kind_of_port(kind: tuple[str, ...]) -> None:
+    with served("arena4", "--noise", "off", *kind) as (_, url):
+        with Khepera4(url, 2.0) as robot:
+            robot.set_speed(0.05, 0.05)
+            assert robot.proximity().front == 96
+            assert robot.ultrasonic().front is not None
+        with Khepera(url, 2.0) as wrong:
+            with pytest.raises(ProtocolError, match="and 8 values; a Khepera IV answers so; expected a Khep"):
+                wrong.proximity()
+        if not kind:
+            assert who_answers(url) == (9600, ("B", "0"))  # a twin takes any speed

@@ -1,0 +1,103 @@
+"""The command line with a Khepera IV: its runs repeat; what is for Kheperas only refuses it in one line."""
+
+from pathlib import Path
+
+import pytest
+from command_line import good, khep_twin
+
+from khep_twin.errors import PlaypenError
+from khep_twin.host import Khepera4
+from khep_twin.playpen import Playpen
+from khep_twin.playpen.model import parse
+
+ENTRY = '[[robot]]\nmodel = "khepera4"\nx_mm = 500\ny_mm = 500\nheading_deg = 0\n'
+PEN = 'version = 1\nname = "pen"\n[arena]\nwidth_mm = 1000\nheight_mm = 1000\nwall_height_mm = 150\n'
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log of a Khepera IV that a host has driven."""
+    path = tmp_path_factory.mktemp("khepera4") / "run.mcap"
+    with Khepera4(f"khep://arena4?seed=3&log={path}") as robot:
+        robot.set_speed(0.1, 0.05)
+        robot.sleep(0.5)
+        robot.proximity()
+        robot.wander()
+        robot.sleep(0.5)
+        robot.ultrasonic()
+        robot.accelerations()
+    return path
+
+
+def test_a_run_repeats_from_its_log_resumes_and_answers_the_same_at_another_port(log: Path) -> None:
+    assert good("repeat", log).startswith("identical: 1.")
+    assert "0 missing, 0 more" in good("repeat", log, "--port", "khep://arena4?seed=3")
+    with Khepera4(f"khep://{log}?at=0.4") as robot:
+        assert robot.time == pytest.approx(0.4, abs=0.01)
+        assert robot.speed().left > robot.speed().right > 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            "run --playpen arena4",
+            "khep://arena4: the robot is a Khepera IV; expected a Khepera, or khep_twin",
+        ),
+        (
+            "run --playpen arena4 --runs 2 --start random",
+            "khep://arena4: the robot is a Khepera IV; expected",
+        ),
+        ("sense --linear 10 khep://arena4", "khep://arena4: the robot is a Khepera IV; expected"),
+        ("calibrate khep://arena4 -o c.toml", "khep://arena4: the robot is a Khepera IV; expected"),
+        ("conform khep://arena4", "khep://arena4: the robot is a Khepera IV; expected"),
+        (
+            "rollout --playpen arena4",
+            "arena4: robot 1: model = 'khepera4'; expected a Khepera or Khepera II for an",
+        ),
+        (
+            "conform LOG",
+            "arena4: robot 1: model = 'khepera4'; expected a Khepera or Khepera II for the checks",
+        ),
+        (
+            "shadow default LOG",
+            "arena4: robot 1: model = 'khepera4'; expected a Khepera or Khepera II for the",
+        ),
+        (
+            "view LOG --save v.rrd",
+            "arena4: robot 1: model = 'khepera4'; expected a Khepera or Khepera II for",
+        ),
+        ("fit -o f.toml LOG=5turns", "arena4: robot 1: model = 'khepera4'; expected a Khepera or Khepera II"),
+        ("serve arena4 --rom 5.02", "rom = '5.02' with model = 'khepera4'; expected kh4server"),
+        (
+            "serve default --rom kh4server",
+            "rom = 'kh4server' with model = 'khepera1'; expected that of a Khep",
+        ),
+        ("serve arena4 --mode 3", "mode = 3 with rom = 'kh4server': there is no such mode; expected"),
+        ("serve gripper --model khepera4", "turrets = ['gripper'] with model = 'khepera4'; expected none"),
+        (
+            "serve arena4 --fault weak:left:0.5",
+            "fault 'weak:left:0.5': robot 0 is a Khepera IV; expected a fa",
+        ),
+    ],
+)
+def test_what_does_not_fit_a_khepera4_ends_in_one_line(
+    words: str, message: str, log: Path, tmp_path: Path
+) -> None:
+    done = khep_twin(*words.replace("LOG", str(log)).split(), folder=tmp_path)
+    assert done.returncode in (1, 2)
+    assert len(done.stderr.splitlines()) == 1
+    assert message in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        ('turrets = ["gripper"]', r"robot 1: turrets = \['gripper'\] with model = 'khepera4'; expected none"),
+        ('rom = "5.02"', r"robot 1: rom = '5.02' with model = 'khepera4'; expected kh4server"),
+    ],
+)
+def test_a_playpen_gives_a_khepera4_neither_turrets_nor_another_rom(key: str, message: str) -> None:
+    assert Playpen.load("arena4").robots[0].rom == "kh4server"
+    with pytest.raises(PlaypenError, match=message):
+        parse(f"{PEN}{ENTRY}{key}\n", "pen.toml")
