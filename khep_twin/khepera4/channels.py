@@ -3,24 +3,24 @@
 The gauge counts voltage in 0.305 mV, current in 0.0781 mA, charge in 1.6 mAh, temperature in 1/256 degree C.
 """
 
-INFRARED = (
-    *("back left", "left", "front left", "front", "front right", "right", "back right", "back"),
-    *("ground left", "ground front left", "ground front right", "ground right"),
-)
-"""Names of the infrared sensors, in the order of the registers: eight around, four for the floor."""
+from khep_twin.units import BODIES
 
 ULTRASONIC = ("left", "front left", "front", "front right", "right")
 """Names of the ultrasonic sensors, in the order of the registers."""
+
+CODES = (0, 1000, 2000)
+"""Ultrasonic readings without a distance: too near, no echo, disabled (library)."""
 
 LEDS = ("left", "right", "back")
 """Names of the LEDs of three colours, in the order of the registers."""
 
 _SETPOINTS = "left, right, setpoint left, setpoint right"
 _AXES = "x, y, z"
+_INFRARED = ", ".join(BODIES["khepera4"].sensors)
 
 CHANNELS = {
-    "proximity": f"{', '.join(INFRARED)} [counts]",
-    "ambient": f"{', '.join(INFRARED)} [counts]",
+    "proximity": f"{_INFRARED} [counts]",
+    "ambient": f"{_INFRARED} [counts]",
     "ultrasonic": f"{', '.join(ULTRASONIC)} [cm]",
     "speed": f"{_SETPOINTS} [pulses/10 ms]",
     "position": f"{_SETPOINTS} [pulses]",

@@ -35,8 +35,9 @@ from khep_twin.robot import Robot, RobotSettings, SampledRegisters, WorldContext
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.world_state import BoardState, RobotSnapshot
+from khep_twin.units import BODIES
 
-PULSES_PER_TURN = 19_456
+PULSES_PER_TURN = BODIES["khepera4"].pulses_per_turn
 """Pulses of an encoder in a turn of its wheel (manual)."""
 
 _ENDS = [0, *accumulate(label.count(",") + 1 for label in CHANNELS.values())]

@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.khepera4.channels import CODES
 from khep_twin.khepera4.moments import Moment, PastScene
 from khep_twin.sensing.mujoco_scene import PAINT
 from khep_twin.sensing.noise import TABLES, draws
@@ -29,8 +30,7 @@ PERIOD_NS = 20_000_000
 RANGE, NEAREST = 2.5, 0.25
 """Longest and shortest distance that is measured [m] (manual)."""
 
-TOO_NEAR, NOTHING, DISABLED = 0, 1000, 2000
-"""Readings without a distance (library)."""
+TOO_NEAR, NOTHING, DISABLED = CODES
 
 HEADINGS_DEG = (90, 45, 0, -45, -90)
 """Heading of each sensor, left to right (manual)."""
