@@ -199,6 +199,11 @@ class Body:
     near_counts: int = 100
 
     @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of its infrared sensors in its scene."""
+        return tuple(name.replace(" ", "_") for name in self.sensors)
+
+    @property
     def pulse_length(self) -> float:
         """Travel of a wheel per pulse [m]."""
         return self.wheel_radius * 2 * math.pi / self.pulses_per_turn

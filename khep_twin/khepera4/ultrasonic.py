@@ -35,7 +35,7 @@ TOO_NEAR, NOTHING, DISABLED = CODES
 HEADINGS_DEG = (90, 45, 0, -45, -90)
 """Heading of each sensor, left to right (manual)."""
 
-_RADIUS, _HEIGHT = 0.066, 0.0445
+RADIUS, HEIGHT = 0.066, 0.0445
 """Place of the sensors: distance from the centre (assumed) and height [m] (drawing)."""
 
 _EXPONENT, _MIRROR_RAD, _SCATTER = 2.27, math.radians(12), 0.03
@@ -113,7 +113,7 @@ def _beams() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float
     places: list[tuple[float, float, float]] = []
     rays: list[list[tuple[float, float, float]]] = []
     for heading in map(math.radians, HEADINGS_DEG):
-        places.append((_RADIUS * math.cos(heading), _RADIUS * math.sin(heading), _HEIGHT))
+        places.append((RADIUS * math.cos(heading), RADIUS * math.sin(heading), HEIGHT))
         rays.append(
             [
                 (
