@@ -65,11 +65,11 @@ def _lights(robot: str, times_ns: NDArray[np.int64], lit: Floats, places: Floats
     parts = lit.reshape(n * count, 3) / _FULL
     strongest = parts.max(axis=1, keepdims=True)
     colours = np.round(255 * np.divide(parts, strongest, out=np.zeros_like(parts), where=strongest > 0))
-    points = rr.Points3D.columns(
-        positions=np.tile(places, (n, 1)).astype(np.float32),
-        radii=np.where(strongest[:, 0] > 0, _LED_RADIUS, 0).astype(np.float32),
+    balls = rr.Ellipsoids3D.columns(
+        centers=np.tile(places, (n, 1)).astype(np.float32),
+        half_sizes=np.where(strongest > 0, _LED_RADIUS, 0).repeat(3, axis=1).astype(np.float32),
         colors=colours.astype(np.uint8),
     )
     place = f"/obstacles/{robot}_leds"
-    columns = points.partition([count] * n)
+    columns = balls.partition([count] * n)
     return [in_frame(place, f"{robot}/base"), Chunk.from_columns(place, [time_column(times_ns)], columns)]
