@@ -75,7 +75,7 @@ export class LivePlan {
         return fan;
       });
       const beams = robot.sonar.map(([x, y, heading]) => {
-        const beam = make("path", { class: "ray", transform: `translate(${x} ${y}) rotate(${heading})`, opacity: 0.25 });
+        const beam = make("path", { class: "ray", transform: `translate(${x} ${y}) rotate(${heading})`, opacity: 0.12 });
         node.prepend(beam);
         return beam;
       });

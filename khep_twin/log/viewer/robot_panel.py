@@ -131,7 +131,7 @@ def _filled(bar: Bar, values: Floats) -> Floats:
     return parts
 
 
-def _bars(values: Floats, feet: Floats, colour: tuple[int, int, int], scale: float) -> Any:
+def _bars(values: Floats, feet: Floats, colour: tuple[int, int, int], scale: float = 1.0) -> Any:
     """Return filled bars on their feet (k, 2), of values from -1 to 1 (n, k), as columns.
 
     rerun fills no boxes: a bar is one line up and down beside itself, without a gap.
