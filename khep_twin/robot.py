@@ -115,6 +115,11 @@ class Robot(WiredBoard, ABC):
         x, y, _ = self.pose
         return x, y, self._context.playpen.robots[self.index].body.radius
 
+    def readings(self) -> dict[str, list[int]]:
+        """Return the present numbers of its channels, by their names."""
+        self.refresh()
+        return {name: self.registers[list(own)].tolist() for name, _, own in self.sampled}
+
     @property
     def line_image(self) -> NDArray[np.int64] | None:
         """Greys that its turret sees, from the left to the right, 0 to 255 (n,); None without such one."""

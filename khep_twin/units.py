@@ -171,6 +171,13 @@ class Body:
         scene: File of its model in the assets.
         support_solref: Contact of the supports with the floor, as MuJoCo's `solref`; None for stiff ones.
         in_core: Whether the stepping core runs its board; else the robot does, between the core's steps.
+        sensors: Names of its infrared sensors, those that look at the floor last.
+        ground_positions: Positions of those that look at the floor, as `sensor_positions`.
+        wheel_radius: Radius of the wheels [m].
+        wheel_width: Width of the wheels [m].
+        wheel_base: Distance of the wheels [m].
+        pulses_per_turn: Pulses of an encoder in a turn of its wheel.
+        near_counts: Proximity above which something is near [counts].
     """
 
     radius: float
@@ -183,6 +190,23 @@ class Body:
     scene: str = "khepera.xml"
     support_solref: tuple[float, float] | None = None
     in_core: bool = True
+    sensors: tuple[str, ...] = SENSOR_LABELS
+    ground_positions: tuple[tuple[float, float], ...] = ()
+    wheel_radius: float = WHEEL_RADIUS
+    wheel_width: float = WHEEL_WIDTH
+    wheel_base: float = WHEEL_BASE
+    pulses_per_turn: int = PULSES_PER_TURN
+    near_counts: int = 100
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of its infrared sensors in its scene."""
+        return tuple(name.replace(" ", "_") for name in self.sensors)
+
+    @property
+    def pulse_length(self) -> float:
+        """Travel of a wheel per pulse [m]."""
+        return self.wheel_radius * 2 * math.pi / self.pulses_per_turn
 
 
 BODIES = {
@@ -218,6 +242,16 @@ BODIES = {
         "khepera4/khepera4.xml",
         (-600.0, -50.0),
         in_core=False,
+        sensors=(
+            *("back left", "left", "front left", "front", "front right", "right", "back right", "back"),
+            *("ground left", "ground front left", "ground front right", "ground right"),
+        ),
+        ground_positions=((0.020, 0.059), (0.0613, 0.010), (0.0613, -0.010), (0.020, -0.059)),
+        wheel_radius=0.021,
+        wheel_width=0.0065,
+        wheel_base=0.1054,
+        pulses_per_turn=19_456,
+        near_counts=150,
     ),
 }
 """Bodies by model. The Khepera II: 70 mm and 80 g (simulators, host libraries), sensors as in its manual's

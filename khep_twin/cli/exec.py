@@ -3,6 +3,7 @@
 import shlex
 from contextlib import ExitStack
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -90,6 +91,7 @@ def execute(
     not 0.
     """
     from khep_twin.khepera4.programs import run_programs
+    from khep_twin.log.recorded import PROGRAM
     from khep_twin.ports.twin import TwinOptions, open_twin
 
     check_new(logging.force, logging.log)
@@ -98,7 +100,8 @@ def execute(
     with open_twin(playpen, options) as twin, ExitStack() as stack:
         chosen = _on_robots(twin, robot, lines)
         if logging.log is not None:
-            twin.record(logging.log, on_failure=logging.on_failure)
+            told = "; ".join(shlex.join([Path(name).name, *rest]) for name, *rest in lines)
+            twin.record(logging.log, facts={PROGRAM: told}, on_failure=logging.on_failure)
         tell_kept(twin.recorder)
         watch = live_view.watching(stack, playpen, viewer=viewer, real_time=clock is ProgramClock.REAL)
         watch(twin)

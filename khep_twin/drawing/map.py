@@ -276,7 +276,11 @@ def _legend_entries(playpen: Playpen, colours: Mapping[str, str], paths: bool) -
     painted = (*objects, *playpen.walls, *playpen.patches)
     striped = (playpen.arena, *objects, *playpen.walls)
     stripes = (surface for part in striped for _, surface in part.stripes)
-    surfaces = (playpen.arena.surface, *(item.surface for item in painted), *stripes)
+    surfaces = (
+        *([] if playpen.arena.table else [playpen.arena.surface]),
+        *(item.surface for item in painted),
+        *stripes,
+    )
     for surface in dict.fromkeys(surfaces):
         yield Patch(label=surface, **surface_look(playpen, surface, movable=False))
     if any(item.movable for item in objects):

@@ -1,6 +1,7 @@
 """Symbols: parts of a playpen in a drawing, to scale, on axes in mm.
 
-Walls and objects have their surface's colour; movable objects are hatched, with a dashed edge. The floor
+Walls and objects have their surface's colour; movable objects are hatched, with a dashed edge. An arrow
+points up a ramp; a table has a dashed edge and no walls. The floor
 glows where it is lit by the lamps (`illumination`). The white wedge on a robot is its front.
 """
 
@@ -31,7 +32,7 @@ from khep_twin.playpen import (
     parts,
 )
 from khep_twin.playpen.polygon import walls_around
-from khep_twin.units import BODY_RADIUS, WHEEL_BASE, WHEEL_RADIUS, WHEEL_WIDTH
+from khep_twin.units import BODY_RADIUS
 
 Look = dict[str, Any]
 """Keyword arguments of matplotlib's artists, which leave their types open."""
@@ -58,11 +59,12 @@ def draw_arena(axes: Axes, playpen: Playpen) -> None:
     arena = playpen.arena
     wall, width, height = arena.wall_thickness_mm, arena.width_mm, arena.height_mm
     colour = surface_colour(playpen, arena.surface)
-    floor = Polygon(np.array(arena.corners), facecolor=_FLOOR, edgecolor=INK, lw=0.8)
-    if arena.outline_mm:
+    look: Look = {"ls": (0, (6, 3)), "lw": 1.2} if arena.table else {"lw": 0.8}
+    floor = Polygon(np.array(arena.corners), facecolor=_FLOOR, edgecolor=INK, **look)
+    if arena.outline_mm and not arena.table:
         for shape in walls_around(arena.outline_mm, wall):
             _draw_shape(axes, shape, facecolor=colour, edgecolor=INK, lw=0.8)
-    else:
+    elif not arena.table:
         axes.add_patch(
             Rectangle(
                 (-wall, -wall), width + 2 * wall, height + 2 * wall, facecolor=colour, edgecolor=INK, lw=0.8
@@ -95,6 +97,11 @@ def _light_at_start(playpen: Playpen, x_mm: Floats, y_mm: Floats) -> Floats:
 def draw_object(axes: Axes, playpen: Playpen, item: Block | Cylinder) -> Patch:
     """Draw a block or cylinder from above."""
     look = surface_look(playpen, item.surface, item.movable)
+    if isinstance(item, Block) and item.ramp:
+        along = 0.35 * item.length_mm * np.array([np.cos(turn := np.radians(item.angle_deg)), np.sin(turn)])
+        foot, top = (tuple(np.array((item.x_mm, item.y_mm)) + way) for way in (-along, along))
+        arrow = FancyArrowPatch(foot, top, arrowstyle="-|>", mutation_scale=14, lw=1.2, color=INK, zorder=3.1)
+        axes.add_patch(arrow)
     return _draw_shape(axes, item.footprint, zorder=3, **look)
 
 
@@ -206,11 +213,12 @@ def draw_robot(axes: Axes, labels: Labels, robot: RobotEntry, name: str) -> list
     parts: list[Patch] = [
         Circle((robot.x_mm, robot.y_mm), radius, facecolor=_BOARD, edgecolor=INK, lw=0.9, zorder=5)
     ]
+    body = robot.body
     tyre = 1000 * np.array(
-        [(a * WHEEL_RADIUS, b * WHEEL_WIDTH / 2) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        [(a * body.wheel_radius, b * body.wheel_width / 2) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     )
     for side in (1, -1):
-        offset = centre + side * 500 * WHEEL_BASE * left
+        offset = centre + side * 500 * body.wheel_base * left
         parts.append(Polygon(offset + tyre @ np.array((ahead, left)), facecolor=INK, zorder=5))
     wedge = radius * np.array(((0.88, 0.0), (0.42, 0.34), (0.42, -0.34)))
     parts.append(Polygon(centre + wedge @ np.array((ahead, left)), facecolor="white", zorder=6))

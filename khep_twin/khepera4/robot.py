@@ -21,6 +21,7 @@ from khep_twin import step
 from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL
 from khep_twin.errors import FaultError
 from khep_twin.khepera4 import infrared, ultrasonic
+from khep_twin.khepera4.channels import CHANNELS
 from khep_twin.khepera4.dspic import N_INFRARED, N_ULTRASONIC, Dspic
 from khep_twin.khepera4.gauge import CUT_OFF, Gauge
 from khep_twin.khepera4.inertial import Inertial
@@ -34,37 +35,16 @@ from khep_twin.robot import Robot, RobotSettings, SampledRegisters, WorldContext
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.world_state import BoardState, RobotSnapshot
+from khep_twin.units import BODIES
 
-PULSES_PER_TURN = 19_456
+PULSES_PER_TURN = BODIES["khepera4"].pulses_per_turn
 """Pulses of an encoder in a turn of its wheel (manual)."""
 
-_INFRARED = (
-    "back left, left, front left, front, front right, right, back right, back, "
-    "ground left, ground front left, ground front right, ground right"
-)
-_ORDERS = "left, right, order left, order right"
-_AXES = "x, y, z"
-_CHANNELS = {
-    "proximity": f"{_INFRARED} [counts]",
-    "ambient": f"{_INFRARED} [counts]",
-    "ultrasonic": "left, front left, front, front right, right [cm]",
-    "speed": f"{_ORDERS} [pulses/10 ms]",
-    "position": f"{_ORDERS} [pulses]",
-    "duty": "left, right [-2940 to 2940]",
-    "leds": ", ".join(
-        f"{each} {colour}" for each in ("left", "right", "back") for colour in ("red", "green", "blue")
-    )
-    + " [0 to 63]",
-    "accelerometer": f"{_AXES} [1/16384 g]",
-    "gyroscope": f"{_AXES} [0.066 deg/s]",
-    "battery": "voltage, current, charge, temperature [gauge]",
-    "control": "control, on target, ultrasonic enabled, status LED [register]",
-}
-_ENDS = [0, *accumulate(label.count(",") + 1 for label in _CHANNELS.values())]
+_ENDS = [0, *accumulate(label.count(",") + 1 for label in CHANNELS.values())]
 
 SAMPLED = tuple(
     SampledRegisters(name, label, range(start, end))
-    for (name, label), start, end in zip(_CHANNELS.items(), _ENDS, _ENDS[1:], strict=False)
+    for (name, label), start, end in zip(CHANNELS.items(), _ENDS, _ENDS[1:], strict=False)
 )
 """Channels of a log, one behind the other in the robot's registers."""
 

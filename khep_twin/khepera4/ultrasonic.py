@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from khep_twin.khepera4.channels import CODES
 from khep_twin.khepera4.moments import Moment, PastScene
 from khep_twin.sensing.mujoco_scene import PAINT
 from khep_twin.sensing.noise import TABLES, draws
@@ -29,13 +30,12 @@ PERIOD_NS = 20_000_000
 RANGE, NEAREST = 2.5, 0.25
 """Longest and shortest distance that is measured [m] (manual)."""
 
-TOO_NEAR, NOTHING, DISABLED = 0, 1000, 2000
-"""Readings without a distance (library)."""
+TOO_NEAR, NOTHING, DISABLED = CODES
 
 HEADINGS_DEG = (90, 45, 0, -45, -90)
 """Heading of each sensor, left to right (manual)."""
 
-_RADIUS, _HEIGHT = 0.066, 0.0445
+RADIUS, HEIGHT = 0.066, 0.0445
 """Place of the sensors: distance from the centre (assumed) and height [m] (drawing)."""
 
 _EXPONENT, _MIRROR_RAD, _SCATTER = 2.27, math.radians(12), 0.03
@@ -113,7 +113,7 @@ def _beams() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float
     places: list[tuple[float, float, float]] = []
     rays: list[list[tuple[float, float, float]]] = []
     for heading in map(math.radians, HEADINGS_DEG):
-        places.append((_RADIUS * math.cos(heading), _RADIUS * math.sin(heading), _HEIGHT))
+        places.append((RADIUS * math.cos(heading), RADIUS * math.sin(heading), HEIGHT))
         rays.append(
             [
                 (

@@ -21,7 +21,7 @@ from khep_twin.files.toml_files import SIZE_LIMIT, validate
 from khep_twin.log.decoding import DecodeError, first_line, shown
 from khep_twin.playpen import Playpen
 from khep_twin.sensing.calibration import Calibration
-from khep_twin.units import Sensor
+from khep_twin.units import BODIES, Body
 
 DEEPEST = 64
 """Most levels of nested elements in a scene."""
@@ -49,14 +49,22 @@ def calibration_of(attachments: Mapping[str, str], robot: str, source: object) -
         return validate(Calibration, _text(attachments, name), name, CalibrationError)
 
 
+def bodies_of(attachments: Mapping[str, str], robots: Sequence[str], source: object) -> dict[str, Body]:
+    """Return the body of each robot; the Khepera's where the log has no playpen."""
+    entries = playpen_of(attachments, source).robots if "playpen.toml" in attachments else ()
+    found = {f"khepera{index}": entry.body for index, entry in enumerate(entries)}
+    return {robot: found.get(robot, BODIES["khepera1"]) for robot in robots}
+
+
 def shapes_of(attachments: Mapping[str, str], robots: Sequence[str], source: object) -> mujoco.MjModel:
     """Return the scene of a log, reduced to its shapes; it has bodies and sensors of these robots."""
+    bodies = bodies_of(attachments, robots, source)
     with _named(source, "scene.xml"):
         model = _model(_text(attachments, "scene.xml"))
         there = {model.body(index).name for index in range(model.nbody)}
         there |= {model.cam(index).name for index in range(model.ncam)}
-        for robot in robots:
-            for name in ("base", *(sensor.key for sensor in Sensor)):
+        for robot, body in bodies.items():
+            for name in ("base", *body.cameras):
                 if f"{robot}/{name}" not in there:
                     raise DecodeError(f"no {robot}/{name}", "it, as the log's robots have it")
         return model

@@ -10,6 +10,8 @@
     /khepera0/position          std_msgs/Float64MultiArray  left, right [pulses], in logs of sensor tests
     /khepera0/duty              std_msgs/Float64MultiArray  left, right, -255 to 255
     /khepera0/leds              std_msgs/Float64MultiArray  LED 0 (lateral), 1 (frontal), 1 when lit
+    /khepera0/ultrasonic        std_msgs/Float64MultiArray  left to right [cm], of a Khepera IV, whose other
+                                                channels are in `khepera4.channels`
     /khepera0/registers         std_msgs/Int64MultiArray    the board's whole state
     /khepera0/gripper           std_msgs/Int64MultiArray    a turret's whole state, under the turret's name
     /khepera0/vision            sensor_msgs/Image           greys from left to right, of a turret that sees

@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.log.channels import FLOATS, IMAGE, INTEGERS, TextLine
+from khep_twin.log.columns import is_khepera4
 from khep_twin.log.decoding import (
     LATEST_NS,
     DecodeError,
+    read_array,
     read_arrays_of,
     read_each,
     read_images_of,
@@ -33,8 +35,8 @@ READERS: dict[str, Callable[[list[bytes]], NDArray[np.int64] | NDArray[np.float6
 FOR_REPEAT = ("host_events", "state", "snapshot")
 """Channels without samples, for `khep-twin repeat` and `branch`, in rows of any length."""
 
-WIDTHS = {"proximity": 8, "ambient": 8, "speed": 4, "duty": 2, "registers": 0}
-"""Numbers of a message by sampled channel of a robot; 0 for as many as in the first one."""
+WIDTHS = {"proximity": (8, 12), "ambient": (8, 12), "speed": (4,), "duty": (2,), "registers": (0,)}
+"""Numbers of a message by sampled channel of a robot, of each model; 0 for as many as in the first one."""
 
 _LARGEST = 2**62
 """Largest number that is accepted as an integer."""
@@ -84,6 +86,10 @@ class Messages:
         """Return the values of a robot's sampled channel as integers (n, width)."""
         _, values = self._decoded(f"/{robot}/{name}", partial(read_samples, name=name))
         return values.astype(np.int64)
+
+    def is_khepera4(self, robot: str) -> bool:
+        """Return whether a robot is a Khepera IV."""
+        return is_khepera4(robot, self._found)
 
     def lines(self, topic: str) -> list[TextLine]:
         """Return the lines of a transcript or the events."""
@@ -143,11 +149,14 @@ def line_topics(robots: Iterable[str]) -> set[str]:
 
 def read_samples(messages: Sequence[bytes], name: str) -> _Values:
     """Return the values of messages of a robot's sampled channel (n, width)."""
+    width, *others = WIDTHS.get(name, (0,))
     if not messages:
-        return np.zeros((0, WIDTHS[name]))
+        return np.zeros((0, width))
     if name == "registers":
-        return read_arrays_of(messages, "q", WIDTHS[name], f" of {name}")
-    values = read_arrays_of(messages, "d", WIDTHS[name], f" of {name}")
+        return read_arrays_of(messages, "q", width, f" of {name}")
+    if others and len(read_array(messages[0], "d")) in others:
+        width = others[0]
+    values = read_arrays_of(messages, "d", width, f" of {name}")
     small = ((values >= -_LARGEST) & (values <= _LARGEST)).all(axis=1)
     if not small.all():
         row = int(np.argmin(small))

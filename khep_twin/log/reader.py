@@ -6,7 +6,7 @@ Each function raises a `LogError` for a log that does not exist, or is not whole
 import hashlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +19,15 @@ from khep_twin.files.atomic import open_regular
 from khep_twin.files.paths import StrPath
 from khep_twin.invocation import command
 from khep_twin.log.channels import FLOATS, IMAGE, TextLine
-from khep_twin.log.columns import KNOWN
+from khep_twin.log.columns import KNOWN4, named
 from khep_twin.log.content import Content
 from khep_twin.log.decoding import DecodeError, readable
 from khep_twin.log.entries import Entry, Label, label_of, run_facts
 from khep_twin.log.messages import WIDTHS, Messages, TimeSeries, check_time, is_for_repeat
 from khep_twin.playpen import Playpen, parse
 from khep_twin.playpen.checks import require_kheperas
+
+_MORE = [kind for kind in KNOWN4 if kind not in WIDTHS]
 
 PIECE = 32 << 20
 """Most bytes of messages that `read_pieces` reads at a time, besides a chunk."""
@@ -38,12 +40,13 @@ class RobotTrack:
     Attributes:
         times_ns: Times of the samples (n,) [ns].
         pose: Positions x, y [m] and headings [rad] (n, 3).
-        proximity: Counts in the order of N (n, 8).
-        ambient: Counts in the order of O (n, 8).
+        proximity: Counts in the order of N (n, 8); of a Khepera IV (n, 12).
+        ambient: Counts in the order of O (n, 8); of a Khepera IV (n, 12).
         speed: Speeds left, right, setpoint left, setpoint right (n, 4) [pulses/10 ms].
-        duty: Duties left, right (n, 2) [-255 to 255].
+        duty: Duties left, right (n, 2) [-255 to 255]; of a Khepera IV [-2940 to 2940].
         registers: Whole state of the board (n, n_registers).
         serial: Transcript, in order of time.
+        more: Further channels of a Khepera IV by name (n, columns), e.g. "ultrasonic"; none of others.
     """
 
     times_ns: NDArray[np.int64]
@@ -54,6 +57,7 @@ class RobotTrack:
     duty: NDArray[np.int64]
     registers: NDArray[np.int64]
     serial: list[TextLine]
+    more: Mapping[str, NDArray[np.int64]] = field(default_factory=dict[str, NDArray[np.int64]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,16 +103,26 @@ class LoggedRun:
         """Return the samples of all robots as columns (n,) by name, as `pandas.DataFrame` takes them.
 
         They are "time_s", "robot", and those of `khep-twin export` for pose, proximity, ambient, speed and
-        duty. Rows are in order of time, and then of the robots.
+        duty, of a Khepera IV also its further channels; NaN where a robot has no such column. Rows are in
+        order of time, and then of the robots.
         """
         tracks = [*self.robots.values()]
         times_ns = np.concatenate([track.times_ns for track in tracks])
         order = np.argsort(times_ns, kind="stable")
         names = np.repeat([*self.robots], [len(track.times_ns) for track in tracks])
         table: dict[str, NDArray[np.generic]] = {"time_s": times_ns[order] / 1e9, "robot": names[order]}
-        for kind in ("pose", "proximity", "ambient", "speed", "duty"):
-            values = np.concatenate([getattr(track, kind) for track in tracks])[order]
-            table |= {column: values[:, index] for index, (column, _) in enumerate(KNOWN[kind])}
+        mixed = len({bool(track.more) for track in tracks}) > 1
+        found: dict[str, dict[int, NDArray[np.generic]]] = {}
+        for index, track in enumerate(tracks):
+            own = {kind: getattr(track, kind) for kind in ("pose", "proximity", "ambient", "speed", "duty")}
+            for kind, values in (own | dict(track.more)).items():
+                _, columns = named(kind, values.shape[1], khepera4=bool(track.more), mixed=mixed)
+                for (column, _), each in zip(columns, values.T, strict=True):
+                    found.setdefault(column, {})[index] = each
+        gaps = [np.full(len(track.times_ns), np.nan) for track in tracks]
+        for column, own in found.items():
+            parts = [own.get(index, gap) for index, gap in enumerate(gaps)]
+            table[column] = np.concatenate(parts)[order]
         return table
 
 
@@ -141,6 +155,7 @@ def read_log(path: StrPath) -> LoggedRun:
             pose,
             *(messages.samples(name, kind) for kind in WIDTHS),
             serial=messages.lines(f"/{name}/serial"),
+            more={kind: messages.samples(name, kind) for kind in _MORE if messages.is_khepera4(name)},
         )
         for name, pose in zip(label.robots, poses, strict=True)
     }

@@ -27,6 +27,9 @@ RecordedEvent = tuple[int, int, HostEvent]
 BRANCH = "branch.json"
 """Attachment with the changes of a run that was branched off another one."""
 
+PROGRAM = "program"
+"""Fact of a run that a program drove, of which the log has nothing: its command line."""
+
 
 @dataclass(frozen=True, slots=True)
 class BranchPoint:
@@ -124,6 +127,8 @@ _OVERTIME_NS = 10 * NS_PER_S
 
 def check_line(path: Path, label: Label) -> None:
     """Raise a `LogError` if a log has nothing of what moved its robots."""
+    if PROGRAM in label.metadata:
+        raise LogError(f"{path}: cannot be repeated: a program drove it; expected a log of a serial line")
     if label.metadata.get("line") == "none":
         raise LogError(
             f"{path}: cannot be repeated: its controller ran without a line, of which the log has nothing; "

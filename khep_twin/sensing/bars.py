@@ -6,7 +6,7 @@ bright light.
 
 from dataclasses import dataclass
 
-from khep_twin.units import COUNTS_LIMIT
+from khep_twin.units import BODIES, COUNTS_LIMIT, Body
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,3 +34,14 @@ BARS = {
     "speed": Bar(20, "speed, -20 to 20", lowest=-1.0),
 }
 """Kinds of bars by name [counts, counts, pulses/10 ms]; the limits are the toolbox's."""
+
+BARS4 = BARS | {
+    "light": Bar(980, "light, 980 dark to 0 bright"),
+    "speed": Bar(500, "speed, -500 to 500", lowest=-1.0),
+}
+"""Those of a Khepera IV; its speed has other pulses."""
+
+
+def bars_of(body: Body) -> dict[str, Bar]:
+    """Return the bars of a robot with this body."""
+    return BARS4 if body is BODIES["khepera4"] else BARS

@@ -11,5 +11,16 @@ _VIOLET: list[Colour] = [(177, 151, 252), (230, 153, 247)]
 SENSORS = {label: colour for label, colour in zip(SENSOR_LABELS, [*_WARM, *COLD, *_VIOLET], strict=True)}
 """Colours of the sensors: left ones warm, right ones cold, those at the back violet."""
 
+OF_SENSORS: dict[str, Colour] = SENSORS | {
+    **dict(zip(("left", "front left", "front"), _WARM, strict=True)),
+    **dict(zip(("front right", "right"), COLD, strict=False)),
+    **{"back": (200, 200, 200), "ground left": (148, 216, 45), "ground front left": (200, 230, 110)},
+    **{"ground front right": (56, 217, 169), "ground right": (18, 184, 134)},
+}
+"""Colours of the sensors of all models, by their names."""
+
+AXES: dict[str, Colour] = {"x": _WARM[0], "y": (148, 216, 45), "z": COLD[1]}
+"""Colours of a vector's parts."""
+
 WHEELS = {"left": _WARM[0], "right": COLD[1]}
 """Colours of the wheels."""

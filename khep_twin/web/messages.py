@@ -11,10 +11,19 @@ from typing import Literal, NotRequired, TypedDict, get_args, get_type_hints
 
 
 class RobotShape(TypedDict):
-    """Radius of a robot [mm], and the position [mm] and heading [deg] of each sensor."""
+    """Radius of a robot [mm], and the position [mm] and heading [deg] of each sensor around.
+
+    `names` are those of its infrared sensors, `n_ground` of which look at the floor; `wheels_mm` has their
+    distance, radius and width; `sonar` is as `sensors` for the ultrasonic ones; `bars` are the kinds of bars.
+    """
 
     radius_mm: float
     sensors: Sequence[Sequence[float]]
+    names: Sequence[str]
+    n_ground: int
+    wheels_mm: Sequence[float]
+    sonar: Sequence[Sequence[float]]
+    bars: Mapping[str, object]
 
 
 class PresentRobot(RobotShape):
@@ -24,6 +33,7 @@ class PresentRobot(RobotShape):
     port: str
     baud: NotRequired[int]
     sensor_height_mm: NotRequired[float]
+    leds_mm: NotRequired[Sequence[Sequence[float]]]
     turrets: NotRequired[Sequence[str]]
 
 
@@ -46,7 +56,8 @@ class RobotBegins(TypedDict):
 class RobotReadings(TypedDict):
     """Readings of a robot; what follows `vision` is known of a twin only.
 
-    `vision` is missing where the image was not read, and None without a camera.
+    `vision` is missing where the image was not read, and None without a camera; `more` has further channels
+    of a Khepera IV.
     """
 
     proximity: Sequence[int]
@@ -58,6 +69,7 @@ class RobotReadings(TypedDict):
     y_mm: NotRequired[float]
     heading_deg: NotRequired[float]
     turrets: NotRequired[object]
+    more: NotRequired[Mapping[str, Sequence[int]]]
     host: NotRequired[bool]
     host_commands: NotRequired[int]
 

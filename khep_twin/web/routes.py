@@ -18,6 +18,7 @@ from khep_twin.files.toml_files import summary
 from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.sensing import colours
 from khep_twin.sensing.bars import BARS
+from khep_twin.units import BODIES
 from khep_twin.web import drafts, requests
 from khep_twin.web.answers import Actions, endpoint, failed, on, with_body
 from khep_twin.web.broadcaster import Broadcaster
@@ -108,12 +109,12 @@ class Page:
             "library": {name: summary("playpens", name) for name in playpens.names()},
             "controllers": list(BUILT_IN),
             "bars": {name: asdict(bar) for name, bar in BARS.items()},
-            "colours": {"sensors": colours.SENSORS, "wheels": colours.WHEELS},
+            "colours": {"sensors": colours.OF_SENSORS, "wheels": colours.WHEELS},
             "turrets": {
                 name: {"description": kind.description, "parts": at_start(name)}
                 for name, kind in installed().items()
             },
-            "shapes": {model: shape(model, model) for model in ("khepera1", "khepera2")},
+            "shapes": {model: shape(model, model) for model in BODIES},
             "runs": runs,
         }
 

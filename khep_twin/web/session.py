@@ -5,6 +5,7 @@ its pictures are passed to the page, at most 25 times a second.
 """
 
 import io
+import math
 import os
 import sys
 import threading
@@ -12,12 +13,15 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from ctypes import c_ulong, py_object, pythonapi
+from dataclasses import asdict
 from typing import Literal, TextIO
 
 from khep_twin.errors import KhepTwinError, PortError, ProtocolError
 from khep_twin.host import Khepera, Vision, commands
+from khep_twin.khepera4.ultrasonic import HEADINGS_DEG, RADIUS
 from khep_twin.machine import n_forks
 from khep_twin.sensing import calibration
+from khep_twin.sensing.bars import bars_of
 from khep_twin.units import BODIES
 from khep_twin.web import messages
 from khep_twin.web.jobs import Job
@@ -178,11 +182,23 @@ class WebSession:
 
 
 def shape(model: str, sensors: str) -> RobotShape:
-    """Return a robot's radius and sensors, for drawing: [mm] and [deg]."""
+    """Return a robot's shape for drawing: [mm] and [deg]."""
     body = BODIES[model]
     poses = zip(body.sensor_positions, calibration.read(sensors)[0].heading_deg, strict=True)
-    placed = [[round(x * 1e3, 2), round(y * 1e3, 2), heading] for (x, y), heading in poses]
-    return {"radius_mm": body.radius * 1e3, "sensors": placed}
+    heard = () if body.in_core else HEADINGS_DEG
+    rim_mm = 1e3 * RADIUS
+    ends = ((math.cos(math.radians(turn)), math.sin(math.radians(turn)), turn) for turn in heard)
+    return {
+        "radius_mm": body.radius * 1e3,
+        "sensors": [[round(x * 1e3, 2), round(y * 1e3, 2), heading] for (x, y), heading in poses],
+        "names": body.sensors,
+        "n_ground": len(body.ground_positions),
+        "wheels_mm": [
+            round(1e3 * each, 3) for each in (body.wheel_base, body.wheel_radius, body.wheel_width)
+        ],
+        "sonar": [[round(rim_mm * x, 2), round(rim_mm * y, 2), turn] for x, y, turn in ends],
+        "bars": {name: asdict(bar) for name, bar in bars_of(body).items()},
+    }
 
 
 class _Split(io.TextIOBase):

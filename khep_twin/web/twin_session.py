@@ -7,7 +7,9 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from khep_twin.board.kernel import AMBIENT, PROXIMITY, SPEEDS, Board
+import numpy as np
+from numpy.typing import NDArray
+
 from khep_twin.errors import KhepTwinError, PortError
 from khep_twin.interventions.move_robot import current_playpen, put
 from khep_twin.interventions.switching import switch
@@ -25,6 +27,9 @@ from khep_twin.web.messages import Publish
 from khep_twin.web.paced_twin import OutsideHost, PacedTwin
 from khep_twin.web.scene import DrawnScene, TurretParts
 from khep_twin.web.session import WebSession, shape
+
+_MORE = ("ultrasonic", "position", "accelerometer", "gyroscope", "battery")
+"""Further channels of a Khepera IV that the page shows."""
 
 _NOT_YET = "the twin is not there yet; expected a started twin"
 
@@ -156,6 +161,7 @@ class TwinActor(WebSession):
 
     def _cast(self, twin: PacedTwin, ports: Sequence[HostPort]) -> messages.TwinBegins:
         """Return the first message: the robots and the log."""
+        sites: NDArray[np.float64] = twin.world.model.site_pos
         return {
             "kind": "twin",
             "playpen": twin.world.playpen.name,
@@ -166,6 +172,7 @@ class TwinActor(WebSession):
                     "baud": robot.firmware.baud,
                     **shape(entry.model, entry.calibration),
                     "sensor_height_mm": BODIES[entry.model].sensor_height * 1e3,
+                    "leds_mm": np.round(1e3 * sites[list(robot.indices.leds), :2], 2).tolist(),
                     "turrets": entry.turrets,
                 }
                 for robot, port, entry in zip(twin.robots, ports, twin.world.playpen.robots, strict=True)
@@ -179,18 +186,19 @@ class TwinActor(WebSession):
         robots: list[messages.RobotReadings] = []
         now = current_playpen(world)
         for index, (robot, host, entry) in enumerate(zip(twin.robots, hosts, now.robots, strict=True)):
-            registers, image = robot.registers, robot.line_image
+            told, image = robot.readings(), robot.line_image
             robots.append(
                 {
                     "x_mm": round(entry.x_mm, 2),
                     "y_mm": round(entry.y_mm, 2),
                     "heading_deg": round(entry.heading_deg, 2),
-                    "proximity": registers[PROXIMITY].tolist(),
-                    "ambient": registers[AMBIENT].tolist(),
-                    "speed": registers[SPEEDS].tolist(),
+                    "proximity": told["proximity"],
+                    "ambient": told["ambient"],
+                    "speed": told["speed"][:2],
                     "vision": None if image is None else image.tolist(),
                     "turrets": self._turrets[index].corners(),
-                    "leds": registers[[Board.LED_0, Board.LED_1]].tolist(),
+                    "leds": told["leds"],
+                    "more": {name: told[name] for name in _MORE if name in told},
                     "host": host.port.occupied,
                     "host_commands": host.commands,
                 }

@@ -39,8 +39,10 @@ def test_a_program_drives_the_twin_and_its_code_and_log_are_kept(
     assert done.returncode == 3
     assert "revision B 0" in capfd.readouterr().out
     assert "view run.mcap" in done.stderr
-    recording = read_log(tmp_path / "run.mcap")
-    assert "proximity" in {path.rpartition("/")[2] for path in recording.series}
+    run = read_log(tmp_path / "run.mcap")
+    assert (run.robots["khepera0"].proximity.shape[1], run.metadata["program"]) == (12, "drive")
+    done = khep_twin("repeat", "run.mcap", folder=tmp_path)
+    assert "a program drove it; expected a log of a serial line" in done.stderr
 
 
 def test_the_same_seed_gives_the_same_log_with_threads_and_children(programs: Path, tmp_path: Path) -> None:

@@ -66,6 +66,18 @@ def test_a_twin_is_driven_lifted_and_switched_and_its_log_repeats(
     assert repeat(recorded) is None
 
 
+def test_a_khepera4_is_shown_beside_a_khepera_with_all_its_sensors(ear: Ear) -> None:
+    actor = TwinActor(Playpen.load("arena4-two"), TwinOptions(), None, ear)
+    actor.begin()
+    large, _, small = ear.wait("twin")["robots"]
+    assert [len(large[key]) for key in ("sensors", "names", "sonar", "leds_mm")] == [8, 12, 5, 3]
+    assert (large["radius_mm"], small["radius_mm"], small["sonar"]) == (70.4, 27.5, [])
+    large, _, small = ear.wait("picture", lambda told: told["time"] > 0.1)["robots"]
+    assert [len(large[key]) for key in ("proximity", "ambient", "speed", "leds")] == [12, 12, 2, 9]
+    assert (len(large["more"]["ultrasonic"]), small["more"]) == (5, {})
+    actor.end()
+
+
 def test_there_is_no_room_for_a_robot_in_a_wall(actor: TwinActor, ear: Ear) -> None:
     ear.wait("twin")
     actor.put(0, 5, 5, 0)

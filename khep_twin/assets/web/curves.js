@@ -6,26 +6,31 @@ const SPAN = 20; // shown at once [s]
 const SLOT = 0.04; // of several samples within it, the last is kept [s]
 const SIZE = 512; // samples of a ring: more than SPAN / SLOT
 // Values of a sample from `first` on, with the colours of the legend from `entry` on.
-const GROUPS = {
-  proximity: { title: "proximity [counts]", first: 0, n: 8, entry: 0, lowest: 0 },
-  light: { title: "light [counts, low is bright]", first: 8, n: 8, entry: 0, lowest: 0 },
-  speed: { title: "speeds of the wheels [pulses/10 ms]", first: 16, n: 2, entry: 8, lowest: -1 },
-};
-const VALUES = 18; // of a sample: those of all groups
+const groups = (n) => ({
+  proximity: { title: "proximity [counts]", first: 0, n, entry: 0, lowest: 0 },
+  light: { title: "light [counts, low is bright]", first: n, n, entry: 0, lowest: 0 },
+  speed: { title: "speeds of the wheels [pulses/10 ms]", first: 2 * n, n: 2, entry: n, lowest: -1 },
+});
 const [LEFT, RIGHT, TITLE, PLOT, HEIGHT, FOOT] = [38, 8, 17, 76, 101, 22]; // [px]
 
 // The newest samples of a robot, in memory that does not grow.
 class Ring {
   n = 0; // samples so far
   times = new Float64Array(SIZE);
-  #values = new Int16Array(SIZE * VALUES);
+  #values;
+
+  // Takes the names of the robot's sensors.
+  constructor(names) {
+    this.size = 2 * names.length + 2; // values of a sample: those of all groups
+    this.#values = new Int16Array(SIZE * this.size);
+  }
 
   add(time, { proximity, ambient, speed }) {
     const last = this.n && this.times[(this.n - 1) % SIZE];
     if (!this.n || Math.floor(time / SLOT) !== Math.floor(last / SLOT)) this.n++;
     const at = (this.n - 1) % SIZE;
     this.times[at] = time;
-    this.#values.set([...proximity, ...ambient, ...speed.slice(0, 2)], at * VALUES);
+    this.#values.set([...proximity, ...ambient, ...speed.slice(0, 2)], at * this.size);
   }
 
   time(sample) {
@@ -33,7 +38,7 @@ class Ring {
   }
 
   value(sample, curve) {
-    return this.#values[(sample % SIZE) * VALUES + curve];
+    return this.#values[(sample % SIZE) * this.size + curve];
   }
 
   // The first sample that is kept and not before a time, or the last one.
@@ -51,7 +56,10 @@ class Ring {
 }
 
 export class Curves {
-  #rings = [new Ring()];
+  #rings = [new Ring([])];
+  #robots = [];
+  #named = {};
+  #groups = groups(0);
   #which = 0;
   #seen = false;
   #pending = 0;
@@ -76,14 +84,20 @@ export class Curves {
     }).observe(root);
     new ResizeObserver(() => this.#soon()).observe(root);
     this.dark = matchMedia("(prefers-color-scheme: dark)");
-    this.dark.addEventListener("change", () => this.#paint());
+    this.dark.addEventListener("change", () => this.curves && this.#paint());
   }
 
-  // The bars' kinds, whose full values the axes have at least, and the colours of sensors and wheels by name.
-  limits(bars, { sensors, wheels }) {
+  // The colours of sensors and wheels by name.
+  limits(colours) {
+    this.#named = colours;
+  }
+
+  #legend({ names, bars }) {
+    const { sensors, wheels } = this.#named;
+    this.#groups = groups(names.length);
     this.#full = Object.fromEntries(Object.entries(bars).map(([name, { full }]) => [name, full]));
     const wheel = Object.entries(wheels).map(([side, colour]) => [`${side} wheel`, colour]);
-    this.curves = [...Object.entries(sensors), ...wheel].map(([name, colour]) => {
+    this.curves = [...names.map((name) => [name, sensors[name]]), ...wheel].map(([name, colour]) => {
       const [entry, chip, value] = ["li", "i", "b"].map((tag) => document.createElement(tag));
       entry.append(chip, name, value);
       return { colour, entry, chip, value };
@@ -92,16 +106,17 @@ export class Curves {
     this.#paint();
   }
 
-  // A new run, with so many robots.
+  // A new run, with these robots; their bars' full values are on the axes at least.
   clear(robots) {
-    this.#rings = Array.from({ length: robots }, () => new Ring());
+    this.#robots = robots;
+    this.#rings = robots.map(({ names }) => new Ring(names));
     this.root.hidden = false;
     this.show(0);
   }
 
   show(which) {
     this.#which = which;
-    this.#soon();
+    this.#legend(this.#robots[which]);
   }
 
   read({ time, robots }) {
@@ -126,8 +141,8 @@ export class Curves {
   #draw() {
     this.#pending = 0;
     const { canvas, pen } = this;
-    const shown = Object.keys(GROUPS).filter((name) => this.boxes[name].checked);
-    this.curves.forEach(({ entry }, curve) => (entry.hidden = !shown.some((name) => (name === "speed") === curve > 7)));
+    const shown = Object.keys(this.#groups).filter((name) => this.boxes[name].checked);
+    this.curves.forEach(({ entry }, curve) => (entry.hidden = !shown.some((name) => (name === "speed") === curve >= this.#groups.speed.entry)));
     canvas.hidden = !shown.length;
     if (!canvas.clientWidth) return;
     const [width, height, scale] = [canvas.clientWidth, shown.length * HEIGHT + FOOT, devicePixelRatio];
@@ -153,7 +168,7 @@ export class Curves {
   // The axes and curves of a group, from `top` on.
   #plot(name, top, { ring, begin, x, under, width }) {
     const { pen } = this;
-    const { title, first, n, entry, lowest } = GROUPS[name];
+    const { title, first, n, entry, lowest } = this.#groups[name];
     const from = Math.max(ring.from(begin) - 1, ring.n - SIZE, 0);
     let most = 0;
     for (let sample = from; sample < ring.n; sample++) for (let curve = first; curve < first + n; curve++) most = Math.max(most, Math.abs(ring.value(sample, curve)));
@@ -190,7 +205,7 @@ export class Curves {
 
   // The values at the pointer stand in the legend.
   #tell(ring, sample, name) {
-    const { first, n, entry, title } = GROUPS[name] ?? {};
+    const { first, n, entry, title } = this.#groups[name] ?? {};
     write(this.at, sample === null ? "Point at a curve to read its values." : `${ring.time(sample).toFixed(2)} s: ${title}`);
     this.curves.forEach(({ value }, curve) => write(value, sample !== null && curve >= entry && curve < entry + n ? ring.value(sample, first + curve - entry) : ""));
   }

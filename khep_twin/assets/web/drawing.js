@@ -168,7 +168,9 @@ export class Drawing {
       const shape = round ? make("circle", { r: Math.max(drawable(thing.radius_mm), 0), class: "shape", fill }) : rectangle(thing.length_mm, thing.width_mm, fill);
       if (kind === "patch") shape.setAttribute("fill-opacity", "0.55");
       const sides = round ? [circle(drawable(thing.radius_mm))] : rectangleSides(drawable(thing.length_mm), drawable(thing.width_mm));
-      return make("g", {}, shape, ...this.#stripes(thing, sides));
+      const [far, tip] = [0.35 * drawable(thing.length_mm), 0.1 * drawable(thing.length_mm)];
+      const up = thing.ramp ? [make("path", { class: "nose", d: `M${-far} 0H${far}M${far - tip} ${-tip}L${far} 0L${far - tip} ${tip}` })] : []; // an arrow up the ramp
+      return make("g", {}, shape, ...this.#stripes(thing, sides), ...up);
     }
     if (kind === "wall") {
       const thick = Math.max(drawable(thing.thickness_mm), 0);
@@ -195,8 +197,8 @@ export class Drawing {
   }
 
   robot(kind = "khepera1", turrets = [], told = null) {
-    const { radius_mm: radius, sensors } = told ?? this.shapes[kind] ?? { radius_mm: 27.5, sensors: [] };
-    const wheels = [-26, 26].map((y) => make("rect", { x: -7.5, y: y - 1.5, width: 15, height: 3, fill: "var(--wheel)" }));
+    const { radius_mm: radius, sensors, wheels_mm: [base, wheel, wide] } = told ?? this.shapes[kind] ?? { radius_mm: 27.5, sensors: [], wheels_mm: [52, 7.64, 3] };
+    const wheels = [-base / 2, base / 2].map((y) => make("rect", { x: -wheel, y: y - wide / 2, width: 2 * wheel, height: wide, fill: "var(--wheel)" }));
     const eyes = sensors.map(([x, y]) => make("circle", { cx: x, cy: y, r: 1.8, fill: "var(--blue)" }));
     const nose = make("path", { class: "nose", d: `M${radius - 12} -7L${radius - 3} 0L${radius - 12} 7` });
     return make("g", {}, make("circle", { r: radius, class: "shape body" }), ...wheels, ...this.#turrets(turrets), nose, ...eyes);
@@ -224,6 +226,10 @@ export class Drawing {
     const { outline_mm: outline = [] } = arena;
     const corners = outline.length ? outline : [[0, 0], [width, 0], [width, height], [0, height]];
     const path = closed(corners);
+    const walls = arena.table ? [] : [
+      make("path", { d: path, class: "wall-around", "stroke-width": 2 * thick, "stroke-linejoin": "miter" }),
+      make("path", { d: path, fill: "none", stroke: this.colour(arena.surface ?? "white"), "stroke-width": Math.max(2 * thick - 3, 1) }),
+    ];
     const step = Math.max(width, height) > 2500 ? 500 : 100;
     let lines = "";
     const texts = [];
@@ -236,9 +242,8 @@ export class Drawing {
       texts.push([-thick - 4, y - 4, y, "end"]);
     }
     this.ground.replaceChildren(
-      make("path", { d: path, class: "wall-around", "stroke-width": 2 * thick, "stroke-linejoin": "miter" }),
-      make("path", { d: path, fill: "none", stroke: this.colour(arena.surface ?? "white"), "stroke-width": Math.max(2 * thick - 3, 1) }),
-      make("path", { d: path, class: "floor" }),
+      ...walls,
+      make("path", { d: path, class: "floor", ...(arena.table && { style: "stroke: var(--edge); stroke-dasharray: 12 6" }) }), // a table has an edge
       ...this.#stripes(arena, [...corners].every((at) => at.length === 2) ? within(corners) : []),
       make("path", { d: lines, class: "grid" }),
       ...texts.map(([x, y, text, anchor]) => Object.assign(make("text", { class: "axis", transform: `translate(${x} ${y}) scale(1,-1)`, "text-anchor": anchor }), { textContent: text })),

@@ -3,7 +3,7 @@
 import { OBJECTS, undoKey } from "./model.js";
 
 const CHOICES = {
-  model: ["khepera1", "khepera2"],
+  model: ["khepera1", "khepera2", "khepera4"],
   rom: ["5.02", "4.06", "khepera2"],
   "lighting.mode": ["all", "random", "sequenced"],
   "lighting.law": ["optics", "toolbox"],
@@ -17,7 +17,7 @@ const KEYS = {
   spot: ["name", "x_mm", "y_mm", "heading_deg"],
 };
 const PARTS = [
-  ["arena", ["width_mm", "height_mm", "wall_height_mm", "wall_thickness_mm", "surface", "stripes", "outline_mm"]],
+  ["arena", ["width_mm", "height_mm", "wall_height_mm", "wall_thickness_mm", "surface", "stripes", "outline_mm", "table"]],
   ["lighting", ["mode", "switch_distance_mm", "law", "min_angle_deg", "max_angle_deg", "mains_hz", "room_lux"]],
 ];
 const TEXTS = new Set(["name", "surface", "model", "calibration", "rom", "mode"]);

@@ -28,6 +28,19 @@ class Trail {
   }
 }
 
+// A beam of 30 degrees, as long as an ultrasonic sensor reads.
+function sector(reach) {
+  const [x, y] = [reach * Math.cos(Math.PI / 12), reach * Math.sin(Math.PI / 12)];
+  return `M0 0L${x} ${-y}A${reach} ${reach} 0 0 1 ${x} ${y}Z`;
+}
+
+// An LED of three colours, 0 to 63 each.
+function shine(led, parts) {
+  const most = Math.max(...parts);
+  led.setAttribute("visibility", most ? "visible" : "hidden");
+  if (most) led.setAttribute("fill", `rgb(${parts.map((part) => Math.round((255 * part) / most))})`);
+}
+
 export class LivePlan {
   #trails = [];
   #nodes = null; // of the robots, while they are drawn
@@ -61,10 +74,17 @@ export class LivePlan {
         node.prepend(fan);
         return fan;
       });
+      const beams = robot.sonar.map(([x, y, heading]) => {
+        const beam = make("path", { class: "ray", transform: `translate(${x} ${y}) rotate(${heading})`, opacity: 0.12 });
+        node.prepend(beam);
+        return beam;
+      });
+      const leds = (robot.leds_mm ?? []).map(([cx, cy]) => make("circle", { cx, cy, r: 4, visibility: "hidden" }));
+      node.append(...leds);
       node.classList.add("live", "thing");
       node.dataset.live = index;
       if (last) place(node, last.robots[index]);
-      return { node, rays, turrets: node.querySelectorAll(".turret") };
+      return { node, rays, beams, leds, turrets: node.querySelectorAll(".turret") };
     });
     drawing.live.replaceChildren(...this.#trails.map(({ node }) => node), ...this.#nodes.map(({ node }) => node));
   }
@@ -73,12 +93,14 @@ export class LivePlan {
   picture(message, held, hidden) {
     if (!this.#nodes) return;
     message.robots.forEach((robot, index) => {
-      const { node, rays, turrets } = this.#nodes[index] ?? {};
+      const { node, rays, beams, leds, turrets } = this.#nodes[index] ?? {};
       if (!node) return;
       this.#trails[index].add(robot.x_mm, robot.y_mm);
       if (hidden) return;
       if (held !== index) place(node, robot);
       robot.turrets.forEach((points, part) => turrets[part]?.setAttribute("d", closed(points)));
+      robot.more?.ultrasonic?.forEach((cm, sensor) => beams[sensor].setAttribute("d", cm && cm < 1000 ? sector(10 * cm) : ""));
+      if (robot.leds.length === 3 * leds.length) leds.forEach((led, each) => shine(led, robot.leds.slice(3 * each, 3 * each + 3)));
       robot.proximity.forEach((count, sensor) => rays[sensor]?.setAttribute("opacity", 0.05 + (0.6 * count) / 1023));
     });
     message.lamps.forEach(({ power_w }, index) => this.drawing.nodes.get(`lamp:${index}`)?.classList.toggle("off", power_w === 0));

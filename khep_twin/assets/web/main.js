@@ -589,7 +589,7 @@ async function begin() {
   drawing.shapes = hello.shapes;
   drawing.turrets = hello.turrets;
   running.panel.limits(hello.bars, $("#bars"));
-  running.curves.limits(hello.bars, hello.colours);
+  running.curves.limits(hello.colours);
   new Fields(model, hello.surfaces, hello.turrets);
   model.load(hello, hello.version ? { file: hello.file } : {});
   if (hello.trouble) banner(hello.trouble, "error", {}, "file");

@@ -2,7 +2,7 @@
 
 // What stands on the floor: its keys besides name, x and y, with their values in a new one.
 export const OBJECTS = {
-  block: { angle_deg: 0, length_mm: 60, width_mm: 20, height_mm: 50, surface: "white", movable: false, mass_g: 20 },
+  block: { angle_deg: 0, length_mm: 60, width_mm: 20, height_mm: 50, surface: "white", movable: false, mass_g: 20, ramp: false },
   cylinder: { radius_mm: 12.5, height_mm: 50, surface: "white", movable: false, mass_g: 20 },
 };
 

@@ -145,7 +145,7 @@ export class Running {
   #cast(message, real) {
     Object.assign(this, { active: true, real, busy: false, robots: message.robots, last: null });
     this.plan.begin(message.robots.length);
-    this.curves.clear(message.robots.length);
+    this.curves.clear(message.robots);
     this.handling.hands.clear();
     const chosen = $("#which");
     chosen.replaceChildren(...message.robots.map((robot, index) => new Option(robot.name, index)));

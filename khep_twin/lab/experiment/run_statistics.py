@@ -10,15 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.playpen import Playpen
+from khep_twin.playpen import Block, Playpen
 from khep_twin.playpen.footprint import Footprint, Rectangle
 from khep_twin.playpen.polygon import walls_around
-from khep_twin.units import PULSE_LENGTH, WHEEL_BASE
+from khep_twin.units import BODIES, Body
 
 Floats = NDArray[np.float64]
 
-NEAR_COUNTS = 100
-"""Proximity above which something is near [counts]."""
+NEAR_COUNTS = BODIES["khepera1"].near_counts
+"""Proximity of a Khepera above which something is near [counts]."""
 
 TOUCHING = 0.001
 """Distance between a robot's edge and a fixed object below which they touch [m]."""
@@ -155,13 +155,13 @@ def path_length(positions: Floats) -> float:
     return total
 
 
-def reckoned(pulses: NDArray[np.int64], start: Floats) -> Floats:
+def reckoned(pulses: NDArray[np.int64], start: Floats, body: Body = BODIES["khepera1"]) -> Floats:
     """Return a robot's pose by odometry: x, y [m] and heading [rad], not wrapped (n, 3).
 
     It is from the left and right counters (n, 2) [pulses] and the pose at the first sample (3,).
     """
-    left, right = (pulses - pulses[0]).T * PULSE_LENGTH
-    heading = start[2] + (right - left) / WHEEL_BASE
+    left, right = (pulses - pulses[0]).T * body.pulse_length
+    heading = start[2] + (right - left) / body.wheel_base
     steps = np.diff((left + right) / 2)
     middle = (heading[1:] + heading[:-1]) / 2
     moved = np.column_stack([steps * np.cos(middle), steps * np.sin(middle)])
@@ -169,18 +169,18 @@ def reckoned(pulses: NDArray[np.int64], start: Floats) -> Floats:
     return np.column_stack([positions, heading])
 
 
-def slip(times_s: Floats, pose: Floats, pulses: NDArray[np.int64]) -> Slip:
+def slip(times_s: Floats, pose: Floats, pulses: NDArray[np.int64], body: Body = BODIES["khepera1"]) -> Slip:
     """Return the difference between odometry and ground truth over at least one sample."""
-    told = reckoned(pulses, pose[0])
+    told = reckoned(pulses, pose[0], body)
     ahead = told[:, 2] - np.unwrap(pose[:, 2])
     worst = int(np.argmax(np.abs(ahead)))
     end = math.hypot(*(told[-1, :2] - pose[-1, :2]).tolist())
     return Slip(path_length(told[:, :2]), end, float(ahead[worst]), float(times_s[worst]))
 
 
-def near(times_s: Floats, proximity: NDArray[np.int64]) -> Stretches:
-    """Return the intervals in which any sensor detects something; proximity (n, 8) [counts]."""
-    return stretches(times_s, np.max(proximity, axis=1, initial=0) > NEAR_COUNTS)
+def near(times_s: Floats, proximity: NDArray[np.int64], counts: int = NEAR_COUNTS) -> Stretches:
+    """Return the intervals in which any sensor reads more than `counts`; proximity (n, 8) [counts]."""
+    return stretches(times_s, np.max(proximity, axis=1, initial=0) > counts)
 
 
 def collisions(times_s: Floats, pose: Floats, playpen: Playpen, radius: float) -> Stretches:
@@ -192,9 +192,10 @@ def collisions(times_s: Floats, pose: Floats, playpen: Playpen, radius: float) -
 def clearance(positions: Floats, playpen: Playpen) -> Floats:
     """Return distances from points (n, 2) [m] to walls and fixed objects (n,) [m]; below 0 within one."""
     arena = playpen.arena
-    shapes: list[Footprint] = list(walls_around(arena.corners, arena.wall_thickness_mm))
+    shapes: list[Footprint] = [] if arena.table else [*walls_around(arena.corners, arena.wall_thickness_mm)]
     shapes += [shape for wall in playpen.walls for shape in wall.footprints]
-    shapes += [item.footprint for items in playpen.objects.values() for item in items if not item.movable]
+    items = (item for items in playpen.objects.values() for item in items if not item.movable)
+    shapes += [item.footprint for item in items if not (isinstance(item, Block) and item.ramp)]
     nearest = np.full(len(positions), np.inf)
     for shape in shapes:
         np.minimum(nearest, _away(positions, shape), out=nearest)

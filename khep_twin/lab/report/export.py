@@ -6,7 +6,8 @@
               transcript and events as cells
 
 A table of several robots has their names in the column `robot`, and a row for each robot and time; a MAT file
-has the robots of the rows of `proximity`, numbered from 1, in proximity_robot. Cells stay empty between the
+has the robots of the rows of `proximity`, numbered from 1, in proximity_robot. Channels of a Khepera IV that
+are others than a Khepera's begin with khepera4_ in a table of both. Cells stay empty between the
 times of a channel, which are its own in logs of real robots, and where a robot has no such channel.
 The same log gives the same bytes.
 """
@@ -31,7 +32,7 @@ from khep_twin.errors import LogError, choices
 from khep_twin.files.mat_file import mat_bytes
 from khep_twin.lab.report.table_files import TABLES, Channel, Heading, is_whole, rows_of
 from khep_twin.log.channels import TextLine
-from khep_twin.log.columns import columns_of, identifier, in_order
+from khep_twin.log.columns import KHEPERA4, Columns, identifier, in_order, is_khepera4, named
 from khep_twin.log.reader import Recording, TimeSeries, read_pieces
 
 MAT_BYTES = 512 << 20
@@ -82,19 +83,40 @@ def chosen_channels(
     Raises:
         LogError: The log has no such channel.
     """
-    found: dict[str, TimeSeries] = {}
+    own = {robot: is_khepera4(robot, recording.series) for robot in robots}
+    mixed = len({*own.values()}) > 1
+    found: dict[str, tuple[str, Columns]] = {}
     for topic, series in recording.series.items():
-        owner, _, name = topic.removeprefix("/").rpartition("/")
-        if owner in robots or (not owner and name.startswith("lamps")):
-            found.setdefault(name, series)
+        owner, _, kind = topic.removeprefix("/").rpartition("/")
+        if owner in robots or (not owner and kind.startswith("lamps")):
+            khepera4 = own.get(owner, False)
+            name, columns = named(kind, series.values.shape[1], khepera4=khepera4, mixed=mixed)
+            found.setdefault(name, (kind, columns))
     there = in_order({*found})
     if names is None:
-        unasked = {"registers", *(kind.name for kind in installed().values() if kind.image)}
+        unasked = {
+            "registers",
+            f"{KHEPERA4}registers",
+            *(kind.name for kind in installed().values() if kind.image),
+        }
         names = [name for name in there if name not in unasked]
     for name in names:
         if name not in found:
             raise LogError(f"--channels {name}: not in this log of {told(robots)}; {choices(name, there)}")
-    return [_channel(name, robots, recording, found[name]) for name in dict.fromkeys(names)]
+    channels: list[Channel] = []
+    for name in dict.fromkeys(names):
+        kind, columns = found[name]
+        shared = f"/{kind}"
+        topics = tuple(
+            shared
+            if shared in recording.series
+            else f"/{robot}/{kind}" * (named(kind, 0, khepera4=own[robot], mixed=mixed)[0] == name)
+            for robot in robots
+        )
+        none = TimeSeries(np.zeros(0, np.int64), np.zeros((0, len(columns)), np.int64))
+        there = tuple(recording.series.get(topic, none) for topic in topics)
+        channels.append(Channel(name, topics, columns, there))
+    return channels
 
 
 def told(robots: Sequence[str]) -> str:
@@ -221,15 +243,6 @@ def _in_order_of_time(lines: Sequence[Sequence[TextLine]]) -> list[tuple[int, Te
     """Return the lines of all robots in order of time, each with the index of its robot."""
     owned = [(owner, line) for owner, said in enumerate(lines) for line in said]
     return sorted(owned, key=lambda each: each[1].time_ns)
-
-
-def _channel(name: str, robots: Sequence[str], recording: Recording, first: TimeSeries) -> Channel:
-    """Return a channel of all robots, of which one has this series."""
-    shared = f"/{name}"
-    topics = tuple(shared if shared in recording.series else f"/{robot}/{name}" for robot in robots)
-    none = TimeSeries(np.zeros(0, np.int64), first.values[:0])
-    series = tuple(recording.series.get(topic, none) for topic in topics)
-    return Channel(name, topics, columns_of(name, first.values.shape[1]), series)
 
 
 def _part(log: Path, channel: Channel, piece: Recording) -> Channel:

@@ -1,28 +1,32 @@
-"""Figures of a report: eight sensors and two wheels over time, red during contact."""
+"""Figures of a report: sensors and wheels over time, red during contact."""
 
 # matplotlib's own annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
 
 from collections.abc import Iterable, Sequence
+from functools import partial
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from khep_twin.drawing.symbols import INK, Look
+from khep_twin.khepera4.channels import CODES
 from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Floats
 from khep_twin.lab.report.report import RobotReport
 from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT, draw_strip
+from khep_twin.log.columns import KNOWN4
 from khep_twin.log.reader import TimeSeries
-from khep_twin.units import COUNTS_LIMIT, SENSOR_LABELS, speed
+from khep_twin.units import COUNTS_LIMIT, SENSOR_LABELS
 
 POINT_LIMIT = 2000
 """Most points of a curve; longer ones are drawn as the extremes of so many intervals."""
 
-SENSOR_HEIGHT, WHEEL_HEIGHT, VISION_HEIGHT = 4.9, 2.9, 1.9
-"""Heights of the figures [inch]."""
+_SENSOR_HEIGHT, WHEEL_HEIGHT, VISION_HEIGHT, MORE_HEIGHT = 0.6125, 2.9, 1.9, 4.6
+"""Heights of a sensor and of the figures [inch]."""
 
 _PROXIMITY, _AMBIENT = "#2f6fb0", "#b8860b"
 _SPEED, _SETPOINT, _CONTACT = "#2f7d5b", "#2b2f36", "#c2452d"
@@ -41,7 +45,7 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
         ("ambient", robot.ambient, _AMBIENT, (0, max(AMBIENT_LIMIT, _highest(robot.ambient)))),
     )
     titles = [f"{name} [counts]" for name, *_ in kinds]
-    columns = sensor_panels(figure, corner, SENSOR_HEIGHT, titles, -0.11)
+    columns = sensor_panels(figure, corner, sensor_height(robot), titles, -0.11, robot.body.sensors)
     for panels, (name, series, colour, limits) in zip(columns, kinds, strict=True):
         for sensor, axes in enumerate(panels):
             if series is not None:
@@ -52,10 +56,38 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
                 axes.text(0.5, 0.5, "not in this log", transform=axes.transAxes, ha="center", va="center")
 
 
+def sensor_height(robot: RobotReport) -> float:
+    """Return the height of the figure of a robot's sensors [inch]."""
+    return _SENSOR_HEIGHT * len(robot.body.sensors)
+
+
+def draw_more(figure: Figure, robot: RobotReport, corner: tuple[float, float]) -> None:
+    """Draw the further sensors of a Khepera IV; the corner is the lower left [inch]."""
+    grid = within(figure, corner, MORE_HEIGHT, left=0.7, right=0.1)
+    cells = figure.add_gridspec(len(robot.more), 1, hspace=0.35, **grid)
+    for row, (name, series) in enumerate(robot.more.items()):
+        axes = figure.add_subplot(cells[row, 0])
+        over_time(axes)
+        times_s, values = series.times_ns / 1e9, series.values.astype(np.float64)
+        if name == "ultrasonic":
+            values[np.isin(values, CODES)] = np.nan
+        for (column, _), each in zip(KNOWN4[name], values.T, strict=True):
+            axes.plot(
+                *thinned(times_s, each), lw=0.8, label=column.removeprefix(f"{name}_").replace("_", " ")
+            )
+        axes.set_title(f"{name} [{KNOWN4[name][0][1]}]", fontsize=9, loc="left", color=INK)
+        axes.set_xlim(_times(robot))
+        place: Look = {"loc": "lower right", "bbox_to_anchor": (1, 0.98), "ncols": len(KNOWN4[name])}
+        axes.legend(fontsize=8, frameon=False, borderpad=0, **place)
+        axes.tick_params(labelbottom=row == len(robot.more) - 1)
+    figure.axes[-1].set_xlabel("time [s]", fontsize=8)
+
+
 def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float]) -> None:
     """Draw both wheels' speeds with their setpoints; the corner is the lower left [inch]."""
     grid = within(figure, corner, WHEEL_HEIGHT, left=0.7, right=0.57)
     cells = figure.add_gridspec(2, 1, hspace=0.2, **grid)
+    mm_s = 1e5 * robot.body.pulse_length
     for side, name in enumerate(("left", "right")):
         axes = figure.add_subplot(cells[side, 0])
         if robot.speed is not None:
@@ -71,7 +103,9 @@ def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float])
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(color=INK, alpha=0.1, lw=0.5)
         axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-        beside = axes.secondary_yaxis("right", functions=(_to_mm_s, _from_mm_s))
+        beside = axes.secondary_yaxis(
+            "right", functions=(partial(np.multiply, mm_s), partial(np.multiply, 1 / mm_s))
+        )
         beside.set_ylabel("[mm/s]", fontsize=8)
         beside.tick_params(labelsize=7, length=2)
         beside.spines["right"].set_visible(False)
@@ -104,7 +138,12 @@ def draw_vision(figure: Figure, robot: RobotReport, corner: tuple[float, float])
 
 
 def sensor_panels(
-    figure: Figure, corner: tuple[float, float], height: float, titles: Sequence[str], label_x: float
+    figure: Figure,
+    corner: tuple[float, float],
+    height: float,
+    titles: Sequence[str],
+    label_x: float,
+    names: Sequence[str] = SENSOR_LABELS,
 ) -> list[list[Axes]]:
     """Return axes for each sensor over time, in a column for each title.
 
@@ -114,10 +153,11 @@ def sensor_panels(
         height: Height of all [inch].
         titles: Titles of both columns.
         label_x: Abscissa of the sensors' names, in parts of the axes.
+        names: Names of the sensors.
     """
     grid = within(figure, corner, height, left=0.98, right=0.1)
-    cells = figure.add_gridspec(len(SENSOR_LABELS), 2, hspace=0.22, wspace=0.14, **grid)
-    rows = range(len(SENSOR_LABELS))
+    cells = figure.add_gridspec(len(names), 2, hspace=0.22, wspace=0.14, **grid)
+    rows = range(len(names))
     columns = [[figure.add_subplot(cells[row, column]) for row in rows] for column in range(2)]
     for panels, title in zip(columns, titles, strict=True):
         panels[0].set_title(title, fontsize=9, loc="left", color=INK)
@@ -126,8 +166,8 @@ def sensor_panels(
             over_time(axes)
             axes.tick_params(labelbottom=axes is panels[-1])
     place: Look = {"rotation": 0, "ha": "right", "va": "center", "fontsize": 8}
-    for axes, name in zip(columns[0], SENSOR_LABELS, strict=True):
-        axes.set_ylabel(name, **place)
+    for axes, name in zip(columns[0], names, strict=True):
+        axes.set_ylabel(fill(name, 12), **place)
         axes.yaxis.set_label_coords(label_x, 0.5)
     return columns
 
@@ -187,11 +227,3 @@ def _times(robot: RobotReport) -> tuple[float, float]:
 
 def _highest(series: TimeSeries | None) -> int:
     return 0 if series is None else int(series.values.max(initial=0))
-
-
-def _to_mm_s(pulses: ArrayLike) -> ArrayLike:
-    return np.multiply(pulses, 1000 * speed(1))
-
-
-def _from_mm_s(mm_s: ArrayLike) -> ArrayLike:
-    return np.divide(mm_s, 1000 * speed(1))

@@ -19,13 +19,15 @@ from khep_twin.drawing import map as drawing
 from khep_twin.drawing.map import STYLE, sheet
 from khep_twin.lab.report import shadow_section
 from khep_twin.lab.report.figure import (
-    SENSOR_HEIGHT,
+    MORE_HEIGHT,
     VISION_HEIGHT,
     WHEEL_HEIGHT,
     WIDTH,
+    draw_more,
     draw_sensors,
     draw_vision,
     draw_wheels,
+    sensor_height,
 )
 from khep_twin.lab.report.report import Report, RobotReport
 from khep_twin.lab.report.rows import DEFINITIONS, Row
@@ -119,9 +121,11 @@ def pictures(robot: RobotReport) -> list[tuple[Draw, float, str]]:
     """Return drawing function, height [inch] and name of each picture for which the log has data."""
     found: list[tuple[Draw, float, str]] = []
     if robot.proximity is not None or robot.ambient is not None:
-        found.append((draw_sensors, SENSOR_HEIGHT, "Sensors"))
+        found.append((draw_sensors, sensor_height(robot), "Sensors"))
     if robot.speed is not None:
         found.append((draw_wheels, WHEEL_HEIGHT, "Wheel speeds"))
+    if robot.more:
+        found.append((draw_more, MORE_HEIGHT, "Further sensors"))
     if robot.vision is not None:
         found.append((draw_vision, VISION_HEIGHT, "Line images"))
     return found

@@ -5,11 +5,12 @@ time. A real robot's log has no ground truth: the report shows what the host has
 is missing.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from khep_twin.board.kernel import N_REGISTERS
+from khep_twin.board.kernel import LEFT, N_REGISTERS, RIGHT, Wheel
 from khep_twin.drawing.paths import DrawnPath
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.lab.report.rows import (
@@ -22,13 +23,19 @@ from khep_twin.lab.report.rows import (
     wire_rows,
 )
 from khep_twin.log.attached import calibration_of, playpen_of
+from khep_twin.log.columns import KNOWN4
 from khep_twin.log.reader import Recording, TimeSeries
 from khep_twin.log.shadow_track import ShadowTrack
 from khep_twin.playpen import Playpen
-from khep_twin.units import BODY_RADIUS, K213_PIXELS
+from khep_twin.units import BODIES, K213_PIXELS, N_SENSORS, Body
 
 USUAL_DARK_COUNTS = 500
 """Default dark level of a sensor, if the log has no calibration [counts]."""
+
+MORE = ("ultrasonic", "accelerometer", "gyroscope")
+"""Channels of a Khepera IV's further sensors."""
+
+_ENCODERS = [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]
 
 _UNSET = ("None", "()")
 
@@ -39,23 +46,27 @@ class RobotReport:
 
     Attributes:
         name: Name of the robot.
+        body: Its body.
         rows: Statistics of the robot.
         missing: Sentence on what the log lacks; empty if nothing is missing.
         proximity: Proximity over time [counts], None without.
         ambient: Ambient light over time [counts], None without.
         speed: Speeds left, right, setpoints left, right over time [pulses/10 ms], None without.
         vision: Line images over time, greys of 0 to 255, None without.
+        more: Further sensors of a Khepera IV over time, by their channels.
         dark: Dark level of ambient light [counts].
         contact: Intervals of contact (n, 2) [s].
     """
 
     name: str
+    body: Body
     rows: tuple[Row, ...]
     missing: str
     proximity: TimeSeries | None
     ambient: TimeSeries | None
     speed: TimeSeries | None
     vision: TimeSeries | None
+    more: Mapping[str, TimeSeries]
     dark: float
     contact: statistics.Floats
 
@@ -121,11 +132,22 @@ def report(recording: Recording, source: str, shadow: ShadowTrack | None = None)
 
 
 def _robot(recording: Recording, source: str, playpen: Playpen | None, index: int, name: str) -> RobotReport:
-    pose, proximity, ambient, speed = (
+    robots = () if playpen is None else playpen.robots
+    body = robots[index].body if index < len(robots) else BODIES["khepera1"]
+    width = len(body.sensors)
+    pose, proximity, ambient, speed, registers, position = (
         _series(recording, f"/{name}/{channel}", width)
-        for channel, width in (("pose", 3), ("proximity", 8), ("ambient", 8), ("speed", 4))
+        for channel, width in (
+            *(("pose", 3), ("proximity", width), ("ambient", width), ("speed", 4)),
+            *(("registers", N_REGISTERS), ("position", 4)),
+        )
     )
-    registers = _series(recording, f"/{name}/registers", N_REGISTERS)
+    counters, places = (registers, _ENCODERS) if body.in_core else (position, [0, 1])
+    more = {
+        channel: series
+        for channel in MORE
+        if (series := _series(recording, f"/{name}/{channel}", len(KNOWN4[channel]))) is not None
+    }
     vision = _series(recording, f"/{name}/vision", K213_PIXELS)
     lines = recording.lines.get(f"/{name}/serial", [])
     calibration = calibration_of(recording.label.attachments, name, source)
@@ -136,30 +158,31 @@ def _robot(recording: Recording, source: str, playpen: Playpen | None, index: in
     if pose is not None:
         rows += motion_rows(pose)
         if playpen is not None:
-            robots = playpen.robots
-            radius = robots[index].body.radius if index < len(robots) else BODY_RADIUS
-            hits = statistics.collisions(pose.times_ns / 1e9, pose.values.astype(np.float64), playpen, radius)
+            values = pose.values.astype(np.float64)
+            hits = statistics.collisions(pose.times_ns / 1e9, values, playpen, body.radius)
             contact = hits.times_s
             rows += collision_rows(hits)
-        if registers is not None and np.array_equal(registers.times_ns, pose.times_ns):
-            rows += slip_rows(pose, registers)
+        if counters is not None and np.array_equal(counters.times_ns, pose.times_ns):
+            rows += slip_rows(pose, counters.values[:, places].astype(np.int64), body)
     if proximity is not None:
-        rows += near_rows(statistics.near(proximity.times_ns / 1e9, proximity.values.astype(np.int64)))
+        around = proximity.values[:, :N_SENSORS].astype(np.int64)
+        rows += near_rows(statistics.near(proximity.times_ns / 1e9, around, body.near_counts))
     if ambient is not None:
-        rows += light_rows(ambient, level)
+        rows += light_rows(ambient, level, body.sensors)
     rows += wire_rows(lines, _duration_s(recording))
     there = {"pose": pose, "proximity": proximity, "ambient light": ambient, "wheel speeds": speed}
     absent = [what for what, series in there.items() if series is None]
     if playpen is None or pose is None:
         absent += ["collisions"]
-    if registers is None:
+    if counters is None:
         absent += ["the wheels' counters and slip"]
     missing = f"Not in this log: {', '.join(absent)}." if absent else ""
     if absent and "relay" in recording.label.metadata:
         missing += " Of a real robot it has what the host asked for, at the time of the reply."
     if ambient is not None and dark is None:
         missing += f" No calibration either: the dark level is taken as {USUAL_DARK_COUNTS} counts."
-    return RobotReport(name, tuple(rows), missing.strip(), proximity, ambient, speed, vision, level, contact)
+    told = tuple(rows), missing.strip()
+    return RobotReport(name, body, *told, proximity, ambient, speed, vision, more, level, contact)
 
 
 def _series(recording: Recording, topic: str, width: int) -> TimeSeries | None:

@@ -4,23 +4,29 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from khep_twin.board.kernel import LEFT, RIGHT, Wheel
 from khep_twin.lab.experiment import run_statistics as statistics
 from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Stretches
 from khep_twin.lab.experiment.wire_statistics import wire
 from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import TimeSeries
-from khep_twin.units import SENSOR_LABELS
+from khep_twin.units import BODIES, N_SENSORS, Body
 
 Row = tuple[str, str]
 """Name, and value with its unit."""
+
+_NEAR4 = BODIES["khepera4"].near_counts
 
 DEFINITIONS: tuple[Row, ...] = (
     ("Distance", "path length of the centre, measured in steps of 1 mm; its mean speed includes standing"),
     ("Largest speed", "between two samples, 20 ms apart"),
     ("Turned", "sum of all turns to either side; net is their difference, positive counter-clockwise"),
-    ("Near something", f"any of the eight sensors reads a proximity above {NEAR_COUNTS} counts"),
+    (
+        "Near something",
+        f"any of the eight sensors around reads a proximity above {NEAR_COUNTS} counts, "
+        f"of a Khepera IV {_NEAR4}",
+    ),
     (
         "Collisions",
         "the robot's round body is nearer than 1 mm to a wall or a fixed object, as the playpen has them; "
@@ -29,8 +35,9 @@ DEFINITIONS: tuple[Row, ...] = (
     ("Light gained", "depth of an ambient light reading below the dark level; lamps lower it"),
     (
         "By counters",
-        "path and heading computed from the wheels' pulses, at 0.08 mm each and 52 mm between the wheels; "
-        "slip, and wheels of another size, make them differ from the truth",
+        "path and heading computed from the wheels' pulses, at 0.08 mm each and 52 mm between the wheels, "
+        "of a Khepera IV 0.0068 mm and 105.4 mm; slip, and wheels of another size, make them differ from the "
+        "truth",
     ),
     ("Reply time", "from the last byte of a command to the last byte of its reply"),
     ("Unanswered", "commands without a reply of their letter, or a refusal, by the end of the log"),
@@ -63,11 +70,10 @@ def near_rows(found: Stretches) -> Iterator[Row]:
     yield "Near something", f"{words}; longest {found.longest_s:.1f} s"
 
 
-def slip_rows(pose: TimeSeries, registers: TimeSeries) -> Iterator[Row]:
-    """Yield the rows on the difference between odometry and ground truth."""
-    pulses = registers.values[:, [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]].astype(np.int64)
+def slip_rows(pose: TimeSeries, pulses: NDArray[np.int64], body: Body) -> Iterator[Row]:
+    """Yield the rows on the difference between odometry, by pulses (n, 2), and ground truth."""
     times_s, truth = pose.times_ns / 1e9, pose.values.astype(np.float64)
-    found = statistics.slip(times_s, truth, pulses)
+    found = statistics.slip(times_s, truth, pulses, body)
     true_way = statistics.path_length(truth[:, :2])
     more = f", {_signed(100 * (found.distance / true_way - 1), 1)} %" if true_way else ""
     yield "Distance by counters", f"{_length(found.distance)}{more}"
@@ -76,12 +82,13 @@ def slip_rows(pose: TimeSeries, registers: TimeSeries) -> Iterator[Row]:
     yield "End by counters", f"{1000 * found.end:.0f} mm off"
 
 
-def light_rows(ambient: TimeSeries, dark: float) -> Iterator[Row]:
+def light_rows(ambient: TimeSeries, dark: float, names: Sequence[str]) -> Iterator[Row]:
     """Yield the rows on the light received from lamps, below a dark level [counts]."""
-    levels = np.full(8, float(dark))
-    found = statistics.light(ambient.times_ns / 1e9, ambient.values.astype(np.int64), levels)
+    levels = np.full(N_SENSORS, float(dark))
+    around = ambient.values[:, :N_SENSORS].astype(np.int64)
+    found = statistics.light(ambient.times_ns / 1e9, around, levels)
     yield "Light gained", f"{found.mean:.1f} counts in the mean of all sensors"
-    sensor = SENSOR_LABELS[found.sensor]
+    sensor = names[found.sensor]
     yield "Brightest moment", f"{found.brightest:.0f} counts, sensor {sensor}, at {found.time_s:.1f} s"
 
 

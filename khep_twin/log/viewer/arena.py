@@ -20,10 +20,10 @@ from rerun.chunk import Chunk
 from khep_twin import playpen as playpens
 from khep_twin.drawing.light_map import illumination
 from khep_twin.errors import LogError
-from khep_twin.log.attached import playpen_of, shapes_of
+from khep_twin.log.attached import bodies_of, playpen_of, shapes_of
 from khep_twin.log.reader import Label
 from khep_twin.log.viewer.collected import Collector, Poses, Samples, time_column
-from khep_twin.units import COUNTS_LIMIT, Sensor, metres
+from khep_twin.units import COUNTS_LIMIT, metres
 
 Floats = NDArray[np.float64]
 
@@ -56,6 +56,7 @@ class Rays:
 
     def __init__(self, label: Label, source: object) -> None:
         self._model = shapes_of(label.attachments, label.robots, source)
+        self._bodies = bodies_of(label.attachments, label.robots, source)
         self._data = mujoco.MjData(self._model)
         self._free = {
             self._model.body(self._model.jnt_bodyid[joint]).name: int(self._model.jnt_qposadr[joint])
@@ -71,30 +72,36 @@ class Rays:
         if rows is None or not len(rows):
             return []
         ends, seen = self._cast(robot, poses, rows)
-        n = len(rows)
-        strips = np.empty((n, len(Sensor), _RAYS, 2, 3), np.float32)
-        starts = [self._model.camera(f"{robot}/{sensor.key}").pos for sensor in Sensor]
+        n, names = len(rows), self._bodies[robot].cameras
+        strips = np.empty((n, len(names), _RAYS, 2, 3), np.float32)
+        starts = [self._model.camera(f"{robot}/{name}").pos for name in names]
         strips[..., 0, :], strips[..., 1, :] = np.array(starts)[None, :, None], ends
         part = np.sqrt(np.clip(track.proximity / COUNTS_LIMIT, 0, 1))[..., None]
-        colours = np.empty((n, len(Sensor), _RAYS, 4), np.uint8)
+        colours = np.empty((n, len(names), _RAYS, 4), np.uint8)
         colours[..., :3] = (_NOTHING + part * (_NEAR - _NOTHING))[:, :, None]
         colours[..., 3] = 255
         colours[~seen] = _UNLIT_RAY
-        place, each = f"/obstacles/{robot}_sensors", len(Sensor) * _RAYS
+        place, each = f"/obstacles/{robot}_sensors", len(names) * _RAYS
         lines = strips.reshape(-1, 2, 3), colours.reshape(-1, 4)
         return line_chunks(place, f"{robot}/base", track.times_ns, *lines, 0.0004, each)
 
+    def leds(self, robot: str) -> Floats:
+        """Return the places of a robot's LEDs in its frame (n, 3) [m]."""
+        model = self._model
+        sites = [model.site(index) for index in range(model.nsite)]
+        return np.array([site.pos for site in sites if re.fullmatch(rf"{robot}/led_\d+", site.name)])
+
     def _cast(self, robot: str, poses: Poses, rows: NDArray[np.intp]) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return the ends of rays in the robot's frame (n, 8, rays, 3) [m], and which of them hit."""
+        """Return the ends of rays in the robot's frame (n, sensors, rays, 3) [m], and which of them hit."""
         model, data = self._model, self._data
         base = model.body(f"{robot}/base").id
         own = model.body_rootid == base
-        cameras = [model.camera(f"{robot}/{sensor.key}").id for sensor in Sensor]
+        cameras = [model.camera(f"{robot}/{name}").id for name in self._bodies[robot].cameras]
         angles = np.arctan(np.linspace(-1, 1, _RAYS))
         # A camera looks against its third axis, with its first to the right.
         fan = np.column_stack((np.sin(angles), np.zeros(_RAYS), -np.cos(angles)))
-        ends = np.empty((len(rows), len(Sensor), _RAYS, 3))
-        seen = np.zeros((len(rows), len(Sensor), _RAYS), bool)
+        ends = np.empty((len(rows), len(cameras), _RAYS, 3))
+        seen = np.zeros((len(rows), len(cameras), _RAYS), bool)
         geoms, lengths = np.zeros(_RAYS, np.int32), np.zeros(_RAYS)
         for index, row in enumerate(rows.tolist()):
             for name, address in self._free.items():

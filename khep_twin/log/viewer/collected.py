@@ -5,7 +5,7 @@
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -33,17 +33,20 @@ class Samples:
         proximity: Counts (n, 8).
         ambient: Counts (n, 8).
         speed: Speeds left, right and more (n, 2 and more) [pulses/10 ms].
+        more: Channels of a Khepera IV, "ultrasonic" [cm] (n, 5) and "leds" [0 to 63] (n, 9); none of others.
     """
 
     times_ns: NDArray[np.int64]
     proximity: Floats
     ambient: Floats
     speed: Floats
+    more: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
 
     def thinned(self, every: int) -> "Samples":
         """Return every `every`-th sample."""
         some = slice(None, None, every)
-        return Samples(self.times_ns[some], self.proximity[some], self.ambient[some], self.speed[some])
+        more = {name: values[some] for name, values in self.more.items()}
+        return Samples(self.times_ns[some], self.proximity[some], self.ambient[some], self.speed[some], more)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +94,9 @@ _STAMPED = ("InstancePoses3D:translations", "InstancePoses3D:quaternions")
 _UNSURE = "geometry_msgs.msg.PoseWithCovarianceStamped:message"
 _PIXELS = ("Image:buffer", "DepthImage:buffer")
 """Pixels of grey images, which rerun takes for distances, too."""
+MORE = ("ultrasonic", "leds")
+"""Channels of a Khepera IV that are drawn in the arena."""
+_SAMPLED = tuple(f"/{name}" for name in ("proximity", "ambient", "speed", "vision", *MORE))
 _SHADOW = ("pose", "reckoned", "expected", "measured", "residuals")
 
 
@@ -122,7 +128,12 @@ class Collector:
         """Return the samples of a robot; None if there are none, or not for each time."""
         # A real robot answers one by one.
         found = self._together(f"/{robot}/{topic}" for topic in ("proximity", "ambient", "speed"))
-        return None if found is None else Samples(*found)
+        if found is None:
+            return None
+        names = MORE if f"/{robot}/ultrasonic" in self._rows else ()
+        own = {name: _joined(parts) for name in names if (parts := self._rows.get(f"/{robot}/{name}"))}
+        more = {name: values for name, (own_ns, values) in own.items() if np.array_equal(own_ns, found[0])}
+        return Samples(*found, more=more)
 
     def images(self, robot: str) -> tuple[NDArray[np.int64], Floats] | None:
         """Return times (n,) [ns] and line images (n, pixels) of a robot that sees; None if there are none."""
@@ -176,7 +187,7 @@ class Collector:
     def _note(self, chunk: Chunk) -> None:
         path = chunk.entity_path
         known = path in ("/tf", "/lamps", "/events") or path.startswith("/shadow/")
-        if not known and not path.endswith(("/proximity", "/ambient", "/speed", "/vision")):
+        if not known and not path.endswith(_SAMPLED):
             return
         batch: Any = chunk.to_record_batch()
         names = batch.schema.names

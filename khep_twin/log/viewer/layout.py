@@ -3,24 +3,29 @@
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import rerun as rr
 import rerun.blueprint as rrb
 
-from khep_twin.log.attached import playpen_of
+from khep_twin.log.attached import bodies_of, playpen_of
 from khep_twin.log.reader import Label
 from khep_twin.log.shadow_channels import ALARMS, STATE, is_shadow
 from khep_twin.log.viewer.arena import EVENTS, trail
 from khep_twin.log.viewer.collected import TIMELINE
 from khep_twin.log.viewer.ghost import FAULTS, RECKONED, RESIDUALS, TRUTH
-from khep_twin.log.viewer.robot_panel import panel, seeing, strip
-from khep_twin.sensing.colours import COLD, SENSORS, WHEELS, Colour
+from khep_twin.log.viewer.khepera4 import CURVES
+from khep_twin.log.viewer.robot_panel import Places, panel, seeing, strip
+from khep_twin.sensing.colours import COLD, OF_SENSORS, SENSORS, WHEELS, Colour
+from khep_twin.units import BODIES, Body
 
 _SETPOINT: Colour = (235, 235, 235)
 _WHEELS: dict[str, Colour] = {**WHEELS, "setpoint left": _SETPOINT, "setpoint right": _SETPOINT}
 _EVENT: Colour = (255, 80, 160)
+
+_RANGES = {FAULTS: (-5.0, 105.0), "ultrasonic": (0.0, 260.0)}
+"""Fixed ranges of plots; ultrasonic readings without a distance lie beyond."""
 
 _SOLID = [shape.from_fields(fill_mode="solid") for shape in (rr.Boxes3D, rr.Cylinders3D, rr.Ellipsoids3D)]
 
@@ -121,13 +126,19 @@ def _bases(log: Shown) -> Sequence[rrb.View]:
         return []
     if is_shadow(log.label):
         return [_near(log)]
-    bounds = rrb.VisualBounds2D(x_range=(-0.045, 0.045), y_range=(-0.052, 0.068))
     return [
         rrb.Spatial2DView(
-            origin=f"{log.place}{panel(robot)}", name=f"{robot} from above", visual_bounds=bounds
+            origin=f"{log.place}{panel(robot)}",
+            name=f"{robot} from above",
+            visual_bounds=rrb.VisualBounds2D(x_range=bounds[0], y_range=bounds[1]),
         )
-        for robot in log.label.robots
+        for robot, body in _bodies(log).items()
+        for bounds in (Places(body).bounds,)
     ]
+
+
+def _bodies(log: Shown) -> dict[str, Body]:
+    return bodies_of(log.label.attachments, log.label.robots, "log")
 
 
 def _near(log: Shown) -> rrb.Spatial3DView:
@@ -163,10 +174,12 @@ def _transcripts(log: Shown) -> list[rrb.TextLogView]:
 def _curves(log: Shown) -> list[rrb.Vertical]:
     if is_shadow(log.label):
         return _residuals(log, log.label.robots[0])
-    return [
-        rrb.Vertical(
-            _plot(log, robot, "proximity", "proximity [counts]", SENSORS),
-            _plot(log, robot, "ambient", "ambient light [counts, low is bright]", SENSORS),
+    views: list[rrb.Vertical] = []
+    for robot, body in _bodies(log).items():
+        sensors = {name: OF_SENSORS[name] for name in body.sensors}
+        base = rrb.Vertical(
+            _plot(log, robot, "proximity", "proximity [counts]", sensors),
+            _plot(log, robot, "ambient", "ambient light [counts, low is bright]", sensors),
             *(
                 _plot(log, robot, "speed", f"{side} wheel [pulses/10 ms]", _WHEELS, side)
                 for side in ("left", "right")
@@ -174,8 +187,11 @@ def _curves(log: Shown) -> list[rrb.Vertical]:
             name=robot,
             row_shares=[3, 3, 2, 2],
         )
-        for robot in log.label.robots
-    ]
+        views.append(base)
+        if body is BODIES["khepera4"]:
+            more = (_plot(log, robot, topic, *told) for topic, told in CURVES.items())
+            views.append(rrb.Vertical(*more, name=f"{robot}: further sensors"))
+    return views
 
 
 def _residuals(log: Shown, robot: str) -> list[rrb.Vertical]:
@@ -199,7 +215,7 @@ def _residuals(log: Shown, robot: str) -> list[rrb.Vertical]:
 
 
 def _plot(
-    log: Shown, robot: str, topic: str, name: str, curves: dict[str, Colour] | None = None, only: str = ""
+    log: Shown, robot: str, topic: str, name: str, curves: Mapping[str, Colour] | None = None, only: str = ""
 ) -> rrb.TimeSeriesView:
     """Return a plot of a channel, or of those of its curves that have `only` in their name.
 
@@ -231,7 +247,7 @@ def _plot(
         contents=[origin if curves else f"{origin}/**", events],
         name=name,
         axis_x=rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
-        axis_y=rrb.ScalarAxis(range=(-5.0, 105.0)) if topic == FAULTS else None,
+        axis_y=rrb.ScalarAxis(range=_RANGES[topic]) if topic in _RANGES else None,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
         time_ranges=newest,
         overrides={events: marks, **({origin: lines} if curves else {})},

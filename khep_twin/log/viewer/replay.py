@@ -23,13 +23,14 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import is_same, part_file, resolved
 from khep_twin.files.text import encodable
-from khep_twin.log.attached import playpen_of, shapes_of
+from khep_twin.log.attached import bodies_of, playpen_of, shapes_of
 from khep_twin.log.mcap_recovery import Progress
 from khep_twin.log.reader import Label, read_end_ns, read_with_messages, require_kheperas_in
 from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.log.viewer.arena import TRAIL, FloorLight, Rays, event_chunks, path_chunks, trail
 from khep_twin.log.viewer.collected import Collector, Floats, Samples, times_of
 from khep_twin.log.viewer.ghost import Ghost
+from khep_twin.log.viewer.khepera4 import arena_chunks
 from khep_twin.log.viewer.layout import Shown, layout
 from khep_twin.log.viewer.process import Web, open_viewer, still
 from khep_twin.log.viewer.robot_panel import (
@@ -104,8 +105,8 @@ def view_still(
 def standing_chunks(label: Label) -> list[Chunk]:
     """Return the static chunks that are added to a log's own."""
     panels = "playpen.toml" in label.attachments and not is_shadow(label)
-    robots = label.robots if panels else ()
-    return [chunk for robot in robots for chunk in outline_chunks(robot)]
+    bodies = bodies_of(label.attachments, label.robots, "log") if panels else {}
+    return [chunk for robot, body in bodies.items() for chunk in outline_chunks(robot, body)]
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
@@ -227,6 +228,7 @@ class Additions:
 
     def __init__(self, label: Label, source: Path, interval_ns: int = INTERVAL_NS) -> None:
         self._label, self._source = label, source
+        self._bodies = bodies_of(label.attachments, label.robots, source)
         self._rays: Rays | None = None
         self._light: FloorLight | None = None
         self._strips = Strips(interval_ns)
@@ -244,9 +246,11 @@ class Additions:
                 yield from self._strips.chunks(robot, *images)
             if (samples := collected.samples(robot)) is not None:
                 few = thinned(samples)
-                yield from panel_chunks(robot, few)
+                yield from panel_chunks(robot, few, self._bodies[robot])
                 if poses is not None and self._rays is not None:
                     yield from self._rays.chunks(robot, few, poses)
+                    if few.more:
+                        yield from arena_chunks(robot, few, self._rays.leds(robot))
             if poses is not None and (own := poses.bodies.get(f"{robot}/base")) is not None:
                 before = self._last.get(robot)
                 yield from path_chunks(trail(robot), poses.times_ns, own[:, :3], TRAIL, before)

@@ -22,29 +22,56 @@ from khep_twin.board.turrets import installed
 from khep_twin.log.attached import playpen_of
 from khep_twin.log.reader import Label
 from khep_twin.log.viewer.collected import Floats, Samples, time_column
-from khep_twin.sensing.bars import BARS
-from khep_twin.units import BODIES, WHEEL_BASE, WHEEL_RADIUS
+from khep_twin.sensing.bars import Bar, bars_of
+from khep_twin.units import BODY_RADIUS, Body
 
 SAMPLES_PER_PICTURE = 5
 """Samples of the log, 20 ms apart, per picture: ten a second are enough for the eye."""
 
-_BODY = BODIES["khepera1"]
 _BAR = 0.012
-"""Length of a bar at its full value [m]."""
-
 _HALF_WIDTH = 0.0014
 _LINE = _HALF_WIDTH / 4
 _LINES = _LINE * np.array((-3, -1, 1, 3))
-"""Radius of the lines that a bar is made of, and their positions [m]."""
+_SMALL = 0.0001
+"""Length of a bar at its full value, half its width, radius and positions of its lines, radius of frames [m]:
+of a Khepera, as are all lengths here; of larger robots `Places.scale` times as much."""
 
-# Pictures have y downwards: ahead is up, left is left.
-_FEET = np.array([(-left, -forward) for forward, left in _BODY.sensor_positions]) * 1.35
-_BESIDE = np.array([_HALF_WIDTH * 1.15, 0])
-_WHEELS = np.array([(-WHEEL_BASE / 2 + 0.006, 0.0), (WHEEL_BASE / 2 - 0.006, 0.0)])
 _PROXIMITY, _LIGHT, _SPEED = (228, 87, 46), (244, 200, 70), (77, 171, 247)
 _OUTLINE, _FRAME = (150, 150, 150), (90, 90, 90)
 _LEGEND = 0.037
 """Top of the legend, below the robot [m]."""
+
+
+class Places:
+    """Places in the panel of a robot.
+
+    Sensors that look at the floor have theirs in a row in front of the axle; the nose is then outside.
+
+    Attributes:
+        scale: Size beside a Khepera.
+        feet: Feet of the bars of proximity (n, 2) and ...
+        light_feet: ... of light [m].
+        wheels: Feet of the bars of both wheels (2, 2) [m].
+        nose: Positions of the nose's foot and tip ahead [m].
+        bounds: Ranges of the panel's x and y [m].
+    """
+
+    def __init__(self, body: Body) -> None:
+        self.scale = body.radius / BODY_RADIUS
+        # Pictures have y downwards: ahead is up, left is left.
+        around = np.array([(-left, -forward) for forward, left in body.sensor_positions]) * 1.35
+        row = [(x * self.scale, -0.013 * self.scale) for x in _ROW[: len(body.ground_positions)]]
+        feet = np.vstack([around, np.array(row).reshape(-1, 2)])
+        beside = np.array([_HALF_WIDTH * 1.15 * self.scale, 0])
+        self.feet, self.light_feet = feet - beside, feet + beside
+        side = body.wheel_base / 2 - 0.006 * self.scale
+        self.wheels = np.array([(-side, 0.0), (side, 0.0)])
+        self.nose = np.array((-0.0275, -0.032) if row else (-0.020, -0.0245)) * self.scale
+        x, y = 0.045 * self.scale, np.array((-0.052, 0.068)) * self.scale
+        self.bounds = (-x, x), (float(y[0]), float(y[1]))
+
+
+_ROW = (-0.0105, -0.0035, 0.0035, 0.0105)
 
 
 def panel(robot: str) -> str:
@@ -52,37 +79,45 @@ def panel(robot: str) -> str:
     return f"/{robot}/khepbase"
 
 
-def panel_chunks(robot: str, track: Samples) -> list[Chunk]:
+def panel_chunks(robot: str, track: Samples, body: Body) -> list[Chunk]:
     """Return the bars of one robot's panel."""
-    position = panel(robot)
+    position, places, bars = panel(robot), Places(body), bars_of(body)
     times = time_column(track.times_ns)
     return [
-        Chunk.from_columns(f"{position}/{name}", [times], _bars(_filled(name, values), at, colour))
+        Chunk.from_columns(
+            f"{position}/{name}", [times], _bars(_filled(bars[name], values), at, colour, places.scale)
+        )
         for name, values, at, colour in (
-            ("proximity", track.proximity, _FEET - _BESIDE, _PROXIMITY),
-            ("light", track.ambient, _FEET + _BESIDE, _LIGHT),
-            ("speed", track.speed[:, :2], _WHEELS, _SPEED),
+            ("proximity", track.proximity, places.feet, _PROXIMITY),
+            ("light", track.ambient, places.light_feet, _LIGHT),
+            ("speed", track.speed[:, :2], places.wheels, _SPEED),
         )
     ]
 
 
-def outline_chunks(robot: str) -> list[Chunk]:
+def outline_chunks(robot: str, body: Body) -> list[Chunk]:
     """Return the static parts of one robot's panel."""
-    wheels = [_box(side * WHEEL_BASE / 2, 0.0, 0.0015, WHEEL_RADIUS) for side in (-1, 1)]
-    nose = np.array([(-0.004, -0.020), (0, -0.0245), (0.004, -0.020)])
-    strips = [_circle(_BODY.radius), *wheels, nose]
+    places = Places(body)
+    scale, half, bar = places.scale, places.scale * _HALF_WIDTH, places.scale * _BAR
+    wheels = [
+        _box(side * body.wheel_base / 2, 0.0, body.wheel_width / 2, body.wheel_radius) for side in (-1, 1)
+    ]
+    foot, tip = places.nose
+    nose = np.array([(-0.004 * scale, foot), (0, tip), (0.004 * scale, foot)])
+    strips = [_circle(body.radius), *wheels, nose]
     lines = rr.LineStrips2D.columns(strips=strips, colors=[_OUTLINE] * len(strips))
-    feet = np.vstack((_FEET - _BESIDE, _FEET + _BESIDE))
-    frames = [_box(x, y - _BAR / 2, _HALF_WIDTH, _BAR / 2) for x, y in feet]
-    frames += [_box(x, y, _HALF_WIDTH, _BAR) for x, y in _WHEELS]  # a wheel's bar extends in both directions
-    full = rr.LineStrips2D.columns(strips=frames, colors=[_FRAME] * len(frames), radii=[0.0001] * len(frames))
-    entries = {"proximity": _PROXIMITY, "light": _LIGHT, "speed": _SPEED}
+    feet = np.vstack((places.feet, places.light_feet))
+    frames = [_box(x, y - bar / 2, half, bar / 2) for x, y in feet]
+    frames += [_box(x, y, half, bar) for x, y in places.wheels]  # a wheel's bar extends in both directions
+    radii = [_SMALL * scale] * len(frames)
+    full = rr.LineStrips2D.columns(strips=frames, colors=[_FRAME] * len(frames), radii=radii)
+    entries, bars = {"proximity": _PROXIMITY, "light": _LIGHT, "speed": _SPEED}, bars_of(body)
     legend = rr.Points2D.columns(
-        positions=[(0.0, _LEGEND + 0.0095 * index) for index in range(len(entries))],
+        positions=[(0.0, (_LEGEND + 0.0095 * index) * scale) for index in range(len(entries))],
         colors=list(entries.values()),
-        labels=[BARS[name].legend for name in entries],
+        labels=[bars[name].legend for name in entries],
         show_labels=[True] * len(entries),
-        radii=[0.001] * len(entries),
+        radii=[0.001 * scale] * len(entries),
     )
     return [
         Chunk.from_columns(f"{panel(robot)}/outline", [], lines.partition([len(strips)])),
@@ -91,28 +126,29 @@ def outline_chunks(robot: str) -> list[Chunk]:
     ]
 
 
-def _filled(name: str, values: Floats) -> Floats:
-    parts: Floats = np.vectorize(BARS[name].filled, otypes=[np.float64])(values)
+def _filled(bar: Bar, values: Floats) -> Floats:
+    parts: Floats = np.vectorize(bar.filled, otypes=[np.float64])(values)
     return parts
 
 
-def _bars(values: Floats, feet: Floats, colour: tuple[int, int, int]) -> Any:
+def _bars(values: Floats, feet: Floats, colour: tuple[int, int, int], scale: float = 1.0) -> Any:
     """Return filled bars on their feet (k, 2), of values from -1 to 1 (n, k), as columns.
 
     rerun fills no boxes: a bar is one line up and down beside itself, without a gap.
     """
     n, k = values.shape
-    rise = np.sign(values) * np.maximum(np.abs(values) * _BAR - 2 * _LINE, 0)
-    tops = np.stack((np.sign(values) * _LINE, np.sign(values) * _LINE + rise), axis=-1)  # y is downwards
+    line, bar = scale * _LINE, scale * _BAR
+    rise = np.sign(values) * np.maximum(np.abs(values) * bar - 2 * line, 0)
+    tops = np.stack((np.sign(values) * line, np.sign(values) * line + rise), axis=-1)  # y is downwards
     strips = np.empty((n, k, 2 * len(_LINES), 2), np.float32)
-    for line, shift in enumerate(_LINES):
-        ends = tops if line % 2 == 0 else tops[..., ::-1]
-        strips[:, :, 2 * line : 2 * line + 2, 0] = feet[:, 0, None] + shift
-        strips[:, :, 2 * line : 2 * line + 2, 1] = feet[:, 1, None] - ends
+    for index, shift in enumerate(scale * _LINES):
+        ends = tops if index % 2 == 0 else tops[..., ::-1]
+        strips[:, :, 2 * index : 2 * index + 2, 0] = feet[:, 0, None] + shift
+        strips[:, :, 2 * index : 2 * index + 2, 1] = feet[:, 1, None] - ends
     columns = rr.LineStrips2D.columns(
         strips=strips.reshape(n * k, -1, 2),
         colors=np.where(np.abs(values.reshape(-1, 1)) > 0, (*colour, 255), (*colour, 0)).astype(np.uint8),
-        radii=np.full(n * k, _LINE, np.float32),
+        radii=np.full(n * k, line, np.float32),
     )
     return columns.partition([k] * n)
 

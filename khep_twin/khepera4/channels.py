@@ -1,0 +1,35 @@
+"""Channels of a Khepera IV in a log: names of their numbers, and their unit in brackets.
+
+The gauge counts voltage in 0.305 mV, current in 0.0781 mA, charge in 1.6 mAh, temperature in 1/256 degree C.
+"""
+
+from khep_twin.units import BODIES
+
+ULTRASONIC = ("left", "front left", "front", "front right", "right")
+"""Names of the ultrasonic sensors, in the order of the registers."""
+
+CODES = (0, 1000, 2000)
+"""Ultrasonic readings without a distance: too near, no echo, disabled (library)."""
+
+LEDS = ("left", "right", "back")
+"""Names of the LEDs of three colours, in the order of the registers."""
+
+_SETPOINTS = "left, right, setpoint left, setpoint right"
+_AXES = "x, y, z"
+_INFRARED = ", ".join(BODIES["khepera4"].sensors)
+
+CHANNELS = {
+    "proximity": f"{_INFRARED} [counts]",
+    "ambient": f"{_INFRARED} [counts]",
+    "ultrasonic": f"{', '.join(ULTRASONIC)} [cm]",
+    "speed": f"{_SETPOINTS} [pulses/10 ms]",
+    "position": f"{_SETPOINTS} [pulses]",
+    "duty": "left, right [-2940 to 2940]",
+    "leds": ", ".join(f"{each} {colour}" for each in LEDS for colour in ("red", "green", "blue"))
+    + " [0 to 63]",
+    "accelerometer": f"{_AXES} [1/16384 g]",
+    "gyroscope": f"{_AXES} [0.066 deg/s]",
+    "battery": "voltage, current, charge, temperature [gauge]",
+    "control": "type, on target, ultrasonic enabled, status LED [register]",
+}
+"""Label of each channel, in the order of the log's registers."""
