@@ -32,8 +32,12 @@ NAMES = [
 ]
 
 
+ARENAS = ["arena4", "arena4-line", "arena4-ramps", "arena4-room", "arena4-table", "arena4-two"]
+"""Playpens of the Khepera IV."""
+
+
 def test_these_playpens_ship() -> None:
-    assert playpens.names() == NAMES
+    assert playpens.names() == [*ARENAS, *NAMES]
 
 
 @pytest.mark.parametrize("seconds", [3, pytest.param(30, marks=pytest.mark.long)])

@@ -146,7 +146,6 @@ def read_log(path: StrPath) -> LoggedRun:
     path = Path(path)
     with _opened(path) as content:
         label = _label(path, content)
-        require_kheperas_in(label, path, "read_log; read_series reads the channels of any robot")
         messages = Messages(path, content.messages())
     times_ns, poses = messages.poses(label.robots)
     robots = {

@@ -63,10 +63,6 @@ def test_a_run_repeats_from_its_log_resumes_and_answers_the_same_at_another_port
             "shadow default LOG",
             "arena4: robot 1: model = 'khepera4'; expected a Khepera or Khepera II for the",
         ),
-        (
-            "view LOG --save v.rrd",
-            "arena4: robot 1: model = 'khepera4'; expected a Khepera or Khepera II for",
-        ),
         ("fit -o f.toml LOG=5turns", "arena4: robot 1: model = 'khepera4'; expected a Khepera or Khepera II"),
         ("serve arena4 --rom 5.02", "rom = '5.02' with model = 'khepera4'; expected kh4server"),
         (

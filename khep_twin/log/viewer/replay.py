@@ -25,7 +25,7 @@ from khep_twin.files.atomic import is_same, part_file, resolved
 from khep_twin.files.text import encodable
 from khep_twin.log.attached import bodies_of, playpen_of, shapes_of
 from khep_twin.log.mcap_recovery import Progress
-from khep_twin.log.reader import Label, read_end_ns, read_with_messages, require_kheperas_in
+from khep_twin.log.reader import Label, read_end_ns, read_with_messages
 from khep_twin.log.shadow_channels import is_shadow
 from khep_twin.log.viewer.arena import TRAIL, FloorLight, Rays, event_chunks, path_chunks, trail
 from khep_twin.log.viewer.collected import Collector, Floats, Samples, times_of
@@ -135,7 +135,6 @@ def _checked(path: Path, copy: Path, progress: Progress) -> Label:
             moves |= any(f"/{robot}/pose" in recording.series for robot in label.robots)
         assert label is not None  # there is at least one piece
         writer.finish(label)
-    require_kheperas_in(label, path, "the viewer")
     if moves or "playpen.toml" in label.attachments:
         playpen_of(label.attachments, path)
     if moves:
