@@ -55,8 +55,9 @@ def drive(robot):
 
 
 def names() -> list[str]:
-    """Return the shipped playpens."""
-    return sorted(path.stem for path in Path("khep_twin/assets/playpens").glob("*.toml"))
+    """Return the shipped playpens with Kheperas alone."""
+    found = sorted(path.stem for path in Path("khep_twin/assets/playpens").glob("*.toml"))
+    return [name for name in found if all(each.body.in_core for each in Playpen.load(name).robots)]
 
 
 def digest(*parts: bytes) -> str:

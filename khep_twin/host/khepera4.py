@@ -51,9 +51,6 @@ _PAUSE, _ARRIVED_PULSES = 0.05, 200
 """Pause between two looks at the wheels in a move [s]; wheels that stand so near a target are there: ten
 times the server's margin, for they roll on behind it (1.4 mm)."""
 
-_HIGHEST_MV = 20_000
-"""Voltage above which a server has told the gauge's value with its five lower bits [mV]."""
-
 Colour = tuple[int, int, int]
 """Red, green and blue, 0 to 63."""
 
@@ -237,8 +234,6 @@ class Khepera4(HostRobot):
         """Return the state of the battery (command V, once for each value)."""
         told = [self._do(_battery_value(kind)) for kind in range(7)]
         voltage, current, average, charge_mah, temperature, percent, charger = told
-        # The published server tells the gauge's value with its five lower bits.
-        voltage = voltage / 32 if voltage > _HIGHEST_MV else voltage
         return Battery(
             voltage / 1000,
             current / 1000,

@@ -22,7 +22,8 @@ CURRENT_TICKS, AVERAGE_TICKS = 350, 2800
 """Control periods over which the gauge takes its current, 3.5 s, and its average, 28 s (manual)."""
 
 _CURRENT_UNIT, _CHARGE_UNIT, _VOLTAGE_UNIT, _DEGREE_UNIT = 78.125e-6, 1.6e-3 * 3600, 9.76e-3, 0.003906
-"""Units of the gauge's registers [A, C, V, degree Celsius] (manual)."""
+"""Units of the registers [A, C, V, degree Celsius] (manual). The gauge has its voltage in the upper 11 bits, but
+the dsPIC gives it as a number: all public programs take it so."""
 
 _DEGREES = 25.0
 """Temperature (assumed)."""
@@ -79,7 +80,7 @@ class Gauge:
             (round(-self._current / _CURRENT_UNIT), 2),
             (round(-self._average / _CURRENT_UNIT), 2),
             (round(_DEGREES / _DEGREE_UNIT) & ~0x1F, 2),
-            (round(self.voltage / _VOLTAGE_UNIT) << 5, 2),
+            (round(self.voltage / _VOLTAGE_UNIT), 2),
         )
         told = b"".join((value & (1 << 8 * size) - 1).to_bytes(size, "little") for value, size in values)
         return b"\0" + told

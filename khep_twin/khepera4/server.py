@@ -5,9 +5,9 @@
 
 A command is a capital letter and numbers, separated by commas; the reply is its small letter and values. The
 published program is imitated letter by letter (library): a reply drops what has arrived behind its command,
-a wrong A ends the vehicle, too, the voltage of V is not shifted, and X sends 128 bytes, the readings from
-their second byte on. What is undefined in it (memory that it has not written) is 0 here: missing numbers, the
-last byte of the readings of X, all behind its first 67. docs/khepera4.md lists what is not imitated.
+a wrong A ends the vehicle, too, and X sends 128 bytes, the readings from their second byte on. What is
+undefined in it (memory that it has not written) is 0 here: missing numbers, the last byte of the readings of
+X, all behind its first 67. docs/khepera4.md lists what is not imitated.
 """
 
 import re

@@ -171,7 +171,7 @@ def test_a_battery_runs_down_and_stops_the_robot() -> None:
     world.advance(4)
     block = robot_of(world).dspic.read(DspicRegister.BATTERY, 12)
     assert block[3] == 0
-    assert 6.0 <= int.from_bytes(block[10:12], "little") / 32 * 0.00976 < 6.05
+    assert 6.0 <= int.from_bytes(block[10:12], "little") * 0.00976 < 6.05
     assert -1.5 < int.from_bytes(block[4:6], "little", signed=True) * 78.125e-6 < -0.48
     world.advance(8)
     assert np.abs(world.data.qvel).max() < 1e-3

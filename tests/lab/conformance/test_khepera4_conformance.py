@@ -59,7 +59,7 @@ BROKEN: dict[str, Mutation] = {
     "gyroscope": other(r"^s,-?\d+", "s,4000"),
     "accelerometer": other(r"^t,(-?\d+,){10}", "t," + "0," * 9 + "-16384,"),
     "battery": to("V,4", "v,25"),
-    "voltage": to("V,0", "v,7400"),
+    "voltage": to("V,0", "v,262400"),
     "other_kinds": to("V,-1", "v,0"),
     "leds": to("K,1,2,3", "k"),
     "refused_vehicles": to("A,3", "a"),

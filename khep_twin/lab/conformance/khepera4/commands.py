@@ -90,9 +90,9 @@ def battery(line: CheckedPort) -> None:
     expect_range("V,5", line.numbers("V,5", 1), 0, 100)
 
 
-@check("V,0 tells the gauge's value of 16 bits, 32 times the voltage", PUBLISHED)
+@check("V,0 tells the voltage of two cells", "6, command V")
 def voltage(line: CheckedPort) -> None:
-    expect_range("V,0", line.numbers("V,0", 1), 32 * 5900, 32 * 8800)
+    expect_range("V,0", line.numbers("V,0", 1), 5900, 8800)
 
 
 @check("V refuses other kinds, and more than one", PUBLISHED)
