@@ -22,8 +22,8 @@ CURRENT_TICKS, AVERAGE_TICKS = 350, 2800
 """Control periods over which the gauge takes its current, 3.5 s, and its average, 28 s (manual)."""
 
 _CURRENT_UNIT, _CHARGE_UNIT, _VOLTAGE_UNIT, _DEGREE_UNIT = 78.125e-6, 1.6e-3 * 3600, 9.76e-3, 0.003906
-"""Units of the registers [A, C, V, degree Celsius] (manual). The gauge has its voltage in the upper 11 bits, but
-the dsPIC gives it as a number: all public programs take it so."""
+"""Units of the registers [A, C, V, degree Celsius] (manual). The gauge has its voltage in the upper 11 bits,
+but the dsPIC gives it as a number: all public programs take it so."""
 
 _DEGREES = 25.0
 """Temperature (assumed)."""
