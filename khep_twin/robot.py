@@ -139,6 +139,9 @@ class Robot(WiredBoard, ABC):
     def refresh(self) -> None:
         """Bring the registers up to the present, for an observer."""
 
+    def scan(self) -> None:
+        """Measure by all sensors now, where the stepping core does not."""
+
     def fit_turrets(self) -> None:
         """Give its turrets their bodies in the scene as it is now; their state is in their registers."""
 

@@ -17,6 +17,7 @@ import mujoco
 
 from khep_twin import units
 from khep_twin.board.turrets import find, raised_by
+from khep_twin.errors import CalibrationError
 from khep_twin.playpen import RobotEntry
 from khep_twin.sensing import calibration
 
@@ -54,6 +55,10 @@ def add_robot(
     child = mujoco.MjSpec.from_file(str(ASSETS / robot.body.scene))
     controls = _take_home(child)
     measured = calibration.read(robot.calibration)[0]
+    if (measured.ground is not None) != (robot.model == "khepera4"):
+        found = f'{robot.calibration}: of another robot than model = "{robot.model}"'
+        wanted = "with" if measured.ground is None else "without"
+        raise CalibrationError(f"{found}; expected a calibration {wanted} sensors of the ground")
     _fit_body(child, robot.body)
     _fit_wheels(child, measured.wheels)
     _fit_motors(child, measured.motors)

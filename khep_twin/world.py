@@ -267,6 +267,8 @@ class World(NotCopied):
         for look in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
             look(self.model, self.data)
         self.simulation.scan(self.simulation.steps)
+        for robot in self.robots:
+            robot.scan()
 
     def snapshot(self) -> bytes:
         """Return the whole state of the world, without its observers, for `restore`.

@@ -61,6 +61,9 @@ BUSY_S = 10.0
 """Time of the wall clock after which programs that compute and ask nothing may go on for ever: from then on
 simulated time passes as the wall clock does, too [s] (assumed)."""
 
+_WHOLE_S = 2.0
+"""Time in which a question is whole that has begun [s]; the preload library sends it at once."""
+
 _LOOK_S = 0.02
 """Time of the wall clock between two looks at such programs [s]."""
 
@@ -114,7 +117,7 @@ class DeviceServer:
             self._sockets[own] = index
             self._selector.register(own, selectors.EVENT_READ)
         self._lines: dict[socket.socket, _Line] = {}
-        self._turn = 0  # of the last wait
+        self._turn, self._until_ns = 0, NEVER_NS  # of the last wait; end of the run
         self._wakes: dict[tuple[int, int], int] = {}  # the last of each process and place
 
     def close(self) -> None:
@@ -125,13 +128,20 @@ class DeviceServer:
         for own in self._sockets:
             own.close()
 
-    def serve(self, processes: Collection[int], is_over: Callable[[], bool]) -> None:
-        """Answer processes and their children until a function tells that it is over."""
-        threads = _Threads(processes)
+    def serve(
+        self, processes: Collection[int], is_over: Callable[[], bool], until_ns: int = NEVER_NS
+    ) -> set[int]:
+        """Answer processes and their children until a function tells that it is over, or to a time [ns].
+
+        Returns:
+            Numbers of the processes that were there at last.
+        """
+        threads, self._until_ns = _Threads(processes), until_ns
         try:
-            self._serve(threads, is_over)
+            self._serve(threads, lambda: self._machine.time_ns >= until_ns or is_over())
         finally:
             threads.close()
+        return threads.processes
 
     def _serve(self, threads: "_Threads", is_over: Callable[[], bool]) -> None:
         assert sys.platform == "linux"
@@ -176,6 +186,7 @@ class DeviceServer:
                 continue
             if ready in self._sockets:
                 line, _ = ready.accept()
+                line.settimeout(_WHOLE_S)
                 self._lines[line] = _Line(line, self._sockets[ready], _peer(line))
                 self._selector.register(line, selectors.EVENT_READ)
             elif not self._hear(self._lines[ready]):
@@ -228,18 +239,19 @@ class DeviceServer:
     def _answer_first(self, asked: list["_Line"]) -> None:
         """Answer the question whose turn it is."""
         line = min(asked, key=lambda line: (line.due_ns, line.turn, line.robot, line.thread))
-        if self._clock is None and line.due_ns - self._machine.time_ns > STRIDE_NS:
-            self._machine.advance_to(self._machine.time_ns + STRIDE_NS)
+        next_ns = min(self._machine.time_ns + STRIDE_NS, self._until_ns)
+        if self._clock is None and line.due_ns > next_ns:
+            self._machine.advance_to(next_ns)
             return
         result, value, told = 0, 0, b""
         try:
-            result, value, told = self._answer(line)
-        except OSError as error:
-            result = -(error.errno or errno.EIO)
-        line.kind = 0
-        try:
+            try:
+                result, value, told = self._answer(line)
+            except OSError as error:
+                result = -(error.errno or errno.EIO)
+            line.kind = 0
             line.socket.sendall(_ANSWER.pack(result, len(told), value) + told)
-        except OSError:  # the program has ended meanwhile
+        except (OSError, struct.error):  # the program has ended meanwhile, or this is no preload library
             self._end(line.socket)
 
     def _answer(self, line: "_Line") -> tuple[int, int, bytes]:
@@ -296,10 +308,13 @@ class _Threads:
 
     Args:
         processes: Numbers of the processes.
+
+    Attributes:
+        processes: Numbers of all that are known.
     """
 
     def __init__(self, processes: Collection[int]) -> None:
-        self._processes, self._seen = {*processes}, {*processes}
+        self.processes, self._seen = {*processes}, {*processes}
         self._files: dict[tuple[int, int], tuple[int, int]] = {}
         self._newest: bytes = b""
         # The fastest file that changes whenever a thread runs; some kernels count nothing in it.
@@ -336,7 +351,7 @@ class _Threads:
         """Return the processor time that they have had [ns]."""
         assert sys.platform == "linux"
         found = 0
-        for process in self._processes:
+        for process in self.processes:
             with contextlib.suppress(OSError):  # one that has ended
                 found += time.clock_gettime_ns(~process << 3 | 2)  # as clock_getcpuclockid of the C library
         return found
@@ -350,12 +365,12 @@ class _Threads:
         there = {int(name) for name in os.listdir("/proc") if name.isdigit()}
         new = there - self._seen
         parents = {each: _parent(each) for each in new}
-        self._processes |= {process for process, _ in known}
-        while more := {each for each in new - self._processes if parents[each] in self._processes}:
-            self._processes |= more
-        self._processes &= there
+        self.processes |= {process for process, _ in known}
+        while more := {each for each in new - self.processes if parents[each] in self.processes}:
+            self.processes |= more
+        self.processes &= there
         self._seen, self._newest = there, newest
-        tasks = {(process, task) for process in self._processes for task in _tasks(process)}
+        tasks = {(process, task) for process in self.processes for task in _tasks(process)}
         for key in self._files.keys() - tasks:
             for file in self._files.pop(key):
                 os.close(file)

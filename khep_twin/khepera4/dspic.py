@@ -37,19 +37,21 @@ class Dspic:
 
     Attributes:
         before_read: Function that is called with the first register of a read and the one behind the last.
+        counts: Pulses of the encoders at the last control period, left and right.
+        is_powered: Whether the supply suffices; without, no bus is answered.
     """
 
     def __init__(self) -> None:
         self.before_read: Callable[[int, int], None] = lambda first, last: None
+        self._bytes, self.counts, self.is_powered = bytearray(N_BYTES + BATTERY_BYTES), (0, 0), True
         self.reset()
 
     def reset(self) -> None:
-        """Return to the state at power-up."""
-        self._bytes = bytearray(N_BYTES + BATTERY_BYTES)
+        """Return to the state at power-up, but for what sensors and gauge have measured last."""
+        self._bytes[: DspicRegister.AMBIENT] = bytes(DspicRegister.AMBIENT)
         for register, content in AT_RESET.items():
             self._bytes[register : register + len(content)] = content
         self._left, self._right = Motor(), Motor()
-        self._counts = 0, 0
 
     def write(self, message: bytes) -> None:
         """Take a message of the bus: a register's number, and the bytes for it and those behind it."""
@@ -90,10 +92,10 @@ class Dspic:
         }
         first, size = orders.get(control, (DspicRegister.SPEED_ORDER_LEFT, 2))
         for side, motor in enumerate((self._left, self._right)):
-            motor.speed = counts[side] - self._counts[side]
+            motor.speed = counts[side] - self.counts[side]
             motor.position = wrap(motor.position + motor.speed)
             motor.tick(settings, control, self._signed(first + side * size, size))
-        self._counts = counts
+        self.counts = counts
         self._tell()
         return self._left.pwm, self._right.pwm
 
@@ -131,13 +133,13 @@ class Dspic:
 
     def state(self) -> list[int]:
         """Return the whole state."""
-        return [*self._counts, *astuple(self._left), *astuple(self._right), *self._bytes]
+        return [*self.counts, *astuple(self._left), *astuple(self._right), *self._bytes]
 
     def set_state(self, state: Sequence[int]) -> None:
         """Take over a state."""
         count = len(astuple(self._left))
         motors = [state[first : first + count] for first in (2, 2 + count)]
-        (self._left, self._right), self._counts = (_motor(each) for each in motors), (state[0], state[1])
+        (self._left, self._right), self.counts = (_motor(each) for each in motors), (state[0], state[1])
         self._bytes[:] = bytes(state[2 + 2 * count :])
 
     @property

@@ -74,6 +74,10 @@ class Inertial:
             scaled = [each * _DEGREES / DEGREES_PER_COUNT for each in rate]
             self.rates = self._put(1, self._noisy(time_ns, 2, scaled, _RATE_NOISE), self.rates)
 
+    def rest(self) -> None:
+        """Begin at rest."""
+        self._velocity = [0.0, 0.0, 0.0]
+
     def state(self) -> tuple[list[int], list[float]]:
         """Return the state as integers and as floats."""
         packets = (*self.accelerations, *self.rates)

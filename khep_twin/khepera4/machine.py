@@ -61,7 +61,7 @@ class Machine:
         """
         found = b""
         for address, flags, content in messages:
-            if address != ADDRESS or not self._pins[RESET_PIN]:
+            if address != ADDRESS or not (self._pins[RESET_PIN] and self._dspic.is_powered):
                 raise OSError(errno.ENXIO, "no device has answered")
             self.advance_to(self.time_ns + (len(content) + 1) * byte_ns)
             if flags & READS:
@@ -72,8 +72,8 @@ class Machine:
         return found
 
     def set_pin(self, pin: int, level: int) -> None:
-        """Set an output; the dsPIC begins anew where its reset ends."""
-        if pin == RESET_PIN and level and not self._pins[RESET_PIN]:
+        """Set an output; the dsPIC is reset, and stands still, as long as its pin is 0."""
+        if pin == RESET_PIN and not level:
             self._dspic.reset()
         self._pins[pin] = int(bool(level))
 

@@ -25,7 +25,7 @@ from types import FrameType
 from typing import NamedTuple
 
 from khep_twin.errors import KhepTwinError
-from khep_twin.khepera4.device_server import DeviceServer
+from khep_twin.khepera4.device_server import NEVER_NS, DeviceServer
 from khep_twin.khepera4.machine import Machine
 
 COMPILERS = "cc", "gcc", "clang"
@@ -39,7 +39,10 @@ CONFIGURATION = "section Khepera4\ndevice dsPic i2c 0x30\n"
 """The robot's `/etc/libkhepera/khepera4.knc`, without which the library finds no dsPIC."""
 
 LAST_S = 2.0
-"""Time of the wall clock that programs have to end by themselves after SIGTERM [s]."""
+"""Time that programs have to end by themselves after SIGTERM, simulated or of the wall clock [s]."""
+
+CHILDREN_S = 0.3
+"""Time of the wall clock in which children that have lost their twin end, before they are killed [s]."""
 
 
 class RobotProgram(NamedTuple):
@@ -73,7 +76,13 @@ def run_programs(
         KhepTwinError: A program cannot be started, or there is no C compiler.
     """
     libraries = [_library_for(program.arguments[0]) for program in programs]
-    with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder, contextlib.ExitStack() as stack:
+    # The loader splits its list of libraries at spaces and colons, and sockets have short paths.
+    place = tempfile.gettempdir()
+    place = "/tmp" if len(place) > 60 or set(place) & set(" :") else place
+    with (
+        tempfile.TemporaryDirectory(prefix="khep-twin-", dir=place) as folder,
+        contextlib.ExitStack() as stack,
+    ):
         begun = time.monotonic_ns()
         paths = [Path(folder, f"devices{index}") for index in range(len(programs))]
         machines = [program.machine for program in programs]
@@ -85,8 +94,10 @@ def run_programs(
         started: list[subprocess.Popen[bytes]] = []
         stack.callback(_kill, started)
         for program, library, path in zip(programs, libraries, paths, strict=True):
+            linked = path.with_suffix(".so")
+            linked.symlink_to(library)
             environment = {
-                "LD_PRELOAD": ":".join(filter(None, (str(library), os.environ.get("LD_PRELOAD")))),
+                "LD_PRELOAD": ":".join(filter(None, (str(linked), os.environ.get("LD_PRELOAD")))),
                 "KHEP_TWIN_SOCKET": str(path),
                 "KHEP_TWIN_CLOCK": "simulated" if simulated else "real",
                 "KHEP_TWIN_ETC": str(_files(path.with_suffix(".etc"), program.robot_id)),
@@ -97,11 +108,15 @@ def run_programs(
                 raise KhepTwinError(f"{program.arguments[0]}: cannot be started: {error.strerror}") from error
         stack.enter_context(_signals_of(started))
         numbers = [process.pid for process in started]
-        server.serve(numbers, lambda: _are_over(started, machines[0], until_ns))
+        end_ns = NEVER_NS if until_ns is None else until_ns
+        there = server.serve(numbers, lambda: _are_over(started), end_ns)
         if any(process.poll() is None for process in started):
             _terminate(started)
-            last = time.monotonic() + LAST_S
-            server.serve(numbers, lambda: _are_over(started) or time.monotonic() > last)
+            last, last_ns = time.monotonic() + LAST_S, machines[0].time_ns + round(LAST_S * 1e9)
+            there |= server.serve(numbers, lambda: _are_over(started) or time.monotonic() > last, last_ns)
+        _kill(started)
+        server.close()
+        _kill_others(there - {*numbers})
     return [process.returncode for process in started]
 
 
@@ -115,12 +130,8 @@ def _library_for(program: str) -> Path:
         raise KhepTwinError(f"{program}: a program of 32 bits, and {error}") from error
 
 
-def _are_over(
-    started: Sequence["subprocess.Popen[bytes]"], machine: Machine | None = None, until_ns: int | None = None
-) -> bool:
-    """Return whether all programs have ended, or a time has come."""
-    if machine is not None and until_ns is not None and machine.time_ns >= until_ns:
-        return True
+def _are_over(started: Sequence["subprocess.Popen[bytes]"]) -> bool:
+    """Return whether all programs have ended."""
     return all([process.poll() is not None for process in started])
 
 
@@ -135,6 +146,17 @@ def _kill(started: Sequence["subprocess.Popen[bytes]"]) -> None:
         if process.poll() is None:
             process.kill()
         process.wait()
+
+
+def _kill_others(processes: set[int]) -> None:
+    """Kill processes that programs have left behind, after a while in which they end by themselves."""
+    last = time.monotonic() + CHILDREN_S
+    while processes and time.monotonic() < last:
+        time.sleep(0.01)
+        processes = {each for each in processes if Path(f"/proc/{each}").exists()}
+    for each in processes:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.kill(each, signal.SIGKILL)
 
 
 def bits(program: str) -> int:

@@ -116,7 +116,9 @@ class Khepera4Robot(Robot):
         if reason == step.STEPPED:
             self._measure(context.time_ns)
         elif reason == step.TICKED:
-            self.faults.update(("",), context.time_ns)
+            changed = self.faults.update(("",), context.time_ns)
+            if any(fault.kind == "brown-out" for fault in changed):
+                self.reset_processor()
             if not self._has_stopped:
                 self._tick(context.time_ns)
 
@@ -188,15 +190,24 @@ class Khepera4Robot(Robot):
         time_ns = self._context.time_ns // ultrasonic.PERIOD_NS * ultrasonic.PERIOD_NS
         self._burst = None if burst < 0 else (burst, self._moment(time_ns, np.array(floats[8:])))
         self._has_stopped = state.stopped
+        self.dspic.is_powered = not state.stopped
         self._show(state.leds)
 
     def reseed(self, seed_of: Callable[..., np.random.Generator]) -> None:
         """Draw from other random streams from now on."""
         super().reseed(seed_of)
         self._before_read(0, DspicRegister.BATTERY)
+        self.fit_turrets()
+
+    def fit_turrets(self) -> None:
+        """Make the sensors anew, for the scene and the random draws as they are now."""
         inertial = self._inertial.state()
         self._take_key()
         self._inertial.set_state(*inertial)
+
+    def scan(self) -> None:
+        """Measure by all infrared sensors now."""
+        self._infrared_due = self._moment(self._context.time_ns)
 
     def apply_faults(self) -> None:
         """Do nothing, as only its line has faults."""
@@ -211,11 +222,12 @@ class Khepera4Robot(Robot):
         """Reset the dsPIC, and cut the motors' voltage."""
         self.dspic.reset()
         self.zero_encoders()
+        self._inertial.rest()
         self._context.data.ctrl[list(self.indices.motors)] = 0.0
 
     def zero_encoders(self) -> None:
         """Set the encoders to the wheels' current angles."""
-        self._zeros = self._wheel_pulses()
+        self._zeros, self.dspic.counts = self._wheel_pulses(), (0, 0)
 
     def _take_key(self) -> None:
         """Draw the sensors' noise by the present key of the simulation."""
@@ -298,6 +310,8 @@ class Khepera4Robot(Robot):
         if voltage <= CUT_OFF:
             self._has_stopped = True
             self.dspic.reset()
+            self.dspic.is_powered = False
+            self.dspic.set_battery(self._gauge.block)
             data.ctrl[list(indices.motors)] = 0.0
             self.stop_processor()
             self._context.on_event(self.index, _OFF)

@@ -99,8 +99,8 @@ class Kh4Server:
 
     @property
     def powered(self) -> bool:
-        """True: the robot's program stops with the robot."""
-        return True
+        """True while the robot runs."""
+        return self._dspic.is_powered
 
     def state(self) -> FirmwareState:
         """Return the state besides `numbers`."""
@@ -122,6 +122,8 @@ class Kh4Server:
 
     def receive(self, data: bytes) -> bytes:
         """Take bytes from the line; return the reply to the command that they end, if any."""
+        if not self.powered:
+            return b""
         if not self._runs:
             self._runs = True
             self._start()

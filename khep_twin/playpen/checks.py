@@ -7,14 +7,13 @@ from typing import cast
 from khep_twin.board.rom import ROMS
 from khep_twin.board.turrets import find
 from khep_twin.errors import Location, PlaypenError, Problem, TurretError
-from khep_twin.playpen.footprint import overlap
+from khep_twin.playpen.footprint import overlap, sticks_out
 from khep_twin.playpen.overlap import Thing, beyond, label, placement_problems
 from khep_twin.playpen.parts import BULB_RADIUS_MM, MODELS, SHORTEST_BLINK_S, RobotEntry, Spot
 from khep_twin.playpen.polygon import edges
 from khep_twin.playpen.stripes import PANEL_LIMIT, Stripe
 from khep_twin.playpen.surfaces import BUILT_IN_SURFACES
 from khep_twin.playpen.tables import PlaypenTables
-from khep_twin.units import BODY_HEIGHT
 
 
 def playpen_problems(
@@ -142,16 +141,15 @@ one of 1,000; from 5 g and 10 mm on, in none (measured)."""
 
 
 def _arena_problems(playpen: PlaypenTables) -> Iterator[Problem]:
-    if playpen.arena.table:
-        if playpen.arena.outline_mm:
-            yield Problem.of(("arena", "table"), "arena: table with an outline_mm", "a rectangle for a table")
-        return
     for index, block in enumerate(playpen.blocks):
         if block.ramp and (block.movable or block.stripes):
             place = label("block", index + 1, block.name)
             yield Problem.of(
                 ("block", index, "ramp"), f"{place}: ramp, movable or striped", "a ramp that is neither"
             )
+    if playpen.arena.table:
+        yield from _table_problems(playpen)
+        return
     height_mm, turrets = playpen.arena.wall_height_mm, any(robot.turrets for robot in playpen.robots)
     lowest_mm = LOWEST_WALL_WITH_TURRET_MM if turrets else LOWEST_WALL_MM
     if playpen.robots and height_mm < lowest_mm:
@@ -172,6 +170,16 @@ def _arena_problems(playpen: PlaypenTables) -> Iterator[Problem]:
         if item.mass_g < LIGHTEST_G:
             found = f"{kind} {index + 1}: mass_g = {item.mass_g:g}: a robot presses it through walls"
             yield Problem.of((kind, index, "mass_g"), found, f"at least {LIGHTEST_G:g}")
+
+
+def _table_problems(playpen: PlaypenTables) -> Iterator[Problem]:
+    width_mm, height_mm = playpen.arena.width_mm, playpen.arena.height_mm
+    if playpen.arena.outline_mm:
+        yield Problem.of(("arena", "table"), "arena: table with an outline_mm", "a rectangle for a table")
+    for index, patch in enumerate(playpen.patches):
+        if patch.is_one_shape and any(sticks_out(patch.footprint, width_mm, height_mm)):
+            place = label("patch", index + 1, patch.name)
+            yield Problem.of(("patch", index), f"{place}: beyond the table's edge", "a patch on the table")
 
 
 def _surface_problems(playpen: PlaypenTables) -> Iterator[Problem]:
@@ -310,7 +318,8 @@ def things(playpen: PlaypenTables) -> Iterator[Thing]:
         bare = RobotEntry(x_mm=spot.x_mm, y_mm=spot.y_mm, heading_deg=spot.heading_deg)
         users = [at_spot(robot, spot) for robot in playpen.robots if spot.name in robot.spots] or [bare]
         largest = max((user.footprint for user in users), key=lambda disc: disc.radius_mm)
-        yield Thing("spot", number, spot.name, largest, 0, BODY_HEIGHT * 1000, True)
+        tallest = max(user.body.height for user in users)
+        yield Thing("spot", number, spot.name, largest, 0, tallest * 1000, True)
     for number, item in enumerate(playpen.robots, 1):
         if not item.spots:
             yield Thing("robot", number, item.name, item.footprint, 0, item.body.height * 1000, True)

@@ -123,7 +123,7 @@ class GroundCalibration(TomlTable):
 
     white_counts: Annotated[
         tuple[_Counts, ...],
-        Field(min_length=1, max_length=8, description="a list of numbers, one per sensor"),
+        Field(min_length=4, max_length=4, description="a list of four numbers, one per sensor"),
     ]
     nothing_counts: _Counts
     spot_mm: Annotated[float, Field(ge=0.1, le=50)]

@@ -233,10 +233,15 @@ def test_a_signal_that_ends_the_twin_is_the_programs(
     programs: Path, how: str, number: signal.Signals, told: str
 ) -> None:
     source = (
-        "from test_compiled_programs import machine, run_program\nimport os, signal, sys, threading\n"
+        "from test_compiled_programs import machine, run_program\nimport os, signal, sys, threading, time\n"
         f"number = {int(number)}\nsend = os.kill if number == signal.SIGTERM else os.killpg\n"
-        "threading.Timer(0.1, lambda: send(os.getpid(), number)).start()\n"
-        "print(run_program(sys.argv[1:], machine()))\n"
+        "own = machine()\n"
+        "def end():\n"
+        "    while own.time_ns < 20_000_000:\n"
+        "        time.sleep(0.01)\n"
+        "    send(os.getpid(), number)\n"
+        "threading.Thread(target=end).start()\n"
+        "print(run_program(sys.argv[1:], own))\n"
     )
     assert python(source, programs / "ends", how).stdout == told
 

@@ -5,7 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from khep_twin.board.fault_injection import parse_fault
+from khep_twin.errors import CalibrationError
+from khep_twin.interventions.move_robot import put, scan
 from khep_twin.khepera4.inertial import COUNTS_PER_G, DEGREES_PER_COUNT
+from khep_twin.khepera4.machine import Machine
 from khep_twin.khepera4.registers import Control, DspicRegister
 from khep_twin.khepera4.robot import PULSES_PER_TURN, Khepera4Robot
 from khep_twin.playpen import Playpen
@@ -208,3 +212,55 @@ def test_an_episode_of_a_khepera_iv_is_refused_by_name() -> None:
 
     with pytest.raises(PlaypenError, match="arena4: robot 1: model = 'khepera4'; expected a Khepera or"):
         EpisodeSetup("arena4")
+
+
+def test_a_reset_sets_the_positions_to_zero_and_keeps_what_was_measured() -> None:
+    world = World("arena4", seed=1)
+    order(world, 300, 300)
+    world.advance(1.0025)
+    dspic = robot_of(world).dspic
+    before = words(world, DspicRegister.PROXIMITY, 12)
+    dspic.reset()
+    assert words(world, DspicRegister.PROXIMITY, 12) == before
+    assert dspic.read(DspicRegister.BATTERY, 12)[3] == 100
+    world.advance(0.02)
+    (speed, *_), (position, *_), _ = dspic.motor_numbers
+    assert 0 < position < 800
+    assert abs(speed) < 400
+
+
+def test_a_brown_out_resets_the_robot_and_an_empty_battery_silences_it() -> None:
+    world = World("arena4", faults=[parse_fault("brown-out@0.5")])
+    order(world, 300, 300)
+    world.advance(1)
+    assert robot_of(world).dspic.read(DspicRegister.CONTROL, 1) == bytes([Control.IDLE])
+    pen = Playpen.load("arena4")
+    empty = pen.robots[0].model_copy(update={"battery_used_min": 300})
+    world = World(pen.model_copy(update={"robots": (empty,)}))
+    world.advance(0.1)
+    world.robots[0].send(b"B\r\n")
+    world.advance(0.1)
+    assert world.robots[0].uart.tx.read(world.time_ns) == b""
+    with pytest.raises(OSError, match="no device has answered"):
+        Machine(robot_of(world).dspic, world).transfer([(0x30, 0, b"\0")])
+
+
+def test_a_scan_and_a_moved_wall_are_seen_at_once() -> None:
+    world = World("arena4", noise=False)
+    world.advance(0.1)
+    put(world, 0, 1000, 1925, 90)
+    scan(world)
+    assert words(world, DspicRegister.PROXIMITY, 4)[FRONT] == 1004
+    put(world, 0, 1000, 1000, 90)
+    world.model.geom("block0").pos[:2] = 1.0, 1.2
+    world.refresh()
+    world.advance(0.02)
+    assert words(world, DspicRegister.PROXIMITY, 4)[FRONT] > 300
+
+
+def test_a_calibration_of_another_robot_is_refused() -> None:
+    pen = Playpen.load("arena4")
+    for model, wrong in (("khepera4", "khepera1"), ("khepera1", "khepera4")):
+        robot = pen.robots[0].model_copy(update={"model": model, "calibration": wrong, "rom": "5.02"})
+        with pytest.raises(CalibrationError, match=f"{wrong}: of another robot than model"):
+            World(pen.model_copy(update={"robots": (robot,)}))

@@ -9,6 +9,7 @@ from khep_twin.log.viewer import robot_panel
 from khep_twin.log.viewer.collected import Samples
 from khep_twin.log.viewer.robot_panel import panel_chunks
 from khep_twin.sensing.bars import BARS
+from khep_twin.units import BODIES
 
 
 @pytest.mark.parametrize(
@@ -32,7 +33,7 @@ def test_a_recorded_bar_of_light_is_full_in_the_dark_and_short_where_it_is_brigh
     counts = np.full((1, 8), 500.0)
     counts[0, 3] = 50
     track = Samples(np.array([0]), np.zeros((1, 8)), counts, np.zeros((1, 2)))
-    chunks = panel_chunks("khepera0", track)
+    chunks = panel_chunks("khepera0", track, BODIES["khepera1"])
     (light,) = (chunk for chunk in chunks if chunk.entity_path.endswith("/light"))
     strips: Any = light.to_record_batch()["LineStrips2D:strips"][0].as_py()
     heights = [strip[0][1] - strip[1][1] for strip in strips]

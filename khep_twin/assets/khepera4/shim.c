@@ -452,6 +452,8 @@ static int transfer(struct i2c_msg *messages, uint32_t count) {
     unsigned char little[512], *out = little;
     size_t length = 0, wanted = 0;
     for (uint32_t i = 0; i < count; i++) {
+        if (messages[i].len && !messages[i].buf)
+            return -EFAULT;
         length += 3 * sizeof(uint16_t) + (messages[i].flags & I2C_M_RD ? 0 : messages[i].len);
         wanted += messages[i].flags & I2C_M_RD ? messages[i].len : 0;
     }
@@ -544,8 +546,12 @@ static int i2c_control(int handle, unsigned long request, void *argument) {
                                      I2C_FUNC_SMBUS_WORD_DATA | I2C_FUNC_SMBUS_QUICK;
         return 0;
     case I2C_RDWR:
+        if (!both || !both->msgs)
+            return -EFAULT;
         return both->nmsgs > I2C_RDWR_IOCTL_MAX_MSGS ? -EINVAL : transfer(both->msgs, both->nmsgs);
     case I2C_SMBUS:
+        if (!argument)
+            return -EFAULT;
         return smbus(handle, argument);
     case I2C_TIMEOUT:
     case I2C_RETRIES:

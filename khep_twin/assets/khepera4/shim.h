@@ -1,4 +1,4 @@
-/* What the parts of the preload library share: `shim.c` has the devices, `shim_time.c` the clock, and
+/* Parts of the preload library: `shim.c` has the devices, `shim_time.c` the clock, and
    `shim_locks.c` what threads wait for. */
 
 #define _GNU_SOURCE

@@ -1,4 +1,4 @@
-/* What threads wait for in each other, with a simulated clock: mutexes, conditions, semaphores.
+/* Waits of threads for each other, with a simulated clock: mutexes, conditions, semaphores.
 
    A thread that finds one taken waits at the twin for a wake of its place, which is its address; who gives it
    back wakes. So the twin decides who goes on, and that repeats, where the kernel's choice would not. */
@@ -50,7 +50,7 @@ static int64_t end_of(const struct timespec *limit) { return limit ? since_start
 
 typedef int attempt(void *);
 
-/* Whether a wait goes on after a handler of a signal; which one ran is not known, so all have to say so. */
+/* True if a wait goes on after a handler of a signal; which one ran is not known, so all have to say so. */
 static int restarts(void) {
     struct sigaction action;
     for (int i = 1; i < NSIG; i++)
@@ -81,7 +81,7 @@ static int try_read(void *at) { return pthread_rwlock_tryrdlock(at); }
 static int try_write(void *at) { return pthread_rwlock_trywrlock(at); }
 static int try_token(void *at) { return sem_trywait(at) ? (errno == EAGAIN ? EBUSY : errno) : 0; }
 
-/* Whether a thread would wait for itself, of which the mutex itself has to tell. */
+/* True if a thread would wait for itself, of which the mutex itself has to tell. */
 static int own(const pthread_mutex_t *mutex) {
     return (mutex->__data.__kind & 3) == PTHREAD_MUTEX_ERRORCHECK && mutex->__data.__owner == gettid();
 }
@@ -180,7 +180,7 @@ int pthread_barrier_wait(pthread_barrier_t *barrier) {
     return result;
 }
 
-/* What processes share has an address in each, so their waits look again in steps. */
+/* A lock that processes share has an address in each, so their waits look again in steps. */
 int sem_init(TOKENS, int shared, unsigned int value) {
     between_processes |= shared;
     return REAL(sem_init)(tokens, shared, value);

@@ -196,7 +196,9 @@ int __ppoll_chk(struct pollfd *handles, nfds_t count, const struct timespec *lim
 static int chosen(int count, fd_set *sets[3], int64_t ns, const sigset_t *mask, int64_t *left) {
     static const short asked[] = {POLLIN, POLLOUT, POLLPRI};
     static const short told[] = {POLLIN | POLLHUP | POLLERR, POLLOUT | POLLERR, POLLPRI};
-    struct pollfd handles[count > 0 ? count : 1];
+    if (count < 0 || count > FD_SETSIZE)
+        return -EINVAL;
+    struct pollfd handles[FD_SETSIZE];
     int used = 0, found = 0;
     for (int i = 0; i < count; i++) {
         short events = 0;
