@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 from served_twin import served
+from shares import share
 
 from khep_twin.errors import MoveError, PortError, ProtocolError, StoppedError
 from khep_twin.host import Distances, Khepera, Khepera4, Vector
@@ -126,8 +127,8 @@ def test_a_robot_of_the_other_kind_is_named_at_a_twin_and_by_its_replies() -> No
 
 
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")  # pyserial calls setDaemon
-@pytest.mark.parametrize("kind", [(), ("--tcp", ":0"), ("--rfc2217", ":0")], ids=["pty", "tcp", "rfc2217"])
-def test_a_served_twin_answers_at_each_kind_of_port(kind: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("kind", share([[], ["--tcp", ":0"], ["--rfc2217", ":0"]], 3))
+def test_a_served_twin_answers_at_each_kind_of_port(kind: list[str]) -> None:
     with served("arena4", "--noise", "off", *kind) as (_, url):
         with Khepera4(url, 2.0) as robot:
             robot.set_speed(0.05, 0.05)

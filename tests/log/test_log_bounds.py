@@ -92,6 +92,7 @@ def test_a_chunk_that_unpacks_to_gigabytes_is_refused_in_little_memory(
         assert all(re.search(f"chunk at byte [0-9]+.*; expected .*{expected}", line) for line in lines)
 
 
+@pytest.mark.long
 def test_many_chunks_that_unpack_to_much_are_refused_in_time(parts: list[Record], tmp_path: Path) -> None:
     packed = zstandard.ZstdCompressor(level=1).compress(bytes(LARGEST_CHUNK))
     chunks = [Record(Opcode.CHUNK, b"", (), packed, LARGEST_CHUNK) for _ in range(200)]

@@ -15,7 +15,6 @@ from drawn_bitmap import drawn
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
-from shares import share
 
 from khep_twin.errors import BitmapError
 from khep_twin.playpen import bitmap_files
@@ -274,7 +273,8 @@ print(time.process_time() - begun)
 """
 
 
-@pytest.mark.parametrize("kind", share(["grey", "colours", "deep", "scan"], 4))
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["grey", "colours", "deep", "scan"])
 def test_the_largest_bitmaps_take_less_than_two_seconds_and_512_mb(kind: str, tmp_path: Path) -> None:
     checkers = (np.indices((4096, 4096), dtype=np.uint16).sum(axis=0) % 2).astype(np.uint8)
     path = tmp_path / "file"

@@ -102,6 +102,7 @@ def test_a_robot_that_was_put_elsewhere_seconds_ago_is_found_there() -> None:
     assert turning.found(since_ns).probabilities[1] > 0.98
 
 
+@pytest.mark.long
 def test_a_robot_is_found_by_all_that_it_has_seen_where_the_first_sight_fits_many_places() -> None:
     turning = Turning()
     since_ns = turning.turn(2)
