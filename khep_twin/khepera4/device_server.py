@@ -44,8 +44,8 @@ from typing import Any
 
 from khep_twin.khepera4.machine import BYTE_NS, READS, Machine
 
-ASKED_NS = 1_000
-"""Simulated time that a question for the time takes [ns] (assumed)."""
+ASKED_NS = 10_000
+"""Simulated time that a question for the time takes [ns], with what is around it in a loop (assumed)."""
 
 MOST_BYTES = 1 << 20
 """Longest content of a question; what asks for more is no preload library, and loses its line."""

@@ -160,7 +160,7 @@ def test_waits_for_threads_and_handles_end_when_they_are_woken_or_at_their_limit
 def test_the_date_begins_with_2026_and_other_clocks_at_0(
     programs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert said(programs / "clocks", capfd) == ["2026-01-01 00:00:00", "10 10 10", "10 10", "0.0100"]
+    assert said(programs / "clocks", capfd) == ["2026-01-01 00:00:00", "10 10 10", "10 10", "0.0101"]
 
 
 def test_threads_and_children_take_turns(programs: Path, capfd: pytest.CaptureFixture[str]) -> None:

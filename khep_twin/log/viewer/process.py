@@ -168,7 +168,10 @@ def _screen() -> bool:
 
 def _expected(subject: str) -> str:
     stem = Path(subject).stem
-    return f"expected --web, for a browser, or --save {stem}.rrd, for a recording to open elsewhere"
+    return (
+        f"expected --web, for a browser, --png {stem}.png, for a picture, or --save {stem}.rrd, for a "
+        "recording to open elsewhere"
+    )
 
 
 _OPENING_TIMEOUT_S = 30.0

@@ -108,11 +108,13 @@ def idle(line: CheckedPort) -> None:
     line.order("D,0,0", pause=_STOPPING)
 
 
-@check("Z stops the motors", "6, command Z", FORWARD)
+@check("Z stops the motors, and positions begin at 0", "6, command Z", FORWARD)
 def reset_in_motion(line: CheckedPort) -> None:
     line.order("D,150,150", pause=0.4)
     line.order("Z")
     _expect_standing(line, "after Z in motion")
+    line.order("Z", pause=0.1)
+    expect_range("R", line.numbers("R", 2), -50, 50)
     line.order("M", "D,-150,-150", pause=0.4)
     line.order("D,0,0", pause=_STOPPING)
 
