@@ -150,6 +150,7 @@ def _kill(started: Sequence["subprocess.Popen[bytes]"]) -> None:
 
 def _kill_others(processes: set[int]) -> None:
     """Kill processes that programs have left behind, after a while in which they end by themselves."""
+    assert sys.platform == "linux"
     last = time.monotonic() + CHILDREN_S
     while processes and time.monotonic() < last:
         time.sleep(0.01)
