@@ -8,7 +8,7 @@ import typer
 from khep_twin.cli.completion import logs, ports
 from khep_twin.cli.options import Force, check_new, refuse, usage
 from khep_twin.files.atomic import unusable, write_whole
-from khep_twin.lab.conformance.model import Model
+from khep_twin.lab.conformance.model import RobotModel
 
 _OF_A_PORT = {"move", "baudrate", "model"}
 """Options that mean nothing to a log, by the names of their parameters."""
@@ -25,8 +25,9 @@ def conform(
     ],
     move: Annotated[bool, typer.Option("--move", help="Also run the checks that move the robot.")] = False,
     model: Annotated[
-        Model, typer.Option(help="Model of the robot: khepera, which the Khepera II is, too, or khepera4.")
-    ] = Model.KHEPERA,
+        RobotModel,
+        typer.Option(help="Model of the robot: khepera, which the Khepera II is, too, or khepera4."),
+    ] = RobotModel.KHEPERA,
     baudrate: Annotated[
         int | None, typer.Option(help="Speed of the line; without, 9600, or 115200 of a Khepera IV.")
     ] = None,

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from khep_twin.host.khepera4_results import Battery as Battery
     from khep_twin.host.khepera4_results import Distances as Distances
     from khep_twin.host.khepera4_results import InfraredCounts as InfraredCounts
-    from khep_twin.host.khepera4_results import Vector as Vector
+    from khep_twin.host.khepera4_results import Vector3 as Vector3
     from khep_twin.host.khepera4_results import Wheels as Wheels
     from khep_twin.host.moves import turn_pulses as turn_pulses
     from khep_twin.host.moves import way_pulses as way_pulses

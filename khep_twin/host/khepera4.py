@@ -23,7 +23,7 @@ from khep_twin.errors import MoveError
 from khep_twin.files.paths import StrPath
 from khep_twin.host.host_command import HostCommand, fields, numbers, order
 from khep_twin.host.host_robot import HostRobot
-from khep_twin.host.khepera4_results import Battery, Distances, InfraredCounts, Vector, Wheels
+from khep_twin.host.khepera4_results import Battery, Distances, InfraredCounts, Vector3, Wheels
 from khep_twin.host.line import KHEPERA4
 from khep_twin.units import GRAVITY
 
@@ -219,14 +219,14 @@ class Khepera4(HostRobot):
             raise ValueError(f"sensors = {sorted(chosen)}; expected some of 0 to 4")
         self._do(order("U", sum(1 << each for each in chosen), repeatable=True))
 
-    def accelerations(self) -> tuple[Vector, ...]:
+    def accelerations(self) -> tuple[Vector3, ...]:
         """Return the last ten values of the accelerometer, 10 ms apart, newest first [m/s^2] (command T).
 
         At rest x and y are 0 and z is -9.81.
         """
         return self._do(numbers("T", 3 * N_PACKETS, lambda values: _vectors(values, _ACCELERATION)))
 
-    def turn_rates(self) -> tuple[Vector, ...]:
+    def turn_rates(self) -> tuple[Vector3, ...]:
         """Return the last ten values of the gyroscope, newest first [rad/s]; z to the left (command S)."""
         return self._do(numbers("S", 3 * N_PACKETS, lambda values: _vectors(values, _RATE)))
 
@@ -288,10 +288,10 @@ def _wheels(pulses: Sequence[int], unit: float) -> Wheels:
     return Wheels(pulses[0] * unit, pulses[1] * unit)
 
 
-def _vectors(values: Sequence[int], unit: float) -> tuple[Vector, ...]:
+def _vectors(values: Sequence[int], unit: float) -> tuple[Vector3, ...]:
     """Return the vectors of a reply, which has all x, then all y, then all z."""
     axes = [values[at : at + N_PACKETS] for at in range(0, 3 * N_PACKETS, N_PACKETS)]
-    return tuple(Vector(x * unit, y * unit, z * unit) for x, y, z in zip(*axes, strict=True))
+    return tuple(Vector3(x * unit, y * unit, z * unit) for x, y, z in zip(*axes, strict=True))
 
 
 def _battery_value(kind: int) -> HostCommand[float]:

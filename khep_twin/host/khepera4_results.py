@@ -47,7 +47,7 @@ class Distances(NamedTuple):
         return cls._make(codes.get(value, value / 100) for value in values_cm)
 
 
-class Vector(NamedTuple):
+class Vector3(NamedTuple):
     """A vector in the robot's frame, x forward, y left."""
 
     x: float

@@ -8,7 +8,7 @@ from served_twin import served
 from shares import share
 
 from khep_twin.errors import MoveError, PortError, ProtocolError, StoppedError
-from khep_twin.host import Distances, Khepera, Khepera4, Vector
+from khep_twin.host import Distances, Khepera, Khepera4, Vector3
 from khep_twin.host.discovery import who_answers
 from khep_twin.khepera4.registers import Control, DspicRegister
 from khep_twin.khepera4.robot import Khepera4Robot
@@ -77,7 +77,7 @@ def test_sensors_have_names_and_units(robot: Khepera4) -> None:
     assert robot.accelerations() == ((0.0, 0.0, pytest.approx(-9.81, abs=0.02)),) * 10
     robot.set_speed(-0.05, 0.05)
     robot.sleep(1)
-    assert robot.turn_rates()[0] == Vector(0, 0, pytest.approx(0.1 / 0.1054, abs=0.05))
+    assert robot.turn_rates()[0] == Vector3(0, 0, pytest.approx(0.1 / 0.1054, abs=0.05))
     robot.enable_ultrasonic([2])
     robot.sleep(0.1)
     seen = robot.ultrasonic()

@@ -3,7 +3,7 @@
 from enum import StrEnum
 
 
-class Model(StrEnum):
+class RobotModel(StrEnum):
     """Model of a robot, as far as its protocol is concerned."""
 
     KHEPERA = "khepera"

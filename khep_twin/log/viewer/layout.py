@@ -16,7 +16,7 @@ from khep_twin.log.viewer.arena import EVENTS, trail
 from khep_twin.log.viewer.collected import TIMELINE
 from khep_twin.log.viewer.ghost import FAULTS, RECKONED, RESIDUALS, TRUTH
 from khep_twin.log.viewer.khepera4 import CURVES
-from khep_twin.log.viewer.robot_panel import Places, panel, seeing, strip
+from khep_twin.log.viewer.robot_panel import PanelPlaces, panel, seeing, strip
 from khep_twin.sensing.colours import COLD, OF_SENSORS, SENSORS, WHEELS, Colour
 from khep_twin.units import BODIES, Body
 
@@ -133,7 +133,7 @@ def _bases(log: Shown) -> Sequence[rrb.View]:
             visual_bounds=rrb.VisualBounds2D(x_range=bounds[0], y_range=bounds[1]),
         )
         for robot, body in _bodies(log).items()
-        for bounds in (Places(body).bounds,)
+        for bounds in (PanelPlaces(body).bounds,)
     ]
 
 

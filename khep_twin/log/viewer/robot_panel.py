@@ -34,7 +34,7 @@ _LINE = _HALF_WIDTH / 4
 _LINES = _LINE * np.array((-3, -1, 1, 3))
 _SMALL = 0.0001
 """Length of a bar at its full value, half its width, radius and positions of its lines, radius of frames [m]:
-of a Khepera, as are all lengths here; of larger robots `Places.scale` times as much."""
+of a Khepera, as are all lengths here; of larger robots `PanelPlaces.scale` times as much."""
 
 _PROXIMITY, _LIGHT, _SPEED = (228, 87, 46), (244, 200, 70), (77, 171, 247)
 _OUTLINE, _FRAME = (150, 150, 150), (90, 90, 90)
@@ -42,8 +42,8 @@ _LEGEND = 0.037
 """Top of the legend, below the robot [m]."""
 
 
-class Places:
-    """Places in the panel of a robot.
+class PanelPlaces:
+    """PanelPlaces in the panel of a robot.
 
     Sensors that look at the floor have theirs in a row in front of the axle; the nose is then outside.
 
@@ -81,7 +81,7 @@ def panel(robot: str) -> str:
 
 def panel_chunks(robot: str, track: Samples, body: Body) -> list[Chunk]:
     """Return the bars of one robot's panel."""
-    position, places, bars = panel(robot), Places(body), bars_of(body)
+    position, places, bars = panel(robot), PanelPlaces(body), bars_of(body)
     times = time_column(track.times_ns)
     return [
         Chunk.from_columns(
@@ -97,7 +97,7 @@ def panel_chunks(robot: str, track: Samples, body: Body) -> list[Chunk]:
 
 def outline_chunks(robot: str, body: Body) -> list[Chunk]:
     """Return the static parts of one robot's panel."""
-    places = Places(body)
+    places = PanelPlaces(body)
     scale, half, bar = places.scale, places.scale * _HALF_WIDTH, places.scale * _BAR
     wheels = [
         _box(side * body.wheel_base / 2, 0.0, body.wheel_width / 2, body.wheel_radius) for side in (-1, 1)

@@ -10,7 +10,7 @@ from khep_twin.errors import PortError
 from khep_twin.host import Khepera4
 from khep_twin.khepera4.robot import Khepera4Robot
 from khep_twin.lab.conformance.khepera4 import catalogue, commands, grammar, motion
-from khep_twin.lab.conformance.model import Model
+from khep_twin.lab.conformance.model import RobotModel
 from khep_twin.lab.conformance.port.check import Check, CheckedPort
 from khep_twin.lab.conformance.port.conform import checks, conform, run_check
 
@@ -109,14 +109,14 @@ def break_server(robot: Khepera4, mutation: Mutation) -> None:
 
 
 def test_the_twin_passes_all_checks() -> None:
-    report = conform("khep://arena4", move=True, model=Model.KHEPERA4)
+    report = conform("khep://arena4", move=True, model=RobotModel.KHEPERA4)
     assert report.passed, report.text()
     assert len(report.results) == len(WRITTEN)
 
 
 def test_each_check_is_listed_once_and_those_that_move_come_last() -> None:
     assert sorted(each.name for each in catalogue.CHECKS) == sorted(each.name for each in WRITTEN.values())
-    moving = [bool(each.moves) for each in checks(True, Model.KHEPERA4)]
+    moving = [bool(each.moves) for each in checks(True, RobotModel.KHEPERA4)]
     assert moving == sorted(moving)
     assert {*BROKEN} == {*WRITTEN}
 
@@ -131,4 +131,4 @@ def test_a_server_that_answers_otherwise_is_caught(name: str, robot: Khepera4) -
 
 def test_a_robot_of_the_other_kind_is_named() -> None:
     with pytest.raises(PortError, match="the robot is a Khepera; expected a Khepera IV"):
-        conform("khep://default", model=Model.KHEPERA4)
+        conform("khep://default", model=RobotModel.KHEPERA4)

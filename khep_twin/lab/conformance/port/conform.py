@@ -14,7 +14,7 @@ from functools import partial
 from khep_twin.errors import PORT_FAILURES, PortError
 from khep_twin.host import Khepera, Khepera4
 from khep_twin.lab.conformance.khepera4 import catalogue as khepera4
-from khep_twin.lab.conformance.model import Model
+from khep_twin.lab.conformance.model import RobotModel
 from khep_twin.lab.conformance.port import catalogue as khepera
 from khep_twin.lab.conformance.port.check import (
     Check,
@@ -88,13 +88,13 @@ class ConformanceReport:
         return json.dumps({"passed": self.passed, **asdict(self)}, indent=2)
 
 
-_CHECKS = {Model.KHEPERA: khepera.CHECKS, Model.KHEPERA4: khepera4.CHECKS}
-_OPEN = {Model.KHEPERA: (Khepera, 9600), Model.KHEPERA4: (Khepera4, 115_200)}
-_COUNTERS = {Model.KHEPERA: "H", Model.KHEPERA4: "R"}
+_CHECKS = {RobotModel.KHEPERA: khepera.CHECKS, RobotModel.KHEPERA4: khepera4.CHECKS}
+_OPEN = {RobotModel.KHEPERA: (Khepera, 9600), RobotModel.KHEPERA4: (Khepera4, 115_200)}
+_COUNTERS = {RobotModel.KHEPERA: "H", RobotModel.KHEPERA4: "R"}
 
 
 def conform(
-    url: str, *, move: bool = False, baudrate: int | None = None, model: Model = Model.KHEPERA
+    url: str, *, move: bool = False, baudrate: int | None = None, model: RobotModel = RobotModel.KHEPERA
 ) -> ConformanceReport:
     """Check the robot or twin at a port.
 
@@ -116,7 +116,7 @@ def conform(
 
 
 def examine(
-    line: CheckedPort, name: str, *, move: bool = False, model: Model = Model.KHEPERA
+    line: CheckedPort, name: str, *, move: bool = False, model: RobotModel = RobotModel.KHEPERA
 ) -> ConformanceReport:
     """Run the checks on an open line."""
     waiting = partial(_expect_waiting, counters=_COUNTERS[model])
@@ -131,7 +131,7 @@ def examine(
     return ConformanceReport(name, results, skipped)
 
 
-def checks(move: bool, model: Model = Model.KHEPERA) -> Iterator[Check]:
+def checks(move: bool, model: RobotModel = RobotModel.KHEPERA) -> Iterator[Check]:
     """Return all checks, with or without those that move the robot."""
     return (each for each in _CHECKS[model] if move or not each.moves)
 
