@@ -202,7 +202,7 @@ class Khepera4(HostRobot):
         return self._do(numbers("N", 12, InfraredCounts._make))
 
     def ambient(self) -> InfraredCounts:
-        """Return twelve ambient counts, about 940 in the dark and 0 in bright light (command O)."""
+        """Return twelve ambient counts, about 980 in the dark and 0 in bright light (command O)."""
         return self._do(numbers("O", 12, InfraredCounts._make))
 
     def ultrasonic(self) -> Distances:

@@ -1,6 +1,6 @@
 """Channels of a Khepera IV in a log: names of their numbers, and their unit in brackets.
 
-The gauge counts voltage in 0.305 mV, current in 0.0781 mA, charge in 1.6 mAh, temperature in 1/256 degree C.
+The gauge counts voltage in 9.76 mV, current in 0.0781 mA, charge in 1.6 mAh, temperature in 1/256 degree C.
 """
 
 from khep_twin.units import BODIES
