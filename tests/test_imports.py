@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "khep_twin"
 
 ORDER = [
-    ["compilable", "copies", "lazy", "one_thread"],
+    ["compilable", "copies", "lazy", "one_thread", "renamed"],
     ["errors", "clock", "machine", "units"],
     ["randomness", "shutdown"],
     ["signals", "status_line", "invocation"],

@@ -1,0 +1,50 @@
+"""Old names of arguments and attributes, kept for one release with a warning."""
+
+import functools
+import warnings
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+Target = TypeVar("Target", bound=Callable[..., Any])
+
+
+def renamed_arguments(**new_names: str) -> Callable[[Target], Target]:
+    """Return a decorator by which a function or class also accepts the old names of its arguments.
+
+    Args:
+        **new_names: Each argument's new name, by its old one.
+    """
+
+    def decorate(target: Target) -> Target:
+        owner: Any = target
+        function: Callable[..., Any] = owner.__init__ if isinstance(target, type) else owner
+
+        @functools.wraps(function)
+        def call(*args: Any, **kwargs: Any) -> Any:
+            for old, new in new_names.items():
+                if old in kwargs:
+                    _warn(old, new)
+                    kwargs[new] = kwargs.pop(old)
+            return function(*args, **kwargs)
+
+        if not isinstance(target, type):
+            return cast(Target, call)
+        owner.__init__ = call
+        return cast(Target, owner)
+
+    return decorate
+
+
+def renamed_attribute(old: str, new: str) -> Any:
+    """Return a property that reads an attribute by its old name."""
+
+    def read(instance: object) -> Any:
+        _warn(old, new)
+        return getattr(instance, new)
+
+    return property(read, doc=f"Old name of `{new}`.")
+
+
+def _warn(old: str, new: str) -> None:
+    message = f"{old!r} is an old name and will be removed; expected {new!r}"
+    warnings.warn(message, DeprecationWarning, stacklevel=3)

@@ -1,0 +1,32 @@
+"""Old names of arguments and attributes."""
+
+from dataclasses import dataclass
+
+import pytest
+
+from khep_twin.renamed import renamed_arguments, renamed_attribute
+
+
+@renamed_arguments(what="kind")
+def describe(kind: str = "none") -> str:
+    return kind
+
+
+@renamed_arguments(what="kind")
+@dataclass(frozen=True)
+class Port:
+    kind: str
+    what = renamed_attribute("what", "kind")
+
+
+def test_a_function_accepts_the_old_name_with_a_warning() -> None:
+    assert describe(kind="robot") == describe("robot") == "robot"
+    with pytest.warns(DeprecationWarning, match="'what' is an old name and will be removed; expected 'kind'"):
+        assert describe(what="robot") == "robot"  # type: ignore[call-arg]
+
+
+def test_a_dataclass_accepts_and_has_the_old_name() -> None:
+    with pytest.warns(DeprecationWarning, match="'what'"):
+        port = Port(what="robot")  # type: ignore[call-arg]
+    with pytest.warns(DeprecationWarning, match="'what'"):
+        assert port.what == port.kind == "robot"
