@@ -2,9 +2,9 @@
 
 FOLDER has a folder for each program with its executable `prog`, compiled for this computer with the options
 that `khep-twin exec --cflags` prints, and, where they are needed, a file `arguments` and a file `typed` with
-what is typed at its start. Each runs for 600 simulated seconds at a terminal, with a seed of its own
-place in the list, and a line of the table tells how it ended, how far the robot drove and how near it came to
-something, how much the program wrote, and how fast it ran.
+the input typed at its start. Each runs for 600 simulated seconds at a terminal, in a temporary folder, seeded
+with its index in the list. A row of the table has its end, the robot's path length, the largest reading of the
+sensors around it, the size of the program's output, and the speed.
 """
 
 import math
@@ -15,7 +15,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from tempfile import TemporaryFile
+from tempfile import TemporaryDirectory, TemporaryFile
 
 from khep_twin.khepera4.machine import Machine
 from khep_twin.khepera4.programs import RobotProgram, run_programs
@@ -59,7 +59,7 @@ class Followed:
 
 
 def run(folder: Path, seconds: float, seed: int, playpen: str = "arena4") -> str:
-    """Run a program here, whose standard streams are replaced; return the line of the table."""
+    """Run a program in this process, whose standard streams it replaces; return the row of the table."""
     world = World(playpen, seed=seed)
     robot = world.robots[0]
     assert isinstance(robot, Khepera4Robot)
@@ -97,7 +97,11 @@ def main() -> None:
     given = parser.parse_args()
     names = sorted(each.parent.name for each in given.folder.glob("*/prog"))
     if given.here:
-        print(run(given.folder / given.here, given.seconds, names.index(given.here)), flush=True)
+        folder = (given.folder / given.here).resolve()
+        with TemporaryDirectory() as scratch:  # Programs write files into their working folder.
+            os.chdir(scratch)
+            print(run(folder, given.seconds, names.index(given.here)), flush=True)
+            os.chdir("/")
         return
     print("| program | end | s | m | pose | nearest | kB | x real time |\n|---|---|---|---|---|---|---|---|")
     for name in given.programs or names:

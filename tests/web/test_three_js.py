@@ -1,4 +1,4 @@
-"""three.js is shipped as its package has it (`python -m tools three-js`), and loads nothing else."""
+"""three.js is shipped as one minified module (`python -m tools three-js`), and loads nothing else."""
 
 import re
 from hashlib import sha256
@@ -8,8 +8,10 @@ from khep_twin.web.routes import ASSETS
 from tests.web.conftest import Asker
 from tools.three_js import FILES, SUMS
 
+MODULE = "three.min.js"
 
-def test_the_shipped_files_are_those_of_the_package() -> None:
+
+def test_the_shipped_files_are_those_of_the_build() -> None:
     lines = (ASSETS / SUMS).read_text().splitlines()
     sums = {name: digest for digest, name in (line.split("  ") for line in lines)}
     assert sums.keys() == FILES.keys() == {path.name for path in ASSETS.glob("three.*")} - {SUMS}
@@ -17,17 +19,22 @@ def test_the_shipped_files_are_those_of_the_package() -> None:
         assert sha256((ASSETS / name).read_bytes()).hexdigest() == digest, name
 
 
-def test_its_files_import_each_other_alone() -> None:
-    for name in FILES:
-        code = re.sub(r"/\*.*?\*/", "", (ASSETS / name).read_text(), flags=re.DOTALL)
-        imported = re.findall(r"\bfrom '([^']+)';", code)
-        assert imported or name in ("three.core.js", "three.LICENSE")
-        assert {path.removeprefix("./") for path in imported} <= FILES.keys(), name
+def test_the_module_imports_nothing_and_exports_the_names_that_the_page_uses() -> None:
+    code = (ASSETS / MODULE).read_text()
+    assert not re.findall(r"""\bfrom\s*["'][^"']+["']|\bimport\(""", code)
+    exports = set(re.findall(r"(?:\bas )?([\w$]+)[,}]", code[code.rindex("export{") :]))
+    scripts = [path.read_text() for path in ASSETS.glob("*.js") if path.name != MODULE]
+    uses = {name for script in scripts for name in re.findall(r"\bTHREE\.(\w+)", script)}
+    for script in scripts:
+        for imports in re.findall(rf'import {{([^}}]*)}} from "\./{re.escape(MODULE)}"', script):
+            uses |= {name.strip() for name in imports.split(",")}
+    assert len(uses) > 20
+    assert uses <= exports
 
 
 def test_it_is_served_under_the_pages_own_rules(asker: Asker) -> None:
     connection = HTTPConnection(asker.host, timeout=10)
-    connection.request("GET", f"{asker.base}/static/three.module.js", headers=asker.own())
+    connection.request("GET", f"{asker.base}/static/{MODULE}", headers=asker.own())
     answer = connection.getresponse()
     assert (answer.status, answer.getheader("content-type")) == (200, "text/javascript; charset=utf-8")
     assert "default-src 'self'" in str(answer.getheader("content-security-policy"))

@@ -1,6 +1,6 @@
 // A material that is lit at the corners only: a pixel costs nothing but its colour, also where a processor draws it.
 
-import { Color, ShaderMaterial, Vector3 } from "./three.module.js";
+import { Color, ShaderMaterial, Vector3 } from "./three.min.js";
 
 const LIGHTS = 4;
 

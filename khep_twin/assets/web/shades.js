@@ -1,7 +1,7 @@
 // Light and shadow on the floor in 3-D: a pool of light around each lamp, with the shadows in it, and a soft shadow
 // around the foot of what stands there. All of it is colours of corners, which cost little where a processor draws.
 
-import { AdditiveBlending, BufferAttribute, BufferGeometry, Color, Float32BufferAttribute, Group, Mesh, NormalBlending, ShaderMaterial } from "./three.module.js";
+import { AdditiveBlending, BufferAttribute, BufferGeometry, Color, Float32BufferAttribute, Group, Mesh, NormalBlending, ShaderMaterial } from "./three.min.js";
 
 const [RAYS, RINGS] = [144, 16];
 const NEAR = 0.1; // distance at which a pool has half of its light, for 7 W [m]

@@ -1,6 +1,6 @@
 // Shapes of a compiled scene as geometries of three.js; many shapes become one, which is drawn at once.
 
-import { BoxGeometry, BufferGeometry, CapsuleGeometry, Color, CylinderGeometry, Float32BufferAttribute, Matrix4, PlaneGeometry, Quaternion, SphereGeometry, Vector3 } from "./three.module.js";
+import { BoxGeometry, BufferGeometry, CapsuleGeometry, Color, CylinderGeometry, Float32BufferAttribute, Matrix4, PlaneGeometry, Quaternion, SphereGeometry, Vector3 } from "./three.min.js";
 
 const ENDLESS = 10; // half the length of a plane without an end [m]
 

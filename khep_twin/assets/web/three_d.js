@@ -3,8 +3,8 @@
 import { Lit } from "./lit.js";
 import { Shades } from "./shades.js";
 import { merged } from "./solids.js";
-import * as THREE from "./three.module.js";
-import { OrbitControls } from "./three.orbit.js";
+import * as THREE from "./three.min.js";
+import { OrbitControls } from "./three.min.js";
 
 const TRAIL = 1500; // parts of a path that are kept
 const LINE = 0.1; // distance of the floor's lines [m]
