@@ -30,7 +30,7 @@ from benchmarks.scale import PLAYPENS
 from khep_twin.episodes.batch import rollout
 from khep_twin.episodes.controllers import Braitenberg, Driver, Floats, Network
 from khep_twin.episodes.cuda import card, card_batch, kernel
-from khep_twin.episodes.device import missing_card
+from khep_twin.episodes.device import find_gpu_error
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.machine import n_cores
 from khep_twin.playpen import Playpen
@@ -149,7 +149,7 @@ def main(words: list[str] | None = None) -> int:
     )
     parser.add_argument("--kheperax", metavar="PYTHON", help="a Python with Kheperax and JAX for CUDA")
     given = parser.parse_args(words)
-    if missing := missing_card():
+    if missing := find_gpu_error():
         print(f"benchmarks.card: {missing}", file=sys.stderr)
         return 1
     seconds = 0.1 if given.quick else 60.0
@@ -175,13 +175,13 @@ def main(words: list[str] | None = None) -> int:
                     expected = speed(name, driver, count, seconds)
     if "blocks" in given.parts:
         print("\nblocks at once on each multiprocessor, of 64 threads")
-        plain, count = card.FILLING, 2 * card.FILLING * card.n_processors()
+        plain, count = card.EPISODES_PER_PROCESSOR, 2 * card.EPISODES_PER_PROCESSOR * card.n_processors()
         for blocks in (1, 2, 4, 8):
-            card.FILLING = blocks * card_batch.BLOCK
+            card.EPISODES_PER_PROCESSOR = blocks * card_batch.BLOCK_SIZE
             if left(given.limit) > 20:
                 print(f"{blocks:3}", end="")
                 speed("obstacles", NETWORK, min(count, sizes[-1]), seconds)
-        card.FILLING = plain
+        card.EPISODES_PER_PROCESSOR = plain
     if "kheperax" in given.parts and left(given.limit) > 60:
         kheperax(given.kheperax, sizes[-2:], seconds)
     if "million" in given.parts:

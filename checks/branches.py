@@ -21,13 +21,13 @@ from khep_twin import playpen
 from khep_twin.board.uart import LineSettings
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError, PortError, ProtocolError
-from khep_twin.interventions.move_robot import put, scan
+from khep_twin.interventions.move_robot import place_robot, scan
 from khep_twin.interventions.switching import set_lamps, switch
 from khep_twin.lab.experiment.branch import BranchPlan, branch
 from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.host_events import read_events
-from khep_twin.log.recorded import BranchPoint, read_recorded
+from khep_twin.log.recorded import BranchPoint, read_recorded_run
 from khep_twin.log.snapshots import read_states
 from khep_twin.playpen import Lamp, Lighting, Playpen
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -113,7 +113,7 @@ def drive(world: World, seed: int, end_ns: int) -> None:
             case 3:
                 x, y, heading = world.robots[0].pose
                 with suppress(PlaypenError):  # no room
-                    put(world, 0, x * 1e3, y * 1e3, np.degrees(heading) + 10, afresh=True)
+                    place_robot(world, 0, x * 1e3, y * 1e3, np.degrees(heading) + 10, reset=True)
             case _:
                 pass
         # Also between steps.
@@ -217,14 +217,14 @@ def check(number: int, folder: Path) -> list[str]:
         return [*findings, f"with {change.text or 'a controller'}: {error}"]
     if before(other, at_ns) != before(parent, at_ns):
         findings.append(f"with {change.text or 'a controller'} it differs before {at_ns / NS_PER_S} s")
-    if number % 4 == 0 and (difference := repeat(read_recorded(other))) is not None:
+    if number % 4 == 0 and (difference := repeat(read_recorded_run(other))) is not None:
         findings.append(f"with {change.text or 'a controller'} it is not repeated: {difference}")
     return findings
 
 
 def open_playpen(path: Path) -> Playpen:
     """Return the playpen of a log."""
-    return playpen.parse(read_recorded(path).label.attachments["playpen.toml"], str(path), recorded=True)
+    return playpen.parse(read_recorded_run(path).label.attachments["playpen.toml"], str(path), recorded=True)
 
 
 def main() -> int:

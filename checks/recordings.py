@@ -19,7 +19,7 @@ from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PlaypenError
 from khep_twin.files.toml_files import names
-from khep_twin.interventions.move_robot import put, scan
+from khep_twin.interventions.move_robot import place_robot, scan
 from khep_twin.lab.conformance.recording.conform import conform_recording
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
@@ -139,7 +139,7 @@ class Host:
             x, y, heading = (float(each) for each in world.robots[0].pose)
             self.left = True
             with suppress(PlaypenError):
-                put(world, 0, x * 1e3, y * 1e3, heading * 57 + 90, afresh=self._rng.random() < 0.5)
+                place_robot(world, 0, x * 1e3, y * 1e3, heading * 57 + 90, reset=self._rng.random() < 0.5)
                 scan(world)
 
 

@@ -193,7 +193,7 @@ def draw(curves, rewards, file):
 def draw_path(path, file):
     """Draw the path of the first of the new episodes."""
     seed = int(make(TASK, 1, True).reset(seed=UNSEEN)[1]["seed"][0])
-    playpen = TaskSetup(TASK).started(seed)
+    playpen = TaskSetup(TASK).start_playpen(seed)
     save(drawing(playpen, [DrawnPath("khepera0", path[:, 0], path[:, 1:])]), file)
 
 

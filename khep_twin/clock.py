@@ -6,7 +6,7 @@ from typing import Protocol
 NS_PER_S = 1_000_000_000
 
 NEVER_NS = 1 << 62
-"""Time of what never happens [ns]."""
+"""Time of an event that never happens [ns]."""
 
 
 def n_steps(duration_ns: int, step_ns: int) -> int:
@@ -24,7 +24,7 @@ def to_ns(duration: float) -> int:
     """Convert seconds [s] to integer nanoseconds [ns], rounded to the nearest.
 
     Raises:
-        ValueError: They are no number, or more than 146 years.
+        ValueError: The duration is not a number, or more than 146 years.
     """
     if not abs(duration) < NEVER_NS / NS_PER_S:
         raise ValueError(f"{duration:g} s; expected less than {NEVER_NS / NS_PER_S:.3g} s")
@@ -32,14 +32,14 @@ def to_ns(duration: float) -> int:
 
 
 class TimeSource(Protocol):
-    """Passage of simulated time for a program on a line: at once, at a pace, or in turns with others."""
+    """Passage of simulated time for a program on a line: unpaced, paced, or in turn with other programs."""
 
     def advance_to(self, time_ns: int) -> None:
         """Return when simulated time has reached `time_ns` [ns]."""
         ...
 
     def attend(self) -> None:
-        """Handle what else is due, before the program's next bytes."""
+        """Handle other pending events before the program's next bytes."""
         ...
 
 

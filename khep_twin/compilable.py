@@ -1,8 +1,8 @@
 """Functions that run plain and compiled by numba, from the same source.
 
-A function marked by `compilable` stays what it is. Where numba is installed, compiled code may call it, too:
-`simulation.compiled` registers all of them with numba before it compiles the first one. They use plain
-arithmetic on numbers, arrays and named tuples: no objects, no exceptions.
+The decorator `compilable` returns its function unchanged. Where numba is installed, compiled code may also
+call it: `simulation.compiled` registers all marked functions with numba before it compiles the first one.
+They use plain arithmetic on numbers, arrays and named tuples, without objects or exceptions.
 """
 
 from collections.abc import Callable
@@ -11,10 +11,10 @@ from typing import Any, TypeVar
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 FUNCTIONS: list[Callable[..., Any]] = []
-"""Functions that compiled code may call, in the order of their definition."""
+"""Functions that compiled code may call, in order of definition."""
 
 ONCE: set[Callable[..., Any]] = set()
-"""Those of `FUNCTIONS` that do not become part of their callers."""
+"""Functions of `FUNCTIONS` that are not inlined."""
 
 
 def compilable(function: Function) -> Function:
@@ -24,9 +24,9 @@ def compilable(function: Function) -> Function:
 
 
 def compilable_once(function: Function) -> Function:
-    """Mark a large function with several callers as `compilable`; compiled code has it only once.
+    """Mark a large function with several callers as `compilable`; it is not inlined.
 
-    Others become part of each of their callers, which is faster to run, and takes longer to compile.
+    Other functions are inlined into each caller, which runs faster and takes longer to compile.
     """
     ONCE.add(function)
     return compilable(function)

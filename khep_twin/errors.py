@@ -16,18 +16,17 @@
     ├── FaultError        a fault to inject that is unknown
     ├── SensorTestError   a sensor test that cannot be run, or unusable data of one
     ├── TurretError       a turret that cannot be plugged on
-    ├── StudyError        a study that cannot be used, or results that are not its own
-    ├── SeedError         a seed that is negative or too large, a ValueError as well
+    ├── StudyError        a study that cannot be used, or results of another study
+    ├── SeedError         a seed that is negative or too large; also a ValueError
     ├── StoppedError      a command to a robot whose run is ending
     ├── MissingExtraError a part of khep_twin whose package is not installed
     ├── DeviceError       a device on which episodes cannot run
     ├── SnapshotError     a state of a simulation that cannot be resumed
     └── DivergedError     a simulation that left the bounds of physics
 
-Each message gives the location, the value found there and the expected one; programs find what is known as
-`file`, `line`, `key`, `value` and `expected`, and all problems of a file as `problems`. Mistakes of
-the calling program (a wrong type, a negative time, two threads in one object) stay `TypeError`, `ValueError`
-and `RuntimeError`.
+Each message gives the location, its value and the expected one. Programs read them as `file`, `line`, `key`,
+`value` and `expected`, and all problems of a file as `problems`. Mistakes of the caller (a wrong type, a
+negative time, two threads in one object) stay `TypeError`, `ValueError` and `RuntimeError`.
 """
 
 import builtins
@@ -60,11 +59,11 @@ class Problem:
     """Something invalid: its text for users, and its parts for programs.
 
     Attributes:
-        location: Tables and key that it is about; empty for a whole file.
+        location: Tables and key of the problem; empty for a whole file.
         text: Location, value and expectation.
         value: Value found; None without one.
         expected: Expected value; empty if the text alone has it.
-        file: File, as the user named it; None if it is about no file.
+        file: File, as the user named it; None without one.
         line: Line in the file, from 1; None if unknown.
     """
 
@@ -77,15 +76,15 @@ class Problem:
 
     @classmethod
     def of(
-        cls, location: Location, found: str, expected: Expected, value: object = None, file: str | None = None
+        cls, location: Location, text: str, expected: Expected, value: object = None, file: str | None = None
     ) -> Self:
-        """Return the problem whose text has what was found, and then what was expected."""
-        wanted = f"expected {expected}" if isinstance(expected, str) else choices(value, expected)
-        return cls(location, found if expected == "" else f"{found}; {wanted}", value, expected, file)
+        """Return the problem with the text "text; expected …"."""
+        expectation = f"expected {expected}" if isinstance(expected, str) else choices(value, expected)
+        return cls(location, text if expected == "" else f"{text}; {expectation}", value, expected, file)
 
     @property
     def key(self) -> str | None:
-        """Key that it is about; None for a whole file or table."""
+        """Key of the problem; None for a whole file or table."""
         *_, last = (None, *(part for part in self.location if part != "[key]"))
         return last if isinstance(last, str) else None
 
@@ -100,13 +99,13 @@ class KhepTwinError(Exception):
     """Root of every error that khep_twin raises for its users.
 
     Args:
-        message: Description of the error, less the arguments that follow; by default "key = value".
-        option: Addition on the command line, such as an option that helps.
-        file: File that it is about, which begins the text.
-        key: Key, argument or channel that it is about.
+        message: Description of the error, without the arguments that follow; by default "key = value".
+        option: Addition for the command line, for example an option that helps.
+        file: File with the error, which starts the text.
+        key: Key, argument or channel with the error.
         value: Value found.
         expected: Expectation, which ends the text.
-        problems: Problems that the error consists of, one line each, instead of all these.
+        problems: Problems of the error, one line each, instead of the arguments above.
 
     Attributes:
         plain: Message without `option`.
@@ -130,10 +129,10 @@ class KhepTwinError(Exception):
         problems: Sequence[Problem] = (),
     ) -> None:
         if file is not None or key is not None or expected != "":
-            found = str(message) or f"{key} = {value!r}{'' if isinstance(expected, str) else ': unknown'}"
-            wanted = expected if isinstance(expected, str) else tuple(expected)
+            text = str(message) or f"{key} = {value!r}{'' if isinstance(expected, str) else ': unknown'}"
+            expectation = expected if isinstance(expected, str) else tuple(expected)
             place = None if file is None else str(file)
-            problems = [Problem.of(() if key is None else (key,), found, wanted, value, place)]
+            problems = [Problem.of(() if key is None else (key,), text, expectation, value, place)]
         self.plain = "\n".join(map(str, problems)) or str(message)
         super().__init__(f"{self.plain}{option}")
         self.problems = tuple(problems)
@@ -195,7 +194,7 @@ class TurretError(KhepTwinError):
 
 
 class StudyError(KhepTwinError):
-    """A study that cannot be used, or results that are not its own."""
+    """A study that cannot be used, or results of another study."""
 
 
 class FaultError(KhepTwinError):
@@ -219,15 +218,15 @@ class MissingExtraError(KhepTwinError):
 
     def __init__(self, package: str, extra: str) -> None:
         super().__init__(f"{package} is not installed; to install it: {pip_install_extra(extra)}")
-        self._given = package, extra
+        self._arguments = package, extra
 
     def __reduce__(self) -> tuple[type[Self], tuple[str, str]]:
-        """Return how it is made in another process."""
-        return type(self), self._given
+        """Return the constructor and its arguments, for another process."""
+        return type(self), self._arguments
 
 
 class DeviceError(KhepTwinError):
-    """A device on which episodes cannot run, such as a card that is not there."""
+    """A device on which episodes cannot run, for example a missing GPU."""
 
 
 EXTRAS = {"matplotlib": "pictures", "scipy": "fit"}
@@ -235,25 +234,25 @@ EXTRAS = {"matplotlib": "pictures", "scipy": "fit"}
 
 
 class MissingNumbaError(KhepTwinError):
-    """Compiled code was asked for where numba, a dependency of khep_twin, is not installed, or switched off.
+    """A request for compiled code while numba, a dependency of khep_twin, is missing or switched off.
 
     Args:
-        is_off: True if numba is there, and compiles nothing.
+        is_off: True if numba is installed but compiles nothing.
 
     Attributes:
         found: Reason, without the remedy.
-        remedy: Words on what to do.
+        remedy: Advice to the user.
     """
 
     def __init__(self, is_off: bool = False) -> None:
         self.is_off = is_off
-        self.found, self.remedy = "numba is not installed", f"to install it: {pip_install_required('numba')}"
+        self.reason, self.remedy = "numba is not installed", f"to install it: {pip_install_required('numba')}"
         if is_off:
-            self.found, self.remedy = "NUMBA_DISABLE_JIT switches numba off", "expected it unset, or 0"
-        super().__init__(f"{self.found}; {self.remedy}")
+            self.reason, self.remedy = "NUMBA_DISABLE_JIT switches numba off", "expected it unset, or 0"
+        super().__init__(f"{self.reason}; {self.remedy}")
 
     def __reduce__(self) -> tuple[type[Self], tuple[bool]]:
-        """Return how it is made in another process."""
+        """Return the constructor and its arguments, for another process."""
         return type(self), (self.is_off,)
 
 
@@ -291,26 +290,26 @@ def in_a_line(error: BaseException) -> str:
     """Return the type and message of an exception of a user's program in one line."""
     try:
         text = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
-    except Exception as trouble:  # its own text may fail, too
-        text = f"(its text fails: {type(trouble).__name__})"
+    except Exception as failure:  # `__str__` of a user's exception may fail
+        text = f"(its text fails: {type(failure).__name__})"
     return f"{type(error).__name__}: {text}".removesuffix(": ") + _suggestion(error)
 
 
 def _suggestion(error: BaseException) -> str:
-    """Return the name that was probably meant, as Python adds it to a traceback only."""
-    name, known = getattr(error, "name", None), set[str]()
+    """Return a hint with the name that was probably meant, which Python adds to tracebacks only."""
+    name, candidates = getattr(error, "name", None), set[str]()
     if isinstance(error, AttributeError):
-        known.update(dir(error.obj))
+        candidates.update(dir(error.obj))
     elif isinstance(error, NameError) and error.__traceback__ is not None:
         *_, (frame, _) = walk_tb(error.__traceback__)
-        known.update(frame.f_locals, frame.f_globals, dir(builtins))
-    near = get_close_matches(name, sorted(known), 1, 0.75) if isinstance(name, str) else []
+        candidates.update(frame.f_locals, frame.f_globals, dir(builtins))
+    near = get_close_matches(name, sorted(candidates), 1, 0.75) if isinstance(name, str) else []
     return f". Did you mean: {near[0]!r}?" if near else ""
 
 
-def choices(given: object, valid: Iterable[object]) -> str:
-    """Return the tail of a message for an invalid `given`: the nearest choice, then all."""
+def choices(value: object, valid: Iterable[object]) -> str:
+    """Return the tail of a message for an invalid value: the nearest choice, then all choices."""
     names = [str(name) for name in valid]
-    near = get_close_matches(str(given), names, n=1)
+    near = get_close_matches(str(value), names, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
     return f"{hint}(choices: {', '.join(names) or 'none'})"

@@ -11,7 +11,7 @@ calls it. Cases that the manual leaves open are decided to be safe for a host:
       does not know, is answered `z,Turret order not supported`;
     - a processor without power is silent, and its motors keep their duty.
 
-docs/protocol.md lists all such decisions.
+docs/protocol.md lists all these decisions.
 """
 
 import inspect
@@ -58,14 +58,15 @@ ACCELERATION_LIMIT = 65535
 N_CONVERTER_CHANNELS = 7
 """Channels of command I (manual II, appendix A; the manual names none)."""
 
-
+_PROXIMITY = slice(kernel.PROXIMITY[0], kernel.PROXIMITY[-1] + 1)
+_AMBIENT = slice(kernel.AMBIENT[0], kernel.AMBIENT[-1] + 1)
 _COMMANDS: dict[str, Callable[..., bytes]] = {}
 _DESCRIPTIONS = {"T": "send a message to a turret"}
 """Method of each command's letter, and its description for `help`; `_command` adds to them."""
 
 
 def _command(letter: str, description: str) -> Callable[[Execute], Execute]:
-    """Return a decorator that makes a method the command of a letter, with the method's own arguments."""
+    """Return a decorator that makes a method the command of a letter, with the method's parameters."""
 
     def add(execute: Execute) -> Execute:
         _COMMANDS[letter], _DESCRIPTIONS[letter] = execute, description
@@ -78,17 +79,17 @@ class FirmwareState(NamedTuple):
     """State of the firmware besides its registers.
 
     Attributes:
-        baud: Speed of the serial line from the next reply on [baud].
-        reply_baud: Speed of the line for the last reply [baud].
+        baud: Baud rate of the serial line from the next reply on.
+        reply_baud: Baud rate of the line for the last reply.
         running: ROM function that runs; empty for none.
-        begun: Bytes of the incomplete line.
+        partial_line: Bytes of the incomplete line.
         turrets: Registers of each turret, by its name.
     """
 
     baud: Annotated[int, Field(gt=0, le=10**9)]
     reply_baud: Annotated[int, Field(gt=0, le=10**9)]
     running: Annotated[str, Field(max_length=64)]
-    begun: Base64UrlBytes
+    partial_line: Base64UrlBytes
     turrets: dict[str, tuple[Annotated[int, Field(ge=-(2**63), lt=2**63)], ...]]
 
 
@@ -99,15 +100,15 @@ class Firmware:
         rom: Version of the firmware.
         mode: Running mode.
         turrets: Turrets that are plugged on top.
-        registers: Memory for the state of the board (N_REGISTERS,); its own if not given.
-        processor: Memory for the state of the processor (N_PROCESSOR,); its own if not given.
+        registers: Memory for the state of the board (N_REGISTERS,); by default a new array.
+        processor: Memory for the state of the processor (N_PROCESSOR,); by default a new array.
 
     Attributes:
         registers: State of the board (N_REGISTERS,).
         register_view: The same memory as a memoryview, which is faster to index.
         turrets: Turrets that are plugged on top.
-        baud: Speed of the serial line from the next reply on [baud].
-        reply_baud: Speed of the line for the last reply [baud]; differs from `baud` after the tool `serial`.
+        baud: Baud rate of the serial line from the next reply on.
+        reply_baud: Baud rate of the line for the last reply; differs from `baud` after the tool `serial`.
         running: ROM function that runs; empty for none.
         answer_ns: Time that an answer takes [ns], 0.
     """
@@ -141,18 +142,18 @@ class Firmware:
     def state(self) -> FirmwareState:
         """Return the state besides the registers."""
         turrets = {kind.name: tuple(turret.registers.tolist()) for kind, turret in self.turrets.items()}
-        return FirmwareState(self.baud, self.reply_baud, self.running, self._lines.begun, turrets)
+        return FirmwareState(self.baud, self.reply_baud, self.running, self._lines.partial_line, turrets)
 
     def set_state(self, state: FirmwareState) -> None:
-        """Take over a state.
+        """Restore a state.
 
         Raises:
-            ValueError: It has other turrets, or a register that indexes others is out of its range.
+            ValueError: It has other turrets, or an index register is out of its range.
         """
-        here = {kind.name: turret.registers for kind, turret in self.turrets.items()}
-        sizes = {name: len(registers) for name, registers in here.items()}
-        if (found := {name: len(registers) for name, registers in state.turrets.items()}) != sizes:
-            raise ValueError(f"turrets with registers {found}; expected {sizes}")
+        turret_registers = {kind.name: turret.registers for kind, turret in self.turrets.items()}
+        sizes = {name: len(registers) for name, registers in turret_registers.items()}
+        if (state_sizes := {name: len(registers) for name, registers in state.turrets.items()}) != sizes:
+            raise ValueError(f"turrets with registers {state_sizes}; expected {sizes}")
         view = self.register_view
         for register, limit in (
             (Board.SCAN, N_SENSORS),
@@ -161,9 +162,9 @@ class Firmware:
             if not 0 <= view[register] < limit:
                 raise ValueError(f"register {int(register)} = {view[register]}; expected 0 to {limit - 1}")
         for name, registers in state.turrets.items():
-            here[name][:] = registers
+            turret_registers[name][:] = registers
         self.baud, self.reply_baud, self.running = state.baud, state.reply_baud, state.running
-        self._lines.begun = state.begun
+        self._lines.partial_line = state.partial_line
 
     def receive(self, data: bytes) -> bytes:
         """Read bytes from the line; return the replies to the commands that they complete."""
@@ -188,18 +189,18 @@ class Firmware:
                 turret.tick()
 
     def remedy(self, baud: int) -> str:
-        """Return a hint for setting the robot's line to a host's speed [baud]."""
+        """Return a hint for setting the robot's line to a host's baud rate."""
         if self._mode.baud == baud:
             return f"'restart' brings the robot back to {baud} baud"
         if (mode := self._rom.mode_at(baud)) is not None:
             return f"for {baud} baud: serve --mode {mode}, or khep://...?mode={mode}"
         if (mode := ROMS["khepera2"].mode_at(baud)) is not None:
-            wanted = f"serve --model khepera2 --mode {mode}, or khep://...?model=khepera2&mode={mode}"
-            return f"for {baud} baud, of a Khepera II: {wanted}"
+            options = f"serve --model khepera2 --mode {mode}, or khep://...?model=khepera2&mode={mode}"
+            return f"for {baud} baud, of a Khepera II: {options}"
         return f"no running mode has {baud} baud: expected {self.baud} at the host"
 
     def forget(self) -> None:
-        """Clear what a reset clears besides registers: the incomplete line, turrets, speed and program."""
+        """Clear the state besides registers, as a reset does: line, turrets, baud rate and function."""
         self._lines.clear()
         for turret in self.turrets.values():
             turret.reset()
@@ -250,7 +251,7 @@ class Firmware:
         self.running = function
         self._processor[kernel.DEMO] = function == DEMO
 
-    def _both(self, register: Wheel) -> tuple[int, int]:
+    def _read_wheels(self, register: Wheel) -> tuple[int, int]:
         """Return a register of the left and of the right wheel."""
         return self.register_view[LEFT + register], self.register_view[RIGHT + register]
 
@@ -281,7 +282,7 @@ class Firmware:
 
     @_command("E", "read the speed")
     def _read_speed(self) -> bytes:
-        return reply("E", *self._both(Wheel.SPEED))
+        return reply("E", *self._read_wheels(Wheel.SPEED))
 
     @_command("F", "configure the position controller")
     def _configure_position_pid(self, kp: int, ki: int, kd: int) -> bytes:
@@ -296,7 +297,7 @@ class Firmware:
 
     @_command("H", "read the position counters")
     def _read_position(self) -> bytes:
-        return reply("H", *self._both(Wheel.POSITION))
+        return reply("H", *self._read_wheels(Wheel.POSITION))
 
     @_command("I", "read an A/D input")
     def _read_converter(self, channel: int) -> bytes:
@@ -356,9 +357,6 @@ class Firmware:
     def _write_bus(self, data: int, address: int) -> bytes:
         return reply("W") if 0 <= data < 256 and 0 <= address < 64 else PROTOCOL_ERROR
 
-
-_PROXIMITY = slice(kernel.PROXIMITY[0], kernel.PROXIMITY[-1] + 1)
-_AMBIENT = slice(kernel.AMBIENT[0], kernel.AMBIENT[-1] + 1)
 
 ARGUMENT_COUNTS: Mapping[str, int] = {
     letter: len(inspect.signature(execute).parameters) - 1 for letter, execute in _COMMANDS.items()

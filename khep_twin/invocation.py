@@ -13,9 +13,9 @@ def command(*words: object, program: str = "khep-twin") -> str:
     Args:
         words: Arguments.
         program: Name of a program of this installation. The bare name is used if the shell finds that
-            program by it, else its path.
+            program by it, otherwise its path.
     """
-    return " ".join(quoted(str(word)) for word in (_found(program), *words))
+    return " ".join(quoted(str(word)) for word in (_find_program(program), *words))
 
 
 def quoted(word: str) -> str:
@@ -29,15 +29,15 @@ def quoted(word: str) -> str:
         return f"\"$(printf '{''.join(octal)}')\""
 
 
-def _found(name: str) -> str:
-    typed, own = Path(sys.argv[0]), Path(sys.executable).with_name(name)
-    script = typed if typed.name == name and typed.is_file() else own
-    known = shutil.which(name)
-    if not script.is_file() or (known is not None and os.path.samefile(known, script)):
+def _find_program(name: str) -> str:
+    typed, installed = Path(sys.argv[0]), Path(sys.executable).with_name(name)
+    script = typed if typed.name == name and typed.is_file() else installed
+    shell_path = shutil.which(name)
+    if not script.is_file() or (shell_path is not None and os.path.samefile(shell_path, script)):
         return name
     # A link is not resolved, as it belongs to this environment.
-    path, here = Path(os.path.abspath(script)), Path.cwd()
-    if not path.is_relative_to(here):
+    path, folder = Path(os.path.abspath(script)), Path.cwd()
+    if not path.is_relative_to(folder):
         return str(path)
-    below = path.relative_to(here)
+    below = path.relative_to(folder)
     return str(below) if below.parent.name else f"./{below}"

@@ -30,6 +30,7 @@ from khep_twin.simulation.turret_place import TurretPlace
 from khep_twin.simulation.world_state import BoardState, RobotSnapshot
 from khep_twin.units import SENSOR_LABELS
 
+_LEDS = (int(Board.LED_0), int(Board.LED_1))
 _SENSORS, _WHEELS = ", ".join(SENSOR_LABELS), "left, right, setpoint left, setpoint right"
 
 SAMPLED = (
@@ -37,24 +38,20 @@ SAMPLED = (
     SampledRegisters("ambient", f"{_SENSORS} [counts]", AMBIENT),
     SampledRegisters("speed", f"{_WHEELS} [pulses/10 ms]", (*SPEEDS, *SETPOINTS)),
     SampledRegisters("duty", "left, right [-255 to 255]", DUTIES),
-    SampledRegisters("leds", "lateral, frontal [1 is lit]", (int(Board.LED_0), int(Board.LED_1))),
+    SampledRegisters("leds", "lateral, frontal [1 is lit]", _LEDS),
 )
 """Channels of the board's registers."""
 
-_RECORDED = ("registers", "processor", "sensor_states", "strengths", "voltage")
-"""Fields of a robot's record that change in a run."""
+_RECORD_FIELDS = ("registers", "processor", "sensor_states", "strengths", "voltage")
+"""Fields of a robot's record that change during a run."""
 
 
 class KheperaRobot(Robot):
-    """A robot whose board the stepping core runs.
+    """A Khepera or Khepera II, whose board the stepping core runs.
 
     Args:
-        context: World of the robot.
-        index: Index among the playpen's robots.
-        indices: Indices in the scene.
+        context, index, indices, make_rng, settings: See `Robot`.
         state: Record of the stepping core.
-        rng: Function that returns a random stream of the robot by its name.
-        settings: Settings of the world's robots.
 
     Attributes:
         registers: State of the board (N_REGISTERS,).
@@ -69,13 +66,13 @@ class KheperaRobot(Robot):
         index: int,
         indices: RobotIndices,
         state: NDArray[np.void],
-        rng: Callable[..., np.random.Generator],
+        make_rng: Callable[..., np.random.Generator],
         settings: RobotSettings,
     ) -> None:
         entry = context.playpen.robots[index]
         turrets = {kind: kind.make() for kind in find(entry.turrets)}
         firmware = Firmware(ROMS[entry.rom], entry.mode, turrets, state["registers"], state["processor"])
-        super().__init__(context, index, indices, firmware, rng, settings)
+        super().__init__(context, index, indices, firmware, make_rng, settings)
         self._state = state
         self.fit_turrets()
         self.registers = firmware.registers
@@ -86,7 +83,7 @@ class KheperaRobot(Robot):
             self._wheels = FaultyWheels(context.model, context.data, indices)
 
     def fit_turrets(self) -> None:
-        """Give its turrets their bodies in the scene as it is now; their state is in their registers."""
+        """Create the bodies of its turrets in the present scene."""
         self.turret_bodies = {
             kind.name: kind.fit(TurretPlace(self._context, self.index, kind, turret.registers, self._state))
             for kind, turret in self.firmware.turrets.items()
@@ -95,21 +92,17 @@ class KheperaRobot(Robot):
 
     def state(self, since_ns: int = -1) -> RobotSnapshot:
         """Return the state, with the replies that reach the host after a time [ns]."""
-        recorded: dict[str, Any] = {name: self._state[name].tobytes() for name in _RECORDED}
+        recorded: dict[str, Any] = {name: self._state[name].tobytes() for name in _RECORD_FIELDS}
         return RobotSnapshot(
             **self.board_state(since_ns)._asdict(),
             **recorded,
             stopped=self._has_stopped,
-            leds=tuple(self._shown),
+            leds=tuple(self._shown_leds),
         )
 
     def set_state(self, state: RobotSnapshot) -> None:
-        """Take over a state.
-
-        Raises:
-            ValueError: It is of another robot, or another line.
-        """
-        for name in _RECORDED:
+        """Restore a state."""
+        for name in _RECORD_FIELDS:
             field, data = self._state[name], getattr(state, name)
             if len(data) != field.nbytes:
                 raise ValueError(f"{len(data)} bytes of {name}; expected {field.nbytes}")
@@ -120,19 +113,20 @@ class KheperaRobot(Robot):
         self.apply_faults()
 
     def act_after(self, reason: int) -> None:
-        """Do what the stepping core has returned for.
+        """React to the reason for which the stepping core has returned.
 
         Args:
-            reason: `step.STEPPED` for faults of conversions, TICKED to run the turrets and for other faults,
-                STOPPED to complete the stop of a processor whose supply is too low.
+            reason: `STEPPED` for faults of conversions, `TICKED` to run the turrets and for other faults,
+            `STOPPED`
+                to complete the stop of a processor with a low supply voltage.
         """
-        if reason == step.STEPPED:
+        if reason == step.Reason.STEPPED:
             if self.faults.update((SENSOR,), self._context.time_ns):
                 self.apply_faults()
-        elif reason == step.TICKED:
+        elif reason == step.Reason.TICKED:
             self._run_turrets()
-            self._fail()
-        elif reason == step.STOPPED and not self.firmware.powered and not self._has_stopped:
+            self._update_faults()
+        elif reason == step.Reason.STOPPED and not self.firmware.powered and not self._has_stopped:
             self._has_stopped = True
             self.stop_processor()
             text = (
@@ -142,9 +136,10 @@ class KheperaRobot(Robot):
             self._context.on_event(self.index, text)
 
     def apply_faults(self) -> None:
-        """Make sensors, motors and wheels as the present faults have them; sound without any."""
+        """Apply the active faults to sensors, motors and wheels; without faults, restore them."""
         sensors, strengths, wheels = self._state["sensor_states"], self._state["strengths"], self._wheels
-        sensors[:], strengths[:] = step.SOUND, 1
+        sensors[:] = step.SOUND
+        strengths[:] = 1
         if wheels is not None:
             wheels.mend()
         for fault in self.faults.active:
@@ -160,7 +155,7 @@ class KheperaRobot(Robot):
 
     @property
     def lit_leds(self) -> list[int]:
-        """LEDs as the registers have them, 0 for an unlit one."""
+        """State of each LED in the registers, 0 for off."""
         return [self._register_view[led] for led in _LEDS]
 
     def reset_motion(self) -> None:
@@ -182,22 +177,19 @@ class KheperaRobot(Robot):
         for body in self.turret_bodies.values():
             body.drive()
 
-    def _fail(self) -> None:
-        """Begin and end the faults of a control period."""
+    def _update_faults(self) -> None:
+        """Start and end faults in a control period."""
         time_ns, data, state = self._context.time_ns, self._context.data, self._state
         changed = self.faults.update((MOTOR, WHEEL, ""), time_ns)
         if changed:
             self.apply_faults()
-        for which in {fault.which for fault in changed if fault.device == MOTOR}:
+        for motor in {fault.which for fault in changed if fault.device == MOTOR}:
             # From the next control period on the stepping core does this.
-            voltage = units.duty_voltage(self.registers[kernel.DUTIES[which]], state["voltage"][0])
-            if state["strengths"][which] != 1:
-                speed = data.qvel[self.indices.wheel_speeds[which]]
+            voltage = units.duty_voltage(self.registers[kernel.DUTIES[motor]], state["voltage"][0])
+            if state["strengths"][motor] != 1:
+                speed = data.qvel[self.indices.wheel_speeds[motor]]
                 constant = float(state["motor_constant"])
-                voltage = step.weak_voltage(state["strengths"][which], voltage, constant, speed)
-            data.ctrl[self.indices.motors[which]] = voltage
+                voltage = step.weak_voltage(state["strengths"][motor], voltage, constant, speed)
+            data.ctrl[self.indices.motors[motor]] = voltage
         if any(fault.kind == "brown-out" for fault in changed):
             self.reset_processor()
-
-
-_LEDS = (int(Board.LED_0), int(Board.LED_1))

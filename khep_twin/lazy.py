@@ -1,4 +1,4 @@
-"""Names that a package gives at its root, each loaded when it is first used.
+"""Lazy imports: public names of a package, each loaded on its first use.
 
 A package lists them once, as type checkers read them:
 
@@ -9,7 +9,7 @@ A package lists them once, as type checkers read them:
 
         __getattr__, __dir__, __all__ = lazy.names(__name__)
 
-`names` reads the same imports out of the package's source, so that `import khep_twin` loads none of them.
+`names` reads the same imports from the package's source, so `import khep_twin` loads none of these modules.
 """
 
 import ast
@@ -22,24 +22,26 @@ def names(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]
     """Return `__getattr__`, `__dir__` and `__all__` of a package with imports under `if TYPE_CHECKING`."""
     module = sys.modules[package]
     with open(str(module.__file__), encoding="utf-8") as file:
-        places = _places(file.read())
+        imports = _imports(file.read())
 
     def load(name: str) -> object:
-        if name not in places:
+        if name not in imports:
             raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name, obj=module)
-        place, its_name = places[name]
-        found = f"{place}.{its_name}"
-        value = import_module(found) if place == package else getattr(import_module(place), its_name)
+        source, attribute = imports[name]
+        if source == package:
+            value = import_module(f"{source}.{attribute}")
+        else:
+            value = getattr(import_module(source), attribute)
         setattr(module, name, value)
         return value
 
-    return load, lambda: sorted({*vars(module), *places}), sorted(places)
+    return load, lambda: sorted({*vars(module), *imports}), sorted(imports)
 
 
-def _places(source: str) -> dict[str, tuple[str, str]]:
-    """Return the module of each name that is imported for type checkers alone, and its name there."""
+def _imports(source: str) -> dict[str, tuple[str, str]]:
+    """Return module and attribute of each name that the source imports for type checkers."""
     blocks = [node.body for node in ast.parse(source).body if isinstance(node, ast.If)]
-    # Also those for one operating system, in an `if` within.
+    # Imports for one operating system stand in a nested `if`.
     nodes = [node for body in blocks for statement in body for node in ast.walk(statement)]
     imports = [node for node in nodes if isinstance(node, ast.ImportFrom)]
     return {

@@ -25,11 +25,11 @@ with suppress(ImportError):
     _resource = resource
 
 _LOCKED_BYTE = 1 << 40
-"""Byte that stands for a file whose system locks bytes; others may read and write what lies before it."""
+"""Locked byte of a file on systems that lock bytes; other processes may use the bytes before it."""
 
 
 _forks: list[int] = []
-"""Numbers of the processes that were forked on the way to this one, since this module was imported."""
+"""Process ids of the forks that led to this process since this module was imported."""
 if sys.platform != "win32":
     os.register_at_fork(after_in_child=lambda: _forks.append(os.getpid()))
 
@@ -49,7 +49,7 @@ def lock(file: IO[Any] | int, *, shared: bool = False, waits: bool = False) -> N
 
     Args:
         file: Open file, or its descriptor.
-        shared: True if others may lock it so, too; not on Windows.
+        shared: True for a lock that other processes may share; not on Windows.
         waits: True to wait for other processes.
 
     Raises:
@@ -93,34 +93,34 @@ def n_cores() -> int:
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
-def open_files_limit(least: int = 0) -> int:
-    """Return how many files this process may have open; raise the limit to `least` if that is allowed."""
+def open_files_limit(minimum: int = 0) -> int:
+    """Return the number of files that this process may have open; raise it to `minimum` if allowed."""
     if _resource is None:
         return sys.maxsize
     soft, hard = (
-        sys.maxsize if each == _resource.RLIM_INFINITY else each
-        for each in _resource.getrlimit(_resource.RLIMIT_NOFILE)
+        sys.maxsize if limit == _resource.RLIM_INFINITY else limit
+        for limit in _resource.getrlimit(_resource.RLIMIT_NOFILE)
     )
-    if soft < least:
-        soft = min(hard, least)
+    if soft < minimum:
+        soft = min(hard, minimum)
         _resource.setrlimit(_resource.RLIMIT_NOFILE, (soft, hard))
     return soft
 
 
 def lower_priority(process: int = 0, by: int = 19) -> None:
-    """Let other programs come first; on Windows do nothing.
+    """Lower the priority of a process; on Windows do nothing.
 
     Args:
         process: Number of the process; 0 for this one.
         by: Steps by which its priority is lowered, up to 19.
     """
     if sys.platform != "win32":
-        least = os.getpriority(os.PRIO_PROCESS, process) + by
-        os.setpriority(os.PRIO_PROCESS, process, min(least, 19))
+        priority = os.getpriority(os.PRIO_PROCESS, process) + by
+        os.setpriority(os.PRIO_PROCESS, process, min(priority, 19))
 
 
 def _lock_byte(descriptor: int, kind: int) -> None:
-    """Lock or unlock one byte of a file, by Windows' way, which begins at the present position."""
+    """Lock or unlock one byte of a file on Windows, where locks start at the current position."""
     position = os.lseek(descriptor, 0, os.SEEK_CUR)
     os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
     try:

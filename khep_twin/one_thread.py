@@ -1,6 +1,6 @@
-"""Objects that one thread at a time may be inside of: a second one gets an error, at once.
+"""Objects whose methods run in one thread at a time: a second thread gets an error immediately.
 
-An object may pass from thread to thread between calls.
+Threads may take turns in using an object.
 """
 
 from collections.abc import Callable
@@ -10,37 +10,37 @@ from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 
 class Guarded(Protocol):
-    """Object with a lock, which it may share with objects that it consists of."""
+    """Object with a lock, which its parts may share."""
 
     guard: RLock
 
 
-Own = TypeVar("Own", bound=Guarded)
-Given = ParamSpec("Given")
+Owner = TypeVar("Owner", bound=Guarded)
+Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 
 def one_thread(
-    method: Callable[Concatenate[Own, Given], Result],
-) -> Callable[Concatenate[Own, Given], Result]:
-    """Return a method that raises a `RuntimeError` while another thread is inside of its object."""
+    method: Callable[Concatenate[Owner, Arguments], Result],
+) -> Callable[Concatenate[Owner, Arguments], Result]:
+    """Return a method that raises a `RuntimeError` while another thread runs one of the same object."""
 
     @wraps(method)
-    def guarded(self: Own, /, *given: Given.args, **options: Given.kwargs) -> Result:
+    def guarded(self: Owner, /, *arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
         guard = self.guard
         if not guard.acquire(False):
             raise entered_twice(self, method.__name__)
         try:
-            return method(self, *given, **options)
+            return method(self, *arguments, **options)
         finally:
             guard.release()
 
     return guarded
 
 
-def entered_twice(entered: object, method: str) -> RuntimeError:
-    """Return the error about a second thread in a method of an object."""
+def entered_twice(instance: object, method: str) -> RuntimeError:
+    """Return the error of a second thread that calls a method of an object."""
     return RuntimeError(
-        f"{method.lstrip('_')}: another thread is inside this {type(entered).__name__}; expected one thread "
+        f"{method.lstrip('_')}: another thread is inside this {type(instance).__name__}; expected one thread "
         "at a time, or an object for each"
     )

@@ -5,13 +5,13 @@ outline; "block0", "cylinder0", "patch0", "lamp0" … and pieces of walls "wall0
 where nameless adjoining blocks are merged under the first one's number; stripes as sites
 "stripe_block0_0" …; the robots as bodies "khepera0/base" … with the same prefix for all their parts, their
 turrets as "khepera0/gripper/arm" ….
-The keyframe "home" is the start, with the motors' targets; MuJoCo alone begins with all controls at 0.
+The keyframe "home" is the start, with the motors' targets; MuJoCo alone starts with all controls at 0.
 The MJCF holds the sensors' inputs: a geom's `user` values are its infrared reflectance and its
 electrical conductance [S], a lamp is a site whose `user` value is its power [W].
 
 Contacts of robots are explicit pairs (tyres and supports with the floor, shell with the objects on
 it), which is faster and keeps the ball-shaped tyres from touching walls; movable objects collide
-with everything by MuJoCo's own filter.
+with everything by MuJoCo's filter.
 """
 
 import math
@@ -33,7 +33,7 @@ from khep_twin.sensing.line_faces import STRIPE
 from khep_twin.sensing.mujoco_scene import GROUND_GROUP
 
 STEPS_NS = (units.STEP_NS, 2 * units.STEP_NS, 4 * units.STEP_NS)
-"""Valid steps of a scene [ns]: the robot's own, of one conversion, and coarser ones for many runs."""
+"""Valid steps of a scene [ns]: the robot's step, one conversion long, and coarser ones for many runs."""
 
 SHELL_FRICTION = 0.3
 """Friction of the plastic body on walls and objects (assumed)."""
@@ -49,7 +49,7 @@ _PATCH_RISE = 2e-6
 """Height of a patch above another that it lies on [m]."""
 
 _PANEL_GAP = 5e-5
-"""Distance of stripes in front of what they are on, and their thickness [m]."""
+"""Distance of stripes in front of their side, and their thickness [m]."""
 
 _TABLE_TOP, _TABLE_HEIGHT = 0.02, 0.1
 """Thickness of a table's top, and its height above the ground [m]."""
@@ -106,9 +106,9 @@ def to_spec(playpen: Playpen) -> mujoco.MjSpec:
     controls: list[float] = []
     for index, robot in enumerate(playpen.robots):
         prefix = f"khepera{index}/"
-        names, held = add_robot(spec, prefix, robot, grounds)
+        names, robot_controls = add_robot(spec, prefix, robot, grounds)
         hands.append(names)
-        controls += held
+        controls += robot_controls
         shell = prefix + "shell"
         for obstacle in [*obstacles, *(grounds if len(grounds) > 1 else ()), *shells]:
             add_contact(spec, shell, obstacle, SHELL_FRICTION)
@@ -129,7 +129,7 @@ def set_step(spec: mujoco.MjSpec, step_ns: int) -> None:
     """Set the step [ns] of a specification from `to_spec`: contacts as stable, sensors in the same order.
 
     Raises:
-        ValueError: The control tick or the scan is not a whole number of such steps.
+        ValueError: The control tick or the scan is not a whole number of these steps.
     """
     if step_ns not in STEPS_NS:
         right = ", ".join(f"{step / 1e6:g}" for step in STEPS_NS)
@@ -168,8 +168,8 @@ def _set_options(spec: mujoco.MjSpec, movable: bool, n_robots: int) -> None:
     if movable:
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
     elif n_robots < 2:
-        # With several robots each group that touches is solved by itself: 13 times as fast for twenty of
-        # which some push (measured).
+        # With several robots the solver treats each group in contact (island) apart: 13 times as fast for
+        # twenty robots of which some push (measured).
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     # Viewers need these to show a scene of half a metre.
     spec.visual.map.znear = 0.005
@@ -272,7 +272,7 @@ def _add_object(spec: mujoco.MjSpec, playpen: Playpen, name: str, item: Block | 
 
 
 def _make_ramp(geom: mujoco.MjsGeom, block: Block) -> None:
-    """Tilt a block so that its top rises along its length, as a slab that begins below the floor."""
+    """Tilt a block so that its top rises along its length, as a slab that starts below the floor."""
     length, height = units.metres(block.length_mm), units.metres(block.height_mm)
     heading, slope, half = units.radians(block.angle_deg) / 2, math.atan2(height, length) / 2, _SLAB / 2
     # By the heading, and then by the slope about its own left.
@@ -354,14 +354,14 @@ def _add_stripes(
     height: float,
     bottom: float = 0.0,
 ) -> None:
-    """Add the panels of stripes, as sites, which nothing touches and no ray meets, just in front of a side.
+    """Add the panels of stripes just in front of a side, as sites, which have no contacts and stop no ray.
 
     Args:
-        body: Body that they move with.
-        playpen: Playpen with their surfaces.
-        name: Name of what they are on.
+        body: Body of the striped object.
+        playpen: Playpen with the surfaces.
+        name: Name of the striped object or wall.
         stripes: Panels in the frame of the body.
-        height: Height of what they are on [m].
+        height: Height of the object or wall [m].
         bottom: Height of its lower end in the frame of the body [m].
     """
     for number, panel in enumerate(stripes):

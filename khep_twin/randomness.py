@@ -17,13 +17,13 @@ SEED_LIMIT = 2**63
 
 
 class StreamState(NamedTuple):
-    """Position in a random stream, as of numpy's PCG64.
+    """Position in a random stream of numpy's PCG64.
 
     Attributes:
         state: State of the generator.
         increment: Increment of the generator, which distinguishes streams.
-        halves: Number of 32-bit halves of a draw that are kept, 0 or 1.
-        half: Half that is kept.
+        halves: Number of stored 32-bit halves of a draw, 0 or 1.
+        half: NetworkContent half.
     """
 
     state: Annotated[int, Field(ge=0, lt=2**128)]
@@ -35,7 +35,7 @@ class StreamState(NamedTuple):
 def stream(seed: int, *names: str | int) -> np.random.Generator:
     """Return the generator named `names` of the run with this `seed`.
 
-    The same seed and names give the same draws in any process, whatever other streams exist.
+    The same seed and names give the same draws in any process, independent of all other streams.
 
     Raises:
         SeedError: The seed is negative or too large.
@@ -57,16 +57,16 @@ def key(seed: int, *names: str | int) -> int:
 
 def position(rng: np.random.Generator) -> StreamState:
     """Return the position in a random stream."""
-    found = rng.bit_generator.state
-    inner = found["state"]
-    return StreamState(inner["state"], inner["inc"], found["has_uint32"], found["uinteger"])
+    state = rng.bit_generator.state
+    inner = state["state"]
+    return StreamState(inner["state"], inner["inc"], state["has_uint32"], state["uinteger"])
 
 
-def resume(rng: np.random.Generator, at: StreamState) -> None:
-    """Go on with a random stream from a position."""
+def resume(rng: np.random.Generator, position: StreamState) -> None:
+    """Set a random stream to a position."""
     rng.bit_generator.state = {
         "bit_generator": "PCG64",
-        "state": {"state": at.state, "inc": at.increment},
-        "has_uint32": at.halves,
-        "uinteger": at.half,
+        "state": {"state": position.state, "inc": position.increment},
+        "has_uint32": position.halves,
+        "uinteger": position.half,
     }

@@ -1,4 +1,4 @@
-"""One robot of a world, of any model: its board at its line, and its body in the physics."""
+"""A robot of a world, of any model: its board on a serial line, and its body in the physics."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -30,7 +30,7 @@ class RobotSettings(NamedTuple):
 
     Attributes:
         unpaced: True for lines without delay.
-        strict_line: True to garble the bytes between a robot and a host whose line has another speed.
+        strict_line: True to garble bytes if the baud rates of robot and host differ.
         faults: Faults of the robots.
     """
 
@@ -40,7 +40,7 @@ class RobotSettings(NamedTuple):
 
 
 class SampledRegisters(NamedTuple):
-    """Registers that a log has as a channel of their own.
+    """Registers that form a channel of a log.
 
     Attributes:
         name: Name of the channel.
@@ -54,14 +54,14 @@ class SampledRegisters(NamedTuple):
 
 
 class Robot(WiredBoard, ABC):
-    """One robot of a world: its board, its line and its body in the physics.
+    """A robot of a world: its board, its line and its body in the physics.
 
     Args:
         context: World of the robot.
         index: Index among the playpen's robots.
         indices: Indices in the scene.
         firmware: Command interpreter.
-        rng: Function that returns a random stream of the robot by its name.
+        make_rng: Function that returns a random stream of the robot by its name.
         settings: Settings of the world's robots.
 
     Attributes:
@@ -71,7 +71,7 @@ class Robot(WiredBoard, ABC):
         firmware: Command interpreter.
         uart: Serial line.
         faults: Its faults.
-        registers: State of the board, as a log has it.
+        registers: State of the board, as in logs.
         sampled: Channels of the board's registers.
         turret_bodies: Bodies of its turrets, by their names.
     """
@@ -85,24 +85,26 @@ class Robot(WiredBoard, ABC):
         index: int,
         indices: RobotIndices,
         firmware: BoardFirmware,
-        rng: Callable[..., np.random.Generator],
+        make_rng: Callable[..., np.random.Generator],
         settings: RobotSettings,
     ) -> None:
         super().__init__(
             context,
             index,
             firmware,
-            Injector(settings.faults, partial(rng, "fault"), partial(context.on_event, index)),
+            Injector(settings.faults, partial(make_rng, "fault"), partial(context.on_event, index)),
             settings.unpaced,
-            rng("line") if settings.strict_line else None,
+            make_rng("line") if settings.strict_line else None,
         )
-        self.name, self.indices, self._context = f"khepera{index}", indices, context
+        self.name = f"khepera{index}"
+        self.indices = indices
+        self._context = context
         self.turret_bodies: dict[str, TurretBody] = {}
         model: mujoco.MjModel = context.model
         positions = [model.body_pos[light] for light in indices.led_lights]
         hidden: list[NDArray[np.float64]] = [position.copy() for position in positions]
         self._lights = list(zip(positions, hidden, model.site_pos[list(indices.leds)], strict=True))
-        self._shown = [0] * len(indices.leds)
+        self._shown_leds = [0] * len(indices.leds)
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -111,18 +113,18 @@ class Robot(WiredBoard, ABC):
 
     @property
     def disc(self) -> tuple[float, float, float]:
-        """Disc of the floor that it covers: x, y and radius [m]."""
+        """Circle that it covers: x, y and radius [m]."""
         x, y, _ = self.pose
         return x, y, self._context.playpen.robots[self.index].body.radius
 
     def readings(self) -> dict[str, list[int]]:
-        """Return the present numbers of its channels, by their names."""
+        """Return the present values of its channels, by name."""
         self.refresh()
-        return {name: self.registers[list(own)].tolist() for name, _, own in self.sampled}
+        return {name: self.registers[list(registers)].tolist() for name, _, registers in self.sampled}
 
     @property
     def line_image(self) -> NDArray[np.int64] | None:
-        """Greys that its turret sees, from the left to the right, 0 to 255 (n,); None without such one."""
+        """Greys of its line camera, from left to right, 0 to 255 (n,); None without a camera."""
         for kind, turret in self.firmware.turrets.items():
             if kind.image is not None:
                 return turret.registers[kind.image]
@@ -130,24 +132,24 @@ class Robot(WiredBoard, ABC):
 
     @property
     def next_faults_ns(self) -> list[int]:
-        """Times at which faults begin or end by themselves [ns]."""
+        """Times at which scheduled faults start or end [ns]."""
         return self.faults.next_changes_ns
 
     def switch_on(self) -> None:
-        """Begin the run, at time 0."""
+        """Start the run at time 0."""
 
     def refresh(self) -> None:
-        """Bring the registers up to the present, for an observer."""
+        """Update the registers to the present, for an observer."""
 
     def scan(self) -> None:
-        """Measure by all sensors now, where the stepping core does not."""
+        """Measure with all sensors now, if the stepping core does not."""
 
     def fit_turrets(self) -> None:
-        """Give its turrets their bodies in the scene as it is now; their state is in their registers."""
+        """Create the bodies of its turrets in the present scene; their state is in the registers."""
 
-    def reseed(self, seed_of: Callable[..., np.random.Generator]) -> None:
-        """Draw from other random streams from now on."""
-        self.reseed_line(seed_of)
+    def reseed(self, make_rng: Callable[..., np.random.Generator]) -> None:
+        """Replace the random streams."""
+        self.reseed_line(make_rng)
 
     @abstractmethod
     def state(self, since_ns: int = -1) -> RobotSnapshot:
@@ -155,19 +157,19 @@ class Robot(WiredBoard, ABC):
 
     @abstractmethod
     def set_state(self, state: RobotSnapshot) -> None:
-        """Take over a state.
+        """Restore a state.
 
         Raises:
-            ValueError: It is of another robot, or another line.
+            ValueError: The state is of another robot model or another line.
         """
 
     @abstractmethod
     def act_after(self, reason: int) -> None:
-        """Do what the stepping core has returned for: a reason of `step`."""
+        """React to the reason for which the stepping core has returned, a `step.Reason`."""
 
     @abstractmethod
     def apply_faults(self) -> None:
-        """Make the robot as the present faults have it; sound without any."""
+        """Apply the active faults to the robot; without faults, restore it."""
 
     @abstractmethod
     def reset_motion(self) -> None:
@@ -180,18 +182,18 @@ class Robot(WiredBoard, ABC):
     @property
     @abstractmethod
     def lit_leds(self) -> list[int]:
-        """LEDs as the registers have them, 0 for an unlit one."""
+        """State of each LED in the registers, 0 for off."""
 
     @property
     def leds_differ(self) -> bool:
-        """True if the lights do not show what the LEDs' registers say yet."""
-        return self.lit_leds != self._shown
+        """True if the lights in the scene differ from the registers of the LEDs."""
+        return self.lit_leds != self._shown_leds
 
     def show_leds(self) -> None:
-        """Move the lights of lit LEDs to the LEDs, those of unlit ones back into the body."""
+        """Move the lights of lit LEDs to the LEDs, the others into the body."""
         self._show(self.lit_leds)
 
     def _show(self, leds: Sequence[int]) -> None:
-        self._shown = list(leds)
-        for lit, (place, hidden, shown) in zip(self._shown, self._lights, strict=True):
-            place[:] = shown if lit else hidden
+        self._shown_leds = list(leds)
+        for is_lit, (position, hidden, led) in zip(self._shown_leds, self._lights, strict=True):
+            position[:] = led if is_lit else hidden

@@ -1,6 +1,6 @@
 """Robot of a playpen as a part of its scene: its model's file fitted to its calibration, with its turrets.
 
-Contacts of robots are explicit pairs, as stiff as the step allows but for the tyres, which are springs.
+Contacts of robots are explicit pairs, as stiff as the step allows; those of the tyres are springs.
 """
 
 # MuJoCo's types are partly unknown.
@@ -47,7 +47,7 @@ def add_robot(
         spec: Scene.
         prefix: Prefix of the names of its parts.
         robot: Entry of the playpen.
-        grounds: Geoms that it may drive on.
+        grounds: Names of the geoms that it may drive on.
 
     Returns:
         Names of the turrets' colliding geoms, and the initial controls of all its motors.
@@ -56,9 +56,9 @@ def add_robot(
     controls = _take_home(child)
     measured = calibration.read(robot.calibration)[0]
     if (measured.ground is not None) != (robot.model == "khepera4"):
-        found = f'{robot.calibration}: of another robot than model = "{robot.model}"'
-        wanted = "with" if measured.ground is None else "without"
-        raise CalibrationError(f"{found}; expected a calibration {wanted} sensors of the ground")
+        message = f'{robot.calibration}: of another robot than model = "{robot.model}"'
+        expectation = "with" if measured.ground is None else "without"
+        raise CalibrationError(f"{message}; expected a calibration {expectation} sensors of the ground")
     _fit_body(child, robot.body)
     _fit_wheels(child, measured.wheels)
     _fit_motors(child, measured.motors)
@@ -76,7 +76,7 @@ def add_robot(
             controls += _take_home(turret)
             frame = child.body("base").add_frame(pos=[0, 0, raised])
             child.attach(turret, prefix=f"{kind.name}/", frame=frame)
-    sag = _tyre_sag(child)
+    deflection = _static_deflection(child)
     heading = units.radians(robot.heading_deg)
     frame = spec.worldbody.add_frame(
         pos=[units.metres(robot.x_mm), units.metres(robot.y_mm), 0],
@@ -88,8 +88,8 @@ def add_robot(
         pair.solimp = _TYRE_SOLIMP
         # MuJoCo divides it by the impedance: friction acts as fast as that of a stiff contact.
         pair.solreffriction = [SOLREF[0] / _TYRE_SOLIMP[0], 1]
-        # The spring begins above the floor, so that the loaded tyre just touches it.
-        pair.margin = sag
+        # The spring acts from above the floor on, so that the loaded tyre just touches it.
+        pair.margin = deflection
     for support, ground in product(("front_support", "back_support"), grounds):
         # Polished balls: without friction, which also keeps odometry clean.
         pair = add_contact(spec, prefix + support, ground, 0.0)
@@ -111,7 +111,7 @@ def add_contact(spec: mujoco.MjSpec, geom: str, other: str, friction: float) -> 
 
 
 def _take_home(part: mujoco.MjSpec) -> list[float]:
-    """Remove a part's keyframes, which the scene's own replaces; return the controls of its "home"."""
+    """Remove a part's keyframes, which the scene's keyframe replaces; return the controls of its "home"."""
     controls = [0.0] * len(part.actuators)
     for key in list(part.keys):
         if key.name == "home" and len(key.ctrl):
@@ -164,8 +164,8 @@ def _fit_motors(robot: mujoco.MjSpec, motors: calibration.MotorCalibration) -> N
         )
 
 
-def _tyre_sag(robot: mujoco.MjSpec) -> float:
-    """Return how far the robot's weight presses in the springs of its tyres [m].
+def _static_deflection(robot: mujoco.MjSpec) -> float:
+    """Return the static deflection of the tyres' springs under the robot's weight [m].
 
     MuJoCo's contact in equilibrium: (1 - impedance) (time constant)^2 x load x inverse mass of the wheel.
     """

@@ -5,15 +5,15 @@ the numbers are in assets/calibration):
 
     counts = clip(gain light - threshold + noise, idle, limit)
 
-with the light of `sensing.reflection`, an integral over all that the sensor sees, from its chip, `offset`
-behind its face; idle is the noise with nothing in reach, and no reading is below the calibration's floor,
-which is 0 except for a Khepera II. Ambient counts are high in the dark, and saturate:
+with the light of `sensing.reflection`, an integral over all visible surfaces, seen from the chip, `offset`
+behind its face. `idle` is the noise with nothing in reach. No reading is below the calibration's floor, which
+is 0 except for a Khepera II. Ambient counts are high in the dark, and saturate:
 
     counts = clip(max(dark - light, floor) + noise, 0, ceiling)
 
-with the light of lamps as in `ambient`. A sensor's proximity is the difference of two such readings, with
-its emitter on and off; so in bright light its limit falls by (dark - light - floor) / (dark - floor), to 0
-where ambient light alone saturates it. Not modelled: light reflected more than once, but by the floor.
+with the light of lamps as in `ambient`. A sensor's proximity is the difference of two of these readings, with
+its emitter on and off. So its limit falls by (dark - light - floor) / (dark - floor) in bright light, to 0
+where ambient light alone saturates it. Not modelled: light reflected more than once, except by the floor.
 """
 
 import math
@@ -36,8 +36,8 @@ def proximity_optics(model: mujoco.MjModel, robot: RobotIndices, calibration: Ca
     """Return the numbers of a robot's proximity in a scene."""
     numbers = calibration.proximity
     # The robot's own body is not seen; its turrets are.
-    seen = [geom for geom in visible(model) if model.geom_bodyid[geom] != robot.base]
-    brightest = float(model.geom_user[seen, 0].max(initial=0.0))
+    geoms = [geom for geom in visible(model) if model.geom_bodyid[geom] != robot.base]
+    brightest = float(model.geom_user[geoms, 0].max(initial=0.0))
     exponents = numbers.lobe_exponent
     gains = [gain * 1e-6 for gain in numbers.gain_counts_mm2]
     return Proximity(

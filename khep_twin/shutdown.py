@@ -1,7 +1,13 @@
 """State of a process's shutdown by a signal, and the thread that watches it.
 
-The main thread handles the signals; a second thread measures the time that the shutdown takes, interrupts the
-main thread when it is over, and at last ends the process. `signals` has what programs use.
+The main thread handles the signals. A second thread measures the time of the shutdown, interrupts the main
+thread when it is over, and finally ends the process. `signals` has the functions for programs.
+
+    running --signal--> noticed --NOTICE_S--> announced --INTERRUPTION_S--> interrupted --EXIT_S--> ended
+                           |                      |
+                           +----------------------+---- section ended --> running
+
+A second signal leads to "interrupted" immediately, as does a first one outside of all sections.
 """
 
 import _thread
@@ -16,12 +22,12 @@ from collections.abc import Callable, Iterable
 from contextlib import ExitStack, suppress
 from types import FrameType
 
-_KNOWN = signal.Signals.__members__
+_MEMBERS = signal.Signals.__members__
 
-SIGNALS = tuple(_KNOWN[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if name in _KNOWN)
+SIGNALS = tuple(_MEMBERS[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if name in _MEMBERS)
 
 NOTICE_S = 0.3
-"""Time after which the user is informed of what is awaited; shorter waits are not felt [s]."""
+"""Time after which a message names the awaited work; shorter waits are not noticed [s]."""
 
 INTERRUPTION_S = 2.5
 """Time after which everything is interrupted, as by a second signal; cycles of programs are shorter [s]."""
@@ -30,9 +36,9 @@ EXIT_S = 0.5
 """Time from the interruption to the end of the process by the second thread; with it users wait 3 s [s]."""
 
 _CLEAN_UP_S = 0.7
-"""Longest time for the registered clean-up then, mostly the last pieces of a log on a slow disk [s]."""
+"""Longest time for the registered clean-up then, mostly the last chunks of a log on a slow disk [s]."""
 
-_WAKE_UP = _KNOWN.get("SIGURG", signal.SIGINT)
+_WAKE_UP = _MEMBERS.get("SIGURG", signal.SIGINT)
 """Signal that wakes the main thread; SIGURG is ignored by default and rarely used."""
 
 _WAKE_UP_INTERVAL_S = 0.05
@@ -72,7 +78,7 @@ class Shutdown:
         """Restore the initial state, except the number of the signal."""
         self.n_blocking = 0
         self.interrupted = self.watched = self._are_motors_stopped = False
-        self._noticed = self._due = self._urgent = False
+        self._noticed = self._is_interrupt_due = self._urgent = False
         self._reader = self._writer = None
 
     def begin(self, stack: ExitStack) -> None:
@@ -93,7 +99,9 @@ class Shutdown:
         )
         self.watched = True
         for number in (*SIGNALS, _WAKE_UP):
-            if (handler := signal.getsignal(number)) is not signal.SIG_IGN or number != _KNOWN.get("SIGHUP"):
+            if (handler := signal.getsignal(number)) is not signal.SIG_IGN or number != _MEMBERS.get(
+                "SIGHUP"
+            ):
                 stack.callback(signal.signal, number, handler or signal.SIG_DFL)
                 signal.signal(number, self._handle)
         if sys.platform != "win32" and not self._has_fork_handlers:
@@ -105,7 +113,7 @@ class Shutdown:
             )
 
     def end_section(self, section: tuple[str | None, Callable[[], None] | None]) -> None:
-        """Tell the watching thread that an awaited section has ended."""
+        """Notify the watching thread that an awaited section has ended."""
         self.sections.remove(section)
         if self.number:
             self._send(_SECTION_ENDED)
@@ -117,15 +125,15 @@ class Shutdown:
 
     def interrupt(self, frame: FrameType | None) -> None:
         """Raise `Interrupted` in the main thread if it is due and not blocked."""
-        if self._due and not self.n_blocking and (self._urgent or not _is_importing(frame)):
-            self._due = False
+        if self._is_interrupt_due and not self.n_blocking and (self._urgent or not _is_importing(frame)):
+            self._is_interrupt_due = False
             self.interrupted = True
             raise Interrupted
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         if number in SIGNALS and not self._noticed:
             self._noticed, self.number = True, self.number or number
-            self._due = not self.sections
+            self._is_interrupt_due = not self.sections
         self.interrupt(frame)
 
     def _before_fork(self) -> None:
@@ -162,7 +170,7 @@ class Shutdown:
             if again == _SHUTDOWN_ENDED:
                 return
             _run_in_threads([self._stop_motors])
-            self._urgent = self._due = True
+            self._urgent = self._is_interrupt_due = True
             deadline = time.monotonic() + EXIT_S
             while (left := deadline - time.monotonic()) > 0:
                 if self._next(left) == _SHUTDOWN_ENDED:
@@ -180,7 +188,7 @@ class Shutdown:
                 byte = reader.recv(1)[0]
                 if byte in (*SIGNALS, _SECTION_ENDED, _SHUTDOWN_ENDED):
                     return byte
-            elif self._due:
+            elif self._is_interrupt_due:
                 _wake_main_thread()
         return None
 
@@ -201,15 +209,15 @@ shutdown = Shutdown()
 """Shutdown of this process."""
 
 
-def _run_in_threads(todo: Iterable[Callable[[], object]], wait: float = 0.0) -> None:
-    """Call each function in its own thread, as any may hang, and wait for them for at most `wait` [s]."""
+def _run_in_threads(functions: Iterable[Callable[[], object]], wait: float = 0.0) -> None:
+    """Call each function in a separate thread, as any may hang; wait for them for at most `wait` [s]."""
 
-    def call(each: Callable[[], object]) -> None:
-        # It may be done already, and a process that ends has no use for further errors.
+    def call(function: Callable[[], object]) -> None:
+        # It may have run already, and a process that ends reports no further errors.
         with suppress(Exception):
-            each()
+            function()
 
-    threads = [threading.Thread(target=call, args=[each], daemon=True) for each in todo]
+    threads = [threading.Thread(target=call, args=[function], daemon=True) for function in functions]
     for thread in threads:
         thread.start()
     deadline = time.monotonic() + wait

@@ -1,10 +1,10 @@
 """Graceful shutdown on SIGINT (Ctrl-C), SIGTERM or SIGHUP.
 
-`answered` surrounds a whole command. A first signal lets a section under `stopping` finish by itself, and
-interrupts everything else by KeyboardInterrupt, once no module is being imported. A second signal, or
+`handle_signals` surrounds a whole command. After a first signal a section under `stopping` finishes normally;
+any other code is interrupted by KeyboardInterrupt, once no module is being imported. A second signal, or
 `shutdown.INTERRUPTION_S`, interrupts in any case. A process that still runs `shutdown.EXIT_S` after that is
-ended by a second thread, which first runs the clean-up registered by `clear_at_end`, such as completing a
-log.
+ended by a second thread, which first runs the clean-up registered by `clear_at_end`, for example to complete
+a log.
 """
 
 import os
@@ -23,13 +23,13 @@ from khep_twin.shutdown import Interrupted, shutdown
 _writing = threading.RLock()
 
 
-def asked_by() -> int:
+def first_signal() -> int:
     """Return the number of the first signal that was handled, 0 without one."""
     return shutdown.number
 
 
 @contextmanager
-def answered() -> Generator[None]:
+def handle_signals() -> Generator[None]:
     """Handle signals within this context, and run all registered clean-up at its end.
 
     An ignored SIGHUP, as by nohup, stays ignored. Outside the main thread, and when nested, this does
@@ -45,23 +45,23 @@ def answered() -> Generator[None]:
         except KhepTwinError:
             raise
         except Exception as error:
-            # Some libraries convert any exception to an error of their own; MuJoCo's does not even name it.
+            # Some libraries convert any exception to another error; MuJoCo's does not name the cause.
             if shutdown.interrupted:
                 raise Interrupted from error
             raise
         finally:
             shutdown.n_blocking += 1
-            for each in [*shutdown.clean_ups.values()]:
-                stack.callback(each)
+            for clean_up in [*shutdown.clean_ups.values()]:
+                stack.callback(clean_up)
 
 
 def is_interruption(error: BaseException) -> bool:
-    """Return whether an exception is an interruption by the user, and not a program's own."""
+    """Return whether an exception is an interruption by the user, not one that a program raised."""
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, Interrupted):
             return True
-        # Some libraries, such as pydantic, convert any exception to an error of their own.
+        # Some libraries, such as pydantic, convert any exception to another error.
         cause = cause.__cause__ or cause.__context__
     # Where signals are not handled, this is Python's own reaction to Ctrl-C.
     return isinstance(error, KeyboardInterrupt) and (bool(shutdown.number) or not shutdown.watched)
@@ -73,8 +73,8 @@ def leave(code: int) -> NoReturn:
     Args:
         code: Exit code.
     """
-    others = [each for each in threading.enumerate() if each is not threading.main_thread()]
-    if asked_by() and any(not each.daemon for each in others):
+    threads = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
+    if first_signal() and any(not thread.daemon for thread in threads):
         # Python would wait for threads that are still busy.
         for stream in filter(None, (sys.stdout, sys.stderr)):
             stream.flush()
@@ -92,7 +92,7 @@ def stopping(
         awaited: Description of the wait, for the user; None for no message.
         hold: Function that stops motors, called in another thread if the wait is long.
     """
-    with answered():
+    with handle_signals():
         section = (awaited, hold)
         shutdown.sections.append(section)
         try:
@@ -120,7 +120,7 @@ def clear_at_end(clear: Callable[[], object]) -> Callable[[], object]:
 
 @contextmanager
 def undisturbed() -> Generator[None]:
-    """Block signals and other threads' writing: half a record would corrupt what follows."""
+    """Block signals and other threads' writing: half a record would corrupt the records after it."""
     with _writing:
         if threading.current_thread() is not threading.main_thread():
             yield
@@ -138,16 +138,16 @@ def undisturbed() -> Generator[None]:
 
 @contextmanager
 def _interrupts_delayed() -> Generator[None]:
-    """Delay Ctrl-C in a program that handles it by itself."""
+    """Delay Ctrl-C in a program that handles it without `handle_signals`."""
     handler = signal.getsignal(signal.SIGINT)
     if not callable(handler):
         yield
         return
-    held: list[tuple[int, FrameType | None]] = []
-    signal.signal(signal.SIGINT, lambda number, frame: held.append((number, frame)))
+    signals: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: signals.append((number, frame)))
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, handler)
-        if held:
-            handler(*held[0])
+        if signals:
+            handler(*signals[0])

@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from typing import TextIO, cast
 
-BESIDE = "_KHEP_TWIN_BESIDE_A_STATUS_LINE"
+STATUS_LINE_VARIABLE = "_KHEP_TWIN_BESIDE_A_STATUS_LINE"
 """Variable of the environment of a process on whose terminal another one shows a status line."""
 
 _CLEAR = "\r\033[K"
@@ -42,7 +42,7 @@ class StatusLine:
                 self._visible = bool(text)
 
     def write_above(self, stream: TextIO, text: str) -> int:
-        """Write output of the program to its own stream, above the status line."""
+        """Write output of the program to its stream, above the status line."""
         with self._lock:
             if text and self._visible:
                 self._terminal.write(_CLEAR)
@@ -84,11 +84,11 @@ class _InPlace(_Stream):
 
     def __init__(self, stream: TextIO) -> None:
         super().__init__(stream)
-        self._begun = ""
+        self._partial_line = ""
 
     def write(self, text: str) -> int:
-        """Write the lines that are complete, at once: another process may show its status line any time."""
-        lines, end, self._begun = (self._begun + text).rpartition("\n")
+        """Write complete lines in one call: another process may show its status line at any time."""
+        lines, end, self._partial_line = (self._partial_line + text).rpartition("\n")
         if end:
             self._stream.write(f"{_CLEAR}{lines}{end}")
             self._stream.flush()
@@ -101,7 +101,7 @@ _open_lines: list[StatusLine] = []
 
 @contextmanager
 def status_line() -> Generator[StatusLine | None, None, None]:
-    """Open a status line on standard error; None where that is no terminal of this program's alone."""
+    """Open a status line on standard error; yield None unless that is a terminal with this program alone."""
     terminal = _terminal()
     if terminal is None:
         yield None
@@ -119,7 +119,7 @@ def status_line() -> Generator[StatusLine | None, None, None]:
 def beside_status_line() -> Generator[None, None, None]:
     """Print lines in the place of the status line that another process shows on the same terminal.
 
-    That process shows its line again, below them. What begins a line waits for the line's end.
+    That process shows its line again, below them. An incomplete line waits for its end.
     """
     with nullcontext() if _terminal() is None else _replaced(_InPlace):
         yield
@@ -142,9 +142,9 @@ def announced(begin: str, progress: Callable[[], str], end: Callable[[], str]) -
     """Announce long work on standard error.
 
     Args:
-        begin: Line at its begin, where that is no terminal.
-        progress: Text on its progress, shown each second on a terminal.
-        end: Line at its end, where that is no terminal.
+        begin: Line at the start, if standard error is not a terminal.
+        progress: Function that returns a text on the progress, shown each second on a terminal.
+        end: Function that returns the line at the end, if standard error is not a terminal.
     """
     shared = _open_lines and _terminal() is not None
     with nullcontext(_open_lines[-1]) if shared else status_line() as line:
@@ -159,12 +159,13 @@ def announced(begin: str, progress: Callable[[], str], end: Callable[[], str]) -
 
 @contextmanager
 def _counted(line: StatusLine, progress: Callable[[], str]) -> Generator[None, None, None]:
-    """Show a text on a status line, each second anew, and in the end what was there before."""
-    before, done = line.text, threading.Event()
+    """Show a text on a status line, renewed each second; then restore the previous text."""
+    previous_text = line.text
+    finished = threading.Event()
 
     def show() -> None:
         line.show(progress())
-        while not done.wait(1.0):
+        while not finished.wait(1.0):
             line.show(progress())
 
     counter = threading.Thread(target=show, name="status line", daemon=True)
@@ -172,9 +173,9 @@ def _counted(line: StatusLine, progress: Callable[[], str]) -> Generator[None, N
     try:
         yield
     finally:
-        done.set()
+        finished.set()
         counter.join()
-        line.show(before)
+        line.show(previous_text)
 
 
 def _print(text: str) -> None:
@@ -196,7 +197,7 @@ def _terminal() -> TextIO | None:
 
 
 def _is_piped() -> bool:
-    """Return whether standard output goes to a program, such as `tee`, which may print on the terminal."""
+    """Return whether standard output goes to a program (for example `tee`) that may print on the terminal."""
     with suppress(AttributeError, OSError, ValueError):
         mode = os.fstat(sys.stdout.fileno()).st_mode
         return stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode)  # shells make a pipe of either

@@ -1,16 +1,17 @@
-"""One step of the simulation: the only place where its order is written.
+"""One step of the simulation: physics, sensors, control and supply, in this order.
 
-    1. physics, with the motor voltages of the last control tick; its step may be that of several steps
-    2. the sensor whose turn it is, of each robot, is converted at the pose of the physics' step's start
+    1. physics, with the motor voltages of the last control tick; one step of it may span several steps
+    2. the next sensor of each robot is converted at the pose before the physics step
     3. every 10 ms the control tick: encoders, speed, controllers, duty, voltage
     4. every 20 ms the supply is measured; below its minimum voltage the processor stops
 
-`advance` runs as many steps as nothing outside can happen in. It returns where something outside must act,
-such as lamps that take turns or turrets, and goes on from there when it is called again. It works on numbers,
-arrays and named tuples alone, and runs plain and compiled; `khep_twin.simulation` provides its data.
+`advance` runs steps until code outside must act, for example for alternating lamps or turrets. It then
+returns, and resumes from there when it is called again. It uses only numbers, arrays and named tuples, and
+runs plain and compiled; `khep_twin.simulation` provides the data.
 """
 
 from collections.abc import Sequence
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 from khep_twin import units
@@ -32,21 +33,42 @@ from khep_twin.sensing.scene import (
     warned,
 )
 
-DONE, STEPPED, TICKED, STOPPED = 0, 1, 2, 3
-"""Reasons for a return: all steps are done; the physics of a step, or a tick, is done and `stops` asks for
-it; the processor of a robot has stopped."""
 
-WARNED, OUT_OF_BOUNDS, NO_SPEED = 4, 5, 6
-"""Reasons for a return that end a run: the physics has warned, or has left its bounds, or a controller (of
-`khep_twin.episodes.stepping`) gave a speed that is no number."""
+class Reason(IntEnum):
+    """Reason for which `advance` returns; those from WARNED on end a run."""
+
+    DONE = 0  # all steps are done
+    STEPPED = 1  # the physics of a step is done, with Stop.STEPPED
+    TICKED = 2  # a control tick is done, with Stop.TICKED
+    STOPPED = 3  # the processor of a robot has stopped
+    WARNED = 4  # the physics engine has warned
+    OUT_OF_BOUNDS = 5  # the physics has left its bounds
+    NO_SPEED = 6  # a controller of `khep_twin.episodes.stepping` returned a speed that is not finite
+
+
+class Stop(IntEnum):
+    """Bits of `stops`: points at which `advance` returns to its caller."""
+
+    STEPPED = 1  # after each step of the physics
+    TICKED = 2  # after each control tick
+    AWAITED = 4  # in `khep_twin.episodes.stepping`: when all robots await the caller's speeds
+
+
+class Phase(IntEnum):
+    """Part of a step that is done."""
+
+    DONE = 0  # the whole step
+    STEPPED = 1  # its physics
+    TICKED = 2  # its sensor conversions and its control tick
+
 
 STEPS, PHASE, FIRST, DRAWN = 0, 1, 2, 3
-"""Indices in `Simulated.counters`: steps done, part of the step that is done (DONE, STEPPED or TICKED), step
-of the first row of `StepInputs.powers`, and number of conversions of each robot so far."""
+"""Indices in `Simulated.counters`: steps done, `Phase` of the step, step of the first row of
+`StepInputs.powers`, and number of conversions of each robot so far."""
 N_COUNTERS = 4
 
 SOUND, STUCK, DEAD = 0, 1, 2
-"""States of a sensor: it repeats its last reading, or its receiver passes no current."""
+"""States of a sensor; a stuck one repeats its last reading, the receiver of a dead one passes no current."""
 
 _PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
 _LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
@@ -54,11 +76,11 @@ _LEFT_ENCODER, _RIGHT_ENCODER = int(kernel.Wheel.ENCODER), kernel.RIGHT + int(ke
 
 
 class Timing(NamedTuple):
-    """Divisions of time, and bounds.
+    """Durations in steps, and bounds.
 
     Attributes:
         step_ns: Step [ns].
-        steps_per_motion: Steps of each step of the physics, which moves before the first of them.
+        steps_per_motion: Steps per physics step, which runs before the first of them.
         conversions: Sensor conversions in each step.
         steps_per_tick: Steps per tick of the control loops.
         steps_per_supply: Steps per measurement of the supply.
@@ -92,9 +114,9 @@ class RobotState(NamedTuple):
         registers: State of the board (N_REGISTERS,).
         processor: State of the processor (N_PROCESSOR,).
         sensor_states: State of each sensor, SOUND, STUCK or DEAD (8,).
-        strengths: Part of its torque that the left and the right motor give (2,).
-        voltage: Supply voltage as measured last (1,) [V].
-        noise: Words of the key of its random draws (2,).
+        strengths: Fractions of their torque that the left and right motor produce (2,).
+        voltage: Last measured supply voltage (1,) [V].
+        noise: Key of the robot's random draws, as two words (2,).
     """
 
     left_angle: int
@@ -136,11 +158,11 @@ class Simulated(NamedTuple):
 
 
 class StepInputs(NamedTuple):
-    """Lamps of some steps, and the distributions of random draws.
+    """Powers of the lamps for a range of steps, and the distributions of random draws.
 
     Attributes:
         powers: Powers of the lamps (n_steps or 1, n_lamps) [W].
-        tables: Quantiles of the random draws, as of `noise`.
+        tables: Quantiles of the random draws, see `sensing.noise`.
     """
 
     powers: Sequence[Sequence[float]]
@@ -148,52 +170,52 @@ class StepInputs(NamedTuple):
 
 
 @compilable
-def advance(simulated: Simulated, inputs: StepInputs, until: int, stops: int) -> int:
-    """Run steps until `until` of them are done; return DONE, or the reason for an earlier return.
+def advance(simulated: Simulated, inputs: StepInputs, end_step: int, stops: int) -> int:
+    """Run steps until `end_step` of them are done; return DONE, or the reason for an earlier return.
 
     Args:
         simulated: Scene, robots and lamps.
         inputs: Lamps of all of these steps, and random draws.
-        until: Number of steps since the start of the run.
-        stops: Sum of STEPPED to return after each step of the physics, and TICKED after each tick.
+        end_step: Number of steps since the start of the run.
+        stops: Sum of `Stop` values at which to return earlier.
     """
     scene, timing, robots, counters = simulated.scene, simulated.timing, simulated.robots, simulated.counters
-    while counters[PHASE] != DONE or counters[STEPS] < until:
-        if counters[PHASE] == DONE:
+    while counters[PHASE] != Phase.DONE or counters[STEPS] < end_step:
+        if counters[PHASE] == Phase.DONE:
             if counters[STEPS] % timing.steps_per_motion == 0:
                 step(scene)
             counters[STEPS] += 1
-            counters[PHASE] = STEPPED
-            if stops & STEPPED:
-                return STEPPED
+            counters[PHASE] = Phase.STEPPED
+            if stops & Stop.STEPPED:
+                return Reason.STEPPED
         steps = counters[STEPS]
-        if counters[PHASE] == STEPPED:
+        if counters[PHASE] == Phase.STEPPED:
             _scan(simulated, inputs, (steps - 1) * timing.conversions)
-            counters[PHASE] = TICKED
+            counters[PHASE] = Phase.TICKED
             if steps % timing.steps_per_tick == 0:
                 if not in_bounds(scene, timing.limit):
-                    return OUT_OF_BOUNDS
+                    return Reason.OUT_OF_BOUNDS
                 for i in range(len(robots)):
                     _tick(scene, robots[i])
-                if stops & TICKED:
-                    return TICKED
-        counters[PHASE] = DONE
+                if stops & Stop.TICKED:
+                    return Reason.TICKED
+        counters[PHASE] = Phase.DONE
         if steps % timing.steps_per_supply == 0:
             if warned(scene):
-                return WARNED
+                return Reason.WARNED
             stopped = False
             for i in range(len(robots)):
                 stopped = update_supply(scene, robots[i], steps * timing.step_ns) or stopped
             if stopped:
-                return STOPPED
-    return DONE
+                return Reason.STOPPED
+    return Reason.DONE
 
 
 @compilable_once
 def switch_on(simulated: Simulated, inputs: StepInputs) -> int:
-    """Run the scan before time 0, so that every register holds a conversion; return a reason as `advance`."""
+    """Run the scan before time 0, which fills all registers; return a reason as `advance` does."""
     scene, timing, robots = simulated.scene, simulated.timing, simulated.robots
-    # MuJoCo's rangefinders, where a turret needs its sensors, have their first turn in the second step.
+    # MuJoCo's rangefinders, which turrets may need, have values from the second step on.
     step(scene)
     for first in range(-units.N_SENSORS, 0, timing.conversions):
         step(scene)
@@ -203,10 +225,10 @@ def switch_on(simulated: Simulated, inputs: StepInputs) -> int:
         read_encoders(scene, robots[i])
         stopped = update_supply(scene, robots[i], 0) or stopped
     if not in_bounds(scene, timing.limit):
-        return OUT_OF_BOUNDS
+        return Reason.OUT_OF_BOUNDS
     if warned(scene):
-        return WARNED
-    return STOPPED if stopped else DONE
+        return Reason.WARNED
+    return Reason.STOPPED if stopped else Reason.DONE
 
 
 @compilable
@@ -245,7 +267,7 @@ def read_encoders(scene: Scene, robot: RobotState) -> None:
 
 @compilable
 def update_supply(scene: Scene, robot: RobotState, time_ns: int) -> bool:
-    """Measure the supply; below its minimum voltage reset and stop the processor, and return True then."""
+    """Measure the supply; return True if its voltage is too low, which resets and stops the processor."""
     registers = robot.registers
     left, right = registers[_LEFT_DUTY], registers[_RIGHT_DUTY]
     robot.voltage[0] = voltage = battery.voltage(robot.used_min, time_ns)
@@ -264,12 +286,12 @@ def update_supply(scene: Scene, robot: RobotState, time_ns: int) -> bool:
 
 @compilable
 def weak_voltage(strength: float, voltage: float, constant: float, speed: float) -> float:
-    """Return the voltage [V] at which a motor gives a part of its torque.
+    """Return the voltage [V] at which a motor produces a fraction of its torque.
 
-    A motor without current has the voltage that it generates, and no torque.
+    A motor without current has only its back-EMF (the voltage that it generates), and no torque.
 
     Args:
-        strength: Part of the torque.
+        strength: Fraction of the torque.
         voltage: Voltage of its duty [V].
         constant: Torque per current [N m/A], or voltage per speed.
         speed: Speed of the wheel [rad/s].
@@ -279,12 +301,12 @@ def weak_voltage(strength: float, voltage: float, constant: float, speed: float)
 
 @compilable_once
 def _scan(simulated: Simulated, inputs: StepInputs, first: int) -> None:
-    """Convert the sensors of one step, of each robot, from a conversion on."""
+    """Convert the sensors of each robot in one step; `first` is the number of the first conversion."""
     counters, conversions = simulated.counters, simulated.timing.conversions
     row = 0 if len(inputs.powers) == 1 else counters[STEPS] - 1 - counters[FIRST]
-    for turn in range(conversions):
+    for offset in range(conversions):
         for robot in range(len(simulated.robots)):
-            time_ns, channel = (first + turn) * units.STEP_NS, (first + turn) % units.N_SENSORS
+            time_ns, channel = (first + offset) * units.STEP_NS, (first + offset) % units.N_SENSORS
             convert_sensor(simulated, inputs, robot, row, time_ns, channel)
         counters[DRAWN] += 1
 

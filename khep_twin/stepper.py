@@ -1,4 +1,4 @@
-"""Steps of a world: bytes on its lines, the stepping core, and what robots and observers do in between."""
+"""Steps of a world: bytes on its lines, the stepping core, and actions of robots and observers in between."""
 
 from collections.abc import Callable, Sequence
 from threading import RLock
@@ -15,7 +15,7 @@ from khep_twin.simulation.world_state import WorldState
 
 
 class SteppedWorld(Protocol):
-    """Interface of the world to its steps."""
+    """Interface of the world for its stepper."""
 
     time_ns: int
     guard: RLock
@@ -39,28 +39,25 @@ class Stepper:
 
     Args:
         world: World.
-        simulation: State that the stepping core works on.
-        code: Code that steps it.
-        stops: Reasons of `step` for which robots act amid a run: TICKED for turrets, STEPPED and TICKED for
-            robots that the stepping core does not run.
+        simulation: State of the stepping core.
+        code: Code that runs it, plain or compiled.
+        stops: Sum of `step.Stop` values at which robots act within a run: TICKED for turrets, STEPPED and
+            TICKED for robots that the stepping core does not run.
         shows_leds: True if the scene shows the robots' LEDs.
 
     Attributes:
         robots: Robots of the world.
-        failure: Error that has ended the run; None for none.
+        failure: Error that ended the run; None for none.
     """
 
     def __init__(
-        self,
-        world: SteppedWorld,
-        simulation: Simulation,
-        code: SteppingCode,
-        *,
-        stops: int,
-        shows_leds: bool,
+        self, world: SteppedWorld, simulation: Simulation, code: SteppingCode, *, stops: int, shows_leds: bool
     ) -> None:
-        self._world, self._simulation, self._code = world, simulation, code
-        self._stops, self._shows_leds = stops, shows_leds
+        self._world = world
+        self._simulation = simulation
+        self._code = code
+        self._stops = stops
+        self._shows_leds = shows_leds
         self._step_ns = simulation.plain.timing.step_ns
         self._steps_per_sample = simulation.plain.timing.steps_per_supply
         self.rewind()
@@ -73,13 +70,13 @@ class Stepper:
         self._fault_ns = NEVER_NS
 
     def begin(self, robots: Sequence[Robot]) -> None:
-        """Switch the robots on, a scan before time 0.
+        """Switch the robots on, one scan before time 0.
 
         Raises:
-            DivergedError: The physics leaves its bounds at once.
+            DivergedError: The physics leaves its bounds at the start.
         """
         self.robots = robots
-        self._find_faults()
+        self._schedule_fault()
         self._simulation.on_switch = self._on_switch
         self._run(self._simulation.switch_on)
         for robot in robots:
@@ -87,7 +84,7 @@ class Stepper:
 
     def advance_to(self, time_ns: int) -> None:
         """Advance to a time [ns]: see `World.advance_to`."""
-        # As by `one_thread`, but faster: it is called for each read and write of a host.
+        # Like `one_thread`, but faster, as each read and write of a host calls it.
         if not self._world.guard.acquire(False):
             raise entered_twice(self._world, "advance_to")
         try:
@@ -95,59 +92,59 @@ class Stepper:
         finally:
             self._world.guard.release()
 
-    def finish_steps(self, reason: int, until: int) -> None:
-        """Act for a return of the stepping core that was not called here, and run on to a step.
+    def finish_steps(self, reason: int, end_step: int) -> None:
+        """Handle a return of the stepping core, which another object has called, and run up to a step.
 
         Raises:
             DivergedError: The physics left its bounds.
         """
-        returned = self._run(lambda: self._simulation.checked(reason))
-        while returned != step.DONE:
-            returned = self._run(self._simulation.advance, until)
+        stop_reason = self._run(lambda: self._simulation.checked(reason))
+        while stop_reason != step.Reason.DONE:
+            stop_reason = self._run(self._simulation.advance, end_step)
 
     @property
     def is_self_contained(self) -> bool:
-        """True if nothing outside the stepping core acts amid a run: no turret, LED, fault or observer."""
-        acts = self._shows_leds or bool(self._stops) or bool(self._world.observers)
-        return not acts and self._fault_ns == NEVER_NS
+        """True if no turret, LED, fault or observer acts within a run of the stepping core."""
+        has_actors = self._shows_leds or self._stops or self._world.observers
+        return not has_actors and self._fault_ns == NEVER_NS
 
     def set_state(self, state: WorldState) -> None:
-        """Take over the state of stepping core and robots; physics and lamps have to be set afterwards.
+        """Restore the state of stepping core and robots; the caller restores physics and lamps afterwards.
 
         Raises:
             ValueError: It does not fit the world.
         """
         steps = state.time_ns // self._step_ns
         if state.simulation.steps != steps or len(state.robots) != len(self.robots):
-            found = f"{state.simulation.steps} steps of {len(state.robots)} robots at {state.time_ns} ns"
-            raise ValueError(f"{found}; expected {steps} of {len(self.robots)}")
+            counts = f"{state.simulation.steps} steps of {len(state.robots)} robots at {state.time_ns} ns"
+            raise ValueError(f"{counts}; expected {steps} of {len(self.robots)}")
         self._simulation.set_state(state.simulation)
         self._world.time_ns = state.time_ns
         self.failure = DivergedError(state.failure) if state.failure else None
-        for robot, of_robot in zip(self.robots, state.robots, strict=True):
-            robot.set_state(of_robot)
-        self._find_faults()
+        for robot, robot_state in zip(self.robots, state.robots, strict=True):
+            robot.set_state(robot_state)
+        self._schedule_fault()
 
     def _advance_to(self, time_ns: int) -> None:
         if self.failure is not None:
             raise self.failure
         if time_ns < self._world.time_ns:
             raise ValueError(f"time cannot go back from {self._world.time_ns} to {time_ns} ns")
-        steps, last = self._simulation.steps, time_ns // self._step_ns
-        while steps < last:
-            steps = self._step_to(steps, last, self._exchange((steps + 1) * self._step_ns))
+        steps, end_step = self._simulation.steps, time_ns // self._step_ns
+        while steps < end_step:
+            steps = self._step_to(steps, end_step, self._exchange((steps + 1) * self._step_ns))
         self._exchange(time_ns)
         self._world.time_ns = time_ns
         if self._code.switch_at is not None and self._simulation.steps >= self._code.switch_at:
             self._code.switch_if_ready()
 
-    def _find_faults(self) -> None:
-        """Find when the next fault begins or ends by itself."""
+    def _schedule_fault(self) -> None:
+        """Set the time of the next scheduled start or end of a fault."""
         changes_ns = [fault_ns for robot in self.robots for fault_ns in robot.next_faults_ns]
         self._fault_ns = min(changes_ns, default=NEVER_NS)
 
     def _exchange(self, time_ns: int) -> int:
-        """Exchange what is due by a time [ns] on all lines; return when something is due next [ns]."""
+        """Exchange the bytes due up to a time [ns] on all lines; return the time of the next ones [ns]."""
         earliest_ns = NEVER_NS
         for robot in self.robots:
             next_ns = robot.next_exchange_ns()
@@ -158,16 +155,16 @@ class Stepper:
                 earliest_ns = next_ns
         return earliest_ns
 
-    def _step_to(self, steps: int, last: int, event_ns: int) -> int:
-        """Run one span, in which nothing outside the stepping core can happen; return the steps done.
+    def _step_to(self, steps: int, last_step: int, event_ns: int) -> int:
+        """Run steps without an event outside the stepping core; return the number of steps since the start.
 
         Args:
-            steps: Steps done so far.
-            last: Steps after which the span must end.
-            event_ns: Time when something is due on a line [ns].
+            steps: Number of steps since the start.
+            last_step: Step at which to stop at the latest.
+            event_ns: Time of the next bytes on a line [ns].
         """
         per_sample, step_ns = self._steps_per_sample, self._step_ns
-        end = min(last, (min(event_ns, self._fault_ns) - 1) // step_ns)
+        end = min(last_step, (min(event_ns, self._fault_ns) - 1) // step_ns)
         boundary = (steps // per_sample + 1) * per_sample
         if end > boundary and self._shows_leds:
             if self._world.observers or any(robot.leds_differ for robot in self.robots):
@@ -175,8 +172,8 @@ class Stepper:
         end = max(end, steps + 1)
         stops = self._stops
         if self._fault_ns <= end * step_ns:
-            stops = step.STEPPED | step.TICKED
-        while self._run(self._simulation.advance, end, stops) != step.DONE:
+            stops = step.Stop.STEPPED | step.Stop.TICKED
+        while self._run(self._simulation.advance, end, stops) != step.Reason.DONE:
             pass
         if end >= boundary:
             for robot in self.robots:
@@ -187,26 +184,26 @@ class Stepper:
         return end
 
     def _run(self, run: Callable[..., int], *arguments: int) -> int:
-        """Run the stepping core and do what it returns for; return the reason."""
+        """Run the stepping core and handle its return; return the reason."""
         try:
             reason = run(*arguments)
         except DivergedError as error:
-            self._take_time()
+            self._update_time()
             self.failure = error
             self._world.on_event(None, str(error))
             raise
-        self._take_time()
-        if reason != step.DONE:
+        self._update_time()
+        if reason != step.Reason.DONE:
             for robot in self.robots:
                 robot.act_after(reason)
-            self._find_faults()
+            self._schedule_fault()
         return reason
 
     def _on_switch(self) -> None:
-        """Log which lamp is on, where lamps are on one at a time."""
-        self._take_time()
+        """Log which lamp is on, for lamps that are on one at a time."""
+        self._update_time()
         if (lamps := self._simulation.lamps) is not None:
             self._world.on_event(None, f"{lamps.names[lamps.lit or 0]} is on")
 
-    def _take_time(self) -> None:
+    def _update_time(self) -> None:
         self._world.time_ns = self._simulation.steps * self._step_ns

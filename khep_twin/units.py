@@ -122,12 +122,12 @@ class Sensor(IntEnum):
 
     @property
     def key(self) -> str:
-        """Name in models, tables and observations, such as "left_90"."""
+        """Name in models, tables and observations, for example "left_90"."""
         return self.name.lower()
 
     @property
     def label(self) -> str:
-        """Name for readers, such as "left 90"."""
+        """Name for readers, for example "left 90"."""
         return self.key.replace("_", " ")
 
 
@@ -170,7 +170,7 @@ class Body:
         height: Height [m].
         scene: File of its model in the assets.
         support_solref: Contact of the supports with the floor, as MuJoCo's `solref`; None for stiff ones.
-        in_core: Whether the stepping core runs its board; else the robot does, between the core's steps.
+        in_core: True if the stepping core runs its board; False if the robot does, between the core's steps.
         sensors: Names of its infrared sensors, those that look at the floor last.
         ground_positions: Positions of those that look at the floor, as `sensor_positions`.
         wheel_radius: Radius of the wheels [m].

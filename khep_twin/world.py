@@ -1,7 +1,7 @@
 """The world: one scene, its robots, and their common clock.
 
-Time is an integer in nanoseconds. Physics advances in whole steps of 2.5 ms, the bytes on the serial lines
-fall between them. Only `World.advance_to` advances time.
+Time is an integer in nanoseconds. Physics advances in steps of 2.5 ms; bytes on the serial lines arrive
+between steps. Only `World.advance_to` advances time.
 """
 
 import copy
@@ -27,6 +27,7 @@ from khep_twin.one_thread import one_thread
 from khep_twin.playpen import Lamp, Lighting, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, at_spots
 from khep_twin.randomness import position, resume, stream
+from khep_twin.renamed import renamed_arguments
 from khep_twin.robot import Robot, RobotSettings
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.simulation.mujoco_forms import MujocoForms, SceneModel
@@ -42,7 +43,7 @@ SAMPLE_NS = units.SCAN_NS
 
 
 class Observer(Protocol):
-    """Observer of a world, such as a recorder; a subclass ignores what it does not define."""
+    """Observer of a world, for example a recorder; methods that a subclass does not define do nothing."""
 
     def sample(self, world: "World") -> None:
         """Observe the world; called every SAMPLE_NS and at its start."""
@@ -60,38 +61,38 @@ class Observer(Protocol):
 class World(NotCopied):
     """A simulated playpen.
 
-    The robots are switched on a scan and a step before time 0, so that every register holds a conversion.
+    The robots are switched on one scan and one step before time 0, so that all registers are filled.
 
     Args:
-        playpen: Playpen, or the name or path of one; robots with spots start at a random one. A `SceneModel`
-            is compiled already, and may have another step.
+        playpen: Playpen, its name or path; robots with spots start at a random one. A `SceneModel` is already
+            compiled, and may have another step.
         seed: Seed of every random stream.
         noise: True for noisy sensors.
         unpaced: True for lines without delay.
-        vary: True to draw each robot at random around its calibration: another one of the same make.
-        strict_line: True to garble the bytes between a robot and a host whose line has another speed.
-        faults: Faults of its robots.
-        compiled: Whether to step by compiled code, with the same results; None to change over to it in a long
-            run, once it is compiled.
-        shared: True to share the model of a `SceneModel` with other worlds, until a run with `vary`; LEDs are
-            not shown then, there are no observers, and `reset` switches the robots on. With faults of wheels
-            it has a model of its own.
+        vary: True to draw each robot's parameters at random around its calibration.
+        strict_line: True to garble the bytes between a robot and a host with different baud rates.
+        faults: Faults of the robots.
+        compiled: Whether to run compiled, with the same results; None to switch to it in a long run, once it
+            is compiled.
+        shared: True to share the model of a `SceneModel` with other worlds, until a run with `vary`. Such a
+            world shows no LEDs, accepts no observers, and only `reset` switches its robots on. A world with
+            faults of wheels never shares its model.
 
     Attributes:
         playpen: Playpen with the robots' starts.
         time_ns: Current time [ns].
-        timing: Divisions of time.
-        simulation: State that the stepping core works on.
-        code: Code that steps it.
+        timing: Durations in steps.
+        simulation: State of the stepping core.
+        code: Code that runs it, plain or compiled.
         model: Compiled scene.
         data: State of the scene.
         lamps: Lamps of the world.
         robots: Robots in the playpen's order.
         observers: Observers of the world.
-        guard: Guard of its methods.
+        guard: Lock of its methods.
     """
 
-    INSTEAD = "another World of the same playpen, and restore(world.snapshot()) in it"
+    COPY_ADVICE = "another World of the same playpen, and restore(world.snapshot()) in it"
 
     def __init__(
         self,
@@ -106,26 +107,26 @@ class World(NotCopied):
         compiled: bool | None = None,
         shared: bool = False,
     ) -> None:
-        # MuJoCo would write its warnings into a file in the working directory; they are checked here.
+        # Prevents MuJoCo from writing warnings into a file; `Stepper` checks for them.
         mujoco.set_mju_user_warning(lambda warning: None)
-        made, self.guard, self.time_ns = playpen, RLock(), 0
-        if not isinstance(made, SceneModel):
-            made = SceneModel.of(at_spots(Playpen.load(made), seed))
-        self._base, self.spec, self.timing = made.playpen, made.spec, made.timing
+        scene_model, self.guard, self.time_ns = playpen, RLock(), 0
+        if not isinstance(scene_model, SceneModel):
+            scene_model = SceneModel.of(at_spots(Playpen.load(scene_model), seed))
+        self._base, self.spec, self.timing = scene_model.playpen, scene_model.spec, scene_model.timing
         # LEDs and faulty wheels change the model.
         self._shares_model = shared = shared and not any(fault.device == WHEEL for fault in faults)
         if isinstance(playpen, SceneModel) and not shared:
-            made = made._replace(model=copy.copy(made.model))
-        self.model: mujoco.MjModel = made.model
+            scene_model = scene_model._replace(model=copy.copy(scene_model.model))
+        self.model: mujoco.MjModel = scene_model.model
         self.data = mujoco.MjData(self.model)
-        self._forms = MujocoForms(made, self.data, shared)
+        self._forms = MujocoForms(scene_model, self.data, shared)
         self._robot_settings = RobotSettings(unpaced, strict_line, tuple(faults))
         self.simulation = Simulation(self._forms, self.timing)
         self.code = SteppingCode(self.simulation, compiled)
         turrets = any(entry.turrets for entry in self._base.robots)
-        stops = step.TICKED if turrets else 0
+        stops = int(step.Stop.TICKED) if turrets else 0
         if len(self._forms.numbers) < len(self._base.robots):
-            stops = step.STEPPED | step.TICKED
+            stops = step.Stop.STEPPED | step.Stop.TICKED
         self._stepper = Stepper(self, self.simulation, self.code, stops=stops, shows_leds=not shared)
         self._rewind(seed, noise, vary, None, None)
         if not shared:
@@ -141,17 +142,17 @@ class World(NotCopied):
         starts: Sequence[Start] | None = None,
         lamps: Sequence[Lamp] | None = None,
     ) -> None:
-        """Start a new run at time 0 in the same scene, without observers; the result is that of a new world.
+        """Start a new run at time 0 in the same scene, without observers, with the results of a new world.
 
         Args:
             seed: Seed of every random stream.
             noise: True for noisy sensors.
-            vary: True to draw each robot at random around its calibration.
+            vary: True to draw each robot's parameters at random around its calibration.
             starts: Start of each robot; by default the playpen's.
-            lamps: Other lamps than the playpen's.
+            lamps: Lamps that replace those of the playpen.
 
         Raises:
-            DivergedError: The physics leaves its bounds at once.
+            DivergedError: The physics leaves its bounds at the start.
         """
         self._rewind(seed, noise, vary, starts, lamps)
         self._stepper.begin(self.robots)
@@ -159,10 +160,10 @@ class World(NotCopied):
     def _rewind(
         self, seed: int, noise: bool, vary: bool, starts: Sequence[Start] | None, lamps: Sequence[Lamp] | None
     ) -> None:
-        """Return to time 0, with the robots not switched on yet; arguments are those of `reset`."""
+        """Return to time 0, with the robots switched off; arguments are those of `reset`."""
         forms, simulation = self._forms, self.simulation
         self.observers: list[Observer] = []
-        self._untold: list[tuple[int | None, str]] = []
+        self._early_events: list[tuple[int | None, str]] = []
         self._stepper.rewind()
         forms.restore_model()
         simulation.reset(seed, noise=noise, vary=vary)
@@ -179,12 +180,12 @@ class World(NotCopied):
         simulation.set_lamps(self.lamps, self.playpen.lighting)
 
     def _robot(self, index: int, seed: int, record: NDArray[np.void] | None) -> Robot:
-        """Return a robot with its record in the stepping core, if that runs it."""
-        at, settings = self._forms.indices[index], self._robot_settings
+        """Return a robot; `record` is its state in the stepping core, None if the core does not run it."""
+        indices, settings = self._forms.indices[index], self._robot_settings
         rng = partial(stream, seed, "robot", index)
         if record is not None:
-            return KheperaRobot(self, index, at, record, rng, settings)
-        return Khepera4Robot(self, index, at, self._forms.drawn(index), rng, settings)
+            return KheperaRobot(self, index, indices, record, rng, settings)
+        return Khepera4Robot(self, index, indices, self._forms.drawn(index), rng, settings)
 
     @property
     def poses(self) -> list[tuple[float, float, float]]:
@@ -197,15 +198,16 @@ class World(NotCopied):
         return self._forms.objects
 
     def turret_bodies(self, name: str) -> list[TurretBody | None]:
-        """Return the bodies of all turrets of a kind, by the index of their robot; None for one without."""
+        """Return the turrets of a kind by the index of their robot; None for a robot without one."""
         return [robot.turret_bodies.get(name) for robot in self.robots]
 
-    def add_observer(self, observer: Observer, *, at_once: bool = True) -> None:
+    @renamed_arguments(at_once="sample_now")
+    def add_observer(self, observer: Observer, *, sample_now: bool = True) -> None:
         """Add an observer.
 
         Args:
             observer: Observer.
-            at_once: Whether it receives the current state, with what it missed; or has it already.
+            sample_now: Whether to send it the events at time 0 and a sample of the current state.
 
         Raises:
             ValueError: The world shares its model.
@@ -213,13 +215,13 @@ class World(NotCopied):
         if self._shares_model:
             raise ValueError("the world shares its model; expected one of its own, as of an observed Episode")
         self.observers.append(observer)
-        if not at_once:
+        if not sample_now:
             return
-        for robot, text in self._untold:
-            observer.on_event(self.time_ns, robot, text)
+        for index, text in self._early_events:
+            observer.on_event(self.time_ns, index, text)
         mujoco.mj_kinematics(self.model, self.data)
-        for each in self.robots:
-            each.refresh()
+        for robot in self.robots:
+            robot.refresh()
         observer.sample(self)
 
     def advance_to(self, time_ns: int) -> None:
@@ -227,15 +229,15 @@ class World(NotCopied):
 
         Each step of 2.5 ms runs in this order:
 
-            1. bytes that arrive before its end are read by the firmware, which answers from the registers
-               of the last step
-            2. the step itself, in the order of `khep_twin.step`; after its physics lamps blink, fade and
-               switch, and after its control tick the turrets act
+            1. the firmware reads bytes that arrive before the end of the step, and answers from the registers
+               of the previous step
+            2. the step, in the order of `khep_twin.step`; lamps blink, fade and switch after its physics,
+               turrets act after its control tick
             3. after every eighth step the observers sample the world
 
         Raises:
             ValueError: `time_ns` is in the past.
-            DivergedError: The physics left its bounds, now or before.
+            DivergedError: The physics left its bounds, in this call or an earlier one.
         """
         self._stepper.advance_to(time_ns)
 
@@ -244,49 +246,49 @@ class World(NotCopied):
         self.advance_to(self.time_ns + to_ns(seconds))
 
     def step(self, n_steps: int = 1) -> None:
-        """Advance the world to the end of the present step, or of some steps, as `advance_to` does."""
+        """Advance the world by a number of steps, the current one included, as `advance_to` does."""
         self.advance_to((self.simulation.steps + n_steps) * self.timing.step_ns)
 
     @one_thread
-    def finish_steps(self, reason: int, until: int) -> None:
-        """Act for a return of the stepping core that was not called here, and run on to a step.
+    def finish_steps(self, reason: int, end_step: int) -> None:
+        """Handle a return of the stepping core, which another object has called, and run up to a step.
 
         Raises:
             DivergedError: The physics left its bounds.
         """
-        self._stepper.finish_steps(reason, until)
+        self._stepper.finish_steps(reason, end_step)
 
     @property
     def is_self_contained(self) -> bool:
-        """True if nothing outside the stepping core acts amid a run: no turret, LED, fault or observer."""
+        """True if no turret, LED, fault or observer acts within a run of the stepping core."""
         return self._stepper.is_self_contained
 
     @one_thread
     def scan(self) -> None:
         """Convert all sensors of all robots now, without advancing time."""
-        for look in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
-            look(self.model, self.data)
+        for update in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
+            update(self.model, self.data)
         self.simulation.scan(self.simulation.steps)
         for robot in self.robots:
             robot.scan()
 
     def snapshot(self) -> bytes:
-        """Return the whole state of the world, without its observers, for `restore`.
+        """Return the complete state of the world, without its observers, for `restore`.
 
         Raises:
-            ValueError: A step has begun and not ended.
+            ValueError: The world is within a step.
         """
         return pack(self.state(), self.scene)
 
     def restore(self, snapshot: bytes) -> None:
-        """Go on from a snapshot, bit for bit as the world that it was taken of; observers stay.
+        """Restore a snapshot and continue bitwise like the world that it is from; observers remain.
 
-        Any world of the same playpen can do so, if its robots were drawn by the same seed with `vary`, and
-        its line and faults are the same.
+        The snapshot may be from any world of the same playpen, line and faults, and with `vary` of the same
+        seed.
 
         Raises:
-            SnapshotError: The bytes are no snapshot, or of another version or scene; after a damaged one the
-                world needs a `reset`.
+            SnapshotError: The bytes are no snapshot, or one of another version or scene. After a damaged one,
+                the world needs a `reset`.
         """
         self.set_state(unpack(snapshot, WorldState, self.scene))
 
@@ -297,18 +299,18 @@ class World(NotCopied):
 
     @property
     def is_between_steps(self) -> bool:
-        """True if no step has begun without having ended, so that the state is whole."""
-        return bool(self.simulation.counters[step.PHASE] == step.DONE)
+        """True if the world is not within a step, so that its state is complete."""
+        return bool(self.simulation.counters[step.PHASE] == step.Phase.DONE)
 
     @one_thread
     def state(self, since_ns: int = -1) -> WorldState:
-        """Return the whole state, with the replies that reach a host after a time [ns].
+        """Return the complete state, with the replies that reach a host after a time [ns].
 
         Raises:
-            ValueError: A step has begun and not ended.
+            ValueError: The world is within a step.
         """
         if not self.is_between_steps and self._stepper.failure is None:
-            raise ValueError("no state amid a step; expected it between steps, as observers sample them")
+            raise ValueError("no state within a step; expected a call between steps, when observers sample")
         return WorldState(
             self.time_ns,
             physics_state(self.model, self.data),
@@ -318,20 +320,20 @@ class World(NotCopied):
             self.playpen.lighting,
             self.lamps.state(),
             position(self.lamps.rng()),
-            tuple(self._untold),
+            tuple(self._early_events),
             "" if self._stepper.failure is None else str(self._stepper.failure),
         )
 
     @one_thread
     def set_state(self, state: WorldState) -> None:
-        """Take over a state.
+        """Restore a state.
 
         Raises:
             SnapshotError: It does not fit the world, which then needs a `reset`.
         """
         try:
             self._stepper.set_state(state)
-            # After the robots: faulty wheels change the model, and the motion when they begin.
+            # After the robots: the start of a wheel's fault changes the model and the motion.
             set_physics_state(self.model, self.data, state.physics)
             self.playpen = self.playpen.model_copy(update={"lamps": state.lamps, "lighting": state.lighting})
             self.lamps = Lamps(self.playpen, self.lamps.rng, self.time_ns)
@@ -341,10 +343,10 @@ class World(NotCopied):
             self._stepper.failure = DivergedError(f"the world could not be restored: {error}")
             raise SnapshotError(f"the snapshot does not fit the world: {error}") from None
         self.simulation.set_lamps(self.lamps, self.playpen.lighting)
-        self._untold = list(state.untold)
+        self._early_events = list(state.untold)
 
     def reseed(self, seed: int) -> None:
-        """Draw from the random streams of another seed from now on."""
+        """Switch to the random streams of another seed."""
         self.simulation.reseed(seed)
         self.lamps.rng = cache(partial(stream, seed, "lamps"))
         for index, robot in enumerate(self.robots):
@@ -357,19 +359,19 @@ class World(NotCopied):
         """Replace the lamps.
 
         Args:
-            lamps: All lamps from now on.
-            lighting: Their lighting; None for the present one.
-            keep_switched: True to switch them as the present ones are.
+            lamps: New lamps.
+            lighting: New lighting; None for the current one.
+            keep_switched: True to keep the switching state of the current lamps.
         """
-        lit = {"lamps": tuple(lamps), "lighting": lighting or self.playpen.lighting}
-        self.playpen, before = self.playpen.model_copy(update=lit), self.lamps
-        self.lamps = Lamps(self.playpen, before.rng, self.time_ns, before.phase)
+        changes = {"lamps": tuple(lamps), "lighting": lighting or self.playpen.lighting}
+        self.playpen, previous = self.playpen.model_copy(update=changes), self.lamps
+        self.lamps = Lamps(self.playpen, previous.rng, self.time_ns, previous.phase)
         if keep_switched:
-            self.lamps.take_over(before)
+            self.lamps.take_over(previous)
         self.simulation.set_lamps(self.lamps, self.playpen.lighting)
 
     def refresh(self) -> None:
-        """Take over fixed geoms that were moved in the model, which no other world may share."""
+        """Update the scene after fixed geoms were moved in the model, which no other world may share."""
         self._forms.refresh()
         self.simulation.take_scene()
         for robot in self.robots:
@@ -377,15 +379,15 @@ class World(NotCopied):
         self.simulation.set_lamps(self.lamps, self.playpen.lighting)
 
     def compile(self) -> None:
-        """Step by compiled code from now on, with the same results: see `SteppingCode.compile`."""
+        """Switch to compiled code, with the same results: see `SteppingCode.compile`."""
         self.code.compile()
 
     def log_event(self, robot: int | None, text: str) -> None:
-        """Log an event that does not follow from the state, such as an action of yours; logs repeat it.
+        """Log an event that does not follow from the state, such as a user's action; replays repeat it.
 
         Args:
-            robot: Index of the robot that it is about; None for none.
-            text: Words of it.
+            robot: Index of the robot concerned; None for none.
+            text: Description of the event.
         """
         data = bytes([robot is None]) + text.encode("utf-8")
         self.on_host_event(robot or 0, HostEvent(HostEventKind.NOTE, self.time_ns, None, data))
@@ -394,8 +396,8 @@ class World(NotCopied):
     def on_event(self, robot: int | None, text: str) -> None:
         """Send an event that follows from the state to the observers."""
         if self.time_ns == 0 and not self.observers:
-            # No observer could be added yet.
-            self._untold.append((robot, text))
+            # Observers can only be added later.
+            self._early_events.append((robot, text))
         for observer in self.observers:
             observer.on_event(self.time_ns, robot, text)
 
@@ -412,7 +414,7 @@ class World(NotCopied):
     def sample(self) -> None:
         """Let the observers sample the world."""
         if self.observers:
-            # A step leaves the bodies' positions as of its start; the observers sample them as of its end.
+            # After a step, the positions of bodies are those at its start; observers sample those at its end.
             mujoco.mj_kinematics(self.model, self.data)
             for robot in self.robots:
                 robot.refresh()

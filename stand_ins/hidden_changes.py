@@ -171,7 +171,7 @@ def _lift(world: World, to: Start | None, rng: np.random.Generator) -> Start | N
         x_mm, y_mm = far[int(rng.integers(len(far)))]
         to = round(x_mm, 1), round(y_mm, 1), round(float(rng.uniform(-180, 180)), 1)
     try:
-        move_robot.put(world, 0, *to)
+        move_robot.place_robot(world, 0, *to)
     except PlaypenError:
         return None
     return to

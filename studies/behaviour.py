@@ -59,7 +59,7 @@ def tables(folder: Path) -> dict[Thing, Samples]:
     """Return the tables of the sampled robot."""
     wall, cylinder = (Samples(each.distances, each.bearings, each.counts) for each in sampled(folder))
     distances, lamp = sampled_lamp(folder)
-    _, bearings = lamp.placement.seen()
+    _, bearings = lamp.placement.object_positions()
     # Light falls off too steeply from one distance to the next to be smoothed along it.
     return {WALL: wall, CYLINDER: cylinder, LAMP: Samples(distances, bearings, lamp.counts, (1, 7))}
 

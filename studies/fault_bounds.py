@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.shadow.sensor_model import log_of_sum
+from khep_twin.shadow.sensor_model import log_sum_exp
 from khep_twin.shadow.shadow import ShadowSettings
 from studies.fault_oracle import Explanation, Oracle
 from studies.fault_recordings import made
@@ -104,7 +104,7 @@ def run_bound(
 def posterior(found: Sequence[Explanation]) -> dict[str, float]:
     """Return the probabilities of explanations, which exclude each other, by name."""
     logs = np.array([each.prior + each.evidence for each in found])
-    return dict(zip([each.name for each in found], np.exp(logs - log_of_sum(logs)).tolist(), strict=True))
+    return dict(zip([each.name for each in found], np.exp(logs - log_sum_exp(logs)).tolist(), strict=True))
 
 
 def gap(found: Sequence[Explanation], name: str) -> float:

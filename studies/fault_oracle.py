@@ -19,18 +19,18 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
-from khep_twin.shadow.actions import Action, Commanded, Seen, repeat
+from khep_twin.shadow.actions import Action, WheelCommand, ProximityReply, apply_action
 from khep_twin.shadow.candidates import Candidates
 from khep_twin.shadow.displacements import Lifted
 from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.persistence import PERSISTENCE, SENSOR_RADIUS, part_new
+from khep_twin.shadow.persistence import PERSISTENCE, SENSOR_RADIUS, novelty_of
 from khep_twin.shadow.planar_bodies import TICK_NS
-from khep_twin.shadow.recording import recorded
-from khep_twin.shadow.sensor_model import log_of_sum
+from khep_twin.shadow.recording import read_recording
+from khep_twin.shadow.sensor_model import log_sum_exp
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
-from khep_twin.shadow.start import Spread, begun
+from khep_twin.shadow.start import Spread, draw_particles
 from khep_twin.shadow.thing_faults import Unexpected
 from khep_twin.units import N_SENSORS, SCAN_NS
 from stand_ins import hidden_changes
@@ -92,8 +92,8 @@ class _Informed(ParticleFilter):
 
     parts: Mapping[int, float]
 
-    def _part_new(self, seen: Seen) -> float:
-        return self.parts[seen.time_ns]
+    def _novelty(self, reply: ProximityReply) -> float:
+        return self.parts[reply.time_ns]
 
 
 class Oracle:
@@ -111,13 +111,13 @@ class Oracle:
             begin_ns = max(begin_ns, self._seen_ns - EARLIER_NS)
         playpen = told_playpen(trial.room, trial.truth)
         listener = _Listener(playpen)
-        for each in recorded(trial.path).heard:
+        for each in read_recording(trial.path).chunks:
             if each.time_ns <= until_ns:
                 listener.feed(*each)
         self._setup = EpisodeSetup(playpen, planar=True)
         self._near = Candidates(self._setup)
         self._actions = [each for each in listener.actions if each.time_ns > begin_ns]
-        self._parts = parts_new(self._truth, [each for each in listener.actions if isinstance(each, Seen)])
+        self._parts = parts_new(self._truth, [each for each in listener.actions if isinstance(each, ProximityReply)])
         before = listener.actions[: -len(self._actions)]
         self._start = self._followed(before, changed_ns, begin_ns, settings.particles)
 
@@ -126,17 +126,17 @@ class Oracle:
         rng = stream(self._seed, "oracle")
         x, y, heading = self._truth.start.tolist()
         spread = Spread(KNOWN[0], KNOWN[2])
-        particles = begun(self._setup, [(x, y, heading)], spread, count, rng)
+        particles = draw_particles(self._setup, [(x, y, heading)], spread, count, rng)
         tracker = ParticleFilter(self._setup, particles, rng, count)
         for action in actions:
             if action.time_ns <= changed_ns:
-                tracker.act(action, USE)
+                tracker.follow(action, USE)
             else:
-                repeat(action, tracker.particles)
+                apply_action(action, tracker.particles)
                 self._put(tracker.particles, action.time_ns, rng)
-            if isinstance(action, Seen):
-                self._near.pass_by(action.time_ns, tracker)
-        particles = tracker.particles.drawn(PARTICLES, 0.5)
+            if isinstance(action, ProximityReply):
+                self._near.note_encounters(action.time_ns, tracker)
+        particles = tracker.particles.resample(PARTICLES, 0.5)
         particles.planes.advance_to(begin_ns)
         self._put(particles, begin_ns, rng)
         return particles
@@ -155,18 +155,18 @@ class Oracle:
         for number, action in enumerate(self._actions):
             while begins_ns and action.time_ns > begins_ns[0]:
                 del begins_ns[0]
-                particles = sound.particles.drawn(PARTICLES, 0.5)
+                particles = sound.particles.resample(PARTICLES, 0.5)
                 branches.append(_Branch(particles, sound.evidence, self._actions[number:]))
-            sound.act(action, USE)
-            if isinstance(action, Seen):
-                self._near.pass_by(action.time_ns, sound)
+            sound.follow(action, USE)
+            if isinstance(action, ProximityReply):
+                self._near.note_encounters(action.time_ns, sound)
                 evidences.append((action.time_ns, sound.evidence))
         found = [Explanation(SOUND, 0.0, self._at_end(evidences))]
-        for change in self._near.since(self._seen_ns, counted=False):
+        for change in self._near.changes_since(self._seen_ns, has_counters=False):
             begun_so = branches if isinstance(change.hypothesis, Unexpected) else [whole]
             logs = np.array([self._evidence(change.hypothesis, each) for each in begun_so])
             prior = math.log(change.rate * (BEGUN_S + change.unseen_s))
-            evidence = log_of_sum(logs) - math.log(len(logs))
+            evidence = log_sum_exp(logs) - math.log(len(logs))
             found.append(Explanation(change.hypothesis.name, prior, evidence))
         if self._lifted_ns is not None:
             before = [evidence for time_ns, evidence in evidences if time_ns <= self._lifted_ns]
@@ -178,14 +178,14 @@ class Oracle:
 
         The sum over all places would have as much evidence at the least.
         """
-        fault, particles = Lifted(), self._start.drawn(PARTICLES, 0.5)
+        fault, particles = Lifted(), self._start.resample(PARTICLES, 0.5)
         particles.planes.advance_to(time_ns)
         self._put(particles, time_ns, stream(self._seed, "oracle", fault.name, "place"))
-        particles.planes.put(particles.planes.poses)  # at rest
+        particles.planes.reset_poses(particles.planes.poses)  # at rest
         branch = _Branch(particles, evidence, [each for each in self._actions if each.time_ns > time_ns])
         arena = self._setup.playpen.arena
         places = arena.width_mm * arena.height_mm * 1e-6 * math.tau / (math.tau**1.5 * math.prod(KNOWN))
-        return Explanation(fault.name, -fault.rare - math.log(places), self._evidence(fault, branch))
+        return Explanation(fault.name, -fault.log_odds_against - math.log(places), self._evidence(fault, branch))
 
     def _evidence(self, hypothesis: Hypothesis, branch: "_Branch") -> float:
         """Return the evidence at the end for a fault that has begun where twins branch off."""
@@ -195,10 +195,10 @@ class Oracle:
         evidences = [(0, branch.evidence)]
         for action in branch.actions:
             particles = tracker.particles
-            tracker.act(action, USE)
+            tracker.follow(action, USE)
             if tracker.particles is not particles:
-                hypothesis.refine(tracker.particles, rng)
-            if isinstance(action, Seen):
+                hypothesis.jitter(tracker.particles, rng)
+            if isinstance(action, ProximityReply):
                 evidences.append((action.time_ns, branch.evidence + tracker.evidence))
         return self._at_end(evidences)
 
@@ -208,7 +208,7 @@ class Oracle:
         return float(np.interp(self._until_ns, times, values))
 
     def _tracker(self, branch: "_Branch", name: str) -> _Informed:
-        particles = branch.particles.drawn(PARTICLES, 0.5)
+        particles = branch.particles.resample(PARTICLES, 0.5)
         tracker = _Informed(self._setup, particles, stream(self._seed, "oracle", name), PARTICLES)
         tracker.parts = self._parts
         return tracker
@@ -216,7 +216,7 @@ class Oracle:
     @property
     def speeds(self) -> str:
         """Speeds that the host has set most often since the begin, with their numbers."""
-        found = Counter((each.left, each.right) for each in self._actions if isinstance(each, Commanded))
+        found = Counter((each.left, each.right) for each in self._actions if isinstance(each, WheelCommand))
         return ", ".join(f"{number} x {left} {right}" for (left, right), number in found.most_common(_SPEEDS))
 
 
@@ -228,7 +228,7 @@ class _Branch(NamedTuple):
     actions: Sequence[Action]
 
 
-def parts_new(truth: Truth, replies: Sequence[Seen]) -> dict[int, float]:
+def parts_new(truth: Truth, replies: Sequence[ProximityReply]) -> dict[int, float]:
     """Return the parts of replies to N that are new, by their times [ns], after the robot's true way."""
     steps = np.abs(np.diff(truth.poses[:, :2], axis=0)).sum(axis=1)
     steps += SENSOR_RADIUS * np.abs(np.diff(np.unwrap(truth.poses[:, 2])))
@@ -239,6 +239,6 @@ def parts_new(truth: Truth, replies: Sequence[Seen]) -> dict[int, float]:
         uncertain_ns = TICK_NS + max(each.late_ns - each.time_ns, 0)
         ends = each.time_ns - uncertain_ns, each.time_ns
         before, way = np.interp(ends, truth.times_ns, ways).tolist()
-        parts[each.time_ns] = part_new(way - last, PERSISTENCE, way - before)
+        parts[each.time_ns] = novelty_of(way - last, PERSISTENCE, way - before)
         last = way
     return parts

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.log.shadow_channels import OR
+from khep_twin.log.shadow_channels import FAULT_SEPARATOR
 from khep_twin.shadow.shadow import ShadowSettings
 from stand_ins.recordings import Truth
 from studies.fault_recordings import STANDING, made
@@ -101,7 +101,7 @@ def judge(
     together = [
         each
         for each in alarms
-        if each.raised_ns >= since_ns and (_has(each.fault, names) or alike >= {*each.fault.split(OR)})
+        if each.raised_ns >= since_ns and (_has(each.fault, names) or alike >= {*each.fault.split(FAULT_SEPARATOR)})
     ]
     alike_ns = [each.raised_ns for each in [*right, *together]]
     delay_s = (right[0].raised_ns - seen_ns) / NS_PER_S if right else math.nan
@@ -121,7 +121,7 @@ def judge(
         any(since_ns <= each <= seen_ns + SOON_NS for each in alike_ns),
         delay_s,
         tuple(
-            each.fault for each in alarms if each not in right and not (each in together and OR in each.fault)
+            each.fault for each in alarms if each not in right and not (each in together and FAULT_SEPARATOR in each.fault)
         ),
         end_s,
         ends,
@@ -153,7 +153,7 @@ def looking_alike(names: Sequence[str]) -> set[str]:
 
 def _has(fault: str, names: Sequence[str]) -> bool:
     """Return whether one of the names that a fault may have is right, each of which may be that of a pair."""
-    return OR in fault and any(OR + name + OR in OR + fault + OR for name in names)
+    return FAULT_SEPARATOR in fault and any(FAULT_SEPARATOR + name + FAULT_SEPARATOR in FAULT_SEPARATOR + fault + FAULT_SEPARATOR for name in names)
 
 
 def _right(fault: str, readings: Sequence[float], names: tuple[str, ...]) -> bool:

@@ -18,7 +18,7 @@ import numpy as np
 from khep_twin import playpen
 from khep_twin.files.toml_files import TomlTable, dump
 from khep_twin.host import Khepera
-from khep_twin.lab.fit.fit_inputs import Measured, SensorData, fit_inputs
+from khep_twin.lab.fit.fit_inputs import FitTests, SensorData, fit_inputs
 from khep_twin.lab.fit.infrared_fit import levels
 from khep_twin.lab.fit.lamp_fit import LampTable, ambient_counts
 from khep_twin.lab.fit.least_squares import CONFIDENCE, Floats
@@ -108,9 +108,9 @@ class Person:
     rng: np.random.Generator
     period: float = PERIOD
 
-    def tests(self) -> Measured:
+    def tests(self) -> FitTests:
         """Return a whole session's tests."""
-        return Measured(
+        return FitTests(
             wheels=tuple(self._drives()),
             objects=tuple(self._turn(f"wall@{mm:g}mm", mm) for mm in WALLS_MM),
             lamps=tuple(self._turn(f"lamp@{mm:g}mm", mm, POWER_W) for mm in LAMPS_MM),
@@ -122,7 +122,7 @@ class Person:
         yield Drive("straight", count, count, distance=pulse * count + self._error_m())
         for sign in (1, -1):
             count = sign * round(TURNS * math.pi * base / pulse)
-            yield Drive("spin", -count, count, turned=2 * pulse * count / base + self._error_rad())
+            yield Drive("spin", -count, count, turn=2 * pulse * count / base + self._error_rad())
 
     def _turn(self, name: str, distance_mm: float, power: float | None = None) -> SensorData:
         rate = 2 * _SPEED * 100 * self._pulse / (self.robot.wheels.base_mm / 1e3)
@@ -170,7 +170,7 @@ def study(
     for number in range(robots):
         robot = hidden(start, stream(seed, "fit_intervals", number, "robot"))
         person = Person(robot, Ruler(), stream(seed, "fit_intervals", number, "person"), period)
-        yield [(value, value.of(robot)) for value in fit_robot(person.tests(), start, Ruler()).values]
+        yield [(value, value.value_in(robot)) for value in fit_robot(person.tests(), start, Ruler()).values]
 
 
 def sessions(start: Calibration, robots: int, seed: int = 0) -> Iterator[list[tuple[FittedValue, float]]]:
@@ -193,7 +193,7 @@ def sessions(start: Calibration, robots: int, seed: int = 0) -> Iterator[list[tu
                 todo = steps(WALLS_MM, None, POWER_W, FILAMENT * 1e3)
                 session.run(todo, host, person, lambda _: None, lambda: False)
             found = fit_robot(fit_inputs(session.paths), start, Ruler())
-        yield [(value, value.of(robot)) for value in found.values]
+        yield [(value, value.value_in(robot)) for value in found.values]
 
 
 def errors(values: Sequence[tuple[FittedValue, float]]) -> Iterator[tuple[str, float]]:

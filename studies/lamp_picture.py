@@ -24,7 +24,7 @@ def draw(target: Path) -> None:
     """Draw all sensors."""
     ambient = calibration.read("khepera1")[0].ambient
     distances, test = sampled_lamp(reference())
-    lamp, (_, bearings) = LampTable.of(test), test.placement.seen()
+    lamp, (_, bearings) = LampTable.of(test), test.placement.object_positions()
     figure = Figure(figsize=(12, 6.4), layout="constrained")
     panels = figure.subplots(2, 4, sharey=True).ravel()
     for panel, sensor in zip(panels, [0, 1, 2, 7, 5, 4, 3, 6], strict=True):

@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from khep_twin.shadow.recording import recorded
+from khep_twin.shadow.recording import read_recording
 from stand_ins.served import served
 from tools.command_table import command_line
 
@@ -52,7 +52,7 @@ def main() -> None:
                     while not os.read(ends[1], 100).endswith(b"\n"):
                         pass
             os.close(host)
-        heard = recorded(log).heard
+        heard = read_recording(log).chunks
     late = {way: np.array([e.time_ns for e in heard if e.to_robot == way]) - written[way] for way in written}
     least = min(each.min() for each in late.values())
     for to_robot, values in late.items():

@@ -18,7 +18,7 @@ from khep_twin.randomness import stream
 from khep_twin.sensing import calibration
 from khep_twin.shadow.diagnosis import Diagnosis
 from khep_twin.shadow.following import Follower
-from khep_twin.shadow.recording import recorded
+from khep_twin.shadow.recording import read_recording
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from stand_ins.recordings import record
 from tools.command_table import command_line
@@ -56,13 +56,13 @@ def main() -> None:
             own = calibration.varied(start, stream(seed, "robot", 0, "spread"))
             shadow = Shadow(playpen, ShadowSettings(particles=given.particles))
             follower = Follower(shadow)
-            for heard in recorded(path).heard:
+            for heard in read_recording(path).chunks:
                 for _ in follower.feed(heard):
                     pass
             for value, _ in learned_values(shadow.learned, start):
                 _, key, *sensor = value.path
-                part = value.of(own) / value.of(start), value.value / value.of(start)
-                told = value.interval / value.of(start) / CONFIDENCE
+                part = value.value_in(own) / value.value_in(start), value.value / value.value_in(start)
+                told = value.interval / value.value_in(start) / CONFIDENCE
                 errors[key].append((part[0], part[1], told))
                 print(
                     f"{seed} {key}{sensor or ''}: {part[0]:.4f}, found {part[1]:.4f} +- {told:.4f}",

@@ -13,7 +13,7 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_start
 from khep_twin.shadow.following import Follower, LastingAlarms
-from khep_twin.shadow.recording import recorded
+from khep_twin.shadow.recording import read_recording
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.update import Update
 from stand_ins.hidden_changes import Change
@@ -165,7 +165,7 @@ def follow(path: Path, playpen: str, settings: ShadowSettings, told: bool = True
         told: Tell the shadow the robot's start; else it has the playpen as it is.
     """
     truth = Truth.load(path.with_suffix(".npz"))
-    heard = recorded(path).heard
+    heard = read_recording(path).chunks
     follower = Follower(Shadow(told_playpen(playpen, truth) if told else Playpen.load(playpen), settings))
     updates: list[Update] = []
     watch = _Watch()

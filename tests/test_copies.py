@@ -34,7 +34,7 @@ def test_a_copy_of_a_gymnasium_environment_goes_on_with_its_episodes(way: Way) -
     environment.step(SPEEDS)
     other = way(environment)
     assert other.spec == environment.spec
-    with pytest.raises(ValueError, match=r"none has begun; expected reset\(\) first"):
+    with pytest.raises(ValueError, match=r"none has started; expected reset\(\) first"):
         other.step(SPEEDS)
     assert (other.reset()[0] == environment.reset()[0]).all()
     assert (other.step(SPEEDS)[0] == environment.step(SPEEDS)[0]).all()
@@ -88,7 +88,7 @@ def test_what_is_not_copied_says_what_to_do_instead(way: Way) -> None:
     setup = EpisodeSetup("obstacles")
     with pytest.raises(TypeError, match=r"^World: cannot be copied .* restore\(world\.snapshot\(\)\) in it$"):
         way(World("obstacles"))
-    with pytest.raises(TypeError, match=r"^Episode: cannot be copied .* begun with the same seed$"):
+    with pytest.raises(TypeError, match=r"^Episode: cannot be copied .* started with the same seed$"):
         way(Episode(setup, compiled=False))
     with pytest.raises(TypeError, match=r"^TaskEpisode: cannot be copied"):
         way(TaskEpisode(TaskSetup("Homing", **OPTIONS)))

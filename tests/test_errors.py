@@ -94,7 +94,7 @@ def test_an_argument_has_its_name_and_value() -> None:
 
 
 def test_a_misfit_of_a_log_has_its_file_and_channel() -> None:
-    error = DecodeError("length 3", "8 values").at(Path("run.mcap"), "/proximity", 20_000_000)
+    error = DecodeError("length 3", "8 values").to_log_error(Path("run.mcap"), "/proximity", 20_000_000)
     assert isinstance(error, LogError)
     assert str(error) == "run.mcap: /proximity at 0.0200 s: length 3; expected 8 values"
     assert (error.file, error.key) == ("run.mcap", "/proximity")

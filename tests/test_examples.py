@@ -9,7 +9,7 @@ import pytest
 from forked import run_python
 
 from khep_twin.lab.experiment.repeat import repeat
-from khep_twin.log.recorded import read_recorded
+from khep_twin.log.recorded import read_recorded_run
 
 # The ten ways to begin of 00 are run by test_front_door.
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("0[1-9]*.py"))
@@ -67,7 +67,7 @@ def test_an_archive_of_the_same_seed_has_the_same_bits(tmp_path: Path) -> None:
 def test_the_baton_is_passed_and_the_run_repeats(tmp_path: Path) -> None:
     [example] = [path for path in EXAMPLES if path.stem == "07_baton"]
     assert ENDS["07_baton"] in ended(example, tmp_path, "a.mcap")
-    assert repeat(read_recorded(tmp_path / "a.mcap")) is None
+    assert repeat(read_recorded_run(tmp_path / "a.mcap")) is None
 
 
 @pytest.mark.long

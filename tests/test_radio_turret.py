@@ -13,7 +13,7 @@ from khep_twin.host import Khepera, Radio, RadioMessage, RadioStatus
 from khep_twin.interventions import move_robot
 from khep_twin.lab.experiment.multi_robot import run_together
 from khep_twin.lab.experiment.repeat import repeat
-from khep_twin.log.recorded import read_recorded
+from khep_twin.log.recorded import read_recorded_run
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import TwinOptions, open_twin
 from khep_twin.world import World
@@ -85,7 +85,7 @@ def test_a_robot_that_drives_away_is_out_of_range() -> None:
     world = World(playpen_with_radios([(200, 250), (400, 250)], "[radio]\nrange_mm = 205\n"))
     heard = []
     for x in (0.400, 0.404, 0.406, 0.404):
-        move_robot.put(world, 1, x * 1000, 250, 0)
+        move_robot.place_robot(world, 1, x * 1000, 250, 0)
         world.robots[0].send(line(2, b"?"))
         world.advance_to(world.time_ns + 600 * MS)
         heard.append(register(world, 1, RadioRegister.RECEIVED))
@@ -153,7 +153,7 @@ def test_a_log_of_three_robots_repeats(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     heard = run_together(LOSSY, [chatter] * 3, TwinOptions(seed=2, log=str(path)))
     assert min(heard) > 0
-    assert repeat(read_recorded(path)) is None
+    assert repeat(read_recorded_run(path)) is None
 
 
 def test_a_restart_drops_a_message_in_the_air() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from khep_twin.cli.design import design
 from khep_twin.errors import PortError
-from khep_twin.log.viewer.process import HERE
+from khep_twin.log.viewer.process import LOCALHOST
 from khep_twin.ports.endpoints import open_endpoints
 from khep_twin.ports.network import is_loopback, parse_address
 from khep_twin.sweep.ray_workers import LOOPBACK
@@ -85,7 +85,7 @@ def test_nothing_is_unpickled() -> None:
 
 
 def test_every_address_that_is_given_by_default_is_of_this_machine_alone() -> None:
-    assert is_loopback(HERE)
+    assert is_loopback(LOCALHOST)
     assert is_loopback(LOOPBACK)
     assert design.__defaults__ is not None
     listen = [each for each in design.__defaults__ if isinstance(each, str) and ":" in each]

@@ -17,11 +17,11 @@ import typer
 from terminals import Terminal, at_a_terminal
 
 from khep_twin.cli import app, shadow, shadow_process
-from khep_twin.cli.endpoints import EndpointOptions, tell_end
+from khep_twin.cli.endpoints import EndpointOptions, print_end
 from khep_twin.cli.option_groups import LogOptions
-from khep_twin.cli.options import complain
+from khep_twin.cli.options import notify
 from khep_twin.cli.progress import progress
-from khep_twin.status_line import BESIDE, announced, beside_status_line, status_line
+from khep_twin.status_line import STATUS_LINE_VARIABLE, announced, beside_status_line, status_line
 
 
 def test_lines_of_output_and_a_progress_bar_never_share_a_line() -> None:
@@ -102,7 +102,7 @@ def test_what_is_said_during_long_work_has_its_own_lines() -> None:
         end = time.monotonic() + 30
         while "compiling" not in terminal.getvalue() and time.monotonic() < end:
             time.sleep(0.01)
-        complain("the robot has restarted")
+        notify("the robot has restarted")
         print("data")
     assert terminal.screen == ["khep-twin: the robot has restarted", "data", ""]
 
@@ -115,7 +115,7 @@ def test_lines_beside_another_process_with_a_status_line_are_whole_and_in_its_pl
             terminal.write("\r\033[K1.1 s  no alarm")
             print(" parts\nand more")
             terminal.write("\r\033[K1.2 s  no alarm")
-            complain("the end")
+            notify("the end")
         assert sys.stdout is sys.stderr is terminal
     assert terminal.screen == ["in two parts", "and more", "khep-twin: the end", ""]
 
@@ -132,18 +132,18 @@ def test_a_relay_never_writes_onto_the_status_line_of_its_shadow(
         yield SimpleNamespace(listener=None, finish=lambda: 0)
 
     def relays(*_: object, **__: object) -> None:
-        tell_end(2_500_000_000, 0, LogOptions(), None)
+        print_end(2_500_000_000, 0, LogOptions(), None)
 
     monkeypatch.setattr(shadow_process, "run_shadow", beside)
     monkeypatch.setattr(shadow, "relay_robot", relays)
     with at_a_terminal() as terminal, (tmp_path / "out.txt").open("w") as file:
         with redirect_stdout(terminal if output == "terminal" else file):
-            shadow._beside_robot("", 9600, [], EndpointOptions(), LogOptions(), False)  # pyright: ignore[reportPrivateUsage]
+            shadow._relay_with_shadow("", 9600, [], EndpointOptions(), LogOptions(), False)  # pyright: ignore[reportPrivateUsage]
     assert terminal.screen == ["2.5 s served", ""]
 
 
 def test_a_viewer_of_a_shadow_never_writes_onto_its_status_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(BESIDE, "1")
+    monkeypatch.setenv(STATUS_LINE_VARIABLE, "1")
     monkeypatch.setattr(sys, "argv", ["khep-twin", "view", "--live", "nowhere/shadow.mcap"])
     monkeypatch.setenv("RUST_LOG", "off")  # as the command sets it
     with at_a_terminal() as terminal:
@@ -151,7 +151,7 @@ def test_a_viewer_of_a_shadow_never_writes_onto_its_status_line(monkeypatch: pyt
         with pytest.raises(SystemExit):
             app.main()
     assert terminal.screen[0].startswith("khep-twin: nowhere/shadow.mcap: no run writes this log")
-    assert BESIDE not in os.environ
+    assert STATUS_LINE_VARIABLE not in os.environ
 
 
 def test_where_nobody_looks_long_work_is_a_line_at_its_begin_and_one_at_its_end_and_a_bar_is_none(

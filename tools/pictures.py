@@ -26,7 +26,7 @@ from typer.testing import CliRunner
 from khep_twin.cli.app import app
 from khep_twin.host import Gripper, Khepera
 from khep_twin.playpen import Playpen
-from khep_twin.shadow.recording import recorded
+from khep_twin.shadow.recording import read_recording
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.shadow_log import ShadowLog
 from khep_twin.world import World
@@ -97,7 +97,7 @@ def draw_shadow() -> None:
     _type("run", "--playpen", "workshop", *fault, "--seconds", "60", "--log", "robot.mcap")
     settings, playpen, parent = ShadowSettings(), Playpen.load("workshop"), Path("robot.mcap")
     shadow, log = Shadow(playpen, settings), ShadowLog(Path("shadow.mcap"), playpen, settings, parent=parent)
-    for heard in recorded(parent).heard:
+    for heard in read_recording(parent).chunks:
         for update in shadow.feed(*heard):
             log.write(update)
     log.close()

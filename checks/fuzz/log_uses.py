@@ -126,7 +126,7 @@ def view(path: Path) -> None:
 
 def report(path: Path) -> None:
     """Make the contents of a report on a log."""
-    from khep_twin.lab.report.report import report as report_on
+    from khep_twin.lab.report.report import make_report as report_on
     from khep_twin.log.reader import read_series
     from khep_twin.log.shadow_channels import is_shadow
     from khep_twin.log.shadow_track import read_shadow
@@ -139,9 +139,9 @@ def report(path: Path) -> None:
 def repeat(path: Path) -> None:
     """Repeat a log's run."""
     from khep_twin.lab.experiment.repeat import repeat as run_again
-    from khep_twin.log.recorded import read_recorded
+    from khep_twin.log.recorded import read_recorded_run
 
-    run_again(read_recorded(path))
+    run_again(read_recorded_run(path))
 
 
 def branch_same(path: Path) -> None:
@@ -177,9 +177,9 @@ def conform(path: Path) -> None:
 
 def follow(path: Path) -> None:
     """Read a log as `khep-twin shadow` does."""
-    from khep_twin.shadow.recording import recorded
+    from khep_twin.shadow.recording import read_recording
 
-    recorded(path)
+    read_recording(path)
 
 
 USES: list[Callable[[Path], None]] = [view, repeat, branch_same, branch_changed, conform, report, follow]

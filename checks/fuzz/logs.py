@@ -225,19 +225,19 @@ def read_series(path: Path) -> None:
 
 def read_recorded(path: Path) -> None:
     """Read a log as a replay does."""
-    from khep_twin.log.recorded import read_recorded
+    from khep_twin.log.recorded import read_recorded_run
 
-    read_recorded(path)
+    read_recorded_run(path)
 
 
 def export(path: Path) -> None:
     """Write a log's tables."""
     from khep_twin.lab.report import export as tables
-    from khep_twin.log.reader import read_heads
+    from khep_twin.log.reader import read_first_messages
 
-    recording = read_heads(path)
-    robots = tables.chosen_robots(recording, None)
-    channels = tables.chosen_channels(recording, robots, None)
+    recording = read_first_messages(path)
+    robots = tables.choose_robots(recording, None)
+    channels = tables.choose_channels(recording, robots, None)
     if channels:
         tables.write_table(path, robots, channels, ".csv", BytesIO())
     tables.write_transcript(path, robots, BytesIO())

@@ -25,9 +25,9 @@ from khep_twin.web import (
     challenges,
     connections,
     file_actions,
+    robot_session,
     routes,
     server,
-    session,
     session_actions,
     twin_session,
 )
@@ -97,16 +97,16 @@ class Session(twin_session.TwinActor):
         twin = self._open.enter_context(open_twin(self.playpen, self._options))
         if self.log is not None:
             twin.record(self.log)
-        self._paced = Requests(twin)  # pyright: ignore
+        self._twin = Requests(twin)  # pyright: ignore
 
     @property
-    def alive(self) -> bool:
+    def is_alive(self) -> bool:
         """True until the end."""
         return self._is_alive
 
     def end(self) -> None:
         """Close the world."""
-        if self.alive:
+        if self.is_alive:
             self._is_alive = False
             self._open.close()
 
@@ -129,7 +129,7 @@ class Requests:
         """End no job."""
 
 
-class Unopened(session.RobotActor):
+class Unopened(robot_session.RobotActor):
     """Robot at a port that is never opened."""
 
     def begin(self) -> None:
@@ -139,7 +139,7 @@ class Unopened(session.RobotActor):
         """Do nothing."""
 
     @property
-    def alive(self) -> bool:
+    def is_alive(self) -> bool:
         """True."""
         return True
 
@@ -147,7 +147,7 @@ class Unopened(session.RobotActor):
 class Waiting(challenges.Challenges):
     """Challenges whose programs are never started."""
 
-    def _begin(self, message: Mapping[str, object], work: Callable[..., None]) -> None:
+    def _start(self, message: Mapping[str, object], work: Callable[..., None]) -> None:
         """Report what would be scored."""
         self._publish(message)
 
@@ -198,7 +198,7 @@ class Browser:
         self._loop, self._state = designer.loop, ServerState()
         self.page = routes.Page(Documents(designer.folder), None)
         test = SensorTest("proximity", 10.0, None, 10, 64, False)
-        self.page._session._sensed.append(SensorRun(test, np.ones((2, 10), np.int64), np.arange(2.0)))  # pyright: ignore
+        self.page._session._sensor_runs.append(SensorRun(test, np.ones((2, 10), np.int64), np.arange(2.0)))  # pyright: ignore
         self._config = uvicorn.Config(
             Guard(self.page.app(), TOKEN, {HOST, HOST.replace("127.0.0.1", "localhost")}),
             log_config=None,
@@ -207,7 +207,7 @@ class Browser:
             server_header=False,
             ws="websockets-sansio",
             ws_max_size=server.MESSAGE_LIMIT,
-            ws_ping_interval=server.PING,
+            ws_ping_interval=server.PING_S,
             h11_max_incomplete_event_size=32 * 1024,
             http=connections.PageConnection,
         )

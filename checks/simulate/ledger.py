@@ -129,7 +129,7 @@ class Ledger:
             if work.last.draft is None or None in work.maybe:
                 continue
             if file not in offers:
-                offers[file] = documents.left(file)
+                offers[file] = documents.drafts(file)
             right = {work.last.draft, *work.maybe}
             offered = {told(each["draft"]) for each in offers[file] if each["page"] == page}
             if offered & right:

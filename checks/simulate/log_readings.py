@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from checks.simulate.simulation import Simulation
-from khep_twin.log.attached import calibration_of, playpen_of, shapes_of
+from khep_twin.log.attached import calibration_of, playpen_of, compile_shapes
 from khep_twin.log.exchanges import Dialogue
-from khep_twin.log.reader import hash_of, read_arrays, read_heads, read_log, read_pieces, read_series
-from khep_twin.log.transcript import bytes_of
+from khep_twin.log.reader import hash_file, read_arrays, read_first_messages, read_log, read_batches, read_series
+from khep_twin.log.transcript import unescape
 
 
 def read_in_every_way(simulation: Simulation, path: Path, has_world: bool) -> None:
@@ -17,9 +17,9 @@ def read_in_every_way(simulation: Simulation, path: Path, has_world: bool) -> No
         path: Path of the log.
         has_world: True for a twin's log, which has samples and a scene.
     """
-    whole, heads = read_series(path), read_heads(path)
+    whole, heads = read_series(path), read_first_messages(path)
     label = whole.label
-    pieces = list(read_pieces(path, lambda _: None))
+    pieces = list(read_batches(path, lambda _: None))
     arrays = read_arrays(path)[1]
     for topic, series in whole.series.items():
         in_pieces = sum(len(piece.series[topic].times_ns) for piece in pieces if topic in piece.series)
@@ -33,12 +33,12 @@ def read_in_every_way(simulation: Simulation, path: Path, has_world: bool) -> No
         if topic.endswith("/serial"):
             dialogue, found = Dialogue(), 0
             for line in lines:
-                found += len(dialogue.feed(line.time_ns, line.name == "host", bytes_of(line.text) + b"\n"))
+                found += len(dialogue.feed(line.time_ns, line.name == "host", unescape(line.text) + b"\n"))
             simulation.count("exchanges", found + len(dialogue.close()))
-    hash_of(path)
+    hash_file(path)
     if has_world:
         read_log(path)
         playpen_of(label.attachments, path)
-        shapes_of(label.attachments, label.robots, path)
+        compile_shapes(label.attachments, label.robots, path)
         for robot in label.robots:
             calibration_of(label.attachments, robot, path)

@@ -9,7 +9,7 @@ from khep_twin.board.uart import HostEvent
 from khep_twin.clock import NS_PER_S
 from khep_twin.log.decoding import read_array, read_line
 from khep_twin.log.host_events import read_events
-from khep_twin.log.snapshots import boards
+from khep_twin.log.snapshots import board_registers
 from khep_twin.world import Observer, World
 
 LOCK_STEP_LOSS_NS = 5 * NS_PER_S
@@ -76,7 +76,7 @@ class Truth:
         """Keep the registers."""
         for robot in world.robots:
             names = ["registers", *(kind.name for kind in robot.firmware.turrets)]
-            for name, board in zip(names, boards(robot), strict=True):
+            for name, board in zip(names, board_registers(robot), strict=True):
                 topic = f"/{robot.name}/{name}"
                 self.samples.setdefault(topic, {})[world.time_ns] = board.tobytes()
 

@@ -7,11 +7,11 @@ from typing import Any
 
 from checks.simulate.mutants import Broken, Mutant, replaced
 from khep_twin.errors import KhepTwinError
-from khep_twin.web import answers, documents, session
+from khep_twin.web import answers, documents
 from khep_twin.web.documents import Documents
 from khep_twin.web.session_actions import SessionActions
 
-_begin, _save, _keep, _left = Documents.__init__, Documents.save, Documents.keep, Documents.left
+_begin, _save, _keep, _left = Documents.__init__, Documents.save, Documents.save_draft, Documents.drafts
 
 
 def _overwrite(self: Documents, *args: Any, **options: Any) -> str:
@@ -20,16 +20,16 @@ def _overwrite(self: Documents, *args: Any, **options: Any) -> str:
 
 def _begin_unlocked(self: Documents, root: Path) -> None:
     _begin(self, root)
-    self._saving = nullcontext()  # type: ignore[assignment]
+    self._save_lock = nullcontext()  # type: ignore[assignment]
 
 
 def _save_draft_first(self: Documents, name: str, *args: Any, page: str = "", **options: Any) -> str:
-    self.keep(name, None, page)
+    self.save_draft(name, None, page)
     return _save(self, name, *args, page=page, **options)
 
 
 def _keep_later(self: Documents, *args: Any) -> None:
-    session.threading.Thread(target=lambda: _keep(self, *args), name="keep").start()
+    documents.threading.Thread(target=lambda: _keep(self, *args), name="keep").start()
 
 
 def _write(path: Path, part: Path, data: bytes) -> None:
@@ -78,13 +78,13 @@ _broken: dict[str, tuple[str, Broken]] = {
     "page-overwrites-a-changed-file": ("work", replaced(Documents, save=_overwrite)),
     "page-two-saves-at-once": ("work", replaced(Documents, __init__=_begin_unlocked)),
     "page-draft-deleted-before-the-file-is-written": ("work", replaced(Documents, save=_save_draft_first)),
-    "page-edit-acknowledged-before-it-is-kept": ("work", replaced(Documents, keep=_keep_later)),
+    "page-edit-acknowledged-before-it-is-kept": ("work", replaced(Documents, save_draft=_keep_later)),
     "page-draft-written-in-place": ("work", replaced(documents, write_whole=_write_in_place)),
-    "page-oldest-draft-offered-first": ("work", replaced(Documents, left=_oldest_first)),
+    "page-oldest-draft-offered-first": ("work", replaced(Documents, drafts=_oldest_first)),
     "page-part-left-on-a-full-disk": ("leftovers", replaced(documents, write_whole=_write_leaving_part)),
     "page-twin-left-running": ("leftovers", replaced(SessionActions, _end=_forget_actor)),
-    "page-refusal-that-is-a-failure": ("errors", replaced(answers, answered=_answer_unguarded)),
-    "page-refusal-without-a-line": ("errors", replaced(answers, refused=_refuse_mutely)),
+    "page-refusal-that-is-a-failure": ("errors", replaced(answers, respond=_answer_unguarded)),
+    "page-refusal-without-a-line": ("errors", replaced(answers, refusal=_refuse_mutely)),
 }
 
 MUTANTS = {name: Mutant("page", *broken) for name, broken in _broken.items()}

@@ -12,7 +12,7 @@ from checks.simulate.log_truth import Truth
 from checks.simulate.simulation import Simulation
 from khep_twin.board.uart import HostEvent, HostEventKind
 from khep_twin.errors import PlaypenError
-from khep_twin.interventions.move_robot import put, scan
+from khep_twin.interventions.move_robot import place_robot, scan
 from khep_twin.interventions.switching import set_lamps, switch
 from khep_twin.log.line_recorder import ROBOT, LineRecorder
 from khep_twin.log.recorded import BranchPoint
@@ -74,7 +74,7 @@ class Run:
         self.truth.watch([robot.name for robot in twin.world.robots], twin.world)
         # A line that its parent's host has begun goes on.
         transcript = recorder._transcript
-        heard = [(0, *rest) for rest in transcript.rests] + transcript._heard
+        heard = [(0, *rest) for rest in transcript.partial_lines] + transcript._received
         self.truth.resume(heard)
 
     def lock_step(self) -> None:
@@ -185,7 +185,9 @@ class Run:
         act = rng.randrange(5)
         try:
             if act == 0:
-                put(world, index, rng.uniform(50, 400), rng.uniform(50, 400), 90.0, afresh=rng.random() < 0.5)
+                place_robot(
+                    world, index, rng.uniform(50, 400), rng.uniform(50, 400), 90.0, reset=rng.random() < 0.5
+                )
             elif act == 1 and world.lamps.names:
                 switch(world, rng.randrange(len(world.lamps.names)), rng.random() < 0.5)
             elif act == 2:

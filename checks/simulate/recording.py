@@ -18,7 +18,7 @@ from checks.simulate.simulation import Simulation
 from khep_twin.errors import KhepTwinError, LogError
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.reader import read_label, read_raw
-from khep_twin.log.recorded import changes_of, read_recorded
+from khep_twin.log.recorded import read_changes, read_recorded_run
 from khep_twin.log.recover import Recovery, recover, summary
 from khep_twin.log.tail import GrowingLog
 
@@ -118,7 +118,7 @@ class _Lab:
             if "no log of khep_twin" not in str(error):
                 raise
             return None  # recovered, of a run that ended as it began
-        seeds = [change.seed for change in changes_of(path, label)]
+        seeds = [change.seed for change in read_changes(path, label)]
         return self._truths.get(seeds[-1] or 0 if seeds else int(label.metadata.get("seed", "0")))
 
     # While it is written -------------------------------------------------------------------------------
@@ -128,8 +128,8 @@ class _Lab:
         sleep = self._simulation.system.modules["time"].sleep  # type: ignore[attr-defined]
         try:
             with GrowingLog(path) as log:
-                while not log.finished:
-                    found += log.new()
+                while not log.is_finished:
+                    found += log.read_new()
                     sleep(0.5)
         except FileNotFoundError:
             return
@@ -249,18 +249,18 @@ class _Lab:
     def _compare(self, path: Path, rescue: Recovery, cut: bool) -> Truth | None:
         simulation, truth = self._simulation, self._truth_of(path)
         if truth is None:
-            if not cut and rescue.messages:
+            if not cut and rescue.n_messages:
                 simulation.violate("recovery", f"{path.name} is of no run")
             return None
-        if not cut and rescue.damaged:
+        if not cut and rescue.n_damaged:
             simulation.violate(
-                "recovery", f"{path.name}: {rescue.damaged} damaged places without a power cut"
+                "recovery", f"{path.name}: {rescue.n_damaged} damaged places without a power cut"
             )
         _, found, _ = read_raw(path, lambda _: True)
-        if wrong := truth.difference(found, False, bool(rescue.damaged), not cut):
+        if wrong := truth.difference(found, False, bool(rescue.n_damaged), not cut):
             simulation.violate("recovery", f"{path.name} of run {truth.number}: {wrong}")
-        if not rescue.damaged and truth.samples and truth.kept_ns >= 0:
-            self._repeat(path, truth, rescue.torn)
+        if not rescue.n_damaged and truth.samples and truth.kept_ns >= 0:
+            self._repeat(path, truth, rescue.is_truncated)
         return truth
 
     def _check(self, path: Path) -> Truth | None:
@@ -293,7 +293,7 @@ class _Lab:
         if simulation.rng("repeat", truth.number).random() < 0.4:
             return
         try:
-            difference = repeat(read_recorded(path))
+            difference = repeat(read_recorded_run(path))
         except KhepTwinError as error:
             if torn or "has no states" in str(error):
                 return

@@ -12,7 +12,7 @@ from checks.simulate.mutants import Broken, Mutant, nothing, replaced
 from khep_twin.lab.experiment import repeat as repetition
 from khep_twin.log import log_file, recorder
 from khep_twin.log.log_file import LogFile, PartFile
-from khep_twin.log.mcap_recovery import WholeRecords
+from khep_twin.log.mcap_recovery import IntactRecords
 from khep_twin.log.recorder import Recorder
 from khep_twin.log.transcript import Transcript
 from khep_twin.ports.serve import Flush
@@ -39,7 +39,7 @@ def _write_without_truncation(self: Any, data: bytes) -> int:
 
 def _finish_early(self: Any) -> None:
     """Rename a log before its summary is written."""
-    with self.guarded():
+    with self.error_guard():
         log_file.os.replace(self.part, self._target)
         self._writer.finish()
         self._close()
@@ -47,18 +47,18 @@ def _finish_early(self: Any) -> None:
 
 def _finish_without_fsync(self: Any) -> None:
     """Rename a log before it is on the disk."""
-    with self.guarded():
+    with self.error_guard():
         self._writer.finish()
         log_file.os.replace(self.part, self._target)
         self._close()
 
 
-_messages = WholeRecords.messages
+_messages = IntactRecords.messages
 
 
 def _without_last(self: Any, *arguments: Any) -> Iterator[Any]:
     """Drop the last piece of a log."""
-    self._pieces = self._pieces[:-1]
+    self._sources = self._sources[:-1]
     return _messages(self, *arguments)
 
 
@@ -67,8 +67,8 @@ _write_lines = Transcript.write
 
 def _lose_a_line(self: Any) -> None:
     """Forget the last bytes at a flush, if there are many."""
-    if len(self._heard) > 5:
-        self._heard.pop()
+    if len(self._received) > 5:
+        self._received.pop()
     _write_lines(self)
 
 
@@ -92,14 +92,14 @@ _broken: dict[str, tuple[str, Broken]] = {
         "recovery",
         replaced(LogFile, finish=_finish_without_fsync),
     ),
-    "lock-step runs are hardly ever flushed": ("recovery", replaced(recorder, _BATCH=10**9)),
+    "lock-step runs are hardly ever flushed": ("recovery", replaced(recorder, _BATCH_LENGTH=10**9)),
     "served runs are never flushed": ("recovery", replaced(Flush, __call__=nothing)),
-    "a recovery drops the last piece": ("recovery", replaced(WholeRecords, messages=_without_last)),
+    "a recovery drops the last piece": ("recovery", replaced(IntactRecords, messages=_without_last)),
     "a flush loses a line": ("recovery", replaced(Transcript, write=_lose_a_line)),
-    "errors of the file are swallowed": ("leftovers", replaced(LogFile, guarded=_forget_failures)),
+    "errors of the file are swallowed": ("leftovers", replaced(LogFile, error_guard=_forget_failures)),
     "errors of the file are not put into words": (
         "errors",
-        replaced(LogFile, guarded=lambda _: nullcontext()),
+        replaced(LogFile, error_guard=lambda _: nullcontext()),
     ),
     "host events are left out": ("recovery", replaced(Recorder, on_host_event=nothing)),
     "repetition repeats nothing": ("repeat", replaced(repetition, repeat_event=nothing)),

@@ -30,12 +30,12 @@ def _joined_as_found(self: Any) -> None:
 
 
 def _keep_twice(self: Any, task: Shard, data: bytes) -> None:
-    path = self._part(task)
+    path = self._part_path(task)
     write_whole(path.with_suffix(".late.parquet") if path.exists() else path, data)
 
 
 def _coming_once(ray: Any, work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
-    remote = ray.remote(num_cpus=1, max_retries=0)(ray_workers._do)
+    remote = ray.remote(num_cpus=1, max_retries=0)(ray_workers._run_task)
     for task in tasks:
         each = remote.remote(work, task)
         while not ray.wait([each], num_returns=1, timeout=10)[0]:
@@ -82,15 +82,15 @@ def _join_in_place(self: Any) -> None:
 
 def _dropped() -> AbstractContextManager[object]:
     stack = ExitStack()
-    stack.enter_context(replaced(ray_workers, _coming=_coming_once)())
+    stack.enter_context(replaced(ray_workers, _results=_coming_once)())
     stack.enter_context(replaced(SweepFolder, _join=_joined_as_found)())
     return stack
 
 
 _broken: dict[str, tuple[str, Broken]] = {
-    "sweep-late-result-added": ("results", replaced(SweepFolder, keep=_keep_twice, _join=_joined_as_found)),
+    "sweep-late-result-added": ("results", replaced(SweepFolder, save=_keep_twice, _join=_joined_as_found)),
     "sweep-task-of-a-dead-worker-dropped": ("results", _dropped),
-    "sweep-torn-part-taken-as-whole": ("results", replaced(SweepFolder, _holds=_is_there, _read=_read_torn)),
+    "sweep-torn-part-taken-as-whole": ("results", replaced(SweepFolder, _is_complete=_is_there, _read=_read_torn)),
     "sweep-resumed-from-nothing": (
         "results",
         replaced(SweepFolder, missing=lambda self: [*self._work.tasks]),

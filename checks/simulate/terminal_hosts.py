@@ -14,7 +14,7 @@ from checks.simulate.raw_hosts import ORDERS, REPLY_TIMEOUT_S, half_line
 from checks.simulate.simulation import Simulation
 from checks.simulate.truth import Truth, tag
 from khep_twin.errors import PortError, PortInUse
-from khep_twin.host.discovery import found_ports, who_answers
+from khep_twin.host.discovery import found_ports, identify_robot
 
 _COMPANIONS = 8
 """Most hosts that open a terminal at the moment of another one."""
@@ -250,7 +250,7 @@ class TerminalHost:
         """Look for robots as `khep-twin ports` does, and ask at the terminal who answers."""
         try:
             listed = [each.url for each in found_ports() if each.twin]
-            who_answers(listed[0] if listed else self.site.url)
+            identify_robot(listed[0] if listed else self.site.url)
         except (PortError, PortInUse) as error:
             if "\n" in str(error) or self.site.url not in str(error):
                 self.simulation.violate("errors", f"a look for robots ended by {error!r}")

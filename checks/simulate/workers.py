@@ -12,7 +12,7 @@ from typing import Any
 
 from checks.simulate.kernel import NS_PER_S, OpenFile, Process
 from checks.simulate.simulation import Simulation
-from khep_twin.sweep.ray_workers import _do
+from khep_twin.sweep.ray_workers import _run_task
 from khep_twin.sweep.shards import Shard, Work
 from khep_twin.sweep.sweep import Executor
 
@@ -206,7 +206,7 @@ def pool(simulation: Simulation, clusters: dict[Process, Cluster]) -> Executor:
 
         def give(task: Shard) -> None:
             since[task.index] = kernel.now_ns
-            reference = Reference(lambda: _do(work, task), 1000, False)
+            reference = Reference(lambda: _run_task(work, task), 1000, False)
             given.append((task, reference))
             cluster.submit(reference)
 

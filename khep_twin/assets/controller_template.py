@@ -1,10 +1,10 @@
-"""A controller of a Khepera: fill in what it is to do.
+"""Controller of a Khepera: a template to fill in.
 
     khep-twin run FILE.py --playpen obstacles --seconds 60
     khep-twin run FILE.py --port /dev/ttyUSB0 --cycles 500 --runs 3 --save out/series
     khep-twin series out/series
 
-The same file drives a robot and a twin. As it stands, it wanders and turns away from what is near.
+The same file drives a robot and a twin. Unchanged, it wanders and turns away from obstacles.
 """
 
 from khep_twin import Controller, Khepera
@@ -14,15 +14,15 @@ NEAR_COUNTS = 200  # proximity from 0, nothing there, to 1023, touching
 
 
 class Wander(Controller):
-    """Drive straight on; turn where something is near."""
+    """Drive straight ahead; turn away from obstacles."""
 
     def start(self, robot: Khepera) -> None:
-        """Set variables before the first cycle of each run. Their values at its end are saved."""
+        """Set variables before the first cycle of each run. Their values at the end of the run are saved."""
         self.turns = 0  # saved with the run
-        self._last = 0  # not saved: its name begins with _
+        self._last = 0  # not saved: its name starts with _
 
     def cycle(self, robot: Khepera) -> None:
-        """Read sensors, decide, drive; called again and again. A command takes time: N 45 ms at 9600 baud."""
+        """Read sensors, decide, drive; called once per cycle. Commands take time, N 45 ms at 9600 baud."""
         # Left 90, 45, 10 degrees, right 10, 45, 90, back right, back left: eight counts in this order.
         _, left_45, left_10, right_10, right_45, *_ = robot.proximity()
         # robot.ambient()    eight counts of light, about 500 in the dark, 50 in bright light
@@ -31,7 +31,7 @@ class Wander(Controller):
         if max(left, right) < NEAR_COUNTS:
             turn = 0
         else:
-            # To the right, if it is nearer at the left; a turn goes on as it began, or corners would hold it.
+            # To the right, if the obstacle is nearer at the left; a turn keeps its side, to leave corners.
             turn = self._last or (1 if left > right else -1)
         if turn and not self._last:
             self.turns += 1
@@ -42,8 +42,8 @@ class Wander(Controller):
             robot.set_speed(SPEED_PULSES, SPEED_PULSES)
 
     def end(self, robot: Khepera) -> None:
-        """Finish each run, after its last cycle; the motors stand already."""
+        """Finish each run, after its last cycle and with the motors stopped."""
 
     def stop(self, robot: Khepera) -> None:
-        """Leave the robot in order when it is no longer used, also after Ctrl-C or an error."""
+        """Clean up the robot at the end of the program, also after Ctrl-C or an error."""
         robot.set_led(0, 0)

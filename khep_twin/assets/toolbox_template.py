@@ -1,27 +1,27 @@
-"""A control algorithm in the form of the Khepera Toolbox's template: fill in what it is to do, and rename it.
+"""Control algorithm in the form of the Khepera Toolbox's template: fill it in, and rename it.
 
     khep-twin run FILE.py:name --playpen obstacles --cycles 500 --runs 3 --save out/name
     khep-twin run FILE.py:name --port 2 --cycles 500
     python -i FILE.py, then: roborun2(name, port_id=2, cycles_per_run=500, runs=3)
 
-It is called once for each run. For a simulated robot write sim_sms, sim_rps and so on, and kheprom(btmap1) at
-the end of each cycle. As it stands, it wanders and turns away from what is near.
+It is called once for each run. For a simulated robot, write sim_sms, sim_rps and so on, and kheprom(btmap1) at
+the end of each cycle. Unchanged, it wanders and turns away from obstacles.
 """
 
-# The toolbox's names come all at once, as in Matlab.
+# All names of the toolbox are imported, as in Matlab.
 # ruff: noqa: F403, F405
 
 from numpy import array
 
 from khep_twin.toolbox import *
 
-# Initialize all your variables here; what has to last from run to run is global.
+# Initialize all your variables here; variables that persist from run to run are global.
 Intercon = array([[4, -5], [4, -15], [6, -18], [-18, 6], [-15, 4], [-5, 4], [5, 3], [3, 5]])
 speed = array([10, 10])
 
 
 def name(port_id: int, cycles_per_run: int, runs: int, pause_stat: float) -> None:
-    """Drive for `cycles_per_run` cycles; what the variables hold at the end is kept with the run."""
+    """Drive for `cycles_per_run` cycles; the values of the variables at the end are saved with the run."""
     run_count = 0
     while run_count < runs:
         cycle_count = 0

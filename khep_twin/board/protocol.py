@@ -84,20 +84,20 @@ class LineReader:
 
     def __init__(self, limit: int = LINE_LIMIT) -> None:
         self._limit = limit
-        self.begun = b""
+        self.partial_line = b""
 
     def feed(self, data: bytes) -> Iterator[bytes]:
         """Add bytes; yield the lines that they complete, without their ending."""
-        *lines, begun = LINE_END.split(self.begun + data)
+        *lines, begun = LINE_END.split(self.partial_line + data)
         # Cleared while a line is handled, the reader goes on with the bytes after it.
-        self.begun = b""
+        self.partial_line = b""
         for line in filter(None, lines):
             yield line[: self._limit + 1]
-        self.begun = begun[: self._limit + 1]
+        self.partial_line = begun[: self._limit + 1]
 
     def clear(self) -> None:
         """Discard the incomplete line."""
-        self.begun = b""
+        self.partial_line = b""
 
 
 def parse(line: bytes, argument_counts: Mapping[str, int]) -> Request:

@@ -1,6 +1,6 @@
-"""The command line: `khep-twin COMMAND`. Thin: each command calls into the package and prints.
+"""The command line: `khep-twin COMMAND`. Each command calls into the package and prints.
 
-What a command needs is imported inside it, so that `khep-twin --help` comes at once.
+Each command imports its modules inside its function, so that `khep-twin --help` starts fast.
 """
 
 import errno
@@ -19,14 +19,14 @@ from khep_twin.cli.branch import branch
 from khep_twin.cli.calibrate import calibrate
 from khep_twin.cli.challenge import challenge_app
 from khep_twin.cli.compile import compile_all
-from khep_twin.cli.completion import complete_in_bash, explained
+from khep_twin.cli.completion import complete_in_bash, explain_error
 from khep_twin.cli.conform import conform
 from khep_twin.cli.design import design
 from khep_twin.cli.drive import drive
 from khep_twin.cli.exec import execute
 from khep_twin.cli.fit import fit
 from khep_twin.cli.log import recover, repeat
-from khep_twin.cli.options import Commands, complain
+from khep_twin.cli.options import Commands, notify
 from khep_twin.cli.playpen import playpen_app
 from khep_twin.cli.ports import ports
 from khep_twin.cli.report import export, report
@@ -40,8 +40,8 @@ from khep_twin.cli.streams import exit_code
 from khep_twin.cli.sweep import sweep
 from khep_twin.cli.view import view
 from khep_twin.errors import EXTRAS, KhepTwinError, MissingExtraError
-from khep_twin.signals import answered, asked_by, leave
-from khep_twin.status_line import BESIDE, beside_status_line
+from khep_twin.signals import first_signal, handle_signals, leave
+from khep_twin.status_line import STATUS_LINE_VARIABLE, beside_status_line
 
 app = typer.Typer(
     name="khep-twin",
@@ -54,12 +54,7 @@ app = typer.Typer(
 app.add_typer(playpen_app, name="playpen")
 app.add_typer(challenge_app, name="challenge")
 _RUNS = (run, rollout, series, sweep, new, design)
-_PORTS = (
-    serve,
-    shadow,
-    ports,
-    drive,
-)
+_PORTS = (serve, shadow, ports, drive)
 _LOGS = (view, report, export, recover, repeat, branch)
 _MEASUREMENTS = (sense, fit, calibrate)
 for command in _RUNS + _PORTS + _LOGS + _MEASUREMENTS:
@@ -70,31 +65,31 @@ app.command()(conform)
 
 
 def main() -> None:
-    """Run the command line; a usage error ends in one line, not in a traceback."""
+    """Run the command line; an error prints one line instead of a traceback."""
     if os.environ.get("_KHEP_TWIN_COMPLETE") == "complete_bash":
         complete_in_bash(lambda: app(prog_name="khep-twin"))
-    with beside_status_line() if os.environ.pop(BESIDE, None) else nullcontext():
+    with beside_status_line() if os.environ.pop(STATUS_LINE_VARIABLE, None) else nullcontext():
         code = _run()
-    # Typer has one exit code for any interruption, shells have one for each signal.
-    leave(exit_code(128 + asked_by() if code == 130 and asked_by() else code))
+    # Typer has one exit code for all interruptions; shells expect one per signal.
+    leave(exit_code(128 + first_signal() if code == 130 and first_signal() else code))
 
 
-def _told(show: Callable[..., None]) -> Callable[..., None]:
-    """Return a function that prints a warning of khep_twin as a line, and others as before."""
+def _warning_printer(show: Callable[..., None]) -> Callable[..., None]:
+    """Return a `showwarning` that prints a `UserWarning` as one line and passes others to `show`."""
 
-    def tell(message: Warning | str, category: type[Warning], *place: Any) -> None:
+    def print_warning(message: Warning | str, category: type[Warning], *location: Any) -> None:
         if category is UserWarning:
-            complain(str(message))
+            notify(str(message))
         else:
-            show(message, category, *place)
+            show(message, category, *location)
 
-    return tell
+    return print_warning
 
 
 def _run() -> int:
     try:
-        with answered(), warnings.catch_warnings():
-            warnings.showwarning = _told(warnings.showwarning)
+        with handle_signals(), warnings.catch_warnings():
+            warnings.showwarning = _warning_printer(warnings.showwarning)
             return app(prog_name="khep-twin", standalone_mode=False) or 0
     except KeyboardInterrupt:
         return 130
@@ -109,13 +104,13 @@ def _run() -> int:
         code = 1
         if error.errno in (errno.EMFILE, errno.ENFILE):
             text = f"{error.strerror}; expected fewer that are open, or more that may be: ulimit -n"
-        elif _is_nowhere():
-            text = "the current directory is not there any more; expected one that is"
+        elif _is_cwd_missing():
+            text = "the current directory no longer exists; expected an existing one"
         else:
             raise
     except TyperException as error:
-        text, code = explained(error, error.format_message()), error.exit_code
-        if "\n" in text:  # the help, where nothing was typed
+        text, code = explain_error(error, error.format_message()), error.exit_code
+        if "\n" in text:  # the help, as no command was typed
             print(text, file=sys.stderr)
             return code
     for line in text.splitlines():
@@ -123,7 +118,7 @@ def _run() -> int:
     return code
 
 
-def _is_nowhere() -> bool:
+def _is_cwd_missing() -> bool:
     try:
         os.getcwd()
     except FileNotFoundError:
@@ -131,8 +126,8 @@ def _is_nowhere() -> bool:
     return False
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(value: bool) -> None:
+    if value:
         typer.echo(f"khep-twin {__version__}")
         raise typer.Exit
 

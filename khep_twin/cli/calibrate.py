@@ -1,4 +1,4 @@
-"""The command line's part for guided calibrations: `khep-twin calibrate`."""
+"""`khep-twin calibrate`: a guided calibration session."""
 
 from collections.abc import Callable
 from functools import partial
@@ -9,7 +9,7 @@ import typer
 
 from khep_twin.cli.completion import calibrations, ports
 from khep_twin.cli.fit import BearingDeg, RulerMm, check_outputs, fit_and_write
-from khep_twin.cli.options import Force, asked, complain
+from khep_twin.cli.options import Force, ask_line, notify
 from khep_twin.errors import FitError
 from khep_twin.invocation import command
 from khep_twin.signals import stopping
@@ -25,7 +25,7 @@ def calibrate(
         str,
         typer.Argument(
             help="Port of a robot or a twin, such as /dev/ttyUSB0. On khep://bench.toml, an empty playpen, "
-            "the twin is placed and measured by itself.",
+            "the twin is placed and measured automatically.",
             autocompletion=ports,
         ),
     ],
@@ -36,22 +36,22 @@ def calibrate(
     folder: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the recordings, from which an interrupted session goes on; "
+            help="Folder of the recordings, from which an interrupted session resumes; "
             "by default mine-session for mine.toml."
         ),
     ] = None,
     start: Annotated[
-        str, typer.Option(help="Calibration that the rest is taken from.", autocompletion=calibrations)
+        str, typer.Option(help="Calibration of all values that are not fitted.", autocompletion=calibrations)
     ] = "khepera1",
     walls: Annotated[
         str | None,
         typer.Option(metavar="MM,MM,...", help="Distances of the white wall from the robot's edge."),
     ] = None,
     cylinder: Annotated[
-        float | None, typer.Option(metavar="MM", help="Radius of a white cylinder that is there, too.")
+        float | None, typer.Option(metavar="MM", help="Radius of a white cylinder to measure as well.")
     ] = None,
     lamp: Annotated[
-        float | None, typer.Option(metavar="W", help="Power of a lamp, to fit the light receivers with.")
+        float | None, typer.Option(metavar="W", help="Power of a lamp, to fit the light receivers.")
     ] = None,
     lamp_height: Annotated[
         float, typer.Option(metavar="MM", help="Height of the lamp's filament above the floor.")
@@ -59,46 +59,48 @@ def calibrate(
     ruler_mm: RulerMm = 0.5,
     bearing_deg: BearingDeg = 1.5,
     yes: Annotated[
-        bool, typer.Option("--yes", help="Drive without waiting for Enter; only lengths and turns are asked.")
+        bool, typer.Option("--yes", help="Do not wait for Enter; ask only for lengths and turns.")
     ] = False,
     force: Force = False,
 ) -> None:
     """Calibrate a robot in a guided session.
 
-    It tells what to put where, drives, measures, fits, and draws a picture.
+    It instructs you where to place objects, drives, measures, fits, and draws a picture.
     """
-    from khep_twin.lab.fit.fit_inputs import Measured, fit_inputs
+    from khep_twin.lab.fit.fit_inputs import FitTests, fit_inputs
     from khep_twin.lab.fit.placement import Ruler
     from khep_twin.lab.fit.session import CalibrationSession
     from khep_twin.lab.fit.session_steps import WALLS_MM, steps
     from khep_twin.sensing import calibration
 
-    ruler, before = Ruler(ruler_mm, bearing_deg), calibration.read(start)[0]
+    ruler, initial = Ruler(ruler_mm, bearing_deg), calibration.read(start)[0]
     check_outputs([], start, output, picture, force)
-    todo = steps(WALLS_MM if walls is None else _distances(walls), cylinder, lamp, lamp_height)
+    plan = steps(WALLS_MM if walls is None else _distances(walls), cylinder, lamp, lamp_height)
     session = CalibrationSession(folder or output.with_name(f"{output.stem}-session"))
-    if not all(session.done(step) for step in todo) and not _go_through(session, todo, port, ruler, yes):
-        complain(f"stopped before its end; the same command goes on with what is in {session.folder}")
+    if not all(session.find_word(step) for step in plan) and not _run_session(
+        session, plan, port, ruler, yes
+    ):
+        notify(f"stopped before its end; the same command resumes from {session.folder}")
         raise typer.Exit(130)
     if not session.words:
-        raise FitError("every step was skipped; expected one at least")
+        raise FitError("every step was skipped; expected at least one")
     typer.echo(f"again with    {command('fit', *session.paths, '-o', output)}")
     fit_and_write(
-        fit_inputs(session.paths), Measured(), before, ruler, output, picture, len(session.words), force
+        fit_inputs(session.paths), FitTests(), initial, ruler, output, picture, len(session.words), force
     )
 
 
 def _distances(text: str) -> list[float]:
     try:
-        return [float(each) for each in text.split(",")]
+        return [float(distance) for distance in text.split(",")]
     except ValueError:
         raise FitError(f"--walls {text[:80]}: expected distances in mm, such as 6,12,17,21,25,29") from None
 
 
-def _go_through(
-    session: "CalibrationSession", todo: "list[Step]", port: str, ruler: "Ruler", yes: bool
+def _run_session(
+    session: "CalibrationSession", plan: "list[Step]", port: str, ruler: "Ruler", yes: bool
 ) -> bool:
-    """Go through a session; return False if it was stopped."""
+    """Run the steps of a session; return False if it was stopped."""
     from khep_twin.host import Khepera
     from khep_twin.lab.fit.session_people import PersonAtTerminal, SimulatedPerson
     from khep_twin.ports.protocol_khep import Serial
@@ -111,7 +113,7 @@ def _go_through(
         else:
             person = PersonAtTerminal(typer.echo, partial(_ask, stop=stop), wait=not yes)
         try:
-            return session.run(todo, robot, person, typer.echo, stop)
+            return session.run(plan, robot, person, typer.echo, stop)
         except _StoppedError:
             return False
 
@@ -121,8 +123,8 @@ class _StoppedError(Exception):
 
 
 def _ask(question: str, stop: Callable[[], bool]) -> str:
-    """Ask at the terminal; return the answer without its end."""
-    entered = asked(f"{question}: ", stop)
+    """Ask at the terminal; return the answer without its line end."""
+    entered = ask_line(f"{question}: ", stop)
     if entered is None:
         raise _StoppedError
     if not entered.endswith(b"\n"):

@@ -14,8 +14,8 @@ from khep_twin.cli.options import (
     check_picture,
     check_writable,
     command_group,
-    complain,
-    tell_written,
+    notify,
+    print_files,
     usage,
 )
 from khep_twin.cli.progress import progress as progress_bar
@@ -31,26 +31,29 @@ ChallengeName = Annotated[
     ),
 ]
 Runs = Annotated[
-    int | None, typer.Option(min=1, max=1000, help="Number of runs; without, the challenge's own.")
+    int | None, typer.Option(min=1, max=1000, help="Number of runs; by default the challenge's.")
 ]
 Seed = Annotated[
     int | None,
-    typer.Option(min=0, help="Seed of the first run, run n has this + n - 1; without, the challenge's."),
+    typer.Option(min=0, help="Seed of the first run; run n has this + n - 1. By default the challenge's."),
 ]
+_MAX_PRINTED_BYTES = 200_000
+"""Largest number of bytes of a controller's output that are printed."""
+
 RealSeconds = Annotated[
-    float, typer.Option(min=1, max=86_400, help="End a file after this real time [s], as one that hangs.")
+    float, typer.Option(min=1, max=86_400, help="Stop a file that runs longer than this real time [s].")
 ]
 
 
 @challenge_app.command("list")
 def list_challenges() -> None:
-    """List the shipped challenges, a line each."""
+    """List the shipped challenges, one per line."""
     from khep_twin.lab.challenge.challenge import load, names
 
-    found = names()
-    for name in found:
+    challenge_names = names()
+    for name in challenge_names:
         challenge = load(name).challenge
-        typer.echo(f"{name:{max(map(len, found))}}  {challenge.title} ({challenge.reading})")
+        typer.echo(f"{name:{max(map(len, challenge_names))}}  {challenge.title} ({challenge.reading})")
 
 
 @challenge_app.command()
@@ -98,7 +101,7 @@ def run(
         str | None,
         typer.Argument(
             metavar="FILE.py",
-            help="Controller, FILE.py[:NAME] or a network's FILE.npz; without, the reference solution.",
+            help="Controller, FILE.py[:NAME] or a network's FILE.npz; by default the reference solution.",
             autocompletion=completion.controllers,
         ),
     ] = None,
@@ -106,7 +109,7 @@ def run(
     seed: Seed = None,
     log: Annotated[
         Path | None,
-        typer.Option(help="Record the run in this MCAP file; several runs in NAME-001.mcap and so on."),
+        typer.Option(help="Record the run in this MCAP file; several in NAME-001.mcap and so on."),
     ] = None,
     real_seconds: RealSeconds = 60.0,
     force: Force = False,
@@ -118,34 +121,34 @@ def run(
     from khep_twin.errors import ControllerError
     from khep_twin.lab.challenge.attempt import score_file
     from khep_twin.lab.challenge.challenge import load
-    from khep_twin.lab.experiment.series_run import own_files
+    from khep_twin.lab.experiment.series_run import run_files
 
     file = load(name)
     challenge = file.challenge
     count = challenge.runs if runs is None else runs
-    logs = [] if log is None else own_files(log, count)
+    logs = [] if log is None else run_files(log, count)
     check_new(force, *logs)
     check_writable(*logs)
     if controller is None and not file.solution.is_file():
         raise usage(f"{name}: has no reference solution {file.solution}; expected a FILE.py to score")
-    typed = str(file.solution) if controller is None else controller
+    controller_spec = str(file.solution) if controller is None else controller
     printer = _Printer()
-    found = score_file(
-        file, typed, runs=count, seed=seed, log=log, real_seconds=real_seconds, show=printer.show
+    attempt = score_file(
+        file, controller_spec, runs=count, seed=seed, log=log, real_seconds=real_seconds, show=printer.show
     )
     printer.end()
-    if found.score is None:
-        raise ControllerError(found.reason)
-    for number, value in enumerate(found.score.runs if count > 1 else (), 1):
+    if attempt.score is None:
+        raise ControllerError(attempt.reason)
+    for number, value in enumerate(attempt.score.runs if count > 1 else (), 1):
         typer.echo(f"run {number:3}    {challenge.value(value)}")
-    typer.echo(f"score      {challenge.value(found.score.value)}")
+    typer.echo(f"score      {challenge.value(attempt.score.value)}")
     if challenge.reference is not None:
         typer.echo(f"reference  {challenge.value(challenge.reference)}")
-    passes = challenge.passes(found.score.value)
+    passes = challenge.passes(attempt.score.value)
     if passes is not None:
-        typer.echo(f"{'passed' if passes else 'failed'}     {challenge.wanted}")
+        typer.echo(f"{'passed' if passes else 'failed'}     {challenge.passing_scores}")
     if logs:
-        tell_written("log", logs, width=9)
+        print_files("log", logs, width=9)
     if passes is False:
         raise typer.Exit(4)
 
@@ -155,61 +158,59 @@ def table(
     name: ChallengeName,
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder with a FILE.py per participant.")],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Write the table to this CSV file, too.")
+        Path | None, typer.Option("--output", "-o", help="Also write the table to this CSV file.")
     ] = None,
     runs: Runs = None,
     seed: Seed = None,
     real_seconds: RealSeconds = 60.0,
     jobs: Annotated[
-        int, typer.Option(min=1, max=256, help="Score so many files side by side; the table is the same.")
+        int, typer.Option(min=1, max=256, help="Number of files scored in parallel; the table is the same.")
     ] = 1,
     force: Force = False,
 ) -> None:
-    """Score every controller file of a folder, and print them by rank."""
+    """Score every controller file in a folder, and print them by rank."""
     from khep_twin.files.atomic import write_whole
     from khep_twin.lab.challenge.attempt import Attempt
     from khep_twin.lab.challenge.challenge import load
-    from khep_twin.lab.challenge.results import attempts, participants, to_csv
+    from khep_twin.lab.challenge.results import participants, score_files, to_csv
     from khep_twin.lab.challenge.results import table as as_text
 
     file = load(name)
     files = participants(folder)
     check_new(force, output)
     check_writable(output)
-    found: list[Attempt] = []
+    scored_attempts: list[Attempt] = []
     try:
         with progress_bar() as bar:
 
-            def done(each: Attempt, part: float) -> None:
-                found.append(each)
+            def add(attempt: Attempt, share: float) -> None:
+                scored_attempts.append(attempt)
                 if bar is not None:
-                    bar(part)
+                    bar(share)
 
-            attempts(file, files, runs=runs, seed=seed, real_seconds=real_seconds, jobs=jobs, done=done)
+            score_files(
+                file, files, runs=runs, seed=seed, real_seconds=real_seconds, jobs=jobs, on_result=add
+            )
     finally:
-        # Of a table that is stopped, there is what was found so far.
-        if found:
-            typer.echo(as_text(file.challenge, found))
+        # If the command is stopped, print the scores so far.
+        if scored_attempts:
+            typer.echo(as_text(file.challenge, scored_attempts))
             if output is not None:
-                write_whole(output, to_csv(file.challenge, found), force)
+                write_whole(output, to_csv(file.challenge, scored_attempts), force)
                 typer.echo(f"table  {output}")
 
 
-_SHOWN = 200_000
-"""Most bytes of what a controller prints that are shown."""
-
-
 class _Printer:
-    """Printer of what a controller prints, in pieces that may end within a character."""
+    """Printer of a controller's output, in pieces that may end within a character."""
 
     def __init__(self) -> None:
         self._decoder = getincrementaldecoder("utf-8")("replace")
         self._in_line = False
-        self._left = _SHOWN
+        self._bytes_left = _MAX_PRINTED_BYTES
 
     def show(self, data: bytes, final: bool = False) -> None:
-        """Print a piece, as long as it is not too much for a terminal."""
-        self._left, data = self._left - len(data), data[: max(self._left, 0)]
+        """Print a piece, up to the largest number of bytes."""
+        self._bytes_left, data = self._bytes_left - len(data), data[: max(self._bytes_left, 0)]
         if text := self._decoder.decode(data, final):
             self._in_line = not text.endswith("\n")
             sys.stdout.write(text)
@@ -220,5 +221,5 @@ class _Printer:
         self.show(b"", final=True)
         if self._in_line:
             typer.echo()
-        if self._left < 0:
-            complain(f"{-self._left} more bytes that it printed are not shown")
+        if self._bytes_left < 0:
+            notify(f"{-self._bytes_left} more bytes that it printed are not shown")

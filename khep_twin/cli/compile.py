@@ -11,12 +11,12 @@ from khep_twin.errors import KhepTwinError, choices
 def compile_all(
     parts: Annotated[
         list[str] | None,
-        typer.Argument(help="world, episodes, plane, vision or shadow; all of them if not given."),
+        typer.Argument(help="world, episodes, plane, vision or shadow; all of them by default."),
     ] = None,
 ) -> None:
     """Compile the stepping core with numba, for later commands.
 
-    They find it in numba's cache.
+    They load it from numba's cache.
     """
     from khep_twin.simulation.ready import CODE, NOT_KEPT, alone, can_be_kept, functions_of, is_cached
 
@@ -31,11 +31,11 @@ def compile_all(
     with ANNOUNCER.together(function for function in functions if not is_cached(function)):
         for part in parts or CODE:
             with alone(part):
-                _use(part)
+                _compile_part(part)
 
 
-def _use(part: str) -> None:
-    """Use a part once, which compiles it."""
+def _compile_part(part: str) -> None:
+    """Call a part once, which compiles it."""
     import numpy as np
 
     from khep_twin.episodes.controllers import Braitenberg
@@ -43,7 +43,7 @@ def _use(part: str) -> None:
     from khep_twin.episodes.episode_setup import EpisodeSetup
     from khep_twin.playpen import Playpen
     from khep_twin.shadow.sensor_model import SensorModel
-    from khep_twin.shadow.start import PUBLISHED, begun
+    from khep_twin.shadow.start import PUBLISHED, draw_particles
     from khep_twin.shadow.wheel_commands import SPEED
     from khep_twin.vision.camera import take_one
     from khep_twin.world import World
@@ -55,10 +55,10 @@ def _use(part: str) -> None:
         take_one()
     elif part == "shadow":
         setup, rng = EpisodeSetup(Playpen.load("two-lamps"), planar=True), np.random.default_rng(0)
-        particles = begun(setup, None, PUBLISHED, 1, rng)
+        particles = draw_particles(setup, None, PUBLISHED, 1, rng)
         particles.planes.command(SPEED, 0, 0)
         particles.planes.advance(1)
-        SensorModel(particles.planes).explain(particles, np.zeros(8, np.int64), np.ones(8, np.bool_))
+        SensorModel(particles.planes).observe(particles, np.zeros(8, np.int64), np.ones(8, np.bool_))
     else:
         setup = EpisodeSetup(Playpen.load("default"), planar=part == "plane")
         Episode(setup, Braitenberg(), compiled=True).begin()

@@ -1,4 +1,4 @@
-"""Completions for the shell, and choices for a message about a missing argument."""
+"""Completions for the shell, and choices in messages about missing arguments."""
 
 import os
 import re
@@ -10,76 +10,76 @@ from typing import Any
 
 from khep_twin.errors import KhepTwinError, choices
 
-Offer = tuple[str, str]
-"""Value and its description."""
+Completion = tuple[str, str]
+"""Completed value and its description."""
 
 _MOST_CHOICES = 30
 """Longest list of choices in a message."""
 
 
-def playpens() -> list[Offer]:
+def playpens() -> list[Completion]:
     """Return the shipped playpens and the TOML files of the current folder."""
     from khep_twin.files.toml_files import names
 
     return [(name, summary(name)) for name in names("playpens")] + _files(".toml")
 
 
-def challenges() -> list[Offer]:
+def challenges() -> list[Completion]:
     """Return the shipped challenges and the TOML files of the current folder."""
     from khep_twin.files.toml_files import names
 
     return [(name, "") for name in names("challenges")] + _files(".toml")
 
 
-def calibrations() -> list[Offer]:
+def calibrations() -> list[Completion]:
     """Return the shipped calibrations and the TOML files of the current folder."""
     from khep_twin.files.toml_files import names
 
     return [(name, "") for name in names("calibration")] + _files(".toml")
 
 
-def controllers() -> list[Offer]:
+def controllers() -> list[Completion]:
     """Return the built-in controllers, and the Python files and networks of the current folder."""
     from khep_twin.lab.experiment.controllers import BUILT_IN
 
     return [(name, "built in") for name in BUILT_IN] + _files(".py") + _files(".npz")
 
 
-def ports() -> list[Offer]:
-    """Return the ports that robots and twins may be at, and twins in this process."""
+def ports() -> list[Completion]:
+    """Return the ports of this machine, and the URLs of twins in this process."""
     from khep_twin.files.toml_files import names
     from khep_twin.host.discovery import found_ports
 
     try:
-        found = [(port.url, port.what) for port in found_ports()]
-    except KhepTwinError:  # their folder is not this user's
-        found = []
-    return found + [(f"khep://{name}", summary(name)) for name in names("playpens")]
+        completions = [(port.url, port.description) for port in found_ports()]
+    except KhepTwinError:  # the folder of services belongs to another user
+        completions = []
+    return completions + [(f"khep://{name}", summary(name)) for name in names("playpens")]
 
 
-def logs() -> list[Offer]:
+def logs() -> list[Completion]:
     """Return the logs of the current folder."""
     return _files(".mcap")
 
 
-def studies() -> list[Offer]:
+def studies() -> list[Completion]:
     """Return the TOML files of the current folder."""
     return _files(".toml")
 
 
 def summary(playpen: str) -> str:
-    """Return what a shipped playpen is, in a line."""
+    """Return a one-line summary of a shipped playpen."""
     from khep_twin.files import toml_files
 
     return toml_files.summary("playpens", playpen)
 
 
-def explained(error: Any, text: str) -> str:
-    """Return the message of typer's error about what was typed, with what could be typed instead."""
+def explain_error(error: Any, text: str) -> str:
+    """Return the message of a usage error of typer, with the expected alternatives."""
     if text.startswith("Missing "):
-        return _missing(error)
+        return _missing_message(error)
     if text.startswith("Got unexpected extra argument"):
-        return _surplus(error, text)
+        return _surplus_message(error, text)
     context = getattr(error, "ctx", None)
     is_open = text.startswith("No such option") and "Possible" not in text
     if context is not None and (is_open or text.startswith(("Invalid value", "Option "))):
@@ -87,23 +87,23 @@ def explained(error: Any, text: str) -> str:
     return text
 
 
-def _missing(error: Any) -> str:
+def _missing_message(error: Any) -> str:
     """Return the message about a missing argument or option, with its choices."""
     parameter = error.param
-    offers = [item.value for item in parameter.shell_complete(error.ctx, "")]
-    told = f"Missing {parameter.param_type_name} {parameter.get_error_hint()}: {parameter.help or ''}".strip()
-    if not offers:
-        return told
-    more = ["..."] if len(offers) > _MOST_CHOICES else []
-    return f"{told} {choices('', offers[:_MOST_CHOICES] + more)}"
+    values = [item.value for item in parameter.shell_complete(error.ctx, "")]
+    text = f"Missing {parameter.param_type_name} {parameter.get_error_hint()}: {parameter.help or ''}".strip()
+    if not values:
+        return text
+    ellipsis = ["..."] if len(values) > _MOST_CHOICES else []
+    return f"{text} {choices('', values[:_MOST_CHOICES] + ellipsis)}"
 
 
-def _surplus(error: Any, text: str) -> str:
-    """Return the message about a surplus argument, with the option that may be meant."""
-    options = [each for each in error.ctx.command.params if each.param_type_name == "option"]
+def _surplus_message(error: Any, text: str) -> str:
+    """Return the message about a surplus argument, with the option that is probably missing."""
+    options = [parameter for parameter in error.ctx.command.params if parameter.param_type_name == "option"]
     word = re.sub(r".*\((\S*).*\)", r"\1", text, flags=re.DOTALL)
-    meant = {".toml": "playpen", ".mcap": "log", ".py": "controller"}.get(Path(word).suffix, "playpen")
-    for name in ("output", *((meant,) if Path(word).suffix or word in dict(playpens()) else ())):
+    option_name = {".toml": "playpen", ".mcap": "log", ".py": "controller"}.get(Path(word).suffix, "playpen")
+    for name in ("output", *((option_name,) if Path(word).suffix or word in dict(playpens()) else ())):
         for option in options:
             if option.name == name:
                 return f"{text}; expected {min(option.opts, key=len)} {word}"
@@ -113,38 +113,37 @@ def _surplus(error: Any, text: str) -> str:
 
 
 def complete_in_bash(complete: Callable[[], object]) -> None:
-    """Print bash's completions of a word with colons, such as khep://default.
+    """Print bash's completions of a word with colons, e.g. khep://default.
 
-    Bash splits words at each colon: the words come joined here, and what stands before the last
-    colon of the completed one is left out of the answer. `complete` prints the completions of the
-    words in the environment.
+    Bash splits words at each colon: this function rejoins them, and omits the part of the completed word
+    before its last colon from the answer. `complete` prints the completions of the words in the environment.
     """
-    words, index = _rejoined(os.environ["COMP_WORDS"].split("\n"), int(os.environ["COMP_CWORD"]))
+    words, index = _rejoin(os.environ["COMP_WORDS"].split("\n"), int(os.environ["COMP_CWORD"]))
     os.environ["COMP_WORDS"], os.environ["COMP_CWORD"] = "\n".join(words), str(index)
     word = words[index] if index < len(words) else ""
-    shown = StringIO()
+    output = StringIO()
     try:
-        with redirect_stdout(shown):
+        with redirect_stdout(output):
             complete()
     finally:
-        before = word.rpartition(":")[0]
-        for line in shown.getvalue().splitlines():
-            print(line.removeprefix(f"{before}:") if before else line)
+        prefix = word.rpartition(":")[0]
+        for line in output.getvalue().splitlines():
+            print(line.removeprefix(f"{prefix}:") if prefix else line)
 
 
-def _rejoined(words: list[str], index: int) -> tuple[list[str], int]:
-    """Return words whose parts at colons are one again, and where the word at `index` is now."""
+def _rejoin(words: list[str], index: int) -> tuple[list[str], int]:
+    """Return the words rejoined at colons, and the new index of the word at `index`."""
     joined: list[str] = []
-    now = index
-    for place, word in enumerate(words):
+    new_index = index
+    for position, word in enumerate(words):
         if joined and (word.startswith(":") or joined[-1].endswith(":")):
             joined[-1] += word
-            now -= place <= index
+            new_index -= position <= index
         else:
             joined.append(word)
-    return joined, now
+    return joined, new_index
 
 
-def _files(ending: str) -> list[Offer]:
-    """Return the files of the current folder that end so; the shell completes those elsewhere."""
-    return [(path.name, "") for path in sorted(Path().glob(f"*{ending}"))]
+def _files(suffix: str) -> list[Completion]:
+    """Return the files of the current folder with a suffix; the shell completes other paths."""
+    return [(path.name, "") for path in sorted(Path().glob(f"*{suffix}"))]

@@ -1,4 +1,4 @@
-"""The command line's part for checks of the protocol: `khep-twin conform`."""
+"""`khep-twin conform`: checks of the serial protocol."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,8 +10,8 @@ from khep_twin.cli.options import Force, check_new, refuse, usage
 from khep_twin.files.atomic import unusable, write_whole
 from khep_twin.lab.conformance.model import RobotModel
 
-_OF_A_PORT = {"move", "baudrate", "model"}
-"""Options that mean nothing to a log, by the names of their parameters."""
+_PORT_OPTIONS = {"move", "baudrate", "model"}
+"""Options that do not apply to a log, by their parameters' names."""
 
 
 def conform(
@@ -25,13 +25,12 @@ def conform(
     ],
     move: Annotated[bool, typer.Option("--move", help="Also run the checks that move the robot.")] = False,
     model: Annotated[
-        RobotModel,
-        typer.Option(help="Model of the robot: khepera, which the Khepera II is, too, or khepera4."),
+        RobotModel, typer.Option(help="Model of the robot: khepera, also for the Khepera II, or khepera4.")
     ] = RobotModel.KHEPERA,
     baudrate: Annotated[
-        int | None, typer.Option(help="Speed of the line; without, 9600, or 115200 of a Khepera IV.")
+        int | None, typer.Option(help="Baud rate of the line; by default 9600, or 115200 for a Khepera IV.")
     ] = None,
-    report: Annotated[Path | None, typer.Option(help="Write the report as JSON, too.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Also write the report to this JSON file.")] = None,
     force: Force = False,
 ) -> None:
     """Check that a robot speaks the protocol, at a port or in a log.
@@ -44,15 +43,15 @@ def conform(
     if "://" not in port and (port.endswith(".mcap") or Path(port).is_file()):
         from khep_twin.lab.conformance.recording.conform import conform_recording
 
-        refuse(context, _OF_A_PORT, "a port, not for a log")
+        refuse(context, _PORT_OPTIONS, "a port, not for a log")
         outcome = conform_recording(Path(port))
     else:
         from khep_twin.lab.conformance.port.conform import checks
         from khep_twin.lab.conformance.port.conform import conform as check_port
 
         if move:
-            ways = dict.fromkeys(check.moves for check in checks(True, model) if check.moves)
-            typer.echo(f"the robot {', '.join(ways)}", err=True)
+            movements = dict.fromkeys(check.moves for check in checks(True, model) if check.moves)
+            typer.echo(f"the robot {', '.join(movements)}", err=True)
         outcome = check_port(port, move=move, baudrate=baudrate, model=model)
     typer.echo(outcome.text())
     if report is not None:

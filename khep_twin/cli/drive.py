@@ -1,4 +1,4 @@
-"""`khep-twin drive`: a robot or a twin driven by the keys of a terminal."""
+"""`khep-twin drive`: manual driving of a robot or a twin, by the keys of a terminal."""
 
 import os
 import select
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from khep_twin.lab.experiment.teleoperation import Teleoperation
 
-_LOOK_MS = 50
-"""Interval at which the screen is drawn, besides at each key [ms]."""
+_REDRAW_MS = 50
+"""Interval at which the screen is redrawn between keys [ms]."""
 
 _CTRL_C, _ESCAPE = 3, 27
 
@@ -34,51 +34,51 @@ def drive(
     ],
     speed: Annotated[int, typer.Option(min=1, max=40, help="Initial speed [pulses/10 ms = 8 mm/s].")] = 5,
     baudrate: Annotated[
-        int, typer.Option(min=0, help="Speed of the line; 0 tries all that the robots have.")
+        int, typer.Option(min=0, help="Baud rate of the line; 0 tries all rates of the robots.")
     ] = 9600,
     log: Annotated[
-        Path | None, typer.Option(help="Record the drive in this MCAP file; for a twin at khep:// only.")
+        Path | None, typer.Option(help="Record the drive in this MCAP file; only for a twin at khep://.")
     ] = None,
     force: Force = False,
 ) -> None:
     """Drive a robot by the terminal's keys, and show its sensors.
 
-    Arrows or WASD drive while they are held, space stops, + - and 1 to 9 choose the speed, L switches the
-    LEDs, q quits. The motors stop when no key has come for a moment, and at the end, whatever ends it.
+    Arrows or WASD drive while held, space stops, + - and 1 to 9 choose the speed, L switches the LEDs, q
+    quits. The motors stop at most 0.7 s after the last key, and when the command ends.
     """
     from khep_twin.host import Khepera
     from khep_twin.lab.experiment.teleoperation import TIMEOUT, Teleoperation
 
     check_new(force, log)
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise KhepTwinError("drive: there is no terminal to drive from; expected to be started in one")
+        raise KhepTwinError("drive: there is no terminal to drive from; expected a start in one")
     with (
         stopping(awaited=None) as stop,
-        Khepera(_with_log(port, log), TIMEOUT, baudrate or "auto") as robot,
+        Khepera(_url_with_log(port, log), TIMEOUT, baudrate or "auto") as robot,
     ):
         versions = robot.versions()
         operation = Teleoperation(robot, speed)
-        with _running(operation, stop) as (ended, failures):
-            _on_screen(lambda window: _show(window, operation, f"{port}  BIOS {versions.bios}", ended))
+        with _run_in_thread(operation, stop) as (ended, failures):
+            _with_screen(lambda window: _loop(window, operation, f"{port}  BIOS {versions.bios}", ended))
         if failures:
             raise failures[0]
-        stopped = stop()
+        is_stopped = stop()
     typer.echo("the motors were stopped")
     if log is not None:
         typer.echo(f"log      {log}")
-    if stopped:
+    if is_stopped:
         raise typer.Exit(130)
 
 
-def _with_log(port: str, log: Path | None) -> str:
+def _url_with_log(port: str, log: Path | None) -> str:
     """Return the port's URL with the log as an option."""
     from urllib.parse import quote
 
-    from khep_twin.host.opening import numbered
+    from khep_twin.host.opening import resolve_port
 
     if log is None:
         return port
-    port = numbered(port)
+    port = resolve_port(port)
     if not port.startswith("khep://"):
         raise KhepTwinError(
             f"--log {log}: is for a twin at khep://; expected serve --log, or serve --relay {port} --log"
@@ -87,16 +87,16 @@ def _with_log(port: str, log: Path | None) -> str:
 
 
 @contextmanager
-def _running(
+def _run_in_thread(
     operation: "Teleoperation", stop: Callable[[], bool]
 ) -> Generator[tuple[Callable[[], bool], list[BaseException]], None, None]:
-    """Drive in its own thread; yield whether it has ended, and its errors."""
-    quits = threading.Event()
+    """Drive in a separate thread; yield a function that returns whether it has ended, and its errors."""
+    quit_event = threading.Event()
     failures: list[BaseException] = []
 
     def run() -> None:
         try:
-            operation.run(lambda: quits.is_set() or stop())
+            operation.run(lambda: quit_event.is_set() or stop())
         except BaseException as error:  # raised by the thread that waits for this one
             failures.append(error)
 
@@ -105,63 +105,63 @@ def _running(
     try:
         yield lambda: not thread.is_alive(), failures
     finally:
-        quits.set()
+        quit_event.set()
         thread.join()
 
 
-def _on_screen(show: Callable[["curses.window"], None]) -> None:
+def _with_screen(show: Callable[["curses.window"], None]) -> None:
     """Run a function on the terminal's screen, and restore the screen afterwards."""
     if sys.platform == "win32":
         raise KhepTwinError("drive needs a terminal of Unix; expected the page of khep-twin design")
     import curses
 
-    # Suspended, the dead-man's switch would not be held; so Ctrl-Z is a key without effect.
-    before = signal.signal(signal.SIGTSTP, signal.SIG_IGN)
+    # Ctrl-Z has no effect, as a suspended process could not hold the dead-man's switch.
+    previous_handler = signal.signal(signal.SIGTSTP, signal.SIG_IGN)
     os.environ.setdefault("ESCDELAY", "25")
-    forget = clear_at_end(curses.endwin)
+    unregister = clear_at_end(curses.endwin)
     try:
         curses.setupterm()
         curses.wrapper(show)
     except curses.error as error:
-        kind = os.environ.get("TERM", "")
+        terminal = os.environ.get("TERM", "")
         raise KhepTwinError(
-            f"TERM={kind}: this terminal cannot be drawn on ({error}); expected TERM=xterm"
+            f"TERM={terminal}: this terminal cannot be drawn on ({error}); expected TERM=xterm"
         ) from None
     finally:
-        forget()
-        signal.signal(signal.SIGTSTP, before)
+        unregister()
+        signal.signal(signal.SIGTSTP, previous_handler)
 
 
-def _show(window: "curses.window", operation: "Teleoperation", name: str, ended: Callable[[], bool]) -> None:
-    """Pass keys on and draw the result, until q or the end of the drive."""
+def _loop(window: "curses.window", operation: "Teleoperation", name: str, ended: Callable[[], bool]) -> None:
+    """Apply keys and draw the robot's state, until q or the end of the drive."""
     import curses
 
     from khep_twin.lab.experiment.teleoperation import draw
 
-    # Raw: Ctrl-S would hold up the screen, Ctrl-C the line.
+    # In raw mode Ctrl-S cannot block the screen, nor Ctrl-C interrupt an exchange.
     curses.raw()
-    with suppress(curses.error):  # a terminal whose cursor is always there
+    with suppress(curses.error):  # a terminal that cannot hide its cursor
         curses.curs_set(0)
-    window.timeout(_LOOK_MS)
-    hung_up = _hung_up()
-    while not ended() and not hung_up():
+    window.timeout(_REDRAW_MS)
+    has_hung_up = _hang_up_check()
+    while not ended() and not has_hung_up():
         key = window.getch()
         window.nodelay(True)
         while key != -1:
             if key in (_CTRL_C, ord("q"), ord("Q")):
                 return
-            _press(operation, _arrow(window) if key == _ESCAPE else key)
+            _press(operation, _read_arrow(window) if key == _ESCAPE else key)
             key = window.getch()
-        window.timeout(_LOOK_MS)
+        window.timeout(_REDRAW_MS)
         height, width = window.getmaxyx()
         window.erase()
-        for row, line in enumerate(draw(operation.view, name, width, height)):
+        for row, line in enumerate(draw(operation.state, name, width, height)):
             window.addstr(row, 0, line)
         window.refresh()
 
 
-def _arrow(window: "curses.window") -> int:
-    """Return the arrow key of a terminal that sends it otherwise than TERM says; 0 for anything else."""
+def _read_arrow(window: "curses.window") -> int:
+    """Return the arrow key of an escape sequence that differs from TERM's; 0 for other sequences."""
     import curses
 
     arrows = {"A": curses.KEY_UP, "B": curses.KEY_DOWN, "C": curses.KEY_RIGHT, "D": curses.KEY_LEFT}
@@ -178,22 +178,22 @@ def _press(operation: "Teleoperation", key: int) -> None:
     from khep_twin.lab.experiment.teleoperation import Direction
 
     arrows = {curses.KEY_UP: "w", curses.KEY_LEFT: "a", curses.KEY_DOWN: "s", curses.KEY_RIGHT: "d"}
-    ways = {"w": Direction.FORWARD, "a": Direction.LEFT, "s": Direction.BACK, "d": Direction.RIGHT}
+    directions = {"w": Direction.FORWARD, "a": Direction.LEFT, "s": Direction.BACK, "d": Direction.RIGHT}
     letter = chr(key).lower() if key < 128 else arrows.get(key, "")
-    if letter in ways:
-        operation.press(ways[letter])
+    if letter in directions:
+        operation.press(directions[letter])
     elif letter == " ":
         operation.press(Direction.STOP)
     elif letter in ("+", "-"):
-        operation.choose(operation.view.speed + (1 if letter == "+" else -1))
+        operation.set_speed(operation.state.speed + (1 if letter == "+" else -1))
     elif "1" <= letter <= "9":
-        operation.choose(int(letter))
+        operation.set_speed(int(letter))
     elif letter == "l":
         operation.switch_leds()
 
 
-def _hung_up() -> Callable[[], bool]:
-    """Return a function that tells if the terminal has gone."""
+def _hang_up_check() -> Callable[[], bool]:
+    """Return a function that returns whether the terminal has been closed."""
     if sys.platform == "win32":
         return lambda: False
     poll = select.poll()

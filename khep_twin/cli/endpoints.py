@@ -1,4 +1,4 @@
-"""Endpoints of `khep-twin serve` and `shadow --relay`: what hosts open, and a robot behind a relay."""
+"""Endpoints that hosts open, of `khep-twin serve` and `shadow --relay`; and the relay of a robot."""
 
 import os
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.option_groups import LogOptions
-from khep_twin.cli.options import complain, tell_kept, tell_written, usage
+from khep_twin.cli.options import notify, print_files, print_kept, usage
 from khep_twin.errors import PortError
 from khep_twin.machine import is_writable
 
@@ -31,8 +31,8 @@ class EndpointOptions:
         str | None,
         typer.Option(
             metavar="PATH",
-            help="Make this link to the pseudo-terminal; the path to open is printed. NAME alone lies in a "
-            "private directory, $XDG_RUNTIME_DIR/khep_twin; ./NAME lies in the current directory.",
+            help="Create this link to the pseudo-terminal, and print its path. A bare NAME is created in a "
+            "private directory, $XDG_RUNTIME_DIR/khep_twin; ./NAME in the current directory.",
         ),
     ] = None
     tcp: Annotated[str | None, typer.Option(help="Serve TCP at HOST:PORT, for socket://HOST:PORT.")] = None
@@ -40,15 +40,14 @@ class EndpointOptions:
         str | None, typer.Option(help="Serve RFC 2217 at HOST:PORT, for rfc2217://HOST:PORT.")
     ] = None
     allow_remote: Annotated[
-        bool,
-        typer.Option("--allow-remote", help="Let other machines reach ports on the network, too."),
+        bool, typer.Option("--allow-remote", help="Also let other machines connect to the network ports.")
     ] = False
     ready_fd: Annotated[
-        int | None, typer.Option(help="Write what hosts open to this descriptor, too, and close it.")
+        int | None, typer.Option(help="Also write the printed paths to this descriptor, and close it.")
     ] = None
 
     def open(self, bauds: Mapping[int, int]) -> AbstractContextManager[Sequence["HostPort"]]:
-        """Open one cable for each robot, by the speeds of their lines."""
+        """Open one serial cable per robot, by the baud rates of their lines."""
         from khep_twin.ports.endpoints import open_endpoints
 
         return open_endpoints(
@@ -56,49 +55,49 @@ class EndpointOptions:
         )
 
     @contextmanager
-    def announced(self, ports: Sequence["HostPort"], what: str) -> Generator[None]:
-        """List what is served for `khep-twin ports`; print what hosts open, to the descriptor, too."""
+    def announce(self, ports: Sequence["HostPort"], subject: str) -> Generator[None]:
+        """Register the service for `khep-twin ports`; print its paths, also to the file descriptor."""
         from khep_twin.ports.service_registry import registered
 
         with ExitStack() as stack:
             try:
-                stack.enter_context(registered([port.path for port in ports], what))
+                stack.enter_context(registered([port.path for port in ports], subject))
             except PortError as error:
-                complain(f"not listed by khep-twin ports: {error}")
-            where = "hosts open what the next lines name"
+                notify(f"not listed by khep-twin ports: {error}")
+            instruction = "hosts open what the next lines name"
             if self.link and not os.path.dirname(self.link):
-                where += f", in a private directory (--link ./{self.link} is in this one)"
-            complain(f"serving a {what}; {where}; Ctrl-C ends it")
+                instruction += f", in a private directory (--link ./{self.link} is in this one)"
+            notify(f"serving a {subject}; {instruction}; Ctrl-C ends it")
             paths = "".join(f"{port.path}\n" for port in ports)
             typer.echo(paths, nl=False)
-            if self.ready_fd is not None:
+            if (fd := self.ready_fd) is not None:
                 try:
-                    with os.fdopen(self.ready_fd, "w") as file:
+                    with os.fdopen(fd, "w") as file:
                         file.write(paths)
                 except OSError as error:
-                    raise usage(f"--ready-fd {self.ready_fd}: cannot be written: {error.strerror}") from None
+                    raise usage(f"--ready-fd {fd}: cannot be written: {error.strerror}") from None
             yield
 
     def check(self) -> None:
         """Refuse a descriptor that is not open for writing."""
-        descriptor = self.ready_fd
-        if descriptor is None:
+        fd = self.ready_fd
+        if fd is None:
             return
-        wanted = "expected 3 or above, of what is open for writing, such as --ready-fd 3 3>ready"
-        if not 3 <= descriptor < 2**31:
-            raise usage(f"--ready-fd {descriptor}: {wanted}")
+        expected = "expected 3 or above, of what is open for writing, such as --ready-fd 3 3>ready"
+        if not 3 <= fd < 2**31:
+            raise usage(f"--ready-fd {fd}: {expected}")
         try:
-            # What this process has opened itself is not passed on to others.
-            given = os.get_inheritable(descriptor)
-            writable = is_writable(descriptor)
+            # A descriptor that this process opened itself is not inheritable.
+            is_open = os.get_inheritable(fd)
+            writable = is_writable(fd)
         except OSError:
-            given = writable = False
-        if not (given and writable):
-            raise usage(f"--ready-fd {descriptor}: is not open{' for writing' if given else ''}; {wanted}")
+            is_open = writable = False
+        if not (is_open and writable):
+            raise usage(f"--ready-fd {fd}: is not open{' for writing' if is_open else ''}; {expected}")
 
 
 def line_baud(mode: int | None) -> int:
-    """Return the speed of a robot's line in a running mode, of mode 1 without one [baud]."""
+    """Return the baud rate of a robot's line in a running mode; that of mode 1 for None."""
     from khep_twin.board.rom import ROMS
 
     number, modes = 1 if mode is None else mode, ROMS["khepera2"]
@@ -121,22 +120,18 @@ def relay_robot(
 
     Args:
         port: Robot's port.
-        baud: Speed of its line, until a host sets another [baud].
-        endpoint: What hosts open.
+        baud: Baud rate of its line, until a host sets another.
+        endpoint: Endpoints that hosts open.
         logging: Log of the line.
-        make_listener: Makes one more listener on the line.
-        poll: Whether to ask the robot while no host does.
+        make_listener: Function that creates an additional listener on the line.
+        poll: Whether to poll the robot while hosts are idle.
         stop: Function that returns whether to end.
     """
     from khep_twin.log.line_recorder import LineRecorder
     from khep_twin.ports.idle_polls import IdlePolls
     from khep_twin.ports.relay import Device, relay, since_now
 
-    with (
-        closing(Device(port, baud)) as device,
-        endpoint.open({0: baud}) as ports,
-        ExitStack() as stack,
-    ):
+    with closing(Device(port, baud)) as device, endpoint.open({0: baud}) as ports, ExitStack() as stack:
         now = since_now()
         listeners: list[LineListener] = []
         recorder = None
@@ -144,21 +139,21 @@ def relay_robot(
             settings = {"relay": port, "baud": baud}
             recorder = LineRecorder(logging.log, settings, now, on_failure=logging.on_failure)
             listeners.append(stack.enter_context(closing(recorder)))
-        tell_kept(recorder)
+        print_kept(recorder)
         if make_listener is not None:
             listeners.append(make_listener(now))
-        stack.enter_context(endpoint.announced(ports, f"robot at {port}"))
+        stack.enter_context(endpoint.announce(ports, f"robot at {port}"))
         polls = IdlePolls() if poll else None
-        relay(device, ports[0], listeners, polls, stop=stop, notify=complain)
+        relay(device, ports[0], listeners, polls, stop=stop, notify=notify)
         duration_ns, dropped = now(), ports[0].dropped
-    tell_end(duration_ns, dropped, logging, recorder)
+    print_end(duration_ns, dropped, logging, recorder)
 
 
-def tell_end(duration_ns: int, dropped: int, logging: LogOptions, recorder: "FileRecorder | None") -> None:
-    """Print a summary at the end of serving, and where the log is; end the command if that has failed."""
+def print_end(duration_ns: int, dropped: int, logging: LogOptions, recorder: "FileRecorder | None") -> None:
+    """Print a summary at the end of serving, and the log's path; end the command if the log has failed."""
     typer.echo(f"{duration_ns / 1e9:.1f} s served", err=True)
     if dropped:
         typer.echo(f"{dropped} bytes dropped that no host took", err=True)
     logging.check(recorder)
     if logging.log is not None:
-        tell_written("log", [logging.log], err=True)
+        print_files("log", [logging.log], err=True)

@@ -1,4 +1,4 @@
-"""`khep-twin exec`: programs that were compiled for a Khepera IV, on twins of it."""
+"""`khep-twin exec`: programs compiled for a Khepera IV, run on its twins."""
 
 import shlex
 from contextlib import ExitStack
@@ -10,7 +10,7 @@ import typer
 
 from khep_twin.cli.completion import playpens
 from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, grouped
-from khep_twin.cli.options import Switch, Viewer, check_new, complain, tell_kept, tell_written, usage
+from khep_twin.cli.options import Switch, Viewer, check_new, notify, print_files, print_kept, usage
 from khep_twin.clock import to_ns
 from khep_twin.errors import PlaypenError
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from khep_twin.ports.twin import Twin
 
 CFLAGS = "-fcommon -funsigned-char -fno-pie -no-pie"
-"""Options of `cc` for K-Team's library and its programs: it keeps pointers in 32 bits, and defines variables
-in its headers; the robot's `char` has no sign."""
+"""Options of `cc` for K-Team's library and its programs: the library stores pointers in 32 bits and defines
+variables in its headers; the robot's `char` is unsigned."""
 
 
 class ProgramClock(StrEnum):
@@ -30,8 +30,8 @@ class ProgramClock(StrEnum):
     REAL = "real"
 
 
-def _show_cflags(wanted: bool) -> None:
-    if wanted:
+def _show_cflags(value: bool) -> None:
+    if value:
         typer.echo(CFLAGS)
         raise typer.Exit
 
@@ -47,11 +47,12 @@ def execute(
         typer.Option(help="Playpen with a Khepera IV: a shipped name, or a path.", autocompletion=playpens),
     ] = "arena4",
     robot: Annotated[int, typer.Option(help="Number of the program's robot, counted from 0.")] = 0,
-    also: Annotated[
+    other_programs: Annotated[
         list[str] | None,
         typer.Option(
+            "--also",
             metavar="PROGRAM",
-            help="Run this program, in quotes with its arguments, on the next Khepera IV; may be repeated.",
+            help="Run this program, in quotes with its arguments, on the next Khepera IV; repeatable.",
         ),
     ] = None,
     clock: Annotated[
@@ -59,16 +60,15 @@ def execute(
         typer.Option(help="simulated: time passes while the programs wait; real: the wall clock."),
     ] = ProgramClock.SIMULATED,
     seconds: Annotated[
-        float | None,
-        typer.Option(min=0.01, help="End after this time [s]: SIGTERM, and 2 s later SIGKILL."),
+        float | None, typer.Option(min=0.01, help="End after this time [s]: SIGTERM, and 2 s later SIGKILL.")
     ] = None,
-    after: Annotated[
-        float, typer.Option(min=0, help="Let the robots go on for this time after the programs [s].")
+    extra_s: Annotated[
+        float, typer.Option("--after", min=0, help="Continue for this time after the programs' end [s].")
     ] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of every random stream of the run.")] = 0,
     noise: Annotated[Switch, typer.Option(help="Add noise to the sensors, as on the robot.")] = Switch.ON,
     vary: Annotated[
-        Switch, typer.Option(help="Draw another robot of the same make, by the seed.")
+        Switch, typer.Option(help="Draw another robot of the same model, by the seed.")
     ] = Switch.OFF,
     logging: LogOptions,
     live_view: LiveViewOptions,
@@ -85,73 +85,74 @@ def execute(
 ) -> None:
     """Run a program of the Khepera IV on a twin of it.
 
-    Linux only. The program is a native build of the unchanged source; a preload library, compiled once by
-    your C compiler, answers its device nodes and, with the simulated clock, what asks for the time or waits.
-    Input, output, signals and exit code are the program's; with several, the exit code is the first that is
-    not 0.
+    Linux only. The program is a native build of the unchanged source. A preload library, compiled once by
+    your C compiler, emulates its device nodes and, with the simulated clock, its time and wait functions.
+    Input, output, signals and exit code are the program's; with several programs, the exit code is the first
+    that is not 0.
     """
     from khep_twin.khepera4.programs import run_programs
     from khep_twin.log.recorded import PROGRAM
     from khep_twin.ports.twin import TwinOptions, open_twin
 
     check_new(logging.force, logging.log)
-    lines = [program, *_split(also or [])]
+    commands = [program, *_split(other_programs or [])]
     options = TwinOptions(seed, None, noise is Switch.ON, vary is Switch.ON)
     with open_twin(playpen, options) as twin, ExitStack() as stack:
-        chosen = _on_robots(twin, robot, lines)
+        robot_programs = _assign_robots(twin, robot, commands)
         if logging.log is not None:
-            told = "; ".join(shlex.join([Path(name).name, *rest]) for name, *rest in lines)
-            twin.record(logging.log, facts={PROGRAM: told}, on_failure=logging.on_failure)
-        tell_kept(twin.recorder)
-        watch = live_view.watching(stack, playpen, viewer=viewer, real_time=clock is ProgramClock.REAL)
+            command_lines = "; ".join(shlex.join([Path(name).name, *rest]) for name, *rest in commands)
+            twin.record(logging.log, facts={PROGRAM: command_lines}, on_failure=logging.on_failure)
+        print_kept(twin.recorder)
+        watch = live_view.open_viewers(stack, playpen, viewer=viewer, real_time=clock is ProgramClock.REAL)
         watch(twin)
-        until_ns = None if seconds is None else to_ns(seconds)
-        codes = run_programs(chosen, simulated=clock is ProgramClock.SIMULATED, until_ns=until_ns)
-        if after:
-            twin.world.advance(after)
-        is_cut_off = until_ns is not None and twin.world.time_ns >= until_ns
+        end_ns = None if seconds is None else to_ns(seconds)
+        codes = run_programs(robot_programs, simulated=clock is ProgramClock.SIMULATED, until_ns=end_ns)
+        if extra_s:
+            twin.world.advance(extra_s)
+        is_cut_off = end_ns is not None and twin.world.time_ns >= end_ns
     if logging.log is not None:
         logging.check(twin.recorder)
-        tell_written("log", [logging.log], err=True)
+        print_files("log", [logging.log], err=True)
     code = next((code for code in codes if code and not (is_cut_off and code in (-15, -9))), 0)
     if code < 0:
-        complain(f"the program was ended by signal {-code}")
+        notify(f"the program was ended by signal {-code}")
     raise typer.Exit(code if code >= 0 else 128 - code)
 
 
-def _split(also: list[str]) -> list[list[str]]:
-    """Return command lines as words."""
-    found: list[list[str]] = []
-    for line in also:
+def _split(command_lines: list[str]) -> list[list[str]]:
+    """Return command lines as lists of arguments."""
+    commands: list[list[str]] = []
+    for command_line in command_lines:
         try:
-            words = shlex.split(line)
+            words = shlex.split(command_line)
         except ValueError as error:
-            raise usage(f"--also {line}: {error}; expected a program and its arguments") from None
+            raise usage(f"--also {command_line}: {error}; expected a program and its arguments") from None
         if not words:
-            raise usage(f"--also {line!r}: no program; expected one and its arguments")
-        found.append(words)
-    return found
+            raise usage(f"--also {command_line!r}: no program; expected one and its arguments")
+        commands.append(words)
+    return commands
 
 
-def _on_robots(twin: "Twin", first: int, lines: list[list[str]]) -> list["RobotProgram"]:
-    """Return the programs on the Khepera IVs of a twin, from a robot on."""
+def _assign_robots(twin: "Twin", first: int, commands: list[list[str]]) -> list["RobotProgram"]:
+    """Assign programs to the Khepera IVs of a twin, starting with robot `first`."""
     from khep_twin.khepera4.machine import Machine
     from khep_twin.khepera4.programs import RobotProgram
     from khep_twin.khepera4.robot import Khepera4Robot
 
     name, robots = twin.world.playpen.name, twin.world.robots
-    there = [each for each in robots if isinstance(each, Khepera4Robot)]
-    numbers = [each.index for each in there]
-    if not there:
+    candidates = [robot for robot in robots if isinstance(robot, Khepera4Robot)]
+    indices = [robot.index for robot in candidates]
+    if not candidates:
         raise PlaypenError(f'{name}: no Khepera IV; expected a robot with model = "khepera4", as in arena4')
-    if first not in numbers:
-        raise usage(f"--robot {first}: not a Khepera IV of {name}; expected one of {numbers}")
-    free = there[numbers.index(first) :]
-    if len(lines) > len(free):
+    if first not in indices:
+        raise usage(f"--robot {first}: not a Khepera IV of {name}; expected one of {indices}")
+    targets = candidates[indices.index(first) :]
+    if len(commands) > len(targets):
         raise usage(
-            f"{len(lines)} programs; expected up to {len(free)}, the Khepera IVs of {name} from there on"
+            f"{len(commands)} programs; expected up to {len(targets)}, the Khepera IVs of {name} "
+            f"from robot {first} on"
         )
     return [
-        RobotProgram(line, Machine(each.dspic, twin.world), each.index + 1)
-        for line, each in zip(lines, free, strict=False)
+        RobotProgram(command, Machine(robot.dspic, twin.world), robot.index + 1)
+        for command, robot in zip(commands, targets, strict=False)
     ]

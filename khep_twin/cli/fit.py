@@ -1,4 +1,4 @@
-"""The command line's part for fits: `khep-twin fit`."""
+"""`khep-twin fit`: a calibration fitted to recorded tests, or learned by a shadow."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -6,28 +6,27 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.completion import calibrations, logs, playpens
-from khep_twin.cli.options import Force, check_apart, check_new, check_picture, check_writable, refuse, usage
+from khep_twin.cli.options import Force, check_inputs, check_new, check_picture, check_writable, refuse, usage
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.errors import FitError
 from khep_twin.files.atomic import is_same, write_whole
 from khep_twin.files.text import encodable
 
 if TYPE_CHECKING:
-    from khep_twin.lab.fit.fit_inputs import Measured
+    from khep_twin.lab.fit.fit_inputs import FitTests
     from khep_twin.lab.fit.placement import Ruler
     from khep_twin.sensing.calibration import Calibration
 
 RulerMm = Annotated[float, typer.Option(metavar="MM", help="Standard deviation of distances by your ruler.")]
 BearingDeg = Annotated[
-    float,
-    typer.Option(metavar="DEG", help='Standard deviation of "straight ahead", and of counted turns.'),
+    float, typer.Option(metavar="DEG", help='Standard deviation of "straight ahead", and of counted turns.')
 ]
 
 
-_OF_TESTS = {"tests", "check", "start", "ruler_mm", "bearing_deg", "picture"}
-"""Parameters of recorded tests, which mean nothing to what a shadow has learned."""
+_TEST_OPTIONS = {"tests", "check", "start", "ruler_mm", "bearing_deg", "picture"}
+"""Parameters for recorded tests, which do not apply to a shadow's log."""
 
-_NOTHING = "nothing to fit; expected tests such as straight.mcap=998mm, or --from LOG with a shadow's log"
+_NO_TESTS = "nothing to fit; expected tests such as straight.mcap=998mm, or --from LOG with a shadow's log"
 
 
 def fit(
@@ -38,16 +37,16 @@ def fit(
             metavar="FILE=MEASURED...",
             help="Recorded tests, each with the measured value: straight.mcap=998mm, "
             "spin.mcap=5turns (counter-clockwise), steps.mcap=duty (steps of command P), and tests of "
-            "`khep-twin sense` that began with an object straight ahead: run.csv=wall@22mm, "
-            "run.csv=cylinder:27mm@15mm (its radius), run.csv=lamp:2W@150mm or, so high, lamp:2W:60mm@150mm.",
+            "`khep-twin sense` that start with an object straight ahead: run.csv=wall@22mm, "
+            "run.csv=cylinder:27mm@15mm (radius), run.csv=lamp:2W@150mm or, with height, lamp:2W:60mm@150mm.",
         ),
     ] = None,
-    learned: Annotated[
+    shadow_log: Annotated[
         Path | None,
         typer.Option(
             "--from",
             metavar="LOG",
-            help="Take what a shadow has learned instead: its log, or a relay's with --playpen.",
+            help="Use the values learned by a shadow instead: its log, or a relay's log with --playpen.",
             autocompletion=logs,
         ),
     ] = None,
@@ -57,10 +56,10 @@ def fit(
     ] = None,
     check: Annotated[
         list[str] | None,
-        typer.Option(help="Test like these that is not fitted; print how well the fit meets it."),
+        typer.Option(help="Print how well the fit predicts this test, which is not fitted; repeatable."),
     ] = None,
     start: Annotated[
-        str, typer.Option(help="Calibration that the rest is taken from.", autocompletion=calibrations)
+        str, typer.Option(help="Calibration of all values that are not fitted.", autocompletion=calibrations)
     ] = "khepera1",
     ruler_mm: RulerMm = 0.5,
     bearing_deg: BearingDeg = 1.5,
@@ -78,66 +77,68 @@ def fit(
     from khep_twin.lab.fit.placement import Ruler
     from khep_twin.sensing import calibration
 
-    if learned is not None:
-        refuse(context, _OF_TESTS, "recorded tests, not for --from")
-        _fit_learned(learned, playpen, output, force)
+    if shadow_log is not None:
+        refuse(context, _TEST_OPTIONS, "recorded tests, not for --from")
+        _fit_learned(shadow_log, playpen, output, force)
         return
     if not tests or playpen is not None:
-        raise usage(_NOTHING)
+        raise usage(_NO_TESTS)
     ruler = Ruler(ruler_mm, bearing_deg)
-    recorded = [Path(word.rpartition("=")[0]) for word in (*tests, *(check or ()))]
-    check_outputs(recorded, start, output, picture, force)
-    data, unused = fit_inputs(tests), fit_inputs(check or [])
+    test_paths = [Path(word.rpartition("=")[0]) for word in (*tests, *(check or ()))]
+    check_outputs(test_paths, start, output, picture, force)
+    data, check_data = fit_inputs(tests), fit_inputs(check or [])
     if picture is not None and not (data.objects or data.lamps or data.motors):
-        wanted = "expected a sensor test or steps of duty, too"
-        raise FitError(f"{picture}: measured drives give no picture; {wanted}")
-    fit_and_write(data, unused, calibration.read(start)[0], ruler, output, picture, len(tests), force)
+        expected = "expected also a sensor test or steps of duty"
+        raise FitError(f"{picture}: measured drives give no picture; {expected}")
+    fit_and_write(data, check_data, calibration.read(start)[0], ruler, output, picture, len(tests), force)
 
 
 def _fit_learned(path: Path, playpen: str | None, output: Path | None, force: bool) -> None:
-    """Take a calibration from what a shadow has learned; follow a relay's line first."""
+    """Write a calibration learned by a shadow, which first follows a relay's log if this is one."""
     from khep_twin.files.toml_files import dump
-    from khep_twin.lab.fit.robot_fit import named
-    from khep_twin.lab.fit.shadow_fit import fit_learned, follow_all, read_learned
+    from khep_twin.lab.fit.robot_fit import with_name
+    from khep_twin.lab.fit.shadow_fit import fit_learned, learn_from_log, read_learned
 
     check_writable(output)
-    check_apart([path, *([] if playpen is None else [playpen])], output)
+    check_inputs([path, *([] if playpen is None else [playpen])], output)
     check_new(force, output)
-    found = read_learned(path)
-    if found is None:
+    learned_data = read_learned(path)
+    if learned_data is None:
         if playpen is None:
             raise usage(f"{path}: no shadow's log; expected one, or --playpen with a relay's log")
         with progress_bar() as show:
-            found = follow_all(path, playpen, show)
-    fit = fit_learned(*found)
+            learned_data = learn_from_log(path, playpen, show)
+    fit = fit_learned(*learned_data)
     if not fit.values:
         raise FitError(f"{path}: determines nothing better than it was known; expected minutes near walls")
     for line in fit.lines:
         typer.echo(line)
     if output is not None:
-        after = named(fit.calibration, output.stem, f"learned by a shadow in {encodable(path.name)}")
-        write_whole(output, dump(after).encode("utf-8"), force)
+        calibration = with_name(
+            fit.calibration, output.stem, f"learned by a shadow in {encodable(path.name)}"
+        )
+        write_whole(output, dump(calibration).encode("utf-8"), force)
         typer.echo(f"calibration   {output}")
 
 
 def check_outputs(
-    recorded: list[Path], start: str, output: Path | None, picture: Path | None, force: bool
+    test_paths: list[Path], start: str, output: Path | None, picture: Path | None, force: bool
 ) -> None:
-    """Refuse a calibration and a picture that could not be written, or would replace what is read."""
+    """Refuse outputs that could not be written, or would replace an input."""
     check_writable(output, picture)
     if output is not None and picture is not None and is_same(output, picture):
         raise FitError(f"{picture}: this is the calibration; expected a separate file for the picture")
     for path in filter(None, (output, picture)):
-        if any(is_same(path, each) for each in recorded):
+        if any(is_same(path, test_path) for test_path in test_paths):
             raise FitError(f"{path}: this is a recorded test; expected a separate file")
     check_picture(picture)
-    check_apart([start], output, picture)
+    check_inputs([start], output, picture)
     check_new(force, output, picture)
 
 
 def fit_and_write(
-    data: "Measured",
-    unused: "Measured",
+    data: "FitTests",
+    check_data: "FitTests",
     start: "Calibration",
     ruler: "Ruler",
     output: Path | None,
@@ -145,25 +146,25 @@ def fit_and_write(
     count: int,
     force: bool,
 ) -> None:
-    """Fit a robot to tests, print the values and residuals, write the calibration and the picture."""
+    """Fit a robot to tests; print values and residuals, write calibration and picture."""
     from khep_twin.files.toml_files import dump
-    from khep_twin.lab.fit.robot_fit import fit_robot, met, named
+    from khep_twin.lab.fit.robot_fit import describe_residuals, fit_robot, with_name
 
-    found = fit_robot(data, start, ruler)
-    for line in found.lines:
+    robot_fit = fit_robot(data, start, ruler)
+    for line in robot_fit.lines:
         typer.echo(line)
-    for line in met(data, found, ruler):
+    for line in describe_residuals(data, robot_fit, ruler):
         typer.echo(f"{line} left")
-    for line in met(unused, found, ruler):
+    for line in describe_residuals(check_data, robot_fit, ruler):
         typer.echo(f"{line} off, not used for the fit")
     if output is not None:
-        after = named(found.calibration, output.stem, f"fitted to {count} tests")
-        write_whole(output, dump(after).encode("utf-8"), force)
+        calibration = with_name(robot_fit.calibration, output.stem, f"fitted to {count} tests")
+        write_whole(output, dump(calibration).encode("utf-8"), force)
         typer.echo(f"calibration   {output}")
     if picture is not None:
         from khep_twin.drawing import map as drawing
         from khep_twin.lab.fit.fit_figure import draw_fit
 
-        if (figure := draw_fit(data, found)) is not None:
+        if (figure := draw_fit(data, robot_fit)) is not None:
             drawing.save(figure, picture, force)
             typer.echo(f"picture       {picture}")

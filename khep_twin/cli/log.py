@@ -1,4 +1,4 @@
-"""The command line's part for logs: `khep-twin recover` and `khep-twin repeat`."""
+"""`khep-twin recover` and `khep-twin repeat`: recovery of interrupted logs, and repeated runs."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.completion import logs, ports
-from khep_twin.cli.options import complain
+from khep_twin.cli.options import notify
 from khep_twin.cli.progress import progress as progress_bar
 from khep_twin.clock import NS_PER_S
 
@@ -16,16 +16,16 @@ def recover(
 ) -> None:
     """Recover an interrupted log.
 
-    The exit code is 0 if all of it was saved, 3 if a part, 1 if nothing.
+    The exit code is 0 if all of it was recovered, 3 if a part, 1 if nothing.
     """
     from khep_twin.log.recover import recover as rescue
     from khep_twin.log.recover import summary
 
     with progress_bar() as progress:
-        found = rescue(log, progress)
-    typer.echo(summary(log, found))
-    typer.echo(f"log      {found.path}")
-    if not found.whole:
+        recovery = rescue(log, progress)
+    typer.echo(summary(log, recovery))
+    typer.echo(f"log      {recovery.path}")
+    if not recovery.is_complete:
         raise typer.Exit(3)
 
 
@@ -43,23 +43,23 @@ def repeat(
 
     The exit code is 0 if it is the same, 3 if not, 1 if it cannot be repeated.
     """
-    from khep_twin.lab.experiment.repeat import check, elsewhere
     from khep_twin.lab.experiment.repeat import repeat as run_again
-    from khep_twin.log.recorded import read_recorded
+    from khep_twin.lab.experiment.repeat import require_states, version_differences
+    from khep_twin.log.recorded import read_recorded_run
 
-    recorded = read_recorded(log)
+    recorded = read_recorded_run(log)
     if port is not None:
         from khep_twin.lab.experiment.replay_to_port import replay_to_port
 
         with progress_bar() as progress:
             comparison = replay_to_port(recorded, port, progress)
         typer.echo(comparison.text())
-        if not comparison.identical:
+        if not comparison.is_identical:
             raise typer.Exit(3)
         return
-    check(recorded)
-    for line in elsewhere(recorded):
-        complain(line)
+    require_states(recorded)
+    for line in version_differences(recorded):
+        notify(line)
     with progress_bar() as progress:
         difference = run_again(recorded, progress)
     if difference is None:

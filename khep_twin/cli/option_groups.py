@@ -1,4 +1,4 @@
-"""Options that several commands share, in groups: a dataclass each, spread over a command's signature.
+"""Groups of options that several commands share, as dataclasses that are expanded in a signature.
 
     @grouped
     def run(context: typer.Context, *, robot: RobotOptions, log: LogOptions) -> None: ...
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from khep_twin.cli.completion import playpens
-from khep_twin.cli.options import Force, Switch, complain, running_mode, usage
+from khep_twin.cli.options import Force, Switch, notify, running_mode, usage
 
 if TYPE_CHECKING:
     from khep_twin.log.foxglove_live import FoxgloveServer
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 
 ADDRESS = "127.0.0.1:8765"
-"""Default address, which Foxglove proposes, too."""
+"""Default address, which Foxglove also proposes."""
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """Spread groups of options over a command's signature: each field of a dataclass becomes an option."""
+    """Expand groups of options in a command's signature: each field of a dataclass becomes an option."""
     signature = inspect.signature(command)
     groups: dict[str, Any] = {
         name: parameter.annotation
@@ -42,11 +42,11 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def flat(**typed: Any) -> None:
-        made = {
+        group_values = {
             name: group(**{field.name: typed.pop(field.name) for field in fields(group)})
             for name, group in groups.items()
         }
-        command(**typed, **made)
+        command(**typed, **group_values)
 
     parameters = [
         option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
@@ -58,7 +58,7 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def option_names(*groups: type) -> set[str]:
-    """Return the names of the options of groups, as `given` does."""
+    """Return the names of the options of groups, as in `typed_options`."""
     return {field.name for group in groups for field in fields(group)}
 
 
@@ -68,7 +68,7 @@ class RobotOptions:
 
     seed: Annotated[int, typer.Option(help="Seed of every random stream of the run.")] = 0
     noise: Annotated[Switch, typer.Option(help="Add noise to the sensors, as on the robot.")] = Switch.ON
-    vary: Annotated[Switch, typer.Option(help="Draw another robot of the same make, by the seed.")] = (
+    vary: Annotated[Switch, typer.Option(help="Draw another robot of the same model, by the seed.")] = (
         Switch.OFF
     )
     mode: Annotated[
@@ -88,12 +88,12 @@ class RobotOptions:
     battery_used_min: Annotated[
         float | None,
         typer.Option(
-            min=0, max=1000, help="Run on cells that were used so many minutes; without, on the charger."
+            min=0, max=1000, help="Run on cells used for this number of minutes; by default on the charger."
         ),
     ] = None
 
     def options(self, robot: int | None = 0) -> "TwinOptions":
-        """Return the options of a twin with this robot on the line, or with None all of them."""
+        """Return the options of a twin with this robot on the line; all robots for None."""
         from khep_twin.ports.twin import TwinOptions
 
         return TwinOptions(
@@ -116,35 +116,35 @@ class SceneOptions:
         str, typer.Option(help="Playpen of the twin: a shipped name, or a path.", autocompletion=playpens)
     ] = "default"
     lighting: Annotated[
-        str | None, typer.Option(help="Lamps: all, random, sequenced or off; without, as in the playpen.")
+        str | None, typer.Option(help="Lamps: all, random, sequenced or off; by default as in the playpen.")
     ] = None
     without_lamp: Annotated[
         list[str] | None, typer.Option(metavar="X,Y", help="Remove the lamp nearest to this position [mm].")
     ] = None
 
-    def load(self, own: "Playpen | None" = None) -> "Playpen":
-        """Return the playpen, or the controller's own one, with the lamps that are wanted."""
-        from khep_twin.lab.experiment.start_poses import lit, numbers, without_nearest_lamp
+    def load(self, override: "Playpen | None" = None) -> "Playpen":
+        """Return the controller's playpen, or else the option's, with the requested lamps."""
+        from khep_twin.lab.experiment.start_poses import numbers, with_lighting, without_nearest_lamp
         from khep_twin.playpen import Playpen
 
-        scene = lit(Playpen.load(self.playpen) if own is None else own, self.lighting)
-        for wanted in self.without_lamp or []:
-            position = numbers(wanted, 2)
+        playpen = with_lighting(Playpen.load(self.playpen) if override is None else override, self.lighting)
+        for position_text in self.without_lamp or []:
+            position = numbers(position_text, 2)
             if position is None:
-                raise usage(f"--without-lamp {wanted}: expected X,Y in mm, such as 50,450")
-            scene = without_nearest_lamp(scene, *position)
-        return scene
+                raise usage(f"--without-lamp {position_text}: expected X,Y in mm, such as 50,450")
+            playpen = without_nearest_lamp(playpen, *position)
+        return playpen
 
 
 @dataclass(frozen=True, slots=True)
 class LengthOptions:
     """Length of a run."""
 
-    seconds: Annotated[float | None, typer.Option(help="End after this time [s]; 60 by default.")] = None
-    cycles: Annotated[int | None, typer.Option(help="End after so many cycles.")] = None
+    seconds: Annotated[float | None, typer.Option(help="Stop after this time [s]; 60 by default.")] = None
+    cycles: Annotated[int | None, typer.Option(help="Stop after this number of cycles.")] = None
 
     def __post_init__(self) -> None:
-        """Refuse a run without an end or a beginning."""
+        """Refuse an empty or endless run."""
         if (self.seconds is not None and not 0 < self.seconds < math.inf) or (
             self.cycles is not None and self.cycles < 1
         ):
@@ -153,31 +153,31 @@ class LengthOptions:
 
 @dataclass(frozen=True, slots=True)
 class LogOptions:
-    """Log of a run, and what is done where it cannot be written."""
+    """Log of a run, and the behaviour if it cannot be written."""
 
     log: Annotated[Path | None, typer.Option(help="Record the run in this MCAP file.")] = None
     ignore_log_errors: Annotated[
         bool,
         typer.Option(
             "--ignore-log-errors",
-            help="Continue without the log if it cannot be written any more, as on a full disk; exit with 3 "
-            "then.",
+            help="Continue without the log if it can no longer be written, as on a full disk; the exit code "
+            "is then 3.",
         ),
     ] = False
     force: Force = False
 
     def __post_init__(self) -> None:
-        """Refuse --ignore-log-errors where there is no log."""
+        """Refuse --ignore-log-errors without a log."""
         if self.ignore_log_errors and self.log is None:
-            raise usage("--ignore-log-errors is about a log that fails; expected --log FILE.mcap, too")
+            raise usage("--ignore-log-errors is about a log that fails; expected --log FILE.mcap with it")
 
     @property
     def on_failure(self) -> Callable[[str], None] | None:
-        """Function that takes the line about a log that has failed; None to end the run."""
-        return complain if self.ignore_log_errors else None
+        """Function that takes the message about a failed log; None to end the run."""
+        return notify if self.ignore_log_errors else None
 
     def check(self, recorder: "FileRecorder | None") -> None:
-        """End a run whose log has failed with the exit code for that."""
+        """End a run whose log has failed, with the exit code for that."""
         if recorder is None or recorder.failure is None:
             return
         if self.ignore_log_errors:
@@ -194,20 +194,20 @@ class LiveViewOptions:
     ] = False
     foxglove_at: Annotated[
         str | None,
-        typer.Option(metavar="HOST:PORT", help="Show it at this address instead; port 0 for any free one."),
+        typer.Option(metavar="HOST:PORT", help="Show it at this address instead; port 0 for any free port."),
     ] = None
 
     def open(self, stack: ExitStack, name: str, *, allow_remote: bool = False) -> "FoxgloveServer | None":
-        """Open the server, and print its address; None if no live view is wanted.
+        """Open the server, and print its address; return None if no live view is requested.
 
         Args:
-            stack: Context in which it is served.
+            stack: Context that closes the server.
             name: Name that Foxglove shows.
             allow_remote: Allow connections from other machines.
 
         Raises:
             MissingExtraError: foxglove-sdk is not installed.
-            PortError: The address cannot be listened at, or other machines could reach it.
+            PortError: The address cannot be used, or other machines could reach it.
         """
         if not self.foxglove and self.foxglove_at is None:
             return None
@@ -219,16 +219,16 @@ class LiveViewOptions:
         from khep_twin.log.foxglove_live import LAYOUT, FoxgloveServer
 
         server = stack.enter_context(closing(FoxgloveServer(host, port, f"khep_twin {name}")))
-        complain(f"Foxglove connects to {server.address}; a layout to import there: {LAYOUT}")
+        notify(f"Foxglove connects to {server.address}; a layout to import there: {LAYOUT}")
         return server
 
-    def watching(
+    def open_viewers(
         self, stack: ExitStack, name: str, *, viewer: bool, real_time: bool, allow_remote: bool = False
     ) -> "Callable[[Twin], None]":
-        """Open the live view and MuJoCo's viewer that are wanted; return a function that shows a twin there.
+        """Open the requested live view and MuJoCo viewer; return a function that shows a twin in them.
 
         Args:
-            stack: Context in which they are open.
+            stack: Context that closes them.
             name: Name that Foxglove shows.
             viewer: True for MuJoCo's viewer.
             real_time: True to slow down a twin that runs ahead of the wall clock.

@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 
 
 class Switch(StrEnum):
-    """Switch, on or off, as in the options of khep://."""
+    """Value of a switch, as in the options of khep://."""
 
     ON = "on"
     OFF = "off"
 
 
 class Commands(TyperGroup):
-    """Commands by name; the error about an unknown one lists the choices."""
+    """Commands by name; the error for an unknown command lists the choices."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find a command by the first of the arguments."""
+        """Return the command named by the first argument."""
         if args[0] not in self.commands:
             raise usage(f"{args[0]}: no such command; {choices(args[0], self.commands)}")
         return super().resolve_command(ctx, args)
@@ -48,50 +48,55 @@ Faults = Annotated[
     list[str] | None,
     typer.Option(
         "--fault",
-        help="Inject this fault, as often as wanted: drop:P, garble:P, late:P:MS, stuck:SENSOR, dead:SENSOR, "
-        "dead:SIDE, weak:SIDE:PART, slip:SIDE:PART, blocked:SIDE or brown-out, with @SECONDS to begin later "
-        "or @FROM-TO to end as well.",
+        help="Inject this fault; repeatable: drop:P, garble:P, late:P:MS, stuck:SENSOR, dead:SENSOR, "
+        "dead:SIDE, weak:SIDE:PART, slip:SIDE:PART, blocked:SIDE or brown-out, with @SECONDS to start later "
+        "or @FROM-TO to start and stop.",
     ),
 ]
 Force = Annotated[
-    bool, typer.Option("--force", help="Replace files that are there already; otherwise they are kept.")
+    bool,
+    typer.Option(
+        "--force",
+        help="Replace existing files. Otherwise the command refuses (exit code 2), except for empty "
+        "files and unchanged drawings.",
+    ),
 ]
 Viewer = Annotated[
-    bool, typer.Option("--viewer", help="Show the run in MuJoCo's own viewer, in a window on this screen.")
+    bool, typer.Option("--viewer", help="Show the run in MuJoCo's viewer, in a window on this screen.")
 ]
 
 
-def given(context: typer.Context) -> set[str]:
+def typed_options(context: typer.Context) -> set[str]:
     """Return the names of the options that the user has typed."""
     sources = {name: context.get_parameter_source(name) for name in context.params}
     return {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
 
 
 def refuse(context: typer.Context, options: Set[str], reason: str) -> None:
-    """Refuse options, by the names of their parameters, that mean nothing to what is done."""
-    if ignored := given(context) & options:
+    """Refuse options, by their parameters' names, that do not apply to the requested action."""
+    if ignored := typed_options(context) & options:
         raise usage(f"--{min(ignored).replace('_', '-')} is for {reason}")
 
 
 def check_new(force: bool, *paths: Path | None) -> None:
-    """Refuse to replace files, unless that is wanted, or they are empty or unchanged drawings."""
+    """Refuse (exit code 2) to replace files without `force`, except empty ones and unchanged drawings."""
     for path in paths:
         if path is not None and not force and path.is_file() and not is_replaceable(path):
             raise usage(f"{path}: is there already; expected another name, or --force to replace it")
 
 
 def check_writable(*paths: Path | None) -> None:
-    """Refuse files that could not be written at the end."""
+    """Refuse output files that cannot be written."""
     for path in filter(None, paths):
         if reason := unusable(path):
             raise KhepTwinError(f"{path}: cannot be written: {reason}")
 
 
-def check_apart(read: Iterable[str | Path], *written: Path | None) -> None:
+def check_inputs(inputs: Iterable[str | Path], *outputs: Path | None) -> None:
     """Refuse to overwrite input files with output."""
-    for path in filter(None, written):
-        if any(is_same(path, Path(each)) for each in read):
-            raise KhepTwinError(f"{path}: this is what is read; expected a separate file")
+    for path in filter(None, outputs):
+        if any(is_same(path, Path(input_path)) for input_path in inputs):
+            raise KhepTwinError(f"{path}: this is an input file; expected a separate file")
 
 
 def check_picture(picture: Path | None, log: Path | None = None) -> None:
@@ -109,79 +114,79 @@ def check_picture(picture: Path | None, log: Path | None = None) -> None:
 
 
 def running_mode(digit: str | None) -> int | None:
-    """Return a running mode from its jumpers, one hexadecimal digit."""
+    """Return a running mode by its jumpers, one hexadecimal digit."""
     if digit is not None and (len(digit) != 1 or digit.upper() not in "0123456789ABCDEF"):
         raise usage(f"--mode {digit}: expected one digit, 0 to F")
     return None if digit is None else int(digit, 16)
 
 
 def check_body(rom: str | None, robots: Iterable["RobotEntry"]) -> None:
-    """Print a note that the firmware of a Khepera II does not make one of a Khepera 1."""
+    """Print a note if --rom khepera2 is used for a Khepera 1."""
     if rom == "khepera2" and any(robot.model == "khepera1" for robot in robots):
-        complain(
+        notify(
             "--rom khepera2 changes the firmware only: body and sensors stay a Khepera 1's; "
             "--model khepera2 changes all three"
         )
 
 
-def tell_kept(recorder: "FileRecorder | None") -> None:
-    """Print where an unfinished log of an earlier run that was found is now."""
-    if recorder is not None and recorder.kept is not None:
-        remedy = command("recover", recorder.kept)
-        complain(f"an unfinished log of an earlier run is kept as {recorder.kept}; rescue it: {remedy}")
+def print_kept(recorder: "FileRecorder | None") -> None:
+    """Print the new name of an unfinished log of an earlier run, if there was one."""
+    if recorder is not None and (path := recorder.previous_part) is not None:
+        remedy = command("recover", path)
+        notify(f"an unfinished log of an earlier run is kept as {path}; rescue it: {remedy}")
 
 
-def tell_written(
-    name: str, paths: Sequence[Path], look: str | None = None, width: int = 7, err: bool = False
+def print_files(
+    name: str, paths: Sequence[Path], show_command: str | None = None, width: int = 7, err: bool = False
 ) -> None:
-    """Print which files were written, and the command that shows them.
+    """Print the written files, and the command that shows them.
 
     Args:
         name: Kind of file, the first column.
         paths: Files, of which the first and the last are named.
-        look: Command; by default `khep-twin view` of the first file.
+        show_command: Command; by default `khep-twin view` of the first file.
         width: Width of the first column, as in the lines above it.
         err: Print on standard error.
     """
-    more = f" to {paths[-1].name}" if len(paths) > 1 else ""
-    look = command("view", paths[0]) if look is None else look
-    typer.echo(f"{name:{width}}  {paths[0]}{more}      look at it: {look}", err=err)
+    last_name = f" to {paths[-1].name}" if len(paths) > 1 else ""
+    show_command = command("view", paths[0]) if show_command is None else show_command
+    typer.echo(f"{name:{width}}  {paths[0]}{last_name}      look at it: {show_command}", err=err)
 
 
-def asked(prompt: str, stop: Callable[[], bool], *, err: bool = False) -> bytes | None:
-    """Ask on standard output, or with `err` on standard error, whose next line begins after the answer.
+def ask_line(prompt: str, stop: Callable[[], bool], *, err: bool = False) -> bytes | None:
+    """Ask on standard output, or on standard error with `err`, and end the line after the answer.
 
     Returns:
-        A line of standard input, without its end where the input ended; None if `stop` came first.
+        A line of standard input, without a line end if the input ended; None if `stop` returned True first.
     """
     typer.echo(prompt, nl=False, err=err)
-    entered = _typed_line(stop)
+    entered = _read_line(stop)
     stream = sys.stderr if err else sys.stdout
-    # A terminal has shown the Enter itself.
-    is_shown = entered is not None and entered.endswith(b"\n") and sys.stdin.isatty() and stream.isatty()
-    typer.echo("\r" if is_shown else "\n", nl=False, err=err)
+    # A terminal echoes Enter itself.
+    is_echoed = entered is not None and entered.endswith(b"\n") and sys.stdin.isatty() and stream.isatty()
+    typer.echo("\r" if is_echoed else "\n", nl=False, err=err)
     return entered
 
 
-def _typed_line(stop: Callable[[], bool]) -> bytes | None:
+def _read_line(stop: Callable[[], bool]) -> bytes | None:
     entered = b""
     while not entered.endswith(b"\n"):
         if stop():
             return None
         if select.select([sys.stdin], [], [], 0.1)[0]:
-            # Byte by byte, as what is buffered would be waited for again.
+            # Read single bytes, as select does not see buffered ones.
             if not (byte := os.read(sys.stdin.fileno(), 1)):
                 break
             entered += byte
     return entered
 
 
-def complain(text: str) -> None:
+def notify(text: str) -> None:
     """Print one line on standard error."""
     typer.echo(f"khep-twin: {text}", err=True)
 
 
 def usage(text: str) -> typer.Exit:
-    """Print one line about wrong usage, and return the exit that goes with it."""
-    complain(text)
+    """Print one line about wrong usage, and return the exit to raise, with code 2."""
+    notify(text)
     return typer.Exit(2)

@@ -1,4 +1,4 @@
-"""The command line's part for playpens: `khep-twin playpen COMMAND`."""
+"""`khep-twin playpen COMMAND`: playpen files listed, checked, compiled, drawn and imported."""
 
 import re
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli import completion
-from khep_twin.cli.options import Force, check_apart, check_new, command_group
+from khep_twin.cli.options import Force, check_inputs, check_new, command_group
 from khep_twin.errors import CalibrationError, KhepTwinError
 from khep_twin.files.atomic import write_whole
 from khep_twin.files.drawings import write_drawing
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 playpen_app = command_group("List, check, compile, draw and import playpens.")
 
-SpotSeed = Annotated[int, typer.Option(help="Seed by which robots are put on their spots.")]
+SpotSeed = Annotated[int, typer.Option(help="Seed by which robots are placed on their spots.")]
 PlaypenName = Annotated[
     str,
     typer.Argument(
@@ -32,7 +32,7 @@ Output = Annotated[Path | None, typer.Option("--output", "-o", help="File to wri
 
 @playpen_app.command("list")
 def list_playpens() -> None:
-    """List the shipped playpens, a line each."""
+    """List the shipped playpens, one per line."""
     from khep_twin import playpen as playpens
 
     names = playpens.names()
@@ -47,19 +47,19 @@ def check(playpen: PlaypenName) -> None:
     from khep_twin.playpen.model import MANY_ROBOTS
     from khep_twin.sensing import calibration
 
-    found = Playpen.load(playpen)
-    for index, robot in enumerate(found.robots, 1):
+    loaded_playpen = Playpen.load(playpen)
+    for index, robot in enumerate(loaded_playpen.robots, 1):
         try:
             calibration.read(robot.calibration)
         except CalibrationError as error:
             raise CalibrationError(f"{playpen}: robot {index}: calibration = {error}") from None
-    plural = {kind: f"{kind}s" for kind in found.tables} | {"patch": "patches"}
-    there = [(kind, len(items)) for kind, items in found.tables.items() if items]
-    counts = [f"{count} {kind if count == 1 else plural[kind]}" for kind, count in there]
-    typer.echo(f"{found.name}: {', '.join(counts) or 'an empty arena'}: no problem")
-    if len(found.robots) > MANY_ROBOTS:
+    plurals = {kind: f"{kind}s" for kind in loaded_playpen.tables} | {"patch": "patches"}
+    kind_counts = [(kind, len(items)) for kind, items in loaded_playpen.tables.items() if items]
+    counts = [f"{count} {kind if count == 1 else plurals[kind]}" for kind, count in kind_counts]
+    typer.echo(f"{loaded_playpen.name}: {', '.join(counts) or 'an empty arena'}: no problem")
+    if len(loaded_playpen.robots) > MANY_ROBOTS:
         typer.echo(
-            f"note: with more than {MANY_ROBOTS} robots a scene takes long to make, a minute with 500, and "
+            f"note: with more than {MANY_ROBOTS} robots a playpen compiles slowly, in a minute with 500, and "
             "runs many times slower than real time"
         )
 
@@ -70,12 +70,12 @@ def compile_playpen(
 ) -> None:
     """Write a playpen as MJCF, to standard output by default.
 
-    It opens in MuJoCo without khep_twin.
+    MuJoCo loads the file without khep_twin.
     """
     from khep_twin.playpen import Playpen, at_spots
     from khep_twin.playpen_to_mjcf import to_mjcf
 
-    check_apart([playpen], output)
+    check_inputs([playpen], output)
     check_new(force, output)
     _write(to_mjcf(at_spots(Playpen.load(playpen), seed)), output, "scene", force)
 
@@ -84,14 +84,16 @@ def compile_playpen(
 def draw(
     playpen: PlaypenName,
     output: Output = None,
-    log: Annotated[Path | None, typer.Option(help="Log of a run in it; its paths are drawn, too.")] = None,
+    log: Annotated[
+        Path | None, typer.Option(help="Also draw the paths of this log, of a run in the playpen.")
+    ] = None,
     perspective: Annotated[
-        bool, typer.Option("--perspective", help="Draw the view of a camera above it; needs OpenGL.")
+        bool, typer.Option("--perspective", help="Draw it as a camera above sees it; needs OpenGL.")
     ] = False,
     seed: SpotSeed = 0,
     force: Force = False,
 ) -> None:
-    """Draw a playpen to scale, to NAME.png by default.
+    """Draw a playpen to scale, in NAME.png by default.
 
     The formats are PNG, SVG and PDF.
     """
@@ -99,31 +101,31 @@ def draw(
     from khep_twin.log.reader import read_label, read_log
     from khep_twin.playpen import Playpen, at_spots
 
-    found = Playpen.load(playpen)
-    target = output or Path(f"{found.name}.png")
-    check_apart([playpen, *([] if log is None else [log])], target)
+    loaded_playpen = Playpen.load(playpen)
+    target = output or Path(f"{loaded_playpen.name}.png")
+    check_inputs([playpen, *([] if log is None else [log])], target)
     check_new(force, target)
     if perspective:
         from khep_twin.drawing.render import render
 
         if log is not None:
             raise KhepTwinError("--log draws on a map; expected no --perspective")
-        write_drawing(target, render(at_spots(found, seed), target), force)
+        write_drawing(target, render(at_spots(loaded_playpen, seed), target), force)
     else:
         paths = ()
         if log is not None:
-            if (name := read_label(log).metadata.get("playpen", found.name)) != found.name:
-                raise KhepTwinError(f"{log}: a run in playpen {name}; expected one in {found.name}")
+            if (name := read_label(log).metadata.get("playpen", loaded_playpen.name)) != loaded_playpen.name:
+                raise KhepTwinError(f"{log}: a run in playpen {name}; expected one in {loaded_playpen.name}")
             paths = read_log(log).paths
-        drawing.save(drawing.draw(at_spots(found, seed), paths), target, force)
+        drawing.save(drawing.draw(at_spots(loaded_playpen, seed), paths), target, force)
     typer.echo(f"picture  {target}")
 
 
 @playpen_app.command()
 def schema(output: Output = None, force: Force = False) -> None:
-    """Write the format as JSON schema, for editors.
+    """Write the playpen format as a JSON schema, for editors.
 
-    It goes to standard output by default.
+    The default is standard output.
     """
     import json
 
@@ -144,7 +146,7 @@ def random_playpen(
 ) -> None:
     """Write a random field of obstacles as a playpen file.
 
-    It goes to standard output by default.
+    The default is standard output.
     """
     from khep_twin import playpen as playpens
     from khep_twin.playpen.random_obstacles import obstacle_field
@@ -154,17 +156,17 @@ def random_playpen(
     field = obstacle_field(f"field-{seed}", width_mm, height_mm, density, stream(seed, "obstacle field"))
     options = f"--density {density!r} --seed {seed} --width-mm {width_mm!r} --height-mm {height_mm!r}"
     text = f"# khep-twin playpen random {options}\n\n{playpens.dump(field)}"
-    more = f": {len(field.blocks)} blocks, {len(field.cylinders)} cylinders"
-    _write(text, output, "playpen", force, more)
+    details = f": {len(field.blocks)} blocks, {len(field.cylinders)} cylinders"
+    _write(text, output, "playpen", force, details)
 
 
-def _write(text: str, output: Path | None, kind: str, force: bool, more: str = "") -> None:
-    """Write a text and print what it is, or write it to standard output."""
+def _write(text: str, output: Path | None, kind: str, force: bool, details: str = "") -> None:
+    """Write a text to a file and print its kind, or write it to standard output."""
     if output is None:
         typer.echo(text, nl=False)
     else:
         write_whole(output, text.encode("utf-8"), force)
-        typer.echo(f"{kind:7}  {output}{more}")
+        typer.echo(f"{kind:7}  {output}{details}")
 
 
 @playpen_app.command("import")
@@ -181,15 +183,14 @@ def import_bitmap(
         bool | None,
         typer.Option(
             "--flip/--no-flip",
-            help="Take the first row as the bottom: by default in a MAT file, since the toolbox scans upside "
-            "down, and not in a picture.",
+            help="Take the first row as the bottom: the default for a MAT file, as the toolbox scans upside "
+            "down, but not for a picture.",
         ),
     ] = None,
     variable: Annotated[
-        str | None,
-        typer.Option(help="Matrix of a MAT file to use; btmap1, or else the only one, by default."),
+        str | None, typer.Option(help="Matrix of a MAT file to use; by default btmap1, or the only one.")
     ] = None,
-    solid: Annotated[int | None, typer.Option(help="Value of solid pixels (MAT); 44 by default.")] = None,
+    solid: Annotated[int | None, typer.Option(help="Value of solid pixels (MAT); by default 44.")] = None,
     name: Annotated[str | None, typer.Option(help="Name of the playpen; by default the file's.")] = None,
     height_mm: Annotated[float, typer.Option(metavar="MM", help="Height of the blocks [mm].")] = 50.0,
     robot: Annotated[
@@ -204,23 +205,23 @@ def import_bitmap(
 ) -> None:
     """Make a playpen from a scanned or painted bitmap.
 
-    It is NAME.toml by default.
+    The output is NAME.toml by default.
     """
     from khep_twin import playpen as playpens
     from khep_twin.errors import BitmapError
     from khep_twin.files import toml_files
     from khep_twin.playpen import bitmap, bitmap_files
 
-    check_apart([file], output)
+    check_inputs([file], output)
     name = name or re.sub(r"[^A-Za-z0-9_-]+", "-", file.stem)[:64].strip("-") or "imported"
     target = output or Path(f"{name}.toml")
     check_new(force, target)
-    pose = None if robot in (None, "none") else _pose(robot)
-    found = bitmap_files.read(file, variable, solid)
-    upside_down = found.scanned if flip is None else flip
+    pose = None if robot in (None, "none") else _parse_pose(robot)
+    image = bitmap_files.read(file, variable, solid)
+    upside_down = image.scanned if flip is None else flip
     try:
-        made = bitmap.to_playpen(
-            found.solid[::-1] if upside_down else found.solid,
+        result = bitmap.to_playpen(
+            image.solid[::-1] if upside_down else image.solid,
             name,
             mm_per_pixel=mm_per_pixel,
             height_mm=height_mm,
@@ -230,38 +231,38 @@ def import_bitmap(
     except BitmapError as error:
         raise BitmapError(f"{file}: {error}") from None
     head = f"# Imported from {toml_files.show(file.name)} by khep-twin playpen import.\n\n"
-    write_whole(target, (head + playpens.dump(made.playpen)).encode("utf-8"), force)
-    for line in _summary(found, made, upside_down, mm_per_pixel):
+    write_whole(target, (head + playpens.dump(result.playpen)).encode("utf-8"), force)
+    for line in _summary(image, result, upside_down, mm_per_pixel):
         typer.echo(line)
-    typer.echo(f"robot    {_robot(made.playpen, wanted=robot != 'none')}")
+    typer.echo(f"robot    {_robot_text(result.playpen, is_requested=robot != 'none')}")
     typer.echo(f"playpen  {target}")
 
 
-def _summary(found: "Bitmap", made: "Imported", upside_down: bool, mm_per_pixel: float) -> Iterator[str]:
-    """Yield the lines about what was found in a bitmap, and what was made of it."""
-    rows, columns = found.solid.shape
-    borders, arena = made.borders, made.playpen.arena
-    solid = f"{int(found.solid.sum())} of them solid"
-    yield f"bitmap   {found.what}, {rows} x {columns} pixels of {mm_per_pixel:g} mm, {solid}"
-    first = "bottom" if upside_down else "top"
-    why = " (the toolbox's scan turned the right way up)" if upside_down and found.scanned else ""
-    other = "--no-flip" if upside_down else "--flip"
-    yield f"flip     its first row is the {first}{why}; {other} for the other way"
+def _summary(image: "Bitmap", result: "Imported", upside_down: bool, mm_per_pixel: float) -> Iterator[str]:
+    """Yield lines that describe a bitmap and the playpen made from it."""
+    rows, columns = image.solid.shape
+    borders, arena = result.borders, result.playpen.arena
+    solid = f"{int(image.solid.sum())} of them solid"
+    yield f"bitmap   {image.what}, {rows} x {columns} pixels of {mm_per_pixel:g} mm, {solid}"
+    first_row = "bottom" if upside_down else "top"
+    reason = " (the toolbox's scan turned the right way up)" if upside_down and image.scanned else ""
+    other_option = "--no-flip" if upside_down else "--flip"
+    yield f"flip     its first row is the {first_row}{reason}; {other_option} for the other way"
     sides = {"left": borders.left, "right": borders.right, "bottom": borders.bottom, "top": borders.top}
-    told = ", ".join(f"{pixels * mm_per_pixel:g} mm {side}" for side, pixels in sides.items())
-    yield f"walls    {told}; now {arena.wall_thickness_mm:g} mm thick"
+    wall_widths = ", ".join(f"{pixels * mm_per_pixel:g} mm {side}" for side, pixels in sides.items())
+    yield f"walls    {wall_widths}; now {arena.wall_thickness_mm:g} mm thick"
     yield f"arena    {arena.width_mm:g} x {arena.height_mm:g} mm within the walls"
-    yield f"blocks   {len(made.playpen.blocks)}"
+    yield f"blocks   {len(result.playpen.blocks)}"
 
 
-def _robot(playpen: "Playpen", wanted: bool) -> str:
-    """Return the robot's pose in words."""
+def _robot_text(playpen: "Playpen", is_requested: bool) -> str:
+    """Return the robot's pose as text."""
     for robot in playpen.robots:
         return f"at ({robot.x_mm:g}, {robot.y_mm:g}), heading {robot.heading_deg:g} degrees"
-    return "none: no position is free" if wanted else "none"
+    return "none: no position is free" if is_requested else "none"
 
 
-def _pose(text: str) -> tuple[float, float, float]:
+def _parse_pose(text: str) -> tuple[float, float, float]:
     """Return the numbers of X,Y,HEADING."""
     from khep_twin.errors import BitmapError
 

@@ -1,4 +1,4 @@
-"""`khep-twin ports`: ports of robots and twins."""
+"""`khep-twin ports`: the ports of robots and twins."""
 
 from typing import Annotated
 
@@ -12,36 +12,36 @@ def ports(
     probe: Annotated[
         bool,
         typer.Option(
-            "--probe", help="Ask at each port for a robot, at every speed; ports in use are left alone."
+            "--probe", help="Query each port for a robot at every baud rate, except for ports in use."
         ),
     ] = False,
 ) -> None:
-    """List the ports at which a robot or a twin may be.
+    """List the ports of robots and twins.
 
-    These are what is served on this machine, and serial ports.
+    These are services of khep-twin on this machine, and serial ports.
     """
     from khep_twin.host.discovery import found_ports
 
-    found = found_ports()
-    if not found:
+    known_ports = found_ports()
+    if not known_ports:
         typer.echo(f"no ports; {command('serve')} makes one, khep://default needs none", err=True)
-    width = max((len(port.url) for port in found), default=0)
-    for port in found:
-        typer.echo(f"{port.url:{width}}  {port.what}{_answer(port.url) if probe else ''}")
+    width = max((len(port.url) for port in known_ports), default=0)
+    for port in known_ports:
+        typer.echo(f"{port.url:{width}}  {port.description}{_probe_port(port.url) if probe else ''}")
 
 
-def _answer(url: str) -> str:
-    from khep_twin.host.discovery import who_answers
+def _probe_port(url: str) -> str:
+    from khep_twin.host.discovery import identify_robot
 
     try:
-        answer = who_answers(url)
+        answer = identify_robot(url)
     except PortInUse as error:
         return f": {str(error).removeprefix(f'{url}: ')}"
     except PortError as error:
         return f": {error}"
     if answer is None:
         return ": no answer"
-    speed, versions = answer
+    baud, versions = answer
     if versions.bios.isalpha():
-        return f": Khepera IV, revision {''.join(versions)} at {speed} baud"
-    return f": BIOS {versions.bios}, protocol {versions.protocol} at {speed} baud"
+        return f": Khepera IV, revision {''.join(versions)} at {baud} baud"
+    return f": BIOS {versions.bios}, protocol {versions.protocol} at {baud} baud"

@@ -1,4 +1,4 @@
-"""The command line's part for exports of a log: `khep-twin export` and `khep-twin report`."""
+"""`khep-twin export` and `khep-twin report`: logs as tables, datasets and pages."""
 
 import math
 from itertools import chain
@@ -21,7 +21,7 @@ def export(
     log: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE...", help="A log, FILE.mcap; of a dataset several.", autocompletion=logs
+            metavar="FILE...", help="A log, FILE.mcap; several for a dataset.", autocompletion=logs
         ),
     ],
     output: Annotated[
@@ -34,11 +34,10 @@ def export(
     ] = None,
     channels: Annotated[
         str | None,
-        typer.Option(help="Write only these, such as proximity,speed; without, all but registers."),
+        typer.Option(help="Write only these, such as proximity,speed; by default all but registers."),
     ] = None,
     robot: Annotated[
-        str | None,
-        typer.Option(help="Name of the robot, such as khepera1; without, all."),
+        str | None, typer.Option(help="Name of the robot, such as khepera1; by default all robots.")
     ] = None,
     transcript: Annotated[
         Path | None, typer.Option(help="Write the transcript of the serial line as this CSV file.")
@@ -46,23 +45,23 @@ def export(
     minari: Annotated[
         str | None,
         typer.Option(
-            help="Write a Minari dataset of this id, such as khepera/avoid-v0, for offline learning."
+            help="Write a Minari dataset with this id, such as khepera/avoid-v0, for offline learning."
         ),
     ] = None,
     task: Annotated[
         str | None,
-        typer.Option(help="Task of the dataset, such as ObstacleAvoidance: observations and rewards."),
+        typer.Option(help="Task of the dataset's observations and rewards, such as ObstacleAvoidance."),
     ] = None,
     period: Annotated[
         float | None,
-        typer.Option(help="Control period of the dataset [ms]; without, 50.", show_default=False),
+        typer.Option(help="Control period of the dataset [ms]; by default 50.", show_default=False),
     ] = None,
     force: Force = False,
 ) -> None:
     """Write the data of logs as tables or as a dataset."""
-    for name, given in (("--task", task), ("--period", period)):
-        if minari is None and given is not None:
-            raise LogError(f"{name} {given}: expected it with --minari alone")
+    for name, value in (("--task", task), ("--period", period)):
+        if minari is None and value is not None:
+            raise LogError(f"{name} {value}: expected it with --minari alone")
     if minari is None:
         if len(log) > 1:
             table = f"-o {log[-1]}" if log[-1].suffix != ".mcap" else "one"
@@ -86,30 +85,30 @@ def _export_tables(
 ) -> None:
     """Write tables and the transcript of a log."""
     from khep_twin.lab.report import export as tables
-    from khep_twin.log.reader import read_heads
+    from khep_twin.log.reader import read_first_messages
 
     if output is None and transcript is None:
         raise LogError("nothing to write; expected -o FILE.csv, .parquet or .mat, or --transcript FILE.csv")
     _check_outputs(log, *filter(None, (output, transcript)))
-    kind = "" if output is None else tables.checked_suffix(output)
+    kind = "" if output is None else tables.check_suffix(output)
     if transcript is not None and transcript.suffix.lower() != ".csv":
         raise LogError(f"--transcript {transcript}: expected a name that ends in .csv")
     check_new(force, output, transcript)
-    wanted = None if channels is None else [name.strip() for name in channels.split(",")]
-    recording = read_heads(log)
-    robots = tables.chosen_robots(recording, robot)
-    found, name = tables.chosen_channels(recording, robots, wanted), tables.told(robots)
+    channel_names = None if channels is None else [name.strip() for name in channels.split(",")]
+    recording = read_first_messages(log)
+    robots = tables.choose_robots(recording, robot)
+    selection, name = tables.choose_channels(recording, robots, channel_names), tables.describe_robots(robots)
     if output is not None:
-        if kind != ".mat" and not found:
+        if kind != ".mat" and not selection:
             raise LogError(f"{log}: {name} has no samples; expected --transcript, or -o FILE.mat")
         with whole_file(output, force) as file, progress_bar() as progress:
             if kind == ".mat":
-                data, n_rows = tables.matrices(log, robots, found, progress)
+                data, n_rows = tables.matrices(log, robots, selection, progress)
                 file.write(data)
             else:
-                n_rows = tables.write_table(log, robots, found, kind, file, progress)
-        what = ", ".join(channel.name for channel in found) or "no samples"
-        typer.echo(f"table       {output}: {name}: {what}; {n_rows} rows")
+                n_rows = tables.write_table(log, robots, selection, kind, file, progress)
+        names = ", ".join(channel.name for channel in selection) or "no samples"
+        typer.echo(f"table       {output}: {name}: {names}; {n_rows} rows")
     if transcript is not None:
         with whole_file(transcript, force) as file, progress_bar() as progress:
             n_lines = tables.write_transcript(log, robots, file, progress)
@@ -120,14 +119,14 @@ def _export_dataset(
     logs: list[Path], folder: Path, dataset_id: str, name: str, period: float, robot: str | None, force: bool
 ) -> None:
     """Write a Minari dataset of logs."""
-    from khep_twin.envs.tasks import find
+    from khep_twin.envs.tasks import find_task
     from khep_twin.lab.dataset.episodes import episodes_of
     from khep_twin.lab.dataset.minari_files import check_new_dataset, spaces_of, spec_of, write_dataset
     from khep_twin.log.reader import read_end_ns
 
     if not 0 < period < math.inf:
         raise LogError(f"--period {period:g}: expected a time in ms")
-    task, period_ns = find(name), round(period * 1e6)
+    task, period_ns = find_task(name), round(period * 1e6)
     check_new_dataset(folder, dataset_id, force)
     with progress_bar() as progress:
         n_episodes, n_steps = write_dataset(
@@ -153,30 +152,30 @@ def report(
 ) -> None:
     """Write a page about a run.
 
-    It has path, sensors, wheels and metrics.
+    It shows path, sensors, wheels and metrics.
     """
     kind = output.suffix.lower()
     if kind not in (".html", ".pdf"):
         raise LogError(f"{output}: expected a name that ends in .html or .pdf")
     _check_outputs(log, output)
     check_new(force, output)
-    from khep_twin.lab.report.report import report as report_on
+    from khep_twin.lab.report.report import make_report as report_on
     from khep_twin.log.reader import read_series
     from khep_twin.log.shadow_channels import is_shadow
     from khep_twin.log.shadow_track import read_shadow
 
     recording = read_series(log)
-    found = report_on(recording, str(log), read_shadow(log) if is_shadow(recording.label) else None)
+    run_report = report_on(recording, str(log), read_shadow(log) if is_shadow(recording.label) else None)
     if kind == ".html":
         from khep_twin.lab.report.pages import html as pages
     else:
         from khep_twin.lab.report.pdf import pdf as pages
-    write_drawing(output, pages(found), force)
+    write_drawing(output, pages(run_report), force)
     typer.echo(f"report  {output}")
 
 
 def _check_outputs(log: Path, *outputs: Path) -> None:
-    """Refuse files that could not be written at the end, and the log itself."""
+    """Refuse output files that cannot be written, and the log itself."""
     for path in outputs:
         check_writable(path)
         if is_same(path, log):

@@ -14,13 +14,13 @@ from khep_twin.cli.completion import controllers
 from khep_twin.cli.option_groups import LengthOptions, LogOptions, RobotOptions, SceneOptions, grouped
 from khep_twin.cli.options import (
     Faults,
-    check_apart,
     check_body,
+    check_inputs,
     check_new,
     check_picture,
-    complain,
-    tell_kept,
-    tell_written,
+    notify,
+    print_files,
+    print_kept,
     usage,
 )
 from khep_twin.cli.progress import progress as progress_bar
@@ -33,39 +33,37 @@ if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
 
 NO_LINE = {"line": "none"}
-"""Metadata in the log of an episode, which `khep-twin repeat` cannot repeat."""
+"""Metadata that marks the log of an episode, which `khep-twin repeat` cannot repeat."""
 
 Pose = tuple[float, float, float]
 """x, y [m] and heading [rad]."""
 
-_SPAN_NS = 2_000_000_000
+_PROGRESS_NS = 2_000_000_000
 """Simulated time between two updates of the progress bar [ns]."""
 
 
 @dataclass(frozen=True, slots=True)
 class PhysicsOptions:
-    """Options of the physics, and of the controller's time in it."""
+    """Options of the physics and of the controller's timing."""
 
     period: Annotated[
-        float | None,
-        typer.Option(help="Period of the controller [ms]; without, the network's own, or 20."),
+        float | None, typer.Option(help="Period of the controller [ms]; by default the network's, or 20.")
     ] = None
     step: Annotated[
         float | None,
         typer.Option(
-            help="Step of the physics [ms]: 2.5, or coarser, 5 or 10; without, 2.5, or 10 with --planar."
+            help="Time step of the physics [ms]: 2.5, 5 or 10; by default 2.5, or 10 with --planar."
         ),
     ] = None
     line: Annotated[
         int | None,
         typer.Option(
-            min=1,
-            help="Speed of a serial line whose times the controller keeps [baud]; without, it has none.",
+            min=1, help="Simulate the delays of a serial line at this baud rate; by default there are none."
         ),
     ] = None
-    planar: Annotated[bool, typer.Option("--planar", help="Simulate in a plane, not in MuJoCo.")] = False
+    planar: Annotated[bool, typer.Option("--planar", help="Simulate a 2-D model, not MuJoCo.")] = False
     device: Annotated[
-        str, typer.Option(help="Run on the cpu, or, with --planar, on an NVIDIA card: cuda.")
+        str, typer.Option(help="Run on the cpu, or, with --planar, on an NVIDIA GPU: cuda.")
     ] = "cpu"
 
     def setup(
@@ -76,15 +74,15 @@ class PhysicsOptions:
         from khep_twin.units import SCAN_NS
 
         if self.planar and log is not None:
-            raise usage("--log and --planar: a plane has no scene to replay; expected one of them")
+            raise usage("--log and --planar: the 2-D model has no scene to replay; expected one of them")
         for option, time_ms in (("--period", self.period), ("--step", self.step)):
             if time_ms is not None and not 0 < time_ms <= 1e9:
                 raise usage(f"{option} {time_ms:g}: expected a time in ms, above 0 and at most 1e9")
-        own_ns = driver.period_ns if isinstance(driver, Network) else SCAN_NS
+        default_ns = driver.period_ns if isinstance(driver, Network) else SCAN_NS
         return EpisodeSetup(
             playpen,
             step_ns=None if self.step is None else round(self.step * 1e6),
-            period_ns=own_ns if self.period is None else round(self.period * 1e6),
+            period_ns=default_ns if self.period is None else round(self.period * 1e6),
             planar=self.planar,
             at_line=self.line is not None,
             faults=faults,
@@ -112,147 +110,152 @@ def rollout(
 ) -> None:
     """Run one episode without a serial line and print its metrics.
 
-    With several robots, print those of each.
+    The metrics of several robots are printed side by side.
     """
     from khep_twin.board.fault_injection import parse_fault
     from khep_twin.episodes import Episode, EpisodeOptions, Policy
-    from khep_twin.episodes.device import chosen_device
+    from khep_twin.episodes.device import choose_device
     from khep_twin.lab.experiment.controller_files import find_driver
     from khep_twin.playpen.starts import at_spots
     from khep_twin.ports.twin import Twin, equipped
 
     check_picture(picture)
-    check_apart([scene.playpen], picture, logging.log)
+    check_inputs([scene.playpen], picture, logging.log)
     check_new(logging.force, logging.log, picture)
     options = replace(twin.options(None), faults=tuple(fault or ()))
     playpen = scene.load()
-    found = find_driver(controller)
-    driver, function = (Policy(), found) if callable(found) else (found, None)
+    program = find_driver(controller)
+    driver, function = (Policy(), program) if callable(program) else (program, None)
     playpen, _ = equipped(at_spots(playpen, options.seed), options)
     check_body(options.rom, playpen.robots)
     try:
-        setup = physics.setup(playpen, found, map(parse_fault, options.faults), logging.log)
+        setup = physics.setup(playpen, program, map(parse_fault, options.faults), logging.log)
         periods = length.cycles or setup.periods(60.0 if length.seconds is None else length.seconds)
-        device = chosen_device(physics.device, setup, driver, physics.line, 1)
+        device = choose_device(physics.device, setup, driver, physics.line, 1)
     except ValueError as error:
         raise usage(str(error)) from None
-    own = EpisodeOptions(noise=options.noise, vary=options.vary, line=physics.line)
+    episode_options = EpisodeOptions(noise=options.noise, vary=options.vary, line=physics.line)
     seconds = periods * setup.period_ns / 1e9
+    has_path = picture is not None
     if device == "cuda":
-        on_card = _run_on_card(setup, driver, function, options.seed, own, periods, picture is not None)
-        _print(periods, seconds, *on_card, playpen, picture, logging.force)
+        results = _run_on_gpu(setup, driver, function, options.seed, episode_options, periods, has_path)
+        _print_results(periods, seconds, *results, playpen, picture, logging.force)
         return
     compiled = None if is_compiled() else False
     episode = Episode(setup, driver, compiled=compiled, observed=logging.log is not None)
-    episode.begin(options.seed, own)
+    episode.begin(options.seed, episode_options)
     recorder = None
     with ExitStack() as stack:
         if logging.log is not None:
-            recorded = stack.enter_context(Twin(episode.world, episode.world.robots, options))
-            recorded.record(
+            recorded_twin = stack.enter_context(Twin(episode.world, episode.world.robots, options))
+            recorded_twin.record(
                 logging.log, facts={"controller": controller, **NO_LINE}, on_failure=logging.on_failure
             )
-            recorder = recorded.recorder
-            tell_kept(recorder)
-        times, paths = _run(episode, setup, function, periods, picture is not None)
+            recorder = recorded_twin.recorder
+            print_kept(recorder)
+        times, paths = _run(episode, setup, function, periods, has_path)
     metrics = [episode.metrics(robot) for robot in range(len(episode.boards))]
-    _print(periods, seconds, metrics, times, paths, playpen, picture, logging.force)
+    _print_results(periods, seconds, metrics, times, paths, playpen, picture, logging.force)
     logging.check(recorder)
     if logging.log is not None:
-        tell_written("log", [logging.log])
+        print_files("log", [logging.log])
 
 
 def _run(
-    episode: "Episode", setup: "EpisodeSetup", function: Callable[..., Any] | None, periods: int, drawn: bool
+    episode: "Episode",
+    setup: "EpisodeSetup",
+    function: Callable[..., Any] | None,
+    periods: int,
+    has_path: bool,
 ) -> tuple[list[float], list[list[Pose]]]:
-    """Run an episode; return times [s] and the path of each robot, with each period if it is to be drawn."""
-    # Where the path is not needed in between, many periods pass at once, with the same results.
-    at_once = 1 if drawn else max(_SPAN_NS // setup.period_ns, 1)
+    """Run an episode; return times [s] and each robot's path, with all periods if `has_path`."""
+    # Without a path to draw, one call steps many periods, with the same results.
+    periods_per_call = 1 if has_path else max(_PROGRESS_NS // setup.period_ns, 1)
     times, paths = [0.0], [[pose] for pose in episode.poses]
-    until = periods * setup.steps_per_period
+    end_step = periods * setup.steps_per_period
     if episode.is_at_line:
-        episode.next_reading(until)
+        episode.next_reading(end_step)
     with progress_bar() as show:
-        while episode.steps < until:
+        while episode.steps < end_step:
             if function is not None:
                 for robot in range(len(paths)):
-                    episode.drive(*_speeds(function, *episode.readings(robot)), robot)
-                episode.next_reading(until)
+                    episode.drive(*_call_controller(function, *episode.readings(robot)), robot)
+                episode.next_reading(end_step)
             else:
-                episode.step(min(at_once * setup.steps_per_period, until - episode.steps))
+                episode.step(min(periods_per_call * setup.steps_per_period, end_step - episode.steps))
             times.append(episode.time_ns / 1e9)
             for path, pose in zip(paths, episode.poses, strict=True):
                 path.append(pose)
             if show is not None:
-                show(episode.steps / until)
+                show(episode.steps / end_step)
     return times, paths
 
 
-def _run_on_card(
+def _run_on_gpu(
     setup: "EpisodeSetup",
     driver: "Driver",
     function: Callable[..., Any] | None,
     seed: int,
     options: "EpisodeOptions",
     periods: int,
-    drawn: bool,
+    has_path: bool,
 ) -> tuple[list[dict[str, float]], list[float], list[list[Pose]]]:
-    """Run an episode on a card; return metrics, times [s] and path of the robot, as `_run` does."""
+    """Run an episode on a GPU; return metrics, times [s] and the robot's path, as `_run` does."""
     from khep_twin.episodes import Policy, batch
     from khep_twin.errors import DivergedError
 
     if function is not None:
-        decide = partial(_speeds, function)
+        decide = partial(_call_controller, function)
         driver = Policy(lambda proximity, ambient, _: [decide(proximity[0].tolist(), ambient[0].tolist())])
     period = setup.period_ns / 1e9
-    every = period if drawn else None
+    path_interval_s = period if has_path else None
     results = batch.rollout(
-        setup, driver, [seed], periods * period, options=options, paths_every=every, device="cuda"
+        setup, driver, [seed], periods * period, options=options, paths_every=path_interval_s, device="cuda"
     )
     for failure in results.failures:
         raise DivergedError(failure.reason)
     metrics = {name: float(values[0]) for name, values in results.metrics.items()}
-    times = [period * sample for sample in range(periods + 1)] if drawn else []
+    times = [period * sample for sample in range(periods + 1)] if has_path else []
     return [metrics], times, [[tuple(pose) for pose in results.paths[0].tolist()]]
 
 
 def is_compiled() -> bool:
-    """Return whether episodes run compiled; print a note where they do not."""
+    """Return whether episodes run JIT-compiled; print a note if they do not."""
     from khep_twin.episodes import episode
 
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught_warnings:
         warnings.simplefilter("always")
         compiled = episode.is_compiled(None)
-    for warning in told:
-        complain(str(warning.message))
+    for warning in caught_warnings:
+        notify(str(warning.message))
     return compiled
 
 
-def _print(
+def _print_results(
     periods: int,
     seconds: float,
-    each: list[dict[str, float]],
+    robot_metrics: list[dict[str, float]],
     times: list[float],
     paths: list[list[Pose]],
     playpen: "Playpen",
     picture: Path | None,
-    replace: bool,
+    force: bool,
 ) -> None:
     """Print the metrics of each robot, and draw the paths."""
     from khep_twin.lab.experiment.series_run import metric_lines
 
     typer.echo(f"{periods} cycles in {seconds:.1f} s")
-    if (n_robots := len(each)) > 1:
+    if (n_robots := len(robot_metrics)) > 1:
         typer.echo(f"{'':20}" + "".join(f"{f'khepera{robot}':<12}" for robot in range(n_robots)).rstrip())
-    for line in metric_lines(each):  # homing is undefined without a home
+    for line in metric_lines(robot_metrics):  # homing is undefined without a home
         typer.echo(line)
     if picture is not None:
-        _draw(playpen, times, paths, picture, replace)
+        _draw(playpen, times, paths, picture, force)
         typer.echo(f"picture  {picture}")
 
 
 def _draw(
-    playpen: "Playpen", times: list[float], paths: list[list[Pose]], picture: Path, replace: bool
+    playpen: "Playpen", times: list[float], paths: list[list[Pose]], picture: Path, force: bool
 ) -> None:
     """Draw the robots' paths."""
     import numpy as np
@@ -260,15 +263,15 @@ def _draw(
     from khep_twin.drawing.map import draw, save
     from khep_twin.drawing.paths import DrawnPath
 
-    drawn = [
+    drawn_paths = [
         DrawnPath(f"khepera{robot}", np.array(times), 1000 * np.array(path)[:, :2])
         for robot, path in enumerate(paths)
     ]
-    save(draw(playpen, drawn), picture, replace)
+    save(draw(playpen, drawn_paths), picture, force)
 
 
-def _speeds(function: Callable[..., Any], *readings: list[int]) -> tuple[float, float]:
-    """Return the left and right speed that a user's function makes of the readings [pulses/10 ms]."""
+def _call_controller(function: Callable[..., Any], *readings: list[int]) -> tuple[float, float]:
+    """Return the left and right speed computed by a user's function from readings [pulses/10 ms]."""
     from khep_twin.errors import ControllerError
     from khep_twin.lab.experiment.controllers import call, name_of
 

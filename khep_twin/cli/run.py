@@ -22,14 +22,14 @@ from khep_twin.cli.option_groups import (
 from khep_twin.cli.options import (
     Faults,
     Viewer,
-    asked,
-    check_apart,
+    ask_line,
     check_body,
+    check_inputs,
     check_picture,
-    complain,
-    given,
+    notify,
+    print_files,
     refuse,
-    tell_written,
+    typed_options,
     usage,
 )
 from khep_twin.cli.progress import progress as progress_bar
@@ -38,7 +38,7 @@ from khep_twin.cli.streams import has_no_reader
 from khep_twin.errors import ControllerError, StoppedError
 from khep_twin.files.atomic import resolved
 from khep_twin.invocation import command
-from khep_twin.signals import answered, stopping
+from khep_twin.signals import handle_signals, stopping
 
 if TYPE_CHECKING:
     from khep_twin.lab.experiment.controllers import AnyController
@@ -48,38 +48,38 @@ if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
     from khep_twin.ports.twin import Twin, TwinOptions
 
-_OF_A_TWIN = option_names(RobotOptions, SceneOptions, LiveViewOptions) | {
+_TWIN_OPTIONS = option_names(RobotOptions, SceneOptions, LiveViewOptions) | {
     *("robot", "fault", "log", "ignore_log_errors", "picture", "start", "viewer")
 }
-"""Options of a twin in this process, by the names of their parameters."""
+"""Options of a twin in this process, by their parameters' names."""
 
 
 @dataclass(frozen=True, slots=True)
 class SeriesOptions:
     """Options of a series of runs."""
 
-    runs: Annotated[int, typer.Option(min=1, max=100_000, help="Number of runs, each of that length.")] = 1
+    runs: Annotated[int, typer.Option(min=1, max=100_000, help="Number of runs of this length.")] = 1
     pause: Annotated[float, typer.Option(min=0, help="Pause between two runs [s].")] = 0.0
     confirm: Annotated[
-        bool, typer.Option("--confirm", help="Wait for Enter before each run, to put the robot right.")
+        bool, typer.Option("--confirm", help="Wait for Enter before each run, to place the robot.")
     ] = False
     start: Annotated[
         list[str] | None,
         typer.Option(
-            help="Begin each run anew, on a new twin there: X,Y,HEADING in mm and degrees, "
-            "grid:COLUMNSxROWS[@HEADING], random or playpen; as often as wanted, taken in turn."
+            help="Start each run on a new twin at this pose: X,Y,HEADING in mm and degrees, "
+            "grid:COLUMNSxROWS[@HEADING], random or playpen; repeatable, used in turn."
         ),
     ] = None
     save: Annotated[Path | None, typer.Option(help="Folder for each run's metrics and variables.")] = None
-    resume: Annotated[bool, typer.Option("--resume", help="Resume the series that --save has begun.")] = False
+    resume: Annotated[bool, typer.Option("--resume", help="Resume the series in the --save folder.")] = False
     on_run_end: Annotated[
-        str | None, typer.Option(metavar="FILE.py[:NAME]", help="Call this function with each run that ends.")
+        str | None, typer.Option(metavar="FILE.py[:NAME]", help="Call this function with each finished run.")
     ] = None
 
     def check(self, log: Path | None) -> None:
-        """Refuse a folder that could not be used."""
+        """Refuse an unusable folder."""
         if self.resume and self.save is None:
-            raise usage("--resume goes on with a series that was saved; expected --save FOLDER, too")
+            raise usage("--resume continues a saved series; expected --save FOLDER with it")
         if log is not None and self.save is not None and resolved(log) == resolved(self.save):
             raise usage(f"--save {self.save}: this is the log; expected a separate folder")
 
@@ -91,19 +91,19 @@ class PortOptions:
     port: Annotated[
         str | None,
         typer.Option(
-            help="Port of a robot or a served twin; without, a twin in this process.", autocompletion=ports
+            help="Port of a robot or a served twin; by default a twin in this process.", autocompletion=ports
         ),
     ] = None
     baudrate: Annotated[
-        int, typer.Option(min=0, help="Speed of the line to --port; 0 tries all that the robots have.")
+        int, typer.Option(min=0, help="Baud rate of the line to --port; 0 tries all rates of the robots.")
     ] = 9600
 
     def check(self, context: typer.Context) -> None:
-        """Refuse options of a twin for a robot behind a port, and the other way round."""
+        """Refuse options of a twin for a robot behind a port, and vice versa."""
         if self.port is not None:
-            refuse(context, _OF_A_TWIN, "a twin in this process, not for one behind --port")
-        elif "baudrate" in given(context):
-            raise usage("--baudrate is that of a line to a robot; expected --port, too")
+            refuse(context, _TWIN_OPTIONS, "a twin in this process, not for one behind --port")
+        elif "baudrate" in typed_options(context):
+            raise usage("--baudrate is that of a line to a robot; expected --port with it")
 
 
 @grouped
@@ -126,8 +126,7 @@ def run(
     fault: Faults = None,
     logging: LogOptions,
     picture: Annotated[
-        Path | None,
-        typer.Option(help="Draw playpen and driven path in this PNG, SVG or PDF file; needs --log."),
+        Path | None, typer.Option(help="Draw playpen and path in this PNG, SVG or PDF file; needs --log.")
     ] = None,
     live_view: LiveViewOptions,
     viewer: Viewer = False,
@@ -142,46 +141,49 @@ def run(
     from khep_twin.lab.experiment.series_files import SeriesFolder
     from khep_twin.toolbox.form import as_toolbox_form
 
-    typed, port = given(context), line.port
+    typed_names, port = typed_options(context), line.port
     line.check(context)
     _check(scene.playpen, logging.log, picture)
     series.check(logging.log)
     options = replace(twin.options(robot), faults=tuple(fault or ()))
-    found = find_controller(controller, as_toolbox_form)
-    user_function = None if series.on_run_end is None else find_on_run_end(series.on_run_end, found)
-    plan, own = _plan(length, series, in_cycles=isinstance(found, LoopingController)), None
-    if isinstance(found, LoopingController):
-        options = replace(options, unpaced=found.unpaced)
-        found.port_id = int(port) if port in {*map(str, PORT_IDS)} else None
-        own = None if "playpen" in typed else found.playpen
-    source = source_of(found)
+    program = find_controller(controller, as_toolbox_form)
+    user_function = None if series.on_run_end is None else find_on_run_end(series.on_run_end, program)
+    plan = _plan(length, series, in_cycles=isinstance(program, LoopingController))
+    controller_playpen = None
+    if isinstance(program, LoopingController):
+        options = replace(options, unpaced=program.unpaced)
+        program.port_id = int(port) if port in {*map(str, PORT_IDS)} else None
+        controller_playpen = None if "playpen" in typed_names else program.playpen
+    source = source_of(program)
     logs = RunLogs(logging, picture, source)
     logs.check_new(plan.runs if series.start else None, logging.force, series.resume)
     with ExitStack() as stack:
-        # The robot is released, and its log completed, before what remains is cleared up.
-        stack.enter_context(answered())
+        # Release the robot and complete its log before the remaining cleanup.
+        stack.enter_context(handle_signals())
         if port is not None:
             khepera = Khepera(port, baudrate=line.baudrate or "auto")
             robot_source: RobotSource = OneRobot(stack.enter_context(khepera))
             settings: dict[str, Any] = {"port": port}
         else:
-            place = scene.load(own)
-            watch = live_view.watching(stack, place.name, viewer=viewer, real_time=True)
+            playpen = scene.load(controller_playpen)
+            watch = live_view.open_viewers(stack, playpen.name, viewer=viewer, real_time=True)
 
-            def begin(twin: "Twin", number: int | None) -> None:
+            def on_start(twin: "Twin", number: int | None) -> None:
                 logs.record(twin, number)
                 watch(twin)
 
-            robot_source, settings = _twins(stack, place, options, series.start or [], plan.runs, begin)
+            robot_source, settings = _open_twins(
+                stack, playpen, options, series.start or [], plan.runs, on_start
+            )
         settings |= {"cycles": plan.cycles, "seconds": plan.seconds, "pause": plan.pause, **source.identity}
         folder = None if series.save is None else SeriesFolder(series.save, settings, resume=series.resume)
-        stopped = _run_series(found, robot_source, plan, folder, logs, series.confirm, user_function)
+        is_stopped = _run_series(program, robot_source, plan, folder, logs, series.confirm, user_function)
     logs.finish()
-    _tell_end(folder, plan, stopped=stopped)
+    _print_end(folder, plan, is_stopped=is_stopped)
 
 
 def _plan(length: LengthOptions, series: SeriesOptions, *, in_cycles: bool) -> "Plan":
-    """Return the plan of the runs, by default of 60 s, or of 500 cycles as the toolbox's windows."""
+    """Return the plan of the runs, by default of 60 s, or of 500 cycles as in the toolbox."""
     from khep_twin.lab.experiment.series_run import Plan
 
     seconds, cycles = length.seconds, length.cycles
@@ -190,21 +192,21 @@ def _plan(length: LengthOptions, series: SeriesOptions, *, in_cycles: bool) -> "
     return Plan(series.runs, cycles, seconds, series.pause)
 
 
-def _tell_end(folder: "SeriesFolder | None", plan: "Plan", *, stopped: bool) -> None:
+def _print_end(folder: "SeriesFolder | None", plan: "Plan", *, is_stopped: bool) -> None:
     if folder is not None:
-        tell_written("series", [folder.path], command("series", folder.path))
-    if stopped:
-        rest = f"; {len(folder.rows)} of {plan.runs} runs are kept, go on with --resume" if folder else ""
-        complain(f"stopped before its end{rest}")
+        print_files("series", [folder.path], command("series", folder.path))
+    if is_stopped:
+        saved = f"; {len(folder.rows)} of {plan.runs} runs are saved; resume with --resume" if folder else ""
+        notify(f"stopped before its end{saved}")
         raise typer.Exit(130)
 
 
 def _check(playpen: str, log: Path | None, picture: Path | None) -> None:
-    """Refuse a picture without a log, and files that could not be written at the end."""
+    """Refuse a picture without a log, and output files that cannot be written."""
     if picture is not None and log is None:
-        raise usage("--picture draws the path from the log; expected --log FILE.mcap, too")
+        raise usage("--picture draws the path from the log; expected --log FILE.mcap with it")
     check_picture(picture, log)
-    check_apart([playpen], picture)
+    check_inputs([playpen], picture)
 
 
 def _run_series(
@@ -216,45 +218,46 @@ def _run_series(
     confirm: bool,
     user_function: Callable[..., Any] | None,
 ) -> bool:
-    """Run the series, and print and keep each run; return whether it was stopped before its end."""
+    """Run the series, print and save each run; return whether it was stopped before its end."""
     from khep_twin.lab.experiment.controller_files import call_on_run_end
     from khep_twin.lab.experiment.series import run_series
 
-    first, last = 1 if folder is None else robot_source.first(len(folder.rows), controller), 0
+    first = 1 if folder is None else robot_source.first_run(len(folder.rows), controller)
+    last = 0
     awaited = "stopping the motors, waiting for the end of this cycle"
-    with stopping(awaited, robot_source.hold) as interrupted, progress_bar() as show:
+    with stopping(awaited, robot_source.hold) as is_interrupted, progress_bar() as show:
 
         def stop() -> bool:
-            # A controller that catches every error catches the log's, too.
-            return interrupted() or logs.failed()
+            # A controller that catches every error also catches the log's.
+            return is_interrupted() or logs.has_failed()
 
-        before = partial(_confirm, stop=stop) if confirm else None
+        wait = partial(_confirm, stop=stop) if confirm else None
         with closing(
-            run_series(controller, robot_source, plan, first=first, before=before, progress=show, stop=stop)
+            run_series(controller, robot_source, plan, first=first, before_run=wait, progress=show, stop=stop)
         ) as series:
             try:
-                for each in series:
-                    last = each.number
-                    is_new = folder is None or folder.keep(each)
-                    typer.echo(each.text(plan.runs) + ("" if is_new else "  as before"))
+                for run_result in series:
+                    last = run_result.number
+                    is_new = folder is None or folder.save(run_result)
+                    typer.echo(run_result.text(plan.runs) + ("" if is_new else "  as before"))
                     if user_function is not None and is_new:
-                        call_on_run_end(user_function, each)
+                        call_on_run_end(user_function, run_result)
                     if has_no_reader():
                         break
-                return interrupted() and last < plan.runs
+                return is_interrupted() and last < plan.runs
             except (KeyboardInterrupt, StoppedError):
-                return True  # amid a cycle
+                return True  # within a cycle
 
 
-def _twins(
+def _open_twins(
     stack: ExitStack,
-    scene: "Playpen",
+    playpen: "Playpen",
     options: "TwinOptions",
-    wanted_starts: Sequence[str],
+    start_specs: Sequence[str],
     runs: int,
-    begin: "Callable[[Twin, int | None], None]",
+    on_start: "Callable[[Twin, int | None], None]",
 ) -> "tuple[RobotSource, dict[str, Any]]":
-    """Return twins in this process, and their facts: one for all runs, or with starts new ones."""
+    """Return twins in this process and their settings: one for all runs, or one per run with starts."""
     from khep_twin.host import Khepera
     from khep_twin.lab.experiment.series import FreshTwins, OneRobot
     from khep_twin.lab.experiment.start_poses import starts
@@ -263,19 +266,19 @@ def _twins(
     from khep_twin.ports.protocol_khep import Serial
     from khep_twin.ports.twin import equipped, open_twin
 
-    scene, on_the_line = equipped(scene, options)
-    check_body(options.rom, (scene.robots[index] for index in on_the_line))
-    of_each = {key: value for key, value in asdict(options).items() if key != "log"}
-    settings: dict[str, Any] = {**of_each, "playpen": dump(scene), "starts": wanted_starts, **versions()}
-    if wanted_starts:
-        places = starts(wanted_starts, scene, options.robot or 0, runs, options.seed)
-        return FreshTwins(scene, options, places, begin), settings
-    khepera = Khepera(Serial.of(open_twin(scene, options), timeout=1.0))
-    return OneRobot(stack.enter_context(khepera), lambda twin: begin(twin, None)), settings
+    playpen, robot_indices = equipped(playpen, options)
+    check_body(options.rom, (playpen.robots[index] for index in robot_indices))
+    values = {key: value for key, value in asdict(options).items() if key != "log"}
+    settings: dict[str, Any] = {**values, "playpen": dump(playpen), "starts": start_specs, **versions()}
+    if start_specs:
+        start_poses = starts(start_specs, playpen, options.robot or 0, runs, options.seed)
+        return FreshTwins(playpen, options, start_poses, on_start), settings
+    khepera = Khepera(Serial.of(open_twin(playpen, options), timeout=1.0))
+    return OneRobot(stack.enter_context(khepera), lambda twin: on_start(twin, None)), settings
 
 
 def _confirm(number: int, stop: Callable[[], bool]) -> None:
     """Wait for the user to press Enter, or for the end of the series."""
-    entered = asked(f"run {number}: put the robot right, then press Enter ", stop, err=True)
+    entered = ask_line(f"run {number}: place the robot, then press Enter ", stop, err=True)
     if entered is not None and not entered.endswith(b"\n"):
         raise ControllerError(f"--confirm: the input ended before run {number}; expected a terminal")

@@ -1,4 +1,4 @@
-"""The command line's part for sensor tests: `khep-twin sense`."""
+"""`khep-twin sense`: sensor tests during straight drives and turns."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -12,9 +12,9 @@ import typer
 
 from khep_twin.cli.completion import ports
 from khep_twin.cli.option_groups import grouped
-from khep_twin.cli.options import Force, check_new, check_picture, check_writable, complain
-from khep_twin.cli.progress import of_part
+from khep_twin.cli.options import Force, check_new, check_picture, check_writable, notify
 from khep_twin.cli.progress import progress as progress_bar
+from khep_twin.cli.progress import subrange
 from khep_twin.errors import KhepTwinError, SensorTestError
 from khep_twin.files.atomic import resolved
 from khep_twin.signals import stopping
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Sensors(StrEnum):
-    """Kind of sensors that are read."""
+    """Kind of sensors to read."""
 
     PROXIMITY = "proximity"
     LIGHT = "light"
@@ -33,35 +33,35 @@ class Sensors(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class DriveOptions:
-    """Options of the tests that are driven."""
+    """Options of the driven tests."""
 
     linear: Annotated[
         float | None,
-        typer.Option(metavar="CM", help="Drive straight on, 5 to 60 cm, or backwards, -5 to -60."),
+        typer.Option(metavar="CM", help="Drive straight, 5 to 60 cm forwards, or -5 to -60 cm backwards."),
     ] = None
     rotate: Annotated[
         float | None,
-        typer.Option(metavar="DEG", help="Turn on the spot, 15 to 360 degrees; below 0 clockwise."),
+        typer.Option(metavar="DEG", help="Turn on the spot, 15 to 360 degrees, or clockwise, -15 to -360."),
     ] = None
     speed: Annotated[
-        int | None, typer.Option(help="Highest speed, 1 to 127 pulses/10 ms of 8 mm/s each; 20 by default.")
+        int | None, typer.Option(help="Highest speed, 1 to 127 pulses/10 ms of 8 mm/s each; by default 20.")
     ] = None
     acceleration: Annotated[
-        int | None, typer.Option(help="Acceleration, 1 to 255 times 3.125 mm/s^2; 64 by default.")
+        int | None, typer.Option(help="Acceleration, 1 to 255 times 3.125 mm/s^2; by default 64.")
     ] = None
     return_to_zero: Annotated[
-        bool, typer.Option("--return", help="Wait 5 s at the end and drive back. Between runs always.")
+        bool, typer.Option("--return", help="Wait 5 s at the end and drive back; always between runs.")
     ] = False
     runs: Annotated[
         int | None, typer.Option(help="Number of runs, 1 to 100; files are numbered -1, -2, ...")
     ] = None
-    text: Annotated[str | None, typer.Option(help="Description to keep with the data.")] = None
+    text: Annotated[str | None, typer.Option(help="Description to store with the data.")] = None
     output: Annotated[
         list[Path] | None,
-        typer.Option("--output", "-o", help="File to write, .csv, .mat or .mcap; as many as wanted."),
+        typer.Option("--output", "-o", help="File to write, .csv, .mat or .mcap; repeatable."),
     ] = None
 
-    def tests(self, what: Sensors | None) -> "list[SensorTest]":
+    def tests(self, sensors: Sensors | None) -> "list[SensorTest]":
         """Return the tests to drive, in order."""
         from khep_twin.lab.sensor_test.sensor_test import DEFAULT_ACCELERATION, DEFAULT_SPEED, SensorTest
 
@@ -70,13 +70,13 @@ class DriveOptions:
             raise SensorTestError(f"runs = {count}; expected an integer from 1 to 100")
         test = partial(
             SensorTest,
-            "proximity" if what is None else what.value,
+            "proximity" if sensors is None else sensors.value,
             self.linear,
             self.rotate,
             DEFAULT_SPEED if self.speed is None else self.speed,
             DEFAULT_ACCELERATION if self.acceleration is None else self.acceleration,
         )
-        # Each run begins where the one before began.
+        # Each run starts where the previous one started.
         return [test(True)] * (count - 1) + [test(self.return_to_zero)]
 
 
@@ -86,12 +86,12 @@ class PictureOptions:
 
     picture: Annotated[Path | None, typer.Option(help="Draw the sensors as PNG, SVG or PDF.")] = None
     sensor: Annotated[str | None, typer.Option(help='Draw only this sensor, such as "left 10".')] = None
-    y_min: Annotated[int | None, typer.Option(help="Lower end of the picture's axis of counts.")] = None
+    y_min: Annotated[int | None, typer.Option(help="Lower limit of the picture's axis of counts.")] = None
     grid: Annotated[bool, typer.Option("--grid", help="Draw a grid.")] = False
-    overlay: Annotated[list[Path] | None, typer.Option(help="Earlier run to draw, too; repeatable.")] = None
+    overlay: Annotated[list[Path] | None, typer.Option(help="Also draw this earlier run; repeatable.")] = None
 
     def check(self, earlier: "list[SensorRun]", tests: "list[SensorTest]") -> None:
-        """Refuse a picture that could not be drawn in the end, before the robot moves."""
+        """Refuse a picture that could not be drawn at the end, before the robot moves."""
         if self.picture is None:
             return
         import numpy as np
@@ -107,7 +107,7 @@ class PictureOptions:
         sensor_figure.check([*earlier, *expected], sensor=self.sensor, y_min=self.y_min or 0)
 
     def draw(self, runs: "list[SensorRun]", force: bool) -> None:
-        """Draw runs, where a picture is wanted."""
+        """Draw runs, if a picture is requested."""
         if self.picture is None or not runs:
             return
         from khep_twin.drawing import map as drawing
@@ -123,123 +123,123 @@ def sense(
     port: Annotated[
         str | None,
         typer.Argument(
-            help="Port of a robot or a twin, such as /dev/ttyUSB0 or khep://default; without, earlier runs "
-            "are drawn.",
+            help="Port of a robot or a twin, such as /dev/ttyUSB0 or khep://default; without it, earlier "
+            "runs are drawn.",
             autocompletion=ports,
         ),
     ] = None,
-    what: Annotated[
-        Sensors | None, typer.Option(help="Quantity to read: proximity (default), light or vision.")
+    sensors: Annotated[
+        Sensors | None, typer.Option("--what", help="Quantity to read: proximity (default), light or vision.")
     ] = None,
     *,
     drive: DriveOptions,
-    drawn: PictureOptions,
+    plot: PictureOptions,
     force: Force = False,
 ) -> None:
     """Read a robot's sensors while it drives straight or turns.
 
-    The readings become files and a picture.
+    The readings are written to files and drawn in a picture.
     """
     from khep_twin.lab.sensor_test import sensor_files
     from khep_twin.lab.sensor_test.sensor_test import BrokenOffError
 
-    _check_options(port, drive, drawn)
-    tests = [] if port is None else drive.tests(what)
-    names = [_numbered(drive.output or [], number, len(tests)) for number in range(1, len(tests) + 1)]
-    outputs, pictures = [*chain.from_iterable(names)], [*filter(None, [drawn.picture])]
+    _check_options(port, drive, plot)
+    tests = [] if port is None else drive.tests(sensors)
+    names = [_numbered_paths(drive.output or [], number, len(tests)) for number in range(1, len(tests) + 1)]
+    outputs, pictures = [*chain.from_iterable(names)], [*filter(None, [plot.picture])]
     check_writable(*outputs, *pictures)
     for path in outputs:
-        sensor_files.checked_suffix(path)
-    _check_distinct([*outputs, *pictures, *(drawn.overlay or [])])
+        sensor_files.check_suffix(path)
+    _check_distinct([*outputs, *pictures, *(plot.overlay or [])])
     check_new(force, *outputs, *pictures)
-    earlier = [sensor_files.load(path, what.value if what else None) for path in drawn.overlay or []]
-    for path, run in zip(drawn.overlay or [], earlier, strict=True):
-        if what is not None and run.test.what != what.value:
-            raise SensorTestError(f"{path}: a run of {run.test.what}; expected {what.value}, as of --what")
-    drawn.check(earlier, tests)
+    earlier = [sensor_files.load(path, sensors.value if sensors else None) for path in plot.overlay or []]
+    for path, run in zip(plot.overlay or [], earlier, strict=True):
+        if sensors is not None and run.test.what != sensors.value:
+            raise SensorTestError(f"{path}: a run of {run.test.what}; expected {sensors.value}, as in --what")
+    plot.check(earlier, tests)
 
-    done: list[SensorRun] = []
-    broken: BrokenOffError | None = None
-    stopped = False
+    runs: list[SensorRun] = []
+    failure: BrokenOffError | None = None
+    is_stopped = False
     if port is not None:
         try:
-            stopped = _drive(port, tests, drive.text or "", lambda run: _keep(done, run, names, force))
+            is_stopped = _drive(port, tests, drive.text or "", lambda run: _save_run(runs, run, names, force))
         except BrokenOffError as error:
-            _keep(done, error.run, names, force)
-            broken = error
-    drawn.draw([*earlier, *done], force)
-    if broken is not None:
-        raise broken
-    if stopped:
-        complain("stopped before its end")
+            _save_run(runs, error.run, names, force)
+            failure = error
+    plot.draw([*earlier, *runs], force)
+    if failure is not None:
+        raise failure
+    if is_stopped:
+        notify("stopped before its end")
         raise typer.Exit(130)
 
 
-def _check_options(port: str | None, drive: DriveOptions, drawn: PictureOptions) -> None:
+def _check_options(port: str | None, drive: DriveOptions, plot: PictureOptions) -> None:
     """Refuse options without effect, and a command without a task."""
-    if drawn.picture is None and (option := _first(drawn)):
-        raise SensorTestError(f"{option} is for the picture; expected --picture FILE.png, too")
+    if plot.picture is None and (option := _first_option(plot)):
+        raise SensorTestError(f"{option} is for the picture; expected --picture FILE.png with it")
     if port is None:
-        if option := _first(drive):
+        if option := _first_option(drive):
             raise SensorTestError(f"{option} is for a robot; expected its PORT, such as khep://default")
-        if not drawn.overlay:
-            wanted = "expected a PORT such as khep://default, or --overlay FILE --picture FILE"
-            raise SensorTestError(f"there is nothing to do; {wanted}")
+        if not plot.overlay:
+            expected = "expected a PORT such as khep://default, or --overlay FILE --picture FILE"
+            raise SensorTestError(f"there is nothing to do; {expected}")
     elif (drive.linear is None) == (drive.rotate is None):
         count = "none" if drive.linear is None else "both"
-        wanted = "expected one, --linear CM or --rotate DEG"
-        raise SensorTestError(f"--linear and --rotate: {count} is given; {wanted}")
+        expected = "expected one, --linear CM or --rotate DEG"
+        raise SensorTestError(f"--linear and --rotate: {count} is given; {expected}")
 
 
-def _first(options: DriveOptions | PictureOptions) -> str:
-    """Return the first option that is given; empty without."""
-    given = (field.name for field in fields(options) if getattr(options, field.name) not in (None, False, []))
-    name = next(given, "").removesuffix("_to_zero").replace("_", "-")
+def _first_option(options: DriveOptions | PictureOptions) -> str:
+    """Return the first option that is set; empty if none is."""
+    names = (field.name for field in fields(options) if getattr(options, field.name) not in (None, False, []))
+    name = next(names, "").removesuffix("_to_zero").replace("_", "-")
     return name and f"--{name}"
 
 
-def _numbered(paths: list[Path], number: int, count: int) -> list[Path]:
-    """Return the names of one run's files: with its number before the suffix, if there are several."""
+def _numbered_paths(paths: list[Path], number: int, count: int) -> list[Path]:
+    """Return the paths of one run's files, numbered before the suffix if there are several runs."""
     return [path.with_stem(f"{path.stem}-{number}") if count > 1 and path.name else path for path in paths]
 
 
 def _check_distinct(paths: list[Path]) -> None:
-    places = [resolved(path) for path in paths]
+    real_paths = [resolved(path) for path in paths]
     for number, path in enumerate(paths):
-        if places[number] in places[:number]:
+        if real_paths[number] in real_paths[:number]:
             raise SensorTestError(f"{path}: is given twice; expected a name for each file")
 
 
-def _drive(port: str, tests: "list[SensorTest]", text: str, keep: "Callable[[SensorRun], None]") -> bool:
-    """Drive the tests and pass on the data of each; return whether it was asked to end early."""
+def _drive(port: str, tests: "list[SensorTest]", text: str, save_run: "Callable[[SensorRun], None]") -> bool:
+    """Drive the tests and save each run; return whether the user stopped them."""
     from khep_twin.host import Khepera
     from khep_twin.lab.sensor_test.sensor_test import sense as drive
 
     with stopping() as stop, Khepera(port) as robot, progress_bar() as show:
         for number, test in enumerate(tests):
-            shown = of_part(show, number, len(tests))
-            keep(drive(robot, test, text=text, progress=shown, stop=stop))
+            show_part = subrange(show, number, len(tests))
+            save_run(drive(robot, test, text=text, progress=show_part, stop=stop))
             if stop():
                 return True
     return False
 
 
-def _keep(done: "list[SensorRun]", run: "SensorRun", names: list[list[Path]], force: bool) -> None:
+def _save_run(runs: "list[SensorRun]", run: "SensorRun", names: list[list[Path]], force: bool) -> None:
     """Write a run's files, and print a summary of its readings."""
     from khep_twin.lab.sensor_test.sensor_files import save
 
     if not len(run.dv):
         return
-    done.append(run)
-    # First the files, then the text about them; a file that fails does not prevent the others.
-    paths, failures = names[len(done) - 1], list[str]()
+    runs.append(run)
+    # Write the files before printing; a file that fails does not prevent the others.
+    paths, failures = names[len(runs) - 1], list[str]()
     for path in paths:
         try:
             save(path, run, force)
         except KhepTwinError as error:
             failures.append(str(error))
-    way = f"{run.travelled[-1]:.1f} {run.test.unit}"
-    typer.echo(f"run {len(done)}: {len(run.dv)} rows over {way} in {run.times[-1]:.1f} s")
+    distance = f"{run.travelled[-1]:.1f} {run.test.unit}"
+    typer.echo(f"run {len(runs)}: {len(run.dv)} rows over {distance} in {run.times[-1]:.1f} s")
     if run.test.what == "vision":
         typer.echo(f"  line image  {run.dv[:, 2:].min():4} to {run.dv[:, 2:].max():4} greys")
     else:

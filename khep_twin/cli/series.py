@@ -1,4 +1,4 @@
-"""`khep-twin series`: metrics and pictures of saved series of runs; and `khep-twin new`: a template."""
+"""`khep-twin series`: metrics and pictures of saved series; `khep-twin new`: controller templates."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -24,35 +24,36 @@ def series(
     ],
     columns: Annotated[
         str | None,
-        typer.Option(help="Show only these, such as fitness,distance_m; without, all that are numbers."),
+        typer.Option(help="Show only these, such as fitness,distance_m; by default all numeric columns."),
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw them in this PNG, SVG or PDF file.")] = None,
     force: Force = False,
 ) -> None:
-    """Print the metrics of series of runs, and how they differ.
+    """Print the metrics of series of runs, and their differences.
 
-    Each metric has its mean, confidence and spread.
+    Each metric is printed with its mean, confidence interval and spread.
     """
     from khep_twin.lab.experiment.series_files import read_series
-    from khep_twin.lab.experiment.series_statistics import measured, table
+    from khep_twin.lab.experiment.series_statistics import measured_columns, table
 
     check_picture(picture)
     check_new(force, picture)
-    found = [read_series(folder)[1] for folder in folders]
-    for folder, rows in zip(folders, found, strict=True):
+    series_rows = [read_series(folder)[1] for folder in folders]
+    for folder, rows in zip(folders, series_rows, strict=True):
         if not rows:
             raise ControllerError(f"{folder}: holds no run yet")
-    wanted = None if columns is None else [name.strip() for name in columns.split(",")]
-    names = measured(found, wanted)
+    column_names = None if columns is None else [name.strip() for name in columns.split(",")]
+    names = measured_columns(series_rows, column_names)
     labels = [folder.name or str(folder) for folder in folders]
     if len({*labels}) < len(labels):
         labels = [str(folder) for folder in folders]
-    typer.echo(table(labels, found, names))
+    typer.echo(table(labels, series_rows, names))
     if picture is not None:
         from khep_twin.drawing.map import save
-        from khep_twin.lab.experiment.figures import draw, shown
+        from khep_twin.lab.experiment.figures import default_columns, draw
 
-        save(draw(labels, found, shown(names) if wanted is None else names), picture, force)
+        drawn_names = default_columns(names) if column_names is None else names
+        save(draw(labels, series_rows, drawn_names), picture, force)
         typer.echo(f"picture  {picture}")
 
 
@@ -61,7 +62,7 @@ def new(
     file: Annotated[Path, typer.Argument(metavar="FILE.py", help="File to write.")],
     force: Force = False,
 ) -> None:
-    """Write a commented template to begin with."""
+    """Write a commented controller template."""
     from khep_twin.lab.experiment.controllers import write_template
 
     if file.suffix != ".py":

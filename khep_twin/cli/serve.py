@@ -1,4 +1,4 @@
-"""`khep-twin serve`: a twin, or a robot, behind pseudo-terminals or on the network."""
+"""`khep-twin serve`: a twin, or a relayed robot, on pseudo-terminals or network ports."""
 
 import math
 from collections.abc import Callable
@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.completion import ports
-from khep_twin.cli.endpoints import EndpointOptions, line_baud, relay_robot, tell_end
+from khep_twin.cli.endpoints import EndpointOptions, line_baud, print_end, relay_robot
 from khep_twin.cli.option_groups import LiveViewOptions, LogOptions, RobotOptions, grouped, option_names
 from khep_twin.cli.options import (
     Faults,
     Viewer,
     check_body,
     check_new,
-    complain,
-    given,
+    notify,
+    print_kept,
     running_mode,
-    tell_kept,
+    typed_options,
     usage,
 )
 from khep_twin.cli.playpen import PlaypenName
@@ -41,15 +41,15 @@ class Clock(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TimingOptions:
-    """Time of a served twin, and that of bytes on its line."""
+    """Timing of a served twin and of the bytes on its line."""
 
     clock: Annotated[
-        Clock, typer.Option(help="real: the wall clock; wire: only bytes on the line take time.")
+        Clock, typer.Option(help="real: the wall clock; wire: time advances only with bytes on the line.")
     ] = Clock.REAL
     speed: Annotated[str, typer.Option(help="Simulated seconds per real second: a number, or max.")] = "1"
-    unpaced: Annotated[bool, typer.Option("--unpaced", help="Let bytes cross the line in no time.")] = False
+    unpaced: Annotated[bool, typer.Option("--unpaced", help="Transmit bytes without delay.")] = False
     strict_line: Annotated[
-        bool, typer.Option("--strict-line", help="Garble the bytes of a host at another speed.")
+        bool, typer.Option("--strict-line", help="Garble the bytes of a host at another baud rate.")
     ] = False
 
     def factor(self) -> float:
@@ -71,14 +71,14 @@ class TimingOptions:
         return speed
 
 
-_OF_A_TWIN = option_names(RobotOptions, TimingOptions, LiveViewOptions) - {"mode"} | {
+_TWIN_OPTIONS = option_names(RobotOptions, TimingOptions, LiveViewOptions) - {"mode"} | {
     *("playpen", "robot", "fault", "viewer", "from_log")
 }
-"""Options of a twin that mean nothing to a robot, by the names of their parameters."""
+"""Options of a twin that do not apply to a robot, by their parameters' names."""
 
 
-_OF_THE_LOG = (option_names(RobotOptions) | {"playpen", "unpaced", "strict_line", "relay"}) - {"seed"}
-"""Options of a twin that is resumed from a log which are the log's."""
+_LOGGED_OPTIONS = (option_names(RobotOptions) | {"playpen", "unpaced", "strict_line", "relay"}) - {"seed"}
+"""Options that a resumed twin takes from its log."""
 
 
 @grouped
@@ -91,8 +91,7 @@ def serve(
     relay: Annotated[
         str | None,
         typer.Option(
-            help="Serve the robot at this port instead of a twin: all is passed on, and logged.",
-            autocompletion=ports,
+            help="Relay the robot at this port instead of a twin, and log its line.", autocompletion=ports
         ),
     ] = None,
     from_log: Annotated[
@@ -100,7 +99,7 @@ def serve(
         typer.Option(
             "--from",
             metavar="FILE.mcap[@SECONDS]",
-            help="Take up the run of this log at a moment, or at its end, instead of a playpen.",
+            help="Resume the run of this log at a time, or at its end, instead of a playpen.",
         ),
     ] = None,
     robot: Annotated[int | None, typer.Option(help="Serve only this robot, counted from 0.")] = None,
@@ -112,33 +111,33 @@ def serve(
 ) -> None:
     """Serve a twin, or with --relay a robot, until stopped.
 
-    Its lines are pseudo-terminals, or ports of the network.
+    Its serial lines are pseudo-terminals or network ports.
 
-    Standard output has one line for each robot: the path or URL that its host opens.
+    Standard output has one line per robot: the path or URL for its host to open.
     """
-    from khep_twin.host.opening import numbered
+    from khep_twin.host.opening import resolve_port
 
     check_new(logging.force, logging.log)
     endpoint.check()
     if relay is not None:
-        if ignored := given(context) & _OF_A_TWIN:
+        if ignored := typed_options(context) & _TWIN_OPTIONS:
             option = "PLAYPEN" if "playpen" in ignored else f"--{min(ignored).replace('_', '-')}"
             option = option.removesuffix("-log") if option == "--from-log" else option
             raise usage(f"{option} is for a twin, not for a robot at --relay")
         with stopping() as stop:
-            relay_robot(numbered(relay), line_baud(running_mode(twin.mode)), endpoint, logging, stop=stop)
+            relay_robot(resolve_port(relay), line_baud(running_mode(twin.mode)), endpoint, logging, stop=stop)
         return
     if timing.strict_line and endpoint.tcp is not None:
-        raise usage("--strict-line: hosts at --tcp have no speed; expected a terminal or --rfc2217")
+        raise usage("--strict-line: hosts at --tcp have no baud rate; expected a terminal or --rfc2217")
     factor, faults = timing.factor(), tuple(fault or ())
     if from_log is not None:
-        if ignored := given(context) & _OF_THE_LOG:
+        if ignored := typed_options(context) & _LOGGED_OPTIONS:
             option = "PLAYPEN" if "playpen" in ignored else f"--{min(ignored).replace('_', '-')}"
-            raise usage(f"{option} is the log's own; --from goes with --seed, --fault and --robot")
-        path, at_ns = _moment(from_log)
-        seed = twin.seed if "seed" in given(context) else None
-        opening = partial(_open_log, path, at_ns, seed, faults, robot, logging)
-        _serve_twin(opening, from_log, factor, endpoint, logging, live_view, viewer)
+            raise usage(f"{option} is that of the log; expected only --seed, --fault and --robot with --from")
+        path, start_ns = _parse_log_time(from_log)
+        seed = twin.seed if "seed" in typed_options(context) else None
+        open_resumed = partial(_open_log, path, start_ns, seed, faults, robot, logging)
+        _serve_twin(open_resumed, from_log, factor, endpoint, logging, live_view, viewer)
         return
     options = replace(
         twin.options(robot), unpaced=timing.unpaced, strict_line=timing.strict_line, faults=faults
@@ -149,7 +148,7 @@ def serve(
 
 
 def _open(playpen: str, options: "TwinOptions", logging: LogOptions) -> "Twin":
-    """Open the twin of a playpen, and begin its log."""
+    """Open the twin of a playpen, and start its log."""
     from khep_twin.board.rom import SELF_TEST_MODE
     from khep_twin.ports.twin import open_twin
 
@@ -157,7 +156,7 @@ def _open(playpen: str, options: "TwinOptions", logging: LogOptions) -> "Twin":
     robots = [twin.world.playpen.robots[robot.index] for robot in twin.robots]
     check_body(options.rom, robots)
     if any(robot.mode == SELF_TEST_MODE for robot in robots):
-        complain("mode 7: the self-test has run at power-up; hosts that send restart get its report")
+        notify("mode 7: the self-test has run at power-up; hosts that send restart get its report")
     if logging.log is not None:
         twin.record(logging.log, on_failure=logging.on_failure)
     return twin
@@ -165,36 +164,36 @@ def _open(playpen: str, options: "TwinOptions", logging: LogOptions) -> "Twin":
 
 def _open_log(
     path: Path,
-    at_ns: int | None,
+    start_ns: int | None,
     seed: int | None,
     faults: tuple[str, ...],
     robot: int | None,
     logging: LogOptions,
 ) -> "Twin":
-    """Take up the run of a log."""
+    """Open the twin that resumes the run of a log."""
     from khep_twin.log.recorded import BranchPoint
     from khep_twin.ports.branching import open_log
     from khep_twin.ports.resume import run_end_ns
 
-    change = BranchPoint(run_end_ns(path) if at_ns is None else at_ns, seed=seed, faults=faults)
+    change = BranchPoint(run_end_ns(path) if start_ns is None else start_ns, seed=seed, faults=faults)
     return open_log(path, change, robot, logging.log, served=True, on_failure=logging.on_failure)
 
 
-def _moment(text: str) -> tuple[Path, int | None]:
-    """Return the file and the moment [ns] of FILE.mcap[@SECONDS]; None for its end."""
-    name, at, seconds = text.rpartition("@")
-    if not at or text.endswith(".mcap"):
+def _parse_log_time(text: str) -> tuple[Path, int | None]:
+    """Return the file and the time [ns] of FILE.mcap[@SECONDS]; None for its end."""
+    name, separator, seconds = text.rpartition("@")
+    if not separator or text.endswith(".mcap"):
         return Path(text), None
     try:
-        if 0 < (moment := float(seconds)) < 1e9:
-            return Path(name), round(moment * 1e9)
+        if 0 < (time_s := float(seconds)) < 1e9:
+            return Path(name), round(time_s * 1e9)
     except ValueError:
         pass
     raise usage(f"--from {text}: expected FILE.mcap@SECONDS, with a time above 0")
 
 
 def _serve_twin(
-    open_it: "Callable[[], Twin]",
+    open_twin: "Callable[[], Twin]",
     name: str,
     factor: float,
     endpoint: EndpointOptions,
@@ -202,25 +201,25 @@ def _serve_twin(
     live_view: LiveViewOptions,
     viewer: bool,
 ) -> None:
-    """Serve a twin at so many simulated seconds per real second."""
+    """Serve a twin at `factor` simulated seconds per real second."""
     from khep_twin.ports.serve import MANY, WIRE
     from khep_twin.ports.serve import serve as serve_twin
 
     with (
         stopping() as stop,
-        open_it() as twin,
+        open_twin() as twin,
         endpoint.open({robot.index: robot.firmware.baud for robot in twin.robots}) as ports,
         ExitStack() as stack,
     ):
-        tell_kept(twin.recorder)
+        print_kept(twin.recorder)
         remote = endpoint.allow_remote
-        live_view.watching(stack, name, viewer=viewer, real_time=False, allow_remote=remote)(twin)
+        live_view.open_viewers(stack, name, viewer=viewer, real_time=False, allow_remote=remote)(twin)
         if factor > 1 or factor == WIRE or len(twin.world.robots) >= MANY:
-            # Before the first host, as loading compiled code takes half a second.
+            # Load compiled code before the first host opens, as that takes half a second.
             twin.world.code.switch_if_ready()
-        with endpoint.announced(ports, f"twin in {name}"):
-            pacer = serve_twin(twin, ports, factor, stop=stop, notify=complain)
+        with endpoint.announce(ports, f"twin in {name}"):
+            pacer = serve_twin(twin, ports, factor, stop=stop, notify=notify)
         dropped = sum(port.dropped for port in ports)
     if pacer.slips:
         typer.echo(f"fell behind {pacer.slips} times, {pacer.slipped_ns / 1e9:.2f} s in all", err=True)
-    tell_end(twin.world.time_ns, dropped, logging, twin.recorder)
+    print_end(twin.world.time_ns, dropped, logging, twin.recorder)

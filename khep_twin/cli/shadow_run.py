@@ -1,4 +1,4 @@
-"""A robot that a shadow follows, on the command line: its options, its alarms as lines, and a summary."""
+"""A run of a shadow on the command line: its options, alarms as lines, and a summary."""
 
 import math
 import re
@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from khep_twin.cli.options import complain, tell_kept, tell_written, usage
+from khep_twin.cli.options import notify, print_files, print_kept, usage
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PlaypenError
 
 if TYPE_CHECKING:
     from khep_twin.playpen import Playpen
     from khep_twin.shadow.following import AlarmChange
-    from khep_twin.shadow.recording import Heard
+    from khep_twin.shadow.recording import LineChunk
     from khep_twin.shadow.shadow import ShadowSettings
     from khep_twin.shadow.shadow_log import ShadowLog
     from khep_twin.shadow.update import Update
@@ -32,15 +32,15 @@ class ExitOn(StrEnum):
 
 
 EXIT_CODES = {ExitOn.ALARM: 4, ExitOn.LOST: 5}
-"""Exit codes of these; 3 is that of a log that failed, or of a run that differs."""
+"""Exit codes of the events; 3 stands for a failed log, or a run that differs."""
 
 _TWO_SIDED = 1.96
-"""Standard deviations in half of a 95 % interval."""
+"""Half width of a 95 % interval [standard deviations]."""
 
-_LEARNED_NS = 10 * NS_PER_S
-"""Time between two notes in the log of what was learned [ns]."""
+_LEARNED_INTERVAL_NS = 10 * NS_PER_S
+"""Interval between two records of learned values in the log [ns]."""
 
-_WARM_UP = (b"D,1,1\n", b"d\r\n"), (b"N\n", b"n,0,0,0,0,0,0,0,0\r\n"), (b"H\n", b"h,0,0\r\n")
+_WARM_UP_EXCHANGES = (b"D,1,1\n", b"d\r\n"), (b"N\n", b"n,0,0,0,0,0,0,0,0\r\n"), (b"H\n", b"h,0,0\r\n")
 
 _NUMBER = r"-?\d{1,6}(?:\.\d{1,6})?"
 _POSE = re.compile(rf"({_NUMBER}),({_NUMBER}),({_NUMBER})")
@@ -53,7 +53,7 @@ class ShadowRun:
     Args:
         playpen: Playpen with the robot.
         settings: Settings of the shadow.
-        exit_on: Events at the first of which to end.
+        exit_on: Events, of which the first ends the run.
         output: Log of the shadow to write.
         parent: Log that is followed; None for a robot.
     """
@@ -83,35 +83,36 @@ class ShadowRun:
             flush_ns = FLUSH_NS if parent else LIVE_FLUSH_NS
             self._log = ShadowLog(output, playpen, settings, parent=parent, flush_ns=flush_ns)
         self._playpen = playpen
-        self._shown: Callable[[Update], None] | None = None
-        self._output, self._learned_ns = output, 0
-        tell_kept(self._log)
+        self._show_update: Callable[[Update], None] | None = None
+        self._output = output
+        self._learned_ns = 0
+        print_kept(self._log)
 
     def follow(
         self,
-        heard: "Iterable[Heard]",
+        chunks: "Iterable[LineChunk]",
         stop: Callable[[], bool],
         show: Callable[[str], None] | None = None,
     ) -> int:
-        """Follow a line until its end, an event that ends it or a signal; return the exit code.
+        """Follow a line until its end, an event of `exit_on` or a signal; return the exit code.
 
         Args:
-            heard: Bytes that crossed the line.
+            chunks: Bytes transmitted on the line.
             stop: Function that returns whether to end.
             show: Function that takes the pose, as text, after each reply.
         """
-        for each in heard:
-            for update in self._follower.feed(each):
+        for chunk in chunks:
+            for update in self._follower.feed(chunk):
                 if self._log is not None:
                     self._write(self._log, update)
-                if self._shown is not None:
-                    self._shown(update)
+                if self._show_update is not None:
+                    self._show_update(update)
                 events = {ExitOn.ALARM} if update.alarms else set[ExitOn]()
                 for change in self._follower.changes(update):
                     typer.echo(alarm_line(change))
-                if (lost := self._follower.turn(update)) is not None:
-                    typer.echo(_turn_line(update, lost))
-                    events |= {ExitOn.LOST} if lost else set()
+                if (is_lost := self._follower.loss_change(update)) is not None:
+                    typer.echo(_lost_line(update, is_lost))
+                    events |= {ExitOn.LOST} if is_lost else set()
                 for event in sorted(events.intersection(self._exit_on)):
                     return EXIT_CODES[event]
                 if show is not None:
@@ -126,7 +127,7 @@ class ShadowRun:
         from khep_twin.shadow.shadow_viewer import ShadowViewer
 
         with ShadowViewer(self._playpen, self._shadow.settings, self._output, web=web) as viewer:
-            self._shown = viewer.show
+            self._show_update = viewer.show
             yield
 
     def close(self) -> None:
@@ -136,10 +137,10 @@ class ShadowRun:
             self._log.close()
 
     def print_summary(self, took_s: float | None = None) -> None:
-        """Print where the robot is, what was learned of it, how fast, and where the log is.
+        """Print the robot's pose, the learned values, the speed of the run, and the log's path.
 
         Args:
-            took_s: Time that it took; None where it took the robot's time.
+            took_s: Duration of the run [s]; None if it followed the robot live.
         """
         last = self._follower.last
         if last is None:
@@ -151,25 +152,25 @@ class ShadowRun:
             seconds, replies = last.time_ns / NS_PER_S, self._follower.replies
             typer.echo(f"{seconds:.1f} s followed{took}, {replies} replies", err=True)
             if math.isnan(last.measured[0]):
-                complain("no reply to N was heard; expected some: the pose is by commands and counters alone")
+                notify("no reply to N was heard; expected some: the pose is by commands and counters alone")
         if self._output is not None:
-            tell_written("log", [self._output], width=9, err=True)
+            print_files("log", [self._output], width=9, err=True)
 
     def _write(self, log: "ShadowLog", update: "Update") -> None:
         log.write(update)
-        if update.time_ns - self._learned_ns >= _LEARNED_NS:
+        if update.time_ns - self._learned_ns >= _LEARNED_INTERVAL_NS:
             self._learned_ns = update.time_ns
             log.write_learned(self._shadow.learned)
 
     @staticmethod
     def _warm_up(playpen: "Playpen", settings: "ShadowSettings") -> None:
-        """Load all compiled code, so that a line that has begun does not wait for it."""
+        """Load all compiled code, so that it does not delay the line."""
         from khep_twin.shadow.shadow import Shadow
 
-        other = Shadow(playpen, replace(settings, particles=10))
-        for time_ns, (asked, answered) in enumerate(_WARM_UP, 1):
-            other.feed(time_ns * NS_PER_S // 10, True, asked)
-            other.feed(time_ns * NS_PER_S // 10 + NS_PER_S // 20, False, answered)
+        scratch_shadow = Shadow(playpen, replace(settings, particles=10))
+        for time_ns, (request, reply) in enumerate(_WARM_UP_EXCHANGES, 1):
+            scratch_shadow.feed(time_ns * NS_PER_S // 10, True, request)
+            scratch_shadow.feed(time_ns * NS_PER_S // 10 + NS_PER_S // 20, False, reply)
 
     def _summary(self, last: "Update") -> Iterator[str]:
         """Yield lines about states, pose, dead reckoning and wheels, with 95 % intervals."""
@@ -180,47 +181,47 @@ class ShadowRun:
             f"pose       {x * 1e3:.1f} mm +- {dx * 1e3:.1f}, {y * 1e3:.1f} mm +- {dy * 1e3:.1f}, "
             f"{math.degrees(heading):.1f} degrees +- {math.degrees(turn):.1f} (95 %)"
         )
-        away = math.hypot(last.reckoned[0] - x, last.reckoned[1] - y) * 1e3
-        turned = math.degrees(math.remainder(last.reckoned[2] - heading, math.tau))
-        yield f"reckoning  {away:.0f} mm and {turned:+.1f} degrees off, by commands alone"
-        found, own = self._shadow.learned, self._calibration.wheels
+        distance_mm = math.hypot(last.reckoned[0] - x, last.reckoned[1] - y) * 1e3
+        turn_deg = math.degrees(math.remainder(last.reckoned[2] - heading, math.tau))
+        yield f"reckoning  {distance_mm:.0f} mm and {turn_deg:+.1f} degrees off, by commands alone"
+        learned, prior = self._shadow.learned, self._calibration.wheels
         (radius, ratio, base), deviations = (
-            found.wheels.tolist(),
-            (_TWO_SIDED * found.wheel_deviations).tolist(),
+            learned.wheels.tolist(),
+            (_TWO_SIDED * learned.wheel_deviations).tolist(),
         )
         yield (
-            f"wheels     radius {own.radius_mm * radius:.3f} mm +- {own.radius_mm * deviations[0]:.3f}, "
-            f"right over left {own.right_over_left * ratio:.4f} +- {deviations[1]:.4f}, "
-            f"base {own.base_mm * base:.2f} mm +- {own.base_mm * deviations[2]:.2f} (95 %)"
+            f"wheels     radius {prior.radius_mm * radius:.3f} mm +- {prior.radius_mm * deviations[0]:.3f}, "
+            f"right over left {prior.right_over_left * ratio:.4f} +- {deviations[1]:.4f}, "
+            f"base {prior.base_mm * base:.2f} mm +- {prior.base_mm * deviations[2]:.2f} (95 %)"
         )
 
 
 def _status(update: "Update") -> str:
     (x, y, heading), covariance = update.estimate.pose, update.estimate.covariance
-    place = 1e3 * math.sqrt((covariance[0, 0] + covariance[1, 1]) / 2)
+    deviation_mm = 1e3 * math.sqrt((covariance[0, 0] + covariance[1, 1]) / 2)
     faults = ", ".join(alarm.fault for alarm in update.alarms) or "no alarm"
-    suspected = ", ".join(f"{each.name} {100 * each.probability:.0f} %" for each in update.suspected)
+    suspected = ", ".join(f"{suspect.name} {100 * suspect.probability:.0f} %" for suspect in update.suspected)
     return (
         f"{update.time_ns / NS_PER_S:.1f} s  {update.state}  {x * 1e3:.0f}, {y * 1e3:.0f} mm +- "
-        f"{_TWO_SIDED * place:.0f}, {math.degrees(heading):.0f} degrees  {faults}"
+        f"{_TWO_SIDED * deviation_mm:.0f}, {math.degrees(heading):.0f} degrees  {faults}"
         f"{'; suspected ' if suspected else ''}{suspected}"
     )
 
 
-def _turn_line(update: "Update", lost: bool) -> str:
-    """Return a line that the robot is lost, or where it was found."""
+def _lost_line(update: "Update", is_lost: bool) -> str:
+    """Return a line that the robot is lost, or has been found at a pose."""
     x, y, heading = update.estimate.pose
-    place = f"{x * 1e3:.0f}, {y * 1e3:.0f} mm, {math.degrees(heading):.0f} degrees"
-    told = "lost: its place is searched for" if lost else f"found: at {place}"
-    return f"{update.time_ns / NS_PER_S:9.2f} s  {told}"
+    pose = f"{x * 1e3:.0f}, {y * 1e3:.0f} mm, {math.degrees(heading):.0f} degrees"
+    text = "lost: its place is searched for" if is_lost else f"found: at {pose}"
+    return f"{update.time_ns / NS_PER_S:9.2f} s  {text}"
 
 
 def alarm_line(change: "AlarmChange") -> str:
-    """Return a line about an alarm that has begun or ended."""
+    """Return a line about the start or end of an alarm."""
     alarm = change.alarm
-    how = f"{alarm.sureness:.0%} sure" if alarm.ended_ns is None else "over"
-    since = f"{alarm.channel}, since {alarm.since_ns / NS_PER_S:.2f} s, {how}"
-    return f"{change.time_ns / NS_PER_S:9.2f} s  {alarm.fault}: {since}"
+    status = f"{alarm.sureness:.0%} sure" if alarm.ended_ns is None else "over"
+    details = f"{alarm.channel}, since {alarm.since_ns / NS_PER_S:.2f} s, {status}"
+    return f"{change.time_ns / NS_PER_S:9.2f} s  {alarm.fault}: {details}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,8 +229,7 @@ class ShadowOptions:
     """Options of a shadow."""
 
     start: Annotated[
-        str,
-        typer.Option(help="Start: known, as the playpen has it; X,Y,HEADING in mm and degrees; or unknown."),
+        str, typer.Option(help="Start: known, as in the playpen; X,Y,HEADING in mm and degrees; or unknown.")
     ] = "known"
     within: Annotated[str, typer.Option(metavar="MM,DEG", help="Standard deviations of a known start.")] = (
         "10,5"
@@ -239,28 +239,28 @@ class ShadowOptions:
         int, typer.Option(min=10, max=100_000, help="Number of particles, once the pose is known.")
     ] = 1000
 
-    def words(self) -> list[str]:
-        """Return these options as words of a command line."""
+    def as_arguments(self) -> list[str]:
+        """Return these options as arguments of a command line."""
         return [f"--{field.name}={getattr(self, field.name)}" for field in fields(self)]
 
     def load(self, name: str, robot: int = 0) -> tuple["Playpen", bool]:
-        """Return the playpen with the robot alone, at its start, and whether it has others."""
+        """Return the playpen with only this robot, at its start, and whether it has other robots."""
         from khep_twin.playpen import Playpen, at_start
 
-        found = Playpen.load(name)
-        if not 0 <= robot < len(found.robots):
-            wanted = f"0 to {len(found.robots) - 1}" if len(found.robots) > 1 else "0"
-            raise PlaypenError(f"{name}: robot {robot}; expected {wanted}, as it has {len(found.robots)}")
-        has_others = len(found.robots) > 1
-        found = found.model_copy(update={"robots": (found.robots[robot],)})
+        playpen = Playpen.load(name)
+        if not 0 <= robot < len(playpen.robots):
+            expected = f"0 to {len(playpen.robots) - 1}" if len(playpen.robots) > 1 else "0"
+            raise PlaypenError(f"{name}: robot {robot}; expected {expected}, as it has {len(playpen.robots)}")
+        has_others = len(playpen.robots) > 1
+        playpen = playpen.model_copy(update={"robots": (playpen.robots[robot],)})
         if pose := _POSE.fullmatch(self.start):
             x_mm, y_mm, heading_deg = map(float, pose.groups())
-            arena = found.arena
+            arena = playpen.arena
             if not (0 <= x_mm <= arena.width_mm and 0 <= y_mm <= arena.height_mm):
-                wanted = f"a place in the arena of {arena.width_mm:g} x {arena.height_mm:g} mm"
-                raise usage(f"--start {self.start}: outside; expected {wanted}")
-            found = at_start(found, 0, (x_mm, y_mm, heading_deg))
-        return found, has_others
+                expected = f"a place in the arena of {arena.width_mm:g} x {arena.height_mm:g} mm"
+                raise usage(f"--start {self.start}: outside; expected {expected}")
+            playpen = at_start(playpen, 0, (x_mm, y_mm, heading_deg))
+        return playpen, has_others
 
     def settings(self, baud: int) -> "ShadowSettings":
         """Return the settings of a shadow."""
@@ -271,6 +271,6 @@ class ShadowOptions:
             raise usage(f"--start {self.start}: expected known, unknown or X,Y,HEADING, such as 100,250,90")
         if (within := _WITHIN.fullmatch(self.within)) is None:
             raise usage(f"--within {self.within}: expected MM,DEG, such as 10,5")
-        place, heading = float(within[1]) / 1e3, math.radians(float(within[2]))
-        spread = PUBLISHED._replace(place=place, heading=heading)
+        place_deviation, heading_deviation = float(within[1]) / 1e3, math.radians(float(within[2]))
+        spread = PUBLISHED._replace(place=place_deviation, heading=heading_deviation)
         return ShadowSettings(self.seed, self.particles, self.start != "unknown", spread, baud)

@@ -1,4 +1,4 @@
-"""`khep-twin sweep`: a study's episodes, here or on Ray, each result once in one Parquet table."""
+"""`khep-twin sweep`: a study's episodes, run locally or on Ray, in one Parquet table."""
 
 import sys
 import time
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from khep_twin.cli.completion import studies
-from khep_twin.cli.options import complain, usage
-from khep_twin.cli.progress import clock, progress
+from khep_twin.cli.options import notify, usage
+from khep_twin.cli.progress import duration_text, progress
 from khep_twin.cli.rollout import is_compiled
 from khep_twin.invocation import command
 from khep_twin.signals import clear_at_end
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from khep_twin.sweep.shards import Shard, Work
 
 SECONDS_BETWEEN_LINES = 60.0
-"""Interval of progress lines without a terminal [s]."""
+"""Interval of progress lines if there is no terminal [s]."""
 
 
 def sweep(
@@ -28,28 +28,26 @@ def sweep(
         Path, typer.Argument(metavar="STUDY.toml", help="Study to run.", autocompletion=studies)
     ],
     ray: Annotated[
-        bool, typer.Option("--ray", help="Run on Ray, in processes that may die; without, in threads.")
+        bool, typer.Option("--ray", help="Run on Ray, in processes that may die; by default in threads.")
     ] = False,
     address: Annotated[
         str | None,
         typer.Option(
-            metavar="HOST:PORT", help="Address of a running Ray cluster, or auto; without, this machine."
+            metavar="HOST:PORT", help="Address of a running Ray cluster, or auto; by default this machine."
         ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Threads, or Ray's workers on this machine; without, all cores.")
+        int | None, typer.Option(min=1, help="Threads, or Ray workers here; by default one per core.")
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Folder of the results; without, the study's.")
+        Path | None, typer.Option("-o", "--output", help="Folder of the results; by default the study's.")
     ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Resume a sweep: run only what is missing.")
-    ] = False,
-    check: Annotated[bool, typer.Option("--check", help="Only check it, and count its episodes.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Resume a sweep: run only missing tasks.")] = False,
+    check: Annotated[bool, typer.Option("--check", help="Only check the study, and count episodes.")] = False,
 ) -> None:
-    """Run all the episodes of a study.
+    """Run all episodes of a study.
 
-    The results of each are kept once, in a Parquet table.
+    The results are stored in a Parquet table, one row per episode.
     """
     from khep_twin.episodes.episode import SlowerWarning
     from khep_twin.sweep import study as studies
@@ -61,8 +59,8 @@ def sweep(
     file = studies.load(study)
     if check:
         work = work_of(file)
-        told = f"{work.n_episodes} episodes of {file.study.seconds:g} s in {len(work.tasks)} tasks"
-        typer.echo(f"{file.study.name}: {told}")
+        counts = f"{work.n_episodes} episodes of {file.study.seconds:g} s in {len(work.tasks)} tasks"
+        typer.echo(f"{file.study.name}: {counts}")
         return
     executor = run_locally(workers)
     if ray:
@@ -70,36 +68,36 @@ def sweep(
 
         executor = on_ray(address, workers)
     is_compiled()
-    warnings.simplefilter("ignore", SlowerWarning)  # once is enough
+    warnings.simplefilter("ignore", SlowerWarning)  # is_compiled has reported it
 
-    def begin(work: "Work", missing: Sequence["Shard"]) -> None:
-        n_episodes = sum(task.count for task in missing)
-        there = f", {work.n_episodes - n_episodes} are there already" if n_episodes < work.n_episodes else ""
-        typer.echo(f"{file.study.name}: {work.n_episodes} episodes in {len(work.tasks)} tasks{there}")
+    def on_start(work: "Work", missing: Sequence["Shard"]) -> None:
+        n_missing = sum(task.count for task in missing)
+        saved = f", {work.n_episodes - n_missing} are there already" if n_missing < work.n_episodes else ""
+        typer.echo(f"{file.study.name}: {work.n_episodes} episodes in {len(work.tasks)} tasks{saved}")
 
-    def tell_again() -> None:
-        complain(f"stopped; go on: {command(*_again(study, ray, address, workers, output))}")
+    def print_resume() -> None:
+        notify(f"stopped; resume: {command(*_resume_command(study, ray, address, workers, output))}")
 
-    forget = clear_at_end(tell_again)
+    unregister = clear_at_end(print_resume)
     try:
         with progress() as show:
-            lines = _Lines()
+            lines = _ProgressLines()
 
-            def show_progress(done: int, total: int) -> None:
-                lines(done, total) if show is None else show(done / total)
+            def show_progress(n_done: int, total: int) -> None:
+                lines(n_done, total) if show is None else show(n_done / total)
 
             table = run_sweep(
-                file, output=output, resume=resume, executor=executor, begin=begin, progress=show_progress
+                file, output=output, resume=resume, executor=executor, begin=on_start, progress=show_progress
             )
     except KeyboardInterrupt:
-        tell_again()
+        print_resume()
         raise typer.Exit(130) from None
     finally:
-        forget()
+        unregister()
     for line in summary(table):
         typer.echo(line)
-    typed = (study.parent / file.study.output if output is None else output) / table.name
-    typer.echo(f"results  {typed}      read it: pyarrow.parquet.read_table({str(typed)!r})")
+    table_path = (study.parent / file.study.output if output is None else output) / table.name
+    typer.echo(f"results  {table_path}      read it: pyarrow.parquet.read_table({str(table_path)!r})")
 
 
 def _check_address(address: str | None, ray: bool, workers: int | None) -> None:
@@ -107,9 +105,9 @@ def _check_address(address: str | None, ray: bool, workers: int | None) -> None:
     if address is None:
         return
     if not ray:
-        raise usage(f"--address {address}: is Ray's; expected --ray, too")
+        raise usage(f"--address {address}: is Ray's; expected --ray with it")
     if workers is not None:
-        raise usage("--workers is for this machine; a cluster at --address has its own")
+        raise usage("--workers is for this machine; expected none, as a cluster has its own")
     if address != "auto":
         from khep_twin.sweep.ray_workers import host_and_port
 
@@ -119,26 +117,26 @@ def _check_address(address: str | None, ray: bool, workers: int | None) -> None:
             raise usage(f"--address {error}") from None
 
 
-def _again(
+def _resume_command(
     study: Path, ray: bool, address: str | None, workers: int | None, output: Path | None
 ) -> list[str]:
-    """Return the words of the command that resumes a sweep."""
-    words = ["sweep", str(study), "--resume", *(["--ray"] if ray else [])]
+    """Return the arguments of the command that resumes a sweep."""
+    arguments = ["sweep", str(study), "--resume", *(["--ray"] if ray else [])]
     for name, value in (("--address", address), ("--workers", workers), ("--output", output)):
-        words += [] if value is None else [name, str(value)]
-    return words
+        arguments += [] if value is None else [name, str(value)]
+    return arguments
 
 
-class _Lines:
-    """Progress in lines, for output without a terminal."""
+class _ProgressLines:
+    """Progress as lines, for output without a terminal."""
 
     def __init__(self) -> None:
         self._start = self._last = time.monotonic()
 
-    def __call__(self, done: int, total: int) -> None:
+    def __call__(self, n_done: int, total: int) -> None:
         now = time.monotonic()
         if now - self._last < SECONDS_BETWEEN_LINES:
             return
         self._last = now
-        left = clock((now - self._start) * (total - done) / done)
-        print(f"{done} of {total} episodes, {left} left", file=sys.stderr)
+        time_left = duration_text((now - self._start) * (total - n_done) / n_done)
+        print(f"{n_done} of {total} episodes, {time_left} left", file=sys.stderr)

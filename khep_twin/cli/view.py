@@ -1,4 +1,4 @@
-"""The command line's part for viewing logs: `khep-twin view`."""
+"""`khep-twin view`: logs shown in rerun."""
 
 import os
 from pathlib import Path
@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from khep_twin.cli.completion import logs as known_logs
-from khep_twin.cli.options import Force, check_new, complain, tell_written, usage
-from khep_twin.cli.progress import clock, progress
+from khep_twin.cli.options import Force, check_new, notify, print_files, usage
+from khep_twin.cli.progress import duration_text, progress
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import is_same, unusable
@@ -27,16 +27,16 @@ def view(
         Path | None, typer.Option(help="Write a rerun recording, FILE.rrd, instead of opening it.")
     ] = None,
     png: Annotated[
-        Path | None, typer.Option(help="Write a still as this PNG file instead, without a screen.")
+        Path | None, typer.Option(help="Render a still as this PNG file instead, without a screen.")
     ] = None,
     at: Annotated[
-        float | None, typer.Option(min=0, help="Simulated time of the still [s]; without, the run's end.")
+        float | None, typer.Option(min=0, help="Simulated time of the still [s]; by default the run's end.")
     ] = None,
     live: Annotated[
-        bool, typer.Option("--live", help="Follow the log of a run or serve that goes on, as it is written.")
+        bool, typer.Option("--live", help="Follow the log of a running `run` or `serve` while it is written.")
     ] = False,
     web: Annotated[
-        bool, typer.Option("--web", help="Show it in a browser instead of a window; for this machine only.")
+        bool, typer.Option("--web", help="Show it in a browser on this machine instead of a window.")
     ] = False,
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="With --web: only print the page's address.")
@@ -50,10 +50,10 @@ def view(
     _check(logs, save, png, live, web, no_browser)
     check_new(force, save, png)
     if live:
-        # Closing the window is no error to report, though it cuts rerun's connection; rerun reads this once.
+        # Hides rerun's error when the window is closed and its connection breaks; rerun reads this once.
         os.environ.setdefault("RUST_LOG", "off")
     for log in () if live else logs:
-        _tell_if_long(log)
+        _note_thinning(log)
     if png is not None:
         from khep_twin.log.viewer.replay import view_still
 
@@ -64,7 +64,7 @@ def view(
 
     if save is not None:
         view_logs(logs, save, bar=progress, replace=force)
-        tell_written("recording", [save], command(save, program="rerun"))
+        print_files("recording", [save], command(save, program="rerun"))
         return
     from khep_twin.log.viewer.process import Web
 
@@ -73,30 +73,30 @@ def view(
         if live:
             from khep_twin.log.viewer.live import view_live
 
-            view_live(logs[0], page, stop, complain)
+            view_live(logs[0], page, stop, notify)
         else:
             view_logs(logs, web=page, stop=stop, bar=progress)
 
 
-def _tell_if_long(log: Path) -> None:
-    """Print that a log is shown with fewer samples than it has."""
+def _note_thinning(log: Path) -> None:
+    """Print a note if a long log is shown with fewer samples."""
     from khep_twin.log.reader import read_end_ns
-    from khep_twin.log.viewer.thinning import interval_ns
+    from khep_twin.log.viewer.thinning import thinning_interval_ns
 
     end_ns = read_end_ns(log)
-    if step_ns := interval_ns(end_ns):
-        why = f"as it lasts {clock(end_ns / NS_PER_S)}; khep-twin export writes all"
-        complain(f"{log}: one sample in {step_ns / NS_PER_S:.2f} s is shown, {why}")
+    if step_ns := thinning_interval_ns(end_ns):
+        reason = f"as it lasts {duration_text(end_ns / NS_PER_S)}; khep-twin export writes all"
+        notify(f"{log}: one sample in {step_ns / NS_PER_S:.2f} s is shown, {reason}")
 
 
 def _check(
     logs: list[Path], save: Path | None, png: Path | None, live: bool, web: bool, no_browser: bool
 ) -> None:
-    """Refuse options that do not go together, and files that could not be written at the end."""
-    ways = {"--save": save is not None, "--png": png is not None, "--web": web, "--live": live}
-    given = [name for name, there in ways.items() if there]
-    if len(given) > 1 and given != ["--web", "--live"]:
-        raise usage(f"{' and '.join(given)} do not go together; expected one of them, or --web and --live")
+    """Refuse incompatible options, and output files that cannot be written."""
+    modes = {"--save": save is not None, "--png": png is not None, "--web": web, "--live": live}
+    options = [name for name, is_set in modes.items() if is_set]
+    if len(options) > 1 and options != ["--web", "--live"]:
+        raise usage(f"{' and '.join(options)} cannot be combined; expected one of them, or --web and --live")
     if no_browser and not web:
         raise usage("--no-browser is for --web")
     if save is not None and save.suffix.lower() != ".rrd":

@@ -1,4 +1,4 @@
-"""Environments for learning: dm_env, Gymnasium, PettingZoo."""
+"""Reinforcement learning environments: Gymnasium, PettingZoo and dm_env."""
 
 from typing import TYPE_CHECKING
 

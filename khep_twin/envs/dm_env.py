@@ -7,11 +7,11 @@
         print(step.observation["proximity"], step.reward, environment.physics.pose())
 
 Observations are the task's terms by name (`tasks.TERMS`). An action is the speeds of left and right wheel;
-1 is 20 pulses/10 ms, 160 mm/s. Both are normalized to -1 to 1, or in the robot's own units with
+1 is 20 pulses/10 ms, 160 mm/s. Both are normalized to -1 to 1, or in the robot's units with
 `normalize=False`. One step is one control period, 50 ms by default. An episode ends with discount 1 at its
 time limit, with 0 when the charge has run out.
 
-`load` also takes its options as dm_control's `suite.load` does, in `task_kwargs` and `environment_kwargs`.
+`load` also accepts options like dm_control's `suite.load`, in `task_kwargs` and `environment_kwargs`.
 """
 
 # dm_control and dm_env are not typed.
@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, PROXIMITY, SETPOINTS
-from khep_twin.copies import MadeAnew, NotCopied
+from khep_twin.copies import CopiedByArguments, NotCopied
 from khep_twin.envs.reset_options import checked_seed
 from khep_twin.envs.task_episode import StepResult, TaskEpisode
 from khep_twin.envs.task_setup import TaskSetup
@@ -46,7 +46,7 @@ from dm_env import specs  # noqa: E402
 
 
 class Physics(NotCopied, mujoco.Physics):
-    """An episode's scene in dm_control, `named.data.xpos["khepera0/base"]`, with accessors for the robot.
+    """Physics of dm_control for an episode, e.g. `named.data.xpos["khepera0/base"]`, with robot accessors.
 
     Time advances by whole control periods: sensors and control loops are part of the step.
 
@@ -57,13 +57,14 @@ class Physics(NotCopied, mujoco.Physics):
         episode: Simulated episode.
         outcome: Result of the last period; None at an episode's start.
         observation: Observation, all terms concatenated (n,).
-        guard: Guard of its methods, its episode's.
+        guard: Thread guard of its methods, the episode's.
     """
 
-    INSTEAD = "another environment with the same seed, whose episode is repeated by its actions"
+    COPY_ADVICE = "another environment with the same seed, whose episode is repeated by its actions"
 
     def __init__(self, episode: TaskEpisode) -> None:
-        self.guard, self.episode = episode.guard, episode
+        self.guard = episode.guard
+        self.episode = episode
         self.outcome: StepResult | None = None
         self.observation = episode.begin(0)[0]
         self._action: object = (0.0, 0.0)
@@ -74,7 +75,7 @@ class Physics(NotCopied, mujoco.Physics):
         return self.episode.registers[0][PROXIMITY]
 
     def ambient(self) -> NDArray[np.int64]:
-        """Return the counts of command O (8,), low in the light."""
+        """Return the counts of command O (8,), low in bright light."""
         return self.episode.registers[0][AMBIENT]
 
     def setpoints(self) -> NDArray[np.int64]:
@@ -93,8 +94,8 @@ class Physics(NotCopied, mujoco.Physics):
     def begin(self, seed: int) -> None:
         """Start an episode."""
         self.observation, self.outcome = self.episode.begin(seed)[0], None
-        if self.episode.data is not self._scene:
-            # Each episode of a world creates a new one, so the view is reloaded.
+        if self.episode.data is not self._data_pointer:
+            # Each episode of a world creates new data, so the view is reloaded.
             self._reload_from_data(wrapper.MjData(self.episode.data))
 
     def set_control(self, control: object) -> None:
@@ -116,19 +117,19 @@ class Physics(NotCopied, mujoco.Physics):
         """Do nothing: an episode starts by `begin`, with its seed."""
 
     def after_reset(self) -> None:
-        """Do nothing: an episode that has begun must not change."""
+        """Do nothing: a running episode must not change."""
 
     @one_thread
-    def render(self, *given: Any, **options: Any) -> Any:
+    def render(self, *arguments: Any, **options: Any) -> Any:
         """Return a picture, as dm_control's `Physics.render` does."""
-        return super().render(*given, **options)
+        return super().render(*arguments, **options)
 
     def copy(self, share_model: bool = False) -> NoReturn:
         """Raise a `TypeError`, as `copy.copy` does."""
         self.__reduce_ex__(None)
 
     @property
-    def _scene(self) -> object:
+    def _data_pointer(self) -> object:
         return self.data.ptr
 
 
@@ -145,9 +146,11 @@ class TrialTask(control.Task):
     """
 
     def __init__(self, setup: TaskSetup, seed: int) -> None:
-        self._setup, self._terms = setup, {name: TERMS[name] for name in setup.task.observation_terms}
+        self._setup = setup
+        self._terms = {name: TERMS[name] for name in setup.task.observation_terms}
         self._rng = stream(seed, "trials")
-        self.seed, self.bounds = 0, setup.task.bounds(setup.normalize)
+        self.seed = 0
+        self.bounds = setup.task.bounds(setup.normalize)
 
     def initialize_episode(self, physics: Physics) -> None:
         """Start an episode with the next seed."""
@@ -185,16 +188,16 @@ class TrialTask(control.Task):
         return physics.outcome.reward if physics.outcome else 0.0
 
     def get_termination(self, physics: Physics) -> float | None:
-        """Return 0 when the charge has run out, 1 at the time limit, else None."""
-        if physics.outcome is not None and physics.outcome.ended:
+        """Return 0 if the charge has run out, 1 at the time limit, and None before."""
+        if physics.outcome is not None and physics.outcome.terminated:
             return 0.0
         return 1.0 if physics.episode.over else None
 
 
-class Environment(MadeAnew, control.Environment):
-    """A task as dm_control's environment.
+class Environment(CopiedByArguments, control.Environment):
+    """A task as an environment of dm_control.
 
-    A copy, also by `pickle`, is one of the same arguments, with the same episodes from the first on.
+    A copy, also by `pickle`, has the same arguments, and starts with the first episode.
 
     Args:
         task: Task, or its name.
@@ -209,7 +212,7 @@ class Environment(MadeAnew, control.Environment):
         setup = TaskSetup(task, **options)
         if setup.planar:
             raise KhepTwinError(
-                "planar = True: dm_env shows MuJoCo's physics; expected False, or Gymnasium's environments"
+                "planar = True: dm_env needs MuJoCo's physics; expected False, or Gymnasium's environments"
             )
         if setup.details:
             raise KhepTwinError(
@@ -219,17 +222,17 @@ class Environment(MadeAnew, control.Environment):
         super().__init__(physics, trial, flat_observation=flat_observation)
 
     def observation_spec(self) -> Any:
-        """Return the bounds of an observation, by its names."""
-        of_terms = super().observation_spec()
+        """Return the bounds of an observation by name."""
+        term_specs = super().observation_spec()
         if not self._flat_observation:
-            return of_terms
+            return term_specs
         low, high = self._task.bounds
         name = control.FLAT_OBSERVATION_KEY
         return OrderedDict({name: specs.BoundedArray(low.shape, np.float32, low, high, name=name)})
 
 
-_OF_SUITE = {"random": "seed", "time_limit": "seconds"}
-"""Names of our options in the tasks of dm_control's suite."""
+_SUITE_NAMES = {"random": "seed", "time_limit": "seconds"}
+"""Options of `load` by their names in dm_control's suite."""
 
 
 def load(
@@ -246,15 +249,15 @@ def load(
     Args:
         task: Task, or its name.
         seed: Seed of its episodes; the same seed and actions give the same steps.
-        task_kwargs: More options, also as those of dm_control's suite: `random`, the seed, and `time_limit`,
-            the seconds.
-        environment_kwargs: `flat_observation` alone; the task decides on the others of dm_control's.
+        task_kwargs: Further options; dm_control's names `random` for the seed and `time_limit` for the
+            seconds are also accepted.
+        environment_kwargs: Only `flat_observation`; the task sets dm_control's other arguments.
         visualize_reward: False, as no scene shows rewards.
         options: Options of `TaskSetup`: playpen, start, lamps, randomize, noise, vary, period_ns,
             seconds, compiled, normalize.
 
     Raises:
-        KhepTwinError: The task or an option is unknown, or the task is in a plane.
+        KhepTwinError: The task or an option is unknown, or `planar` is set.
         ValueError: The seed is no integer from 0 to 2**63-1.
     """
     if visualize_reward:
@@ -265,7 +268,7 @@ def load(
                 f"environment_kwargs: {name!r}: unknown; expected 'flat_observation', or seconds and "
                 "period_ns as options of the task"
             )
-    of_task = {_OF_SUITE.get(name, name): value for name, value in (task_kwargs or {}).items()}
-    given: dict[str, Any] = {"seed": seed, **options, **of_task, **(environment_kwargs or {})}
-    given["seed"] = checked_seed(0 if given["seed"] is None else given["seed"])
-    return Environment(task, **given)
+    task_options = {_SUITE_NAMES.get(name, name): value for name, value in (task_kwargs or {}).items()}
+    arguments: dict[str, Any] = {"seed": seed, **options, **task_options, **(environment_kwargs or {})}
+    arguments["seed"] = checked_seed(0 if arguments["seed"] is None else arguments["seed"])
+    return Environment(task, **arguments)

@@ -8,13 +8,13 @@
 
     many = khep_twin.make_vec("khep_twin/ObstacleAvoidance-v0", num_envs=8)
 
-`make` and `make_vec` are those of Gymnasium. A program that has them from there imports `khep_twin`, before
-or after, or names it: `gymnasium.make("khep_twin:khep_twin/ObstacleAvoidance-v0")` (`registration`).
+`make` and `make_vec` are Gymnasium's functions. A program with `gymnasium.make` also imports `khep_twin`, or
+names it: `gymnasium.make("khep_twin:khep_twin/ObstacleAvoidance-v0")` (`registration`).
 
-Observation: the task's terms, each number normalized to -1 to 1 (`tasks.TERMS` has order and ranges).
+Observation: the task's terms, each number normalized to -1 to 1 (`tasks.TERMS` defines order and ranges).
 Action: speeds of left and right wheel, -1 to 1; 1 is 20 pulses/10 ms, 160 mm/s.
-With `normalize=False` both are in the robot's own units, counts and pulses/10 ms.
-With `planar=True` the robot moves in a plane instead of MuJoCo, many times faster.
+With `normalize=False` both are in the robot's units, counts and pulses/10 ms.
+With `planar=True` a 2-D model replaces MuJoCo, and runs many times faster.
 """
 
 # Gymnasium's spaces are only partly typed.
@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.copies import MadeAnew
-from khep_twin.envs.info import Info, ground_truth, of_end, of_start, of_step
+from khep_twin.copies import CopiedByArguments
+from khep_twin.envs.info import Info, end_info, ground_truth, start_info, step_info
 from khep_twin.envs.registration import register
 from khep_twin.envs.renderer import Picture, Renderer, View
 from khep_twin.envs.reset_options import ResetOptions
@@ -54,8 +54,8 @@ def spaces(setup: TaskSetup) -> tuple[Space[Any], Space[Any]]:
     return Box(low, high, dtype=np.float32), Box(-limit, limit, (2,), np.float32)
 
 
-def rendering(render_mode: str | None, setup: TaskSetup) -> Info:
-    """Return the metadata of rendering.
+def render_metadata(render_mode: str | None, setup: TaskSetup) -> Info:
+    """Return Gymnasium's metadata of rendering.
 
     Raises:
         KhepTwinError: The render mode is unknown.
@@ -65,14 +65,14 @@ def rendering(render_mode: str | None, setup: TaskSetup) -> Info:
     return {"render_modes": list(RENDER_MODES), "render_fps": 1e9 / setup.period_ns}
 
 
-class KheperaEnvironment(MadeAnew, gymnasium.Env[Observation, NDArray[np.float32]]):
+class KheperaEnvironment(CopiedByArguments, gymnasium.Env[Observation, NDArray[np.float32]]):
     """A task for one robot.
 
-    An episode is truncated at its time limit, and terminates when the robot's charge has run out. A copy,
-    also by `pickle`, has the same arguments and random numbers; its episodes begin with `reset`.
+    An episode is truncated at its time limit, and terminated when the robot's charge has run out. A copy,
+    also by `pickle`, has the same arguments and random numbers, and needs a `reset`.
 
-    `info` has ground truth, unknown to the robot: "x" and "y" [m], "heading" [rad], "time" [s], and "seed",
-    which repeats the episode: `reset(options={"seed": ...})`. Its other contents are those of `info`.
+    `info` holds the ground truth, unknown to the robot: "x" and "y" [m], "heading" [rad], "time" [s], and
+    "seed", by which `reset(options={"seed": ...})` repeats the episode. Module `info` lists its other keys.
 
     Args:
         task: Task, or its name.
@@ -83,10 +83,10 @@ class KheperaEnvironment(MadeAnew, gymnasium.Env[Observation, NDArray[np.float32
 
     Attributes:
         labels: Labels of the observation's numbers.
-        guard: Guard of its methods.
+        guard: Thread guard of its methods.
     """
 
-    KEPT = ("spec", "_np_random", "_np_random_seed")
+    COPIED_ATTRIBUTES = ("spec", "_np_random", "_np_random_seed")
     metadata: Info = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
 
     def __init__(
@@ -99,10 +99,11 @@ class KheperaEnvironment(MadeAnew, gymnasium.Env[Observation, NDArray[np.float32
     ) -> None:
         self._setup = TaskSetup(task, **options)
         self._episode = TaskEpisode(self._setup)
-        self.guard, self._over = self._episode.guard, True
+        self.guard = self._episode.guard
+        self._is_over = True
         self.render_mode = render_mode
-        self.metadata = rendering(render_mode, self._setup)
-        self._painter = Renderer(view)
+        self.metadata = render_metadata(render_mode, self._setup)
+        self._renderer = Renderer(view)
         self.labels = self._setup.task.labels
         self.observation_space, self.action_space = spaces(self._setup)
 
@@ -112,44 +113,44 @@ class KheperaEnvironment(MadeAnew, gymnasium.Env[Observation, NDArray[np.float32
 
         Args:
             seed: Seed of this and all later episodes.
-            options: Options in place of the environment's own in this episode: seed, start, lamps, playpen
+            options: Options that replace the environment's in this episode: seed, start, lamps, playpen
                 (`ResetOptions`).
         """
-        given = ResetOptions.of(options)
+        request = ResetOptions.of(options)
         super().reset(seed=seed)
-        drawn = int(self.np_random.integers(2**31))
-        seen = self._episode.begin(drawn if given.seed is None else given.seed, given)[0]
-        self._over, batch = False, self._episode.batch
-        return seen, ground_truth(batch) | of_start(batch)
+        drawn_seed = int(self.np_random.integers(2**31))
+        observation = self._episode.begin(drawn_seed if request.seed is None else request.seed, request)[0]
+        self._is_over, batch = False, self._episode.batch
+        return observation, ground_truth(batch) | start_info(batch)
 
     @one_thread
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
         """Advance by a control period with these speeds of left and right wheel (2,).
 
         Raises:
-            ValueError: The episode is over, or none has begun, or the action is not two numbers.
+            ValueError: The episode is over, or none has started, or the action is not two numbers.
         """
-        if self._over:
-            raise ValueError("the episode is over, or none has begun; expected reset() first")
+        if self._is_over:
+            raise ValueError("the episode is over, or none has started; expected reset() first")
         (outcome,) = self._episode.step([action])
-        late = self._episode.over
-        self._over, batch = late or outcome.ended, self._episode.batch
-        info = ground_truth(batch) | of_step(batch)
-        if self._over:
-            info |= of_end(batch)
-        return outcome.observation, outcome.reward, outcome.ended, late, info
+        truncated = self._episode.over
+        self._is_over, batch = truncated or outcome.terminated, self._episode.batch
+        info = ground_truth(batch) | step_info(batch)
+        if self._is_over:
+            info |= end_info(batch)
+        return outcome.observation, outcome.reward, outcome.terminated, truncated, info
 
     @one_thread
     def render(self) -> Picture | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Return a picture of the present state; None without a render mode."""
+        """Return a picture of the current state; None without a render mode."""
         if self.render_mode is None:
             return None
-        return self._painter.picture(self._episode.episode)
+        return self._renderer.picture(self._episode.episode)
 
     @one_thread
     def close(self) -> None:
         """Release the resources of rendering."""
-        self._painter.close()
+        self._renderer.close()
 
 
 register()

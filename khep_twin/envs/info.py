@@ -1,14 +1,14 @@
-"""Contents of `info`, in Gymnasium's form: ground truth, draws, details of a step, and the end.
+"""Contents of `info`, in Gymnasium's form.
 
-    always          x, y [m], heading [rad], time [s], seed
-    at the start    drawn: values that a `Randomization` has drawn
+    always          x, y [m], heading [rad], time [s], seed: the ground truth
+    at the start    drawn: values drawn by a `Randomization`
     with details    reward_parts: parts of the reward by name; contact: whether the robot touches anything
-    at the end      with details, too:
+                    at the end also:
                     metrics: those of `khep_twin.episodes.metrics`
                     episode: return "r", length "l" in steps and simulated time "t" [s]
 
-Details are there on request: Gymnasium's `RecordEpisodeStatistics`, whose keys "episode" has, refuses an
-environment that has it already, and Minari's `DataCollector` infos whose keys differ from step to step.
+Details are optional, as some wrappers refuse them: Gymnasium's `RecordEpisodeStatistics` refuses the key
+"episode", which it adds itself, and Minari's `DataCollector` refuses infos whose keys change between steps.
 """
 
 import math
@@ -32,22 +32,22 @@ def ground_truth(batch: TaskBatch, robot: int = 0, row: int = 0) -> Info:
     }
 
 
-def of_start(batch: TaskBatch, row: int = 0) -> Info:
-    """Return the values drawn for an episode; none without a randomization."""
+def start_info(batch: TaskBatch, row: int = 0) -> Info:
+    """Return the values drawn for an episode; empty without a randomization."""
     drawn = batch.drawn(row)
     return {"drawn": drawn} if drawn else {}
 
 
-def of_step(batch: TaskBatch, robot: int = 0, row: int = 0) -> Info:
-    """Return the details of the last step; nothing unless they are asked for."""
+def step_info(batch: TaskBatch, robot: int = 0, row: int = 0) -> Info:
+    """Return the details of the last step; empty without `details`."""
     if not batch.setup.details:
         return {}
     parts = {name: float(part[row, robot]) for name, part in batch.parts.items()}
-    return ({"reward_parts": parts} if parts else {}) | {"contact": bool(batch.touches[row, robot])}
+    return ({"reward_parts": parts} if parts else {}) | {"contact": bool(batch.contacts[row, robot])}
 
 
-def of_end(batch: TaskBatch, robot: int = 0, row: int = 0) -> Info:
-    """Return metrics and return of a robot in an episode that is over; nothing unless asked for."""
+def end_info(batch: TaskBatch, robot: int = 0, row: int = 0) -> Info:
+    """Return a robot's metrics and return in a finished episode; empty without `details`."""
     if not batch.setup.details:
         return {}
     metrics = batch.episodes[row].metrics(robot)

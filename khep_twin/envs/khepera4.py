@@ -11,9 +11,9 @@ Tasks, each with the terms of its observation (`TERMS`):
     KheperaIVObstacleAvoidance   proximity, ultrasonic, speed   fast and straight, clear of obstacles (arena4)
     KheperaIVLineFollowing       ground, speed, gyroscope       fast along a black line (arena4-line)
 
-Every number is normalized to -1 to 1. An action is the speeds of left and right wheel, -1 to 1; 1 is 600
-pulses/10 ms, 407 mm/s. They are orders of the dsPIC's speed control. An episode is truncated at its time
-limit, and terminates when the robot has fallen.
+Observations are normalized to -1 to 1. An action is the speeds of left and right wheel, -1 to 1, as setpoints
+of the dsPIC's speed control; 1 is 600 pulses/10 ms, 407 mm/s. An episode is truncated at its time limit, and
+terminates when the robot has fallen.
 """
 
 # Gymnasium's spaces are only partly typed.
@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.clock import n_steps, to_ns
-from khep_twin.copies import MadeAnew
+from khep_twin.copies import CopiedByArguments
 from khep_twin.envs.renderer import Picture
 from khep_twin.episodes import fitness
 from khep_twin.errors import KhepTwinError, MissingExtraError, PlaypenError, choices
@@ -46,13 +46,13 @@ except ModuleNotFoundError as error:
     raise MissingExtraError("gymnasium", "rl") from error
 
 TOP_SPEED_PULSES = 600
-"""Speed of a wheel for an action of 1 [pulses/10 ms]: 407 mm/s, half of what the robot can do (assumed)."""
+"""Speed of a wheel for an action of 1 [pulses/10 ms]: 407 mm/s, half of the robot's top speed (assumed)."""
 
 TOP_RATE_COUNTS = 8_000
-"""Rate of turn about the vertical for an observation of 1, in units of the gyroscope: 528 deg/s (assumed)."""
+"""Rate of turn about the vertical for an observation of 1 [gyroscope counts]: 528 deg/s (assumed)."""
 
 _FALLEN = 0.02
-"""Height by which a robot that has fallen is below its start [m]."""
+"""Height below its start at which a robot counts as fallen [m]."""
 
 _FAR_CM = 250
 
@@ -61,13 +61,13 @@ Reading = Callable[[Khepera4Robot, tuple[float, float]], Sequence[float]]
 TERMS: dict[str, tuple[int, Reading]] = {
     "proximity": (N_AROUND, lambda robot, speeds: _scaled(robot, DspicRegister.PROXIMITY, 0, N_AROUND)),
     "ground": (4, lambda robot, speeds: _scaled(robot, DspicRegister.PROXIMITY, N_AROUND, 4)),
-    "ultrasonic": (5, lambda robot, speeds: [_distance(each) for each in _ultrasonic(robot)]),
-    "speed": (2, lambda robot, speeds: [each / TOP_SPEED_PULSES for each in speeds]),
-    "gyroscope": (1, lambda robot, speeds: [_turn(robot) / TOP_RATE_COUNTS]),
+    "ultrasonic": (5, lambda robot, speeds: _distances(robot)),
+    "speed": (2, lambda robot, speeds: [speed / TOP_SPEED_PULSES for speed in speeds]),
+    "gyroscope": (1, lambda robot, speeds: [_turn_rate(robot) / TOP_RATE_COUNTS]),
 }
-"""Numbers of each term of an observation, and how they are read: proximity around and of the floor in the
-order of the registers, 1 for the most counts; distances, 1 for 2.5 m and for nothing in range, -1 for less
-than 25 cm; speeds as the encoders count them over the period; the last rate of turn to the left."""
+"""Size and reader of each term of an observation: proximity around and of the floor in the order of the
+registers, 1 for the maximum; distances, 1 for 2.5 m and without an echo, -1 below 25 cm; speeds from the
+encoders over the period; the last rate of turn to the left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class Khepera4Task:
         playpen: Name of its playpen.
         terms: Terms of its observation.
         reward: Function of the observation's terms by name that returns the reward of a period, 0 to 1.
-        anywhere: Whether an episode begins anywhere; else at the playpen's start.
+        anywhere: Whether an episode starts anywhere; otherwise at the playpen's start.
     """
 
     playpen: str
@@ -88,8 +88,8 @@ class Khepera4Task:
 
 
 def _avoiding(terms: dict[str, Sequence[float]]) -> float:
-    """Return Floreano and Mondada's V (1 - sqrt(dV)) (1 - i), forwards; i counts from the reading at rest."""
-    left, right = (each * fitness.TOP_SPEED_PULSES for each in terms["speed"])
+    """Return Floreano and Mondada's V (1 - sqrt(dV)) (1 - i), forwards; i is 0 without objects."""
+    left, right = (speed * fitness.TOP_SPEED_PULSES for speed in terms["speed"])
     if left + right <= 0:
         return 0.0
     rest = 100 / COUNTS_LIMIT
@@ -98,7 +98,7 @@ def _avoiding(terms: dict[str, Sequence[float]]) -> float:
 
 
 def _following(terms: dict[str, Sequence[float]]) -> float:
-    """Return the speed ahead where a sensor in front sees the line."""
+    """Return the forward speed if a front ground sensor sees the line, otherwise 0."""
     _, left, right, _ = terms["ground"]
     return max(sum(terms["speed"]) / 2, 0.0) if min(left, right) < 0 else 0.0
 
@@ -112,7 +112,7 @@ TASKS = {
 """Tasks by name."""
 
 
-class KheperaIVEnvironment(MadeAnew, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+class KheperaIVEnvironment(CopiedByArguments, gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """A task for one Khepera IV in MuJoCo.
 
     `info` has ground truth: "x" and "y" [m], "heading" [rad], "time" [s], and "seed", which repeats the
@@ -120,10 +120,10 @@ class KheperaIVEnvironment(MadeAnew, gymnasium.Env[NDArray[np.float32], NDArray[
 
     Args:
         task: Name of the task.
-        playpen: Playpen in place of the task's, whose first robot is a Khepera IV.
+        playpen: Playpen in place of the task's, whose only robot is a Khepera IV.
         start: Start x, y [mm] and heading [deg] in place of the task's.
         noise: Whether sensors are noisy.
-        vary: Whether each episode has another robot of the same make.
+        vary: Whether each episode draws another robot of the same model.
         period_ns: Control period [ns], whole ticks of 10 ms.
         seconds: Time limit [s].
         render_mode: "rgb_array" for maps, or None.
@@ -137,7 +137,7 @@ class KheperaIVEnvironment(MadeAnew, gymnasium.Env[NDArray[np.float32], NDArray[
         ValueError: The period is not in whole ticks, or the time not in whole periods.
     """
 
-    KEPT = ("spec", "_np_random", "_np_random_seed")
+    COPIED_ATTRIBUTES = ("spec", "_np_random", "_np_random_seed")
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
 
     def __init__(
@@ -158,13 +158,17 @@ class KheperaIVEnvironment(MadeAnew, gymnasium.Env[NDArray[np.float32], NDArray[
             raise KhepTwinError(f"render_mode {render_mode!r}: unknown; expected rgb_array, or None")
         if period_ns <= 0 or period_ns % TICK_NS:
             raise ValueError(f"control period of {period_ns / 1e6:g} ms; expected whole ticks of 10 ms")
-        self._task, self._start, self._noise, self._vary = TASKS[task], start, noise, vary
+        self._task = TASKS[task]
+        self._start = start
+        self._noise = noise
+        self._vary = vary
         self._playpen = Playpen.load(self._task.playpen if playpen is None else playpen)
         if [robot.model for robot in self._playpen.robots] != ["khepera4"]:
             raise PlaypenError(f"{self._playpen.name}: robots; expected one Khepera IV")
-        self._period_ns, self._n_steps = period_ns, n_steps(to_ns(seconds), period_ns)
+        self._period_ns = period_ns
+        self._n_steps = n_steps(to_ns(seconds), period_ns)
         self._world = World(self._playpen)
-        self._left = 0
+        self._steps_left = 0
         counts = [(term, TERMS[term][0]) for term in self._task.terms]
         self.labels = tuple(f"{term} {index}" for term, count in counts for index in range(count))
         self.render_mode = render_mode
@@ -180,20 +184,22 @@ class KheperaIVEnvironment(MadeAnew, gymnasium.Env[NDArray[np.float32], NDArray[
 
         Args:
             seed: Seed of this and all later episodes.
-            options: "seed" of this episode alone, and its "start".
+            options: "seed" of only this episode, and its "start".
         """
         super().reset(seed=seed)
-        drawn_seed, given = int(self.np_random.integers(2**31)), options or {}
-        if unknown := given.keys() - {"seed", "start"}:
+        drawn_seed = int(self.np_random.integers(2**31))
+        options = options or {}
+        if unknown := options.keys() - {"seed", "start"}:
             raise KhepTwinError(f"options: {min(unknown)!r}: unknown; expected seed and start")
-        self._seed: int = given.get("seed", drawn_seed)
-        start: Start | None = given.get("start", self._start)
+        self._seed: int = options.get("seed", drawn_seed)
+        start: Start | None = options.get("start", self._start)
         if start is None:
             drawn = (anywhere if self._task.anywhere else at_spots)(self._playpen, self._seed).robots[0]
             start = drawn.x_mm, drawn.y_mm, drawn.heading_deg
         self._world.reset(self._seed, noise=self._noise, vary=self._vary, starts=[start])
         self._height = float(self._world.data.qpos[2])
-        self._left, self._counts = self._n_steps, (0, 0)
+        self._steps_left = self._n_steps
+        self._positions = 0, 0
         self._robot.dspic.write(bytes([DspicRegister.CONTROL, Control.SPEED]))
         return self._observe((0.0, 0.0))[0], self._info()
 
@@ -203,26 +209,28 @@ class KheperaIVEnvironment(MadeAnew, gymnasium.Env[NDArray[np.float32], NDArray[
         """Advance by a control period with these speeds of left and right wheel (2,).
 
         Raises:
-            ValueError: The episode is over, or none has begun, or the action is not two numbers.
+            ValueError: No episode is running, or the action is not two numbers.
         """
-        if self._left <= 0:
+        if self._steps_left <= 0:
             raise ValueError("the episode is over, or none has begun; expected reset() first")
-        speeds = np.asarray(action, np.float64)
-        if speeds.shape != (2,) or not np.isfinite(speeds).all():
+        commands = np.asarray(action, np.float64)
+        if commands.shape != (2,) or not np.isfinite(commands).all():
             raise ValueError(f"action {action!r}; expected two speeds, left and right, from -1 to 1")
-        orders = np.rint(np.clip(speeds, -1, 1) * TOP_SPEED_PULSES).astype("<i2")
+        orders = np.rint(np.clip(commands, -1, 1) * TOP_SPEED_PULSES).astype("<i2")
         self._robot.dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT]) + orders.tobytes())
         self._world.advance_to(self._world.time_ns + self._period_ns)
-        self._left -= 1
-        (_, positions, _), before = self._robot.dspic.motor_numbers, self._counts
-        self._counts = positions[0], positions[1]
+        self._steps_left -= 1
+        last_positions = self._positions
+        _, (left, right, *_), _ = self._robot.dspic.motor_numbers
+        self._positions = left, right
         ticks = self._period_ns // TICK_NS
-        left, right = ((now - then) / ticks for now, then in zip(self._counts, before, strict=True))
-        observation, terms = self._observe((left, right))
-        fallen = float(self._world.data.qpos[2]) < self._height - _FALLEN
-        if fallen:
-            self._left = 0
-        return observation, self._task.reward(terms), fallen, not fallen and self._left == 0, self._info()
+        speeds = (left - last_positions[0]) / ticks, (right - last_positions[1]) / ticks
+        observation, terms = self._observe(speeds)
+        has_fallen = float(self._world.data.qpos[2]) < self._height - _FALLEN
+        if has_fallen:
+            self._steps_left = 0
+        is_truncated = not has_fallen and self._steps_left == 0
+        return observation, self._task.reward(terms), has_fallen, is_truncated, self._info()
 
     def render(self) -> Picture | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return a map of the present state; None without a render mode."""
@@ -244,7 +252,7 @@ class KheperaIVEnvironment(MadeAnew, gymnasium.Env[NDArray[np.float32], NDArray[
     def _observe(self, speeds: tuple[float, float]) -> tuple[NDArray[np.float32], dict[str, Sequence[float]]]:
         """Return the observation, and its terms by name."""
         terms = {term: TERMS[term][1](self._robot, speeds) for term in self._task.terms}
-        numbers = np.array([each for term in terms.values() for each in term])
+        numbers = np.array([value for term in terms.values() for value in term])
         return np.clip(numbers, -1, 1).astype(np.float32), terms
 
     def _info(self) -> dict[str, Any]:
@@ -254,19 +262,16 @@ class KheperaIVEnvironment(MadeAnew, gymnasium.Env[NDArray[np.float32], NDArray[
 
 def _scaled(robot: Khepera4Robot, register: DspicRegister, first: int, count: int) -> list[float]:
     counts = robot.dspic.read_words(register, first + count)[first:]
-    return [2 * each / COUNTS_LIMIT - 1 for each in counts]
+    return [2 * count / COUNTS_LIMIT - 1 for count in counts]
 
 
-def _ultrasonic(robot: Khepera4Robot) -> list[int]:
-    return robot.dspic.read_words(DspicRegister.ULTRASONIC, TERMS["ultrasonic"][0])
+def _distances(robot: Khepera4Robot) -> list[float]:
+    """Return the ultrasonic distances, scaled to -1 to 1."""
+    readings = robot.dspic.read_words(DspicRegister.ULTRASONIC, TERMS["ultrasonic"][0])
+    return [2 * min(cm, _FAR_CM) / _FAR_CM - 1 for cm in readings]
 
 
-def _distance(reading: int) -> float:
-    """Return a distance as a number from -1 to 1."""
-    return 2 * min(reading, _FAR_CM) / _FAR_CM - 1
-
-
-def _turn(robot: Khepera4Robot) -> int:
+def _turn_rate(robot: Khepera4Robot) -> int:
     """Return the newest rate of turn to the left [0.066 deg/s]."""
     (word,) = robot.dspic.read_words(DspicRegister.GYROSCOPE + 40, 1)
     return word - (word >> 15 << 16)

@@ -1,4 +1,4 @@
-"""Tasks for several robots in one playpen, in PettingZoo's parallel form (extra `rl`).
+"""Tasks for several robots in one playpen, as a PettingZoo parallel environment (extra `rl`).
 
     environment = ParallelEnvironment("ObstacleAvoidance", robots=3)
     observations, infos = environment.reset(seed=1)
@@ -6,9 +6,9 @@
         actions = {agent: environment.action_space(agent).sample() for agent in environment.agents}
         observations, rewards, terminated, truncated, infos = environment.step(actions)
 
-Agents are the robots by their names in logs, khepera0 on. Their observations and actions are those of
-`gymnasium`, normalized to -1 to 1. They are obstacles to each other; a robot reflects a sixth of what white
-paper does, so that others see it from some 5 mm. One whose charge has run out stops while the others go on.
+Agents are the robots, named as in logs: khepera0, khepera1, ... Their observations and actions are those of
+`gymnasium`, normalized to -1 to 1. They are obstacles to each other; a robot reflects a sixth of the light of
+white paper, so others see it at about 5 mm. A robot whose charge has run out stops; the others continue.
 """
 
 # pyright: reportMissingTypeStubs=false
@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.copies import MadeAnew
-from khep_twin.envs.gymnasium import rendering, spaces
-from khep_twin.envs.info import Info, ground_truth, of_end, of_start, of_step
+from khep_twin.copies import CopiedByArguments
+from khep_twin.envs.gymnasium import render_metadata, spaces
+from khep_twin.envs.info import Info, end_info, ground_truth, start_info, step_info
 from khep_twin.envs.renderer import Picture, Renderer, View
 from khep_twin.envs.reset_options import ResetOptions
 from khep_twin.envs.task_episode import TaskEpisode
@@ -38,24 +38,24 @@ except ModuleNotFoundError as error:
     raise MissingExtraError("pettingzoo", "rl") from error
 
 
-class ParallelEnvironment(MadeAnew, ParallelEnv[str, Observation, NDArray[np.float32]]):
+class ParallelEnvironment(CopiedByArguments, ParallelEnv[str, Observation, NDArray[np.float32]]):
     """A task for several robots.
 
-    A copy, also by `pickle`, has the same arguments and random numbers; its episodes begin with `reset`.
+    A copy, also by `pickle`, has the same arguments and random numbers, and needs a `reset`.
 
     Args:
         task: Task, or its name.
-        robots: Number of robots; a playpen with spots has room for as many as it has spots.
+        robots: Number of robots; in a playpen with spots, at most one per spot.
         render_mode: "rgb_array", or None for no pictures.
         view: View of pictures: "scene" by MuJoCo, "map", or "auto".
         options: Options of `TaskSetup`: playpen, start (one for each robot), lamps, randomize, noise, vary,
             period_ns, seconds, planar (one robot), compiled, normalize, details.
 
     Attributes:
-        guard: Guard of its methods.
+        guard: Thread guard of its methods.
     """
 
-    KEPT = ("_rng",)
+    COPIED_ATTRIBUTES = ("_rng",)
 
     def __init__(
         self,
@@ -68,13 +68,14 @@ class ParallelEnvironment(MadeAnew, ParallelEnv[str, Observation, NDArray[np.flo
     ) -> None:
         self._setup = TaskSetup(task, robots=robots, **options)
         self._episode = TaskEpisode(self._setup)
-        self._painter = Renderer(view)
+        self._renderer = Renderer(view)
         self._rng = seeding.np_random(None)[0]
-        self.guard, self._begun = self._episode.guard, False
+        self.guard = self._episode.guard
+        self._has_started = False
         self.render_mode = render_mode
         self.metadata: Info = {
             "name": f"khep_twin/{self._setup.task.name}-v0",
-            **rendering(render_mode, self._setup),
+            **render_metadata(render_mode, self._setup),
         }
         self.possible_agents = [f"khepera{index}" for index in range(robots)]
         self.agents: list[str] = []
@@ -100,70 +101,71 @@ class ParallelEnvironment(MadeAnew, ParallelEnv[str, Observation, NDArray[np.flo
 
         Args:
             seed: Seed of this and all later episodes.
-            options: Options in place of the environment's own in this episode: seed, start (one for each
+            options: Options that replace the environment's in this episode: seed, start (one for each
                 robot), lamps, playpen.
         """
-        # PettingZoo's own test gives an option "options".
-        given = ResetOptions.of({name: value for name, value in (options or {}).items() if name != "options"})
+        # PettingZoo's API test passes an option "options".
+        request = ResetOptions.of({key: value for key, value in (options or {}).items() if key != "options"})
         if seed is not None:
             self._rng = seeding.np_random(seed)[0]
-        drawn = int(self._rng.integers(2**31))
-        seen = self._episode.begin(drawn if given.seed is None else given.seed, given)
-        self.agents, self._begun = list(self.possible_agents), True
-        begun = of_start(self._episode.batch)
-        infos = {agent: ground_truth(self._episode.batch, robot) | begun for agent, robot in self._present()}
-        return dict(zip(self.agents, seen, strict=True)), infos
+        drawn_seed = int(self._rng.integers(2**31))
+        observations = self._episode.begin(drawn_seed if request.seed is None else request.seed, request)
+        self.agents = list(self.possible_agents)
+        self._has_started = True
+        start = start_info(self._episode.batch)
+        infos = {agent: ground_truth(self._episode.batch, robot) | start for agent, robot in self._robots()}
+        return dict(zip(self.agents, observations, strict=True)), infos
 
     @one_thread
     def step(
         self, actions: Mapping[str, NDArray[np.float32]]
     ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]:
-        """Advance by a control period with these speeds of left and right wheel (2,) of each agent.
+        """Advance by a control period, with speeds of left and right wheel (2,) of each agent.
 
         Raises:
             KhepTwinError: There is no action for an agent.
-            ValueError: An action is not two numbers, or no episode has begun.
+            ValueError: An action is not two numbers, or no episode has started.
         """
-        if not self._begun:
-            raise ValueError("no episode has begun; expected reset() first")
+        if not self._has_started:
+            raise ValueError("no episode has started; expected reset() first")
         if not self.agents:
             return {}, {}, {}, {}, {}
-        given: list[object] = [(0.0, 0.0)] * len(self.possible_agents)
+        robot_actions: list[object] = [(0.0, 0.0)] * len(self.possible_agents)
         for agent in self.agents:
             if agent not in actions:
                 raise KhepTwinError(
                     f"no action for {agent}; expected one for each of {', '.join(self.agents)}"
                 )
-            given[self.possible_agents.index(agent)] = actions[agent]
-        became = dict(zip(self.possible_agents, self._episode.step(given), strict=True))
-        outcomes, late = {agent: became[agent] for agent in self.agents}, self._episode.over
+            robot_actions[self.possible_agents.index(agent)] = actions[agent]
+        results = dict(zip(self.possible_agents, self._episode.step(robot_actions), strict=True))
+        outcomes, truncated = {agent: results[agent] for agent in self.agents}, self._episode.over
         infos, batch = dict[str, Info](), self._episode.batch
-        for agent, robot in self._present():
-            infos[agent] = ground_truth(batch, robot) | of_step(batch, robot)
-            if late or outcomes[agent].ended:
-                infos[agent] |= of_end(batch, robot)
-        self.agents = [] if late else [agent for agent, outcome in outcomes.items() if not outcome.ended]
+        for agent, robot in self._robots():
+            infos[agent] = ground_truth(batch, robot) | step_info(batch, robot)
+            if truncated or outcomes[agent].terminated:
+                infos[agent] |= end_info(batch, robot)
+        self.agents = [] if truncated else [agent for agent in outcomes if not outcomes[agent].terminated]
         return (
             {agent: outcome.observation for agent, outcome in outcomes.items()},
             {agent: outcome.reward for agent, outcome in outcomes.items()},
-            {agent: outcome.ended for agent, outcome in outcomes.items()},
-            dict.fromkeys(outcomes, late),
+            {agent: outcome.terminated for agent, outcome in outcomes.items()},
+            dict.fromkeys(outcomes, truncated),
             infos,
         )
 
     @one_thread
     def render(self) -> Picture | None:
-        """Return a picture of the present state; None without a render mode."""
+        """Return a picture of the current state; None without a render mode."""
         if self.render_mode is None:
             return None
-        return self._painter.picture(self._episode.episode)
+        return self._renderer.picture(self._episode.episode)
 
     @one_thread
     def close(self) -> None:
         """Release the resources of rendering."""
-        self._painter.close()
+        self._renderer.close()
 
-    def _present(self) -> list[tuple[str, int]]:
-        """Return the present agents and their robots."""
+    def _robots(self) -> list[tuple[str, int]]:
+        """Return the active agents and their robots' indices."""
         robots = enumerate(self.possible_agents)
         return [(agent, robot) for robot, agent in robots if agent in self.agents]

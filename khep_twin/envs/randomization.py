@@ -1,11 +1,11 @@
-"""Domain randomization: what differs from episode to episode, drawn by the episode's seed.
+"""Domain randomization: properties that vary from episode to episode, drawn by the episode's seed.
 
     randomize = Randomization(starts=(50, 180), lamps=(2, 100), robots=True, noise=0.5, blocks_mm=80)
     environment = khep_twin.make("khep_twin/LightSeeking-v0", randomize=randomize)
 
-Each kind has a random stream of its own, so that one more changes nothing about the others. Playpens with
-other places of their obstacles are scenes to compile, some 10 ms each: they are drawn once, by `seed`, and
-each episode takes one of them.
+Each property has a separate random stream, so that another one does not change the rest. Playpens with moved
+obstacles must be compiled by MuJoCo, in some 10 ms each: a pool of them is drawn once, by `seed`, and each
+episode uses one of them.
 """
 
 import math
@@ -16,7 +16,7 @@ from typing import Any, Literal, Self, TypeVar
 import numpy as np
 
 from khep_twin.clock import NS_PER_S
-from khep_twin.episodes.episode_options import checked_count
+from khep_twin.episodes.episode_options import check_count
 from khep_twin.episodes.line import MeasuredCycle
 from khep_twin.errors import KhepTwinError, choices
 from khep_twin.playpen import BULB_RADIUS_MM, Block, Cylinder, Lamp, Playpen
@@ -26,12 +26,12 @@ from khep_twin.playpen.starts import Start, anywhere, at_spots, at_start, extent
 from khep_twin.randomness import stream
 
 TRIES = 100
-"""Number of places tried for a thing before it stays where it is."""
+"""Number of positions tried for an object before it stays in place."""
 
 POWER_LIMIT_W = 1000.0
 """Largest power of a lamp in a playpen file [W]."""
 
-Moved = TypeVar("Moved", Block, Cylinder, Lamp)
+Item = TypeVar("Item", Block, Cylinder, Lamp)
 Draw = tuple[float, float]
 
 
@@ -40,16 +40,15 @@ class Randomization:
     """Domain randomization of episodes.
 
     Attributes:
-        starts: "anywhere" there is room, or the largest distances from the start along x and y [mm] and in
-            heading [deg]; None for the task's own starts.
-        lamps: Largest factor of a lamp's power, up or down, and largest distance along x and y [mm].
-        robots: Whether each episode has another robot of the same make, as by `vary`.
-        noise: Probability that sensors are noisy; None for the environment's own `noise`.
-        delay: Least and largest time from a reading to the effect of the speeds decided on it [s], up to a
-            control period; None for the environment's own `line`.
-        blocks_mm: Largest distance along x and y by which blocks and cylinders are moved that stand clear of
-            all else [mm].
-        playpens: Number of playpens with moved blocks, of which each episode takes one.
+        starts: "anywhere" for any free position, or the largest offsets from the start along x and y [mm] and
+            in heading [deg]; None for the task's starts.
+        lamps: Largest factor on a lamp's power, up or down, and largest offset along x and y [mm].
+        robots: Whether each episode has another robot of the same model, like `vary`.
+        noise: Probability that sensors are noisy; None for the environment's `noise`.
+        delay: Smallest and largest time from a reading to the effect of the resulting speeds [s], up to a
+            control period; None for the environment's `line`.
+        blocks_mm: Largest offset along x and y of blocks and cylinders that overlap nothing [mm].
+        playpens: Number of playpens with moved blocks; each episode uses one.
         seed: Seed of these playpens.
 
     Raises:
@@ -79,70 +78,72 @@ class Randomization:
                 raise _error("delay", self.delay, "two times [s], the second not below the first")
         if not 0 <= self.blocks_mm < math.inf:
             raise _error("blocks_mm", self.blocks_mm, "a distance from 0 [mm]")
-        checked_count(self.playpens, "playpens")
+        check_count(self.playpens, "playpens")
 
     @classmethod
-    def of(cls, given: Self | Mapping[str, Any] | None) -> Self | None:
-        """Return a randomization that may be given as a mapping of its attributes.
+    def of(cls, value: Self | Mapping[str, Any] | None) -> Self | None:
+        """Return a randomization, which may also be a mapping of its attributes.
 
         Raises:
             KhepTwinError: It is neither, or a name or value is unknown.
         """
-        if given is None or isinstance(given, cls):
-            return given
-        if not isinstance(given, Mapping):
-            raise KhepTwinError(key="randomize", value=given, expected="a Randomization, or its attributes")
-        known = [field.name for field in fields(cls)]
-        for name in given:
-            if name not in known:
-                raise KhepTwinError(f"randomize: {name!r}: unknown; {choices(name, known)}")
-        return cls(**given)
+        if value is None or isinstance(value, cls):
+            return value
+        if not isinstance(value, Mapping):
+            raise KhepTwinError(key="randomize", value=value, expected="a Randomization, or its attributes")
+        known_names = [field.name for field in fields(cls)]
+        for name in value:
+            if name not in known_names:
+                raise KhepTwinError(f"randomize: {name!r}: unknown; {choices(name, known_names)}")
+        return cls(**value)
 
     def pool(self, playpen: Playpen) -> tuple[Playpen, ...]:
         """Return the playpens with moved blocks and cylinders."""
         return tuple(self._with_moved_blocks(playpen, number) for number in range(self.playpens))
 
-    def chosen(self, seed: int) -> int:
+    def playpen_index(self, seed: int) -> int:
         """Return the number of an episode's playpen in the pool."""
         return int(stream(seed, "randomization", "playpen").integers(self.playpens))
 
-    def placed(self, playpen: Playpen, seed: int, start: Sequence[Start] | None) -> Sequence[Start]:
-        """Return the robots' starts, drawn around those given or the playpen's."""
+    def draw_starts(self, playpen: Playpen, seed: int, start: Sequence[Start] | None) -> Sequence[Start]:
+        """Return the robots' starts, drawn around `start` or the playpen's."""
         if self.starts == "anywhere":
             return starts_of(anywhere(playpen, seed))
-        standing = at_spots(playpen, seed) if start is None else placed_at(playpen, start)
+        playpen = at_spots(playpen, seed) if start is None else place_robots(playpen, start)
         if self.starts is None:
-            return starts_of(standing)
-        rng, (far, turn) = stream(seed, "randomization", "starts"), self.starts
-        for index, (x_mm, y_mm, heading_deg) in enumerate(starts_of(standing)):
+            return starts_of(playpen)
+        rng, (max_mm, max_deg) = stream(seed, "randomization", "starts"), self.starts
+        for index, (x_mm, y_mm, heading_deg) in enumerate(starts_of(playpen)):
             for _ in range(TRIES):
-                dx, dy, turned = (rng.uniform(-1, 1, 3) * (far, far, turn)).round(1).tolist()
-                if not no_room(standing, index, x_mm + dx, y_mm + dy):
-                    standing = at_start(standing, index, (x_mm + dx, y_mm + dy, heading_deg + turned))
+                dx, dy, turn_deg = (rng.uniform(-1, 1, 3) * (max_mm, max_mm, max_deg)).round(1).tolist()
+                if not no_room(playpen, index, x_mm + dx, y_mm + dy):
+                    playpen = at_start(playpen, index, (x_mm + dx, y_mm + dy, heading_deg + turn_deg))
                     break
-        return starts_of(standing)
+        return starts_of(playpen)
 
-    def relit(self, playpen: Playpen, seed: int) -> Sequence[Lamp]:
-        """Return the lamps of a playpen with other powers and places."""
+    def draw_lamps(self, playpen: Playpen, seed: int) -> Sequence[Lamp]:
+        """Return the lamps of a playpen with randomized powers and positions."""
         if self.lamps is None:
             return playpen.lamps
-        rng, (factor, far) = stream(seed, "randomization", "lamps"), self.lamps
+        rng, (factor, max_mm) = stream(seed, "randomization", "lamps"), self.lamps
         factors: list[float] = (factor ** rng.uniform(-1, 1, len(playpen.lamps))).tolist()
         lamps = list(playpen.lamps)
         for index, lamp in enumerate(lamps):
             power_w = min(lamp.power_w * factors[index], POWER_LIMIT_W)
-            others = playpen.model_copy(update={"lamps": (*lamps[:index], *lamps[index + 1 :])})
-            lamps[index] = _moved(others, "lamp", lamp.model_copy(update={"power_w": power_w}), far, rng)
+            surroundings = playpen.model_copy(update={"lamps": (*lamps[:index], *lamps[index + 1 :])})
+            lamps[index] = _move(
+                surroundings, "lamp", lamp.model_copy(update={"power_w": power_w}), max_mm, rng
+            )
         return lamps
 
-    def is_noisy(self, seed: int, otherwise: bool) -> bool:
+    def is_noisy(self, seed: int, default: bool) -> bool:
         """Return whether the sensors of an episode are noisy."""
         if self.noise is None:
-            return otherwise
+            return default
         return bool(stream(seed, "randomization", "noise").uniform() < self.noise)
 
     def line(self, seed: int, period_ns: int) -> MeasuredCycle | None:
-        """Return the times of an episode's cycle, one control period [ns] long; None without a delay."""
+        """Return an episode's cycle with a drawn delay, one control period [ns] long; None without one."""
         if self.delay is None:
             return None
         delay = float(stream(seed, "randomization", "delay").uniform(*self.delay))
@@ -153,18 +154,18 @@ class Randomization:
         for name, kind in (("blocks", "block"), ("cylinders", "cylinder")):
             items: list[Any] = list(getattr(playpen, name))
             for index, item in enumerate(items):
-                others = playpen.model_copy(update={name: (*items[:index], *items[index + 1 :])})
-                items[index] = _moved(others, kind, item, self.blocks_mm, rng)
+                surroundings = playpen.model_copy(update={name: (*items[:index], *items[index + 1 :])})
+                items[index] = _move(surroundings, kind, item, self.blocks_mm, rng)
             playpen = playpen.model_copy(update={name: tuple(items)})
         return playpen
 
 
 def starts_of(playpen: Playpen) -> list[Start]:
-    """Return where a playpen's robots stand."""
+    """Return the poses of a playpen's robots."""
     return [(robot.x_mm, robot.y_mm, robot.heading_deg) for robot in playpen.robots]
 
 
-def placed_at(playpen: Playpen, starts: Iterable[Start]) -> Playpen:
+def place_robots(playpen: Playpen, starts: Iterable[Start]) -> Playpen:
     """Return a playpen with its robots at these starts.
 
     Raises:
@@ -179,42 +180,42 @@ def placed_at(playpen: Playpen, starts: Iterable[Start]) -> Playpen:
     return playpen
 
 
-def _moved(others: Playpen, kind: str, item: Moved, far_mm: float, rng: np.random.Generator) -> Moved:
-    """Return a thing at a random place near its own where it overlaps no other; its own if none is found.
+def _move(surroundings: Playpen, kind: str, item: Item, max_mm: float, rng: np.random.Generator) -> Item:
+    """Return an object moved to a random nearby position without an overlap; unchanged if none is found.
 
-    What overlaps others at its own place, such as the parts of a maze, stays there.
+    An object that already overlaps others, e.g. a part of a maze, is not moved.
     """
-    fixed = [replace(thing, free=False) for thing in things(others)]
+    fixed = [replace(thing, free=False) for thing in things(surroundings)]
     bottom_mm, top_mm = 0.0, 0.0
     if isinstance(item, Lamp):
         bottom_mm, top_mm = item.z_mm - BULB_RADIUS_MM, item.z_mm + BULB_RADIUS_MM
     else:
         top_mm = item.height_mm
 
-    def is_clear(there: Moved) -> bool:
-        thing = Thing(kind, 0, item.name, there.footprint, bottom_mm, top_mm, True)
-        problems = placement_problems([*fixed, thing], others.arena)
+    def is_clear(candidate: Item) -> bool:
+        thing = Thing(kind, 0, item.name, candidate.footprint, bottom_mm, top_mm, True)
+        problems = placement_problems([*fixed, thing], surroundings.arena)
         return all(problem.location[:2] != thing.place for problem in problems)
 
-    if far_mm and is_clear(item):
-        (left, right), (low, high) = extent(others)
+    if max_mm and is_clear(item):
+        (left, right), (low, high) = extent(surroundings)
         for _ in range(TRIES):
-            dx, dy = (rng.uniform(-far_mm, far_mm, 2)).round(1).tolist()
-            there = item.model_copy(update={"x_mm": item.x_mm + dx, "y_mm": item.y_mm + dy})
-            if left <= there.x_mm <= right and low <= there.y_mm <= high and is_clear(there):
-                return there
+            dx, dy = (rng.uniform(-max_mm, max_mm, 2)).round(1).tolist()
+            moved = item.model_copy(update={"x_mm": item.x_mm + dx, "y_mm": item.y_mm + dy})
+            if left <= moved.x_mm <= right and low <= moved.y_mm <= high and is_clear(moved):
+                return moved
     return item
 
 
-def _check(name: str, given: Any, expected: str, lowest: Draw) -> None:
-    """Raise an error unless these are two numbers from the lowest ones on."""
+def _check(name: str, values: Any, expected: str, minimum: Draw) -> None:
+    """Raise an error unless these are two finite numbers, not below the minimum."""
     try:
-        fits = all(low <= number < math.inf for number, low in zip(given, lowest, strict=True))
+        is_valid = all(low <= number < math.inf for number, low in zip(values, minimum, strict=True))
     except (TypeError, ValueError):
-        fits = False
-    if not fits:
-        raise _error(name, given, expected)
+        is_valid = False
+    if not is_valid:
+        raise _error(name, values, expected)
 
 
-def _error(name: str, given: object, expected: str) -> KhepTwinError:
-    return KhepTwinError(f"randomize: {name} = {given!r}; expected {expected}")
+def _error(name: str, value: object, expected: str) -> KhepTwinError:
+    return KhepTwinError(f"randomize: {name} = {value!r}; expected {expected}")

@@ -35,7 +35,9 @@ View = Literal["auto", "scene", "map"]
 VIEWS = ("auto", "scene", "map")
 
 WIDTH, HEIGHT = 640, 480
-"""Size of a rendered scene [pixels]: MuJoCo's offscreen buffer; a map has its own size."""
+"""Size of a rendered scene [pixels]: MuJoCo's offscreen buffer; a map has another size."""
+
+_REMEDY = "expected MUJOCO_GL=egl or MUJOCO_GL=osmesa, with that library installed, or view='map'"
 
 
 class MapWarning(UserWarning):
@@ -45,11 +47,11 @@ class MapWarning(UserWarning):
 class Renderer:
     """Renderer of pictures of episodes.
 
-    What does not change from one picture to the next is drawn once.
+    Static parts are drawn once, not for each picture.
 
     Args:
-        view: "scene" rendered by MuJoCo, "map", or "auto" for a map in a plane, and where there is no screen
-            and no `MUJOCO_GL`, else a scene if possible, and if not a map with a warning.
+        view: "scene" rendered by MuJoCo, "map", or "auto". "auto" is a map for the 2-D model, and without a
+            screen and `MUJOCO_GL`; otherwise a scene if MuJoCo can render, or a map with a warning.
 
     Attributes:
         view: View of the pictures; "auto" before the first.
@@ -61,9 +63,9 @@ class Renderer:
     def __init__(self, view: View = "auto") -> None:
         if view not in VIEWS:
             raise KhepTwinError(f"view {view!r}: unknown; {choices(view, VIEWS)}")
-        self.view: View = "map" if view == "auto" and not _may_render() else view
+        self.view: View = "map" if view == "auto" and not _can_render() else view
         self._renderer: mujoco.Renderer | None = None
-        self._own: mujoco.MjData | None = None
+        self._data: mujoco.MjData | None = None
         self._map: tuple[EpisodeSetup, tuple[Lamp, ...], MovingMap] | None = None
 
     def picture(self, episode: Episode) -> Picture:
@@ -77,9 +79,9 @@ class Renderer:
                 picture = self._scene(episode)
             except Exception as error:  # each GL backend raises its own errors
                 if self.view == "scene":
-                    raise KhepTwinError(f"MuJoCo cannot render here ({_told(error)}); {_REMEDY}") from error
+                    raise KhepTwinError(f"MuJoCo cannot render here ({_reason(error)}); {_REMEDY}") from error
                 warnings.warn(
-                    f"pictures are maps, as MuJoCo cannot render here ({_told(error)}); {_REMEDY}",
+                    f"pictures are maps, as MuJoCo cannot render here ({_reason(error)}); {_REMEDY}",
                     MapWarning,
                     stacklevel=2,
                 )
@@ -98,30 +100,30 @@ class Renderer:
     def _scene(self, episode: Episode) -> Picture:
         planar = episode.setup.planar_scene is not None
         model = episode.setup.model if planar else episode.data.model
-        if self._renderer is None or self._own is None or self._own.model is not model:
+        if self._renderer is None or self._data is None or self._data.model is not model:
             self.close()
-            looks = copy.copy(model)
-            visual: Any = looks.vis
-            # Without a graphics card, three times faster than by what stills have.
+            render_model = copy.copy(model)
+            visual: Any = render_model.vis
+            # In software rendering, three times faster than the quality of stills.
             visual.quality.shadowsize, visual.quality.offsamples = 2048, 0
-            self._renderer, self._own = mujoco.Renderer(looks, HEIGHT, WIDTH), mujoco.MjData(model)
-        own, arena = self._own, episode.setup.playpen.arena
+            self._renderer, self._data = mujoco.Renderer(render_model, HEIGHT, WIDTH), mujoco.MjData(model)
+        data, arena = self._data, episode.setup.playpen.arena
         if planar:
-            _place(own, ["khepera0/base", *movable_names(episode.setup.playpen)], episode)
+            _set_poses(data, ["khepera0/base", *movable_names(episode.setup.playpen)], episode)
         else:
-            own.qpos[:] = episode.data.qpos
-        mujoco.mj_kinematics(model, own)
-        mujoco.mj_camlight(model, own)
+            data.qpos[:] = episode.data.qpos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
         width, depth = arena.width_mm / 1e3, arena.height_mm / 1e3
         camera = mujoco.MjvCamera()
         camera.lookat[:] = width / 2, depth / 2, 0
         camera.distance = 1.3 * max(width, 4 / 3 * depth)
         camera.azimuth, camera.elevation = 90.0, -65.0
-        self._renderer.update_scene(own, camera)
+        self._renderer.update_scene(data, camera)
         return self._renderer.render()
 
     def _moving_map(self, episode: Episode) -> "MovingMap":
-        """Return the map of an episode's playpen and lamps, drawn anew if they are others than before."""
+        """Return the map of an episode's playpen and lamps, redrawn if these have changed."""
         from khep_twin.drawing.moving_map import MovingMap
 
         setup, playpen = episode.setup, episode.playpen
@@ -130,30 +132,27 @@ class Renderer:
         return self._map[2]
 
 
-def _place(data: mujoco.MjData, bodies: Sequence[str], episode: Episode) -> None:
-    """Place the robot and the movable objects of an episode in a plane, in MuJoCo's scene."""
+def _set_poses(data: mujoco.MjData, bodies: Sequence[str], episode: Episode) -> None:
+    """Set the poses of robot and movable objects of a 2-D episode in MuJoCo's data."""
     model = data.model
     data.qpos[:] = model.qpos0
     for name, (x, y, heading) in zip(bodies, (*episode.poses, *_poses(episode.objects)), strict=True):
-        first = model.jnt_qposadr[model.body_jntadr[model.body(name).id]]
-        data.qpos[[first, first + 1]] = x, y
-        data.qpos[first + 3 : first + 7] = math.cos(heading / 2), 0, 0, math.sin(heading / 2)
+        address = model.jnt_qposadr[model.body_jntadr[model.body(name).id]]
+        data.qpos[[address, address + 1]] = x, y
+        data.qpos[address + 3 : address + 7] = math.cos(heading / 2), 0, 0, math.sin(heading / 2)
 
 
 def _poses(rows: NDArray[np.float64]) -> list[Pose]:
     return [(x, y, heading) for x, y, heading in rows.tolist()]
 
 
-def _may_render() -> bool:
-    """Return whether MuJoCo may find OpenGL: on Linux it needs a screen or `MUJOCO_GL`."""
+def _can_render() -> bool:
+    """Return whether MuJoCo may find OpenGL, which needs a screen or `MUJOCO_GL` on Linux."""
     names = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY")
     return sys.platform != "linux" or any(os.environ.get(name) for name in names)
 
 
-_REMEDY = "expected MUJOCO_GL=egl or MUJOCO_GL=osmesa, with that library installed, or view='map'"
-
-
-def _told(error: Exception) -> str:
+def _reason(error: Exception) -> str:
     """Return the first line of an error, without a full stop."""
     try:
         lines = str(error).splitlines()

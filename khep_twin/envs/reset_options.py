@@ -1,4 +1,4 @@
-"""Options of `reset`, checked: start, lamps and playpen of the episodes that begin, and their seeds."""
+"""Options of `reset`, checked: start, lamps, playpen and seed of the next episodes."""
 
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,12 +13,31 @@ from khep_twin.playpen import Lamp, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start
 from khep_twin.randomness import SEED_LIMIT
 
-_PLAYPEN = "the name or path of a playpen, or a Playpen"
+_EXPECTED_PLAYPEN = "the name or path of a playpen, or a Playpen"
+
+
+def is_list(value: object) -> bool:
+    """Return whether this is a list, tuple or array."""
+    return isinstance(value, list | tuple | np.ndarray)
+
+
+def is_nested(value: object) -> bool:
+    """Return whether this is a list that contains lists."""
+    return is_list(value) and any(is_list(item) for item in cast(Iterable[object], value))
+
+
+_IS_LIST: Mapping[str, Callable[[Any], bool]] = {
+    "seed": is_list,
+    "start": is_nested,
+    "lamps": is_nested,
+    "playpen": is_list,
+}
+"""Functions that return whether an option's value is a list with one per environment."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ResetOptions:
-    """Options of one episode, in place of its environment's own where they are not None.
+    """Options of one episode, which replace its environment's if they are not None.
 
     Attributes:
         seed: Seed of the episode.
@@ -34,86 +53,67 @@ class ResetOptions:
 
     @classmethod
     def of(cls, options: Mapping[str, Any] | None) -> Self:
-        """Return the options that a mapping has.
+        """Return the options in a mapping.
 
         Raises:
-            KhepTwinError: A name is unknown, or a value is of another kind.
+            KhepTwinError: A name is unknown, or a value has another type.
             ValueError: The seed is no integer from 0 to 2**63-1.
         """
-        given = {name: value for name, value in (options or {}).items() if value is not None}
-        known = [field.name for field in fields(cls)]
-        for name in given:
-            if name not in known:
-                raise KhepTwinError(f"options: {name!r}: unknown; {choices(name, known)}")
-        if "seed" in given:
-            given["seed"] = checked_seed(given["seed"])
-        if "lamps" in given:
-            given["lamps"] = checked_lamps(given["lamps"])
-        if "playpen" in given:
-            given["playpen"] = checked_playpen(given["playpen"])
-        return cls(**given)
+        values = {name: value for name, value in (options or {}).items() if value is not None}
+        known_names = [field.name for field in fields(cls)]
+        for name in values:
+            if name not in known_names:
+                raise KhepTwinError(f"options: {name!r}: unknown; {choices(name, known_names)}")
+        if "seed" in values:
+            values["seed"] = checked_seed(values["seed"])
+        if "lamps" in values:
+            values["lamps"] = checked_lamps(values["lamps"])
+        if "playpen" in values:
+            values["playpen"] = checked_playpen(values["playpen"])
+        return cls(**values)
 
     @classmethod
     def of_each(cls, options: Mapping[str, Any], count: int) -> list[Self]:
-        """Return the options of each of `count` environments, where a value may be a list with one for each.
+        """Return the options of `count` environments; a value may be a list with one per environment.
 
         Raises:
             KhepTwinError: As for `of`, or a list has another length.
             ValueError: A seed is no integer from 0 to 2**63-1.
         """
-        each = {name: _each(name, value, count) for name, value in options.items() if name in _IS_LIST}
-        if not each:
+        lists = {name: _spread(name, value, count) for name, value in options.items() if name in _IS_LIST}
+        if not lists:
             return [cls.of(options)] * count
-        shared = {name: value for name, value in options.items() if name not in each}
-        rows = (dict(zip(each, values, strict=True)) for values in zip(*each.values(), strict=True))
+        shared = {name: value for name, value in options.items() if name not in lists}
+        rows = (dict(zip(lists, values, strict=True)) for values in zip(*lists.values(), strict=True))
         return [cls.of({**shared, **row}) for row in rows]
 
 
-def checked_seed(given: object) -> int:
+def checked_seed(value: object) -> int:
     """Return a seed; raise a `ValueError` unless it is an integer from 0 to 2**63-1."""
-    if isinstance(given, SupportsIndex) and 0 <= (seed := operator.index(given)) < SEED_LIMIT:
+    if isinstance(value, SupportsIndex) and 0 <= (seed := operator.index(value)) < SEED_LIMIT:
         return seed
-    raise ValueError(f"options: seed = {given!r}; expected an integer from 0 to 2**63-1")
+    raise ValueError(f"options: seed = {value!r}; expected an integer from 0 to 2**63-1")
 
 
-def checked_playpen(given: object) -> PlaypenLike:
-    """Return what names or is a playpen; raise a `KhepTwinError` if it is anything else."""
-    if isinstance(given, Playpen | str | PathLike):
-        return cast(PlaypenLike, given)
-    raise KhepTwinError(f"playpen = {given!r}; expected {_PLAYPEN}")
+def checked_playpen(value: object) -> PlaypenLike:
+    """Return a playpen, its name or its path; raise a `KhepTwinError` for other types."""
+    if isinstance(value, Playpen | str | PathLike):
+        return cast(PlaypenLike, value)
+    raise KhepTwinError(f"playpen = {value!r}; expected {_EXPECTED_PLAYPEN}")
 
 
-def checked_lamps(given: object) -> Sequence[Lamp]:
-    """Return lamps; raise a `KhepTwinError` if they are no list of them."""
-    lamps = list(cast(Iterable[object], given)) if isinstance(given, list | tuple) else [None]
+def checked_lamps(value: object) -> Sequence[Lamp]:
+    """Return a list of lamps; raise a `KhepTwinError` if the value is not one."""
+    lamps = list(cast(Iterable[object], value)) if isinstance(value, list | tuple) else [None]
     if not all(isinstance(lamp, Lamp) for lamp in lamps):
-        raise KhepTwinError(f"lamps = {given!r}; expected a list of khep_twin.Lamp")
+        raise KhepTwinError(f"lamps = {value!r}; expected a list of khep_twin.Lamp")
     return cast(Sequence[Lamp], lamps)
 
 
-def is_list(given: object) -> bool:
-    """Return whether this is a list, also as a tuple or array."""
-    return isinstance(given, list | tuple | np.ndarray)
-
-
-def is_nested(given: object) -> bool:
-    """Return whether this is a list with lists in it."""
-    return is_list(given) and any(is_list(each) for each in cast(Iterable[object], given))
-
-
-_IS_LIST: Mapping[str, Callable[[Any], bool]] = {
-    "seed": is_list,
-    "start": is_nested,
-    "lamps": is_nested,
-    "playpen": is_list,
-}
-"""Functions that tell whether the value of an option is a list with one for each environment."""
-
-
-def _each(name: str, given: Any, count: int) -> Sequence[Any]:
-    """Return the value of each of `count` environments; raise a `KhepTwinError` if the number is wrong."""
-    if not _IS_LIST[name](given):
-        return [given] * count
-    if len(given) != count:
-        raise KhepTwinError(f"options: {len(given)} of {name}; expected one, or one for each of {count}")
-    return list(given)
+def _spread(name: str, value: Any, count: int) -> Sequence[Any]:
+    """Return one value per environment; raise a `KhepTwinError` if a list has another length."""
+    if not _IS_LIST[name](value):
+        return [value] * count
+    if len(value) != count:
+        raise KhepTwinError(f"options: {len(value)} of {name}; expected one, or one for each of {count}")
+    return list(value)

@@ -1,4 +1,4 @@
-"""Episodes of a task: `begin` with a seed, then `step` by step, with observations and rewards.
+"""Episodes of a task: `begin` with a seed, then `step`, with observations and rewards.
 
     episode = TaskEpisode(TaskSetup("ObstacleAvoidance"))
     episode.begin(seed=1)
@@ -8,8 +8,8 @@
 
 The dm_env, Gymnasium and PettingZoo environments are built on these episodes. A step is one control period,
 50 ms by default (the cycle of the Khepera Toolbox's controllers): the speeds are set as by a command D
-without delay, physics, sensors and control loops run at their own rates, and the robots are observed again.
-An episode depends on its seed and its actions alone, not on earlier episodes.
+without delay, physics, sensors and control loops run at their rates, and the robots are observed again.
+An episode depends only on its seed and its actions, not on earlier episodes.
 """
 
 from collections.abc import Sequence
@@ -25,6 +25,7 @@ from khep_twin.envs.task_batch import TaskBatch
 from khep_twin.envs.task_setup import TaskSetup
 from khep_twin.envs.tasks import Observation
 from khep_twin.episodes.episode import Episode
+from khep_twin.renamed import renamed_attribute
 
 _ROW = np.zeros(1, np.int64)
 
@@ -36,12 +37,13 @@ class StepResult:
     Attributes:
         observation: Observation after the step (n,).
         reward: Reward for this control period, 0 to 1.
-        ended: Whether the charge has run out.
+        terminated: Whether the charge has run out.
     """
 
     observation: Observation
     reward: float
-    ended: bool
+    terminated: bool
+    ended = renamed_attribute("ended", "terminated")
 
 
 class TaskEpisode(NotCopied):
@@ -51,11 +53,11 @@ class TaskEpisode(NotCopied):
         setup: Prepared task.
 
     Attributes:
-        batch: Batch of this episode alone.
-        guard: Guard of its methods, its batch's.
+        batch: Batch with only this episode.
+        guard: Thread guard of its methods, the batch's.
     """
 
-    INSTEAD = "another TaskEpisode of the same setup, begun with the same seed"
+    COPY_ADVICE = "another TaskEpisode of the same setup, started with the same seed"
 
     def __init__(self, setup: TaskSetup) -> None:
         self.setup = setup
@@ -68,7 +70,7 @@ class TaskEpisode(NotCopied):
 
         Args:
             seed: Seed of the episode.
-            options: Options in place of the setup's own; their seed is not used.
+            options: Options that replace the setup's; their seed is not used.
 
         Raises:
             PlaypenError: There is no room for the robots.
@@ -81,26 +83,26 @@ class TaskEpisode(NotCopied):
         """Advance by a control period.
 
         Args:
-            actions: Speeds of each robot's wheels, left and right, as parts of the top speed, or, if not
-                normalized, in pulses/10 ms; clipped, and rounded to whole pulses.
+            actions: Speeds of each robot's wheels, left and right, as fractions of the top speed, or in
+                pulses/10 ms if not normalized; clipped, and rounded to whole pulses.
 
         Raises:
-            DivergedError: A speed is no number, or the physics left its bounds.
+            DivergedError: A speed is NaN, or the physics has diverged.
             ValueError: The episode is over, the number of actions is not that of the robots, or one of them
                 is not two numbers.
         """
         batch = self.batch
         if self.over:
-            raise ValueError("the episode is over, or none has begun; expected begin() first")
+            raise ValueError("the episode is over, or none has started; expected begin() first")
         if len(actions) != self._n_robots:
             raise ValueError(f"{len(actions)} actions; expected {self._n_robots}, one for each robot")
         batch.step(_ROW, [actions])
-        rewards, ended = batch.rewards[0].tolist(), batch.ended[0].tolist()
-        return [StepResult(*each) for each in zip(batch.observations[0], rewards, ended, strict=True)]
+        rewards, terminated = batch.rewards[0].tolist(), batch.terminated[0].tolist()
+        return [StepResult(*row) for row in zip(batch.observations[0], rewards, terminated, strict=True)]
 
     @property
     def over(self) -> bool:
-        """True if the time is over, or no episode has begun."""
+        """True at the time limit, or if no episode has started."""
         return bool(self.batch.over[0])
 
     @property
@@ -128,6 +130,6 @@ class TaskEpisode(NotCopied):
         """State of MuJoCo's scene, live.
 
         Raises:
-            ValueError: The episode is in a plane.
+            ValueError: The setup is `planar`.
         """
         return self.batch.episodes[0].data

@@ -1,7 +1,7 @@
-"""A task prepared for episodes: its playpen, goal, divisions of time, and units of actions.
+"""A task prepared for episodes: its playpen, goal, time steps, and units of actions.
 
-Actions and observations are normalized to -1 to 1, or, with `TaskSetup(..., normalize=False)`, in the units
-of the robot: pulses/10 ms, and counts.
+Actions and observations are normalized to -1 to 1, or, with `TaskSetup(..., normalize=False)`, in the robot's
+units: pulses/10 ms, and counts.
 """
 
 import inspect
@@ -16,33 +16,35 @@ from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.clock import NS_PER_S, n_steps, to_ns
-from khep_twin.copies import MadeAnew
-from khep_twin.envs.randomization import Randomization, placed_at, starts_of
+from khep_twin.copies import CopiedByArguments
+from khep_twin.envs.randomization import Randomization, place_robots, starts_of
 from khep_twin.envs.reset_options import ResetOptions, checked_lamps, checked_playpen, is_nested
-from khep_twin.envs.tasks import Task, action_limit, find, speeds_of
+from khep_twin.envs.tasks import Task, action_limit, find_task, speeds_of
 from khep_twin.episodes.controllers import Policy
-from khep_twin.episodes.device import Device, chosen_device
+from khep_twin.episodes.device import Device, choose_device
 from khep_twin.episodes.episode import Episode
-from khep_twin.episodes.episode_options import EpisodeOptions, Home, check_numbers, checked_count
+from khep_twin.episodes.episode_options import EpisodeOptions, Home, check_count, check_numbers
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.line import LineTimes, MeasuredCycle, check_line, longest_cycle_ns
 from khep_twin.errors import KhepTwinError, PlaypenError, choices
 from khep_twin.playpen import Lamp, Playpen, PlaypenLike
 from khep_twin.playpen.starts import Start, anywhere, at_spots
+from khep_twin.renamed import renamed_attribute
 from khep_twin.sensing import calibration
 
 PERIOD_NS = 50_000_000
 """Default control period [ns]."""
 
 TERM_REQUESTS = {"proximity": "N", "light": "O", "speed": "H"}
-"""Command that asks a robot for an observation term; others are not asked on the line."""
+"""Command that requests an observation term from a robot; other terms are not requested on the line."""
 
-_AS_IT_IS = ResetOptions()
+_NO_OPTIONS = ResetOptions()
+_NO_RANDOMIZATION = Randomization()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EpisodeBeginning:
-    """Beginning of an episode.
+    """Initial conditions of an episode.
 
     Attributes:
         setup: Setup of its playpen.
@@ -55,8 +57,8 @@ class EpisodeBeginning:
     drawn: dict[str, Any] = field(default_factory=dict[str, Any])
 
 
-class TaskSetup(MadeAnew):
-    """A prepared task; any number of episodes, in any threads, may share it.
+class TaskSetup(CopiedByArguments):
+    """A prepared task, which any number of episodes, in any threads, may share.
 
     Args:
         task: Task, or its name.
@@ -66,25 +68,24 @@ class TaskSetup(MadeAnew):
         lamps: Lamps instead of the playpen's.
         randomize: `Randomization` of the episodes, or a mapping of its attributes.
         noise: Whether sensors are noisy.
-        vary: Whether each episode has another robot of the same make, by its seed.
+        vary: Whether each episode has another robot of the same model, by its seed.
         period_ns: Control period [ns], whole ticks of 10 ms.
         seconds: Time limit of an episode [s]; by default the task's.
-        planar: Whether the robot moves in a plane instead of MuJoCo (`EpisodeSetup`).
-        compiled: Whether to run compiled; None if numba is installed.
-        normalize: Whether actions and observations are normalized to -1 to 1; else actions are in pulses/10
-            ms, and observations in the units of `tasks.TERMS`.
+        planar: Whether a 2-D model replaces MuJoCo (`EpisodeSetup`).
+        compiled: Whether to run JIT-compiled; None for yes if numba is installed.
+        normalize: Whether actions and observations are normalized to -1 to 1; otherwise actions are in
+            pulses/10 ms, and observations in the units of `tasks.TERMS`.
         details: Whether `info` has parts of the reward and contacts, and at the end metrics and return.
-        line: Line between policy and robot, as a speed [baud] or a `MeasuredCycle`; None for exchanges that
-            take no time.
-        unknown: None, as any other option is an error.
+        line: Line between policy and robot, as a baud rate or a `MeasuredCycle`; None for exchanges without
+            delay.
+        unknown_options: None; any other option is an error.
 
     Attributes:
         action_limit: Upper bound of an action, and the lower one with its sign changed.
 
     Raises:
-        KhepTwinError: The task or an option is unknown, or the playpen has no such goal, or no room at the
-            start.
-        PlaypenError: The playpen cannot be used, or has a feature that a plane does not support.
+        KhepTwinError: The task or an option is unknown, or the playpen lacks the goal, or room at the start.
+        PlaypenError: The playpen cannot be used, or has a feature that the 2-D model does not support.
         ValueError: A number is out of range.
     """
 
@@ -106,11 +107,11 @@ class TaskSetup(MadeAnew):
         normalize: bool = True,
         details: bool = False,
         line: LineTimes = None,
-        **unknown: object,
+        **unknown_options: object,
     ) -> None:
-        for name in unknown:
+        for name in unknown_options:
             raise KhepTwinError(f"option {name!r}: unknown; {choices(name, OPTIONS)}")
-        robots = checked_count(robots, "robots")
+        robots = check_count(robots, "robots")
         if period_ns <= 0 or period_ns % units.TICK_NS:
             raise ValueError(f"control period of {period_ns / 1e6:g} ms; expected whole ticks of 10 ms")
         switches = {"noise": noise, "vary": vary, "planar": planar, "normalize": normalize}
@@ -118,15 +119,19 @@ class TaskSetup(MadeAnew):
         for name, value in (switches | ({} if compiled is None else {"compiled": compiled})).items():
             if value not in (True, False):
                 raise ValueError(f"{name} = {value!r}; expected True or False")
-        self.task = find(task)
-        given = self.task.playpen if playpen is None else playpen
-        self.playpen = with_robots(Playpen.load(checked_playpen(given)), robots)
+        self.task = find_task(task)
+        playpen_source = self.task.playpen if playpen is None else playpen
+        self.playpen = with_robots(Playpen.load(checked_playpen(playpen_source)), robots)
         if robots > 1 and self.task.starts == "playpen" and not self.playpen.robots[0].spots:
-            found = f"{self.playpen.name}: robot 1 has no spots"
-            raise PlaypenError(f"{found}; expected spots, at which {robots} robots start")
-        self.noise, self.vary, self.period_ns, self.normalize = noise, vary, period_ns, normalize
-        self.details, self.randomize = details, Randomization.of(randomize)
-        self._start = None if start is None else self._starts(start)
+            problem = f"{self.playpen.name}: robot 1 has no spots"
+            raise PlaypenError(f"{problem}; expected spots, at which {robots} robots start")
+        self.noise = noise
+        self.vary = vary
+        self.period_ns = period_ns
+        self.normalize = normalize
+        self.details = details
+        self.randomize = Randomization.of(randomize)
+        self._start = None if start is None else self._checked_starts(start)
         self._lamps = None if lamps is None else checked_lamps(lamps)
         self.line = line
         self._requests = "".join(TERM_REQUESTS.get(term, "") for term in self.task.observation_terms)
@@ -141,24 +146,26 @@ class TaskSetup(MadeAnew):
             )
         self.n_steps = n_steps(to_ns(self.seconds), period_ns)
         _check_period(line, self._requests, period_ns, to_ns(self.seconds))
-        self.goal, self._home = (0.0, 0.0), None
+        self.goal = 0.0, 0.0
+        self._home: Home | None = None
         if self.task.goal:
-            x_mm, y_mm = _place_of(self.playpen, self.task.goal)
+            x_mm, y_mm = _goal_position(self.playpen, self.task.goal)
             self.goal = units.metres(x_mm), units.metres(y_mm)
             if self.task.charge_s and self.task.reach_mm:
-                self._home: Home | None = x_mm, y_mm, self.task.reach_mm, self.task.charge_s
-        self.planar, self._compiled = planar, compiled
+                self._home = x_mm, y_mm, self.task.reach_mm, self.task.charge_s
+        self.planar = planar
+        self._compiled = compiled
         at_line = line is not None or (self.randomize is not None and self.randomize.delay is not None)
         self._setup = EpisodeSetup(self.playpen, period_ns=period_ns, planar=planar, at_line=at_line)
         self.steps_per_period = self._setup.steps_per_period
         ambient = calibration.read(self.playpen.robots[0].calibration)[0].ambient
         self.dark, self.floor = ambient.dark_counts, ambient.floor_counts
         if self._start is not None:
-            placed_at(self.playpen, self._start)
+            place_robots(self.playpen, self._start)
         self._variants: list[tuple[PlaypenLike, Self]] = []
 
     def episode(self, device: Device = "cpu") -> Episode:
-        """Return the memory of an episode whose speeds are the caller's; on a card it is only begun."""
+        """Return an episode whose speeds the caller sets; for a GPU, one that is only prepared."""
         driver = Policy(requests=self._requests)
         if device == "cuda":
             from khep_twin.episodes.cuda.card_batch import PreparedEpisode
@@ -167,20 +174,22 @@ class TaskSetup(MadeAnew):
         return Episode(self._setup, driver, compiled=self._compiled)
 
     def device(
-        self, wanted: Device, count: int, like: "TaskSetup", lamps: Sequence[Lamp] | None = None
+        self, requested: Device, count: int, reference: "TaskSetup", lamps: Sequence[Lamp] | None = None
     ) -> Device:
-        """Return where episodes run beside those of another setup, as `device.chosen_device` does."""
+        """Return where episodes run beside those of another setup, as `device.choose_device` does."""
         delay = self.randomize.delay if self.randomize else None
         line = self.line if delay is None else MeasuredCycle(delay[1], self.period_ns / NS_PER_S)
         lamps = self._lamps if lamps is None else lamps
-        lit = None if lamps is None else [lamps]
-        return chosen_device(wanted, self._setup, Policy(), line, count, lit, like._setup)
+        lamp_lists = None if lamps is None else [lamps]
+        return choose_device(requested, self._setup, Policy(), line, count, lamp_lists, reference._setup)
 
     def speeds(self, action: object) -> NDArray[np.float64]:
         """Return an action, or several, as speeds: see `tasks.speeds_of`."""
         return speeds_of(action, self.normalize)
 
-    def started(self, seed: int) -> Playpen:
+    started = renamed_attribute("started", "start_playpen")
+
+    def start_playpen(self, seed: int) -> Playpen:
         """Return the playpen at the start of an episode.
 
         Raises:
@@ -188,77 +197,75 @@ class TaskSetup(MadeAnew):
         """
         return (anywhere if self.task.starts == "anywhere" else at_spots)(self.playpen, seed)
 
-    def beginning(self, seed: int, given: ResetOptions = _AS_IT_IS) -> EpisodeBeginning:
+    def beginning(self, seed: int, reset_options: ResetOptions = _NO_OPTIONS) -> EpisodeBeginning:
         """Return the beginning of the episode of a seed.
 
         Args:
             seed: Seed of the episode.
-            given: Options in place of the setup's own, and of what its randomization would draw.
+            reset_options: Options that replace the setup's, and the values drawn by its randomization.
 
         Raises:
             PlaypenError: There is no room for the robots, or the playpen cannot be used.
-            KhepTwinError: There is no room at the start, or the playpen has no such goal.
+            KhepTwinError: There is no room at the start, or the playpen lacks the goal.
         """
-        setup, random, drawn = self, self.randomize or _NOTHING, dict[str, Any]()
-        if given.playpen is not None:
-            setup = self._with_playpen(given.playpen)
-        elif random.blocks_mm:
-            drawn["playpen"] = random.chosen(seed)
+        setup, randomization, drawn = self, self.randomize or _NO_RANDOMIZATION, dict[str, Any]()
+        if reset_options.playpen is not None:
+            setup = self._with_playpen(reset_options.playpen)
+        elif randomization.blocks_mm:
+            drawn["playpen"] = randomization.playpen_index(seed)
             setup = self._with_playpen(self._pool[drawn["playpen"]])
-        lamps = self._lamps if given.lamps is None else given.lamps
-        if random.lamps is not None and given.lamps is None:
-            lit = setup.playpen
-            lamps = random.relit(lit if lamps is None else lit.model_copy(update={"lamps": lamps}), seed)
+        lamps = self._lamps if reset_options.lamps is None else reset_options.lamps
+        if randomization.lamps is not None and reset_options.lamps is None:
+            playpen = setup.playpen if lamps is None else setup.playpen.model_copy(update={"lamps": lamps})
+            lamps = randomization.draw_lamps(playpen, seed)
             drawn["lamps"] = tuple((lamp.x_mm, lamp.y_mm, lamp.power_w) for lamp in lamps)
-        noise = random.is_noisy(seed, self.noise)
-        if random.noise is not None:
+        noise = randomization.is_noisy(seed, self.noise)
+        if randomization.noise is not None:
             drawn["noise"] = noise
-        if (line := random.line(seed, self.period_ns)) is not None:
+        if (line := randomization.line(seed, self.period_ns)) is not None:
             drawn["delay"] = line.delay
-        start = self._start if given.start is None else self._starts(given.start)
-        if random.starts is not None and given.start is None:
-            start = random.placed(setup.playpen, seed, start)
+        start = self._start if reset_options.start is None else self._checked_starts(reset_options.start)
+        if randomization.starts is not None and reset_options.start is None:
+            start = randomization.draw_starts(setup.playpen, seed, start)
         elif start is not None:
-            placed_at(setup.playpen, start)
+            place_robots(setup.playpen, start)
         else:
-            start = starts_of(setup.started(seed))
+            start = starts_of(setup.start_playpen(seed))
         options = EpisodeOptions(
             start=start,
             noise=noise,
-            vary=self.vary or random.robots,
+            vary=self.vary or randomization.robots,
             lamps=lamps,
             home=setup._home,
             line=line or self.line,
         )
         return EpisodeBeginning(setup, options, drawn)
 
-    def _starts(self, start: Any) -> list[Start]:
+    def _checked_starts(self, start: Any) -> list[Start]:
         """Return the start of each robot; raise a `ValueError` unless there is one for each."""
         count = len(self.playpen.robots)
         table = start if is_nested(start) else [start]
-        what = "x, y [mm] and heading [deg]" + (f" of {count} robots" if count > 1 else "")
-        check_numbers("start", table, what, (count, 3))
+        label = "x, y [mm] and heading [deg]" + (f" of {count} robots" if count > 1 else "")
+        check_numbers("start", table, label, (count, 3))
         return [(x_mm, y_mm, heading_deg) for x_mm, y_mm, heading_deg in np.asarray(table, float).tolist()]
 
     def _with_playpen(self, playpen: PlaypenLike) -> Self:
-        """Return the setup of the same task in another playpen, which is prepared once."""
-        for known, setup in self._variants:
-            if known is playpen or known == playpen:
+        """Return the setup of the same task in another playpen; each is prepared only once."""
+        for variant, setup in self._variants:
+            if variant is playpen or variant == playpen:
                 return setup
         arguments, options = self._arguments
-        given: Any = {**options, "playpen": playpen, "start": None}
-        setup = type(self)(*arguments, **given)  # pyright: ignore[reportArgumentType]
+        keywords: Any = {**options, "playpen": playpen, "start": None}
+        setup = type(self)(*arguments, **keywords)  # pyright: ignore[reportArgumentType]
         self._variants.append((playpen, setup))
         return setup
 
     @cached_property
     def _pool(self) -> tuple[Playpen, ...]:
         """Playpens that the randomization draws from."""
-        playpen = self.playpen if self._start is None else placed_at(self.playpen, self._start)
-        return (self.randomize or _NOTHING).pool(playpen)
+        playpen = self.playpen if self._start is None else place_robots(self.playpen, self._start)
+        return (self.randomize or _NO_RANDOMIZATION).pool(playpen)
 
-
-_NOTHING = Randomization()
 
 OPTIONS = tuple(inspect.signature(TaskSetup.__init__).parameters)[2:-1]
 """Names of the options of a task."""
@@ -267,19 +274,19 @@ OPTIONS = tuple(inspect.signature(TaskSetup.__init__).parameters)[2:-1]
 def _check_period(line: LineTimes, requests: str, period_ns: int, episode_ns: int) -> None:
     """Raise a `ValueError` if a cycle at a line takes longer than the control period.
 
-    It names a period that would do, of which an episode has a whole number.
+    It names a sufficient period that divides the episode.
     """
     check_line(line)
     if line is None:
         return
-    took = to_ns(line.period) if isinstance(line, MeasuredCycle) else longest_cycle_ns(line, requests)
-    if took > period_ns:
+    cycle_ns = to_ns(line.period) if isinstance(line, MeasuredCycle) else longest_cycle_ns(line, requests)
+    if cycle_ns > period_ns:
         names = " and ".join(filter(None, (", ".join(requests), "D")))
-        ticks = range(-(-took // units.TICK_NS), episode_ns // units.TICK_NS)
-        whole = (tick for tick in ticks if episode_ns % (tick * units.TICK_NS) == 0)
-        least_ms = next(whole, episode_ns // units.TICK_NS) * units.TICK_NS // 1_000_000
+        ticks = range(-(-cycle_ns // units.TICK_NS), episode_ns // units.TICK_NS)
+        divisors = (tick for tick in ticks if episode_ns % (tick * units.TICK_NS) == 0)
+        least_ms = next(divisors, episode_ns // units.TICK_NS) * units.TICK_NS // 1_000_000
         raise ValueError(
-            f"line = {line}: a cycle of {names} takes up to {took / 1e6:.0f} ms; expected period_ns = "
+            f"line = {line}: a cycle of {names} takes up to {cycle_ns / 1e6:.0f} ms; expected period_ns = "
             f"{least_ms}_000_000 or more, not {period_ns}"
         )
 
@@ -305,7 +312,7 @@ def with_robots(playpen: Playpen, count: int) -> Playpen:
     return playpen.model_copy(update={"robots": (first,) * count})
 
 
-def _place_of(playpen: Playpen, name: str) -> tuple[float, float]:
+def _goal_position(playpen: Playpen, name: str) -> tuple[float, float]:
     """Return the position of a playpen's named patch or cylinder [mm]."""
     positions = {
         item.name: (item.x_mm, item.y_mm) for item in (*playpen.patches, *playpen.cylinders) if item.name

@@ -1,17 +1,17 @@
-"""Tasks for learning: playpen, observation and reward.
+"""Tasks for reinforcement learning: playpen, observation and reward.
 
     ObstacleAvoidance   forwards, fast and straight, away from obstacles
     LoopingMaze         the same along a looping corridor (Floreano and Mondada 1994)
-    LightSeeking        into the light of a lamp behind a screen (ours)
+    LightSeeking        into the light of a lamp behind a screen (this project)
     Homing              fast, away from obstacles, and to the charger in time (Floreano and Mondada 1996)
     WallOrCylinder      find the cylinder and stay beside it, and not beside a wall (Nolfi 1996)
 
-A reward is that of one control period, 0 to 1; published rewards are those of `khep_twin.episodes.fitness`,
-with the speeds that the wheels' encoders have counted, not the setpoints. To define a task, create a `Task`,
-e.g. `dataclasses.replace(TASKS["Homing"], charge_s=30.0)`.
+A reward is that of one control period, 0 to 1. Published rewards are those of `khep_twin.episodes.fitness`,
+with speeds counted by the wheels' encoders instead of setpoints. To define a task, create a `Task`, e.g. by
+`dataclasses.replace(TASKS["Homing"], charge_s=30.0)`.
 
-A reward is called with the `State` of one robot at a time, or, if it is marked by `batched`, with one whose
-numbers are arrays of all robots. Observations are computed for all robots at once.
+A reward is a function of the `State` of one robot or, if it is marked by `batched`, of a state with arrays of
+all robots. Observations are computed for all robots together.
 """
 
 import math
@@ -90,13 +90,13 @@ _PARTS: dict[Reward, Parts] = {}
 
 
 def batched(reward: RewardType) -> RewardType:
-    """Mark a reward as one that takes a state of n robots, too, and returns (n,) then; return the reward."""
+    """Mark a reward that also accepts a state of n robots, for which it returns (n,); return the reward."""
     _BATCHED.append(reward)
     return reward
 
 
 def with_parts(parts: Parts) -> Callable[[RewardType], RewardType]:
-    """Mark a reward as one with parts, which `info` has as "reward_parts" on request."""
+    """Mark a reward with its parts, which `info` holds as "reward_parts" with `details`."""
 
     def mark(reward: RewardType) -> RewardType:
         _PARTS[reward] = parts
@@ -107,7 +107,7 @@ def with_parts(parts: Parts) -> Callable[[RewardType], RewardType]:
 
 @dataclass(frozen=True, slots=True)
 class ObservationTerm:
-    """A part of an observation: numbers that are clipped to a range, and normalized to -1 to 1.
+    """Part of an observation: numbers that are clipped to a range, and normalized to -1 to 1.
 
     Attributes:
         read: Function that returns the numbers of a state (n,), or of n_robots (n, n_robots).
@@ -115,7 +115,7 @@ class ObservationTerm:
         low: Lower bound, normalized to -1 [unit].
         high: Upper bound, normalized to 1 [unit].
         unit: Unit of the numbers.
-        ends: Function that returns the numbers normalized to -1 and 1, if they are not `low` and `high`.
+        ends: Function that returns the values normalized to -1 and 1, if these are not `low` and `high`.
     """
 
     read: Callable[[State], Any]
@@ -146,11 +146,7 @@ _SENSORS = tuple(sensor.key for sensor in Sensor)
 
 TERMS = {
     "proximity": ObservationTerm(
-        lambda state: state.registers[PROXIMITY],
-        _SENSORS,
-        0.0,
-        float(COUNTS_LIMIT),
-        "counts of command N",
+        lambda state: state.registers[PROXIMITY], _SENSORS, 0.0, float(COUNTS_LIMIT), "counts of command N"
     ),
     "light": ObservationTerm(
         lambda state: state.registers[AMBIENT],
@@ -177,16 +173,16 @@ class Task:
     """A task.
 
     Attributes:
-        name: Name of the task, in one word.
+        name: Name of the task, one word.
         playpen: Name or path of the playpen.
-        observation_terms: Parts of the observation, of `TERMS`.
+        observation_terms: Names of the observation's parts, keys of `TERMS`.
         reward: Reward of a control period, 0 to 1.
         seconds: Time limit of an episode [s].
-        starts: "anywhere" there is room, or as in the "playpen": the robot's own pose or one of its spots.
+        starts: "anywhere" for any free position, or "playpen" for the robot's pose or one of its spots.
         goal: Name of the playpen's patch or cylinder that is the robot's goal; none if empty.
         reach_mm: Largest distance of the robot's centre from the goal's centre at the goal [mm].
-        charge_s: Duration of a charge, full again at the goal; an episode ends when it is empty [s]. 0 for no
-            limit.
+        charge_s: Duration of a charge [s], recharged at the goal; the episode is terminated when it is empty.
+            0 for no limit.
     """
 
     name: str
@@ -205,9 +201,9 @@ class Task:
         Raises:
             KhepTwinError: An observation term is unknown, or there is none, or a value is out of range.
         """
-        if self.starts not in (known := get_args(Starts)):
-            found = f"task {self.name}: starts {self.starts!r}: unknown"
-            raise KhepTwinError(f"{found}; {choices(self.starts, known)}")
+        if self.starts not in (start_kinds := get_args(Starts)):
+            problem = f"task {self.name}: starts {self.starts!r}: unknown"
+            raise KhepTwinError(f"{problem}; {choices(self.starts, start_kinds)}")
         for name, value in (("reach_mm", self.reach_mm), ("charge_s", self.charge_s)):
             if not 0 <= value < math.inf:
                 raise KhepTwinError(f"task {self.name}: {name} = {value}; expected a finite number from 0")
@@ -239,11 +235,11 @@ class Task:
         """Return the reward of each of n robots (n,)."""
         if self.reward in _BATCHED:
             return np.asarray(self.reward(state), np.float64)
-        each = (self.reward(state.of_robot(index)) for index in range(len(state.left)))
-        return np.array([float(reward) for reward in each])
+        rewards = (self.reward(state.of_robot(index)) for index in range(len(state.left)))
+        return np.array([float(reward) for reward in rewards])
 
     def reward_parts(self, state: State) -> dict[str, NDArray[np.float64]]:
-        """Return the parts of the reward of n robots by name, (n,) each; empty if it has none."""
+        """Return the parts of the reward of n robots by name, (n,) each; empty if there are none."""
         if self.reward not in _PARTS:
             return {}
         return {name: np.asarray(part, np.float64) for name, part in _PARTS[self.reward](state).items()}
@@ -272,7 +268,7 @@ def _parts_of_homing(state: State) -> dict[str, Number]:
 def avoiding(state: State) -> Number:
     """Return V (1 - sqrt(dV)) (1 - i) forwards, 0 backwards.
 
-    Floreano and Mondada's V has no sign, so learners find driving to and fro, which also avoids obstacles.
+    Floreano and Mondada's V has no sign, so learners may drive back and forth, which also avoids obstacles.
     """
     return avoiding_either_way(state) * (state.left + state.right > 0)
 
@@ -332,7 +328,7 @@ TASKS = {
         ),
     )
 }
-"""Tasks that ship with the package, by name."""
+"""Built-in tasks, by name."""
 
 
 def action_limit(normalize: bool = True) -> float:
@@ -341,28 +337,28 @@ def action_limit(normalize: bool = True) -> float:
 
 
 def speeds_of(action: object, normalize: bool = True) -> NDArray[np.float64]:
-    """Return an action, or several, as speeds clipped to the top speed, in its shape [pulses/10 ms].
+    """Return an action, or several, as speeds of the same shape, clipped to the top speed [pulses/10 ms].
 
     Args:
         action: Speeds of the left and right wheel (..., 2).
-        normalize: Whether they are parts of the top speed, -1 to 1.
+        normalize: Whether they are fractions of the top speed, -1 to 1.
 
     Raises:
         ValueError: The action is not two numbers.
     """
     limit = action_limit(normalize)
     try:
-        given = np.asarray(action, np.float64)
+        speeds = np.asarray(action, np.float64)
     except (TypeError, ValueError):
-        given = np.zeros(0)
-    if given.shape[-1:] != (2,):
+        speeds = np.zeros(0)
+    if speeds.shape[-1:] != (2,):
         raise ValueError(
             f"action {action!r}; expected two speeds, left and right, from {-limit:g} to {limit:g}"
         )
-    return np.minimum(np.maximum(given, -limit), limit) * (TOP_SPEED / limit)
+    return np.minimum(np.maximum(speeds, -limit), limit) * (TOP_SPEED / limit)
 
 
-def find(task: Task | str) -> Task:
+def find_task(task: Task | str) -> Task:
     """Return a task by name.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Batched rollouts: many episodes at once, on all cores.
+"""Batched rollouts: many episodes in parallel, on all cores.
 
     from khep_twin import Network, rollout
 
@@ -7,10 +7,10 @@
     results = rollout("looping-maze", network, range(100), 60.0, genes=genes)
     print(results.metrics["obstacle_avoidance"].max(), results.failures)
 
-Each episode depends on its own seed, genes, start and lamps alone: results are the same, bit for bit, with
-any number of threads, and the same as those of a single `Episode` with the same setup. Only the results grow
-with the number of episodes: every thread has memory for one episode and reuses it. With `device="cuda"` an
-NVIDIA card runs episodes in the plane (`cuda`).
+An episode depends only on its seed, genes, start and lamps. Results are bitwise equal for any number of
+threads, and equal to those of a single `Episode` with the same setup. Every thread reuses the memory of one
+episode, so only the results grow with the number of episodes. With `device="cuda"` an NVIDIA GPU runs
+episodes in the plane (`cuda`).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,18 +25,13 @@ from numpy.typing import NDArray
 
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.episodes.controllers import Driver, Floats, Network, Policy
-from khep_twin.episodes.device import Device, chosen_device
+from khep_twin.episodes.device import Device, choose_device
 from khep_twin.episodes.episode import Episode, is_compiled
 from khep_twin.episodes.episode_batch import EpisodeBatch
-from khep_twin.episodes.episode_options import (
-    DEFAULT_OPTIONS,
-    EpisodeOptions,
-    check_numbers,
-    checked_count,
-)
+from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions, check_count, check_numbers
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.line import LineTimes
-from khep_twin.episodes.metrics import METRICS, means_of
+from khep_twin.episodes.metrics import METRICS, compute_means
 from khep_twin.errors import DivergedError
 from khep_twin.machine import n_cores
 from khep_twin.playpen import Lamp, PlaypenLike
@@ -45,20 +40,20 @@ from khep_twin.simulation.mujoco_forms import movable_names
 from khep_twin.units import SCAN_NS
 
 BATCH_SIZE = 64
-"""Episodes in one call of a policy: enough for arrays to pay, at a bounded use of memory."""
+"""Episodes in one call of a policy: enough for array operations to be efficient, in bounded memory."""
 
-CARD_SPAN_NS = 10_000_000_000
-"""Longest simulated time of one launch on a card [ns]: a card that shows a desktop ends longer ones."""
+MAX_LAUNCH_NS = 10_000_000_000
+"""Longest simulated time of one launch on a GPU [ns]: the driver aborts long kernels if it has a display."""
 
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """An episode that ended early.
+    """An episode that failed.
 
     Attributes:
         index: Index in the batch.
         seed: Seed of the episode.
-        step: Physics step at which it ended.
+        step: Physics step at which it failed.
         reason: Reason, in one line.
     """
 
@@ -72,16 +67,16 @@ class Failure:
 class RolloutResult:
     """Results of a batch of n episodes.
 
-    Where an episode has several robots, all arrays have an axis of robots behind that of episodes.
+    With several robots per episode, all arrays have an axis of robots behind the axis of episodes.
 
     Attributes:
-        metrics: Metrics of the episodes by name (`metrics.METRICS`), NaN for those that failed, each (n,).
+        metrics: Metrics by name (`metrics.METRICS`), NaN for failed episodes, each (n,).
         registers: Registers of each board at the end (n, N_REGISTERS).
         poses: Final x, y [m] and heading [rad] (n, 3).
         objects: Final x, y [m] and heading [rad] of the movable objects, in the order of `Playpen.objects`
             (n, n_objects, 3); no axis of robots.
-        failures: Episodes that ended early, in the batch's order.
-        paths: Poses x, y [m] and heading [rad] from the start on, each `paths_every` [s], NaN after a failure
+        failures: Failed episodes, in the batch's order.
+        paths: Poses x, y [m] and heading [rad] every `paths_every` [s], NaN after a failure
             (n, n_samples, 3); without `paths_every` no samples.
     """
 
@@ -113,30 +108,29 @@ def rollout(
     """Run a batch of episodes.
 
     Args:
-        playpen: Playpen, its name or path, or an `EpisodeSetup` with its step, period, plane
-            and faults.
+        playpen: Playpen, its name or path, or an `EpisodeSetup` with step, period, plane and faults.
         driver: Controller of all episodes.
         seeds: Seeds of the episodes (n,).
         seconds: Duration of each episode [s], whole control periods.
-        genes: Genes of each episode's controllers (n, n_genes), or of each robot's (n, n_robots, n_genes).
+        genes: Genome of each episode's controllers (n, n_genes), or of each robot's (n, n_robots, n_genes).
         starts: Start poses x, y [mm] and heading [deg] of each episode (n, 3), or of each robot
             (n, n_robots, 3); by default the playpen's.
         lamps: Lamps of each episode; by default the playpen's.
         line: Line between controllers and robots, as a speed [baud] or a `MeasuredCycle`; by default that of
             the options, where exchanges take no time.
-        options: Options of all episodes, but for those that each is given its own of.
-        paths_every: Time between the poses of the result's paths [s], a part of `seconds` and whole control
-            periods; None for no paths.
-        planar: Whether a playpen that is no setup is simulated in the plane.
-        device: "cpu"; "cuda" for an NVIDIA card, in the plane; or "auto" for a card if there is one that can
-            run these episodes, and they fill it.
+        options: Options of all episodes; `genes`, `starts` and `lamps` override them for each episode.
+        paths_every: Sampling period of the result's paths [s], whole control periods that divide `seconds`;
+            None for no paths.
+        planar: Whether to simulate in the plane, if `playpen` is not a setup.
+        device: "cpu"; "cuda" for an NVIDIA GPU, in the plane; or "auto" for a GPU if one can run these
+            episodes, and they fill it.
         threads: Number of threads; by default one per core. Uncompiled episodes use one.
-        compiled: Whether to run compiled; None if numba is installed. The first time this waits for
-            numba, for some ten seconds.
+        compiled: Whether to run compiled; None if numba is installed. The first call waits some ten seconds
+            while numba compiles.
 
     Raises:
-        ValueError: The number of genes, starts or lamps is not that of the seeds, or a value is out of range.
-        DeviceError: There is no card that can run the episodes.
+        ValueError: There is not one genome, start or list of lamps per seed, or a value is out of range.
+        DeviceError: No GPU can run the episodes.
         ControllerError: Genes do not fit the controller, or numba cannot compile it.
         PlaypenError: The playpen has a feature that episodes without a serial line do not support.
     """
@@ -147,89 +141,90 @@ def rollout(
         setup = EpisodeSetup(setup, period_ns=period_ns, planar=planar, at_line=at_line)
     elif planar and setup.planar_scene is None:
         raise ValueError("planar = True: and a setup in MuJoCo; expected EpisodeSetup(..., planar=True)")
-    count = len(seeds)
+    n_episodes = len(seeds)
     n_robots = len(setup.playpen.robots)
-    most = n_cores() if threads is None else checked_count(threads, "threads")
-    common = options if line is None else replace(options, line=line)
-    batch = _Batch(setup, seeds, seconds, common, genes, starts, lamps, paths_every)
-    batch.check(driver)
-    on_card = chosen_device(device, setup, driver, common.line, count, lamps) == "cuda"
-    results = _Results(count, n_robots, len(movable_names(setup.playpen)), batch.n_samples)
-    fast = on_card or is_compiled(compiled)
-    workers = most if fast else 1
-    if on_card:
-        _run_on_card(driver, batch, results)
+    max_threads = n_cores() if threads is None else check_count(threads, "threads")
+    common_options = options if line is None else replace(options, line=line)
+    arguments = _RolloutArguments(setup, seeds, seconds, common_options, genes, starts, lamps, paths_every)
+    arguments.check(driver)
+    on_gpu = choose_device(device, setup, driver, common_options.line, n_episodes, lamps) == "cuda"
+    results = _Results(n_episodes, n_robots, len(movable_names(setup.playpen)), arguments.n_samples)
+    use_compiled = on_gpu or is_compiled(compiled)
+    n_workers = max_threads if use_compiled else 1
+    if on_gpu:
+        _run_on_gpu(driver, arguments, results)
         return results.result()
-    room = min(BATCH_SIZE if isinstance(driver, Policy) else workers, count)
-    episodes = [Episode(setup, driver, compiled=fast) for _ in range(room)]
-    if isinstance(driver, Policy) and count:
-        with closing(EpisodeBatch(episodes, min(workers, room))) as lanes:
-            for first in range(0, count, BATCH_SIZE):
-                group = range(first, min(first + BATCH_SIZE, count))
-                for _ in _run_together(lanes, driver, group, batch, results):
+    n_slots = min(BATCH_SIZE if isinstance(driver, Policy) else n_workers, n_episodes)
+    episodes = [Episode(setup, driver, compiled=use_compiled) for _ in range(n_slots)]
+    if isinstance(driver, Policy) and n_episodes:
+        with closing(EpisodeBatch(episodes, min(n_workers, n_slots))) as batch:
+            for group_start in range(0, n_episodes, BATCH_SIZE):
+                group = range(group_start, min(group_start + BATCH_SIZE, n_episodes))
+                for _ in _run_group(batch, driver, group, arguments, results):
                     pass
     else:
-        with ThreadPoolExecutor(workers) as pool:
-            _share_out(pool, episodes, batch, results)
+        with ThreadPoolExecutor(n_workers) as pool:
+            _run_threads(pool, episodes, arguments, results)
     return results.result()
 
 
 @dataclass(frozen=True, slots=True)
-class _Batch:
+class _RolloutArguments:
     """Arguments of `rollout` for each episode."""
 
     setup: EpisodeSetup
     seeds: Sequence[int] | range
     seconds: float
-    common: EpisodeOptions
+    common_options: EpisodeOptions
     genes: Floats | None
     starts: Sequence[Start] | None
     lamps: Sequence[Sequence[Lamp]] | None
-    every: float | None
+    paths_every: float | None
 
     @property
     def n_samples(self) -> int:
         """Number of poses of a path; 0 for no paths."""
-        if self.every is None:
+        if self.paths_every is None:
             return 0
-        return 1 + self.setup.periods(self.seconds) // max(self.setup.periods(self.every), 1)
+        return 1 + self.setup.periods(self.seconds) // max(self.setup.periods(self.paths_every), 1)
 
     def check(self, driver: Driver) -> None:
-        """Raise a `ValueError` unless there is what each episode needs."""
-        if (every := self.every) is not None:
-            periods = self.setup.periods(every)
+        """Raise a `ValueError` for missing or unusable arguments of an episode."""
+        if (interval := self.paths_every) is not None:
+            periods = self.setup.periods(interval)
             if not periods or self.setup.periods(self.seconds) % periods:
-                raise ValueError(f"paths_every = {every:g}; expected a part of the {self.seconds:g} s")
-            if isinstance(driver, Policy) and self.common.line is not None:
-                raise ValueError(
-                    f"paths_every = {every:g}: a policy at a line is asked at uneven times; expected no line"
-                )
+                raise ValueError(f"paths_every = {interval:g}; expected a part of the {self.seconds:g} s")
+            if isinstance(driver, Policy) and self.common_options.line is not None:
+                problem = "a policy at a line decides at uneven times"
+                raise ValueError(f"paths_every = {interval:g}: {problem}; expected no line")
         count, n_robots = len(self.seeds), len(self.setup.playpen.robots)
-        for name, given in (("genes", self.genes), ("starts", self.starts), ("lamps", self.lamps)):
-            if given is not None and len(given) != count:
-                raise ValueError(f"{len(given)} {name} for {count} seeds; expected {count}")
-        own = len(self.common.genes) or (isinstance(driver, Network) and len(driver.genes))
-        if isinstance(driver, Network) and self.genes is None and not own:
+        for name, values in (("genes", self.genes), ("starts", self.starts), ("lamps", self.lamps)):
+            if values is not None and len(values) != count:
+                raise ValueError(f"{len(values)} {name} for {count} seeds; expected {count}")
+        n_default_genes = len(self.common_options.genes) or (
+            isinstance(driver, Network) and len(driver.genes)
+        )
+        if isinstance(driver, Network) and self.genes is None and not n_default_genes:
             raise ValueError(f"no genes for {driver}; expected shape ({count}, {driver.n_genes})")
-        weights = np.zeros((0, 0)) if self.genes is None else np.asarray(self.genes, np.float64)
-        if weights.ndim not in (2, 3) or not np.isfinite(weights).all():
-            raise ValueError(f"genes of shape {weights.shape}; expected finite numbers (n, n_genes)")
+        genes = np.zeros((0, 0)) if self.genes is None else np.asarray(self.genes, np.float64)
+        if genes.ndim not in (2, 3) or not np.isfinite(genes).all():
+            raise ValueError(f"genes of shape {genes.shape}; expected finite numbers (n, n_genes)")
         for index, start in enumerate(self.starts if self.starts is not None else ()):
             shape = (3,) if n_robots == 1 else (n_robots, 3)
             check_numbers(f"starts[{index}]", start, "x, y [mm] and heading [deg]", shape)
-        for index, each in enumerate(self.lamps if self.lamps is not None else ()):
-            if isinstance(each, Lamp):
+        for index, episode_lamps in enumerate(self.lamps if self.lamps is not None else ()):
+            if isinstance(episode_lamps, Lamp):
                 raise ValueError(f"lamps[{index}] is one lamp; expected a list of lamps for each episode")
 
     def options(self, index: int) -> EpisodeOptions:
-        """Return the options of an episode of the batch."""
-        own = (("genes", self.genes), ("start", self.starts), ("lamps", self.lamps))
-        given: dict[str, Any] = {name: values[index] for name, values in own if values is not None}
-        return replace(self.common, **given)
+        """Return the options of one episode."""
+        varying = (("genes", self.genes), ("start", self.starts), ("lamps", self.lamps))
+        changes: dict[str, Any] = {name: values[index] for name, values in varying if values is not None}
+        return replace(self.common_options, **changes)
 
 
 class _Results:
-    """Results collected from each episode."""
+    """Results of all episodes, filled in one by one."""
 
     def __init__(self, count: int, n_robots: int, n_objects: int, n_samples: int) -> None:
         self.metrics = {name: np.full((count, n_robots), np.nan) for name in METRICS}
@@ -238,38 +233,38 @@ class _Results:
         self.objects = np.zeros((count, n_objects, 3))
         self.paths = np.full((count, n_robots, n_samples, 3), np.nan)
         self.failures: list[Failure] = []
-        self._kept: set[int] = set()
+        self._stored_indices: set[int] = set()
 
-    def keep(self, index: int, seed: int, episode: Episode, failure: DivergedError | None) -> None:
-        """Store the results of an episode that has ended, or has not begun."""
-        self._kept.add(index)
+    def store(self, index: int, seed: int, episode: Episode, failure: DivergedError | None) -> None:
+        """Store the results of an episode that ended or failed."""
+        self._stored_indices.add(index)
         self.registers[index], self.poses[index] = episode.boards, episode.poses
         self.objects[index] = episode.objects
-        self._rate(slice(index, index + 1), episode.sums[None])
+        self._store_metrics(slice(index, index + 1), episode.sums[None])
         if failure is not None:
-            self._fail(index, seed, episode.steps, failure)
+            self._store_failure(index, seed, episode.steps, failure)
 
-    def keep_group(
-        self, group: range, seeds: Sequence[int], lanes: EpisodeBatch, failures: Mapping[int, DivergedError]
+    def store_group(
+        self, group: range, seeds: Sequence[int], batch: EpisodeBatch, failures: Mapping[int, DivergedError]
     ) -> None:
-        """Store the results of episodes side by side that have begun, all but those in `kept`."""
-        lane = np.array([lane for lane, index in enumerate(group) if index not in self._kept], np.int64)
-        if not len(lane):
+        """Store the results of a group, except episodes that were stored before."""
+        indices = np.array([index for index in group if index not in self._stored_indices], np.int64)
+        if not len(indices):
             return
-        rows = lane + group.start
-        self.registers[rows], self.poses[rows] = lanes.boards[lane], lanes.joint_poses[lane]
-        self.objects[rows] = lanes.objects[lane]
-        self._rate(rows, lanes.sums[lane])
-        for failed, failure in sorted(failures.items()):
-            if (index := group[failed]) not in self._kept:
-                self._fail(index, int(seeds[index]), int(lanes.steps[failed]), failure)
+        slots = indices - group.start
+        self.registers[indices], self.poses[indices] = batch.boards[slots], batch.episode_poses[slots]
+        self.objects[indices] = batch.objects[slots]
+        self._store_metrics(indices, batch.sums[slots])
+        for slot, failure in sorted(failures.items()):
+            if (index := group[slot]) not in self._stored_indices:
+                self._store_failure(index, int(seeds[index]), int(batch.steps[slot]), failure)
 
-    def _rate(self, rows: NDArray[np.int64] | slice, sums: Floats) -> None:
-        """Store the metrics of episodes, of their sums (n, n_robots, N_SUMS)."""
-        for name, values in means_of(sums).items():
-            self.metrics[name][rows] = values
+    def _store_metrics(self, indices: NDArray[np.int64] | slice, sums: Floats) -> None:
+        """Store the metrics of episodes from their sums (n, n_robots, N_SUMS)."""
+        for name, values in compute_means(sums).items():
+            self.metrics[name][indices] = values
 
-    def _fail(self, index: int, seed: int, step: int, failure: DivergedError) -> None:
+    def _store_failure(self, index: int, seed: int, step: int, failure: DivergedError) -> None:
         self.failures.append(Failure(index, seed, step, str(failure)))
         for values in self.metrics.values():
             values[index] = np.nan
@@ -284,114 +279,114 @@ class _Results:
         return RolloutResult(metrics, registers, poses, self.objects, failures, paths)
 
 
-def _share_out(
-    pool: ThreadPoolExecutor, episodes: Sequence[Episode], batch: _Batch, results: _Results
+def _run_threads(
+    pool: ThreadPoolExecutor, episodes: Sequence[Episode], arguments: _RolloutArguments, results: _Results
 ) -> None:
-    """Run the next episode on each free room; the assignment makes no difference."""
-    turns = iter(range(len(batch.seeds)))
+    """Run episodes in threads, each with one `Episode`; the assignment does not affect the results."""
+    indices = iter(range(len(arguments.seeds)))
 
-    def work(episode: Episode) -> None:
-        for index in turns:  # one thread at a time gets the next one
+    def run_episodes(episode: Episode) -> None:
+        for index in indices:  # one thread at a time advances the iterator
             failure = None
             try:
-                episode.begin(int(batch.seeds[index]), batch.options(index))
-                if batch.every is None:
-                    episode.run(batch.seconds)
-                for sample in range(batch.n_samples):
+                episode.begin(int(arguments.seeds[index]), arguments.options(index))
+                if arguments.paths_every is None:
+                    episode.run(arguments.seconds)
+                for sample in range(arguments.n_samples):
                     if sample:
-                        episode.run(cast(float, batch.every))
+                        episode.run(cast(float, arguments.paths_every))
                     results.paths[index, :, sample] = episode.poses
             except DivergedError as error:
                 failure = error
-            results.keep(index, int(batch.seeds[index]), episode, failure)
+            results.store(index, int(arguments.seeds[index]), episode, failure)
 
     try:
-        for done in [pool.submit(work, episode) for episode in episodes]:
-            done.result()
+        for future in [pool.submit(run_episodes, episode) for episode in episodes]:
+            future.result()
     finally:
-        # On an interruption, wait for the episodes that have begun, not for all of them.
-        for _ in turns:
+        # After an interruption, wait only for the episodes that were started.
+        for _ in indices:
             pass
 
 
-def _run_on_card(driver: Driver, batch: _Batch, results: _Results) -> None:
-    """Run episodes on a card; the CPU prepares a group of them while the card runs another one."""
+def _run_on_gpu(driver: Driver, arguments: _RolloutArguments, results: _Results) -> None:
+    """Run episodes on a GPU; the CPU prepares one group while the GPU runs another."""
     from khep_twin.episodes.cuda import card
     from khep_twin.episodes.cuda.card_batch import CardBatch, PreparedEpisode
 
-    size, interrupted = 2 * card.FILLING * card.n_processors(), Event()
+    group_size, interrupted = 2 * card.EPISODES_PER_PROCESSOR * card.n_processors(), Event()
 
-    def work(first: int) -> None:
-        group = range(first, min(first + size, len(batch.seeds)))
-        lanes = CardBatch([PreparedEpisode(batch.setup, driver)] * len(group), driver)
-        for _ in _run_together(lanes, driver, group, batch, results):
+    def run_group(start: int) -> None:
+        group = range(start, min(start + group_size, len(arguments.seeds)))
+        batch = CardBatch([PreparedEpisode(arguments.setup, driver)] * len(group), driver)
+        for _ in _run_group(batch, driver, group, arguments, results):
             if interrupted.is_set():
                 return
 
-    firsts = range(0, len(batch.seeds), size)
-    if isinstance(driver, Policy):  # which is called in the caller's thread
-        for first in firsts:
-            work(first)
+    group_starts = range(0, len(arguments.seeds), group_size)
+    if isinstance(driver, Policy):  # its function is called in the caller's thread
+        for start in group_starts:
+            run_group(start)
         return
     with ThreadPoolExecutor(2) as pool:
-        groups = [pool.submit(work, first) for first in firsts]
+        futures = [pool.submit(run_group, start) for start in group_starts]
         try:
-            for done in groups:
-                done.result()
+            for future in futures:
+                future.result()
         finally:
             interrupted.set()
             pool.shutdown(cancel_futures=True)
 
 
-def _run_together(
-    lanes: EpisodeBatch, driver: Driver, group: range, batch: _Batch, results: _Results
+def _run_group(
+    batch: EpisodeBatch, driver: Driver, group: range, arguments: _RolloutArguments, results: _Results
 ) -> Iterator[None]:
-    """Run episodes side by side, a policy's by one control period at a time; yield after each part."""
+    """Run a group of episodes in the slots of a batch; yield after each part (a policy's control period)."""
     failures: dict[int, DivergedError] = {}
-    lanes.last_step = batch.setup.periods(batch.seconds) * batch.setup.steps_per_period
-    for lane, index in enumerate(group):
+    batch.last_step = arguments.setup.periods(arguments.seconds) * arguments.setup.steps_per_period
+    for slot, index in enumerate(group):
         try:
-            lanes.begin(lane, int(batch.seeds[index]), batch.options(index))
+            batch.begin(slot, int(arguments.seeds[index]), arguments.options(index))
         except DivergedError as error:
-            failures[lane] = error
-            results.keep(index, int(batch.seeds[index]), lanes.memory(lane), error)
-    failures |= lanes.switch_on()
-    steps_per_sample = max(lanes.last_step // max(batch.n_samples - 1, 1), 1)
-    span = max(CARD_SPAN_NS // batch.setup.step_ns, 1)
+            failures[slot] = error
+            results.store(index, int(arguments.seeds[index]), batch.slot_episode(slot), error)
+    failures |= batch.switch_on()
+    steps_per_sample = max(batch.last_step // max(arguments.n_samples - 1, 1), 1)
+    launch_steps = max(MAX_LAUNCH_NS // arguments.setup.step_ns, 1)
     while True:
-        if batch.n_samples:
-            due = lanes.steps[: len(group)] % steps_per_sample == 0
-            due[list(failures)] = False
-            if len(lane := np.flatnonzero(due)):
-                sample = lanes.steps[lane] // steps_per_sample
-                results.paths[lane + group.start, :, sample] = lanes.joint_poses[lane]
-        going = lanes.steps[: len(group)] < lanes.last_step
-        going[list(failures)] = False
-        living = np.flatnonzero(going)
-        if not len(living):
+        if arguments.n_samples:
+            at_sample = batch.steps[: len(group)] % steps_per_sample == 0
+            at_sample[list(failures)] = False
+            if len(slots := np.flatnonzero(at_sample)):
+                samples = batch.steps[slots] // steps_per_sample
+                results.paths[slots + group.start, :, samples] = batch.episode_poses[slots]
+        is_active = batch.steps[: len(group)] < batch.last_step
+        is_active[list(failures)] = False
+        active_slots = np.flatnonzero(is_active)
+        if not len(active_slots):
             break
         if isinstance(driver, Policy):
-            lanes.speeds[living] = _decided(driver, lanes, living, group)
-            failures |= lanes.step(living, batch.setup.steps_per_period)
+            batch.speeds[active_slots] = _decide_speeds(driver, batch, active_slots, group)
+            failures |= batch.step(active_slots, arguments.setup.steps_per_period)
         else:
-            done = int(lanes.steps[living[0]])
-            left = min(lanes.last_step, done - done % steps_per_sample + steps_per_sample) - done
-            failures |= lanes.step(living, min(left, span))
+            steps = int(batch.steps[active_slots[0]])
+            end_step = min(batch.last_step, steps - steps % steps_per_sample + steps_per_sample)
+            failures |= batch.step(active_slots, min(end_step - steps, launch_steps))
         yield
-    results.keep_group(group, batch.seeds, lanes, failures)
+    results.store_group(group, arguments.seeds, batch, failures)
 
 
-def _decided(policy: Policy, lanes: EpisodeBatch, living: NDArray[np.int64], group: range) -> Floats:
-    """Return the speeds that a policy decides on for some episodes (n_living, n_robots, 2)."""
-    board = lanes.registers[living].reshape(-1, N_REGISTERS)
-    which = np.repeat(living + group.start, lanes.registers.shape[1])
-    decided = policy.decide(board[:, PROXIMITY], board[:, AMBIENT], which)
+def _decide_speeds(policy: Policy, batch: EpisodeBatch, slots: NDArray[np.int64], group: range) -> Floats:
+    """Return the speeds that a policy decides on for some slots (n_slots, n_robots, 2)."""
+    boards = batch.registers[slots].reshape(-1, N_REGISTERS)
+    indices = np.repeat(slots + group.start, batch.registers.shape[1])
+    output = policy.decide(boards[:, PROXIMITY], boards[:, AMBIENT], indices)
     try:
-        speeds = np.asarray(decided, np.float64)
+        speeds = np.asarray(output, np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(
-            f"the policy returned no speeds: {error}; expected an array ({len(which)}, 2)"
+            f"the policy returned no speeds: {error}; expected an array ({len(indices)}, 2)"
         ) from error
-    if speeds.shape != (len(which), 2):
-        raise ValueError(f"the policy returned speeds of shape {speeds.shape}; expected ({len(which)}, 2)")
-    return speeds.reshape(len(living), -1, 2)
+    if speeds.shape != (len(indices), 2):
+        raise ValueError(f"the policy returned speeds of shape {speeds.shape}; expected ({len(indices)}, 2)")
+    return speeds.reshape(len(slots), -1, 2)

@@ -3,7 +3,7 @@
 Imported only where numba is installed.
 """
 
-# numba is not typed, and its functions have no types of their own.
+# numba is not typed, nor are its functions.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 import re
@@ -23,32 +23,42 @@ from khep_twin.sensing.light import Light
 from khep_twin.simulation.compiled import SOURCES, compiled
 from khep_twin.simulation.foreign import moved
 from khep_twin.simulation.mujoco_calls import MujocoCalls
-from khep_twin.step import Simulated, StepInputs
+from khep_twin.step import Reason, Simulated, StepInputs
 
 EPISODE_SOURCES = (*SOURCES, fitness, networks, metrics, line, stepping)
 """Modules that are compiled."""
 
+_CALLBACKS: list[object] = []
+"""Compiled controllers, which must outlive the use of their addresses."""
 
-def _run(given, until, stops, joint):
-    reason = stepping.DONE
-    for turn in range(max(len(joint.rows), 1)):
-        own = moved(given, joint.addresses, joint.rows[turn]) if len(joint.rows) else given
-        controllers, scene, timing, law, bulbs, hidden, robots, counters, powers, tables = own
-        calls, light = MujocoCalls(scene[0][0], scene[1]), Light(law[0], bulbs, hidden)
-        simulated = Simulated(calls, timing[0], light, robots, counters)
-        reason = stepping.run_in_turn(
-            controllers, simulated, StepInputs(powers, tables), until, stops, joint, turn
-        )
+_ANSI_STYLE = re.compile(r"\x1b\[[0-9;]*m")
+"""ANSI codes for bold and colours, which numba adds if colorama is installed."""
+
+_GENERAL_ERROR = "Failed in nopython mode"
+"""Start of a line of numba's messages that states no reason."""
+
+
+def _run(arguments, end_step, stops, slots):
+    reason = Reason.DONE.value  # an integer, which numba returns faster
+    for index in range(max(len(slots.indices), 1)):
+        arrays = moved(arguments, slots.addresses, slots.indices[index]) if len(slots.indices) else arguments
+        episode = stepping.EpisodeArguments(*arrays)
+        light = Light(episode.law[0], episode.bulbs, episode.hidden)
+        scene = MujocoCalls(episode.scene[0][0], episode.scene[1])
+        simulated = Simulated(scene, episode.timing[0], light, episode.robots, episode.counters)
+        inputs = StepInputs(episode.powers, episode.tables)
+        reason = stepping.run_slot(episode.controllers, simulated, inputs, end_step, stops, slots, index)
     return reason
 
 
 run = compiled(_run, EPISODE_SOURCES)
-"""`stepping.run`, compiled, of one episode or of many."""
+"""`stepping.run_slot`, compiled, for one episode or many; `arguments` are the fields of
+`EpisodeArguments`."""
 
 
 @cache
-def address_of(function: Callable[..., tuple[float, float]]) -> int:
-    """Return the address of a controller, for compiled code.
+def compile_controller(function: Callable[..., tuple[float, float]]) -> int:
+    """Compile a controller; return its address for compiled code.
 
     Args:
         function: Function of proximity (8,), ambient (8,), memory and genes, plain or by `numba.njit`; it
@@ -57,53 +67,46 @@ def address_of(function: Callable[..., tuple[float, float]]) -> int:
     Raises:
         ControllerError: numba cannot compile it.
     """
-    first_near, first_ambient, count = PROXIMITY[0], AMBIENT[0], len(PROXIMITY)
-    whole, real = types.CPointer(types.int64), types.CPointer(types.float64)
+    first_proximity, first_ambient, count = PROXIMITY[0], AMBIENT[0], len(PROXIMITY)
+    int_pointer, float_pointer = types.CPointer(types.int64), types.CPointer(types.float64)
 
     def call(registers, memory, n_memory, genes, n_genes, speeds):
-        board, both = carray(registers, (N_REGISTERS,)), carray(speeds, (2,))
-        both[:] = np.nan
+        board, speed_pair = carray(registers, (N_REGISTERS,)), carray(speeds, (2,))
+        speed_pair[:] = np.nan
         try:
             left, right = decide(
-                board[first_near : first_near + count],
+                board[first_proximity : first_proximity + count],
                 board[first_ambient : first_ambient + count],
                 carray(memory, (n_memory,)),
                 carray(genes, (n_genes,)),
             )
-            both[0], both[1] = left, right
-        except Exception:  # nothing can be raised through MuJoCo's loop: NaN speeds report it
+            speed_pair[0], speed_pair[1] = left, right
+        except Exception:  # exceptions cannot pass through compiled code: NaN speeds report them
             pass
 
-    signature = types.void(whole, real, types.int64, real, types.int64, real)
+    signature = types.void(int_pointer, float_pointer, types.int64, float_pointer, types.int64, float_pointer)
     try:
-        decide = _within_bounds(function)
-        made = cfunc(signature)(call)
-    # numba leaves it to Python to report what is no function, or missing from a module.
+        decide = _compile_checked(function)
+        callback = cfunc(signature)(call)
+    # Python, not numba, reports an argument that is no function, or a missing attribute of a module.
     except (NumbaError, UnsupportedBytecodeError, TypeError, AttributeError) as error:
         name = getattr(function, "__name__", "controller")
         lines = [
-            line for line in _STYLE.sub("", str(error)).strip().splitlines() if not line.startswith(_GENERAL)
+            line
+            for line in _ANSI_STYLE.sub("", str(error)).strip().splitlines()
+            if not line.startswith(_GENERAL_ERROR)
         ]
         reason = lines[0].rstrip(":.") if lines else type(error).__name__
         raise ControllerError(
             f"{name}: numba cannot compile it: {reason}; expected a function of proximity, ambient, memory "
             "and genes that returns two numbers"
         ) from error
-    _KEPT.append(made)
-    return int(made.address or 0)
+    _CALLBACKS.append(callback)
+    return int(callback.address or 0)
 
 
-_KEPT: list[object] = []
-
-_STYLE = re.compile(r"\x1b\[[0-9;]*m")
-"""Bold and colours, which numba adds where colorama is installed."""
-
-_GENERAL = "Failed in nopython mode"
-"""First words of a line of numba's that gives no reason yet."""
-
-
-def _within_bounds(function: Any) -> Any:
-    """Return a controller compiled with bounds checks on its arrays."""
+def _compile_checked(function: Any) -> Any:
+    """Compile a controller with bounds checks on its arrays."""
     if not hasattr(function, "py_func"):
         return njit(boundscheck=True)(function)
     if function.targetoptions.get("boundscheck") is not None:

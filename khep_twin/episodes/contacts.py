@@ -12,7 +12,7 @@ def in_contact(data: mujoco.MjData, base: str) -> bool:
         base: Name of the robot's first body.
     """
     model, contacts = data.model, data.contact
-    root = model.body_rootid[model.geom_bodyid[contacts.geom]]
-    own = root == model.body(base).id
-    others = (own.sum(axis=1) == 1) & (contacts.geom != model.geom("floor").id).all(axis=1)
-    return bool(np.any(others & (contacts.efc_address >= 0)))
+    roots = model.body_rootid[model.geom_bodyid[contacts.geom]]
+    is_robot = roots == model.body(base).id
+    is_contact = (is_robot.sum(axis=1) == 1) & (contacts.geom != model.geom("floor").id).all(axis=1)
+    return bool(np.any(is_contact & (contacts.efc_address >= 0)))

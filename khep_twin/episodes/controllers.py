@@ -1,6 +1,6 @@
-"""Controllers of episodes without a serial line: none, the ROM's vehicle, networks, functions, policies.
+"""Controllers of episodes without a serial line: constant speed, Braitenberg, networks, functions, policies.
 
-All but a policy run inside the compiled loop; a policy is plain Python and is called for many robots at once.
+All but a policy run inside the compiled loop. A policy is plain Python that is called for many robots.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,8 +15,8 @@ from khep_twin.board import kernel
 from khep_twin.episodes import network_file, networks, stepping
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.fitness import TOP_SPEED_PULSES
-from khep_twin.episodes.line import LineTimes, first_events, line_times
-from khep_twin.episodes.metrics import sums_at_start
+from khep_twin.episodes.line import LineTimes, initial_events, line_times
+from khep_twin.episodes.metrics import initial_sums
 from khep_twin.errors import ControllerError
 from khep_twin.files.paths import StrPath
 from khep_twin.units import SCAN_NS
@@ -26,9 +26,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class ConstantSpeed:
-    """No controller; both wheels start at a speed [pulses/10 ms] and keep it, whatever the line.
+    """No controller; both wheels start at a speed [pulses/10 ms] and keep it, with any line.
 
-    `requests` of a controller are what it asks the robot in each cycle: see `line.REQUESTS`.
+    The `requests` of a controller are those that it sends to the robot in each cycle: see `line.REQUESTS`.
     """
 
     left: int = 0
@@ -60,14 +60,14 @@ class Network:
 
     Attributes:
         hidden: Neurons of each hidden layer; none to connect sensors directly to motors.
-        recurrent: Whether the first layer behind the sensors has feedback of its own last values.
-        ambient: Whether light is an input too, 0 dark to 1 bright, behind proximity, 0 to 1.
+        recurrent: Whether the first layer behind the sensors has feedback of its last values.
+        ambient: Whether ambient light (0 dark to 1 bright) is an input behind proximity (0 to 1).
         top_speed: Speed for an output of 1 [pulses/10 ms].
-        genes: Own genes (n_genes,), used where an episode is given none; empty for none.
-        period_ns: Control period that it was made for [ns], kept by a host and by a rollout without a setup.
-        light: Ambient counts that are 0 and 1 for a host (2,); a rollout has those of its robot.
-        playpen: Playpen in which it was found; empty if unknown.
-        seed: Seed with which it was found; None if unknown.
+        genes: Genome (n_genes,) for episodes whose options have none; empty for none.
+        period_ns: Control period of training [ns], used by a host and by a rollout without a setup.
+        light: Ambient counts that are inputs of 0 and 1 on a host (2,); a rollout uses those of its robot.
+        playpen: Playpen of training; empty if unknown.
+        seed: Seed of training; None if unknown.
     """
 
     hidden: tuple[int, ...] = ()
@@ -81,7 +81,7 @@ class Network:
     seed: int | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        """Keep the genes as a tuple, which compares and cannot change."""
+        """Store the genes as a tuple, which is comparable and immutable."""
         object.__setattr__(self, "genes", tuple(np.asarray(self.genes, np.float64).ravel().tolist()))
 
     @classmethod
@@ -102,29 +102,29 @@ class Network:
         seed: int | None = None,
         replace: bool = False,
     ) -> None:
-        """Write the network with its genes to an NPZ file, in place of another network of that name.
+        """Write the network with its genes to an NPZ file, which may replace that of another network.
 
         Args:
             path: Name of the file, which ends in .npz.
-            genes: Genes (n_genes,); by default its own.
-            setup: Setup of the episodes that it was found in, for `period_ns`, `light` and `playpen`.
-            seed: Seed with which it was found; by default its own.
-            replace: Whether to replace a file that is no network, too.
+            genes: Genome (n_genes,); by default that of the network.
+            setup: Setup of the training episodes, for `period_ns`, `light` and `playpen`.
+            seed: Seed of training; by default that of the network.
+            replace: Whether to replace also a file that is not a network.
 
         Raises:
             ControllerError: The genes do not fit the network, or a file of another kind is there.
             KhepTwinError: The file cannot be written.
         """
-        found = {name: getattr(self, name) for name in network_file.Stored._fields}
+        fields = {name: getattr(self, name) for name in network_file.NetworkContent._fields}
         if genes is not None:
-            found["genes"] = np.asarray(genes, np.float64).ravel().tolist()
+            fields["genes"] = np.asarray(genes, np.float64).ravel().tolist()
         if setup is not None:
             ambient = setup.calibration.ambient
-            found["light"] = ambient.dark_counts, ambient.floor_counts
-            found["period_ns"], found["playpen"] = setup.period_ns, setup.playpen.name
+            fields["light"] = ambient.dark_counts, ambient.floor_counts
+            fields["period_ns"], fields["playpen"] = setup.period_ns, setup.playpen.name
         if seed is not None:
-            found["seed"] = seed
-        network_file.write(Path(path), network_file.Stored(**found), replace)
+            fields["seed"] = seed
+        network_file.write(Path(path), network_file.NetworkContent(**fields), replace)
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -146,12 +146,12 @@ class Network:
 class Function:
     """A function of a robot's proximity (8,), ambient (8,), memory and genes.
 
-    It returns left and right speed [pulses/10 ms], rounded and clipped to 127 as by command D, and changes
-    nothing but its memory. It may be decorated with `numba.njit`; if not, it is compiled all the same.
+    It returns left and right speed [pulses/10 ms], which are rounded and clipped to 127 as by command D. It
+    may change only its memory. The decorator `numba.njit` is optional: compiled episodes compile it.
 
     Attributes:
         decide: The function.
-        n_memory: Length of its memory, all 0 at first.
+        n_memory: Length of its memory, which starts with zeros.
         requests: Requests of a cycle; "N" for a function that needs no light saves time on a line.
     """
 
@@ -160,31 +160,31 @@ class Function:
     requests: str = "NO"
 
 
-def _by_caller(*readings: object) -> NoReturn:
+def _no_function(*readings: object) -> NoReturn:
     raise NotImplementedError("a policy without a function; expected its caller to give the speeds")
 
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """A function of many robots at once, in plain Python, called once per control period.
+    """A function in plain Python that is called once per control period for many robots.
 
     Attributes:
-        decide: Function of proximity (n, 8), ambient (n, 8) and indices of the episodes (n,), a row for each
-            robot, that returns speeds (n, 2) [pulses/10 ms]; a row may depend on none of another episode.
-            By default there is none: the caller of the `Episode` gives the speeds.
+        decide: Function of proximity (n, 8), ambient (n, 8) and indices of the episodes (n,), with a row for
+            each robot. It returns speeds (n, 2) [pulses/10 ms]; a row must not depend on other episodes.
+            By default there is none: the caller of the `Episode` sets the speeds.
         requests: Requests of a cycle; "N" for a policy that needs no light saves time on a line.
     """
 
-    decide: Callable[[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], ArrayLike] = _by_caller
+    decide: Callable[[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], ArrayLike] = _no_function
     requests: str = "NO"
 
 
 Driver = ConstantSpeed | Braitenberg | Network | Function | Policy
 
-_DRIVERS = "expected a ConstantSpeed, Braitenberg, Network, Function or Policy"
+_EXPECTED_DRIVER = "expected a ConstantSpeed, Braitenberg, Network, Function or Policy"
 
 
-def controllers_of(
+def make_controllers(
     driver: Driver,
     genes: Floats,
     home: Floats,
@@ -196,14 +196,14 @@ def controllers_of(
     """Return the controllers of an episode's robots as the stepping core uses them.
 
     Args:
-        driver: Controller; for a policy only the sums of metrics are kept.
-        genes: Weights of a network, or parameters of a function (n_genes,), or each robot's own
+        driver: Controller; a policy is left to the caller.
+        genes: Weights of a network, or parameters of a function, for all robots (n_genes,) or for each
             (n_robots, n_genes).
         home: Home x, y, radius [m] and duration of the charge [s] (4,).
         line: Line between controllers and robots.
         period_ns: Control period [ns].
         n_robots: Number of robots.
-        compiled: Whether a function is given by its address.
+        compiled: Whether compiled code runs the controllers, with a function by its address.
 
     Raises:
         ControllerError: The number of genes is wrong, numba cannot compile the function, or the driver is of
@@ -226,15 +226,15 @@ def controllers_of(
         case Function():
             kind, function, n_memory = stepping.FUNCTION, driver.decide, driver.n_memory
             if compiled:
-                from khep_twin.episodes.compiled import address_of
+                from khep_twin.episodes.compiled import compile_controller
 
-                function = address_of(driver.decide)
+                function = compile_controller(driver.decide)
         case Policy():
             kind = stepping.CONSTANT_SPEED if line is None else stepping.CALLER
         case ConstantSpeed():
             pass
         case _:
-            raise ControllerError(f"{driver!r} is no controller; {_DRIVERS}")
+            raise ControllerError(f"{driver!r} is no controller; {_EXPECTED_DRIVER}")
     times = line_times(line, driver.requests, period_ns)
     controllers = stepping.Controllers(
         kind,
@@ -247,20 +247,20 @@ def controllers_of(
         np.zeros(sum(sizes)),
         np.zeros(2),
         home,
-        sums_at_start(n_robots, home),
+        initial_sums(n_robots, home),
         times,
-        first_events(n_robots, times),
+        initial_events(n_robots, times),
         np.zeros((n_robots, kernel.N_REGISTERS), np.int64),
     )
-    return controllers if compiled else _in_python(controllers)
+    return controllers if compiled else _to_python(controllers)
 
 
-def _in_python(controllers: stepping.Controllers) -> stepping.Controllers:
+def _to_python(controllers: stepping.Controllers) -> stepping.Controllers:
     """Return controllers whose arrays are views and lists, which are faster in Python."""
     controllers = controllers._replace(
         line=np.asarray(controllers.line).tolist(),
         events=[event.data for event in controllers.events],
-        seen=[seen.data for seen in controllers.seen],
+        seen=[registers.data for registers in controllers.host_registers],
     )
     if controllers.kind == stepping.FUNCTION:
         return controllers
@@ -268,5 +268,5 @@ def _in_python(controllers: stepping.Controllers) -> stepping.Controllers:
         sizes=np.asarray(controllers.sizes).tolist(),
         genes=controllers.genes.tolist(),
         memory=controllers.memory.tolist(),
-        values=[0.0] * len(controllers.values),
+        values=[0.0] * len(controllers.neurons),
     )

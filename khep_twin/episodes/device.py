@@ -1,4 +1,4 @@
-"""Choice of where the episodes of a batch run: on the CPU's cores, or on an NVIDIA card (`cuda`)."""
+"""Choice of the device for the episodes of a batch: the CPU's cores, or an NVIDIA GPU (`cuda`)."""
 
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -14,60 +14,61 @@ from khep_twin.sensing.lamps import are_steady
 Device = Literal["cpu", "cuda", "auto"]
 
 
-def chosen_device(
-    wanted: str,
+def choose_device(
+    requested: str,
     setup: EpisodeSetup,
     driver: Driver,
     line: LineTimes,
     count: int,
     lamps: Sequence[Sequence[Lamp]] | None = None,
-    like: EpisodeSetup | None = None,
+    template: EpisodeSetup | None = None,
 ) -> Device:
     """Return "cpu" or "cuda" for the episodes of a batch.
 
     Args:
-        wanted: Device, or "auto" for a card that can run the episodes, if they fill it.
+        requested: Device, or "auto" for a GPU that can run the episodes, if they fill it.
         setup: Setup of the episodes.
         driver: Controller of the robots.
         line: Line between controllers and robots.
         count: Number of episodes.
         lamps: Lamps of each episode; None for the playpen's.
-        like: Setup of other episodes of the batch.
+        template: Setup of other episodes of the batch.
 
     Raises:
-        DeviceError: The device is unknown, there is no card, or it cannot run such episodes.
+        DeviceError: The device is unknown, there is no GPU, or it cannot run these episodes.
     """
-    if wanted not in get_args(Device):
-        raise DeviceError(f"device = {wanted!r}: unknown; {choices(str(wanted), get_args(Device))}")
-    if wanted == "cpu":
+    if requested not in get_args(Device):
+        raise DeviceError(f"device = {requested!r}: unknown; {choices(str(requested), get_args(Device))}")
+    if requested == "cpu":
         return "cpu"
-    trouble = refusal(setup, driver, line, lamps, like) or missing_card()
-    if trouble and wanted == "cuda":
-        raise DeviceError(f'device = "cuda": {trouble}')
-    if trouble:
+    error = find_unsupported(setup, driver, line, lamps, template) or find_gpu_error()
+    if error and requested == "cuda":
+        raise DeviceError(f'device = "cuda": {error}')
+    if error:
         return "cpu"
     from khep_twin.episodes.cuda import card
 
-    return "cuda" if wanted == "cuda" or count >= card.FILLING * card.n_processors() else "cpu"
+    fills_gpu = count >= card.EPISODES_PER_PROCESSOR * card.n_processors()
+    return "cuda" if requested == "cuda" or fills_gpu else "cpu"
 
 
-def missing_card() -> str:
-    """Return why no card can run episodes here, and what is expected; empty if one can."""
+def find_gpu_error() -> str:
+    """Return why no GPU can run episodes here, and the remedy; empty if one can."""
     if find_spec("numba_cuda") is None:
         return f"numba-cuda is not installed; to install it: {pip_install_extra('cuda13')}"
     from khep_twin.episodes.cuda import card
 
-    return card.trouble()
+    return card.find_error()
 
 
-def refusal(
+def find_unsupported(
     setup: EpisodeSetup,
     driver: Driver,
     line: LineTimes,
     lamps: Sequence[Sequence[Lamp]] | None = None,
-    like: EpisodeSetup | None = None,
+    template: EpisodeSetup | None = None,
 ) -> str:
-    """Return what a card does not run, and what is expected; empty if it runs these episodes."""
+    """Return why a GPU does not support these episodes, and the remedy; empty if it does."""
     if setup.planar_scene is None:
         return "episodes in MuJoCo; expected episodes in the plane (planar)"
     if isinstance(driver, Function):
@@ -75,14 +76,16 @@ def refusal(
     if isinstance(driver, Policy) and line is not None:
         return f"a controller in plain Python at a line of {line}; expected no line"
     lighting = setup.playpen.lighting
-    if not all(are_steady(each, lighting) for each in lamps or [setup.playpen.lamps]):
+    if not all(are_steady(episode_lamps, lighting) for episode_lamps in lamps or [setup.playpen.lamps]):
         return "lamps that change; expected steady ones"
-    if like is not None and (found := _obstacles(setup)) != (expected := _obstacles(like)):
-        return f"{setup.playpen.name} has {found}; expected {expected}, as in {like.playpen.name}"
+    if template is not None:
+        obstacles, expected = _describe_obstacles(setup), _describe_obstacles(template)
+        if obstacles != expected:
+            return f"{setup.playpen.name} has {obstacles}; expected {expected}, as in {template.playpen.name}"
     return ""
 
 
-def _obstacles(setup: EpisodeSetup) -> str:
-    """Return the numbers of obstacles in words."""
+def _describe_obstacles(setup: EpisodeSetup) -> str:
+    """Return the numbers of obstacles as text."""
     scene = setup.planar_scene
-    return "" if scene is None else f"{len(scene.things)} obstacles, {len(scene.bodies)} of them movable"
+    return "" if scene is None else f"{len(scene.obstacles)} obstacles, {len(scene.bodies)} of them movable"

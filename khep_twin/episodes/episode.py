@@ -6,11 +6,11 @@
     episode.run(60.0)
     print(episode.pose, episode.metrics())
 
-The same seed gives the same counts, registers and positions as a `World` whose robots receive the same speeds
-at the same times over lines without delay, compiled or not, however often the `Episode` was used before.
+For the same seed, sensor counts, registers and positions equal those of a `World` whose robots receive the
+same speeds at the same times over lines without delay, compiled or not, after any earlier episodes.
 
-With `EpisodeSetup(..., planar=True)` the robot moves in a plane (`planar`), for screening: the same firmware
-and sensors, thirty times faster and more, and similar trajectories.
+With `EpisodeSetup(..., planar=True)` the robot moves in a plane (`planar`), for screening: with the same
+firmware and sensors, at least thirty times faster, and with similar trajectories.
 """
 
 import warnings
@@ -25,11 +25,11 @@ from khep_twin.board import kernel
 from khep_twin.copies import NotCopied
 from khep_twin.episodes import stepping
 from khep_twin.episodes.contacts import in_contact
-from khep_twin.episodes.controllers import ConstantSpeed, Driver, Floats, controllers_of
+from khep_twin.episodes.controllers import ConstantSpeed, Driver, Floats, make_controllers
 from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.line import NEVER
-from khep_twin.episodes.metrics import metrics_of
+from khep_twin.episodes.metrics import compute_metrics
 from khep_twin.episodes.planar.planar_world import PlanarWorld
 from khep_twin.errors import DivergedError
 from khep_twin.one_thread import one_thread
@@ -38,22 +38,22 @@ from khep_twin.playpen.starts import Start
 from khep_twin.simulation.ready import function_of, what_is_missing, when_ready
 from khep_twin.world import World
 
-_LOOK = 2000
-"""Steps between two looks for compiled code."""
+_CHECK_INTERVAL = 2000
+"""Steps between two checks whether compiled code is ready."""
 
 
 class SlowerWarning(UserWarning):
-    """Warning that episodes run uncompiled, with the same results, as numba is not installed, or off."""
+    """Warning that episodes run uncompiled, with the same results, as numba is missing or disabled."""
 
 
-def is_compiled(wanted: bool | None) -> bool:
+def is_compiled(requested: bool | None) -> bool:
     """Return whether episodes run compiled; None means if numba is installed, with a warning if not."""
-    if wanted is not None:
-        return wanted
+    if requested is not None:
+        return requested
     if (missing := what_is_missing()) is None:
         return True
     warnings.warn(
-        f"{missing.found}: episodes run uncompiled, many times slower, with the same results; "
+        f"{missing.reason}: episodes run uncompiled, many times slower, with the same results; "
         f"{missing.remedy}",
         SlowerWarning,
         stacklevel=3,
@@ -62,21 +62,21 @@ def is_compiled(wanted: bool | None) -> bool:
 
 
 class Episode(NotCopied):
-    """One episode at a time; `begin` starts a new one in the same memory.
+    """An episode; `begin` starts a new one in the same memory.
 
     Args:
         setup: Setup of the episodes.
         driver: Controller of the robots; a policy is left to the caller.
-        compiled: Whether to run compiled; None if numba is installed, and plain until the code is compiled.
-        observed: Whether the episode's world may have observers; it has a model of its own then.
+        compiled: Whether to run compiled; None to run compiled once the code is ready, if numba is installed.
+        observed: Whether the episode's world may have observers; then it does not share its model.
 
     Attributes:
         boards: State of each board (n_robots, N_REGISTERS).
         registers: State of the first board (N_REGISTERS,).
-        guard: Guard of its methods, its world's.
+        guard: Lock of its methods, shared with its world.
     """
 
-    INSTEAD = "another Episode of the same setup, begun with the same seed"
+    COPY_ADVICE = "another Episode of the same setup, started with the same seed"
 
     def __init__(
         self,
@@ -86,15 +86,16 @@ class Episode(NotCopied):
         compiled: bool | None = None,
         observed: bool = False,
     ) -> None:
-        self._setup, self._driver = setup, driver or ConstantSpeed()
+        self._setup = setup
+        self._driver = driver or ConstantSpeed()
         self._part = "episodes" if setup.planar_scene is None else "plane"
-        self._next_look = None
+        self._next_check = None
         run: stepping.Run | None = None
         if compiled:
             run = function_of(self._part)
         elif compiled is None and is_compiled(None):
             run = when_ready(self._part)
-            self._next_look = 0 if run is None else None
+            self._next_check = 0 if run is None else None
         self._run: stepping.Run = run or stepping.run
         self._compiled = run is not None
         self._world: World | PlanarWorld
@@ -104,11 +105,13 @@ class Episode(NotCopied):
             )
         else:
             self._world = PlanarWorld(setup.scene_model, setup.planar_scene)
-        self.guard, self._simulation = self._world.guard, self._world.simulation
+        self.guard = self._world.guard
+        self._simulation = self._world.simulation
         self._simulation.step_with(self._advance, self._compiled)
         self.boards: NDArray[np.int64] = self._simulation.records["registers"]
         self.registers: NDArray[np.int64] = self.boards[0]
-        self._begun, self._lamps = False, DEFAULT_OPTIONS.lamps
+        self._has_started = False
+        self._lamps = DEFAULT_OPTIONS.lamps
 
     @one_thread
     def begin(self, seed: int = 0, options: EpisodeOptions = DEFAULT_OPTIONS) -> None:
@@ -120,17 +123,19 @@ class Episode(NotCopied):
 
         Raises:
             ControllerError: The genes do not fit the controller.
-            DivergedError: The physics leaves its bounds at once.
+            DivergedError: The physics leaves its bounds at the start.
         """
-        self._genes, self._lamps = np.asarray(options.genes, np.float64), options.lamps
-        self._home, self._line = np.array(options.home_in_metres, np.float64), options.line
-        if self._next_look is not None:
-            self._look()
+        self._genes = np.asarray(options.genes, np.float64)
+        self._home = np.array(options.home_in_metres, np.float64)
+        self._line = options.line
+        self._lamps = options.lamps
+        if self._next_check is not None:
+            self._use_compiled_if_ready()
         self._controllers = self._new_controllers()
-        starts = None if options.start is None else _starts(options.start, len(self.boards))
+        starts = None if options.start is None else _check_starts(options.start, len(self.boards))
         self._simulation.title = f"episode of seed {seed}"
         self._world.reset(seed, noise=options.noise, vary=options.vary, starts=starts, lamps=options.lamps)
-        self._begun = True
+        self._has_started = True
         if isinstance(self._driver, ConstantSpeed) and (self._driver.left or self._driver.right):
             for robot in range(len(self.boards)):
                 self.drive(self._driver.left, self._driver.right, robot)
@@ -142,13 +147,13 @@ class Episode(NotCopied):
 
     @property
     def playpen(self) -> Playpen:
-        """Playpen of the episode, with its own lamps; the robots are where `poses` has them."""
+        """Playpen with the lamps of the episode; `poses` has the current poses of the robots."""
         playpen = self._setup.playpen
         return playpen if self._lamps is None else playpen.model_copy(update={"lamps": tuple(self._lamps)})
 
     @property
     def world(self) -> World:
-        """World of the episode, for observers and for the state of MuJoCo's scene.
+        """World of the episode, for observers and for MuJoCo's state.
 
         Raises:
             ValueError: The episode is in a plane.
@@ -166,7 +171,7 @@ class Episode(NotCopied):
 
     @property
     def steps(self) -> int:
-        """Number of physics steps done."""
+        """Number of physics steps since the start."""
         return self._simulation.steps
 
     @property
@@ -191,58 +196,58 @@ class Episode(NotCopied):
 
     @property
     def joints(self) -> Floats:
-        """Copy of all joint positions, MuJoCo's qpos or `plane.N_JOINTS` numbers."""
+        """Copy of all joint positions, MuJoCo's qpos or `plane.N_JOINTS` numbers in a plane."""
         return self._world.joints if isinstance(self._world, PlanarWorld) else self.data.qpos.copy()
 
     def readings(self, robot: int = 0) -> tuple[list[int], list[int]]:
-        """Return proximity and ambient counts of a robot's registers, or as a policy read them, each (8,)."""
-        board = np.asarray(self._controllers.seen[robot]) if self.is_at_line else self.boards[robot]
+        """Return proximity and ambient counts (8,) from a robot's registers, or at a line as last read."""
+        board = np.asarray(self._controllers.host_registers[robot]) if self.is_at_line else self.boards[robot]
         return board[kernel.PROXIMITY].tolist(), board[kernel.AMBIENT].tolist()
 
     def run(self, seconds: float) -> None:
         """Run the episode for a time [s], in whole control periods.
 
         Raises:
-            ValueError: The time is not a whole number of control periods, or no episode has begun.
-            DivergedError: The physics left its bounds, or the controller gave a speed that is no number.
+            ValueError: The time is not a whole number of control periods, or no episode was started.
+            DivergedError: The physics left its bounds, or the controller returned a speed that is not finite.
         """
         self.step(self._setup.periods(seconds) * self._setup.steps_per_period)
 
     @one_thread
     def step(self, steps: int) -> None:
-        """Run the episode for some steps; errors are those of `run`."""
-        self._insist()
-        if self._next_look is not None and self.steps >= self._next_look and self._look():
-            before, self._controllers = self._controllers, self._new_controllers()
-            for name in ("memory", "sums", "events", "seen"):
-                getattr(self._controllers, name)[:] = getattr(before, name)
+        """Run the episode for a number of steps; errors are those of `run`."""
+        self._require_start()
+        if self._next_check is not None and self.steps >= self._next_check and self._use_compiled_if_ready():
+            previous, self._controllers = self._controllers, self._new_controllers()
+            for name in ("memory", "sums", "events", "host_registers"):
+                getattr(self._controllers, name)[:] = getattr(previous, name)
         self._world.advance_to((self.steps + steps) * self._setup.step_ns)
 
     @one_thread
     def drive(self, left: float, right: float, robot: int = 0) -> None:
-        """Set both speeds of a robot [pulses/10 ms], as a controller does; at a line they take effect later.
+        """Set both speeds of a robot [pulses/10 ms] like a controller, at a line with its delay.
 
         Raises:
-            DivergedError: A speed is no number.
+            DivergedError: A speed is not finite.
         """
-        self._insist()
+        self._require_start()
         if self._awaits_speeds:
-            fits = stepping.drive_later(self._simulation.plain, self._controllers, robot, left, right)
+            is_finite = stepping.drive_by_line(self._simulation.plain, self._controllers, robot, left, right)
         else:
             powered = self._simulation.records["processor"][robot, kernel.POWERED]
-            fits = not powered or stepping.drive(self.boards[robot].data, left, right)
-        if not fits:
+            is_finite = not powered or stepping.drive(self.boards[robot].data, left, right)
+        if not is_finite:
             raise DivergedError(
                 f"{self._simulation.title} failed at {self.time_ns / 1e9:.4f} s, step {self.steps}: "
                 f"robot {robot} was given the speeds {left}, {right}; expected finite numbers"
             )
 
     @one_thread
-    def next_reading(self, until: int = NEVER) -> None:
-        """Run on by a control period; at a line, until the robots have answered a policy's requests.
+    def next_reading(self, end_step: int = NEVER) -> None:
+        """Run for a control period; at a line, until the robots have answered the requests of a policy.
 
         Args:
-            until: Step at which to end at a line.
+            end_step: Step at which to stop at a line.
 
         Raises:
             DivergedError: The physics left its bounds.
@@ -250,48 +255,48 @@ class Episode(NotCopied):
         if not self._awaits_speeds:
             self.step(self._setup.steps_per_period)
             return
-        self._insist()
-        while self.steps < until:
+        self._require_start()
+        while self.steps < end_step:
             stepping.control(self._simulation.plain, self._controllers)
-            if (due := stepping.next_step(self._controllers)) == NEVER:
+            if (event_step := stepping.next_step(self._controllers)) == NEVER:
                 return
-            self._world.advance_to(min(due, until) * self._setup.step_ns)
+            self._world.advance_to(min(event_step, end_step) * self._setup.step_ns)
 
     @property
     def is_at_line(self) -> bool:
-        """True if a policy's speeds take effect later, and its readings are older, by the times of a line."""
-        return self._begun and self._awaits_speeds
+        """True if a line delays the readings and the speeds of a policy."""
+        return self._has_started and self._awaits_speeds
 
-    def finish_steps(self, reason: int, until: int) -> None:
-        """Act for a return of the stepping core from a joint run, and run what is left of it.
+    def finish_steps(self, reason: int, end_step: int) -> None:
+        """Handle an early return of the stepping core in a batch, and run the remaining steps.
 
         Args:
             reason: Reason of the return.
-            until: Number of steps since the start up to which the episode was to run.
+            end_step: Number of steps since the start to run.
 
         Raises:
-            DivergedError: The physics left its bounds, or a speed is no number.
+            DivergedError: The physics left its bounds, or a speed is not finite.
         """
         if self._awaits_speeds:
             self._world.finish_steps(reason, self.steps)
-            self.next_reading(until)
+            self.next_reading(end_step)
         else:
-            self._world.finish_steps(reason, until)
+            self._world.finish_steps(reason, end_step)
 
     @property
-    def joint_arguments(self) -> tuple[stepping.Run, tuple[Any, ...]] | None:
-        """Compiled code with its arguments for a joint run; None if Python must act amid a run."""
+    def compiled_call(self) -> tuple[stepping.Run, stepping.EpisodeArguments] | None:
+        """Compiled code with its arguments, for batches; None if Python must act within a run."""
         arguments = self._simulation.arguments
         if arguments is None or not self._world.is_self_contained:
             return None
-        return self._run, (self._controllers, *arguments)
+        return self._run, stepping.EpisodeArguments(self._controllers, *arguments)
 
-    def observe(self, joint: stepping.JointRun, row: int) -> None:
-        """Copy the robots' registers and poses into a joint run's arrays."""
-        stepping.observe(self._simulation.plain, self._controllers, joint, row)
+    def observe(self, slots: stepping.SlotArrays, slot: int) -> None:
+        """Copy the robots' registers and poses into the arrays of a batch at a slot."""
+        stepping.observe(self._simulation.plain, self._controllers, slots, slot)
 
     def touches(self, robot: int = 0) -> bool:
-        """Return whether a robot touches anything but the floor in the last step."""
+        """Return whether a robot touched anything but the floor in the last step."""
         if isinstance(self._world, PlanarWorld):
             return self._world.is_pushed
         return in_contact(self.data, f"khepera{robot}/base")
@@ -299,8 +304,8 @@ class Episode(NotCopied):
     @one_thread
     def metrics(self, robot: int = 0) -> dict[str, float]:
         """Return a robot's metrics so far (`metrics.METRICS`); "homing" is NaN without a home."""
-        self._insist()
-        return metrics_of(self.sums[robot])
+        self._require_start()
+        return compute_metrics(self.sums[robot])
 
     @property
     def sums(self) -> Floats:
@@ -313,34 +318,36 @@ class Episode(NotCopied):
 
     def _advance(self, *arguments: Any) -> int:
         if self._compiled:
-            return self._run((self._controllers, *arguments[:-2]), *arguments[-2:], stepping.ALONE)
+            return self._run((self._controllers, *arguments[:-2]), *arguments[-2:], stepping.NO_SLOTS)
         return self._run(self._controllers, *arguments)
 
-    def _look(self) -> bool:
-        """Step by compiled code from now on if it is ready; return whether it is."""
+    def _use_compiled_if_ready(self) -> bool:
+        """Switch to compiled code if it is ready; return whether it is."""
         if (run := when_ready(self._part)) is None:
-            self._next_look = self.steps + _LOOK
+            self._next_check = self.steps + _CHECK_INTERVAL
             return False
-        self._run, self._compiled, self._next_look = run, True, None
+        self._run = run
+        self._compiled = True
+        self._next_check = None
         self._simulation.step_with(self._advance, compiled=True)
         return True
 
     def _new_controllers(self) -> stepping.Controllers:
-        """Return the controllers at the start of an episode."""
+        """Return the controllers in their state at the start of an episode."""
         period_ns, count = self._setup.period_ns, len(self.boards)
-        return controllers_of(
+        return make_controllers(
             self._driver, self._genes, self._home, self._line, period_ns, count, self._compiled
         )
 
-    def _insist(self) -> None:
-        """Raise a `ValueError` unless an episode has begun."""
-        if not self._begun:
+    def _require_start(self) -> None:
+        """Raise a `ValueError` unless an episode was started."""
+        if not self._has_started:
             raise ValueError("no episode has begun; expected begin() first")
 
 
-def _starts(start: Start | Sequence[Start], n_robots: int) -> list[Start]:
-    """Return the start of each robot; raise a `ValueError` unless there is one for each."""
-    table = np.atleast_2d(np.asarray(start, np.float64))
-    if table.shape != (n_robots, 3):
+def _check_starts(start: Start | Sequence[Start], n_robots: int) -> list[Start]:
+    """Return the start of each robot; raise a `ValueError` unless there is one per robot."""
+    starts = np.atleast_2d(np.asarray(start, np.float64))
+    if starts.shape != (n_robots, 3):
         raise ValueError(f"start = {start}; expected x, y [mm] and heading [deg] of {n_robots} robots")
-    return [(x_mm, y_mm, heading_deg) for x_mm, y_mm, heading_deg in table.tolist()]
+    return [(x_mm, y_mm, heading_deg) for x_mm, y_mm, heading_deg in starts.tolist()]

@@ -1,4 +1,4 @@
-"""Options of one episode, which a batch has in common or gives each of its episodes."""
+"""Options of one episode, or of all episodes of a batch."""
 
 import operator
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from khep_twin.playpen import Lamp
 from khep_twin.playpen.starts import Start
 
 Home = tuple[float, float, float, float]
-"""Home of a robot: x, y, radius and duration of a charge [s]."""
+"""Home of a robot: x, y, radius and duration of a battery charge [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -23,16 +23,16 @@ class EpisodeOptions:
 
     Attributes:
         noise: Whether sensors are noisy.
-        vary: Whether to draw other robots of the same make.
+        vary: Whether to draw each robot's parameters at random around its calibration.
         start: Start x, y [mm] and heading [deg], or one for each robot; None for the playpen's.
-        lamps: Other lamps than the playpen's.
-        genes: Genes of the controller, or of each robot's (n_robots, n_genes).
+        lamps: Lamps that replace those of the playpen.
+        genes: Genome of the controller (n_genes,), or of each robot's (n_robots, n_genes).
         home: Home x, y, radius [mm] and duration of a charge [s], for the metric "homing".
         line: Line between controller and robot, as a speed [baud] or a `MeasuredCycle`; None for exchanges
             that take no time.
 
     Raises:
-        ValueError: The home or the line is none.
+        ValueError: The home or the line is invalid.
     """
 
     noise: bool = True
@@ -53,7 +53,7 @@ class EpisodeOptions:
 
     @property
     def home_in_metres(self) -> Home:
-        """Home with its lengths in metres, all 0 for none."""
+        """Home with lengths in metres; zeros for none."""
         if self.home is None:
             return 0.0, 0.0, 0.0, 0.0
         x_mm, y_mm, radius_mm, charge_s = self.home
@@ -61,23 +61,23 @@ class EpisodeOptions:
 
 
 DEFAULT_OPTIONS = EpisodeOptions()
-"""Options of an episode that is given none."""
+"""Options of an episode by default."""
 
 
-def check_numbers(name: str, given: object, what: str, shape: tuple[int, ...]) -> None:
-    """Raise a `ValueError` unless these are finite numbers of a shape."""
+def check_numbers(name: str, value: object, label: str, shape: tuple[int, ...]) -> None:
+    """Raise a `ValueError` unless a value consists of finite numbers of a shape."""
     try:
-        numbers = np.asarray(given, np.float64)
+        numbers = np.asarray(value, np.float64)
         fits = numbers.shape == shape and bool(np.isfinite(numbers).all())
     except (TypeError, ValueError):
         fits = False
     if not fits:
         count = " x ".join(map(str, shape))
-        raise ValueError(f"{name} = {given!r}; expected {what}, {count} finite numbers")
+        raise ValueError(f"{name} = {value!r}; expected {label}, {count} finite numbers")
 
 
-def checked_count(given: object, things: str) -> int:
-    """Return a number of things; raise a `ValueError` unless it is an integer from 1."""
-    if isinstance(given, SupportsIndex) and (count := operator.index(given)) >= 1:
+def check_count(value: object, label: str) -> int:
+    """Return a count; raise a `ValueError`, which contains the label, unless it is an integer from 1."""
+    if isinstance(value, SupportsIndex) and (count := operator.index(value)) >= 1:
         return count
-    raise ValueError(f"{given!r} {things}; expected a whole number, 1 or more")
+    raise ValueError(f"{value!r} {label}; expected a whole number, 1 or more")

@@ -1,4 +1,4 @@
-"""A playpen prepared for episodes without a serial line: its compiled scene and divisions of time."""
+"""A playpen prepared for episodes without a serial line: its compiled scene, step and control period."""
 
 import math
 from collections.abc import Iterable
@@ -18,11 +18,11 @@ from khep_twin.sensing.robot_indices import RobotIndices
 from khep_twin.simulation.mujoco_forms import SceneModel
 
 PLANAR_STEP_NS = 4 * units.STEP_NS
-"""Step in a plane, one tick [ns]; its only effect is that four sensors are converted at one pose."""
+"""Step in a plane, one tick [ns]; its only effect is that four sensors are converted at the same pose."""
 
 
 class EpisodeSetup:
-    """A playpen prepared for any number of episodes; threads may share it.
+    """A playpen prepared for any number of episodes. It is thread-safe.
 
     Args:
         playpen: Playpen with a robot, or its name or path.
@@ -30,8 +30,8 @@ class EpisodeSetup:
             and 10 ms in a plane.
         period_ns: Control period [ns], whole ticks of 10 ms.
         planar: Whether the robot moves in a plane instead of MuJoCo.
-        at_line: Whether episodes are to have a line: then the sensors are converted one by one, whatever the
-            step of the physics, as a reading's age is that of its conversion.
+        at_line: Whether episodes have a line. The sensors are then converted one by one with any step of the
+            physics, as the age of a reading is that of its conversion.
         faults: Faults of the robots.
 
     Attributes:
@@ -45,7 +45,7 @@ class EpisodeSetup:
 
     Raises:
         PlaypenError: The playpen has no robot, or a feature that a plane does not support.
-        ValueError: The step or the period does not fit into whole ticks, or there are faults in the plane.
+        ValueError: The step or the period is not a whole number of ticks, or there are faults in the plane.
         TypeError: The step or the period is not an integer.
     """
 
@@ -83,9 +83,11 @@ class EpisodeSetup:
             )
         if step_ns is None:
             step_ns = PLANAR_STEP_NS if planar else units.STEP_NS
-        self._motion_ns, self._at_line = step_ns, at_line
+        self._motion_ns = step_ns
+        self._at_line = at_line
         self.step_ns = units.STEP_NS if at_line else step_ns
-        self.playpen, self.period_ns = playpen, period_ns
+        self.playpen = playpen
+        self.period_ns = period_ns
         self.scene_model = SceneModel.of(playpen, step_ns, self.step_ns)
         self.model = self.scene_model.model
         self.steps_per_period = n_steps(period_ns, self.step_ns)
@@ -95,7 +97,7 @@ class EpisodeSetup:
         self.planar_scene = PlanarScene(playpen, self.model, self.indices, step_ns) if planar else None
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Return how a copy is made, as MuJoCo's scene cannot be copied."""
+        """Return a function and its arguments for a copy, as MuJoCo's scene cannot be copied."""
         make = partial(
             EpisodeSetup,
             step_ns=self._motion_ns,
@@ -122,7 +124,7 @@ class EpisodeSetup:
         return duration_ns // self.period_ns
 
     def start(self, seed: int) -> Start:
-        """Return the first robot's start: its own pose, or the spot that the seed draws."""
+        """Return the start of the first robot: its pose in the playpen, or the spot drawn by the seed."""
         robot = self.entry
         if robot.spots:
             robot = at_spots(self.playpen, seed).robots[0]

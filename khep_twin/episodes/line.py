@@ -1,15 +1,15 @@
 """Times of a host's exchanges with its robot, for episodes without a serial line.
 
-A host's cycle on the line, each exchange begun when the one before has ended:
+A host's cycle on the line, in which each exchange starts when the previous one has ended:
 
-    begin, N, its reply, O and H with their replies, D, its reply, a pause until begin + period
+    start, N, its reply, O and H with their replies, D, its reply, a pause until start + period
 
-A byte takes eleven bit times; the robot answers once a request's last byte has arrived. So a reading is that
-of the moment when the robot answers, the speeds decided on it take effect when all of D has arrived, and a
-cycle that takes longer than the control period delays the next one. These are the times of a controller on
-`khep://`, to the nanosecond, where the host's own computing takes none.
+A byte takes eleven bit times. The robot answers when the last byte of a request has arrived, with its
+registers at that time. The speeds of command D take effect when its last byte has arrived. A cycle that takes
+longer than the control period delays the next one. These are the times of a controller on `khep://`, to the
+nanosecond, if the host computes in no time.
 
-Without a line, a cycle reads and drives at one moment. The functions run interpreted and compiled.
+Without a line, a cycle reads and drives at the same time. The functions run interpreted and compiled.
 """
 
 import math
@@ -26,39 +26,38 @@ from khep_twin.sensing.buffers import Vector
 from khep_twin.units import BITS_PER_BYTE, N_SENSORS
 
 REQUESTS = "NOH"
-"""Requests that a cycle may have: proximity, ambient light, positions of the wheels."""
+"""Requests of a cycle: proximity, ambient light, positions of the wheels."""
 
 N_EVENT = 4
-NEXT, STAGE, AT_NS, BEGUN_NS = range(N_EVENT)
-"""Indices in a robot's event: step before which it is due, its stage, which is the number of requests that
-are answered, and the times of the event and of the begin of its cycle [ns]."""
+NEXT_STEP, STAGE, EVENT_NS, CYCLE_START_NS = range(N_EVENT)
+"""Indices in a robot's event: step before which it is handled, its stage (the number of answered requests),
+and the times of the event and of the start of its cycle [ns]."""
 
 NEVER = 2**62
 """Step of an event that waits for the caller's speeds."""
 
-BAUD, DELAY_NS, PERIOD_NS, REQUESTED = range(4)
-"""Indices in the times of a line: speed [baud], 0 for exchanges that take no time; time from reading to
-driving besides that of the exchanges, control period [ns]; and first of the requests."""
+BAUD, DELAY_NS, PERIOD_NS, FIRST_REQUEST = range(4)
+"""Indices in the times of a line: speed [baud], 0 for exchanges that take no time; delay from reading to
+driving besides the exchanges [ns]; control period [ns]; first of the requests."""
 
-_BYTE_BITS_NS = BITS_PER_BYTE * NS_PER_S
-_END = 2  # carriage return and line feed end a reply
+_BYTE_NS_AT_1_BAUD = BITS_PER_BYTE * NS_PER_S
+_LINE_END = 2  # carriage return and line feed end a reply
 _REQUEST = 2  # a letter and a line feed
 _PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
 _ENCODER, _POSITION = int(kernel.Wheel.ENCODER), int(kernel.Wheel.POSITION)
 _LEFT_SETPOINT, _RIGHT_SETPOINT = kernel.SETPOINTS
-_RIGHT = kernel.RIGHT
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredCycle:
-    """Measured times of a host's cycle, for a line whose speed alone does not tell them.
+    """Measured times of a host's cycle, for a line whose speed does not determine them.
 
     Attributes:
-        delay: Time from the robot's reading to the effect of the speeds decided on it [s].
+        delay: Time from a reading until the speeds decided on it take effect [s].
         period: Duration of a cycle [s]; the control period if that is longer.
 
     Raises:
-        ValueError: A time is no number from 0, or the delay exceeds the period.
+        ValueError: A time is negative or not finite, or the delay exceeds the period.
     """
 
     delay: float
@@ -82,12 +81,12 @@ def check_line(line: object) -> None:
 
 
 def line_times(line: LineTimes, requests: str, period_ns: int) -> NDArray[np.int64]:
-    """Return the times of a line for `first_events` and `set_next`.
+    """Return the times of a line for `initial_events` and `set_next_step`.
 
     Args:
         line: Line; None for exchanges that take no time.
-        requests: Requests of a cycle, of `REQUESTS`; none for a controller that asks nothing, and so has no
-            line.
+        requests: Requests of a cycle, from `REQUESTS`; empty for a controller without requests, for which
+            exchanges take no time.
         period_ns: Control period [ns].
     """
     codes = [REQUESTS.index(letter) for letter in requests]
@@ -102,100 +101,102 @@ def longest_cycle_ns(baud: int, requests: str) -> int:
     """Return the longest duration of a cycle with these requests [ns]."""
     counts, positions, speeds = "n" + ",1023" * N_SENSORS, "h" + ",-2147483648" * 2, "D,-127,-127\nd"
     replies = {"N": counts, "O": counts, "H": positions}
-    lengths = [_REQUEST, len(speeds) + _END, *(len(replies[letter]) + _END for letter in requests)]
-    return sum(_bytes_ns(baud, length) for length in (*lengths, *[_REQUEST] * (len(requests) - 1)))
+    lengths = [_REQUEST, len(speeds) + _LINE_END, *(len(replies[letter]) + _LINE_END for letter in requests)]
+    return sum(_transfer_ns(baud, length) for length in (*lengths, *[_REQUEST] * (len(requests) - 1)))
 
 
-def first_events(n_robots: int, times: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the events of robots whose first cycles begin at time 0 (n_robots, N_EVENT)."""
-    return np.array([[0, 0, _bytes_ns(int(times[BAUD]), _REQUEST), 0]] * n_robots, np.int64)
+def initial_events(n_robots: int, times: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the events of robots whose first cycles start at time 0 (n_robots, N_EVENT)."""
+    return np.array([[0, 0, _transfer_ns(int(times[BAUD]), _REQUEST), 0]] * n_robots, np.int64)
 
 
 @compilable
-def set_next(event: Vector[int], times: Vector[int], step_ns: int) -> None:
-    """Set the step before which an event is due.
+def set_next_step(event: Vector[int], times: Vector[int], step_ns: int) -> None:
+    """Set the step before which an event is handled.
 
-    Where a line takes time, bytes that arrive at a step's end are handled before that step, as by a robot at
-    its line.
+    If a line takes time, bytes that arrive at the end of a step are handled before that step, as by a robot
+    with a serial line.
     """
-    event[NEXT] = (event[AT_NS] - 1) // step_ns if times[BAUD] > 0 else event[AT_NS] // step_ns
+    event[NEXT_STEP] = (event[EVENT_NS] - 1) // step_ns if times[BAUD] > 0 else event[EVENT_NS] // step_ns
 
 
 @compilable
 def answer(
-    event: Vector[int], times: Vector[int], registers: kernel.Registers, seen: kernel.Registers
+    event: Vector[int], times: Vector[int], registers: kernel.Registers, host_registers: kernel.Registers
 ) -> bool:
     """Answer a request; return whether it is the last of its cycle.
 
     Args:
-        event: Event of the robot, which becomes that of the next request, or the end of the last reply.
+        event: Event of the robot; changed to that of the next request, or to the end of the last reply.
         times: Times of the line.
         registers: State of the board.
-        seen: State as the host has read it, changed in place (N_REGISTERS,).
+        host_registers: State as read by the host, changed in place (N_REGISTERS,).
     """
     stage, baud = event[STAGE], times[BAUD]
-    request = times[REQUESTED + stage]
+    request = times[FIRST_REQUEST + stage]
     if stage == 0:
         for register in range(kernel.N_REGISTERS):
-            seen[register] = registers[register]
+            host_registers[register] = registers[register]
     elif request == 1:
         for sensor in range(N_SENSORS):
-            seen[_AMBIENT + sensor] = registers[_AMBIENT + sensor]
+            host_registers[_AMBIENT + sensor] = registers[_AMBIENT + sensor]
     elif request == 0:
         for sensor in range(N_SENSORS):
-            seen[_PROXIMITY + sensor] = registers[_PROXIMITY + sensor]
+            host_registers[_PROXIMITY + sensor] = registers[_PROXIMITY + sensor]
     else:
-        for wheel in (0, _RIGHT):
-            seen[wheel + _ENCODER] = registers[wheel + _ENCODER]
-            seen[wheel + _POSITION] = registers[wheel + _POSITION]
+        for wheel in (0, kernel.RIGHT):
+            host_registers[wheel + _ENCODER] = registers[wheel + _ENCODER]
+            host_registers[wheel + _POSITION] = registers[wheel + _POSITION]
     event[STAGE] = stage + 1
-    is_last = stage + 1 == len(times) - REQUESTED
+    is_last = stage + 1 == len(times) - FIRST_REQUEST
     if baud > 0:
-        event[AT_NS] += _bytes_ns(baud, _length(seen, request))
+        event[EVENT_NS] += _transfer_ns(baud, _reply_length(host_registers, request))
         if not is_last:
-            event[AT_NS] += _bytes_ns(baud, _REQUEST)
+            event[EVENT_NS] += _transfer_ns(baud, _REQUEST)
     return is_last
 
 
 @compilable
-def send_speeds(event: Vector[int], times: Vector[int], seen: kernel.Registers) -> None:
-    """Make the event the moment when the speeds in `seen` take effect."""
+def send_speeds(event: Vector[int], times: Vector[int], host_registers: kernel.Registers) -> None:
+    """Set the event to the time when the setpoints in `host_registers` take effect."""
     if times[BAUD] > 0:
-        length = 4 + _digits(seen[_LEFT_SETPOINT]) + _digits(seen[_RIGHT_SETPOINT])
-        event[AT_NS] += _bytes_ns(times[BAUD], length)
-    event[AT_NS] += times[DELAY_NS]
+        length = 4 + _n_chars(host_registers[_LEFT_SETPOINT]) + _n_chars(host_registers[_RIGHT_SETPOINT])
+        event[EVENT_NS] += _transfer_ns(times[BAUD], length)
+    event[EVENT_NS] += times[DELAY_NS]
 
 
 @compilable
 def end_cycle(event: Vector[int], times: Vector[int]) -> int:
-    """Make the event the first request of the next cycle; return the duration of this one [ns]."""
-    begun_ns, baud = event[BEGUN_NS], times[BAUD]
+    """Set the event to the first request of the next cycle; return the duration of this one [ns]."""
+    start_ns, baud = event[CYCLE_START_NS], times[BAUD]
     event[STAGE] = 0
-    event[BEGUN_NS] = max(begun_ns + times[PERIOD_NS], event[AT_NS] + _bytes_ns(baud, 1 + _END))
-    event[AT_NS] = event[BEGUN_NS] + _bytes_ns(baud, _REQUEST)
-    return event[BEGUN_NS] - begun_ns
+    end_ns = event[EVENT_NS] + _transfer_ns(baud, 1 + _LINE_END)
+    event[CYCLE_START_NS] = max(start_ns + times[PERIOD_NS], end_ns)
+    event[EVENT_NS] = event[CYCLE_START_NS] + _transfer_ns(baud, _REQUEST)
+    return event[CYCLE_START_NS] - start_ns
 
 
 @compilable
-def _bytes_ns(baud: int, count: int) -> int:
-    """Return the duration of some bytes [ns]; 0 for a line that takes no time."""
-    return count * _BYTE_BITS_NS // baud if baud > 0 else 0
+def _transfer_ns(baud: int, count: int) -> int:
+    """Return the duration of a number of bytes [ns]; 0 if exchanges take no time."""
+    return count * _BYTE_NS_AT_1_BAUD // baud if baud > 0 else 0
 
 
 @compilable
-def _length(seen: kernel.Registers, request: int) -> int:
+def _reply_length(host_registers: kernel.Registers, request: int) -> int:
     """Return the length of the reply to a request."""
-    length = 1 + _END
+    length = 1 + _LINE_END
     if request == 2:
-        return length + 2 + _digits(seen[_POSITION]) + _digits(seen[_RIGHT + _POSITION])
+        left, right = host_registers[_POSITION], host_registers[kernel.RIGHT + _POSITION]
+        return length + 2 + _n_chars(left) + _n_chars(right)
     first = _AMBIENT if request == 1 else _PROXIMITY
     for sensor in range(N_SENSORS):
-        length += 1 + _digits(seen[first + sensor])
+        length += 1 + _n_chars(host_registers[first + sensor])
     return length
 
 
 @compilable
-def _digits(number: int) -> int:
+def _n_chars(number: int) -> int:
     """Return the length of a number as text, with its sign."""
     count, rest = 1 if number >= 0 else 2, abs(number)
     while rest >= 10:

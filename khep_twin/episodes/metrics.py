@@ -1,8 +1,7 @@
-"""Metrics of an episode, in one place: what each control period adds, and how that becomes a number.
+"""Metrics of an episode: sums over its control periods, and the results computed from them.
 
-A new metric is a field of `Metrics` and its value in `of_period`; it then has a column in every result.
-Metrics are means over the control periods, but for `TOTALS`. Like the stepping core this runs interpreted and
-compiled.
+A new metric needs a field of `Metrics` and a value in `compute_period`; it is then a column of every result.
+Metrics are means over the control periods, except `TOTALS`. The functions run interpreted and compiled.
 """
 
 import math
@@ -20,7 +19,7 @@ from khep_twin.sensing.buffers import Vector
 
 
 class Metrics(NamedTuple):
-    """Metrics of an episode, or what one control period adds to each."""
+    """Metrics of an episode, or the summands of one control period."""
 
     obstacle_avoidance: float
     light_seeking: float
@@ -35,21 +34,20 @@ METRICS = Metrics._fields
 """Names of the metrics, in the order of all results."""
 
 TOTALS = ("distance_m", "forward_m")
-"""Metrics that are sums over an episode: the distance, and that forwards less that backwards."""
+"""Metrics that are sums over an episode: the distance, and the distance forwards minus that backwards."""
 
 N_METRICS = len(METRICS)
 PERIODS, CHARGE, LAST_X, LAST_Y = N_METRICS, N_METRICS + 1, N_METRICS + 2, N_METRICS + 3
-"""Indices in a robot's sums, behind those of the metrics: control periods, charge left [s], and last position
-of the robot [m]."""
+"""Indices in a robot's sums, behind those of the metrics: number of control periods, remaining charge [s],
+and last position of the robot [m]."""
 N_SUMS = N_METRICS + 4
 
 _PROXIMITY, _AMBIENT = int(kernel.Board.PROXIMITY), int(kernel.Board.AMBIENT)
 _LEFT_SETPOINT, _RIGHT_SETPOINT = kernel.SETPOINTS
 _SIDES = (int(units.Sensor.LEFT_90), int(units.Sensor.RIGHT_90))
-_N = units.N_SENSORS
 
 
-def sums_at_start(n_robots: int, home: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+def initial_sums(n_robots: int, home: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the sums of robots at the start of an episode (n_robots, N_SUMS).
 
     Args:
@@ -63,12 +61,12 @@ def sums_at_start(n_robots: int, home: Sequence[float] | NDArray[np.float64]) ->
     return sums
 
 
-def metrics_of(sums: NDArray[np.float64]) -> dict[str, float]:
+def compute_metrics(sums: NDArray[np.float64]) -> dict[str, float]:
     """Return the metrics of a robot from its sums (N_SUMS,)."""
-    return {name: float(value) for name, value in means_of(sums).items()}
+    return {name: float(value) for name, value in compute_means(sums).items()}
 
 
-def means_of(sums: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+def compute_means(sums: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     """Return the metrics of robots from their sums (..., N_SUMS), each (...)."""
     periods = np.maximum(sums[..., PERIODS], 1.0)
     totals = {name: sums[..., metric] for metric, name in enumerate(METRICS)}
@@ -82,62 +80,62 @@ def add_period(
     home: Vector[float],
     dark: float,
     floor: float,
-    at: tuple[float, float, float, float],
+    pose: tuple[float, float, float, float],
     period: float,
 ) -> None:
-    """Add what the start of a control period tells, with the speeds just set.
+    """Add the summands of a control period, from its readings and the speeds just set.
 
     Args:
         registers: State of the board.
         sums: Sums over the episode, changed in place (N_SUMS,).
-        home: Home as in `sums_at_start`.
+        home: Home as in `initial_sums`.
         dark: Ambient reading in the dark [counts].
         floor: Ambient reading in the brightest light [counts].
-        at: Robot x and y [m], cosine and sine of its heading.
+        pose: Robot x and y [m], cosine and sine of its heading.
         period: Control period [s].
     """
-    added = of_period(registers, sums, home, dark, floor, at)
+    period_metrics = compute_period(registers, sums, home, dark, floor, pose)
     for metric in range(N_METRICS):
-        sums[metric] += added[metric]
-    sums[LAST_X], sums[LAST_Y] = at[0], at[1]
+        sums[metric] += period_metrics[metric]
+    sums[LAST_X], sums[LAST_Y] = pose[0], pose[1]
     sums[PERIODS] += 1
     if home[2] > 0 and sums[CHARGE] > 0:
-        # At home the cells are full at once.
-        sums[CHARGE] = home[3] if _is_home(home, at) else sums[CHARGE] - period
+        # At home the battery is charged instantly.
+        sums[CHARGE] = home[3] if _is_home(home, pose) else sums[CHARGE] - period
 
 
 @compilable
-def of_period(
+def compute_period(
     registers: kernel.Registers,
     sums: Vector[float],
     home: Vector[float],
     dark: float,
     floor: float,
-    at: tuple[float, float, float, float],
+    pose: tuple[float, float, float, float],
 ) -> Metrics:
-    """Return what a control period adds to each metric; arguments are those of `add_period`."""
+    """Return the summands of a control period; arguments are those of `add_period`."""
     nearest, darkest = registers[_PROXIMITY], registers[_AMBIENT]
-    for sensor in range(1, _N):
+    for sensor in range(1, units.N_SENSORS):
         nearest = max(nearest, registers[_PROXIMITY + sensor])
         darkest = min(darkest, registers[_AMBIENT + sensor])
     side = max(registers[_PROXIMITY + _SIDES[0]], registers[_PROXIMITY + _SIDES[1]]) / units.COUNTS_LIMIT
     left, right = float(registers[_LEFT_SETPOINT]), float(registers[_RIGHT_SETPOINT])
-    part = nearest / units.COUNTS_LIMIT
-    dx, dy = (at[0] - sums[LAST_X], at[1] - sums[LAST_Y]) if sums[PERIODS] > 0 else (0.0, 0.0)
-    away = home[2] > 0 and sums[CHARGE] > 0 and not _is_home(home, at)
+    proximity = nearest / units.COUNTS_LIMIT
+    dx, dy = (pose[0] - sums[LAST_X], pose[1] - sums[LAST_Y]) if sums[PERIODS] > 0 else (0.0, 0.0)
+    is_away = home[2] > 0 and sums[CHARGE] > 0 and not _is_home(home, pose)
     return Metrics(
-        obstacle_avoidance=fitness.obstacle_avoidance(left, right, part),
+        obstacle_avoidance=fitness.obstacle_avoidance(left, right, proximity),
         light_seeking=fitness.light_seeking(float(darkest), dark, floor),
-        homing=fitness.homing(left, right, part) if away else 0.0,
+        homing=fitness.homing(left, right, proximity) if is_away else 0.0,
         wall_following=fitness.wall_following(left, right, side),
         effort=fitness.effort(left, right),
         distance_m=math.sqrt(dx * dx + dy * dy),
-        forward_m=dx * at[2] + dy * at[3],
+        forward_m=dx * pose[2] + dy * pose[3],
     )
 
 
 @compilable
-def _is_home(home: Vector[float], at: tuple[float, float, float, float]) -> bool:
+def _is_home(home: Vector[float], pose: tuple[float, float, float, float]) -> bool:
     """Return whether a robot is within the radius of its home."""
-    dx, dy = at[0] - home[0], at[1] - home[1]
+    dx, dy = pose[0] - home[0], pose[1] - home[1]
     return dx * dx + dy * dy <= home[2] * home[2]

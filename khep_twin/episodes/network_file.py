@@ -1,18 +1,18 @@
-"""Files of networks: an NPZ that numpy opens without pickle.
+"""Network files: NPZ archives that numpy opens without pickle.
 
-Its arrays, checked when it is read and before it is written:
+Arrays of a file, which are checked after reading and before writing:
 
     format      "khep_twin network"
     version     1
     hidden      neurons of each hidden layer (n_layers,)
-    recurrent   whether the first layer has feedback of its own last values
+    recurrent   whether the first layer has feedback of its last values
     top_speed   speed for an output of 1 [pulses/10 ms]
     genes       weights, in the order of `networks` (n_genes,)
     inputs      names of the inputs in their order (n_inputs,), such as "proximity left_90"
-    zero, one   counts of the robot that are inputs of 0 and 1 (n_inputs,)
-    period_ns   control period that the network was made for [ns]
-    playpen     playpen in which it was found, as text; empty if unknown
-    seed        seed with which it was found; left out if unknown
+    zero, one   sensor counts that are inputs of 0 and 1 (n_inputs,)
+    period_ns   control period of training [ns]
+    playpen     playpen of training, as text; empty if unknown
+    seed        seed of training; left out if unknown
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +31,7 @@ from khep_twin.firmware import SPEED_LIMIT_PULSES
 from khep_twin.randomness import SEED_LIMIT
 
 SUFFIX = ".npz"
-"""End of the names of networks' files."""
+"""Suffix of network files."""
 
 FORMAT, VERSION = "khep_twin network", 1
 
@@ -40,7 +40,7 @@ LIGHT = (484.8, 75.0)
 
 _SENSORS = tuple(sensor.key for sensor in units.Sensor)
 _TEXT = "U"
-_KINDS = {
+_ARRAY_KINDS = {
     "format": (_TEXT, 0),
     "version": ("iu", 0),
     "hidden": ("iu", 1),
@@ -56,11 +56,11 @@ _KINDS = {
 }
 """Kinds and dimensions of the arrays, by name."""
 
-_NAMES = {"U": "text", "b": "true or false", "iu": "integers", "fiu": "numbers"}
+_KIND_NAMES = {"U": "text", "b": "true or false", "iu": "integers", "fiu": "numbers"}
 
 
-class Stored(NamedTuple):
-    """Content of a file, by the names of `controllers.Network`."""
+class NetworkContent(NamedTuple):
+    """Content of a file, named as in `controllers.Network`."""
 
     hidden: tuple[int, ...]
     recurrent: bool
@@ -78,11 +78,11 @@ def sizes(hidden: Sequence[int], ambient: bool) -> tuple[int, ...]:
     return (units.N_SENSORS * (1 + ambient), *hidden, 2)
 
 
-def read(path: Path) -> Stored:
+def read(path: Path) -> NetworkContent:
     """Return the content of a file.
 
     Raises:
-        ControllerError: It cannot be read, is no network's file, or is damaged.
+        ControllerError: It cannot be read, is not a network file, or is damaged.
     """
     try:
         with open_regular(path) as file:
@@ -91,28 +91,28 @@ def read(path: Path) -> Stored:
         raise ControllerError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def decode(data: bytes, path: Path) -> Stored:
+def decode(data: bytes, path: Path) -> NetworkContent:
     """Return the content of a file's bytes; `path` is for messages.
 
     Raises:
-        ControllerError: They are no network's, or damaged.
+        ControllerError: They are not those of a network file, or damaged.
     """
     try:
-        return _checked(path, read_arrays(data))
+        return _check_arrays(path, read_arrays(data))
     except ValueError as error:
         raise ControllerError(f"{path}: cannot be read: {error}") from None
 
 
-def write(path: Path, stored: Stored, replace: bool = False) -> None:
-    """Write a file; a network that is there is replaced, and any other file only with `replace`.
+def write(path: Path, stored: NetworkContent, replace: bool = False) -> None:
+    """Write a file; an existing network is replaced, any other file only with `replace`.
 
     Raises:
         ControllerError: The network cannot be used, or the name does not end in .npz.
-        KhepTwinError: Another file is there, or it cannot be written.
+        KhepTwinError: Another file exists, or the file cannot be written.
     """
     if path.suffix != SUFFIX:
         raise ControllerError(f"{path}: expected a name that ends in {SUFFIX}")
-    names, zero, one = _inputs(stored.ambient, stored.light)
+    names, zero, one = _describe_inputs(stored.ambient, stored.light)
     arrays: dict[str, ArrayLike] = {
         "format": FORMAT,
         "version": VERSION,
@@ -127,7 +127,7 @@ def write(path: Path, stored: Stored, replace: bool = False) -> None:
         "playpen": stored.playpen,
         **({} if stored.seed is None else {"seed": stored.seed}),
     }
-    _checked(path, {name: np.asarray(value) for name, value in arrays.items()})
+    _check_arrays(path, {name: np.asarray(value) for name, value in arrays.items()})
     may_replace = replace or _is_network(path)
     if not may_replace and path.is_file() and path.stat().st_size:
         raise ControllerError(f"{path}: is there, and no network; expected another name, or replace=True")
@@ -142,7 +142,7 @@ def _is_network(path: Path) -> bool:
     return True
 
 
-def _inputs(ambient: bool, light: tuple[float, float]) -> tuple[list[str], list[float], list[float]]:
+def _describe_inputs(ambient: bool, light: tuple[float, float]) -> tuple[list[str], list[float], list[float]]:
     """Return the names of the inputs, and the counts that are 0 and 1."""
     terms = {"proximity": (0.0, float(units.COUNTS_LIMIT)), **({"light": light} if ambient else {})}
     names = [f"{term} {sensor}" for term in terms for sensor in _SENSORS]
@@ -150,31 +150,31 @@ def _inputs(ambient: bool, light: tuple[float, float]) -> tuple[list[str], list[
     return names, zero, one
 
 
-def _checked(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Stored:
-    """Return the content of a file's arrays; raise a `ControllerError` for what cannot be used."""
+def _check_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> NetworkContent:
+    """Return the content of a file's arrays; raise a `ControllerError` for unusable ones."""
 
-    def refuse(found: str, expected: str) -> ControllerError:
-        return ControllerError(f"{path}: {found}; expected {expected}")
+    def refuse(problem: str, expected: str) -> ControllerError:
+        return ControllerError(f"{path}: {problem}; expected {expected}")
 
     if "format" not in arrays or arrays["format"].shape or str(arrays["format"]) != FORMAT:
-        there = ", ".join(sorted(arrays)) or "nothing"
-        raise refuse(f"no network: an NPZ file of {there[:200]}", "one that Network.save has written")
-    for name, (kind, dimensions) in _KINDS.items():
+        names = ", ".join(sorted(arrays)) or "nothing"
+        raise refuse(f"no network: an NPZ file of {names[:200]}", "one that Network.save has written")
+    for name, (kind, dimensions) in _ARRAY_KINDS.items():
         if name not in arrays and name != "seed":
             raise refuse(f"no {name}", "one")
         if name in arrays and (arrays[name].dtype.kind not in kind or arrays[name].ndim != dimensions):
             shape = "a single one" if dimensions == 0 else "a row of them"
-            found = f"{name}: {arrays[name].dtype} of shape {arrays[name].shape}"
-            raise refuse(found, f"{_NAMES[kind]}, {shape}")
+            array_type = f"{name}: {arrays[name].dtype} of shape {arrays[name].shape}"
+            raise refuse(array_type, f"{_KIND_NAMES[kind]}, {shape}")
         if name == "version" and int(arrays[name]) != VERSION:
             raise refuse(f"version = {arrays[name]}", f"{VERSION}; is it of a newer khep_twin?")
-    for name in arrays.keys() - _KINDS.keys():
-        raise ControllerError(f"{path}: {name}: unknown; {choices(name, _KINDS)}")
-    return _fitting(arrays, refuse)
+    for name in arrays.keys() - _ARRAY_KINDS.keys():
+        raise ControllerError(f"{path}: {name}: unknown; {choices(name, _ARRAY_KINDS)}")
+    return _content(arrays, refuse)
 
 
-def _fitting(arrays: Mapping[str, NDArray[Any]], refuse: Callable[[str, str], ControllerError]) -> Stored:
-    """Return the content of arrays of the right kinds; raise what `refuse` returns for values."""
+def _content(arrays: Mapping[str, NDArray[Any]], refuse: Callable[[str, str], Exception]) -> NetworkContent:
+    """Return the content of arrays of the right kinds; raise the error of `refuse` for unusable values."""
     hidden, genes = tuple(arrays["hidden"].tolist()), tuple(map(float, arrays["genes"].tolist()))
     recurrent, inputs = bool(arrays["recurrent"]), arrays["inputs"].tolist()
     top_speed, period_ns = float(arrays["top_speed"]), int(arrays["period_ns"])
@@ -192,21 +192,21 @@ def _fitting(arrays: Mapping[str, NDArray[Any]], refuse: Callable[[str, str], Co
     zero, one = arrays["zero"].tolist(), arrays["one"].tolist()
     if ambient and len(zero) == len(one) == len(inputs):
         light = float(zero[-1]), float(one[-1])
-    names, *scale = _inputs(ambient, light)
+    names, *scale = _describe_inputs(ambient, light)
     if len(inputs) != len(names):
         raise refuse(f"{len(inputs)} inputs", f"{units.N_SENSORS}, or {2 * units.N_SENSORS} with light")
-    for index, (found, name) in enumerate(zip(inputs, names, strict=True)):
-        if found != name:
-            raise refuse(f"inputs[{index}] = {found[:40]!r}", repr(name))
+    for index, (input_name, name) in enumerate(zip(inputs, names, strict=True)):
+        if input_name != name:
+            raise refuse(f"inputs[{index}] = {input_name[:40]!r}", repr(name))
     if [zero, one] != scale or not np.isfinite(light).all() or light[0] == light[1]:
-        wanted = f"proximity from 0 to {units.COUNTS_LIMIT}, and light from dark to bright, the same for all"
-        raise refuse(f"inputs are 0 at {zero[:16]} and 1 at {one[:16]} counts", wanted)
+        expected = f"proximity from 0 to {units.COUNTS_LIMIT}, and the same light from dark to bright for all"
+        raise refuse(f"inputs are 0 at {zero[:16]} and 1 at {one[:16]} counts", expected)
     layers = sizes(hidden, ambient)
     if len(genes) != (count := networks.n_genes(layers, recurrent)):
         feedback = ", recurrent" if recurrent else ""
         raise refuse(f"{len(genes)} genes", f"{count} for layers of {', '.join(map(str, layers))}{feedback}")
-    if (bad := np.flatnonzero(~np.isfinite(genes))).size:
-        raise refuse(f"genes[{bad[0]}] = {genes[bad[0]]}", "finite numbers")
+    if (invalid := np.flatnonzero(~np.isfinite(genes))).size:
+        raise refuse(f"genes[{invalid[0]}] = {genes[invalid[0]]}", "finite numbers")
     if not (playpen := str(arrays["playpen"])).isprintable() or len(playpen) > 200:
         raise refuse(f"playpen = {playpen[:40]!r}", "a name of at most 200 characters")
-    return Stored(hidden, recurrent, ambient, top_speed, genes, period_ns, light, playpen, seed)
+    return NetworkContent(hidden, recurrent, ambient, top_speed, genes, period_ns, light, playpen, seed)

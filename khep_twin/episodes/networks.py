@@ -2,9 +2,9 @@
 
     value_j = tanh(bias_j + sum_i weight_ji input_i + sum_k feedback_jk value_k of the last control period)
 
-Only the first layer behind the inputs of a recurrent network has feedback. A genome has, layer by layer and
-neuron by neuron, the bias, the weights in the order of the inputs, and the feedback weights. The functions
-use plain numbers and are compiled unchanged.
+Only the first layer behind the inputs of a recurrent network has feedback. A genome contains, layer by layer
+and neuron by neuron, the bias, the weights in the order of the inputs, and the feedback weights. The
+functions use plain numbers and are compiled unchanged.
 """
 
 import math
@@ -24,7 +24,7 @@ def n_genes(sizes: Sequence[int], recurrent: bool) -> int:
 
 @compilable
 def forward(
-    sizes: Vector[int], recurrent: bool, genes: Vector[float], memory: Vector[float], values: Vector[float]
+    sizes: Vector[int], recurrent: bool, genes: Vector[float], memory: Vector[float], neurons: Vector[float]
 ) -> int:
     """Evaluate a network once.
 
@@ -33,28 +33,28 @@ def forward(
         recurrent: Whether the first layer has feedback.
         genes: Weights of the network (n_genes,).
         memory: Last values of the first layer, changed in place (at least sizes[1],).
-        values: Inputs, then the values of all neurons, filled in (sum(sizes),).
+        neurons: Inputs, then the values of all neurons, filled in (sum(sizes),).
 
     Returns:
-        Index in `values` of the first output.
+        Index of the first output in `neurons`.
     """
-    gene, below, here = 0, 0, sizes[0]
+    gene, input_start, layer_start = 0, 0, sizes[0]
     for layer in range(1, len(sizes)):
         feeds_back = recurrent and layer == 1
         for neuron in range(sizes[layer]):
             total = genes[gene]
             gene += 1
             for i in range(sizes[layer - 1]):
-                total += genes[gene] * values[below + i]
+                total += genes[gene] * neurons[input_start + i]
                 gene += 1
             if feeds_back:
                 for i in range(sizes[layer]):
                     total += genes[gene] * memory[i]
                     gene += 1
-            # The hyperbolic tangent, half as expensive as math.tanh.
-            values[here + neuron] = 1 - 2 / (1 + math.exp(2 * min(total, 20.0)))
+            # The hyperbolic tangent, at half the cost of math.tanh.
+            neurons[layer_start + neuron] = 1 - 2 / (1 + math.exp(2 * min(total, 20.0)))
         if feeds_back:
             for i in range(sizes[layer]):
-                memory[i] = values[here + i]
-        below, here = here, here + sizes[layer]
-    return below
+                memory[i] = neurons[layer_start + i]
+        input_start, layer_start = layer_start, layer_start + sizes[layer]
+    return input_start

@@ -8,10 +8,10 @@ MUJOCO, DM_CONTROL = "3.17", "1.0.50"
 """Releases of mujoco, any of that series, and of dm-control that work together."""
 
 
-def problem(mujoco: str, dm_control: str | None) -> str:
-    """Return what is wrong with a pair of versions, in a line; empty if they work together.
+def find_problem(mujoco: str, dm_control: str | None) -> str:
+    """Return why two versions do not work together, in one line; empty if they do.
 
-    dm-control 1.0.50 is made for mujoco 3.17; on mujoco 4.0.0 its physics fails by an AttributeError.
+    dm-control 1.0.50 is made for mujoco 3.17; with mujoco 4.0.0 its physics raises an AttributeError.
 
     Args:
         mujoco: Version of mujoco.
@@ -20,19 +20,19 @@ def problem(mujoco: str, dm_control: str | None) -> str:
     if f"{mujoco}.".startswith(f"{MUJOCO}.") and dm_control == DM_CONTROL:
         return ""
     if dm_control is None:
-        found = (
+        problem_text = (
             "dm-control is not installed; pip leaves it out from Python 3.13 on, where labmaze, which it "
             "requires and does not need here, has no wheel"
         )
     else:
-        found = f"mujoco {mujoco} and dm-control {dm_control} are not known to work together"
-    # Without dependencies, as pip would look for labmaze; khep_twin requires those that are needed.
+        problem_text = f"mujoco {mujoco} and dm-control {dm_control} are not known to work together"
+    # Without dependencies, as pip would search for labmaze; khep_twin depends on the required ones.
     remedy = pip_install("--no-deps", f"mujoco~={MUJOCO}.0", f"dm-control=={DM_CONTROL}")
-    return f"{found}; to install them: {remedy}"
+    return f"{problem_text}; to install them: {remedy}"
 
 
 def check() -> None:
-    """Check the versions that are installed.
+    """Check the installed versions.
 
     Raises:
         KhepTwinError: The versions are not known to work together.
@@ -41,5 +41,5 @@ def check() -> None:
         dm_control = metadata.version("dm-control")
     except metadata.PackageNotFoundError:
         dm_control = None
-    if text := problem(metadata.version("mujoco"), dm_control):
+    if text := find_problem(metadata.version("mujoco"), dm_control):
         raise KhepTwinError(text)

@@ -1,6 +1,6 @@
-"""The protocol's commands as values: request, reply and whether the command may be sent twice.
+"""The protocol's commands as values: request, parser of the reply, and whether the command may be repeated.
 
-`Khepera` has a method for each; a burst takes several of them:
+`Khepera` has a method for each; a burst sends several together:
 
     proximity, positions = robot.burst(commands.proximity(), commands.position())
 """
@@ -24,7 +24,7 @@ from khep_twin.units import N_SENSORS
 
 
 def mode_codes(bios: str) -> tuple[int, int, int]:
-    """Return command K's numbers of speed, position and PWM mode in a BIOS version: before 5 as ROM 4.06."""
+    """Return command K's numbers of speed, position and PWM mode: as ROM 4.06 before BIOS version 5."""
     return ROMS["4.06" if bios.partition(".")[0].zfill(4) < "0005" else "5.02"].mode_codes
 
 
@@ -59,7 +59,7 @@ def ambient() -> HostCommand[SensorCounts]:
 
 
 def converter(channel: int) -> HostCommand[int]:
-    """Return command I: one channel of the converter [counts]."""
+    """Return command I: one channel of the analogue-to-digital converter [counts]."""
     return numbers("I", 1, lambda values: values[0], channel)
 
 
@@ -67,14 +67,14 @@ def status(codes: tuple[int, int, int] = ROMS["5.02"].mode_codes) -> HostCommand
     """Return command K: motion control; `codes` as `mode_codes` returns them."""
 
     def read(values: Sequence[int]) -> MotionStatus:
-        left, right = (_wheel(*values[at : at + 3], codes=codes) for at in (0, 3))
+        left, right = (_wheel(*values[start : start + 3], codes=codes) for start in (0, 3))
         return MotionStatus(left, right)
 
     return numbers("K", 6, read)
 
 
 def set_speed(left: int, right: int) -> HostCommand[None]:
-    """Return command D: speeds [pulses/10 ms]. Only a stop may be sent twice."""
+    """Return command D: speeds [pulses/10 ms]. Only a stop is repeatable."""
     return order("D", left, right, repeatable=left == right == 0)
 
 
@@ -89,7 +89,7 @@ def set_duty(left: int, right: int) -> HostCommand[None]:
 
 
 def set_position(left: int, right: int) -> HostCommand[None]:
-    """Return command G: position counters [pulses]. Sent twice, it would lose the pulses in between."""
+    """Return command G: position counters [pulses]. A repetition would lose the pulses in between."""
     return order("G", left, right)
 
 
@@ -106,7 +106,7 @@ def configure_position_controller(kp: int, ki: int, kd: int) -> HostCommand[None
 def configure_profile(
     left_speed: int, left_acceleration: int, right_speed: int, right_acceleration: int
 ) -> HostCommand[None]:
-    """Return command J: trapezoid of moves, by wheel: speed [pulses/10 ms], acceleration [3.125 mm/s^2]."""
+    """Return command J: profile of moves, by wheel: speed [pulses/10 ms], acceleration [3.125 mm/s^2]."""
     return order("J", left_speed, left_acceleration, right_speed, right_acceleration, repeatable=True)
 
 
@@ -116,7 +116,7 @@ def set_led(led: int, action: int) -> HostCommand[None]:
 
 
 def read_bus(address: int) -> HostCommand[int]:
-    """Return command R: read a byte of the extension bus. A read may have effects: it is not repeated."""
+    """Return command R: read a byte of the extension bus; not repeatable, as reads may have effects."""
     return numbers("R", 1, lambda values: values[0], address, repeatable=False)
 
 
@@ -126,7 +126,7 @@ def write_bus(data: int, address: int) -> HostCommand[None]:
 
 
 def turret(number: int, message: str) -> HostCommand[str]:
-    """Return command T: message to a turret, whose answer is read without the head "t,1,"."""
+    """Return command T: message to a turret; the value is its answer without the head "t,1,"."""
     head = f"t,{number},"
 
     def read(reply: str) -> str:

@@ -1,4 +1,4 @@
-"""Discovery of robots and twins: this machine's serial ports, and what `khep-twin serve` offers on it."""
+"""Discovery of robots and twins: the serial ports and served twins of this machine."""
 
 import time
 from dataclasses import dataclass
@@ -10,9 +10,10 @@ from khep_twin.host import commands
 from khep_twin.host.opening import find_speed, open_port
 from khep_twin.ports.port_users import port_user
 from khep_twin.ports.service_registry import served
+from khep_twin.renamed import renamed_attribute
 
-_WAIT = 0.3
-"""Longest wait for an answer to B [s]."""
+_TIMEOUT_S = 0.3
+"""Longest wait for a reply to command B [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,45 +22,46 @@ class FoundPort:
 
     Attributes:
         url: URL that `Khepera` opens.
-        what: Description of an adapter, or of a twin and its playpen.
-        twin: True if a server of this project is behind it; of other ports that is unknown.
+        description: Description of an adapter, or of a twin and its playpen.
+        twin: True if the port is known to be served by this project.
     """
 
     url: str
-    what: str
+    description: str
     twin: bool
+    what = renamed_attribute("what", "description")
 
 
 def found_ports() -> list[FoundPort]:
-    """Return served twins first, then serial ports; no port is opened.
+    """Return served twins first, then serial ports, without opening any.
 
     Raises:
-        PortError: The directory in which servers leave their notes is not this user's alone.
+        PortError: The directory of the servers' notes is accessible to other users.
     """
-    twins = [FoundPort(path, what, True) for path, what in served()]
+    twins = [FoundPort(path, description, True) for path, description in served()]
     adapters = [
-        # "n/a" is what pyserial calls a port of the machine's own.
+        # pyserial describes a built-in port as "n/a".
         FoundPort(port.device, "serial port" if port.description == "n/a" else port.description, False)
         for port in sorted(list_ports.comports())
     ]
     return twins + adapters
 
 
-def who_answers(url: str) -> tuple[int, commands.Versions] | None:
-    """Ask a port for its robot's versions, at every speed of the line; the motors go on as they are.
+def identify_robot(url: str) -> tuple[int, commands.Versions] | None:
+    """Request the versions of a port's robot at every baud rate, without an effect on its motors.
 
-    A port that another program has open is not touched: each would take half of the other's bytes.
+    A port that another program has open is not opened, as the programs would share its bytes.
 
     Returns:
-        The speed [baud] and the versions; None if there is no answer.
+        Baud rate and versions; None without a reply.
 
     Raises:
         PortInUse: Another program has the port open.
         PortError: The port cannot be opened or fails.
     """
-    if who := port_user(url):
-        raise PortInUse(f"{url}: in use by {who}")
-    port = open_port(url, 9600, _WAIT, exclusive=True)
+    if user := port_user(url):
+        raise PortInUse(f"{url}: in use by {user}")
+    port = open_port(url, 9600, _TIMEOUT_S, exclusive=True)
     try:
         speed = find_speed(port, url, time.monotonic)
         port.write(b"B\n")

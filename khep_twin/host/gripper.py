@@ -15,14 +15,11 @@ from khep_twin.host.turret import HostTurret
 from khep_twin.units import ARM_DOWN, ARM_UP, GRIPPER_NUMBER
 
 _PAUSE = 0.1
-"""Pause between two reads of what moves [s]."""
+"""Time between two reads of the positions [s]."""
 
 
 class Gripper(HostTurret):
-    """Gripper on a robot. Commands return at once; `wait` waits until they are done.
-
-    Args:
-        robot: Robot that carries it.
+    """Gripper on a robot. Commands return immediately; `wait` waits for their completion.
 
     Raises:
         ProtocolError: The robot has no gripper.
@@ -51,7 +48,7 @@ class Gripper(HostTurret):
         self.move_arm(ARM_UP)
 
     def resistivity(self) -> int:
-        """Return the resistivity between the fingers, 255 insulator or none, 0 short circuit (command F)."""
+        """Return the resistivity between the fingers, 255 insulator or empty, 0 short (command F)."""
         return self._values("F", 1)[0]
 
     def barrier(self) -> int:
@@ -70,12 +67,12 @@ class Gripper(HostTurret):
         """Wait until neither arm nor fingers move.
 
         Raises:
-            PortTimeout: They still do after `timeout` [s].
+            PortTimeout: They still move after `timeout` [s].
         """
         end = self._robot.time + timeout
-        before = None
-        while before != (now := (self.arm(), self.fingers())):
+        last_positions = None
+        while last_positions != (positions := (self.arm(), self.fingers())):
             if not self._robot.time <= end:
                 raise PortTimeout(f"{self._robot.name}: the gripper still moves after {timeout} s")
-            before = now
+            last_positions = positions
             self._robot.sleep(_PAUSE)

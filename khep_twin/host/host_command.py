@@ -1,4 +1,4 @@
-"""Commands to a robot as values: request, reply and whether the command may be sent twice."""
+"""Commands to a robot as values: request, parser of the reply, and whether the command may be repeated."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -18,8 +18,8 @@ class HostCommand(Generic[T_co]):
 
     Attributes:
         request: Line to send, without its ending.
-        read: Function from the reply to its value; raises ValueError with what is expected.
-        repeatable: True if it does no harm twice, as a read; a move does harm.
+        read: Function that parses the reply; raises ValueError with the expected form.
+        repeatable: True if a repetition is harmless, as for reads, but not for moves.
     """
 
     request: str
@@ -28,7 +28,7 @@ class HostCommand(Generic[T_co]):
 
 
 def order(letter: str, *arguments: int, repeatable: bool = False) -> HostCommand[None]:
-    """Return a command whose reply is its letter alone."""
+    """Return a command whose reply is only its letter."""
 
     def read(reply: str) -> None:
         fields(letter.lower(), 0, reply)
@@ -39,13 +39,13 @@ def order(letter: str, *arguments: int, repeatable: bool = False) -> HostCommand
 def numbers(
     letter: str, count: int, make: Callable[[Sequence[int]], T], *arguments: int, repeatable: bool = True
 ) -> HostCommand[T]:
-    """Return a command whose reply is its letter and so many integers."""
+    """Return a command whose reply is its letter and `count` integers."""
 
     def read(reply: str) -> T:
-        words = fields(letter.lower(), count, reply)
-        if not all(map(_INTEGER.fullmatch, words)):
+        values = fields(letter.lower(), count, reply)
+        if not all(map(_INTEGER.fullmatch, values)):
             raise ValueError("expected integers")
-        return make([int(word) for word in words])
+        return make([int(value) for value in values])
 
     return HostCommand(_request(letter, arguments), read, repeatable)
 
@@ -58,10 +58,9 @@ def fields(letter: str, count: int, reply: str) -> list[str]:
     """Return the values of a reply.
 
     Raises:
-        ValueError: It has another letter, or another number of values.
+        ValueError: The letter or the number of values differs.
     """
-    head, *words = reply.split(",")
-    if head != letter or len(words) != count:
-        values = f" and {count} values" if count else " alone"
-        raise ValueError(f"expected {letter!r}{values}")
-    return words
+    head, *values = reply.split(",")
+    if head != letter or len(values) != count:
+        raise ValueError(f"expected {letter!r}" + (f" and {count} values" if count else " alone"))
+    return values

@@ -1,4 +1,4 @@
-"""`HostRobot`: common part of the robots at the other end of a serial port, whatever they speak."""
+"""`HostRobot`: common part of the robots at the other end of a serial port."""
 
 import math
 from collections.abc import Callable
@@ -19,15 +19,11 @@ class HostRobot:
     """Robot behind a serial port. Leaving it as a context stops the motors.
 
     A missing or malformed reply raises an error with the exchange in it, after the line has been
-    resynchronized. Reads are repeated once before; commands that move the robot are never sent twice.
+    resynchronized. Reads are repeated first; commands that move the robot are never repeated.
 
     Args:
-        url: URL of the port, or an open port of pyserial, which keeps its own timeout.
-        timeout: Longest wait for a robot that is silent [s], in the port's own time; half of it for a reply,
-            half to find out whether a robot is there.
-        baudrate: Speed of the line.
-        retries: Number of repetitions of a read.
-        dialect: What the robot speaks.
+        url, timeout, baudrate, retries: See `Khepera`.
+        dialect: Protocol of the robot.
 
     Attributes:
         name: Name of the port, for messages.
@@ -50,7 +46,7 @@ class HostRobot:
         try:
             self._line = Line(url, timeout / 2, baudrate, retries, dialect)
         except PortError as error:
-            raise error.with_traceback(None) from None  # where it is opened is all that its reader needs
+            raise error.with_traceback(None) from None  # a short traceback: it ends at this line
         self.name: str = self._line.name
 
     def __enter__(self) -> Self:
@@ -62,20 +58,20 @@ class HostRobot:
         """Stop the motors and close the port.
 
         Raises:
-            PortError: They could not be stopped, or the port has failed before; the message has the result.
+            PortError: The stop or an earlier exchange failed; the message reports whether the motors stopped.
         """
         if not self.port.is_open:
             return
-        stopped, told = self._line.halt()
+        is_stopped, outcome = self._line.halt()
         if isinstance(error, PortError):
-            raise type(error)(f"{error}; {told}") from error
-        if not stopped and error is None:
-            raise PortError(f"{self.name}: {told}")
-        if not stopped and error is not None:
-            error.add_note(f"{self.name}: {told}")
+            raise type(error)(f"{error}; {outcome}") from error
+        if not is_stopped and error is None:
+            raise PortError(f"{self.name}: {outcome}")
+        if not is_stopped and error is not None:
+            error.add_note(f"{self.name}: {outcome}")
 
     def hold(self) -> None:
-        """Stop the motors, from another thread than the one that drives, and refuse from now on to move.
+        """Stop the motors from another thread, and refuse later commands that move.
 
         Raises:
             PortError: The motors could not be stopped.
@@ -89,38 +85,36 @@ class HostRobot:
 
     @property
     def port(self) -> serial.Serial:
-        """Port, of pyserial."""
+        """Port of pyserial."""
         return self._line.port
 
     def listen(self, listener: Callable[[str, str], None] | None) -> Callable[[str, str], None] | None:
-        """Call `listener` with each request and its reply from now on; None for no listener.
+        """Call `listener` with each later request and its reply; None for no listener.
 
         Returns:
             The previous listener.
         """
-        before, self._line.listener = self._line.listener, listener
-        return before
-
-    # Time ----------------------------------------------------------------------------------------------
+        previous, self._line.listener = self._line.listener, listener
+        return previous
 
     @property
     def time(self) -> float:
-        """Time of the port [s]: simulated on khep://, else the wall clock's."""
+        """Time of the port [s]: simulated on khep://, otherwise of the wall clock."""
         return self._line.time
 
     def sleep(self, duration: float) -> None:
-        """Wait in the port's own time [s]."""
+        """Wait for a duration [s] in the port's time."""
         self._line.sleep(duration)
 
     def ask(self, request: str) -> str:
-        """Send any line, once, and return the reply, or a tool's first line, both without their ending.
+        """Send any line, once, and return the reply, or a tool's first line, without its line ending.
 
-        The rest of a tool's output is read and discarded: its end is the first pause of the timeout.
+        The rest of a tool's output is read and discarded; it ends at a pause of the timeout.
 
         Raises:
-            PortTimeout: No whole reply came within the timeout.
-            PortError: The port failed or went away.
-            StoppedError: The line would move a robot that must stand still.
+            PortTimeout: No complete reply arrived within the timeout.
+            PortError: The port failed or disappeared.
+            StoppedError: The line would move a robot after `hold`.
             ValueError: The request is more than one line.
         """
         return self._line.ask(request)

@@ -1,7 +1,7 @@
 """`Khepera`: a robot at the other end of a serial port, real or simulated.
 
 The port is a URL of pyserial: `/dev/ttyUSB0` is a robot on a cable, the link of `khep-twin serve` a twin in
-real time, `socket://` and `rfc2217://` either of them over a network, `khep://default` a twin in this
+real time, `socket://` and `rfc2217://` a robot or twin over a network, `khep://default` a twin in this
 process, in lock-step.
 
     from khep_twin.host import Khepera
@@ -34,28 +34,23 @@ C = TypeVar("C")
 D = TypeVar("D")
 
 BURST = 7
-"""Number of commands that are sent without waiting, as public host programs do."""
+"""Number of commands that are sent before the first reply, as in public host programs."""
 
 _PAUSE = 0.05
-"""Pause between two reads of the wheels in a move [s]."""
+"""Time between two reads of the wheels in a move [s]."""
 
 
 class Khepera(HostRobot):
-    """A Khepera behind a serial port. A method for each command; leaving it as a context stops the motors.
-
-    A missing or malformed reply raises an error with the exchange in it, after the line has been
-    resynchronized. Reads are repeated once before; commands that move the robot are never sent twice.
+    """A Khepera behind a serial port, a `HostRobot` with a method for each command.
 
     Args:
-        url: URL of the port, or an open port of pyserial, which keeps its own timeout.
-        timeout: Longest wait for a robot that is silent [s], in the port's own time; half of it for a reply,
-            half to find out whether a robot is there.
-        baudrate: Speed of the line; a robot in running mode 1 speaks 9600; "auto" tries all.
-        retries: Number of repetitions of a read; more than one lengthen the wait for a silent robot.
-        wheel_base: Distance of the wheels, by which `turn` turns [m].
+        url: URL of the port, or an open port of pyserial, which keeps its timeout. timeout: Longest wait for
+        a silent robot [s], in the port's time: half of it for a reply, half for a probe. baudrate: Baud rate,
+        9600 in the robot's running mode 1; "auto" tries all. retries: Number of repetitions of a read; more
+        than one lengthen the wait for a silent robot. wheel_base: Distance of the wheels [m], for `turn`.
 
     Raises:
-        PortError: The port cannot be opened, or with "auto" there is no answer.
+        PortError: The port cannot be opened, or there is no reply with "auto".
         ValueError: A duration, distance or number is out of range.
     """
 
@@ -81,7 +76,7 @@ class Khepera(HostRobot):
         self._do(commands.set_speed(left, right))
 
     def set_target(self, left: int, right: int) -> None:
-        """Send the wheels to these positions [pulses of 0.08 mm], and return at once (command C)."""
+        """Move the wheels to these positions [pulses of 0.08 mm]; return immediately (command C)."""
         self._do(commands.set_target(left, right))
 
     def set_duty(self, left: int, right: int) -> None:
@@ -103,7 +98,7 @@ class Khepera(HostRobot):
     def status(self) -> MotionStatus:
         """Return the motion control status of the left and right wheel (command K).
 
-        The first time, B is asked too: the ROM's version says how K numbers the modes.
+        The first call also requests B, as the numbers of the modes depend on the ROM's version.
         """
         if self._mode_codes is None:
             self._mode_codes = commands.mode_codes(self.versions().bios)
@@ -123,38 +118,38 @@ class Khepera(HostRobot):
         """Set the profile of `set_target`: speed [pulses/10 ms], acceleration [3.125 mm/s^2] (command J)."""
         self._do(commands.configure_profile(left_speed, left_acceleration, right_speed, right_acceleration))
 
-    # Moves that wait -----------------------------------------------------------------------------------
+    # Blocking moves ------------------------------------------------------------------------------------
 
     def move(self, distance: float, timeout: float = 30.0) -> Positions:
-        """Drive straight on by a distance [m], back if it is below 0, and return when it is done.
+        """Drive straight by a distance [m], backwards if it is below 0; return on arrival.
 
         Raises:
-            MoveError: It was not done after `timeout` [s], and the motors are stopped; or the counters cannot
-                reach the target.
+            MoveError: Not on target after `timeout` [s], so the motors are stopped; or beyond the counters'
+            range.
         """
         pulses = way_pulses(distance)
         return self._drive_by(pulses, pulses, timeout)
 
     def turn(self, angle: float, timeout: float = 30.0) -> Positions:
-        """Turn on the spot by an angle [rad], left if it is above 0, and return when it is done.
+        """Turn in place by an angle [rad], left if it is above 0; return on arrival.
 
         Raises:
-            MoveError: It was not done after `timeout` [s], and the motors are stopped; or the counters cannot
-                reach the target.
+            MoveError: Not on target after `timeout` [s], so the motors are stopped; or beyond the counters'
+            range.
         """
         pulses = turn_pulses(angle, self._wheel_base)
         return self._drive_by(-pulses, pulses, timeout)
 
     def wait_for_target(self, timeout: float = 30.0) -> None:
-        """Wait until both wheels are where `set_target` has sent them.
+        """Wait until both wheels are at the target of `set_target`.
 
         Raises:
-            MoveError: They were not after `timeout` [s], or have no target.
+            MoveError: Not on target after `timeout` [s], or there is no target.
         """
         end = self.time + timeout
         while not (status := self.status()).on_target:
-            both = zip(("left", "right"), status, strict=True)
-            moving = [(name, wheel) for name, wheel in both if not wheel.on_target]
+            named_wheels = zip(("left", "right"), status, strict=True)
+            moving = [(name, wheel) for name, wheel in named_wheels if not wheel.on_target]
             for name, wheel in moving:
                 if wheel.mode != MotorMode.POSITION:
                     raise MoveError(
@@ -166,7 +161,7 @@ class Khepera(HostRobot):
                 raise MoveError(f"{self.name}: not on target after {timeout:g} s ({names} wheel)")
             self.sleep(_PAUSE)
 
-    # Senses --------------------------------------------------------------------------------------------
+    # Sensors, LEDs and other commands ------------------------------------------------------------------
 
     def proximity(self) -> SensorCounts:
         """Return eight proximity counts, 0 to 1023 (command N).
@@ -180,10 +175,8 @@ class Khepera(HostRobot):
         return self._do(commands.ambient())
 
     def converter(self, channel: int) -> int:
-        """Return one channel of the 10-bit converter, 1024 = 4.09 V (command I)."""
+        """Return one channel of the 10-bit analogue-to-digital converter, 1024 = 4.09 V (command I)."""
         return self._do(commands.converter(channel))
-
-    # The rest ------------------------------------------------------------------------------------------
 
     def versions(self) -> Versions:
         """Return the versions of BIOS and protocol, e.g. ("5.02", "5.01") (command B)."""
@@ -202,10 +195,8 @@ class Khepera(HostRobot):
         self._do(commands.write_bus(data, address))
 
     def turret(self, number: int, message: str) -> str:
-        """Pass a message such as "D,0" on to a turret; return its answer without "t,1," (command T)."""
+        """Send a message, for example "D,0", to a turret; return its answer without "t,1," (command T)."""
         return self._do(commands.turret(number, message))
-
-    # Whole exchanges -----------------------------------------------------------------------------------
 
     @overload
     def burst(self, first: HostCommand[A], /) -> tuple[A]: ...
@@ -220,20 +211,20 @@ class Khepera(HostRobot):
         self, first: HostCommand[A], second: HostCommand[B], third: HostCommand[C], fourth: HostCommand[D], /
     ) -> tuple[A, B, C, D]: ...
     @overload
-    def burst(self, /, *wanted: HostCommand[object]) -> tuple[Any, ...]: ...
-    def burst(self, /, *wanted: HostCommand[object]) -> tuple[object, ...]:
-        """Send several commands of `khep_twin.host.commands` at once and return the value of each.
+    def burst(self, /, *host_commands: HostCommand[object]) -> tuple[Any, ...]: ...
+    def burst(self, /, *host_commands: HostCommand[object]) -> tuple[object, ...]:
+        """Send several commands of `khep_twin.host.commands` together and return their values.
 
-        While a reply arrives the next command is already being sent, which saves line time. A burst is
-        repeated as a whole, if all its commands may be; after an error some may have been carried out.
+        The next command is sent while a reply arrives, which saves transmission time. A burst is repeated as
+        a whole, if all its commands are repeatable; after an error some may have been executed.
         """
         values: list[object] = []
-        for start in range(0, len(wanted), BURST):
-            values += self._line.carry_out(wanted[start : start + BURST])
+        for start in range(0, len(host_commands), BURST):
+            values += self._line.carry_out(host_commands[start : start + BURST])
         return tuple(values)
 
     def _drive_by(self, left: int, right: int, timeout: float) -> Positions:
-        """Move the wheels on by so many pulses, and wait."""
+        """Move the wheels by a number of pulses, and wait."""
         start = self.position()
         target = start.left + left, start.right + right
         if max(map(abs, target)) > LONGEST_WAY_PULSES:
@@ -246,6 +237,6 @@ class Khepera(HostRobot):
             self.wait_for_target(timeout)
         except MoveError as error:
             self.set_speed(0, 0)
-            now = self.position()
-            raise MoveError(f"{error}; stopped at {tuple(now)} of {target} pulses") from None
+            position = self.position()
+            raise MoveError(f"{error}; stopped at {tuple(position)} of {target} pulses") from None
         return self.position()

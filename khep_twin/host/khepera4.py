@@ -10,7 +10,7 @@ The port is a URL of pyserial, as for a `Khepera`: `/dev/rfcomm0` is a robot ove
         robot.sleep(1)
         print(robot.ultrasonic().front, robot.proximity().front)
 
-Each command waits for its reply: the server drops what has arrived when it answers.
+Each command waits for its reply, as the server discards all input that arrives before it.
 """
 
 import math
@@ -25,21 +25,21 @@ from khep_twin.host.host_command import HostCommand, fields, numbers, order
 from khep_twin.host.host_robot import HostRobot
 from khep_twin.host.khepera4_results import Battery, Distances, InfraredCounts, Vector3, Wheels
 from khep_twin.host.line import KHEPERA4
-from khep_twin.units import GRAVITY
+from khep_twin.host.moves import finite
+from khep_twin.units import BODIES, GRAVITY
 
 R = TypeVar("R")
 
-PULSE_LENGTH = math.pi * 0.042 / 19_456
-"""Way of a wheel in a pulse of its encoder [m]; a speed of 1 is one in 10 ms (manual)."""
+_BODY = BODIES["khepera4"]
+
+PULSE_LENGTH = math.tau * _BODY.wheel_radius / _BODY.pulses_per_turn
+"""Travel of a wheel per encoder pulse [m]."""
 
 SPEED = PULSE_LENGTH / 0.01
-"""Unit of speeds [m/s]."""
+"""Unit of speeds [m/s]: one pulse in 10 ms (manual)."""
 
-WHEEL_BASE = 0.1054
-"""Distance of the wheels [m] (manual)."""
-
-FULL_DUTY = 2940
-"""Duty at which a motor has the whole voltage (manual)."""
+WHEEL_BASE = _BODY.wheel_base
+"""Distance of the wheels [m]."""
 
 N_PACKETS = 10
 """Values of an accelerometer or a gyroscope in a reply."""
@@ -48,8 +48,8 @@ _ACCELERATION, _RATE = GRAVITY / 16_384, math.radians(0.066)
 """Units of the accelerometer [m/s^2] and of the gyroscope [rad/s] (library)."""
 
 _PAUSE, _ARRIVED_PULSES = 0.05, 200
-"""Pause between two looks at the wheels in a move [s]; wheels that stand so near a target are there: ten
-times the server's margin, for they roll on behind it (1.4 mm)."""
+"""Time between two reads of the wheels in a move [s]; distance from the target at which stopped wheels count
+as arrived: ten times the server's margin, as they roll past it (1.4 mm)."""
 
 Colour = tuple[int, int, int]
 """Red, green and blue, 0 to 63."""
@@ -58,14 +58,14 @@ Colour = tuple[int, int, int]
 class Khepera4(HostRobot):
     """A Khepera IV behind a serial port. Leaving it as a context stops the motors.
 
-    Errors are those of a `Khepera`: reads are repeated once, commands that move the robot never.
+    Errors are those of `Khepera`: reads are repeated, commands that move the robot never.
 
     Args:
-        url: URL of the port, or an open port of pyserial, which keeps its own timeout.
-        timeout: Longest wait for a robot that is silent [s], in the port's own time.
-        baudrate: Speed of the line.
+        url: URL of the port, or an open port of pyserial, which keeps its timeout.
+        timeout: Longest wait for a silent robot [s], in the port's time.
+        baudrate: Baud rate.
         retries: Number of repetitions of a read.
-        wheel_base: Distance of the wheels, by which `turn` turns [m].
+        wheel_base: Distance of the wheels [m], for `turn`.
 
     Raises:
         PortError: The port cannot be opened, or its twin is no Khepera IV.
@@ -90,7 +90,7 @@ class Khepera4(HostRobot):
     # Motors --------------------------------------------------------------------------------------------
 
     def set_speed(self, left: float, right: float) -> None:
-        """Drive the wheels at these speeds [m/s], up to about 0.8; 0.003 is the least steady (command D)."""
+        """Drive the wheels at these speeds [m/s], about 0.8 at most, steady above 0.003 (command D)."""
         pulses = _pulses("speed", SPEED, (left, right))
         self._do(order("D", *pulses, repeatable=not any(pulses)))
 
@@ -100,7 +100,7 @@ class Khepera4(HostRobot):
         self.set_speed(0, 0)
 
     def set_target(self, left: float, right: float) -> None:
-        """Send the wheels to these positions [m] along the profile, and return at once (command F)."""
+        """Move the wheels to these positions [m] along the profile; return immediately (command F)."""
         self._send_to(*_pulses("position", PULSE_LENGTH, (left, right)))
 
     def set_duty(self, left: int, right: int) -> None:
@@ -113,11 +113,11 @@ class Khepera4(HostRobot):
 
     def speed(self) -> Wheels:
         """Return the measured speeds of the wheels [m/s] (command E)."""
-        return self._do(numbers("E", 2, lambda pulses: _wheels(pulses, SPEED)))
+        return self._do(numbers("E", 2, lambda pulses: Wheels._make(n * SPEED for n in pulses)))
 
     def position(self) -> Wheels:
         """Return the positions of the wheels [m] (command R)."""
-        return self._do(numbers("R", 2, lambda pulses: _wheels(pulses, PULSE_LENGTH)))
+        return self._do(numbers("R", 2, lambda pulses: Wheels._make(n * PULSE_LENGTH for n in pulses)))
 
     def configure_speed_controller(self, kp: int, ki: int, kd: int) -> None:
         """Set the gains of the speed controller, 0 to 255; 10, 5, 1 at the server's start (command H)."""
@@ -134,68 +134,68 @@ class Khepera4(HostRobot):
         """Set the profile of `set_target` and of the vehicle (command J); the defaults are the server's.
 
         Args:
-            step_pulses: Change of the speed at a time [pulses/10 ms].
-            divider: Control periods of 10 ms from one change to the next, less one.
-            least_accelerating_pulses: Speed at which a ramp up begins [pulses/10 ms].
+            step_pulses: One change of the speed [pulses/10 ms].
+            divider: Control periods of 10 ms from one change to the next, minus one.
+            least_accelerating_pulses: Speed at which a ramp up starts [pulses/10 ms].
             least_decelerating_pulses: Speed at which a ramp down ends [pulses/10 ms].
-            speed_pulses: Speed of the way in between [pulses/10 ms].
+            speed_pulses: Speed between the ramps [pulses/10 ms].
         """
-        given = step_pulses, divider, least_accelerating_pulses, least_decelerating_pulses, speed_pulses
-        self._do(order("J", *given, repeatable=True))
+        profile = step_pulses, divider, least_accelerating_pulses, least_decelerating_pulses, speed_pulses
+        self._do(order("J", *profile, repeatable=True))
 
     def set_margin(self, margin: float) -> None:
-        """Set the distance from a target at which it is reached [m], 20 pulses at the start (command P)."""
+        """Set the distance at which a target counts as reached [m]; 20 pulses at the start (command P)."""
         self._do(order("P", *_pulses("margin", PULSE_LENGTH, [margin]), repeatable=True))
 
     def reset_motors(self) -> None:
         """Set gains, profile and margin as at the server's start, and leave the motors idle (command M)."""
         self._do(order("M", repeatable=True))
 
-    # Moves that wait -----------------------------------------------------------------------------------
+    # Blocking moves ------------------------------------------------------------------------------------
 
     def move(self, distance: float, timeout: float = 30.0) -> Wheels:
-        """Drive straight on by a distance [m], back if it is below 0, and return when it is done.
+        """Drive straight by a distance [m], backwards if it is below 0; return on arrival.
 
         Raises:
-            MoveError: It was not done after `timeout` [s], and the motors are stopped.
+            MoveError: Not on target after `timeout` [s]; the motors are stopped.
         """
         return self._drive_by(distance, distance, timeout)
 
     def turn(self, angle: float, timeout: float = 30.0) -> Wheels:
-        """Turn on the spot by an angle [rad], left if it is above 0, and return when it is done.
+        """Turn in place by an angle [rad], left if it is above 0; return on arrival.
 
         Raises:
-            MoveError: It was not done after `timeout` [s], and the motors are stopped.
+            MoveError: Not on target after `timeout` [s]; the motors are stopped.
         """
-        way = angle * self._wheel_base / 2
-        return self._drive_by(-way, way, timeout)
+        distance = angle * self._wheel_base / 2
+        return self._drive_by(-distance, distance, timeout)
 
     def wait_for_target(self, timeout: float = 30.0) -> None:
-        """Wait until both wheels stand where `set_target` has sent them.
+        """Wait until both wheels stand at the target of `set_target`.
 
         Raises:
-            MoveError: They did not after `timeout` [s].
+            MoveError: Not on target after `timeout` [s].
         """
-        end, before = self.time + timeout, ()
+        end, last_positions = self.time + timeout, ()
         while True:
-            places = self._do(numbers("R", 2, tuple))
-            away = [abs(target - place) for target, place in zip(self._target, places, strict=True)]
-            if places == before and max(away) <= _ARRIVED_PULSES:
+            positions = self._do(numbers("R", 2, tuple))
+            errors = [abs(target - now) for target, now in zip(self._target, positions, strict=True)]
+            if positions == last_positions and max(errors) <= _ARRIVED_PULSES:
                 return
             if not self.time <= end:
                 raise MoveError(f"{self.name}: not on target after {timeout:g} s")
-            before = places
+            last_positions = positions
             self.sleep(_PAUSE)
 
     def wander(self) -> None:
-        """Let the server's own vehicle drive and avoid obstacles, until `stop_wandering` (command A)."""
+        """Let the server's vehicle drive and avoid obstacles, until `stop_wandering` (command A)."""
         self._do(order("A", 0))
 
     def stop_wandering(self) -> None:
-        """Stop the server's own vehicle; without effect where it does not drive (command A)."""
+        """Stop the server's vehicle, if it drives (command A)."""
         self._do(HostCommand("A,2", lambda reply: fields("a", 0, reply), repeatable=True))
 
-    # Senses --------------------------------------------------------------------------------------------
+    # Sensors, LEDs and other commands ------------------------------------------------------------------
 
     def proximity(self) -> InfraredCounts:
         """Return twelve proximity counts, 0 to 1023 (command N)."""
@@ -206,18 +206,18 @@ class Khepera4(HostRobot):
         return self._do(numbers("O", 12, InfraredCounts._make))
 
     def ultrasonic(self) -> Distances:
-        """Return five distances [m]; 0 is nearer than 0.25, inf nothing, None disabled (command G)."""
+        """Return five distances [m]: 0 below 0.25, inf without an echo, None if disabled (command G)."""
         return self._do(numbers("G", 5, lambda values: Distances.of(tuple(values))))
 
     def enable_ultrasonic(self, sensors: Iterable[int] = range(5)) -> None:
         """Enable these ultrasonic sensors, 0 left to 4 right, and disable the others (command U).
 
-        Each takes 20 ms in turn: fewer measure more often.
+        They measure in turn, 20 ms each, so fewer sensors measure more often.
         """
-        chosen = {*sensors}
-        if not chosen <= {*range(5)}:
-            raise ValueError(f"sensors = {sorted(chosen)}; expected some of 0 to 4")
-        self._do(order("U", sum(1 << each for each in chosen), repeatable=True))
+        enabled = {*sensors}
+        if not enabled <= {*range(5)}:
+            raise ValueError(f"sensors = {sorted(enabled)}; expected some of 0 to 4")
+        self._do(order("U", sum(1 << sensor for sensor in enabled), repeatable=True))
 
     def accelerations(self) -> tuple[Vector3, ...]:
         """Return the last ten values of the accelerometer, 10 ms apart, newest first [m/s^2] (command T).
@@ -232,19 +232,10 @@ class Khepera4(HostRobot):
 
     def battery(self) -> Battery:
         """Return the state of the battery (command V, once for each value)."""
-        told = [self._do(_battery_value(kind)) for kind in range(7)]
-        voltage, current, average, charge_mah, temperature, percent, charger = told
-        return Battery(
-            voltage / 1000,
-            current / 1000,
-            average / 1000,
-            charge_mah,
-            temperature,
-            percent / 100,
-            bool(charger),
-        )
-
-    # The rest ------------------------------------------------------------------------------------------
+        values = [self._do(_battery_value(kind)) for kind in range(7)]
+        voltage, current, average, charge_mah, temperature, percent, charger = values
+        amperes = current / 1000, average / 1000
+        return Battery(voltage / 1000, *amperes, charge_mah, temperature, percent / 100, bool(charger))
 
     def set_leds(self, left: Colour, right: Colour, back: Colour) -> None:
         """Set the colours of the LEDs front left, front right and back, 0 to 63 a colour (command K)."""
@@ -254,7 +245,7 @@ class Khepera4(HostRobot):
         self._do(order("K", *values, repeatable=True))
 
     def revision(self) -> str:
-        """Return the revision of the microcontroller's program, such as "B0" (command B)."""
+        """Return the revision of the microcontroller's firmware, for example "B0" (command B)."""
         return self._do(HostCommand("B", lambda reply: "".join(fields("b", 2, reply)), repeatable=True))
 
     def reset(self) -> None:
@@ -266,9 +257,10 @@ class Khepera4(HostRobot):
         self._do(order("F", left_pulses, right_pulses))
 
     def _drive_by(self, left: float, right: float, timeout: float) -> Wheels:
-        """Move the wheels on by some ways [m], and wait."""
-        ways, places = _pulses("way", PULSE_LENGTH, (left, right)), self._do(numbers("R", 2, tuple))
-        self._send_to(places[0] + ways[0], places[1] + ways[1])
+        """Move the wheels by distances [m], and wait."""
+        distances = _pulses("distance", PULSE_LENGTH, (left, right))
+        positions = self._do(numbers("R", 2, tuple))
+        self._send_to(positions[0] + distances[0], positions[1] + distances[1])
         try:
             self.wait_for_target(timeout)
         except MoveError as error:
@@ -278,19 +270,12 @@ class Khepera4(HostRobot):
 
 
 def _pulses(name: str, unit: float, values: Sequence[float]) -> list[int]:
-    for value in values:
-        if not math.isfinite(value):
-            raise ValueError(f"{name} = {value}; expected a finite number")
-    return [round(value / unit) for value in values]
-
-
-def _wheels(pulses: Sequence[int], unit: float) -> Wheels:
-    return Wheels(pulses[0] * unit, pulses[1] * unit)
+    return [round(finite(name, value) / unit) for value in values]
 
 
 def _vectors(values: Sequence[int], unit: float) -> tuple[Vector3, ...]:
-    """Return the vectors of a reply, which has all x, then all y, then all z."""
-    axes = [values[at : at + N_PACKETS] for at in range(0, 3 * N_PACKETS, N_PACKETS)]
+    """Return the vectors of a reply, which lists all x, then all y, then all z."""
+    axes = [values[start : start + N_PACKETS] for start in range(0, 3 * N_PACKETS, N_PACKETS)]
     return tuple(Vector3(x * unit, y * unit, z * unit) for x, y, z in zip(*axes, strict=True))
 
 

@@ -1,16 +1,16 @@
-"""Results of a Khepera IV's commands, by name and in SI units; tuples, which index and unpack as such."""
+"""Results of a Khepera IV's commands: named tuples in SI units."""
 
 import math
 from typing import NamedTuple, Self
 
-NOTHING_CM, DISABLED_CM = 1000, 2000
-"""Readings of an ultrasonic sensor that hears nothing, and of one that is disabled."""
+_SPECIAL_CM = {1000: math.inf, 2000: None}
+"""Distances of ultrasonic readings without an echo, and of disabled sensors."""
 
 
 class InfraredCounts(NamedTuple):
     """Commands N and O: twelve counts, 0 to 1023, around the robot and of the ground below it.
 
-    Proximity is about 1020 at white paper; with nothing there it is what the floor reflects, about 100.
+    Proximity is about 1020 at white paper, and about 100 without an object, from the floor's reflection.
     """
 
     back_left: int
@@ -30,8 +30,8 @@ class InfraredCounts(NamedTuple):
 class Distances(NamedTuple):
     """Command G: distances that the ultrasonic sensors measure, 0.25 to 2.5 [m].
 
-    0 stands for something nearer than 0.25 m, infinity for nothing in range, None for a sensor that is
-    disabled (`enable_ultrasonic`).
+    0 is an object nearer than 0.25 m, infinity no object in range, None a sensor disabled by
+    `enable_ultrasonic`.
     """
 
     left: float | None
@@ -43,8 +43,7 @@ class Distances(NamedTuple):
     @classmethod
     def of(cls, values_cm: tuple[int, ...]) -> Self:
         """Return the distances of readings [cm]."""
-        codes: dict[int, float | None] = {NOTHING_CM: math.inf, DISABLED_CM: None}
-        return cls._make(codes.get(value, value / 100) for value in values_cm)
+        return cls._make(_SPECIAL_CM.get(value, value / 100) for value in values_cm)
 
 
 class Vector3(NamedTuple):
@@ -68,7 +67,7 @@ class Battery(NamedTuple):
     Attributes:
         voltage: Voltage [V].
         current: Current, below 0 while it is discharged [A].
-        average_current: Its average over the last half minute [A].
+        average_current: Average current of the last half minute [A].
         charge_mah: Remaining charge [mAh].
         temperature_celsius: Temperature [degrees Celsius].
         level: Remaining part of the charge, 0 to 1.

@@ -1,9 +1,9 @@
 """The serial line to a robot: requests, replies and the recovery of an exchange that went wrong.
 
-The robot answers each line with one line, in order. When a reply is missing or malformed, `B` is sent: all
-lines before its answer are old, and the last of them is the reply that was waited for. Only then is a
-command sent again, and only one that does no harm twice. Where all reads of that kind are unanswered, an
-answer may be any one's: the line must have been silent after it, too.
+The robot replies to each line with one line, in order. After a missing or malformed reply the probe `B` is
+sent: all lines before its reply are late, and the last of them is the expected reply. Only then is a command
+repeated, if it is repeatable. If earlier probes of all kinds are unanswered, a reply may belong to any of
+them; then the line must also be silent after it.
 """
 
 import os
@@ -24,31 +24,31 @@ from khep_twin.errors import PORT_FAILURES, PortError, PortTimeout, ProtocolErro
 from khep_twin.files.atomic import resolved
 from khep_twin.files.paths import StrPath
 from khep_twin.host.commands import HostCommand
-from khep_twin.host.opening import SPEEDS, find_speed, numbered, open_port
+from khep_twin.host.opening import SPEEDS, find_speed, open_port, resolve_port
 from khep_twin.signals import clear_at_end
 
 Value = TypeVar("Value")
 
 STOP_WAIT = 0.5
-"""Longest wait for the answer to the last command, which stops the motors [s]."""
+"""Longest wait for the reply to the final command, which stops the motors [s]."""
 
 _REPLY_TIMEOUT_S = 1.0
-"""Wait for a reply where a port has no timeout; the robot replies within 10 ms [s]."""
+"""Wait for a reply on a port without a timeout [s]; the robot replies within 10 ms."""
 
 LONGEST_OUTPUT = 10.0
 """Longest wait for the end of a tool's output [s]; `list` takes 2 s at 9600 baud."""
 
 
 class Dialect(NamedTuple):
-    """Protocol of a kind of robots, as far as its line is concerned.
+    """Protocol of a kind of robot, as the line needs it.
 
     Attributes:
-        robot: Kind of robots.
-        host: Class that speaks it.
+        robot: Kind of robot.
+        host: Host class for it.
         versions: Reply to B.
-        probes: Reads whose replies resynchronize the line.
+        probes: Reads that resynchronize the line.
         stops: Requests that stop the motors, one after the other.
-        moving: Beginnings of requests that move the robot.
+        moving: Prefixes of requests that move the robot.
     """
 
     robot: str
@@ -65,7 +65,7 @@ KHEPERA = Dialect(
 KHEPERA4 = Dialect(
     "a Khepera IV", "Khepera4", re.compile(r"b,[A-P],\d+"), "BERG", ("A,2", "D,0,0"), ("A", "D", "F", "L")
 )
-"""Dialects. The vehicle of the Khepera IV drives on through a D; its H and K are no reads."""
+"""Dialects. A D does not stop the vehicle of the Khepera IV; its H and K are not reads."""
 
 
 class Line:
@@ -73,19 +73,19 @@ class Line:
 
     Args:
         url: URL of the port, or an open port of pyserial.
-        timeout: Longest wait for one try of a reply, and for a write [s], in the port's own time.
-        baudrate: Speed of the line; "auto" tries `SPEEDS`.
-        retries: Number of times a command that may be repeated is sent again.
-        dialect: What the robot speaks.
+        timeout: Longest wait for one try of a reply, and for a write [s], in the port's time.
+        baudrate: Baud rate; "auto" tries `SPEEDS`.
+        retries: Number of repetitions of a repeatable command.
+        dialect: Protocol of the robot.
 
     Attributes:
         port: Port of pyserial.
         name: Name of the port, for messages.
-        listener: Callback that takes each request and its reply, both without their ending, or None.
+        listener: Callback for each request and its reply, without line endings, or None.
 
     Raises:
-        PortError: The port cannot be opened, its twin is of another kind, or there is no answer at any speed.
-        ValueError: The number of retries is negative or no integer.
+        PortError: The port cannot be opened, its twin is of another kind, or there is no reply at any baud
+        rate. ValueError: The number of retries is negative or not an integer.
     """
 
     def __init__(
@@ -99,136 +99,127 @@ class Line:
         if not (retries >= 0 and float(retries).is_integer()):
             raise ValueError(f"retries={retries!r}; expected an integer from 0")
         if isinstance(url, str | os.PathLike):
-            url = numbered(os.fspath(url))
+            url = resolve_port(os.fspath(url))
         self._url = url if isinstance(url, str) else None
-        self._retries, self._dialect, self._told = retries, dialect, ""
+        self._retries = retries
+        self._dialect = dialect
+        self._versions_reply = ""
         self._unanswered: set[str] = set()
         self.listener: Callable[[str, str], None] | None = None
-        self._exchange = threading.RLock()
-        self._held = False
-        self._stood = threading.Event()
+        self._lock = threading.RLock()
+        self._is_held = False
+        self._stop_done = threading.Event()
         self.name: str = url if isinstance(url, str) else str(url.name)
         speed = SPEEDS[0] if baudrate == "auto" else baudrate
-        # Its stubs declare the members of all ports for this kind only.
+        # The stubs of pyserial declare the members of all ports only for `Serial`.
         port = open_port(url, speed, timeout) if isinstance(url, str) else cast(serial.Serial, url)
         self.port = port
-        # A twin in this process is known before the first exchange.
+        # The model of a twin in this process is known before the first exchange.
         model = getattr(port, "robot_model", None)
         if model is not None and (other := KHEPERA4 if model == "khepera4" else KHEPERA) is not dialect:
             port.close()
-            raise PortError(f"{self.name}: the robot is {other.robot}{self._wish(other)}")
+            raise PortError(f"{self.name}: the robot is {other.robot}{self._expected_host(other)}")
         if baudrate == "auto":
             try:
                 find_speed(self.port, self.name, lambda: self.time)
             except BaseException:
                 self.port.close()
                 raise
-        self._forget = clear_at_end(self._end)
-
-    # Time ----------------------------------------------------------------------------------------------
+        self._unregister = clear_at_end(self._stop_at_exit)
 
     @property
     def time(self) -> float:
-        """Time of the port [s]: simulated on khep://, else the wall clock's."""
+        """Time of the port [s]: simulated on khep://, otherwise of the wall clock."""
         time_ns = getattr(self.port, "time_ns", None)
         return (time.monotonic_ns() if time_ns is None else time_ns) / NS_PER_S
 
     def sleep(self, duration: float) -> None:
-        """Wait in the port's own time [s]."""
+        """Wait for a duration [s] in the port's time."""
         if (sleep := getattr(self.port, "sleep", None)) is not None:
-            self._give_way()
-            with self._exchange:
+            self._yield_to_stop()
+            with self._lock:
                 sleep(duration)
         else:
             time.sleep(duration)
-
-    # Exchanges -----------------------------------------------------------------------------------------
 
     def carry_out(self, commands: Sequence[HostCommand[Value]]) -> list[Value]:
         """Send commands in one burst and return the values of their replies.
 
         Raises:
-            PortTimeout: A reply did not come.
-            PortError: The port failed or went away.
-            ProtocolError: A reply is not what its command asks for.
-            StoppedError: A command would move a robot that must stand still.
+            PortTimeout: A reply is missing.
+            PortError: The port failed or disappeared.
+            ProtocolError: A reply does not match its command.
+            StoppedError: A command would move the robot after `hold`.
         """
-        self._give_way()
-        with self._exchange:
+        self._yield_to_stop()
+        with self._lock:
             return self._carry_out(commands)
 
     def ask(self, request: str) -> str:
-        """Send any line, once, and return the reply, or a tool's first line, both without their ending.
-
-        The rest of a tool's output is read and discarded: its end is the first pause of the timeout.
-
-        Raises:
-            PortTimeout: No whole reply came within the timeout.
-            PortError: The port failed or went away.
-            StoppedError: The line would move a robot that must stand still.
-            ValueError: The request is more than one line.
-        """
+        """Send any line, once, and return the reply, or a tool's first line: `HostRobot.ask`."""
         if not request.isascii() or "\n" in request or "\r" in request:
             raise ValueError(f"request {request!r}; expected one line of ASCII, without its ending")
         replies: list[str] = []
-        self._give_way()
-        with self._exchange:
+        self._yield_to_stop()
+        with self._lock:
             self._ask([request], replies)
             end = self.time + LONGEST_OUTPUT
-            # `serial` answers in one line, and speaks at another speed from then on.
-            prints = request.lstrip()[:1].islower() and request.split()[0] != "serial"
-            while prints and self.time < end and self._read_line(request).endswith(b"\n"):
+            # `serial` replies with one line, and then changes the baud rate.
+            has_output = request.lstrip()[:1].islower() and request.split()[0] != "serial"
+            while has_output and self.time < end and self._read_line(request).endswith(b"\n"):
                 pass
         return replies[0]
 
     def _carry_out(self, commands: Sequence[HostCommand[Value]]) -> list[Value]:
         requests = [command.request for command in commands]
         tries = 1 + (self._retries if all([command.repeatable for command in commands]) else 0)
-        first: PortTimeout | ProtocolError | None = None
+        first_error: PortTimeout | ProtocolError | None = None
         while True:
             replies: list[str] = []
             try:
                 self._ask(requests, replies)
                 return self._read(commands, replies)
             except (PortTimeout, ProtocolError) as error:
-                first = first or error
+                first_error = first_error or error
                 tries -= 1
-                before = self._settle()
-                if before is None:
-                    # No robot there, or the probe itself got lost.
+                late_replies = self._resynchronize()
+                if late_replies is None:
+                    # There is no robot, or the probe was lost.
                     tries -= 1
                     if tries <= 0:
-                        raise first from None
+                        raise first_error from None
                     continue
                 for other in {KHEPERA, KHEPERA4} - {self._dialect}:
-                    if other.versions.fullmatch(self._told):
-                        raise ProtocolError(f"{first}; {other.robot} answers so{self._wish(other)}") from None
-            # What came late is as good, if it is whole.
+                    if other.versions.fullmatch(self._versions_reply):
+                        raise ProtocolError(
+                            f"{first_error}; {other.robot} answers so{self._expected_host(other)}"
+                        ) from None
+            # Late replies are valid if they are complete.
             with suppress(ProtocolError):
-                return self._read(commands, (replies + before)[-len(commands) :])
+                return self._read(commands, (replies + late_replies)[-len(commands) :])
             if tries <= 0:
-                raise first from None
+                raise first_error from None
 
-    def _wish(self, other: Dialect) -> str:
+    def _expected_host(self, other: Dialect) -> str:
         return f"; expected {self._dialect.robot}, or khep_twin.host.{other.host} for this one"
 
-    def _give_way(self) -> None:
-        """Let a stop come first that waits for the line: a lock alone may go to the same thread for ever."""
-        if self._held:
-            self._stood.wait(STOP_WAIT)
+    def _yield_to_stop(self) -> None:
+        """Wait for a pending stop, as a lock alone could be taken by the same thread for ever."""
+        if self._is_held:
+            self._stop_done.wait(STOP_WAIT)
 
     def _ask(self, requests: Sequence[str], replies: list[str]) -> None:
-        """Send lines and append the replies, each as it comes."""
-        if self._held and (moves := [each for each in requests if self._moves(each)]):
+        """Send lines and append each reply when it arrives."""
+        if self._is_held and (moves := [request for request in requests if self._moves(request)]):
             raise StoppedError(f"{self.name}: {moves[0]!r} is not sent, as the run is to end")
-        if self._unanswered and self._settle() is None:
-            raise self._silence(requests[0], b"")
+        if self._unanswered and self._resynchronize() is None:
+            raise self._timeout_error(requests[0], b"")
         self._unanswered.update([request[:1] for request in requests])
         self._write("\n".join([*requests, ""]).encode("ascii"), requests[0])
         for request in requests:
             line = self._read_line(request)
             if not line.endswith(b"\n"):
-                raise self._silence(request, line)
+                raise self._timeout_error(request, line)
             replies.append(_text(line))
             if self.listener is not None:
                 self.listener(request, replies[-1])
@@ -247,17 +238,17 @@ class Line:
                 ) from None
         return values
 
-    def _settle(self) -> list[str] | None:
-        """Resynchronize with the robot; return the lines before the answer to a probe, None without one."""
+    def _resynchronize(self) -> list[str] | None:
+        """Send a probe to resynchronize the line; return the lines before its reply, None without a reply."""
         probes = self._dialect.probes
         probe = next((letter for letter in probes if letter not in self._unanswered), probes[0])
-        # Answers to each of them may be to come: the line is in step only once it is silent.
+        # If replies to several probes are pending, the line is synchronized only when it is silent.
         is_repeated = probe in self._unanswered and self.port.timeout is not None
         self._unanswered.add(probe)
-        # The line feed before it ends a command that was broken off.
+        # The leading line feed ends an interrupted command.
         self._write(f"\n{probe}\n".encode("ascii"), probe)
         lines: list[str] = []
-        before: list[str] | None = None
+        late_replies: list[str] | None = None
         end = self.time + (self.port.timeout or _REPLY_TIMEOUT_S)
         while self.time <= end:
             line = self._read_line(probe)
@@ -265,16 +256,16 @@ class Line:
                 break
             text = _text(line)
             if text.startswith(f"{probe.lower()},"):
-                before = lines.copy()
-                self._told = text if probe == "B" else self._told
+                late_replies = lines.copy()
+                self._versions_reply = text if probe == "B" else self._versions_reply
                 if not is_repeated:
                     break
             lines.append(text)
         else:
-            before = None
-        if before is not None:
+            late_replies = None
+        if late_replies is not None:
             self._unanswered.clear()
-        return before
+        return late_replies
 
     def _write(self, data: bytes, request: str) -> None:
         try:
@@ -285,50 +276,48 @@ class Line:
                 "reads at the other end"
             ) from error
         except PORT_FAILURES as error:
-            raise self._failed(request, error) from error
+            raise self._port_error(request, error) from error
 
     def _read_line(self, request: str) -> bytes:
         try:
             return self.port.read_until(b"\n", None)
         except PORT_FAILURES as error:
-            raise self._failed(request, error) from error
+            raise self._port_error(request, error) from error
 
-    def _silence(self, request: str, line: bytes) -> PortTimeout:
+    def _timeout_error(self, request: str, line: bytes) -> PortTimeout:
         return PortTimeout(
             f"{self.name}: no reply to {request!r} within {self.port.timeout} s"
             + (f", only {line!r}" if line else "")
             + f"; is the robot on, in a serial mode of {self.port.baudrate} baud?"
         )
 
-    def _failed(self, request: str, error: Exception) -> PortError:
+    def _port_error(self, request: str, error: Exception) -> PortError:
         return PortError(f"{self.name}: the port failed at {request!r}: {error}")
 
-    # The end -------------------------------------------------------------------------------------------
-
     def hold(self) -> None:
-        """Stop the motors after the exchange that another thread is at, and refuse from now on to move.
+        """Stop the motors after another thread's exchange, and refuse later commands that move.
 
         Raises:
-            PortError: They could not be stopped.
+            PortError: The motors could not be stopped.
         """
-        self._held = True
+        self._is_held = True
         try:
-            with self._exchange:
-                before = self.port.timeout
+            with self._lock:
+                timeout = self.port.timeout
                 self._stop()
-                self._set_timeout(before)
+                self._set_timeout(timeout)
         finally:
-            self._stood.set()
+            self._stop_done.set()
 
     def halt(self) -> tuple[bool, str]:
-        """Stop the motors as far as that is possible, and close the port.
+        """Try to stop the motors, and close the port.
 
-        It waits for STOP_WAIT on the line; where that fails, it opens the port once more and waits again.
+        It waits `STOP_WAIT` for the reply; after a failure it reopens the port once and tries again.
 
         Returns:
-            True if the robot has confirmed the stop, and a text on what was done.
+            Whether the robot has confirmed the stop, and a description of the outcome.
         """
-        with self._exchange:
+        with self._lock:
             return self._halt()
 
     def _halt(self) -> tuple[bool, str]:
@@ -340,7 +329,7 @@ class Line:
                 reason = str(error).removeprefix(f"{self.name}: ")
             finally:
                 self._close()
-            if refusal := self._refuses_again():
+            if refusal := self._reopening_refusal():
                 return False, f"the motors may still run: {reason}; {refusal}"
             try:
                 self.port = open_port(str(self._url), self.port.baudrate, STOP_WAIT)
@@ -353,25 +342,25 @@ class Line:
             self._close()
 
     def _stop(self) -> None:
-        """Send the stop of the motors, each request twice if necessary, and wait for the answer."""
+        """Send the requests that stop the motors, each up to twice, until they are confirmed."""
         wait = STOP_WAIT / 2
         if self.port.timeout is None or not 0 < self.port.timeout <= wait:
             self._set_timeout(wait)
         for request in self._dialect.stops:
-            if not (self._stops_by(request, wait) or self._stops_by(request, wait)):
+            if not (self._confirms_stop(request, wait) or self._confirms_stop(request, wait)):
                 raise PortTimeout(f"{self.name}: no reply to {request!r} within {STOP_WAIT} s")
 
-    def _stops_by(self, request: str, wait: float) -> bool:
-        """Send a request that stops the motors; return whether it was answered."""
-        answer = request[0].lower()
+    def _confirms_stop(self, request: str, wait: float) -> bool:
+        """Send a request that stops the motors; return whether the robot confirms it."""
+        reply = request[0].lower()
         self._write(f"\n{request}\n".encode("ascii"), request)
-        if request[0] in self._unanswered:  # a speed whose answer, to come yet, is the same
-            return bool(before := self._settle()) and before[-1] == answer
+        if request[0] in self._unanswered:  # a pending reply to a speed command looks the same
+            return bool(late_replies := self._resynchronize()) and late_replies[-1] == reply
         end = self.time + wait
         line = b"\n"
         while line.endswith(b"\n") and self.time <= end:
             line = self._read_line(request)
-            if _text(line) == answer:
+            if _text(line) == reply:
                 return True
         return False
 
@@ -380,25 +369,25 @@ class Line:
         return request not in self._dialect.stops and request.lstrip().startswith(self._dialect.moving)
 
     def _set_timeout(self, timeout: float | None) -> None:
-        # pyserial negotiates the settings of a port on the network anew for it.
+        # pyserial renegotiates the settings of a network port for it.
         try:
             self.port.timeout = timeout
         except PORT_FAILURES as error:
-            raise self._failed(self._dialect.stops[-1], error) from error
+            raise self._port_error(self._dialect.stops[-1], error) from error
 
     def _close(self) -> None:
-        self._forget()
+        self._unregister()
         with suppress(*PORT_FAILURES):
             self.port.close()
 
-    def _end(self) -> None:
-        """Stop the motors of a robot where the process is ended from outside, even amid an exchange."""
+    def _stop_at_exit(self) -> None:
+        """Stop the motors of a robot when a signal ends the process, even during an exchange."""
         if not hasattr(self.port, "time_ns"):
             with suppress(PortError):
                 self._stop()
 
-    def _refuses_again(self) -> str:
-        """Return the reason not to open the port once more; empty if it may be opened."""
+    def _reopening_refusal(self) -> str:
+        """Return the reason not to reopen the port; empty if it may be reopened."""
         if self._url is None or hasattr(self.port, "time_ns"):
             return "this port is not opened again"
         path = Path(self._url)

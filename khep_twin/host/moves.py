@@ -1,6 +1,6 @@
 """Lengths of moves in pulses of the wheels.
 
-The wheels follow the board's own trapezoid (command J), and the board reports the arrival (command K).
+The wheels follow the board's speed profile (command J), and the board reports the arrival (command K).
 """
 
 import math
@@ -13,18 +13,19 @@ LONGEST_WAY_PULSES = 2**23 - 2
 
 def way_pulses(distance: float) -> int:
     """Return the pulses of both wheels along a straight path [m]."""
-    return round(_finite("distance", distance) / PULSE_LENGTH)
+    return round(finite("distance", distance) / PULSE_LENGTH)
 
 
 def turn_pulses(angle: float, wheel_base: float = WHEEL_BASE) -> int:
-    """Return the pulses of the right wheel, minus those of the left, for a turn on the spot [rad].
+    """Return the pulses of the right wheel, minus those of the left, for a turn in place [rad].
 
     pulses = angle * wheel_base / 2 / PULSE_LENGTH
     """
-    return round(_finite("angle", angle) * wheel_base / 2 / PULSE_LENGTH)
+    return round(finite("angle", angle) * wheel_base / 2 / PULSE_LENGTH)
 
 
-def _finite(name: str, value: float) -> float:
+def finite(name: str, value: float) -> float:
+    """Return a value; raise ValueError unless it is finite."""
     if not math.isfinite(value):
         raise ValueError(f"{name} = {value}; expected a finite number")
     return value

@@ -1,10 +1,10 @@
-"""Opening of a robot's port, with a search for its speed."""
+"""Opening of a robot's port, with a search for its baud rate."""
 
 import errno
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
 from urllib.parse import quote
 
@@ -15,52 +15,52 @@ from khep_twin.invocation import command
 from khep_twin.ports.service_registry import served
 
 SPEEDS = (9600, 19200, 38400, 57600, 115200)
-"""Speeds of the line in the robots' running modes, in the order tried [baud] (appendix E; manual II)."""
+"""Baud rates of the robots' running modes, in the order of the search (appendix E; manual II)."""
 
 PORT_IDS = (1, 2, 3, 4)
 """Numbers of ports in the Khepera Toolbox, on the command line and in programs."""
 
 VARIABLE = "KHEP_PORT_"
-"""Environment variable of a port, without the port's number at its end."""
+"""Prefix of the environment variable of a port, before the port's number."""
 
-_LISTEN = 0.3
-"""Wait for an answer at each speed that is tried [s]: B is answered within 0.03 s at 9600 baud."""
+_LISTEN_S = 0.3
+"""Wait for a reply at each baud rate [s]; the reply to B takes 0.03 s at 9600 baud."""
 
 _VERSIONS = re.compile(rb"b,([0-9][0-9.]*,[0-9][0-9.]*|[A-P],[0-9]+)\r?\n$")
 """Replies to B of a Khepera, and of a Khepera IV."""
 
 
-def numbered(port: str) -> str:
-    """Return the port that a number, "1" to "4", stands for in the environment; any other port as it is.
+def resolve_port(port: str) -> str:
+    """Return the port that the environment assigns to a number, "1" to "4"; any other port unchanged.
 
     Raises:
         PortError: The environment has no port for the number.
     """
     if port not in map(str, PORT_IDS):
         return port
-    if not (meant := os.environ.get(f"{VARIABLE}{port}")):
+    if not (named_port := os.environ.get(f"{VARIABLE}{port}")):
         raise PortError(
             f"port {port}: no port is chosen for this number; expected {VARIABLE}{port}=/dev/ttyUSB0 in the "
             "environment, or a port such as /dev/ttyUSB0 in its place"
         )
-    return meant
+    return named_port
 
 
 def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool = False) -> serial.Serial:
-    """Open a port of pyserial as the robot's line has it: eight bits, two stop bits.
+    """Open a port of pyserial with the robot's line settings: eight bits, two stop bits.
 
     Args:
         url: URL of the port.
-        baudrate: Speed of the line [baud].
+        baudrate: Baud rate.
         timeout: Timeout of reads and writes [s].
         exclusive: Refuse a port that another program has locked.
 
     Raises:
-        PortInUse: It is locked.
-        PortError: It cannot be opened.
+        PortInUse: The port is locked.
+        PortError: The port cannot be opened.
     """
-    # Not every kind of port can bound its writes: pyserial's RFC 2217 leaves them to the network.
-    bound = None if url.startswith("rfc2217:") else timeout or None
+    # pyserial's RFC 2217 ports have no timeout of writes.
+    write_timeout = None if url.startswith("rfc2217:") else timeout or None
     try:
         return serial.serial_for_url(
             url,
@@ -68,9 +68,9 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
             stopbits=serial.STOPBITS_TWO,
             timeout=timeout,
             exclusive=exclusive or None,
-            write_timeout=bound,
+            write_timeout=write_timeout,
         )
-    # One error says all; its causes repeat it. An expression of hwgrep:// may be malformed.
+    # Without the causes, which repeat the message; re.error is a malformed expression of hwgrep://.
     except (*PORT_FAILURES, re.error) as error:
         if isinstance(error, serial.SerialException) and error.errno in (errno.EBUSY, errno.EAGAIN):
             raise PortInUse(f"{url}: in use by a program that has locked it") from None
@@ -78,64 +78,60 @@ def open_port(url: str, baudrate: int, timeout: float | None, *, exclusive: bool
 
 
 def find_speed(port: serial.Serial, name: str, now: Callable[[], float]) -> int:
-    """Set a port to the speed at which its robot answers command B.
+    """Set a port to the baud rate at which its robot replies to command B.
 
     Args:
         port: Open port of pyserial.
         name: Name of the port, for messages.
-        now: Function that returns the port's own time [s].
+        now: Function that returns the port's time [s].
 
     Returns:
-        The speed [baud]. A network socket or a twin that is not strict accepts any, and keeps the first.
+        The baud rate. A network socket or a twin that is not strict accepts any, so it is the first.
 
     Raises:
-        PortTimeout: There is no answer at any of `SPEEDS`.
+        PortTimeout: There is no reply at any of `SPEEDS`.
         PortError: The port failed.
     """
-    before, first = port.timeout, port.baudrate
-    refused: list[int] = []
+    timeout, first_baudrate = port.timeout, port.baudrate
+    refused_speeds: list[int] = []
     try:
-        port.timeout = _LISTEN
+        port.timeout = _LISTEN_S
         for speed in SPEEDS:
             try:
                 port.baudrate = speed
-            except ValueError:  # a converter on the network may have no such speed
-                refused.append(speed)
-                port.baudrate = first
+            except ValueError:  # a converter on the network may not support it
+                refused_speeds.append(speed)
+                port.baudrate = first_baudrate
                 continue
-            if _answers(port, now):
-                port.timeout = before
+            if _is_answered(port, now):
+                port.timeout = timeout
                 return speed
-        port.timeout = before
+        port.timeout = timeout
     except PORT_FAILURES as error:
         raise PortError(f"{name}: the port failed at 'B': {error}") from error
-    tried = _listed(speed for speed in SPEEDS if speed not in refused)
+    tried_speeds = ", ".join(str(speed) for speed in SPEEDS if speed not in refused_speeds)
     raise PortTimeout(
-        f"{name}: no answer to 'B' at {tried or 'any'} baud; is the robot on, in a serial mode?"
-        + (f" The port refuses {_listed(refused)} baud" if refused else "")
+        f"{name}: no answer to 'B' at {tried_speeds or 'any'} baud; is the robot on, in a serial mode?"
+        + (f" The port refuses {', '.join(map(str, refused_speeds))} baud" if refused_speeds else "")
     )
 
 
-def _listed(speeds: Iterable[int]) -> str:
-    return ", ".join(map(str, speeds))
-
-
-def _answers(port: serial.Serial, now: Callable[[], float]) -> bool:
-    # A twin in this process warns of a wrong speed and understands all the same.
-    with warnings.catch_warnings(record=True) as noticed:
+def _is_answered(port: serial.Serial, now: Callable[[], float]) -> bool:
+    # A twin in this process warns of a wrong baud rate, but replies.
+    with warnings.catch_warnings(record=True) as caught_warnings:
         warnings.simplefilter("always")
         port.reset_input_buffer()
-        # The line feed before it ends what an attempt at another speed has begun.
+        # The leading line feed ends an incomplete line of an attempt at another baud rate.
         port.write(b"\nB\n")
-        end = now() + _LISTEN
-        answered = False
-        while not answered and now() <= end and (line := port.read_until(b"\n", None)):
-            answered = _VERSIONS.search(line) is not None
-    return answered and not noticed
+        end = now() + _LISTEN_S
+        is_answered = False
+        while not is_answered and now() <= end and (line := port.read_until(b"\n", None)):
+            is_answered = _VERSIONS.search(line) is not None
+    return is_answered and not caught_warnings
 
 
-def _link_of(name: str) -> str:
-    """Find the path of a served twin whose link in the private directory has this name; empty without one."""
+def _find_link(name: str) -> str:
+    """Find the path of a served twin by the name of its link in the private directory; empty without one."""
     if os.path.dirname(name):
         return ""
     with suppress(PortError):
@@ -144,7 +140,7 @@ def _link_of(name: str) -> str:
 
 
 def _why_not_opened(url: str, error: Exception) -> tuple[str, str]:
-    """Return the reason, and what to add to it on the command line."""
+    """Return the reason, and a hint that the command line appends."""
     from khep_twin.files.toml_files import names
     from khep_twin.ports.network import address_fault
 
@@ -152,7 +148,7 @@ def _why_not_opened(url: str, error: Exception) -> tuple[str, str]:
     if fault := address_fault(url):
         return fault, ""
     if "://" not in url and isinstance(error, serial.SerialException):
-        if path := _link_of(url):
+        if path := _find_link(url):
             return f"{url}: no such port here; the twin served under this name is at {path}", ""
         if url in names("playpens") or url.endswith((".toml", ".mcap")):
             return f"{url}: no port; expected khep://{quote(url)} for a twin in it", ""
@@ -160,10 +156,7 @@ def _why_not_opened(url: str, error: Exception) -> tuple[str, str]:
             f"; `{command('ports')}` lists those that are here, `{command('serve')}` makes one, "
             "khep://default needs none"
         )
-        return f"{url}: cannot open this port: {_reason(error)}", hint
+        # Only the system's reason: pyserial's text repeats it, with the name of the port.
+        reason = os.strerror(error.errno) if error.errno else text
+        return f"{url}: cannot open this port: {reason}", hint
     return (text if text.startswith(url) else f"{url}: {text}"), ""
-
-
-def _reason(error: serial.SerialException) -> str:
-    """Return the system's reason alone; pyserial's own text has it twice, with the name of the port."""
-    return os.strerror(error.errno) if error.errno else str(error)

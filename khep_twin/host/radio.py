@@ -16,7 +16,7 @@ from khep_twin.host.turret import HostTurret
 from khep_twin.units import RADIO_ALL, RADIO_BYTES, RADIO_NUMBER, RadioStatus
 
 _PAUSE = 0.02
-"""Pause between two reads of the status [s]."""
+"""Time between two reads of the status [s]."""
 
 
 class RadioMessage(NamedTuple):
@@ -27,10 +27,7 @@ class RadioMessage(NamedTuple):
 
 
 class Radio(HostTurret):
-    """Radio turret on a robot. `send` returns at once; `wait_until_sent` waits for the acknowledgement.
-
-    Args:
-        robot: Robot that carries it.
+    """Radio turret on a robot. `send` returns immediately; `wait_until_sent` waits for the acknowledgement.
 
     Raises:
         ProtocolError: The robot has no radio turret.
@@ -47,7 +44,7 @@ class Radio(HostTurret):
 
         Raises:
             ValueError: The message is too long.
-            ProtocolError: The turret still sends the message before, or there can be no such radio.
+            ProtocolError: The turret still sends the previous message, or the number is invalid.
         """
         if len(data) > RADIO_BYTES:
             raise ValueError(f"a message of {len(data)} bytes; expected at most {RADIO_BYTES}")
@@ -59,7 +56,7 @@ class Radio(HostTurret):
 
         Raises:
             ValueError: The message is too long.
-            ProtocolError: The turret still sends the message before.
+            ProtocolError: The turret still sends the previous message.
         """
         self.send(RADIO_ALL, data)
 
@@ -67,13 +64,13 @@ class Radio(HostTurret):
         """Return the oldest received message and remove it from the turret; None without one (command R).
 
         Raises:
-            ProtocolError: The reply is no message, as after a disturbed line.
+            ProtocolError: The reply is malformed, as on a disturbed line.
         """
         sender, length, *data = self._values("R", 2 + RADIO_BYTES)
         if length > RADIO_BYTES or max(data) > 255:
-            found = f"{length} bytes, {data}"
-            wanted = f"at most {RADIO_BYTES}, of 0 to 255"
-            raise ProtocolError(f"{self._robot.name}: the radio received {found}; expected {wanted}")
+            content = f"{length} bytes, {data}"
+            expected = f"at most {RADIO_BYTES}, of 0 to 255"
+            raise ProtocolError(f"{self._robot.name}: the radio received {content}; expected {expected}")
         return RadioMessage(sender, bytes(data[:length])) if sender or length else None
 
     def wait_until_sent(self, timeout: float = 5.0) -> bool:
@@ -82,7 +79,7 @@ class Radio(HostTurret):
         A message to all counts as acknowledged.
 
         Raises:
-            PortTimeout: It still sends after `timeout` [s].
+            PortTimeout: The turret still sends after `timeout` [s].
         """
         end = self._robot.time + timeout
         while not (status := self.status()) & RadioStatus.READY:
@@ -93,7 +90,7 @@ class Radio(HostTurret):
         """Wait for a message; return it and remove it from the turret.
 
         Raises:
-            PortTimeout: None came within `timeout` [s].
+            PortTimeout: No message arrived within `timeout` [s].
         """
         end = self._robot.time + timeout
         while not self.status() & RadioStatus.RECEIVED:

@@ -1,4 +1,4 @@
-"""Results of commands, by name and with units; tuples, so that they compare, index and unpack as such."""
+"""Results of commands: named tuples, with units."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -69,8 +69,8 @@ class WheelStatus:
     """One wheel's motion control, as command K reports it.
 
     Attributes:
-        on_target: True if the target is reached; after a reset, too.
-        mode: Mode of the motor, whatever number the robot's ROM has for it.
+        on_target: True if the target is reached, and after a reset.
+        mode: Mode of the motor, translated from the number in the robot's ROM.
         error: Error of the controller [pulses in position mode, pulses/10 ms in speed mode].
     """
 

@@ -7,7 +7,7 @@ from khep_twin.errors import ProtocolError
 from khep_twin.host.khepera import Khepera
 
 _NUMBER = re.compile("[0-9]{1,6}")
-"""Numbers of turrets: without a sign, of 16 bits at most."""
+"""Numbers in replies of turrets: unsigned, of 16 bits at most."""
 
 
 class HostTurret:
@@ -21,7 +21,7 @@ class HostTurret:
         name: Name in messages.
 
     Raises:
-        ProtocolError: The robot has no such turret.
+        ProtocolError: The robot does not have this turret.
     """
 
     number: ClassVar[int]
@@ -32,7 +32,7 @@ class HostTurret:
         self.versions()
 
     def versions(self) -> tuple[str, str]:
-        """Return the versions of the turret's software, as it reports them (command B)."""
+        """Return the versions that the turret reports for its software (command B)."""
         fields = self._robot.turret(self.number, "B").split(",")
         if len(fields) != 3 or fields[0] != "b":
             raise ProtocolError(f"{self._robot.name}: the {self.name} reported its versions as {fields}")

@@ -7,7 +7,7 @@ with Khepera("khep://stripes") as robot:
     print(vision.image())                  # 64 greys, 0 to 255, from the left to the right
     print(vision.region(24, 16))           # 16 of them, in a quarter of the time
 
-Reads may be repeated, so a lost reply does no harm. The commands of this module go into a burst with others:
+Reads are repeatable, so a lost reply is harmless. The commands of this module can join a burst:
 
     greys, proximity = robot.burst(read_image(), commands.proximity())
 """
@@ -22,12 +22,12 @@ Greys = tuple[int, ...]
 """Greys of pixels, 0 (dark) to 255, from the left to the right."""
 
 _REGIONS = {8: "Q", 16: "R"}
-"""Orders for a part of the image, by its number of pixels."""
+"""Letters of the commands for a part of the image, by its number of pixels."""
 
 
 @cache
 def read_image() -> HostCommand[Greys]:
-    """Return the command for the whole image (64 greys)."""
+    """Return the command for the complete image (64 greys)."""
     return _greys("N", K213_PIXELS)
 
 
@@ -35,14 +35,14 @@ def read_image() -> HostCommand[Greys]:
 def read_light() -> HostCommand[int]:
     """Return the command for the reading of the light sensor."""
     values = _values("L", 2, 255)
-    return HostCommand(values.request, lambda reply: _joined(*values.read(reply)), repeatable=True)
+    return HostCommand(values.request, lambda reply: int.from_bytes(values.read(reply)), repeatable=True)
 
 
 def read_region(start: int, count: int) -> HostCommand[Greys]:
-    """Return the command for 8 or 16 pixels from one on.
+    """Return the command for 8 or 16 pixels from `start` on.
 
     Raises:
-        ValueError: There are no such pixels.
+        ValueError: The pixels are out of range.
     """
     if count not in _REGIONS or not 0 <= start <= K213_PIXELS - count:
         raise ValueError(
@@ -55,9 +55,6 @@ def read_region(start: int, count: int) -> HostCommand[Greys]:
 class Vision(HostTurret):
     """K213 on a robot.
 
-    Args:
-        robot: Robot that carries it.
-
     Raises:
         ProtocolError: The robot has no K213.
     """
@@ -65,14 +62,14 @@ class Vision(HostTurret):
     number, name = K213_NUMBER, "K213"
 
     def image(self) -> Greys:
-        """Return the greys of the last whole scan (64,) (message N)."""
+        """Return the greys of the last complete scan (64,) (message N)."""
         return self._robot.burst(read_image())[0]
 
     def region(self, start: int, count: int) -> Greys:
         """Return 8 or 16 greys from a pixel on (messages Q and R).
 
         Raises:
-            ValueError: There are no such pixels.
+            ValueError: The pixels are out of range.
         """
         return self._robot.burst(read_region(start, count))[0]
 
@@ -102,10 +99,10 @@ class Vision(HostTurret):
         return self._robot.burst(read_light())[0]
 
     def set_period(self, period: int) -> None:
-        """Set the scan rate: 0 by the light, 1 to 7 for 50, 100, 150, 250, 500, 1000, 5000 ms (message U).
+        """Set the scan period: 0 by the light, 1 to 7 for 50, 100, 150, 250, 500, 1000, 5000 ms (message U).
 
         Raises:
-            ValueError: There is no such period.
+            ValueError: The period is out of range.
         """
         if not 0 <= period < len(K213_PERIODS_MS):
             raise ValueError(f"period {period}; expected 0 to {len(K213_PERIODS_MS) - 1}")
@@ -117,18 +114,14 @@ def _greys(letter: str, count: int, arguments: str = "") -> HostCommand[Greys]:
 
 
 def _values(letter: str, count: int, limit: int, arguments: str = "") -> HostCommand[Greys]:
-    """Return a command whose answer is its letter and so many numbers from 0 to a limit."""
-    sent = turret(K213_NUMBER, letter + arguments)
+    """Return a command whose answer is its letter and `count` numbers from 0 to a limit."""
+    message = turret(K213_NUMBER, letter + arguments)
 
     def read(reply: str) -> Greys:
-        head, *fields = sent.read(reply).split(",")
+        head, *fields = message.read(reply).split(",")
         values = tuple(int(field) for field in fields if field.isdecimal())
         if head != letter.lower() or len(values) != count or len(fields) != count or max(values) > limit:
             raise ValueError(f"expected {letter.lower()!r} and {count} numbers from 0 to {limit}")
         return values
 
-    return HostCommand(sent.request, read, repeatable=True)
-
-
-def _joined(high: int, low: int) -> int:
-    return high * 256 + low
+    return HostCommand(message.request, read, repeatable=True)

@@ -1,7 +1,7 @@
 """Moves of a robot by the user in a running world.
 
-The robot is put upright and at rest. Its board does not notice: counters, registers and motors are kept,
-unless the board is reset, too. A move is an action like those of the host, so that a log repeats it.
+The robot then stands upright and at rest. Its board keeps counters, registers and motors, unless it is also
+reset. A move is an action like those of the host, so that a log repeats it.
 """
 
 import math
@@ -17,11 +17,11 @@ from khep_twin.playpen.starts import no_room
 from khep_twin.world import World
 
 _PLACE = struct.Struct("<3d")
-_AFRESH = b"\1"
+_RESET = b"\1"
 
 
-def put(
-    world: World, index: int, x_mm: float, y_mm: float, heading_deg: float, *, afresh: bool = False
+def place_robot(
+    world: World, index: int, x_mm: float, y_mm: float, heading_deg: float, *, reset: bool = False
 ) -> None:
     """Move a robot.
 
@@ -31,7 +31,7 @@ def put(
         x_mm: Position of its centre, from the arena's lower left inner corner [mm].
         y_mm: Position of its centre, from the same corner [mm].
         heading_deg: Heading, counter-clockwise from x [deg].
-        afresh: True to reset its board as well: counters, setpoints, controllers and LEDs.
+        reset: True to reset its board as well: counters, setpoints, controllers and LEDs.
 
     Raises:
         PlaypenError: There is no room for it; it stays where it was.
@@ -42,7 +42,7 @@ def put(
         )
     if reason := no_room(current_playpen(world), index, x_mm, y_mm):
         raise PlaypenError(reason)
-    position = _PLACE.pack(x_mm, y_mm, heading_deg) + (_AFRESH if afresh else b"")
+    position = _PLACE.pack(x_mm, y_mm, heading_deg) + (_RESET if reset else b"")
     world.on_host_event(index, HostEvent(HostEventKind.PUT, world.time_ns, None, position))
     model, data = world.model, world.data
     robot, half = world.robots[index].indices, math.radians(heading_deg) / 2
@@ -52,7 +52,7 @@ def put(
     data.qvel[model.body_rootid[model.dof_bodyid] == robot.base] = 0
     # Update the positions that the robots are read from.
     mujoco.mj_kinematics(model, data)
-    if afresh:
+    if reset:
         world.robots[index].reset_motion()
     world.on_event(index, f"put to ({x_mm:g}, {y_mm:g}), {heading_deg:g} degrees")
 
@@ -60,7 +60,7 @@ def put(
 def repeat_move(world: World, index: int, event: HostEvent) -> None:
     """Move a robot as recorded in a log."""
     position, rest = event.data[: _PLACE.size], event.data[_PLACE.size :]
-    put(world, index, *_PLACE.unpack(position), afresh=rest == _AFRESH)
+    place_robot(world, index, *_PLACE.unpack(position), reset=rest == _RESET)
 
 
 def scan(world: World) -> None:
@@ -70,7 +70,7 @@ def scan(world: World) -> None:
 
 
 def current_playpen(world: World) -> Playpen:
-    """Return the playpen with the current poses of its robots and movable objects, all taken as upright."""
+    """Return the playpen with the current poses of its robots and movable objects, all assumed upright."""
 
     def moved(items: Iterable[Block | Cylinder], kind: str) -> tuple[Block | Cylinder, ...]:
         return tuple(
@@ -78,7 +78,7 @@ def current_playpen(world: World) -> Playpen:
             for number, item in enumerate(items)
         )
 
-    # A step leaves the bodies' positions as of its start; they do not depend on who has looked since.
+    # After a step the bodies' positions are those at its start; observers must not change them.
     mujoco.mj_kinematics(world.model, world.data)
     playpen = world.playpen
     robots = tuple(

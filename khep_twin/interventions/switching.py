@@ -15,20 +15,20 @@ _SWITCH = struct.Struct("<i?")
 
 
 def switch(world: World, lamp: int, on: bool) -> None:
-    """Switch a lamp off, or back to its own schedule.
+    """Switch a lamp off, or back to its schedule.
 
     Args:
         world: World of the lamp.
         lamp: Number of the lamp, from 0.
-        on: True to return it to its own schedule, False to switch it off.
+        on: True to return it to its schedule, False to switch it off.
 
     Raises:
         PlaypenError: The lamp does not exist.
     """
     names = world.lamps.names
     if not 0 <= lamp < len(names):
-        found = f"lamp = {lamp}: there is none"
-        raise PlaypenError(found, key="lamp", value=lamp, expected=range(len(names)))
+        message = f"lamp = {lamp}: there is none"
+        raise PlaypenError(message, key="lamp", value=lamp, expected=range(len(names)))
     world.on_host_event(0, HostEvent(HostEventKind.SWITCH, world.time_ns, None, _SWITCH.pack(lamp, on)))
     world.lamps.turn(lamp, on, world.time_ns)
     world.on_event(None, f"{names[lamp]} is switched {'on' if on else 'off'} by hand")
@@ -50,15 +50,15 @@ def set_lamps(world: World, lamps: Sequence[Lamp], lighting: Lighting) -> None:
     Raises:
         PlaypenError: A lamp is invalid or lies outside the arena.
     """
-    wanted = {
+    lamp_values = {
         "lamp": [lamp.model_dump(mode="json") for lamp in lamps],
         "lighting": lighting.model_dump(mode="json"),
     }
     before = world.playpen
     bare = {"version": before.version, "name": before.name, "arena": before.arena.model_dump()}
-    checked = check(Playpen, frozen(bare | wanted), before.name, PlaypenError)
+    checked = check(Playpen, frozen(bare | lamp_values), before.name, PlaypenError)
     world.on_host_event(
-        0, HostEvent(HostEventKind.SET_LAMPS, world.time_ns, None, json.dumps(wanted).encode("utf-8"))
+        0, HostEvent(HostEventKind.SET_LAMPS, world.time_ns, None, json.dumps(lamp_values).encode("utf-8"))
     )
     world.set_lamps(checked.lamps, checked.lighting)
     places = ", ".join(f"{lamp.power_w:g} W at ({lamp.x_mm:g}, {lamp.y_mm:g})" for lamp in checked.lamps)
@@ -72,13 +72,13 @@ def repeat_set_lamps(world: World, event: HostEvent) -> None:
         PlaypenError: The bytes are not as `set_lamps` writes them.
     """
     try:
-        found = json.loads(event.data)
-        if not isinstance(found, dict):
+        values = json.loads(event.data)
+        if not isinstance(values, dict):
             raise TypeError
-        wanted = frozen(cast(dict[str, object], found))
+        lamp_values = frozen(cast(dict[str, object], values))
     except (ValueError, TypeError, RecursionError):
         raise PlaypenError(f"lamps = {event.data[:40]!r}; expected JSON with lamp and lighting") from None
-    checked = check(_Lamps, wanted, "lamps", PlaypenError)
+    checked = check(_Lamps, lamp_values, "lamps", PlaypenError)
     set_lamps(world, checked.lamp, checked.lighting)
 
 

@@ -25,7 +25,7 @@ CHANNELS = {
     "speed": f"{_SETPOINTS} [pulses/10 ms]",
     "position": f"{_SETPOINTS} [pulses]",
     "duty": "left, right [-2940 to 2940]",
-    "leds": ", ".join(f"{each} {colour}" for each in LEDS for colour in ("red", "green", "blue"))
+    "leds": ", ".join(f"{led} {colour}" for led in LEDS for colour in ("red", "green", "blue"))
     + " [0 to 63]",
     "accelerometer": f"{_AXES} [1/16384 g]",
     "gyroscope": f"{_AXES} [0.066 deg/s]",

@@ -5,8 +5,8 @@
     dspic.write(bytes([DspicRegister.CONTROL, Control.SPEED]))
     left, right = dspic.tick(0, 0)
 
-A write is the number of a register and the bytes for it and those behind it; a read names a register and runs
-on through the map (library).
+A write is a register number, followed by the bytes for it and for the following registers; a read continues
+through the register map (library).
 """
 
 from collections.abc import Callable, Sequence
@@ -15,9 +15,9 @@ from dataclasses import astuple
 from khep_twin.board.kernel import wrap
 from khep_twin.khepera4.motor_control import Motor, Settings
 from khep_twin.khepera4.registers import (
-    AT_RESET,
     BATTERY_BYTES,
     N_BYTES,
+    RESET_VALUES,
     WRITABLE,
     Control,
     DspicRegister,
@@ -29,41 +29,43 @@ ground left, front left, front right, right. Ultrasonic ones: left, front left, 
 (library)."""
 
 _POSITION_ORDERS = {*range(DspicRegister.POSITION_ORDER_LEFT, DspicRegister.SPEED_LEFT)}
-"""Bytes of the orders that begin a move."""
+"""Bytes of the orders that start a move."""
 
 
 class Dspic:
     """A dsPIC with its motors.
 
     Attributes:
-        before_read: Function that is called with the first register of a read and the one behind the last.
+        before_read: Function that is called with the first register of a read and the end of the read.
         counts: Pulses of the encoders at the last control period, left and right.
-        is_powered: Whether the supply suffices; without, no bus is answered.
+        is_powered: Whether the supply suffices; otherwise the bus gets no reply.
     """
 
     def __init__(self) -> None:
-        self.before_read: Callable[[int, int], None] = lambda first, last: None
-        self._bytes, self.counts, self.is_powered = bytearray(N_BYTES + BATTERY_BYTES), (0, 0), True
+        self.before_read: Callable[[int, int], None] = lambda first, end: None
+        self._bytes = bytearray(N_BYTES + BATTERY_BYTES)
+        self.counts = 0, 0
+        self.is_powered = True
         self.reset()
 
     def reset(self) -> None:
-        """Return to the state at power-up, but for what sensors and gauge have measured last."""
+        """Return to the state at power-up, except for the last readings of sensors and gauge."""
         self._bytes[: DspicRegister.AMBIENT] = bytes(DspicRegister.AMBIENT)
-        for register, content in AT_RESET.items():
+        for register, content in RESET_VALUES.items():
             self._bytes[register : register + len(content)] = content
         self._left, self._right = Motor(), Motor()
 
     def write(self, message: bytes) -> None:
-        """Take a message of the bus: a register's number, and the bytes for it and those behind it."""
+        """Execute a write: a register number, and the bytes for it and the following registers."""
         if not message:
             return
-        for place, byte in enumerate(message[1:], message[0]):
-            if place in WRITABLE or place == DspicRegister.ULTRASONIC_ENABLED:
-                self._bytes[place] = byte
+        for register, byte in enumerate(message[1:], message[0]):
+            if register in WRITABLE or register == DspicRegister.ULTRASONIC_ENABLED:
+                self._bytes[register] = byte
         written = range(message[0], message[0] + len(message) - 1)
         if DspicRegister.RESET_ENCODERS in written:
             self._left.position = self._right.position = 0
-            self._tell()
+            self._update_registers()
         if set(written) & _POSITION_ORDERS:
             self._left.is_on_target = self._right.is_on_target = False
         if DspicRegister.CONTROL in written:
@@ -71,20 +73,21 @@ class Dspic:
             self._right.stop()
 
     def read(self, register: int, count: int) -> bytes:
-        """Return bytes from a register on; behind the map there are zeros (assumed)."""
+        """Return bytes from a register on, zeros after the end of the map (assumed)."""
         self.before_read(register, register + count)
-        found = bytes(self._bytes[register : register + count])
-        return found + bytes(count - len(found))
+        content = bytes(self._bytes[register : register + count])
+        return content + bytes(count - len(content))
 
     def tick(self, left_pulses: int, right_pulses: int) -> tuple[int, int]:
         """Run a control period of 10 ms; return the PWM of the motors, left and right.
 
         Args:
             left_pulses: Pulses of the left encoder since power-up.
-            right_pulses: The same of the right one.
+            right_pulses: Pulses of the right encoder since power-up.
         """
-        counts, kind = (left_pulses, right_pulses), self._bytes[DspicRegister.CONTROL]
-        control = Control(kind) if kind <= Control.OPEN_LOOP else Control.IDLE
+        counts = left_pulses, right_pulses
+        control_type = self._bytes[DspicRegister.CONTROL]
+        control = Control(control_type) if control_type <= Control.OPEN_LOOP else Control.IDLE
         settings = self._settings()
         orders = {
             Control.POSITION: (DspicRegister.POSITION_ORDER_LEFT, 4),
@@ -96,11 +99,11 @@ class Dspic:
             motor.position = wrap(motor.position + motor.speed)
             motor.tick(settings, control, self._signed(first + side * size, size))
         self.counts = counts
-        self._tell()
+        self._update_registers()
         return self._left.pwm, self._right.pwm
 
     def sense(self, register: DspicRegister, values: Sequence[int]) -> None:
-        """Set the registers of some sensors, 2 bytes each."""
+        """Set sensor registers of 2 bytes each, from one on."""
         content = b"".join((value & 0xFFFF).to_bytes(2, "little") for value in values)
         self._bytes[register : register + len(content)] = content
 
@@ -111,13 +114,13 @@ class Dspic:
         self._bytes[DspicRegister.BATTERY : DspicRegister.BATTERY + BATTERY_BYTES] = block
 
     def read_words(self, register: int, count: int) -> list[int]:
-        """Read registers of 2 bytes without a sign."""
+        """Read unsigned registers of 2 bytes."""
         self.before_read(register, register + 2 * count)
         return self.words(register, count)
 
     def words(self, register: int, count: int) -> list[int]:
-        """Return registers of 2 bytes without a sign, as they are now."""
-        return [self._bytes[at] | self._bytes[at + 1] << 8 for at in range(register, register + 2 * count, 2)]
+        """Return unsigned registers of 2 bytes, without a call of `before_read`."""
+        return [self._bytes[i] | self._bytes[i + 1] << 8 for i in range(register, register + 2 * count, 2)]
 
     @property
     def motor_numbers(self) -> tuple[Sequence[int], Sequence[int], Sequence[int]]:
@@ -132,14 +135,15 @@ class Dspic:
         )
 
     def state(self) -> list[int]:
-        """Return the whole state."""
+        """Return the complete state."""
         return [*self.counts, *astuple(self._left), *astuple(self._right), *self._bytes]
 
     def set_state(self, state: Sequence[int]) -> None:
-        """Take over a state."""
+        """Restore a state."""
         count = len(astuple(self._left))
         motors = [state[first : first + count] for first in (2, 2 + count)]
-        (self._left, self._right), self.counts = (_motor(each) for each in motors), (state[0], state[1])
+        self._left, self._right = (_motor(numbers) for numbers in motors)
+        self.counts = state[0], state[1]
         self._bytes[:] = bytes(state[2 + 2 * count :])
 
     @property
@@ -155,28 +159,27 @@ class Dspic:
     def _settings(self) -> Settings:
         kp, ki, kd, *ramp = self._bytes[DspicRegister.KP : DspicRegister.LEAST_DECELERATING + 1]
         step, divider, accelerating, decelerating = ramp
-        margin, speed = (
-            self._signed(each, 2) for each in (DspicRegister.POSITION_MARGIN, DspicRegister.POSITION_SPEED)
-        )
+        margin = self._signed(DspicRegister.POSITION_MARGIN, 2)
+        speed = self._signed(DspicRegister.POSITION_SPEED, 2)
         return Settings(kp, ki, kd, step, divider, accelerating, decelerating, margin, speed)
 
     def _signed(self, register: int, size: int) -> int:
         return int.from_bytes(self._bytes[register : register + size], "little", signed=True)
 
-    def _tell(self) -> None:
+    def _update_registers(self) -> None:
         """Set the registers of the motors' state."""
-        left, right, places = self._left, self._right, self._bytes
-        places[DspicRegister.ON_TARGET] = left.is_on_target | right.is_on_target << 1
+        left, right, registers = self._left, self._right, self._bytes
+        registers[DspicRegister.ON_TARGET] = left.is_on_target | right.is_on_target << 1
         for first, size, values in (
             (DspicRegister.SPEED_LEFT, 2, (left.speed, right.speed)),
             (DspicRegister.POSITION_LEFT, 4, (left.position, right.position)),
         ):
             for side, value in enumerate(values):
-                at = first + side * size
-                places[at : at + size] = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little")
+                start = first + side * size
+                registers[start : start + size] = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little")
 
 
 def _motor(numbers: Sequence[int]) -> Motor:
     """Return a motor from the numbers of its state."""
-    position, speed, pwm, is_on_target, *rest = numbers
-    return Motor(position, speed, pwm, bool(is_on_target), *rest)
+    position, speed, pwm, is_on_target, *controller = numbers
+    return Motor(position, speed, pwm, bool(is_on_target), *controller)

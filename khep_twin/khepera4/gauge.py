@@ -1,7 +1,7 @@
 """Battery of the Khepera IV, two lithium polymer cells of 3400 mAh, and its gauge.
 
-The voltage falls in straight lines with the charge (assumed: as such cells do), whatever the load; the robot
-stops at 6.0 V (manual). On a battery that is not to run down the charge stays.
+The voltage is piecewise linear in the charge (assumed: typical of these cells) and independent of the load;
+the robot stops at 6.0 V (manual). The charge of a battery without a time of use stays constant.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ CAPACITY = 3.4 * 3600
 """Charge of a full battery [C] (manual)."""
 
 VOLTAGES = ((0.0, 6.0), (0.05, 6.9), (0.2, 7.3), (0.6, 7.6), (1.0, 8.2))
-"""Part of the charge that is left, and voltage [V]."""
+"""Remaining part of the charge, and voltage [V]."""
 
 CUT_OFF = 6.0
 """Voltage at which the robot stops [V] (manual)."""
@@ -22,8 +22,8 @@ CURRENT_TICKS, AVERAGE_TICKS = 350, 2800
 """Control periods over which the gauge takes its current, 3.5 s, and its average, 28 s (manual)."""
 
 _CURRENT_UNIT, _CHARGE_UNIT, _VOLTAGE_UNIT, _DEGREE_UNIT = 78.125e-6, 1.6e-3 * 3600, 9.76e-3, 0.003906
-"""Units of the registers [A, C, V, degree Celsius] (manual). The gauge has its voltage in the upper 11 bits,
-but the dsPIC gives it as a number: all public programs take it so."""
+"""Units of the registers [A, C, V, degree Celsius] (manual). The gauge has its voltage in the upper 11 bits;
+the dsPIC returns a plain number, as all public programs expect."""
 
 _DEGREES = 25.0
 """Temperature (assumed)."""
@@ -33,62 +33,61 @@ class Gauge:
     """Battery and gauge.
 
     Args:
-        used_min: Minutes that it has been used with the motors on, 300 of a whole charge; None for a full one
-            that does not run down.
+        used_min: Minutes of use with the motors on, of 300 for a full charge; None for a full battery that is
+            not discharged.
     """
 
     def __init__(self, used_min: float | None) -> None:
         self._runs_down = used_min is not None
-        self._used = CAPACITY * min((used_min or 0.0) / 300, 1)
-        self._drawn = self._ticks = 0.0
+        self._used_charge = CAPACITY * min((used_min or 0.0) / 300, 1)
+        self._current_sum = self._ticks = 0.0
         self._current = self._average = 0.0
 
     @property
     def voltage(self) -> float:
         """Present voltage [V]."""
-        left = self.left
-        for (low, at_low), (high, at_high) in pairwise(VOLTAGES):
-            if left <= high:
-                return at_low + (at_high - at_low) * (left - low) / (high - low)
+        level = self.level
+        for (low, low_v), (high, high_v) in pairwise(VOLTAGES):
+            if level <= high:
+                return low_v + (high_v - low_v) * (level - low) / (high - low)
         return VOLTAGES[-1][1]
 
     @property
-    def left(self) -> float:
-        """Part of the charge that is left."""
-        return 1 - self._used / CAPACITY
+    def level(self) -> float:
+        """Remaining part of the charge, 0 to 1."""
+        return 1 - self._used_charge / CAPACITY
 
     def tick(self, current: float) -> bool:
-        """Draw a current [A] for a control period; return True where the gauge has a new value."""
+        """Draw a current [A] for a control period; return whether the gauge has a new value."""
         if self._runs_down:
-            self._used = min(self._used + current * TICK_NS * 1e-9, CAPACITY)
-        self._drawn += current
+            self._used_charge = min(self._used_charge + current * TICK_NS * 1e-9, CAPACITY)
+        self._current_sum += current
         self._ticks += 1
         if self._ticks < CURRENT_TICKS:
             return False
-        self._current = self._drawn / self._ticks
+        self._current = self._current_sum / self._ticks
         self._average += (self._current - self._average) * CURRENT_TICKS / AVERAGE_TICKS
-        self._drawn = self._ticks = 0.0
+        self._current_sum = self._ticks = 0.0
         return True
 
     @property
     def block(self) -> bytes:
         """Registers of the gauge (12 bytes, little-endian)."""
-        left = self.left
         values = (
-            (round(left * CAPACITY / _CHARGE_UNIT), 2),
-            (round(100 * left), 1),
+            (round(self.level * CAPACITY / _CHARGE_UNIT), 2),
+            (round(100 * self.level), 1),
             (round(-self._current / _CURRENT_UNIT), 2),
             (round(-self._average / _CURRENT_UNIT), 2),
             (round(_DEGREES / _DEGREE_UNIT) & ~0x1F, 2),
             (round(self.voltage / _VOLTAGE_UNIT), 2),
         )
-        told = b"".join((value & (1 << 8 * size) - 1).to_bytes(size, "little") for value, size in values)
-        return b"\0" + told
+        registers = b"".join((value & (1 << 8 * size) - 1).to_bytes(size, "little") for value, size in values)
+        return b"\0" + registers
 
     def state(self) -> list[float]:
         """Return the state."""
-        return [self._used, self._drawn, self._ticks, self._current, self._average]
+        return [self._used_charge, self._current_sum, self._ticks, self._current, self._average]
 
     def set_state(self, state: Sequence[float]) -> None:
-        """Take over a state."""
-        self._used, self._drawn, self._ticks, self._current, self._average = state
+        """Restore a state."""
+        self._used_charge, self._current_sum, self._ticks, self._current, self._average = state

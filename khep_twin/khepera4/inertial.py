@@ -1,8 +1,9 @@
 """Accelerometer and gyroscope of the Khepera IV, at the centre of rotation, in packets of ten values.
 
-The accelerometer gives the mean of the last 10 ms of what is felt, in the robot's frame: with the velocity
-v, (v - v before) / 10 ms + g upwards, forward and left with their signs, and up with the other one, as at
-rest it reads minus 1 g (library). The gyroscope gives the present rate of turn; 95 values a second.
+The accelerometer measures the specific force (acceleration minus gravity), averaged over 10 ms, in the
+robot's frame: (v - previous v) / 10 ms + g upwards for the velocity v. Forward and left are positive; the
+vertical axis has the opposite sign, as it reads minus 1 g at rest (library). The gyroscope has the present
+rate of turn, 95 Hz.
 """
 
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ from khep_twin.sensing.noise import TABLES, draws
 from khep_twin.units import GRAVITY, TICK_NS
 
 COUNTS_PER_G = 16_384
-"""Scale of the accelerometer, of 12 bits that are shifted to the left by 4 (manual)."""
+"""Scale of the accelerometer: 12 bits, shifted left by 4 (manual)."""
 
 DEGREES_PER_COUNT = 0.066
 """Scale of the gyroscope [deg/s] (manual)."""
@@ -21,98 +22,101 @@ PACKET = 10
 
 _GYROSCOPE_NS = 1_000_000_000 // 95
 _ACCELERATION_NOISE, _RATE_NOISE = 26.0, 2.0
-"""Standard deviations [counts]: 0.22 mg and 0.03 deg/s per root of a Hz (data sheet of its kind, LSM330DLC)
+"""Standard deviations [counts]: 0.22 mg and 0.03 deg/s per root Hz (data sheet of a similar chip, LSM330DLC)
 over half of the rates."""
 
 _KEY = 0x85EBCA6B
-"""Word that tells their random draws from those of other sensors: any."""
+"""Arbitrary word that separates their random draws from those of other sensors."""
 
 _DEGREES = 57.29577951308232
-_WORD = 1 << 15
+_COUNTS_LIMIT = 1 << 15
 
 
 class Inertial:
     """Both sensors of one robot.
 
     Args:
-        key: Words of the key of its random draws.
-        is_noisy: Whether they have noise.
+        key: Words of the key of the robot's random draws.
+        is_noisy: Whether readings are noisy.
 
     Attributes:
-        accelerations: Packets of x, y and z that are to be read, the newest value first (3, 10) [counts].
-        rates: The same of the gyroscope.
+        accelerations: Last complete packets of x, y and z, the newest value first (3, 10) [counts].
+        rates: Those of the gyroscope.
     """
 
     def __init__(self, key: Sequence[int], is_noisy: bool) -> None:
-        self._key, self._tables = [key[0] ^ _KEY, key[1]], TABLES[is_noisy]
-        self.accelerations, self.rates = _packets(), _packets()
-        self._filling = [_packets(0), _packets(0)]
+        self._key = [key[0] ^ _KEY, key[1]]
+        self._tables = TABLES[is_noisy]
+        self.accelerations, self.rates = _make_packets(), _make_packets()
+        self._partial = [_make_packets(0), _make_packets(0)]
         self._velocity: list[float] = [0.0, 0.0, 0.0]
-        self._rates = 0
+        self._n_rates = 0
 
     def tick(
-        self, time_ns: int, turn: Sequence[float], velocity: Sequence[float], rate: Sequence[float]
+        self, time_ns: int, rotation: Sequence[float], velocity: Sequence[float], rate: Sequence[float]
     ) -> None:
-        """Take the values of a control period.
+        """Measure in a control period.
 
         Args:
             time_ns: Time [ns].
-            turn: Orientation of the robot, rows of a matrix (9,).
-            velocity: Its velocity in the world's frame (3,) [m/s].
-            rate: Its rate of turn in its own frame (3,) [rad/s].
+            rotation: Orientation of the robot, rows of a matrix (9,).
+            velocity: Its velocity in the world frame (3,) [m/s].
+            rate: Its rate of turn in the robot's frame (3,) [rad/s].
         """
-        felt = [(now - then) / (TICK_NS * 1e-9) for now, then in zip(velocity, self._velocity, strict=True)]
+        force = [(new - old) / (TICK_NS * 1e-9) for new, old in zip(velocity, self._velocity, strict=True)]
         self._velocity = list(velocity)
-        felt[2] += GRAVITY
-        own = [sum(turn[3 * row + axis] * felt[row] for row in range(3)) / GRAVITY for axis in range(3)]
-        own[2] = -own[2]
-        scaled = [each * COUNTS_PER_G for each in own]
-        counts = self._noisy(time_ns, 0, scaled, _ACCELERATION_NOISE)
-        self.accelerations = self._put(0, [each >> 4 << 4 for each in counts], self.accelerations)
-        if time_ns // _GYROSCOPE_NS > self._rates:
-            self._rates = time_ns // _GYROSCOPE_NS
-            scaled = [each * _DEGREES / DEGREES_PER_COUNT for each in rate]
-            self.rates = self._put(1, self._noisy(time_ns, 2, scaled, _RATE_NOISE), self.rates)
+        force[2] += GRAVITY
+        local = [
+            sum(rotation[3 * row + axis] * force[row] for row in range(3)) / GRAVITY for axis in range(3)
+        ]
+        local[2] = -local[2]
+        scaled = [axis_force * COUNTS_PER_G for axis_force in local]
+        counts = self._add_noise(time_ns, 0, scaled, _ACCELERATION_NOISE)
+        self.accelerations = self._add_to_packet(0, [count >> 4 << 4 for count in counts], self.accelerations)
+        if time_ns // _GYROSCOPE_NS > self._n_rates:
+            self._n_rates = time_ns // _GYROSCOPE_NS
+            scaled = [axis_rate * _DEGREES / DEGREES_PER_COUNT for axis_rate in rate]
+            self.rates = self._add_to_packet(1, self._add_noise(time_ns, 2, scaled, _RATE_NOISE), self.rates)
 
     def rest(self) -> None:
-        """Begin at rest."""
+        """Set the velocity to zero."""
         self._velocity = [0.0, 0.0, 0.0]
 
     def state(self) -> tuple[list[int], list[float]]:
         """Return the state as integers and as floats."""
-        packets = (*self.accelerations, *self.rates)
-        filling = [len(self._filling[0][0]), len(self._filling[1][0])]
-        rest = [each for kind in self._filling for axis in kind for each in axis]
-        return [self._rates, *(each for axis in packets for each in axis), *filling, *rest], self._velocity
+        packets = [value for axis in (*self.accelerations, *self.rates) for value in axis]
+        lengths = [len(self._partial[0][0]), len(self._partial[1][0])]
+        partial = [value for kind in self._partial for axis in kind for value in axis]
+        return [self._n_rates, *packets, *lengths, *partial], self._velocity
 
     def set_state(self, integers: Sequence[int], floats: Sequence[float]) -> None:
-        """Take over a state."""
-        left = iter(integers)
-        self._rates, self._velocity = next(left), list(floats)
-        packets = [[next(left) for _ in range(PACKET)] for _ in range(6)]
+        """Restore a state."""
+        numbers = iter(integers)
+        self._n_rates, self._velocity = next(numbers), list(floats)
+        packets = [[next(numbers) for _ in range(PACKET)] for _ in range(6)]
         self.accelerations, self.rates = packets[:3], packets[3:]
-        filling = [next(left), next(left)]
-        self._filling = [[[next(left) for _ in range(count)] for _ in range(3)] for count in filling]
+        lengths = [next(numbers), next(numbers)]
+        self._partial = [[[next(numbers) for _ in range(count)] for _ in range(3)] for count in lengths]
 
-    def _noisy(self, time_ns: int, first: int, values: Sequence[float], noise: float) -> list[int]:
+    def _add_noise(self, time_ns: int, first: int, values: Sequence[float], noise: float) -> list[int]:
         """Return values with noise, rounded, and clipped to 16 bits."""
         number = 4 * (time_ns // TICK_NS) + first
-        random = (*draws(self._tables, self._key, number)[:2], draws(self._tables, self._key, number + 1)[0])
+        normal = (*draws(self._tables, self._key, number)[:2], draws(self._tables, self._key, number + 1)[0])
         return [
-            min(max(round(value + noise * each), -_WORD), _WORD - 1)
-            for value, each in zip(values, random, strict=True)
+            min(max(round(value + noise * draw), -_COUNTS_LIMIT), _COUNTS_LIMIT - 1)
+            for value, draw in zip(values, normal, strict=True)
         ]
 
-    def _put(self, kind: int, values: Sequence[int], packets: list[list[int]]) -> list[list[int]]:
-        """Add values to the packet that fills up; return the packet that is to be read."""
-        filling = self._filling[kind]
-        for axis, value in zip(filling, values, strict=True):
+    def _add_to_packet(self, kind: int, values: Sequence[int], packets: list[list[int]]) -> list[list[int]]:
+        """Add values to the incomplete packet; return the last complete one."""
+        partial = self._partial[kind]
+        for axis, value in zip(partial, values, strict=True):
             axis.insert(0, value)
-        if len(filling[0]) < PACKET:
+        if len(partial[0]) < PACKET:
             return packets
-        self._filling[kind] = _packets(0)
-        return filling
+        self._partial[kind] = _make_packets(0)
+        return partial
 
 
-def _packets(count: int = PACKET) -> list[list[int]]:
+def _make_packets(count: int = PACKET) -> list[list[int]]:
     return [[0] * count for _ in range(3)]

@@ -1,4 +1,4 @@
-"""A Khepera IV as its programs see it: the bus of its dsPIC, its pins, and its time."""
+"""Interface of a Khepera IV to its programs: the I2C bus of its dsPIC, its pins, and its time."""
 
 import errno
 from collections.abc import Sequence
@@ -8,17 +8,17 @@ from khep_twin.khepera4.dspic import Dspic
 from khep_twin.khepera4.registers import ADDRESS
 
 BYTE_NS = 25_000
-"""Simulated time of a byte on the bus [ns], 9 bits at 400 kHz and what is between (assumed)."""
+"""Simulated time of a byte on the bus [ns], 9 bits at 400 kHz and a pause (assumed)."""
 
 RESET_PIN, CHARGER_PIN = 90, 65
-"""Pins: the dsPIC is held in reset while it is 0; 0 while the charger is plugged in (library)."""
+"""Pins: 0 holds the dsPIC in reset; 0 while the charger is plugged in (library)."""
 
 READS = 1
-"""Flag of a message that reads."""
+"""Flag of a read message."""
 
 
 class MachineTime(Protocol):
-    """Time of a machine, such as a `World`."""
+    """Time of a machine, for example a `World`."""
 
     time_ns: int
 
@@ -28,7 +28,7 @@ class MachineTime(Protocol):
 
 
 class Machine:
-    """A Khepera IV as its programs see it.
+    """A Khepera IV, as its programs see it.
 
     Args:
         dspic: Its microcontroller.
@@ -36,8 +36,10 @@ class Machine:
     """
 
     def __init__(self, dspic: Dspic, clock: MachineTime) -> None:
-        self._dspic, self._clock = dspic, clock
-        self._pins, self._register = {CHARGER_PIN: 1, RESET_PIN: 1}, 0
+        self._dspic = dspic
+        self._clock = clock
+        self._pins = {CHARGER_PIN: 1, RESET_PIN: 1}
+        self._register = 0
 
     @property
     def time_ns(self) -> int:
@@ -45,38 +47,38 @@ class Machine:
         return self._clock.time_ns
 
     def advance_to(self, time_ns: int) -> None:
-        """Advance to a time [ns], unless it has passed."""
+        """Advance to a time [ns]; do nothing if it has passed."""
         if time_ns > self._clock.time_ns:
             self._clock.advance_to(time_ns)
 
     def transfer(self, messages: Sequence[tuple[int, int, bytes]], byte_ns: int = BYTE_NS) -> bytes:
-        """Run messages on the bus; return the content of those that read.
+        """Run messages on the bus; return the content of the read messages.
 
         Args:
-            messages: Address, flags, and content of each, of which a reading message has only the length.
-            byte_ns: Time that passes for a byte [ns].
+            messages: Address, flags and content of each; of a read message only the length counts.
+            byte_ns: Simulated time of a byte [ns].
 
         Raises:
             OSError: No device has the address.
         """
-        found = b""
+        reply = b""
         for address, flags, content in messages:
             if address != ADDRESS or not (self._pins[RESET_PIN] and self._dspic.is_powered):
                 raise OSError(errno.ENXIO, "no device has answered")
             self.advance_to(self.time_ns + (len(content) + 1) * byte_ns)
             if flags & READS:
-                found += self._dspic.read(self._register, len(content))
+                reply += self._dspic.read(self._register, len(content))
             elif content:
                 self._register = content[0]
                 self._dspic.write(content)
-        return found
+        return reply
 
     def set_pin(self, pin: int, level: int) -> None:
-        """Set an output; the dsPIC is reset, and stands still, as long as its pin is 0."""
+        """Set an output; 0 at `RESET_PIN` resets the dsPIC and holds it."""
         if pin == RESET_PIN and not level:
             self._dspic.reset()
         self._pins[pin] = int(bool(level))
 
     def pin(self, pin: int) -> int:
-        """Return the level of a pin; that of one without a connection is 0 (assumed)."""
+        """Return the level of a pin, 0 for an unconnected pin (assumed)."""
         return self._pins.get(pin, 0)

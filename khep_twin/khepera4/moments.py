@@ -1,7 +1,7 @@
-"""Moments of a world that sensors measured at, computed when a program or a log asks for what they read.
+"""Lazy sensor readings: a moment is recorded at each measurement, and evaluated when a reading is requested.
 
-The robot measures all the time, its programs read now and then. A reading follows from the moment of its
-measurement alone, so it does not matter when it is computed, or whether at all.
+The robot measures continuously, its programs and logs read seldom. A reading depends only on the recorded
+moment, not on the time of its evaluation.
 """
 
 from collections.abc import Sequence
@@ -16,12 +16,12 @@ from khep_twin.sensing.mujoco_scene import MujocoScene
 
 
 class Moment(NamedTuple):
-    """Moment of a world.
+    """Configuration of a world at one time.
 
     Attributes:
         time_ns: Time [ns].
         qpos: Positions of all joints.
-        light: Lamps.
+        light: Light of the lamps.
         powers: Powers of the lamps [W].
     """
 
@@ -32,7 +32,7 @@ class Moment(NamedTuple):
 
 
 class PastScene:
-    """Scene of a world at a moment.
+    """Copy of a scene that shows a recorded moment.
 
     Args:
         model: Model of the scene.
@@ -40,16 +40,17 @@ class PastScene:
     Attributes:
         model: Model of the scene.
         data: State of the scene, of which only positions are set.
-        scene: The same for the infrared sensors.
+        mujoco_scene: Its interface to the infrared sensors.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        self.model, self.data = model, mujoco.MjData(model)
-        self.scene = MujocoScene(model, self.data)
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self.mujoco_scene = MujocoScene(model, self.data)
         self._qpos: NDArray[np.float64] | None = None
 
     def move_to(self, moment: Moment) -> None:
-        """Show a moment."""
+        """Set the scene to a moment."""
         if moment.qpos is not self._qpos:
             self.data.qpos[:] = moment.qpos
             self._qpos = moment.qpos

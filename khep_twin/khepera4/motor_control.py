@@ -16,22 +16,22 @@ PWM_LIMIT = 2940
 """Full PWM (manual)."""
 
 GAIN_SCALE = 8
-"""Divisor of the gains: a step response tells only the speed per PWM over it (assumed)."""
+"""Divisor of the gains (assumed: step responses determine only its ratio to the speed per PWM)."""
 
 HOLD_TICKS = 6
-"""Control periods for which a ramp stays at its least speed, 60 ms (manual, figure of the profile)."""
+"""Control periods for which a ramp holds its minimum speed, 60 ms (manual, figure of the profile)."""
 
 LEAD_TICKS = 1
 """Control periods by which a move brakes early (assumed: with it the manual's move of 70,000 pulses in 3.05 s
 takes 3.01 s and ends within 10 pulses; with 2 it takes 3.24 s)."""
 
-_LOST = 10
-"""Margins from a reached target at which it is lost (assumed)."""
+_LOST_MARGINS = 10
+"""Distance from a reached target at which it counts as lost, in margins (assumed)."""
 
 
 @dataclass(slots=True)
 class Settings:
-    """Settings of both motors: registers of the same names."""
+    """Settings of both motors, named as the registers."""
 
     kp: int
     ki: int
@@ -52,9 +52,9 @@ class Motor:
         position: Position of its wheel [pulses].
         speed: Speed in the last control period [pulses/10 ms].
         pwm: PWM, -PWM_LIMIT to PWM_LIMIT.
-        is_on_target: Whether its last move has ended.
+        is_on_target: Whether its last move is complete.
         ramp: Present speed order of a ramp [pulses/10 ms].
-        waits: Control periods until the ramp changes.
+        wait: Control periods until the next change of the ramp.
         error: Last error of the controller [pulses/10 ms].
         error_sum: Sum of the errors.
     """
@@ -64,13 +64,13 @@ class Motor:
     pwm: int = 0
     is_on_target: bool = False
     ramp: int = 0
-    waits: int = 0
+    wait: int = 0
     error: int = 0
     error_sum: int = 0
 
     def stop(self) -> None:
-        """Forget what the controller knows, and give no voltage."""
-        self.pwm = self.ramp = self.waits = self.error = self.error_sum = 0
+        """Reset the controller, and set the PWM to 0."""
+        self.pwm = self.ramp = self.wait = self.error = self.error_sum = 0
 
     def tick(self, settings: Settings, control: Control, order: int) -> None:
         """Run one control period.
@@ -94,46 +94,49 @@ class Motor:
             self.stop()
 
     def _regulate(self, settings: Settings, order: int) -> None:
-        """Set the PWM for a speed; the sum of errors grows only as far as it can act."""
+        """Set the PWM for a speed; the sum of errors is limited to full PWM (anti-windup)."""
         error = order - self.speed
         if settings.ki:
             self.error_sum = clip(self.error_sum + error, PWM_LIMIT * GAIN_SCALE // settings.ki)
         drive = settings.kp * error + settings.ki * self.error_sum + settings.kd * (error - self.error)
-        self.error, self.pwm = error, clip(divide(drive, GAIN_SCALE), PWM_LIMIT)
+        self.error = error
+        self.pwm = clip(divide(drive, GAIN_SCALE), PWM_LIMIT)
 
     def _ramp_to(self, settings: Settings, order: int) -> None:
-        """Change the ramp's speed by one step towards an order, where its turn has come.
+        """Change the ramp's speed by one step towards an order, unless it waits.
 
-        A ramp from rest begins at the least speed, and one towards rest ends there; both stay there a while.
+        A ramp from rest starts at the minimum speed, a ramp to rest ends there, and both hold it for
+        HOLD_TICKS.
         """
-        if self.waits:
-            self.waits -= 1
+        if self.wait:
+            self.wait -= 1
             return
-        least, turns = settings.least_accelerating, self.ramp * order <= 0
+        min_speed = settings.least_accelerating
+        reverses = self.ramp * order <= 0
         if self.ramp == 0:
-            self.ramp = clip(order, least)
-            self.waits = HOLD_TICKS if order else 0
-        elif turns and abs(self.ramp) <= least:
+            self.ramp = clip(order, min_speed)
+            self.wait = HOLD_TICKS if order else 0
+        elif reverses and abs(self.ramp) <= min_speed:
             self.ramp = 0
         else:
-            goal = (least if self.ramp > 0 else -least) if turns else order
-            self.ramp += clip(goal - self.ramp, max(settings.acceleration, 1))
-            self.waits = HOLD_TICKS if turns and self.ramp == goal else settings.acceleration_divider
+            target = (min_speed if self.ramp > 0 else -min_speed) if reverses else order
+            self.ramp += clip(target - self.ramp, max(settings.acceleration, 1))
+            self.wait = HOLD_TICKS if reverses and self.ramp == target else settings.acceleration_divider
 
     def _approach(self, settings: Settings, distance: int) -> None:
-        """Drive a trapezoid of speed towards a target at a distance [pulses], and rest there."""
+        """Follow a trapezoidal speed profile to a target at a distance [pulses], and stop there."""
         margin = settings.position_margin
-        self.is_on_target = abs(distance) <= (_LOST if self.is_on_target else 1) * margin
+        self.is_on_target = abs(distance) <= (_LOST_MARGINS if self.is_on_target else 1) * margin
         if self.is_on_target:
             self.stop()
             return
         step, period = max(settings.acceleration, 1), settings.acceleration_divider + 1
         # A ramp down from a speed v takes v (v + a) / (2 a) times its period.
-        left = max(abs(distance) - LEAD_TICKS * abs(self.speed), 0)
-        braking = (math.isqrt(step * step + 8 * step * left // period) - step) // 2
-        ahead = self.ramp if distance > 0 else -self.ramp
-        faster = max(ahead + (0 if self.waits else step), settings.least_accelerating)
-        self.waits = self.waits - 1 if self.waits else period - 1
-        speed = max(min(faster, braking, settings.position_speed), settings.least_decelerating)
+        remaining = max(abs(distance) - LEAD_TICKS * abs(self.speed), 0)
+        braking_speed = (math.isqrt(step * step + 8 * step * remaining // period) - step) // 2
+        approach_speed = self.ramp if distance > 0 else -self.ramp
+        next_speed = max(approach_speed + (0 if self.wait else step), settings.least_accelerating)
+        self.wait = self.wait - 1 if self.wait else period - 1
+        speed = max(min(next_speed, braking_speed, settings.position_speed), settings.least_decelerating)
         self.ramp = speed if distance > 0 else -speed
         self._regulate(settings, self.ramp)

@@ -5,8 +5,8 @@
     (code,) = run_programs([program])
 
 The program is a native build of the unmodified source. A preload library (`assets/khepera4/shim*.c`),
-compiled once by the user's C compiler, answers the robot's device nodes and, with a simulated clock, what
-asks for the time or waits.
+compiled once by the user's C compiler and loaded before the C library, answers the robot's device nodes and,
+with a simulated clock, the functions that return the time or wait.
 """
 
 import contextlib
@@ -25,24 +25,24 @@ from types import FrameType
 from typing import NamedTuple
 
 from khep_twin.errors import KhepTwinError
-from khep_twin.khepera4.device_server import NEVER_NS, DeviceServer
+from khep_twin.khepera4.device_server import DeviceServer
 from khep_twin.khepera4.machine import Machine
+from khep_twin.khepera4.scheduler import NEVER_NS
 
 COMPILERS = "cc", "gcc", "clang"
-"""C compilers, of which the first one that is there is used; CC in the environment names another."""
+"""C compilers; the first that is installed is used. CC in the environment names another."""
 
 SOURCES = Path(__file__).parents[1] / "assets" / "khepera4"
 """Folder of the preload library."""
 
-
 CONFIGURATION = "section Khepera4\ndevice dsPic i2c 0x30\n"
-"""The robot's `/etc/libkhepera/khepera4.knc`, without which the library finds no dsPIC."""
+"""The robot's `/etc/libkhepera/khepera4.knc`, by which K-Team's library finds the dsPIC."""
 
-LAST_S = 2.0
-"""Time that programs have to end by themselves after SIGTERM, simulated or of the wall clock [s]."""
+TERMINATE_S = 2.0
+"""Time from SIGTERM to SIGKILL for programs, simulated or of the wall clock [s]."""
 
-CHILDREN_S = 0.3
-"""Time of the wall clock in which children that have lost their twin end, before they are killed [s]."""
+ORPHANS_S = 0.3
+"""Time of the wall clock until children without a twin are killed [s]; most end on their own."""
 
 
 class RobotProgram(NamedTuple):
@@ -62,66 +62,69 @@ class RobotProgram(NamedTuple):
 def run_programs(
     programs: Sequence[RobotProgram], *, simulated: bool = True, until_ns: int | None = None
 ) -> list[int]:
-    """Run a program on each of some machines; return their exit codes.
+    """Run programs, each on its machine; return their exit codes.
 
-    A code is below 0 for the number of a signal that ended a program. SIGINT, which a terminal sends to the
-    programs as well, is left to them; SIGTERM is passed on. A program that ends leaves the others running.
+    The code of a program that was killed by a signal is minus the signal's number. SIGINT is ignored here, as
+    a terminal also sends it to the programs; SIGTERM is forwarded. A program that ends leaves the others
+    running.
 
     Args:
         programs: Programs, on machines that share one time.
-        simulated: Whether their time is simulated; else it is that of this computer.
-        until_ns: Time at which those that still run get SIGTERM, and after LAST_S are killed [ns].
+        simulated: Whether their time is simulated; otherwise it is the time of this computer.
+        until_ns: Time at which running programs get SIGTERM, and SIGKILL `TERMINATE_S` later [ns].
 
     Raises:
         KhepTwinError: A program cannot be started, or there is no C compiler.
     """
     libraries = [_library_for(program.arguments[0]) for program in programs]
     # The loader splits its list of libraries at spaces and colons, and sockets have short paths.
-    place = tempfile.gettempdir()
-    place = "/tmp" if len(place) > 60 or set(place) & set(" :") else place
+    parent = tempfile.gettempdir()
+    parent = "/tmp" if len(parent) > 60 or set(parent) & set(" :") else parent
     with (
-        tempfile.TemporaryDirectory(prefix="khep-twin-", dir=place) as folder,
+        tempfile.TemporaryDirectory(prefix="khep-twin-", dir=parent) as folder,
         contextlib.ExitStack() as stack,
     ):
-        begun = time.monotonic_ns()
         paths = [Path(folder, f"devices{index}") for index in range(len(programs))]
         machines = [program.machine for program in programs]
-        first_ns = machines[0].time_ns
-        clock = None if simulated else lambda: first_ns + time.monotonic_ns() - begun
+        offset_ns = machines[0].time_ns - time.monotonic_ns()
+        clock = None if simulated else lambda: time.monotonic_ns() + offset_ns
         server = stack.enter_context(contextlib.closing(DeviceServer(machines, paths, clock)))
         if simulated:
             stack.enter_context(_one_processor())
-        started: list[subprocess.Popen[bytes]] = []
-        stack.callback(_kill, started)
+        processes: list[subprocess.Popen[bytes]] = []
+        stack.callback(_kill, processes)
         for program, library, path in zip(programs, libraries, paths, strict=True):
-            linked = path.with_suffix(".so")
-            linked.symlink_to(library)
+            link = path.with_suffix(".so")
+            link.symlink_to(library)
             environment = {
-                "LD_PRELOAD": ":".join(filter(None, (str(linked), os.environ.get("LD_PRELOAD")))),
+                "LD_PRELOAD": ":".join(filter(None, (str(link), os.environ.get("LD_PRELOAD")))),
                 "KHEP_TWIN_SOCKET": str(path),
                 "KHEP_TWIN_CLOCK": "simulated" if simulated else "real",
-                "KHEP_TWIN_ETC": str(_files(path.with_suffix(".etc"), program.robot_id)),
+                "KHEP_TWIN_ETC": str(_write_configuration(path.with_suffix(".etc"), program.robot_id)),
             }
             try:
-                started.append(subprocess.Popen([*program.arguments], env=os.environ | environment))
+                processes.append(subprocess.Popen([*program.arguments], env=os.environ | environment))
             except OSError as error:
                 raise KhepTwinError(f"{program.arguments[0]}: cannot be started: {error.strerror}") from error
-        stack.enter_context(_signals_of(started))
-        numbers = [process.pid for process in started]
+        stack.enter_context(_forward_signals(processes))
+        ids = [process.pid for process in processes]
         end_ns = NEVER_NS if until_ns is None else until_ns
-        there = server.serve(numbers, lambda: _are_over(started), end_ns)
-        if any(process.poll() is None for process in started):
-            _terminate(started)
-            last, last_ns = time.monotonic() + LAST_S, machines[0].time_ns + round(LAST_S * 1e9)
-            there |= server.serve(numbers, lambda: _are_over(started) or time.monotonic() > last, last_ns)
-        _kill(started)
+        live_ids = server.serve(ids, lambda: _have_ended(processes), end_ns)
+        if any(process.poll() is None for process in processes):
+            _terminate(processes)
+            deadline = time.monotonic() + TERMINATE_S
+            end_ns = machines[0].time_ns + round(TERMINATE_S * 1e9)
+            live_ids |= server.serve(
+                ids, lambda: _have_ended(processes) or time.monotonic() > deadline, end_ns
+            )
+        _kill(processes)
         server.close()
-        _kill_others(there - {*numbers})
-    return [process.returncode for process in started]
+        _kill_orphans(live_ids - {*ids})
+    return [process.returncode for process in processes]
 
 
 def _library_for(program: str) -> Path:
-    """Return the preload library that a program can load."""
+    """Return the preload library for a program's word size."""
     if bits(program) == 64:
         return library()
     try:
@@ -130,38 +133,36 @@ def _library_for(program: str) -> Path:
         raise KhepTwinError(f"{program}: a program of 32 bits, and {error}") from error
 
 
-def _are_over(started: Sequence["subprocess.Popen[bytes]"]) -> bool:
+def _have_ended(processes: Sequence["subprocess.Popen[bytes]"]) -> bool:
     """Return whether all programs have ended."""
-    return all([process.poll() is not None for process in started])
+    return all([process.poll() is not None for process in processes])
 
 
-def _terminate(started: Sequence["subprocess.Popen[bytes]"]) -> None:
-    for process in started:
-        if process.poll() is None:
-            process.terminate()
+def _terminate(processes: Sequence["subprocess.Popen[bytes]"]) -> None:
+    for process in processes:
+        process.terminate()  # without effect after its end
 
 
-def _kill(started: Sequence["subprocess.Popen[bytes]"]) -> None:
-    for process in started:
-        if process.poll() is None:
-            process.kill()
+def _kill(processes: Sequence["subprocess.Popen[bytes]"]) -> None:
+    for process in processes:
+        process.kill()
         process.wait()
 
 
-def _kill_others(processes: set[int]) -> None:
-    """Kill processes that programs have left behind, after a while in which they end by themselves."""
+def _kill_orphans(process_ids: set[int]) -> None:
+    """Kill processes that programs have left behind, unless they end within `ORPHANS_S`."""
     assert sys.platform == "linux"
-    last = time.monotonic() + CHILDREN_S
-    while processes and time.monotonic() < last:
+    deadline = time.monotonic() + ORPHANS_S
+    while process_ids and time.monotonic() < deadline:
         time.sleep(0.01)
-        processes = {each for each in processes if Path(f"/proc/{each}").exists()}
-    for each in processes:
+        process_ids = {process_id for process_id in process_ids if Path(f"/proc/{process_id}").exists()}
+    for orphan in process_ids:
         with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.kill(each, signal.SIGKILL)
+            os.kill(orphan, signal.SIGKILL)
 
 
 def bits(program: str) -> int:
-    """Return for how many bits a program was compiled, 64 where that is not to be found out."""
+    """Return the word size of a program [bits], 64 if it is unknown."""
     for _ in range(5):  # a script, its interpreter's script and so on
         try:
             with open(shutil.which(program) or program, "rb") as file:
@@ -179,21 +180,21 @@ def bits(program: str) -> int:
 
 @contextlib.contextmanager
 def _one_processor() -> Generator[None, None, None]:
-    """Keep this thread and what it starts on one processor: they take turns, and going to another is slow."""
+    """Keep this thread and its programs on one processor: they run in turn, and migration is slow."""
     assert sys.platform == "linux"
-    before = os.sched_getaffinity(0)
-    with contextlib.suppress(OSError):  # where that is not allowed, it is slower
-        here = Path("/proc/thread-self/stat").read_text().rpartition(")")[2].split()[36]
-        os.sched_setaffinity(0, {int(here)})
+    affinity = os.sched_getaffinity(0)
+    with contextlib.suppress(OSError):  # not allowed everywhere, and only faster
+        processor = Path("/proc/thread-self/stat").read_text().rpartition(")")[2].split()[36]
+        os.sched_setaffinity(0, {int(processor)})
     try:
         yield
     finally:
         with contextlib.suppress(OSError):
-            os.sched_setaffinity(0, before)
+            os.sched_setaffinity(0, affinity)
 
 
-def _files(folder: Path, robot_id: int) -> Path:
-    """Write what programs look for in the robot's /etc; return the folder."""
+def _write_configuration(folder: Path, robot_id: int) -> Path:
+    """Write the files of the robot's /etc that programs read; return the folder."""
     for name in ("khepera", "libkhepera"):
         (folder / name).mkdir(parents=True)
     (folder / "khepera" / "robotid").write_text(f"{robot_id}\n")
@@ -202,29 +203,29 @@ def _files(folder: Path, robot_id: int) -> Path:
 
 
 @contextlib.contextmanager
-def _signals_of(started: Sequence["subprocess.Popen[bytes]"]) -> Generator[None, None, None]:
-    """Leave the signals that end this process to others meanwhile."""
+def _forward_signals(processes: Sequence["subprocess.Popen[bytes]"]) -> Generator[None, None, None]:
+    """Ignore SIGINT and forward SIGTERM to the programs."""
 
-    def pass_on(number: int, frame: FrameType | None) -> None:
+    def forward(number: int, frame: FrameType | None) -> None:
         if number == signal.SIGTERM:
-            _terminate(started)
+            _terminate(processes)
 
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = [(number, signal.signal(number, pass_on)) for number in (signal.SIGINT, signal.SIGTERM)]
+    handlers = [(number, signal.signal(number, forward)) for number in (signal.SIGINT, signal.SIGTERM)]
     try:
         yield
     finally:
-        for number, handler in before:
+        for number, handler in handlers:
             signal.signal(number, handler)
 
 
 def library(bits: int = 64) -> Path:
-    """Return the preload library, compiled in the user's cache unless it is there.
+    """Return the preload library, compiled into the user's cache if it is missing.
 
     Args:
-        bits: 32 or 64, as the program has.
+        bits: Word size of the program, 32 or 64.
 
     Raises:
         KhepTwinError: This is not Linux, there is no C compiler, or it fails.
@@ -234,36 +235,36 @@ def library(bits: int = 64) -> Path:
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "khep_twin"
     sources = sorted(SOURCES.glob("shim*"))
     content = b"".join(source.read_bytes() for source in sources)
-    made = cache / f"khepera4-{bits}-{hashlib.sha256(content).hexdigest()[:14]}.so"
-    if made.exists():
-        return made
-    named = os.environ.get("CC")
-    compiler = named or next(filter(None, map(shutil.which, COMPILERS)), None)
+    library_path = cache / f"khepera4-{bits}-{hashlib.sha256(content).hexdigest()[:14]}.so"
+    if library_path.exists():
+        return library_path
+    chosen_compiler = os.environ.get("CC")
+    compiler = chosen_compiler or next(filter(None, map(shutil.which, COMPILERS)), None)
     if compiler is None:
         raise KhepTwinError("no C compiler is installed; expected cc, gcc or clang (Debian: apt install gcc)")
     try:
         cache.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=cache) as folder:
-            part = Path(folder, made.name)
-            named_c = [str(source) for source in sources if source.suffix == ".c"]
+            temporary_path = Path(folder, library_path.name)
+            c_files = [str(source) for source in sources if source.suffix == ".c"]
             flags = ["-O2", "-shared", "-fPIC", "-U_FORTIFY_SOURCE", *(["-m32"] if bits == 32 else [])]
-            done = subprocess.run(
-                [*compiler.split(), *flags, "-o", str(part), *named_c, "-ldl", "-lpthread"],
+            compilation = subprocess.run(
+                [*compiler.split(), *flags, "-o", str(temporary_path), *c_files, "-ldl", "-lpthread"],
                 capture_output=True,
                 text=True,
             )
-            if done.returncode and bits == 32:
+            if compilation.returncode and bits == 32:
                 raise KhepTwinError(
                     f"{compiler} cannot compile for 32 bits; "
                     "expected gcc-multilib (Debian: apt install gcc-multilib)"
                 )
-            if done.returncode:
-                first = (done.stderr.strip().splitlines() or ["it said nothing"])[0]
-                raise KhepTwinError(f"{compiler}: cannot compile the preload library: {first}")
-            os.replace(part, made)
+            if compilation.returncode:
+                message = (compilation.stderr.strip().splitlines() or ["no message"])[0]
+                raise KhepTwinError(f"{compiler}: cannot compile the preload library: {message}")
+            os.replace(temporary_path, library_path)
     except OSError as error:
         raise KhepTwinError(
             f"{error.filename or compiler}: {error.strerror}; expected a C compiler, and a cache "
             "folder that can be written (XDG_CACHE_HOME)"
         ) from error
-    return made
+    return library_path

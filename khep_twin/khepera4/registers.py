@@ -6,7 +6,7 @@ ADDRESS = 0x30
 """Address on the I2C bus."""
 
 N_BYTES = 256
-"""Bytes of the map; what no register has is 0 (assumed)."""
+"""Bytes of the map; unused bytes are 0 (assumed)."""
 
 
 class DspicRegister(IntEnum):
@@ -20,7 +20,7 @@ class DspicRegister(IntEnum):
     KD = 0x0D
     ACCELERATION = 0x0E  # [pulses/10 ms] for each `ACCELERATION_DIVIDER` + 1 control periods
     ACCELERATION_DIVIDER = 0x0F
-    LEAST_ACCELERATING = 0x10  # speed at which a ramp up begins [pulses/10 ms]
+    LEAST_ACCELERATING = 0x10  # speed at which a ramp up starts [pulses/10 ms]
     LEAST_DECELERATING = 0x11  # speed at which a ramp down ends [pulses/10 ms]
     POSITION_MARGIN = 0x12  # distance from a target at which it is reached [pulses]
     POSITION_SPEED = 0x14  # speed of a move to a target [pulses/10 ms]
@@ -43,7 +43,7 @@ class DspicRegister(IntEnum):
     ULTRASONIC_ENABLED = 0x7A  # bit 0 left to bit 4 right
     ACCELEROMETER = 0x80  # x, y, z, 10 values of 2 bytes each, newest first
     GYROSCOPE = 0xC0  # the same
-    BATTERY = 0xFD  # 12 bytes, which run on behind the map
+    BATTERY = 0xFD  # 12 bytes, which continue after the map
 
 
 class Control(IntEnum):
@@ -57,17 +57,17 @@ class Control(IntEnum):
 
 
 WRITABLE = range(DspicRegister.STATUS_LED, DspicRegister.SPEED_LEFT)
-"""Bytes that a write changes, beside the mask of the ultrasonic sensors; others stay (assumed)."""
+"""Bytes that a write changes, besides the mask of the ultrasonic sensors; others are read-only (assumed)."""
 
 BATTERY_BYTES = 12
 """Length of the block of the battery gauge."""
 
-AT_RESET = {
+RESET_VALUES = {
     DspicRegister.REVISION: bytes([0x10]),  # revision B, 0 (assumed)
-    DspicRegister.KP: bytes([10, 5, 1]),  # gains, as the manual's programs set them
+    DspicRegister.KP: bytes([10, 5, 1]),  # gains of the manual's programs
     DspicRegister.ACCELERATION: bytes([3, 0, 20, 1]),
     DspicRegister.POSITION_MARGIN: (10).to_bytes(2, "little"),
     DspicRegister.POSITION_SPEED: (400).to_bytes(2, "little"),
     DspicRegister.ULTRASONIC_ENABLED: bytes([0b11111]),
 }
-"""Content after a reset; the other bytes are 0 (manual; that all is so at power-up is assumed)."""
+"""Content after a reset; the other bytes are 0 (manual; the same at power-up: assumed)."""

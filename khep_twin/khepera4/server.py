@@ -3,11 +3,11 @@
     server = Kh4Server(Dspic())
     reply = server.receive(b"D,100,100" + END)
 
-A command is a capital letter and numbers, separated by commas; the reply is its small letter and values. The
-published program is imitated letter by letter (library): a reply drops what has arrived behind its command,
-a wrong A ends the vehicle, too, and X sends 128 bytes, the readings from their second byte on. What is
-undefined in it (memory that it has not written) is 0 here: missing numbers, the last byte of the readings of
-X, all behind its first 67. docs/khepera4.md lists what is not imitated.
+A command is a capital letter and numbers, separated by commas; the reply is the small letter and values. The
+published program is reproduced to the byte (library): a reply discards all input after its command, an
+invalid A also ends the vehicle, and X sends 128 bytes, the readings from their second byte on. Uninitialized
+memory of the program is 0 here: missing numbers, the last byte of X's readings, and all bytes of X after the
+first 67. docs/khepera4.md lists the differences.
 """
 
 import re
@@ -28,60 +28,63 @@ ANSWER_NS = 2_000_000
 
 END = b"\r\n"
 ERROR = b"$" + END
-"""Reply to what is unknown, or has another number of values."""
+"""Reply to an unknown command, or to a wrong number of values."""
 
 DEFAULT_PROFILE = (3, 0, 20, 1, 400)
 WANDERING_PROFILE = (10, 0, 20, 1, 400)
-"""Profiles of J: of the program at its start, and of its Braitenberg vehicle."""
+"""Profiles of J: the default, and that of the Braitenberg vehicle."""
 
 MARGIN = 20
-"""Position margin that the program sets at its start [pulses]."""
+"""Default position margin [pulses]."""
 
 LONGEST_LINE = 82
-"""Bytes of a command that are read; the rest of its line is dropped."""
+"""Bytes of a command that are read; the rest of its line is discarded."""
 
 BINARY_BYTES = 128
-"""Length of X's reply, of which 67 bytes have a meaning."""
+"""Length of X's reply, of which the first 67 bytes are meaningful."""
 
 LEFT_WEIGHTS, RIGHT_WEIGHTS = (2, 3, 4, -7, -4, -3, -2, 1), (-2, -3, -4, -9, 4, 3, 2, 1)
-FORWARDS, LEAST_SPEED, TURNING = 200, 10, 120
-NEAREST, FARTHEST, GAIN_DIVISOR = 500, 80, 3
-BLOCKED, PATIENCE, MOVED = 250, 5, 4424
-"""Numbers of the vehicle: weights of the eight sensors; speed without obstacles, least speed, and that of a
-turn in place [pulses/10 ms]; readings with the largest and without an effect; the reading in front for which
-it turns where it has not moved by 30 mm [pulses] for so many rounds."""
+FORWARD_SPEED, MIN_SPEED, TURN_SPEED = 200, 10, 120
+SATURATION, THRESHOLD, GAIN_DIVISOR = 500, 80, 3
+BLOCKED, N_STUCK, MOVED_PULSES = 250, 5, 4424
+"""Parameters of the vehicle: weights of the eight sensors; speed without obstacles, minimum speed, and speed
+of a turn in place [pulses/10 ms]; counts at which readings saturate, and below which they have no effect; the
+front reading above which it turns in place, after so many periods in which it moved less than 30 mm
+[pulses]."""
 
 _FRONT = 3
 _INTEGER = re.compile(rb"\s*[+-]?\d+")
 
 
 class Kh4Server:
-    """The program at its serial line, which starts with the first bytes on it.
+    """The program on its serial line; it starts with the first bytes received.
 
     Args:
-        dspic: Microcontroller that it drives.
-        is_charging: Function that tells whether the charger is plugged in.
+        dspic: Microcontroller that it controls.
+        is_charging: Function that returns whether the charger is plugged in.
 
     Attributes:
         baud: Speed of the line [baud].
-        reply_baud: The same.
-        turrets: None.
-        answer_ns: Time that an answer takes [ns].
+        reply_baud: Same as `baud`.
+        turrets: Always empty.
+        answer_ns: Time from a command to its reply [ns].
     """
 
     answer_ns = ANSWER_NS
 
     def __init__(self, dspic: Dspic, is_charging: Callable[[], bool] = lambda: False) -> None:
-        self._dspic, self._is_charging = dspic, is_charging
+        self._dspic = dspic
+        self._is_charging = is_charging
         self.baud = self.reply_baud = BAUD
         self.turrets: Mapping[TurretKind, Turret] = {}
         self.forget()
 
     def forget(self) -> None:
-        """End the program; it starts anew with the next bytes."""
+        """End the program; it restarts with the next bytes."""
         self._line = b""
-        self._runs = self._wanders = self._turns = False
-        self._rounds, self._before = 0, (0, 0)
+        self._is_running = self._is_wandering = self._is_turning = False
+        self._n_still = 0
+        self._position = 0, 0
 
     def forget_line(self) -> None:
         """Discard the incomplete line."""
@@ -94,38 +97,41 @@ class Kh4Server:
         return b""
 
     def remedy(self, baud: int) -> str:
-        """Return a hint for setting the robot's line to a host's speed [baud]."""
+        """Return a hint on how to match the baud rates of robot and host."""
         return f"expected {BAUD} baud at the host, not {baud}"
 
     @property
     def powered(self) -> bool:
-        """True while the robot runs."""
+        """True while the robot has power."""
         return self._dspic.is_powered
 
     def state(self) -> FirmwareState:
-        """Return the state besides `numbers`."""
-        return FirmwareState(self.baud, self.reply_baud, "kh4server" if self._runs else "", self._line, {})
+        """Return the state without `numbers`."""
+        program = "kh4server" if self._is_running else ""
+        return FirmwareState(self.baud, self.reply_baud, program, self._line, {})
 
     def set_state(self, state: FirmwareState) -> None:
-        """Take over a state."""
-        self._runs, self._line = bool(state.running), state.begun
+        """Restore a state."""
+        self._is_running = bool(state.running)
+        self._line = state.partial_line
 
     @property
     def numbers(self) -> list[int]:
-        """State of the vehicle."""
-        return [self._wanders, self._turns, self._rounds, *self._before]
+        """State of the Braitenberg vehicle."""
+        return [self._is_wandering, self._is_turning, self._n_still, *self._position]
 
     @numbers.setter
     def numbers(self, numbers: Sequence[int]) -> None:
-        wanders, turns, self._rounds, left, right = numbers
-        self._wanders, self._turns, self._before = bool(wanders), bool(turns), (left, right)
+        is_wandering, is_turning, self._n_still, left, right = numbers
+        self._is_wandering, self._is_turning = bool(is_wandering), bool(is_turning)
+        self._position = left, right
 
     def receive(self, data: bytes) -> bytes:
-        """Take bytes from the line; return the reply to the command that they end, if any."""
+        """Receive bytes; return the reply to the command that they complete, if any."""
         if not self.powered:
             return b""
-        if not self._runs:
-            self._runs = True
+        if not self._is_running:
+            self._is_running = True
             self._start()
         self._line += data
         while end := LINE_END.search(self._line):
@@ -137,50 +143,56 @@ class Kh4Server:
         return b""
 
     def tick(self) -> None:
-        """Let the vehicle of A decide once, for a control period (assumed; it decides as often as it can)."""
-        if not self._wanders:
+        """Run the vehicle of A for a control period (assumed; the program loops as fast as it can)."""
+        if not self._is_wandering:
             return
-        near, position = self._numbers(DspicRegister.PROXIMITY, 8), self._positions()
-        stands = all(abs(now - then) < MOVED for now, then in zip(position, self._before, strict=True))
-        self._rounds = self._rounds + 1 if stands else 0
-        self._turns = near[_FRONT] > BLOCKED and (self._turns or self._rounds > PATIENCE)
-        if self._turns:
-            self._drive((TURNING, -TURNING))
+        proximity, position = self._numbers(DspicRegister.PROXIMITY, 8), self._positions()
+        is_still = all(
+            abs(new - old) < MOVED_PULSES for new, old in zip(position, self._position, strict=True)
+        )
+        self._n_still = self._n_still + 1 if is_still else 0
+        self._is_turning = proximity[_FRONT] > BLOCKED and (self._is_turning or self._n_still > N_STUCK)
+        if self._is_turning:
+            self._drive((TURN_SPEED, -TURN_SPEED))
             return
-        if self._rounds > PATIENCE or not stands:
-            self._rounds, self._before = 0, position
-        seen = [0 if each < FARTHEST else (min(each, NEAREST) - FARTHEST) // 2 for each in near]
+        if self._n_still > N_STUCK or not is_still:
+            self._n_still = 0
+            self._position = position
+        inputs = [
+            0 if count < THRESHOLD else (min(count, SATURATION) - THRESHOLD) // 2 for count in proximity
+        ]
         orders = [
-            divide(sum(map(int.__mul__, weights, seen)), GAIN_DIVISOR) + FORWARDS
+            divide(sum(map(int.__mul__, weights, inputs)), GAIN_DIVISOR) + FORWARD_SPEED
             for weights in (LEFT_WEIGHTS, RIGHT_WEIGHTS)
         ]
-        orders = [max(each, LEAST_SPEED) if each >= 0 else min(each, -LEAST_SPEED) for each in orders]
+        orders = [max(speed, MIN_SPEED) if speed >= 0 else min(speed, -MIN_SPEED) for speed in orders]
         self._drive(orders)
 
     def _execute(self, line: bytes) -> bytes:
         """Execute a command; return its reply."""
-        words = [word for word in line[2:].split(b",") if word]
-        values = [int(found[0]) if (found := _INTEGER.match(word)) else 0 for word in words]
+        fields = [field for field in line[2:].split(b",") if field]
+        values = [int(match[0]) if (match := _INTEGER.match(field)) else 0 for field in fields]
         letter = line[:1].decode("latin-1")
         action = getattr(self, f"_on_{letter.lower()}", None) if "A" <= letter <= "Z" else None
-        answer = None if action is None else action(values)
-        if answer is None:
+        reply = None if action is None else action(values)
+        if reply is None:
             return ERROR
-        if isinstance(answer, bytes):
-            return answer
-        return ",".join([letter.lower(), *map(str, answer)]).encode() + END
+        if isinstance(reply, bytes):
+            return reply
+        return ",".join([letter.lower(), *map(str, reply)]).encode() + END
 
     def _on_a(self, values: Sequence[int]) -> Sequence[int] | None:
         if values not in ([0], [1]):
-            if self._wanders:
+            if self._is_wandering:
                 self._drive((0, 0))
                 self._set_control(Control.IDLE)
                 self._set_profile(DEFAULT_PROFILE)
-            self._wanders = False
+            self._is_wandering = False
             return () if values == [2] else None
         self._set_profile(WANDERING_PROFILE)
         self._set_control(Control.SPEED_PROFILE)
-        self._wanders, self._turns, self._rounds, self._before = True, False, 0, self._positions()
+        self._is_wandering, self._is_turning = True, False
+        self._n_still, self._position = 0, self._positions()
         return ()
 
     def _on_b(self, values: Sequence[int]) -> Sequence[object]:
@@ -250,7 +262,7 @@ class Kh4Server:
         block = self._dspic.read(DspicRegister.BATTERY, BATTERY_BYTES)
         current, average, temperature = (_signed(block[at : at + 2]) for at in (4, 6, 8))
         voltage = int.from_bytes(block[10:12], "little")
-        told: Sequence[object] = (
+        texts: Sequence[object] = (
             f"{voltage * 9.76:.0f}",
             f"{current * 0.07813:.0f}",
             f"{average * 0.07813:.0f}",
@@ -260,23 +272,23 @@ class Kh4Server:
             int(self._is_charging()),
             block[0],
         )
-        return [told[kind]]
+        return [texts[kind]]
 
     def _on_x(self, values: Sequence[int]) -> bytes:
         readings = [
-            self._dspic.read(each, 2 * N_INFRARED)[1:] + b"\0"
-            for each in (DspicRegister.PROXIMITY, DspicRegister.AMBIENT)
+            self._dspic.read(register, 2 * N_INFRARED)[1:] + b"\0"
+            for register in (DspicRegister.PROXIMITY, DspicRegister.AMBIENT)
         ]
         motors = (*self._numbers(DspicRegister.SPEED_LEFT, 2, signed=True), *self._positions())
-        told = b"".join([b"x", *readings, *(value.to_bytes(4, "little", signed=True) for value in motors)])
-        return (told + b"\n\r").ljust(BINARY_BYTES, b"\0")
+        reply = b"".join([b"x", *readings, *(value.to_bytes(4, "little", signed=True) for value in motors)])
+        return (reply + b"\n\r").ljust(BINARY_BYTES, b"\0")
 
     def _on_z(self, values: Sequence[int]) -> Sequence[int]:
         self._dspic.reset()
         return ()
 
     def _start(self) -> None:
-        """Set the motors' settings, as the program does at its start."""
+        """Set the default settings of the motors."""
         self._write(DspicRegister.POSITION_MARGIN, [MARGIN])
         self._write(DspicRegister.KP, (10, 5, 1), size=1)
         self._set_profile(DEFAULT_PROFILE)
@@ -287,7 +299,7 @@ class Kh4Server:
         return self._write(DspicRegister.POSITION_SPEED, profile[4:])
 
     def _drive(self, orders: Sequence[int]) -> None:
-        """Order speeds; where the control is open loop, the library takes them for PWM."""
+        """Order speeds; in open-loop control the library uses them as PWM."""
         is_open = self._dspic.read(DspicRegister.CONTROL, 1)[0] == Control.OPEN_LOOP
         self._write(DspicRegister.PWM_ORDER_LEFT if is_open else DspicRegister.SPEED_ORDER_LEFT, orders)
 
@@ -295,7 +307,7 @@ class Kh4Server:
         self._write(DspicRegister.CONTROL, [control], size=1)
 
     def _write(self, register: DspicRegister, values: Sequence[int], size: int = 2) -> Sequence[int]:
-        """Write numbers of some bytes, cut off as in C; return the values of a reply without any."""
+        """Write numbers of `size` bytes, truncated as in C; return the values of an empty reply."""
         limit = (1 << 8 * size) - 1
         self._dspic.write(bytes([register]) + b"".join((v & limit).to_bytes(size, "little") for v in values))
         return ()
@@ -312,7 +324,7 @@ class Kh4Server:
 
 
 def _first(values: Sequence[int], count: int) -> list[int]:
-    """Return the first values, 0 for those that are missing."""
+    """Return the first values, 0 for missing ones."""
     return [*values, *[0] * count][:count]
 
 

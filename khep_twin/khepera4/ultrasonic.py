@@ -1,18 +1,20 @@
-"""Ultrasonic sensors of the Khepera IV: the first echo of a burst that is loud enough.
+"""Ultrasonic sensors of the Khepera IV: the first audible echo of a burst.
 
-Rays fill the beam. One that meets a surface at a distance d and an incidence phi, theta off the axis, returns
+Rays sample the beam. A ray at an angle theta to the axis that hits a surface at a distance d and an angle of
+incidence phi returns
 
     loudness = D(theta)^2 (m(phi) (R / d) + s cos(phi)^2 (R / d)^2)
     D(theta) = cos(theta)^k,  m(phi) = exp(-(phi / phi0)^2)
 
-beside a wall face to face at the range R = 2.5 m (manual), which has 1 and can just be heard: what a smooth
-surface mirrors, and a part s = 0.03 that edges and roughness scatter (s and phi0 = 12 degrees assumed). The
-transducer hears half as much 42.5 degrees off its axis (of its kind, assumed), so k = 2.27. So a wall is
-missed beyond half a metre when it stands oblique; the floor and what is painted on it always are.
+relative to a perpendicular wall at the range R = 2.5 m (manual), whose loudness 1 is the detection threshold.
+The first term is specular reflection; the second, s = 0.03, is scattered by edges and roughness (s and phi0 =
+12 degrees assumed). The beam is half as strong 42.5 degrees off its axis (typical, assumed), so k = 2.27.
+Oblique walls beyond half a metre are missed, and the floor and its paint always.
 """
 
 import math
 from collections.abc import Sequence
+from math import cos, sin
 
 import mujoco
 import numpy as np
@@ -25,25 +27,25 @@ from khep_twin.sensing.noise import TABLES, draws
 from khep_twin.sensing.robot_indices import RobotIndices
 
 PERIOD_NS = 20_000_000
-"""Turn of each enabled sensor [ns] (manual)."""
+"""Time from one burst to the next [ns]: enabled sensors alternate (manual)."""
 
 RANGE, NEAREST = 2.5, 0.25
-"""Longest and shortest distance that is measured [m] (manual)."""
+"""Longest and shortest measured distance [m] (manual)."""
 
-TOO_NEAR, NOTHING, DISABLED = CODES
+TOO_NEAR, NO_ECHO, DISABLED = CODES
 
 HEADINGS_DEG = (90, 45, 0, -45, -90)
 """Heading of each sensor, left to right (manual)."""
 
 RADIUS, HEIGHT = 0.066, 0.0445
-"""Place of the sensors: distance from the centre (assumed) and height [m] (drawing)."""
+"""Position of the sensors: distance from the centre (assumed) and height [m] (drawing)."""
 
-_EXPONENT, _MIRROR_RAD, _SCATTER = 2.27, math.radians(12), 0.03
-_NOISE = 0.4
-"""Standard deviation of a distance [cm] (assumed; the manual has 2 cm for its error)."""
+_BEAM_EXPONENT, _REFLECTION_RAD, _SCATTER = 2.27, math.radians(12), 0.03
+_NOISE_CM = 0.4
+"""Standard deviation of a distance [cm] (assumed; the manual states an error of 2 cm)."""
 
 _KEY = 0x9E3779B9
-"""Word that tells their random draws from those of other sensors: any."""
+"""Arbitrary word that separates their random draws from those of other sensors."""
 
 _AZIMUTHS, _ELEVATIONS = np.radians(np.arange(-42, 43, 3)), np.radians(np.arange(-12, 13, 6))
 
@@ -52,87 +54,70 @@ class Ultrasonic:
     """The five sensors of one robot.
 
     Args:
-        past: Scene that they measure.
+        scene: Scene that they measure.
         indices: Indices of the robot.
-        key: Words of the key of its random draws.
-        is_noisy: Whether they have noise.
+        key: Words of the key of the robot's random draws.
+        is_noisy: Whether readings are noisy.
     """
 
-    def __init__(self, past: PastScene, indices: RobotIndices, key: Sequence[int], is_noisy: bool) -> None:
-        self._past, self._base = past, indices.base
-        model = past.model
+    def __init__(self, scene: PastScene, indices: RobotIndices, key: Sequence[int], is_noisy: bool) -> None:
+        self._scene = scene
+        self._base = indices.base
+        model = scene.model
         self._is_floor = (model.geom_bodyid == 0) & (model.geom_pos[:, 2] < PAINT)
-        self._key, self._tables = [key[0] ^ _KEY, key[1]], TABLES[is_noisy]
-        self._places, self._rays, self._beam = _beams()
+        self._key = [key[0] ^ _KEY, key[1]]
+        self._tables = TABLES[is_noisy]
+        self._positions, self._rays, self._beam = _beams()
         count = len(self._beam)
-        self._met, self._away = np.zeros(count, np.int32), np.zeros(count)
+        self._geoms = np.zeros(count, np.int32)
+        self._ray_lengths = np.zeros(count)
         self._normals = np.zeros((count, 3))
 
     def measure(self, moment: Moment, channel: int) -> int:
         """Return the reading of a sensor at a moment [cm], or a code."""
-        past = self._past
-        past.move_to(moment)
-        turn: NDArray[np.float64] = past.data.xmat[self._base].reshape(3, 3)
-        place = past.data.xpos[self._base] + _turned(turn, self._places[channel : channel + 1])[0]
-        rays = _turned(turn, self._rays[channel])
-        away, normals = self._away, self._normals
-        mujoco.mj_multiRay(
-            past.model,
-            past.data,
-            place,
-            np.ascontiguousarray(rays).ravel(),
-            None,
-            True,
-            self._base,
-            self._met,
-            away,
-            normals.ravel(),
-            len(away),
-            RANGE * 1.1,
-        )
-        met = (away > 0) & ~self._is_floor[self._met]
-        if not met.any():
-            return NOTHING
-        distances, across = away[met], np.abs((normals[met] * rays[met]).sum(axis=1)).clip(0, 1)
-        far = RANGE / distances
-        mirrored = np.exp(-((np.arccos(across) / _MIRROR_RAD) ** 2)) * far
-        loud = self._beam[met] * (mirrored + _SCATTER * across**2 * far**2) >= 1
-        if not loud.any():
-            return NOTHING
+        scene = self._scene
+        scene.move_to(moment)
+        rotation: NDArray[np.float64] = scene.data.xmat[self._base].reshape(3, 3)
+        position = scene.data.xpos[self._base] + _rotate(rotation, self._positions[channel : channel + 1])[0]
+        rays = _rotate(rotation, self._rays[channel])
+        ray_lengths, normals = self._ray_lengths, self._normals
+        model, data, base, geoms = scene.model, scene.data, self._base, self._geoms
+        vectors, count = np.ascontiguousarray(rays).ravel(), len(rays)
+        outputs = geoms, ray_lengths, normals.ravel()
+        mujoco.mj_multiRay(model, data, position, vectors, None, True, base, *outputs, count, RANGE * 1.1)
+        is_echo = (ray_lengths > 0) & ~self._is_floor[self._geoms]
+        if not is_echo.any():
+            return NO_ECHO
+        distances = ray_lengths[is_echo]
+        cosines = np.abs((normals[is_echo] * rays[is_echo]).sum(axis=1)).clip(0, 1)
+        range_ratio = RANGE / distances
+        reflected = np.exp(-((np.arccos(cosines) / _REFLECTION_RAD) ** 2)) * range_ratio
+        is_audible = self._beam[is_echo] * (reflected + _SCATTER * cosines**2 * range_ratio**2) >= 1
+        if not is_audible.any():
+            return NO_ECHO
         number = moment.time_ns // PERIOD_NS
-        noise = _NOISE * draws(self._tables, self._key, number)[0]
-        distance = float(distances[loud].min())
+        noise = _NOISE_CM * draws(self._tables, self._key, number)[0]
+        distance = float(distances[is_audible].min())
         if distance < NEAREST:
             return TOO_NEAR
         reading = round(distance * 100 + noise)
-        return NOTHING if reading > RANGE * 100 else max(reading, round(NEAREST * 100))
+        return NO_ECHO if reading > RANGE * 100 else max(reading, round(NEAREST * 100))
 
 
 def _beams() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return places (5, 3) and rays (5, n, 3) of the sensors in the robot's frame, and the beam (n,)."""
-    places: list[tuple[float, float, float]] = []
+    """Return positions (5, 3), rays (5, n, 3) in the robot's frame, and gains of the rays (n,)."""
+    angles = [(el, az) for el in _ELEVATIONS.tolist() for az in _AZIMUTHS.tolist()]
+    positions: list[tuple[float, float, float]] = []
     rays: list[list[tuple[float, float, float]]] = []
     for heading in map(math.radians, HEADINGS_DEG):
-        places.append((RADIUS * math.cos(heading), RADIUS * math.sin(heading), HEIGHT))
+        positions.append((RADIUS * cos(heading), RADIUS * sin(heading), HEIGHT))
         rays.append(
-            [
-                (
-                    math.cos(up) * math.cos(heading + aside),
-                    math.cos(up) * math.sin(heading + aside),
-                    math.sin(up),
-                )
-                for up in _ELEVATIONS.tolist()
-                for aside in _AZIMUTHS.tolist()
-            ]
+            [(cos(el) * cos(heading + az), cos(el) * sin(heading + az), sin(el)) for el, az in angles]
         )
-    beam = [
-        (math.cos(up) * math.cos(aside)) ** (2 * _EXPONENT)
-        for up in _ELEVATIONS.tolist()
-        for aside in _AZIMUTHS.tolist()
-    ]
-    return np.array(places), np.array(rays), np.array(beam)
+    beam = [(cos(el) * cos(az)) ** (2 * _BEAM_EXPONENT) for el, az in angles]
+    return np.array(positions), np.array(rays), np.array(beam)
 
 
-def _turned(turn: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return vectors (n, 3) in the world's frame; element by element, with the same bits on any machine."""
-    return vectors[:, :1] * turn[:, 0] + vectors[:, 1:2] * turn[:, 1] + vectors[:, 2:] * turn[:, 2]
+def _rotate(matrix: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotate vectors (n, 3) to the world frame, element by element for the same bits on any machine."""
+    return vectors[:, :1] * matrix[:, 0] + vectors[:, 1:2] * matrix[:, 1] + vectors[:, 2:] * matrix[:, 2]

@@ -1,10 +1,10 @@
-"""Logs: every run as one self-contained MCAP file that rerun and Foxglove open by themselves.
+"""Logs: one self-contained MCAP file per run, which rerun and Foxglove open directly.
 
-channels      what is in a log, as ROS 2 messages
-description   the scene as URDF; `foxglove_scene` the same for Foxglove
-recorder      writes a log while a world runs; `log_file` is its file
-reader        a log as arrays
-replay        a log in rerun
+channels      topics and message types of a log, as ROS 2 messages
+description   the scene as URDF; `foxglove_scene` is the same for Foxglove
+recorder      writes a log while a world runs; `log_file` is the file
+reader        reads a log as arrays
+viewer        shows a log in rerun
 """
 
 from typing import TYPE_CHECKING

@@ -1,8 +1,8 @@
-"""Channels of a log, as ROS 2 messages in CDR, which rerun and Foxglove read without code of ours.
+"""Channels of a log, as ROS 2 messages in CDR, which rerun and Foxglove read without code of khep_twin.
 
-    /robot_description          std_msgs/String             the playpen and its robots as URDF, once
-    /channel_names              std_msgs/String             meaning of the numbers of the channels, once
-    /scene                      foxglove.SceneUpdate        the same for Foxglove, once (`foxglove_scene`)
+    /robot_description          std_msgs/String             playpen and robots as URDF, once
+    /channel_names              std_msgs/String             meaning of each channel's numbers, once
+    /scene                      foxglove.SceneUpdate        the scene for Foxglove, once (`foxglove_scene`)
     /tf                         tf2_msgs/TFMessage          poses of all bodies
     /khepera0/proximity         std_msgs/Float64MultiArray  eight counts, in the order of N
     /khepera0/ambient           std_msgs/Float64MultiArray  eight counts, in the order of O
@@ -12,21 +12,21 @@
     /khepera0/leds              std_msgs/Float64MultiArray  LED 0 (lateral), 1 (frontal), 1 when lit
     /khepera0/ultrasonic        std_msgs/Float64MultiArray  left to right [cm], of a Khepera IV, whose other
                                                 channels are in `khepera4.channels`
-    /khepera0/registers         std_msgs/Int64MultiArray    the board's whole state
-    /khepera0/gripper           std_msgs/Int64MultiArray    a turret's whole state, under the turret's name
-    /khepera0/vision            sensor_msgs/Image           greys from left to right, of a turret that sees
-    /khepera0/serial            rcl_interfaces/Log          the transcript, one line per message
-    /khepera0/host_events       std_msgs/Int64MultiArray    what its host did, to repeat it (`host_events`)
-    /state                      std_msgs/Int64MultiArray    hashes of the whole state (`snapshots`)
-    /snapshot                   std_msgs/UInt8MultiArray    the whole state, to go on from (`snapshots`)
-    /lamps                      std_msgs/Float64MultiArray  power of each lamp [W], where they change; of
-                                                other lamps set up meanwhile /lamps_2 and so on
+    /khepera0/registers         std_msgs/Int64MultiArray    complete state of the board
+    /khepera0/gripper           std_msgs/Int64MultiArray    complete state of a turret, by its name
+    /khepera0/vision            sensor_msgs/Image           greys from left to right, of a camera turret
+    /khepera0/serial            rcl_interfaces/Log          transcript, one line per message
+    /khepera0/host_events       std_msgs/Int64MultiArray    actions of the host (`host_events`)
+    /state                      std_msgs/Int64MultiArray    hashes of the complete state (`snapshots`)
+    /snapshot                   std_msgs/UInt8MultiArray    complete state, to resume a run (`snapshots`)
+    /lamps                      std_msgs/Float64MultiArray  power of each lamp [W], if any changes; /lamps_2
+                                                and so on for lamps set up later
     /events                     rcl_interfaces/Log          events
-    /shadow/...                 several                     a shadow's estimate and alarms (`shadow_channels`)
+    /shadow/...                 several                     estimate and alarms (`shadow_channels`)
 
-CDR here is little-endian: a header of four bytes, then each value at a multiple of its size, counted from the
-header's end; strings and sequences are preceded by their length. Frequent messages have a fixed size: many
-copies of a prepared frame are filled in at once.
+CDR is the serialization format of ROS 2, here little-endian: a header of four bytes, then each value at a
+multiple of its size, counted from the end of the header; a length precedes strings and sequences. Frequent
+messages have a fixed size: many copies of a prepared frame are filled in together.
 """
 
 import math
@@ -85,7 +85,7 @@ BYTES = "std_msgs/msg/UInt8MultiArray"
 POSE = "geometry_msgs/msg/PoseStamped"
 IMAGE = "sensor_msgs/msg/Image"
 LINES = "rcl_interfaces/msg/Log"
-UNSURE_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 SCHEMAS = {
     "std_msgs/msg/String": "string data",
@@ -101,7 +101,7 @@ uint32 step
 uint8[] data
 {_HEADER}""",
     POSE: f"std_msgs/Header header\ngeometry_msgs/Pose pose\n{_HEADER}\n{_POSE}",
-    UNSURE_POSE: f"""std_msgs/Header header
+    POSE_WITH_COVARIANCE: f"""std_msgs/Header header
 geometry_msgs/PoseWithCovariance pose
 {_HEADER}
 {_RULE}
@@ -164,12 +164,12 @@ class TextLine:
 
 
 class Encoder:
-    """Encoder of consecutive values, each aligned as CDR requires."""
+    """Encoder of consecutive values, aligned as required by CDR."""
 
     def __init__(self) -> None:
         self._data = bytearray()
 
-    def put(self, kind: str, *values: float) -> "Encoder":
+    def append(self, kind: str, *values: float) -> "Encoder":
         """Append numbers, `kind` as in `struct`."""
         self.align(struct.calcsize(kind))
         self._data += struct.pack(f"<{len(values)}{kind}", *values)
@@ -178,13 +178,13 @@ class Encoder:
     def text(self, value: str) -> "Encoder":
         """Append a string."""
         data = value.encode("utf-8") + b"\0"
-        self.put("I", len(data))
+        self.append("I", len(data))
         self._data += data
         return self
 
     def time(self, time_ns: int) -> "Encoder":
         """Append a time since the start of the run."""
-        return self.put("i", time_ns // NS_PER_S).put("I", time_ns % NS_PER_S)
+        return self.append("i", time_ns // NS_PER_S).append("I", time_ns % NS_PER_S)
 
     def align(self, size: int) -> int:
         """Pad to a multiple of `size`; return the offset in the finished message."""
@@ -197,7 +197,7 @@ class Encoder:
 
 
 class ArrayFrame:
-    """Messages of one std_msgs/Float64MultiArray or Int64MultiArray channel, all of the same length.
+    """Frame of messages of one std_msgs/Float64MultiArray or Int64MultiArray channel, all of one length.
 
     Args:
         length: Length of the array.
@@ -208,32 +208,33 @@ class ArrayFrame:
     def __init__(self, length: int, kind: str, label: str) -> None:
         head = _array_head(length, label)
         self._frame = head + bytes(8 * length)
-        self._type = _layout(len(self._frame), {"values": (f"<{kind}", length, len(head))})
+        self._type = _message_type(len(self._frame), {"values": (f"<{kind}", length, len(head))})
 
     def messages(self, values: NDArray[Any]) -> NDArray[np.void]:
-        """Return a message per row of values (n, length), as rows of bytes (n,)."""
-        filled = _copies(self._frame, len(values), self._type)
-        filled["values"] = values
-        return filled
+        """Return one message for each row of values (n, length), as rows of bytes (n,)."""
+        rows = _copies(self._frame, len(values), self._type)
+        rows["values"] = values
+        return rows
 
 
 class ImageFrame:
-    """Messages of one sensor_msgs/Image channel: line images of so many grey pixels, in a camera's frame."""
+    """Frame of messages of one sensor_msgs/Image channel: line images of `width` grey pixels."""
 
     def __init__(self, width: int, name: str) -> None:
-        frame = Encoder()
-        stamp = frame.align(4)
-        frame.time(0).text(name).put("I", 1, width).text("mono8").put("B", 0).put("I", width, width)
-        self._frame = frame.message() + bytes(width)
+        encoder = Encoder()
+        stamp = encoder.align(4)
+        encoder.time(0).text(name).append("I", 1, width).text("mono8")
+        encoder.append("B", 0).append("I", width, width)
+        self._frame = encoder.message() + bytes(width)
         fields = {"stamp": ("<i4", 2, stamp), "data": ("u1", width, len(self._frame) - width)}
-        self._type = _layout(len(self._frame), fields)
+        self._type = _message_type(len(self._frame), fields)
 
     def messages(self, times_ns: NDArray[np.int64], images: NDArray[Any]) -> NDArray[np.void]:
-        """Return a message per time [ns] and image, greys from the left, 0 to 255 (n, width), as rows."""
-        filled = _copies(self._frame, len(times_ns), self._type)
-        filled["stamp"] = np.column_stack(np.divmod(times_ns, NS_PER_S))
-        filled["data"] = images
-        return filled
+        """Return one message for each time (n,) [ns] and image: greys from the left, 0 to 255 (n, width)."""
+        rows = _copies(self._frame, len(times_ns), self._type)
+        rows["stamp"] = np.column_stack(np.divmod(times_ns, NS_PER_S))
+        rows["data"] = images
+        return rows
 
 
 def array_message(values: NDArray[Any], label: str) -> bytes:
@@ -243,49 +244,50 @@ def array_message(values: NDArray[Any], label: str) -> bytes:
 
 def bytes_message(data: bytes, label: str) -> bytes:
     """Return one std_msgs/UInt8MultiArray."""
-    return Encoder().put("I", 1).text(label).put("I", len(data), len(data), 0, len(data)).message() + data
+    n = len(data)
+    return Encoder().append("I", 1).text(label).append("I", n, n, 0, n).message() + data
 
 
 def _array_head(length: int, label: str) -> bytes:
-    """Return an array's message up to its values."""
-    frame = Encoder().put("I", 1).text(label).put("I", length, length, 0, length)
-    frame.align(8)
-    return frame.message()
+    """Return the message of an array without its values."""
+    encoder = Encoder().append("I", 1).text(label).append("I", length, length, 0, length)
+    encoder.align(8)
+    return encoder.message()
 
 
 class TransformFrame:
-    """Messages of /tf for a fixed set of bodies, by the names of their frames, in the world's frame."""
+    """Frame of messages of /tf: poses of bodies, by the names of their frames, in the world frame."""
 
     def __init__(self, names: Sequence[str]) -> None:
-        frame = Encoder().put("I", len(names))
+        encoder = Encoder().append("I", len(names))
         fields: dict[str, tuple[str, int, int]] = {}
         for index, name in enumerate(names):
-            fields[f"stamp {index}"] = ("<i4", 2, frame.align(4))
-            frame.time(0).text("world").text(name)
-            fields[f"pose {index}"] = ("<f8", 7, frame.align(8))
-            frame.put("d", 0, 0, 0, 0, 0, 0, 1)
+            fields[f"stamp {index}"] = ("<i4", 2, encoder.align(4))
+            encoder.time(0).text("world").text(name)
+            fields[f"pose {index}"] = ("<f8", 7, encoder.align(8))
+            encoder.append("d", 0, 0, 0, 0, 0, 0, 1)
         self._size = len(names)
-        self._frame = frame.message()
-        self._type = _layout(len(self._frame), fields)
+        self._frame = encoder.message()
+        self._type = _message_type(len(self._frame), fields)
 
     def messages(self, times_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> NDArray[np.void]:
-        """Return a message per time (n,) [ns], as rows of bytes (n,).
+        """Return one message for each time (n,) [ns], as rows of bytes (n,).
 
-        The poses are position [m] and rotation x, y, z, w of each body (n, bodies, 7).
+        The poses are position [m] and quaternion x, y, z, w of each body (n, bodies, 7).
         """
-        filled = _copies(self._frame, len(times_ns), self._type)
+        rows = _copies(self._frame, len(times_ns), self._type)
         stamps = np.column_stack(np.divmod(times_ns, NS_PER_S))
         for index in range(self._size):
-            filled[f"stamp {index}"] = stamps
-            filled[f"pose {index}"] = poses[:, index]
-        return filled
+            rows[f"stamp {index}"] = stamps
+            rows[f"pose {index}"] = poses[:, index]
+        return rows
 
 
-def _layout(size: int, fields: dict[str, tuple[str, int, int]]) -> np.dtype[np.void]:
-    """Return the type of a message of `size` bytes with named fields: format, length and offset of each."""
+def _message_type(size: int, fields: dict[str, tuple[str, int, int]]) -> np.dtype[np.void]:
+    """Return the type of a message of `size` bytes with named fields: format, length and offset."""
     formats = [(kind, (length,)) for kind, length, _ in fields.values()]
-    places = [place for _, _, place in fields.values()]
-    return np.dtype({"names": list(fields), "formats": formats, "offsets": places, "itemsize": size})
+    offsets = [offset for _, _, offset in fields.values()]
+    return np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": size})
 
 
 def _copies(frame: bytes, count: int, layout: np.dtype[np.void]) -> NDArray[np.void]:
@@ -293,25 +295,22 @@ def _copies(frame: bytes, count: int, layout: np.dtype[np.void]) -> NDArray[np.v
     return np.frombuffer(bytearray(frame * count), layout)
 
 
+PLANAR = [0, 1, 5]
+"""Rows of x, y and heading in the covariance of a 3-D pose."""
+
+
 def pose_message(
     time_ns: int, pose: tuple[float, float, float], covariance: NDArray[np.float64] | None = None
 ) -> bytes:
-    """Return a geometry_msgs/PoseStamped of x, y [m] and heading [rad] on the floor.
-
-    With the covariance of these (3, 3) it is a PoseWithCovarianceStamped.
-    """
+    """Return a PoseStamped of x, y [m] and heading [rad], or PoseWithCovarianceStamped with a (3, 3)."""
     x, y, heading = pose
-    frame = Encoder().time(time_ns).text("world")
-    frame.put("d", x, y, 0.0, 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2))
+    encoder = Encoder().time(time_ns).text("world")
+    encoder.append("d", x, y, 0.0, 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2))
     if covariance is not None:
-        whole = np.zeros((6, 6))
-        whole[np.ix_(PLANAR, PLANAR)] = covariance
-        frame.put("d", *whole.ravel().tolist())
-    return frame.message()
-
-
-PLANAR = [0, 1, 5]
-"""Rows of x, y and heading in the covariance of a pose in space."""
+        full_covariance = np.zeros((6, 6))
+        full_covariance[np.ix_(PLANAR, PLANAR)] = covariance
+        encoder.append("d", *full_covariance.ravel().tolist())
+    return encoder.message()
 
 
 def text_message(text: str) -> bytes:
@@ -324,25 +323,25 @@ def line_message(line: TextLine) -> bytes:
     return LineFrame(line.name, line.level).message(line.time_ns, line.text.encode("utf-8"))
 
 
+_LINE_TAILS = [
+    bytes(1 + -size % 4) + Encoder().text("").text("").append("I", 0).message()[len(CDR_HEADER) :]
+    for size in range(4)
+]
+"""Ends of lines by their size modulo 4: terminating 0, padding, and empty fields."""
+
+
 class LineFrame:
-    """Messages of one rcl_interfaces/Log channel, from one source and of one severity."""
+    """Frame of messages of one rcl_interfaces/Log channel, from one source and of one severity."""
 
     def __init__(self, name: str, level: int) -> None:
-        frame = Encoder().time(0).put("B", level).text(name)
-        frame.align(4)
-        self._middle = frame.message()[len(CDR_HEADER) + struct.calcsize("iI") :]
+        encoder = Encoder().time(0).append("B", level).text(name)
+        encoder.align(4)
+        self._middle = encoder.message()[len(CDR_HEADER) + struct.calcsize("iI") :]
         self._head = struct.Struct(f"<4siI{len(self._middle)}sI")
 
     def message(self, time_ns: int, text: bytes) -> bytes:
         """Return a line as a message, `text` in UTF-8."""
-        seconds, rest_ns = divmod(time_ns, NS_PER_S)
+        seconds, nanoseconds = divmod(time_ns, NS_PER_S)
         size = len(text) + 1
-        head = self._head.pack(CDR_HEADER, seconds, rest_ns, self._middle, size)
+        head = self._head.pack(CDR_HEADER, seconds, nanoseconds, self._middle, size)
         return head + text + _LINE_TAILS[size % 4]
-
-
-_LINE_TAILS = [
-    bytes(1 + -size % 4) + Encoder().text("").text("").put("I", 0).message()[len(CDR_HEADER) :]
-    for size in range(4)
-]
-"""Ends of lines by their size modulo 4: their own 0, padding, and empty fields."""

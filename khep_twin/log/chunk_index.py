@@ -1,8 +1,8 @@
-"""Index of a log's chunks, kept compact in memory until the end of the file, where it is written.
+"""Compact chunk index of a log, kept in memory and written at the end of the file.
 
-`serve` writes a chunk each half second. As mcap's records, each with the offsets of all message indexes after
-the chunk, a day of them takes 190 MB of memory. All their content follows from a few numbers that differ
-little from chunk to chunk: as columns of differences, compressed in blocks, they take less than 2 MB.
+`serve` writes a chunk each half second. As mcap's record objects, each with the offsets of all message
+indexes after the chunk, the index of a day takes 190 MB. Its content follows from a few numbers that differ
+little between chunks: as columns of differences, compressed in blocks, they take less than 2 MB.
 """
 
 import struct
@@ -38,18 +38,18 @@ class ChunkIndex:
         return len(self._rows) + _BLOCK * len(self._blocks)
 
     def add(
-        self, place: int, length: int, size: int, times_ns: tuple[int, int], counts: Mapping[int, int]
+        self, offset: int, length: int, size: int, times_ns: tuple[int, int], counts: Mapping[int, int]
     ) -> None:
         """Add a chunk.
 
         Args:
-            place: Offset of its record in the file [bytes].
+            offset: Offset of its record in the file [bytes].
             length: Length of its record [bytes].
             size: Size of its content, uncompressed [bytes].
             times_ns: Times of its first and its last message [ns].
-            counts: Number of messages by channel; their indexes follow in this order.
+            counts: Number of messages by channel; the message indexes follow in this order.
         """
-        row = [*times_ns, place, length, size, *(number for pair in counts.items() for number in pair)]
+        row = [*times_ns, offset, length, size, *(number for pair in counts.items() for number in pair)]
         self._rows.append(row)
         if len(self._rows) == _BLOCK:
             width = max(map(len, self._rows))
@@ -60,24 +60,25 @@ class ChunkIndex:
 
     def records(self) -> Iterator[bytes]:
         """Yield the chunk index records, many at a time, in the order of the chunks."""
-        for width, packed in self._blocks:
-            columns = np.frombuffer(zlib.decompress(packed), np.int64).reshape(width, _BLOCK)
-            yield b"".join(map(_record, np.cumsum(columns, axis=1).T.tolist()))
-        yield b"".join(map(_record, self._rows))
+        for width, compressed in self._blocks:
+            columns = np.frombuffer(zlib.decompress(compressed), np.int64).reshape(width, _BLOCK)
+            yield b"".join(map(_encode, np.cumsum(columns, axis=1).T.tolist()))
+        yield b"".join(map(_encode, self._rows))
 
 
-def _record(row: list[int]) -> bytes:
-    """Return a chunk index record of the stored numbers."""
-    start_ns, end_ns, place, length, size, *pairs = row
-    offsets: list[int] = []
-    at = place + length
+def _encode(row: list[int]) -> bytes:
+    """Encode a chunk index record from its row of numbers."""
+    start_ns, end_ns, offset, length, size, *pairs = row
+    index_offsets: list[int] = []
+    index_offset = offset + length
     for channel, count in zip(pairs[::2], pairs[1::2], strict=True):
         if count:  # Channels of other rows of the block have 0 here.
-            offsets += channel, at
-            at += INDEX_FRAME + ENTRY_BYTES * count
-    places = struct.pack(f"<{len(offsets) // 2 * 'HQ'}", *offsets)
-    head = struct.pack("<QQQQI", start_ns, end_ns, place, length, len(places))
+            index_offsets += channel, index_offset
+            index_offset += INDEX_FRAME + ENTRY_BYTES * count
+    packed_offsets = struct.pack(f"<{len(index_offsets) // 2 * 'HQ'}", *index_offsets)
+    head = struct.pack("<QQQQI", start_ns, end_ns, offset, length, len(packed_offsets))
     tail = struct.pack(
-        "<QI4sQQ", at - place - length, len(COMPRESSION), COMPRESSION, length - _CHUNK_FRAME, size
+        "<QI4sQQ", index_offset - offset - length, len(COMPRESSION), COMPRESSION, length - _CHUNK_FRAME, size
     )
-    return struct.pack("<BQ", Opcode.CHUNK_INDEX, len(head) + len(places) + len(tail)) + head + places + tail
+    body = head + packed_offsets + tail
+    return struct.pack("<BQ", Opcode.CHUNK_INDEX, len(body)) + body

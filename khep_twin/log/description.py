@@ -1,6 +1,6 @@
-"""URDF of the scene, from the compiled model: geometry for viewers that do not know MuJoCo.
+"""URDF of the scene, from the compiled model: geometry for viewers that do not read MJCF.
 
-Each body becomes a link named as the body, with its shown geoms and sites as visuals; fixed bodies are
+Each body becomes a link of the same name, with its visible geoms and sites as visuals; fixed bodies are
 part of the link "world". Poses come from /tf, so the joints only connect the links.
 """
 
@@ -27,7 +27,7 @@ _KINDS: dict[int, Kind] = {
 """Shape names of the kinds of `mujoco.mjtGeom` that are drawn; ellipsoids and meshes are left out."""
 
 _PLANE_THICKNESS = 0.0002
-_ENDLESS_SIZE = 10.0
+_INFINITE_PLANE_SIZE = 10.0
 _HIDDEN_GROUP = 3
 
 
@@ -77,14 +77,14 @@ def shapes(model: mujoco.MjModel, body: int) -> Iterator[Shape]:
     for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
         if model.geom_group[geom] != _HIDDEN_GROUP:
             name = model.geom(geom).name or f"geom{geom}"
-            place = model.geom_pos[geom], model.geom_quat[geom]
+            pose = model.geom_pos[geom], model.geom_quat[geom]
             kind, size = int(model.geom_type[geom]), model.geom_size[geom].tolist()
-            yield from _shape(name, kind, size, *place, model.geom_rgba[geom])
+            yield from _shape(name, kind, size, *pose, model.geom_rgba[geom])
     for site in np.flatnonzero(model.site_bodyid == body).tolist():
         name = model.site(site).name or f"site{site}"
-        place = model.site_pos[site], model.site_quat[site]
+        pose = model.site_pos[site], model.site_quat[site]
         kind, size = int(model.site_type[site]), model.site_size[site].tolist()
-        yield from _shape(name, kind, size, *place, model.site_rgba[site])
+        yield from _shape(name, kind, size, *pose, model.site_rgba[site])
 
 
 def _shape(
@@ -100,7 +100,7 @@ def _shape(
         return
     if kind == _PLANE:
         # Size 0 is an infinite plane.
-        length, width = (2 * half or _ENDLESS_SIZE for half in halves[:2])
+        length, width = (2 * half or _INFINITE_PLANE_SIZE for half in halves[:2])
         size = length, width, _PLANE_THICKNESS
     elif kind == _BOX:
         size = 2 * halves[0], 2 * halves[1], 2 * halves[2]

@@ -1,4 +1,4 @@
-"""Content of a log: its label, and messages with topic and type, as its schemas and channels define them."""
+"""Content of a log: its label, and messages with the topic and type that its channels and schemas define."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -10,8 +10,10 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
 from khep_twin.files.toml_files import NAME_WISH
-from khep_twin.log.decoding import DecodeError, shown
-from khep_twin.log.record_bytes import MESSAGE, parsed, records_in
+from khep_twin.log.decoding import DecodeError, printable
+from khep_twin.log.record_bytes import MESSAGE, iterate_records, parse_record
+
+_NAMES = re.compile(r"[A-Za-z0-9_-]{1,64}(,[A-Za-z0-9_-]{1,64}){0,999}")
 
 
 class Entry(NamedTuple):
@@ -36,7 +38,7 @@ class EntryReader:
     """Reader of messages, after the schemas and channels that define them.
 
     Raises:
-        DecodeError: In each method: a record is invalid; `offset` is its place in the file, for the message.
+        DecodeError: In each method: a record is invalid; `offset` is its file offset in the error message.
     """
 
     def __init__(self) -> None:
@@ -44,58 +46,58 @@ class EntryReader:
         self._channels: dict[int, tuple[str, str, str | bytes | None]] = {}
 
     def define(self, opcode: int, content: bytes, offset: int) -> None:
-        """Note a schema or a channel."""
-        match parsed(opcode, content):
+        """Store a schema or a channel."""
+        match parse_record(opcode, content):
             case Schema() as schema:
                 self._schemas.setdefault(schema.id, schema)
             case Channel() as channel:
                 schema = self._schemas.get(channel.schema_id)
                 if channel.schema_id and schema is None:
-                    found = f"channel {channel.id} of schema {channel.schema_id} at byte {offset}"
-                    raise DecodeError(found, "a schema that is defined")
+                    actual = f"channel {channel.id} of schema {channel.schema_id} at byte {offset}"
+                    raise DecodeError(actual, "a schema that is defined")
                 name, definition = ("", None) if schema is None else (schema.name, _definition(schema))
                 self._channels.setdefault(channel.id, (channel.topic, name, definition))
             case _:
-                raise DecodeError(
-                    f"definition at byte {offset}", "printable names, of the lengths that they say"
-                )
+                expected = "printable names, of the lengths that they say"
+                raise DecodeError(f"definition at byte {offset}", expected)
 
     @property
     def n_channels(self) -> int:
-        """Number of channels that are defined."""
+        """Number of defined channels."""
         return len(self._channels)
 
-    def knows(self, topic: str) -> bool:
+    def has_channel(self, topic: str) -> bool:
         """Return whether a channel of a topic is defined."""
-        return any(known == topic for known, _, _ in self._channels.values())
+        return any(channel_topic == topic for channel_topic, _, _ in self._channels.values())
 
     def entry(self, records: bytes, start: int, end: int, offset: int) -> Entry:
-        """Return the message between two places of `records`."""
+        """Return the message between two offsets of `records`."""
         if end - start < MESSAGE.size:
             raise DecodeError(f"message of {end - start} bytes at byte {offset}", f"at least {MESSAGE.size}")
-        number, _, time_ns, _ = MESSAGE.unpack_from(records, start)
-        known = self._channels.get(number)
-        if known is None:
-            raise DecodeError(f"message of channel {number} at byte {offset}", "a channel that is defined")
-        return Entry(*known, time_ns, records[start + MESSAGE.size : end])
+        channel_id, _, time_ns, _ = MESSAGE.unpack_from(records, start)
+        channel = self._channels.get(channel_id)
+        if channel is None:
+            actual = f"message of channel {channel_id} at byte {offset}"
+            raise DecodeError(actual, "a channel that is defined")
+        return Entry(*channel, time_ns, records[start + MESSAGE.size : end])
 
     def entries(self, records: bytes, offset: int, start_ns: int = 0) -> Iterator[Entry]:
-        """Yield the messages of a chunk, none of which is earlier than the index says."""
-        last = 0
-        for opcode, start, end in records_in(records):
-            last = end
+        """Yield the messages of a chunk; none may be earlier than `start_ns`, its start in the index."""
+        last_end = 0
+        for opcode, start, end in iterate_records(records):
+            last_end = end
             if opcode == Opcode.MESSAGE:
                 entry = self.entry(records, start, end, offset)
                 if entry.time_ns < start_ns:
-                    found = f"message at {entry.time_ns} ns in the chunk at byte {offset}"
-                    raise DecodeError(found, f"none before {start_ns} ns, as the index says")
+                    actual = f"message at {entry.time_ns} ns in the chunk at byte {offset}"
+                    raise DecodeError(actual, f"none before {start_ns} ns, as the index says")
                 yield entry
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self.define(opcode, records[start:end], offset)
             else:
-                found = f"record {opcode} in the chunk at byte {offset}"
-                raise DecodeError(found, "schemas, channels and messages")
-        if last != len(records):
+                actual = f"record {opcode} in the chunk at byte {offset}"
+                raise DecodeError(actual, "schemas, channels and messages")
+        if last_end != len(records):
             raise DecodeError(f"chunk at byte {offset} with half a record", "whole ones")
 
 
@@ -121,27 +123,24 @@ class Label:
     robots: tuple[str, ...]
 
 
-def label_of(path: Path, metadata: Mapping[str, str], attachments: Mapping[str, str]) -> Label:
-    """Return the label of a log; its metadata names the robots."""
+def make_label(path: Path, metadata: Mapping[str, str], attachments: Mapping[str, str]) -> Label:
+    """Return the label of a log; the metadata names the robots."""
     try:
         return Label(metadata, attachments, robot_names(metadata["robots"]))
     except DecodeError as error:
-        raise error.at(path, "metadata") from None
+        raise error.to_log_error(path, "metadata") from None
 
 
-def run_facts(records: Iterable[Metadata]) -> dict[str, str]:
+def run_metadata(records: Iterable[Metadata]) -> dict[str, str]:
     """Return the metadata of the run."""
-    return {key: text for each in records if each.name == "run" for key, text in each.metadata.items()}
+    return {key: text for record in records if record.name == "run" for key, text in record.metadata.items()}
 
 
 def robot_names(text: str) -> tuple[str, ...]:
     """Return the names of a log's robots from its metadata."""
     if not _NAMES.fullmatch(text):
-        raise DecodeError(f"robots = {shown(text)}", f"names with commas between, each {NAME_WISH}")
+        raise DecodeError(f"robots = {printable(text)}", f"names with commas between, each {NAME_WISH}")
     names = tuple(text.split(","))
     if len(set(names)) < len(names):
-        raise DecodeError(f"robots = {shown(text)}", "each name once")
+        raise DecodeError(f"robots = {printable(text)}", "each name once")
     return names
-
-
-_NAMES = re.compile(r"[A-Za-z0-9_-]{1,64}(,[A-Za-z0-9_-]{1,64}){0,999}")

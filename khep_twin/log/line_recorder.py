@@ -1,8 +1,8 @@
-"""Recorder of a real robot's serial line: its transcript, and the robot's data in its replies.
+"""Recorder of a real robot's serial line: its transcript, and the data in the robot's replies.
 
-The log has the format of a twin's, as far as a line can provide it: the transcript, the events, and the
-sensor values, wheel speeds and line images of the robot's own replies to N, O, E and T,2,N, at the time of
-their last byte. The robot's true pose, known only of a twin, is missing.
+The log has the format of a twin's log, as far as a line can provide it: transcript, events, and the sensor
+values, wheel speeds and line images of replies to N, O, E and T,2,N, at the time of their last byte. It lacks
+the robot's true pose, which is known only for a twin.
 """
 
 import json
@@ -33,12 +33,12 @@ _REPLIES = {
     b"e,": ("speed", 2),
     f"t,{K213_NUMBER},n,".encode(): ("vision", K213_PIXELS),
 }
-"""Replies with values that a twin's log samples, by how they begin: topic, and number of integers."""
+"""Topic and number of integers of the replies with sampled values, by prefix of the reply."""
 
 _INTEGER = re.compile(rb"-?[0-9]{1,10}")
 
 _REPLY_LIMIT = 1024
-"""Longest reply that is looked at [bytes]; a whole line image has up to 264."""
+"""Longest reply that is parsed [bytes]; a line image has up to 264."""
 
 
 class LineRecorder(FileRecorder):
@@ -46,27 +46,27 @@ class LineRecorder(FileRecorder):
 
     Args:
         path: Path of the finished log, by convention NAME.mcap.
-        settings: Configuration of the line, kept in the log as configuration.json.
-        now: Function that returns the time since the start [ns].
-        on_failure: Function that takes the message if the log can no longer be written, after which the relay
-            continues without it; None ends it by a `LogError`.
+        settings: Configuration of the line, saved in the log as configuration.json.
+        clock: Function that returns the time since the start [ns].
+        on_failure: Function that takes the message of a write error, after which the relay continues without
+            a log; None raises a `LogError`.
 
     Raises:
-        LogError: The file cannot be made.
+        LogError: The file cannot be created.
     """
 
     def __init__(
         self,
         path: Path,
         settings: Mapping[str, object],
-        now: Callable[[], int],
+        clock: Callable[[], int],
         *,
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
-        self._file = LogFile(path, now)
-        self._now = now
+        self._file = LogFile(path, clock)
+        self._clock = clock
         self._transcript = Transcript(self._file, [ROBOT])
-        self._lines = {True: LineReader(), False: LineReader(_REPLY_LIMIT)}
+        self._line_readers = {True: LineReader(), False: LineReader(_REPLY_LIMIT)}
         self._host_events: list[tuple[int, HostEvent]] = []
         self._setpoints: tuple[int, ...] = (0, 0)
         self._frames = {name: ArrayFrame(len(registers), "f8", label) for name, label, registers in SAMPLED}
@@ -77,30 +77,30 @@ class LineRecorder(FileRecorder):
         self._file.add("/channel_names", "std_msgs/msg/String", 0, channel_names(SAMPLED))
         self._file.flush()
         self._file.on_failure = on_failure
-        self._file.complete = self.close
+        self._file.on_exit = self.close
 
     def on_bytes(self, to_robot: bool, data: bytes) -> None:
-        """Record bytes that cross the line now."""
+        """Record bytes that are being transmitted."""
         if not self._file.open:
             return
-        time_ns = self._now()
+        time_ns = self._clock()
         self._transcript.on_bytes(time_ns, 0, to_robot, data)
         if to_robot:
             self._host_events.append((time_ns, HostEvent(HostEventKind.SEND, time_ns, None, data)))
-        for line in self._lines[to_robot].feed(data):
+        for line in self._line_readers[to_robot].feed(data):
             if not to_robot:
-                self._take_values(time_ns, line)
+                self._record_values(time_ns, line)
             elif isinstance(command := parse(line), Command) and command.letter == "D":
                 self._setpoints = command.arguments
 
     def on_event(self, text: str) -> None:
         """Record an event; flush the file."""
         if self._file.open:
-            self._file.add_event(self._now(), ROBOT, text)
+            self._file.add_event(self._clock(), ROBOT, text)
             self.flush()
 
     def flush(self) -> None:
-        """Hand everything so far to the file system."""
+        """Write the recorded data to the file system."""
         if self._file.open:
             self._write()
             self._file.flush()
@@ -109,7 +109,7 @@ class LineRecorder(FileRecorder):
         """Complete the file and rename it to its path."""
         if self._file.open:
             self._write()
-            self._transcript.write_rests(self._now())
+            self._transcript.write_partial_lines(self._clock())
             self._file.finish()
 
     def _write(self) -> None:
@@ -118,14 +118,14 @@ class LineRecorder(FileRecorder):
         if events:
             self._file.add(f"/{ROBOT}/host_events", INTEGERS, events[0][0], events_message(events))
 
-    def _take_values(self, time_ns: int, line: bytes) -> None:
-        head = next((each for each in _REPLIES if line.startswith(each)), None)
-        if head is None:
+    def _record_values(self, time_ns: int, line: bytes) -> None:
+        prefix = next((head for head in _REPLIES if line.startswith(head)), None)
+        if prefix is None:
             return
-        topic, count = _REPLIES[head]
-        fields = line.removeprefix(head).split(b",")
+        topic, count = _REPLIES[prefix]
+        fields = line.removeprefix(prefix).split(b",")
         if len(fields) != count or not all(map(_INTEGER.fullmatch, fields)):
-            return  # noise on the line, kept in the transcript
+            return  # noise on the line, which the transcript contains
         values = [int(field) for field in fields]
         if topic == "vision":
             if all(0 <= value <= 255 for value in values):

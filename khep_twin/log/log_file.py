@@ -1,8 +1,8 @@
 """File of a log: checks of its path, writing, and handling of write errors.
 
-It is written as NAME.mcap.part and renamed when it is whole. Written data is never lost: a full disk, another
-run of the same name, the remains of a crash and a file that appears under the name meanwhile do no harm to
-existing data.
+It is written as NAME.mcap.part and renamed when it is complete. Written data is never lost: a full disk, a
+concurrent run of the same name, the remains of a crash and a file created under the name during the run leave
+existing data unchanged.
 """
 
 import errno
@@ -24,35 +24,36 @@ from khep_twin.signals import clear_at_end, undisturbed
 
 
 class PartFile:
-    """An unbuffered file in which each write is there as a whole or not at all.
+    """Unbuffered file with atomic writes: all bytes of a write or none.
 
-    It is locked while it is open, so that a second run does not take it for the remains of a crash. A fork of
-    the process, such as a controller may make, cannot write it: both would write at the same place.
+    The file is locked while it is open, so that another run does not mistake it for the remains of a crash. A
+    fork of the process, e.g. by a controller, cannot write it: both would write at the same offset.
 
     Raises:
-        LogError: Another run that begins now did so, before it was locked.
-        OSError: It cannot be made.
+        LogError: A concurrent run replaced or locked the file first.
+        OSError: The file cannot be created.
     """
 
     def __init__(self, path: Path) -> None:
         try:
             self._descriptor = os.open(path, flags("O_WRONLY", "O_CREAT", "O_EXCL"), 0o666)
         except FileExistsError:
-            raise _written(path) from None
-        self._size, self._n_forks = 0, n_forks()
+            raise _busy_error(path) from None
+        self._size = 0
+        self._n_forks = n_forks()
         try:
             lock(self._descriptor)
-            is_ours = _names(path, self._descriptor)
+            is_ours = _is_same_file(path, self._descriptor)
         except BlockingIOError:
             is_ours = False
         except OSError:  # some network file systems have no locks
             is_ours = True
         if not is_ours:
             self.close()
-            raise _written(path)
+            raise _busy_error(path)
 
     def write(self, data: bytes) -> int:
-        """Append `data`; on an error, remove what was written of it and raise."""
+        """Append `data`; on an error, remove the partial write and raise."""
         if n_forks() != self._n_forks:
             raise OSError(errno.EBADF, "a fork of the process that writes it cannot do so")
         rest = memoryview(data)
@@ -71,7 +72,7 @@ class PartFile:
         return self._size
 
     def synchronize(self) -> None:
-        """Bring everything to the disk, so that a power failure takes nothing of it."""
+        """Write all data to the disk, so that it survives a power failure."""
         os.fsync(self._descriptor)
 
     def close(self) -> None:
@@ -83,46 +84,46 @@ class PartFile:
 
 
 def set_aside(part: Path) -> Path | None:
-    """Move an unfinished log out of the way, so that it can still be recovered; return its path, if any.
+    """Rename an unfinished log, so that it can still be recovered; return the new path, None without a log.
 
     Raises:
-        LogError: Another run is writing it, or it is no log.
-        OSError: It cannot be moved.
+        LogError: Another run is writing the file, or it is no log.
+        OSError: The file cannot be renamed.
     """
     try:
-        found = open_regular(part)
+        unfinished = open_regular(part)
     except FileNotFoundError:
         return None
     except OSError as error:
         raise LogError(f"{part}: this is no unfinished log: {error.strerror}") from error
-    with found as file:
+    with unfinished as file:
         try:
             lock(file)
         except BlockingIOError:
-            raise _written(part) from None
-        # The run that was writing it may have ended just now, and another one have begun.
-        if not _names(part, file.fileno()):
+            raise _busy_error(part) from None
+        # The run that wrote it may have just ended, and another one started.
+        if not _is_same_file(part, file.fileno()):
             return set_aside(part)
-        # It may be cut off early; anything else belongs to the user, such as the playpen of this very run.
+        # It may be cut off early; any other file is the user's, such as the playpen of this run.
         if not MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC))):
             raise LogError(f"{part}: this is no unfinished log; expected another name for the log")
         number = 1
-        while os.path.lexists(kept := part.with_name(f"{part.name}.{number}")):
+        while os.path.lexists(new_path := part.with_name(f"{part.name}.{number}")):
             number += 1
-        # As long as it is locked, no other run moves it, and none begins under its name.
-        os.rename(part, kept)
-        return kept
+        # While it is locked, no other run renames it or starts under its name.
+        os.rename(part, new_path)
+        return new_path
 
 
-def _names(path: Path, descriptor: int) -> bool:
-    """Return whether a path names the file that is open."""
+def _is_same_file(path: Path, descriptor: int) -> bool:
+    """Return whether a path is that of an open file."""
     try:
         return os.path.samestat(os.stat(path), os.fstat(descriptor))
     except FileNotFoundError:
         return False
 
 
-def _written(part: Path) -> LogError:
+def _busy_error(part: Path) -> LogError:
     return LogError(f"{part}: another run is writing it; expected another name for the log")
 
 
@@ -131,90 +132,90 @@ class LogFile(Output):
 
     Args:
         path: Path of the finished log, by convention NAME.mcap.
-        now: Function that returns the time of the run [ns].
+        clock: Function that returns the time of the run [ns].
 
     Attributes:
         path: Path of the finished log.
         part: Path of the file while it is written.
-        kept: New path of an unfinished log of an earlier run, None if there was none.
+        previous_part: New path of an unfinished log of an earlier run, None if there was none.
         open: True while it can be written.
         failure: First error, None if there was none.
         on_failure: Function that takes the message of an error, after which the run continues without a
-            log; None raises it.
-        complete: Function called if the process is ended from outside; by default it removes the file.
+            log; None raises the error.
+        on_exit: Function called if the process is terminated; by default it removes the file.
 
     Raises:
-        LogError: The file cannot be made.
+        LogError: The file cannot be created.
     """
 
-    def __init__(self, path: Path, now: Callable[[], int]) -> None:
-        if reason := unusable(path) or _no_log(path):
+    def __init__(self, path: Path, clock: Callable[[], int]) -> None:
+        if reason := unusable(path) or _refusal(path):
             raise LogError(f"{path}: cannot write a log here: {reason}")
         self.path = path
-        # Links are followed, so that they stay links; resolved now, as a controller may change the directory.
+        # Links are followed, so that they stay links; a controller may change the directory later.
         self._target = resolved(path) if path.is_symlink() else path.absolute()
         self.part = self._target.with_name(self._target.name + ".part")
-        self._before = Identity.of(self._target)
-        self._now = now
+        self._original = Identity.of(self._target)
+        self._clock = clock
         self.on_failure: Callable[[str], None] | None = None
-        self.complete = self.discard
+        self.on_exit = self.discard
         try:
             with undisturbed():
-                self.kept = set_aside(self.part)
+                self.previous_part = set_aside(self.part)
                 self._file = PartFile(self.part)
-                self._forget = clear_at_end(lambda: self.complete())
+                self._unregister = clear_at_end(lambda: self.on_exit())
         except OSError as error:
             raise LogError(f"{path}: cannot write a log here: {error.strerror}") from error
-        with self.guarded():
+        with self.error_guard():
             super().__init__(BatchWriter(self._file, "ros2", f"khep_twin {__version__}"))
 
     def finish(self) -> None:
-        """Complete the file and rename it to its path, or beside it if another file has appeared there."""
-        with self.guarded():
+        """Complete the file and rename it to its path, or to a free name if another file exists there."""
+        with self.error_guard():
             self._writer.finish()
-            # A log under its own name is whole, also after a power failure; that may take the name back.
+            # A log under its final name is complete, even after a power failure, which may undo the renaming.
             self._file.synchronize()
-            placed = put(self.part, self._target, self._before)
+            final_path = put(self.part, self._target, self._original)
             self._close()
-            if placed != self._target:
-                self._fail(LogError(kept_both(self.path, placed)))
+            if final_path != self._target:
+                self._fail(LogError(kept_both(self.path, final_path)))
 
     def discard(self) -> None:
-        """Remove the file, for a run that has not begun; a disk that fails keeps it, as a killed run's."""
+        """Remove the file of a run that has not started; on a disk error it remains."""
         with undisturbed():
             if self.open:
-                # As long as it is locked, the name is that of no other run's file.
+                # While it is locked, the name is that of no other run's file.
                 with suppress(OSError):
                     self.part.unlink(missing_ok=True)
                 with suppress(OSError):
                     self._close()
 
     @contextmanager
-    def guarded(self) -> Generator[None, None, None]:
-        """Turn the first error of the file into a `LogError` or a message; then the file is left alone."""
+    def error_guard(self) -> Generator[None, None, None]:
+        """Convert the first error of the file to a `LogError` or a message; then write no more."""
         try:
             with undisturbed():
                 yield
         except OSError as error:
-            if not self.open:  # another thread has completed it meanwhile
+            if not self.open:  # another thread has completed it
                 return
             with suppress(OSError):
                 self._close()
             reason = (
-                f"{self.path}: the log cannot be written any more at {self._now() / NS_PER_S:.2f} s: "
+                f"{self.path}: the log cannot be written any more at {self._clock() / NS_PER_S:.2f} s: "
                 f"{error.strerror}; what came before is kept in {self.part}"
             )
             self._fail(LogError(reason), "; the run goes on without it")
 
-    def _fail(self, failure: LogError, more: str = "") -> None:
+    def _fail(self, failure: LogError, suffix: str = "") -> None:
         self.failure = failure
         if self.on_failure is None:
             raise failure
-        self.on_failure(f"{failure}{more}")
+        self.on_failure(f"{failure}{suffix}")
 
     def _close(self) -> None:
         self.open = False
-        self._forget()
+        self._unregister()
         self._file.close()
 
 
@@ -224,9 +225,9 @@ class FileRecorder:
     _file: LogFile
 
     @property
-    def kept(self) -> Path | None:
+    def previous_part(self) -> Path | None:
         """New path of an unfinished log of an earlier run, None if there was none."""
-        return self._file.kept
+        return self._file.previous_part
 
     @property
     def failure(self) -> LogError | None:
@@ -234,17 +235,17 @@ class FileRecorder:
         return self._file.failure
 
     def discard(self) -> None:
-        """Remove the unfinished file, of a run that has not begun."""
+        """Remove the unfinished file of a run that has not started."""
         self._file.discard()
 
 
-def _no_log(path: Path) -> str:
-    """Return the reason why an existing file must not be replaced by a log; empty if it may."""
+def _refusal(path: Path) -> str:
+    """Return why an existing file must not be replaced by a log; empty if it may."""
     try:
         if not path.exists() or path.stat().st_size == 0:
             return ""
         with open_regular(path) as file:
-            begins_so = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
-        return "" if begins_so else "this file is no log; expected another name"
+            is_log = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+        return "" if is_log else "this file is no log; expected another name"
     except OSError as error:
         return error.strerror or str(error)

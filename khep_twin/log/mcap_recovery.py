@@ -1,10 +1,10 @@
-"""Recovery of whole records from the bytes of a damaged MCAP file.
+"""Recovery of intact records from the bytes of a damaged MCAP file.
 
-The file is read record by record. After an invalid one, the next offset is searched at which a record can be
-verified: by its checksum, or by parsing to its last byte with another record after it.
+The file is read record by record. After an invalid record, the next verifiable one is searched: a record is
+verified by its checksum, or by parsing to its last byte with another record after it.
 
-A chunk that the end of the file cuts off is unpacked as far as possible. One damaged in the middle fails its
-checksum and is left out as a whole, as its valid values cannot be distinguished from invalid ones.
+A chunk truncated by the end of the file is decompressed as far as possible. A chunk with damage in the middle
+fails its checksum and is skipped, as its valid values cannot be distinguished from invalid ones.
 """
 
 from collections.abc import Callable, Generator
@@ -16,31 +16,31 @@ from mcap.writer import MCAP0_MAGIC
 
 from khep_twin.log.record_bytes import (
     HEAD,
+    INDEX_OPCODES,
     LARGEST_CHUNK,
     LARGEST_RATIO,
     MESSAGE,
-    PLACES,
     READERS,
     SLACK,
     RecordBytes,
-    parsed,
-    records_in,
-    unpacked,
+    decompress,
+    iterate_records,
+    parse_record,
 )
 
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 
 
 Progress = Callable[[float], None] | None
-"""Function that takes the share that is done, 0 to 1."""
+"""Function that takes the completed fraction, 0 to 1."""
 
 
-class WholeRecords:
-    """Whole records of a file that may be damaged.
+class IntactRecords:
+    """Intact records of a file that may be damaged.
 
     Args:
         data: Content of the file.
-        progress: Function that takes the share of the file that has been searched, 0 to 1.
+        progress: Function that takes the searched fraction of the file, 0 to 1.
 
     Attributes:
         header: Header of the file.
@@ -48,33 +48,34 @@ class WholeRecords:
         channels: Channels by number.
         attachments: Attachments; those that fail their checksum are named damaged/NAME.
         metadata: Metadata records of the run.
-        damaged: Number of parts that could not be read.
-        torn: True if the end of the file cuts off a record with content.
+        n_damaged: Number of parts that could not be read.
+        is_truncated: True if the end of the file cuts off a record with content.
     """
 
     def __init__(self, data: bytes | mmap, progress: Progress = None) -> None:
-        self._data, self._progress = data, progress
+        self._data = data
+        self._progress = progress
         self._bytes = RecordBytes(data)
         self.header = Header("", "")
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.attachments: list[Attachment] = []
         self.metadata: list[Metadata] = []
-        self.damaged = 0
-        self.torn = False
-        self._pieces: list[int | bytes] = []
-        self._unpacked = 0
-        # A few wrong bytes there are damage like any other.
+        self.n_damaged = 0
+        self.is_truncated = False
+        self._sources: list[int | bytes] = []
+        self._unpacked_size = 0
+        # A few wrong bytes in the magic number are ordinary damage.
         if sum(a == b for a, b in zip(data[: len(MCAP0_MAGIC)], MCAP0_MAGIC, strict=False)) >= 5:
-            self._walk()
+            self._scan()
 
     def messages(self, progress: Progress = None) -> Generator[Message, None, None]:
-        """Yield the messages of known channels, in the order of the file; `progress` as above."""
-        for number, piece in enumerate(self._pieces):
+        """Yield the messages of known channels in the order of the file; `progress` as for the class."""
+        for number, source in enumerate(self._sources):
             if progress is not None:
-                progress(number / len(self._pieces))
-            records = (piece if isinstance(piece, bytes) else self._bytes.chunk(piece)) or b""
-            for opcode, start, end in records_in(records):
+                progress(number / len(self._sources))
+            records = (source if isinstance(source, bytes) else self._bytes.chunk(source)) or b""
+            for opcode, start, end in iterate_records(records):
                 if opcode not in _IN_CHUNKS:
                     break
                 if opcode == Opcode.MESSAGE and end - start >= MESSAGE.size:
@@ -83,56 +84,56 @@ class WholeRecords:
                         data = records[start + MESSAGE.size : end]
                         yield Message(channel, log_time, data, publish_time, sequence)
 
-    def _walk(self) -> None:
+    def _scan(self) -> None:
         offset = len(MCAP0_MAGIC)
         if self._data[:offset] != MCAP0_MAGIC:
-            self.damaged += 1
+            self.n_damaged += 1
         while offset < len(self._data):
             if self._data[offset : offset + len(MCAP0_MAGIC)] == MCAP0_MAGIC:
                 return
             if self._progress is not None:
                 self._progress(offset / len(self._data))
-            end = self._take(offset)
+            end = self._add_record(offset)
             if end is None:
-                if self._is_torn(offset):
+                if self._recover_truncated(offset):
                     return
-                self.damaged += 1
+                self.n_damaged += 1
                 end = self._bytes.next_record(offset + 1)
                 if end is None:
                     return
             offset = end
 
-    def _take(self, offset: int) -> int | None:
-        """Keep the content of the record at an offset; return where the next begins, None if it is none."""
+    def _add_record(self, offset: int) -> int | None:
+        """Store the content of the record at an offset; return its end, None if it is no valid record."""
         opcode, end = self._bytes.head(offset)
         if opcode == Opcode.CHUNK:
             records = self._bytes.chunk(offset)
             if records is None:
                 return None
-            self._unpacked += len(records)
-            if self._unpacked > SLACK + LARGEST_RATIO * len(self._data):
-                self.damaged += 1  # a decompression bomb, so the rest of it is not used either
+            self._unpacked_size += len(records)
+            if self._unpacked_size > SLACK + LARGEST_RATIO * len(self._data):
+                self.n_damaged += 1  # a decompression bomb, so the rest of the file is not used
                 return len(self._data)
-            self._define(records)
-            self._pieces.append(offset)
+            self._add_definitions(records)
+            self._sources.append(offset)
             return end
         if end is None:
             return None
         if opcode == Opcode.MESSAGE:
-            self._pieces.append(self._data[offset:end])
+            self._sources.append(self._data[offset:end])
         elif opcode == Opcode.ATTACHMENT:
             attachment = self._bytes.attachment(offset, end)
             if attachment is None:
                 return None
             self.attachments.append(attachment)
-            self.damaged += attachment.name.startswith("damaged/")
+            self.n_damaged += attachment.name.startswith("damaged/")
         elif opcode in READERS:
-            return self._keep(parsed(opcode, self._data[offset + HEAD.size : end]), end)
-        elif opcode not in PLACES:
+            return self._store(parse_record(opcode, self._data[offset + HEAD.size : end]), end)
+        elif opcode not in INDEX_OPCODES:
             return None
         return end
 
-    def _keep(self, record: McapRecord | None, end: int) -> int | None:
+    def _store(self, record: McapRecord | None, end: int) -> int | None:
         match record:
             case Header():
                 self.header = record
@@ -148,32 +149,33 @@ class WholeRecords:
                 pass
         return end
 
-    def _define(self, records: bytes) -> None:
-        for opcode, start, end in records_in(records):
+    def _add_definitions(self, records: bytes) -> None:
+        for opcode, start, end in iterate_records(records):
             if opcode not in _IN_CHUNKS:
                 break
-            if opcode != Opcode.MESSAGE and self._keep(parsed(opcode, records[start:end]), end) is None:
+            record = None if opcode == Opcode.MESSAGE else parse_record(opcode, records[start:end])
+            if opcode != Opcode.MESSAGE and self._store(record, end) is None:
                 break
 
-    def _is_torn(self, offset: int) -> bool:
-        """Return whether the file ends within the record at an offset; keep its readable part."""
+    def _recover_truncated(self, offset: int) -> bool:
+        """Return whether the file ends within the record at an offset; store the readable part."""
         data = self._data
         opcode, end = self._bytes.head(offset)
         if end is not None:
             return False
-        if opcode in PLACES and len(data) - offset < HEAD.size:
+        if opcode in INDEX_OPCODES and len(data) - offset < HEAD.size:
             return True
-        if opcode in PLACES:
-            # Losing a list of offsets loses nothing, if it is one and not a wrong length.
+        if opcode in INDEX_OPCODES:
+            # An index can be lost without loss of data, if it is one and not a wrong length.
             return self._bytes.next_record(offset + 1) is None
-        if opcode == Opcode.CHUNK and (found := self._bytes.chunk_head(offset)) is not None:
-            size, _, compression, start, inner = found
-            if inner != offset + HEAD.size + HEAD.unpack_from(data, offset)[1]:
+        if opcode == Opcode.CHUNK and (head := self._bytes.chunk_head(offset)) is not None:
+            size, _, compression, start, chunk_end = head
+            if chunk_end != offset + HEAD.size + HEAD.unpack_from(data, offset)[1]:
                 return False
-            records = unpacked(compression, data[start : start + LARGEST_CHUNK], size)
-            self._define(records)
-            self._pieces.append(records)
+            records = decompress(compression, data[start : start + LARGEST_CHUNK], size)
+            self._add_definitions(records)
+            self._sources.append(records)
         elif self._bytes.next_record(offset + 1) is not None:
             return False
-        self.torn = True
+        self.is_truncated = True
         return True

@@ -1,4 +1,4 @@
-"""Messages of a log by topic: collected while a file is read, decoded when they are asked for."""
+"""Messages of a log by topic: collected while a file is read, decoded on request."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -14,32 +14,32 @@ from khep_twin.log.columns import is_khepera4
 from khep_twin.log.decoding import (
     LATEST_NS,
     DecodeError,
+    printable,
+    read_all,
     read_array,
-    read_arrays_of,
-    read_each,
-    read_images_of,
     read_line,
     read_transforms,
-    shown,
+    stack_arrays,
+    stack_images,
 )
 from khep_twin.log.entries import Entry
 from khep_twin.log.shadow_channels import LINE_TOPICS
 
 READERS: dict[str, Callable[[list[bytes]], NDArray[np.int64] | NDArray[np.float64]]] = {
-    FLOATS: partial(read_arrays_of, kind="d"),
-    INTEGERS: partial(read_arrays_of, kind="q"),
-    IMAGE: read_images_of,
+    FLOATS: partial(stack_arrays, kind="d"),
+    INTEGERS: partial(stack_arrays, kind="q"),
+    IMAGE: stack_images,
 }
-"""Decoders of the message types that hold numbers, to one row for each message."""
+"""Decoders of the numeric message types, to one row for each message."""
 
-FOR_REPEAT = ("host_events", "state", "snapshot")
-"""Channels without samples, for `khep-twin repeat` and `branch`, in rows of any length."""
+REPEAT_CHANNELS = ("host_events", "state", "snapshot")
+"""Channels for `khep-twin repeat` and `branch`, without samples, in rows of any length."""
 
 WIDTHS = {"proximity": (8, 12), "ambient": (8, 12), "speed": (4,), "duty": (2,), "registers": (0,)}
-"""Numbers of a message by sampled channel of a robot, of each model; 0 for as many as in the first one."""
+"""Numbers per message by sampled channel of a robot, for each model; 0: as in the first message."""
 
-_LARGEST = 2**62
-"""Largest number that is accepted as an integer."""
+_MAX_INTEGER = 2**62
+"""Largest number accepted as an integer."""
 
 _Values = NDArray[np.int64] | NDArray[np.float64]
 _T = TypeVar("_T")
@@ -58,88 +58,88 @@ class Messages:
 
     Args:
         path: Path of the log in messages of errors.
-        found: Messages as they are in the file; each channel is put in order of time.
+        entries: Messages in the order of the file; the channels are sorted by time.
 
     Raises:
         LogError: Here and in each method: a message is invalid.
     """
 
-    def __init__(self, path: Path, found: Iterable[Entry]) -> None:
+    def __init__(self, path: Path, entries: Iterable[Entry]) -> None:
         self._path = path
-        self._found: dict[str, dict[str, tuple[list[int], list[bytes]]]] = {}
-        for topic, schema, _, time_ns, data in found:
+        self._by_topic: dict[str, dict[str, tuple[list[int], list[bytes]]]] = {}
+        for topic, schema, _, time_ns, data in entries:
             check_time(path, topic, time_ns)
-            times_ns, messages = self._found.setdefault(topic, {}).setdefault(schema, ([], []))
+            times_ns, messages = self._by_topic.setdefault(topic, {}).setdefault(schema, ([], []))
             times_ns.append(time_ns)
             messages.append(data)
 
     def series(self) -> dict[str, TimeSeries]:
         """Return all channels of numbers by topic."""
         return {
-            topic: TimeSeries(*self._decoded(topic, READERS[schema], schema))
-            for topic, found in self._found.items()
-            for schema in found
+            topic: TimeSeries(*self._decode(topic, READERS[schema], schema))
+            for topic, schemas in self._by_topic.items()
+            for schema in schemas
             if schema in READERS
         }
 
     def samples(self, robot: str, name: str) -> NDArray[np.int64]:
         """Return the values of a robot's sampled channel as integers (n, width)."""
-        _, values = self._decoded(f"/{robot}/{name}", partial(read_samples, name=name))
+        _, values = self._decode(f"/{robot}/{name}", partial(read_samples, name=name))
         return values.astype(np.int64)
 
     def is_khepera4(self, robot: str) -> bool:
         """Return whether a robot is a Khepera IV."""
-        return is_khepera4(robot, self._found)
+        return is_khepera4(robot, self._by_topic)
 
     def lines(self, topic: str) -> list[TextLine]:
         """Return the lines of a transcript or the events."""
-        _, lines = self._decoded(topic, partial(read_each, read_line))
+        _, lines = self._decode(topic, partial(read_all, read_line))
         return sorted(lines, key=lambda line: line.time_ns)
 
     def all_lines(self, robots: Sequence[str]) -> dict[str, list[TextLine]]:
         """Return all channels of lines by topic."""
         topics = line_topics(robots)
-        return {topic: self.lines(topic) for topic in self._found if topic in topics}
+        return {topic: self.lines(topic) for topic in self._by_topic if topic in topics}
 
     def poses(self, robots: Sequence[str]) -> tuple[NDArray[np.int64], list[NDArray[np.float64]]]:
         """Return the times of the poses (n,) [ns], and x, y [m] and heading [rad] of each robot (n, 3)."""
-        times_ns, frames = self._decoded("/tf", partial(read_each, read_transforms))
+        times_ns, frames = self._decode("/tf", partial(read_all, read_transforms))
         poses: list[NDArray[np.float64]] = []
         for base in (f"{name}/base" for name in robots):
             rows = [bodies[base] for bodies in frames if base in bodies]
             if len(rows) != len(frames):
-                found = f"{base} in {len(rows)} of {len(frames)} messages"
-                raise DecodeError(found, "it in each").at(self._path, "/tf")
+                actual = f"{base} in {len(rows)} of {len(frames)} messages"
+                raise DecodeError(actual, "it in each").to_log_error(self._path, "/tf")
             values = np.array(rows, np.float64).reshape(-1, 7)
             x, y, z, w = values[:, 3:].T
             heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
             poses.append(np.column_stack([values[:, :2], heading]))
         return times_ns, poses
 
-    def _decoded(
+    def _decode(
         self, topic: str, read: Callable[[list[bytes]], _T], schema: str | None = None
     ) -> tuple[NDArray[np.int64], _T]:
         """Return the times [ns] and the content of a topic's messages, of one type or of all."""
-        by_schema = self._found.get(topic, {})
-        found = list(by_schema.values()) if schema is None else [by_schema[schema]]
-        times_ns = np.array([time_ns for times_ns, _ in found for time_ns in times_ns], np.int64)
-        messages = [message for _, messages in found for message in messages]
+        by_schema = self._by_topic.get(topic, {})
+        channels = list(by_schema.values()) if schema is None else [by_schema[schema]]
+        times_ns = np.array([time_ns for times_ns, _ in channels for time_ns in times_ns], np.int64)
+        messages = [message for _, messages in channels for message in messages]
         order = np.argsort(times_ns, kind="stable")
         try:
             return times_ns[order], read([messages[row] for row in order.tolist()])
         except DecodeError as error:
-            raise error.at(self._path, topic, int(times_ns[order][error.row])) from None
+            raise error.to_log_error(self._path, topic, int(times_ns[order][error.row])) from None
 
 
 def check_time(path: Path, topic: str, time_ns: int) -> None:
-    """Raise a `LogError` if a message is later than any run."""
+    """Raise a `LogError` if a message is later than `LATEST_NS`."""
     if time_ns > LATEST_NS:
-        raise DecodeError(f"time = {time_ns} ns", f"at most {LATEST_NS} ns").at(path, topic)
+        raise DecodeError(f"time = {time_ns} ns", f"at most {LATEST_NS} ns").to_log_error(path, topic)
 
 
-def is_for_repeat(topic: str) -> bool:
-    """Return whether a channel is one without samples, such as /state, but not /shadow/state."""
-    return topic.rpartition("/")[2] in FOR_REPEAT and topic not in LINE_TOPICS
+def is_repeat_channel(topic: str) -> bool:
+    """Return whether a channel has no samples, such as /state, unlike /shadow/state."""
+    return topic.rpartition("/")[2] in REPEAT_CHANNELS and topic not in LINE_TOPICS
 
 
 def line_topics(robots: Iterable[str]) -> set[str]:
@@ -149,17 +149,17 @@ def line_topics(robots: Iterable[str]) -> set[str]:
 
 def read_samples(messages: Sequence[bytes], name: str) -> _Values:
     """Return the values of messages of a robot's sampled channel (n, width)."""
-    width, *others = WIDTHS.get(name, (0,))
+    width, *other_widths = WIDTHS.get(name, (0,))
     if not messages:
         return np.zeros((0, width))
     if name == "registers":
-        return read_arrays_of(messages, "q", width, f" of {name}")
-    if others and len(read_array(messages[0], "d")) in others:
-        width = others[0]
-    values = read_arrays_of(messages, "d", width, f" of {name}")
-    small = ((values >= -_LARGEST) & (values <= _LARGEST)).all(axis=1)
-    if not small.all():
-        row = int(np.argmin(small))
-        found = f"values {shown(tuple(values[row].tolist()))}"
-        raise DecodeError(found, f"numbers from -{_LARGEST} to {_LARGEST}").in_row(row)
+        return stack_arrays(messages, "q", width, f" of {name}")
+    if other_widths and len(read_array(messages[0], "d")) in other_widths:
+        width = other_widths[0]
+    values = stack_arrays(messages, "d", width, f" of {name}")
+    in_range = ((values >= -_MAX_INTEGER) & (values <= _MAX_INTEGER)).all(axis=1)
+    if not in_range.all():
+        row = int(np.argmin(in_range))
+        actual = f"values {printable(tuple(values[row].tolist()))}"
+        raise DecodeError(actual, f"numbers from -{_MAX_INTEGER} to {_MAX_INTEGER}").in_row(row)
     return values

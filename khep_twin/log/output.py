@@ -28,28 +28,28 @@ class Writer(Protocol):
         ...
 
     def channel(self, topic: str, schema: str, definition: str | bytes) -> int:
-        """Return the number of a topic's channel, made at its first use."""
+        """Return the ID of a topic's channel, which is created at its first use."""
         ...
 
     def add_lines(self, channel: int, times_ns: Sequence[int], messages: Sequence[bytes]) -> None:
-        """Add messages of different sizes, at these times in their order."""
+        """Add messages of different sizes at non-decreasing times."""
         ...
 
     def add_rows(self, channel: int, times_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
-        """Add messages of one size, a row each, at these times (n,), rising."""
+        """Add messages of one size, one per row, at non-decreasing times (n,) [ns]."""
         ...
 
     def flush(self) -> None:
-        """Pass on the added messages."""
+        """Write or send the added messages."""
         ...
 
     def finish(self) -> None:
-        """Pass on the rest, at the end of the run."""
+        """Write or send the rest, at the end of the run."""
         ...
 
 
 def messages_of(rows: NDArray[np.void]) -> list[bytes]:
-    """Return messages of one size, a row each, one by one."""
+    """Return messages of one size, one per row, as a list."""
     data, size = rows.tobytes(), rows.itemsize
     return [data[start : start + size] for start in range(0, len(data), size)]
 
@@ -58,21 +58,21 @@ class Output:
     """Messages of khep_twin, passed to a writer.
 
     Attributes:
-        open: True while messages are taken.
+        open: True while messages are accepted.
         failure: First error, None if there was none.
-        complete: Function called if the process is ended from outside.
+        on_exit: Function called if the process is terminated.
     """
 
     open: bool = True
     failure: LogError | None = None
-    complete: Callable[[], None]
+    on_exit: Callable[[], None]
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
 
     def describe(self, attachments: Mapping[str, str], facts: Mapping[str, object]) -> None:
         """Add the run's description: texts by name, and a table of facts."""
-        with self.guarded():
+        with self.error_guard():
             for name, text in attachments.items():
                 self._writer.attach(name, text)
             self._writer.describe("run", {key: str(value) for key, value in facts.items()})
@@ -81,29 +81,29 @@ class Output:
         self, topic: str, schema: str, time_ns: int, message: bytes, descriptors: bytes | None = None
     ) -> None:
         """Add one message; `descriptors` define its type if it is in protobuf."""
-        with self.guarded():
+        with self.error_guard():
             self._writer.add_lines(self._channel(topic, schema, descriptors), [time_ns], [message])
 
     def add_rows(
         self, topic: str, schema: str, times_ns: NDArray[np.int64], messages: NDArray[np.void]
     ) -> None:
-        """Add messages of one size, a row each."""
-        with self.guarded():
+        """Add messages of one size, one per row."""
+        with self.error_guard():
             self._writer.add_rows(self._channel(topic, schema), times_ns, messages)
 
     def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
         """Add lines of a transcript."""
-        with self.guarded():
+        with self.error_guard():
             self._writer.add_lines(self._channel(topic, LINES), times_ns, messages)
 
     def add_entries(self, entries: Iterable[Entry]) -> None:
-        """Add messages of another log, as they are there."""
-        with self.guarded():
-            for (topic, schema, definition), group in groupby(entries, key=lambda each: each[:3]):
-                found = list(group)
+        """Add messages of another log without changes."""
+        with self.error_guard():
+            for (topic, schema, definition), group in groupby(entries, key=lambda entry: entry[:3]):
+                messages = list(group)
                 channel = self._writer.channel(topic, schema, definition or "")
-                times_ns = [each.time_ns for each in found]
-                self._writer.add_lines(channel, times_ns, [each.data for each in found])
+                times_ns = [entry.time_ns for entry in messages]
+                self._writer.add_lines(channel, times_ns, [entry.data for entry in messages])
 
     def add_event(self, time_ns: int, name: str, text: str) -> None:
         """Add an event."""
@@ -118,18 +118,18 @@ class Output:
         self.add("/scene", foxglove_scene.SCHEMA, time_ns, scene, foxglove_scene.descriptors())
 
     def flush(self) -> None:
-        """Pass on everything so far."""
-        with self.guarded():
+        """Write or send the added messages."""
+        with self.error_guard():
             self._writer.flush()
 
     def finish(self) -> None:
-        """Pass on the rest; nothing is taken after it."""
+        """Write or send the rest; no messages are accepted afterwards."""
         self._writer.finish()
         self.open = False
 
     @contextmanager
-    def guarded(self) -> Generator[None, None, None]:
-        """Handle the errors of the destination; the plain output has none."""
+    def error_guard(self) -> Generator[None, None, None]:
+        """Handle errors of the destination; this class expects none."""
         yield
 
     def _channel(self, topic: str, schema: str, descriptors: bytes | None = None) -> int:

@@ -1,6 +1,6 @@
 """Reading of logs: recorded data as arrays, without ROS, rerun or the simulator.
 
-Each function raises a `LogError` for a log that does not exist, or is not whole.
+Each function raises a `LogError` for a log that is missing or incomplete.
 """
 
 import hashlib
@@ -19,18 +19,19 @@ from khep_twin.files.atomic import open_regular
 from khep_twin.files.paths import StrPath
 from khep_twin.invocation import command
 from khep_twin.log.channels import FLOATS, IMAGE, TextLine
-from khep_twin.log.columns import KNOWN4, named
+from khep_twin.log.columns import KHEPERA4_COLUMNS, name_columns
 from khep_twin.log.content import Content
-from khep_twin.log.decoding import DecodeError, readable
-from khep_twin.log.entries import Entry, Label, label_of, run_facts
-from khep_twin.log.messages import WIDTHS, Messages, TimeSeries, check_time, is_for_repeat
+from khep_twin.log.decoding import DecodeError, read_errors
+from khep_twin.log.entries import Entry, Label, make_label, run_metadata
+from khep_twin.log.messages import WIDTHS, Messages, TimeSeries, check_time, is_repeat_channel
 from khep_twin.playpen import Playpen, parse
 from khep_twin.playpen.checks import require_kheperas
+from khep_twin.renamed import renamed_attribute
 
-_MORE = [kind for kind in KNOWN4 if kind not in WIDTHS]
+_EXTRA = [kind for kind in KHEPERA4_COLUMNS if kind not in WIDTHS]
 
-PIECE = 32 << 20
-"""Most bytes of messages that `read_pieces` reads at a time, besides a chunk."""
+BATCH_BYTES = 32 << 20
+"""Messages that `read_batches` reads at a time, besides a chunk [bytes]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +45,9 @@ class RobotTrack:
         ambient: Counts in the order of O (n, 8); of a Khepera IV (n, 12).
         speed: Speeds left, right, setpoint left, setpoint right (n, 4) [pulses/10 ms].
         duty: Duties left, right (n, 2) [-255 to 255]; of a Khepera IV [-2940 to 2940].
-        registers: Whole state of the board (n, n_registers).
+        registers: Complete state of the board (n, n_registers).
         serial: Transcript, in order of time.
-        more: Further channels of a Khepera IV by name (n, columns), e.g. "ultrasonic"; none of others.
+        extra_channels: Further channels of a Khepera IV by name (n, columns), e.g. "ultrasonic"; or none.
     """
 
     times_ns: NDArray[np.int64]
@@ -57,17 +58,17 @@ class RobotTrack:
     duty: NDArray[np.int64]
     registers: NDArray[np.int64]
     serial: list[TextLine]
-    more: Mapping[str, NDArray[np.int64]] = field(default_factory=dict[str, NDArray[np.int64]])
+    extra_channels: Mapping[str, NDArray[np.int64]] = field(default_factory=dict[str, NDArray[np.int64]])
+    more = renamed_attribute("more", "extra_channels")
 
 
 @dataclass(frozen=True, slots=True)
 class LoggedRun:
-    """A whole log.
+    """A complete log.
 
     Attributes:
         metadata: Seed, versions, settings.
-        attachments: Texts playpen.toml, scene.xml, configuration.json, calibration/*.toml, controller/*.py or
-            controller/*.json.
+        attachments: Texts by name, as in `Label`.
         robots: Tracks of the robots, by name.
         events: Events, in order of time.
         source: Path of the log.
@@ -92,7 +93,7 @@ class LoggedRun:
 
     @property
     def paths(self) -> tuple[DrawnPath, ...]:
-        """Paths of the robots, as `khep_twin.draw` takes them; none of a robot whose poses are not known."""
+        """Paths of the robots for `khep_twin.draw`, without robots of unknown poses."""
         return tuple(
             DrawnPath(name, track.times_ns / 1e9, 1000 * track.pose[:, :2])
             for name, track in self.robots.items()
@@ -100,35 +101,37 @@ class LoggedRun:
         )
 
     def table(self) -> dict[str, NDArray[np.generic]]:
-        """Return the samples of all robots as columns (n,) by name, as `pandas.DataFrame` takes them.
+        """Return the samples of all robots as columns (n,) by name, for `pandas.DataFrame`.
 
-        They are "time_s", "robot", and those of `khep-twin export` for pose, proximity, ambient, speed and
-        duty, of a Khepera IV also its further channels; NaN where a robot has no such column. Rows are in
-        order of time, and then of the robots.
+        The columns are "time_s", "robot", and those of `khep-twin export` for pose, proximity, ambient, speed
+        and duty, of a Khepera IV also its further channels; NaN where a robot lacks a column. Rows are sorted
+        by time, then by robot.
         """
         tracks = [*self.robots.values()]
         times_ns = np.concatenate([track.times_ns for track in tracks])
         order = np.argsort(times_ns, kind="stable")
         names = np.repeat([*self.robots], [len(track.times_ns) for track in tracks])
         table: dict[str, NDArray[np.generic]] = {"time_s": times_ns[order] / 1e9, "robot": names[order]}
-        mixed = len({bool(track.more) for track in tracks}) > 1
-        found: dict[str, dict[int, NDArray[np.generic]]] = {}
+        is_mixed = len({bool(track.extra_channels) for track in tracks}) > 1
+        values_by_column: dict[str, dict[int, NDArray[np.generic]]] = {}
         for index, track in enumerate(tracks):
-            own = {kind: getattr(track, kind) for kind in ("pose", "proximity", "ambient", "speed", "duty")}
-            for kind, values in (own | dict(track.more)).items():
-                _, columns = named(kind, values.shape[1], khepera4=bool(track.more), mixed=mixed)
-                for (column, _), each in zip(columns, values.T, strict=True):
-                    found.setdefault(column, {})[index] = each
+            kinds = ("pose", "proximity", "ambient", "speed", "duty")
+            channels = {kind: getattr(track, kind) for kind in kinds} | dict(track.extra_channels)
+            for kind, values in channels.items():
+                khepera4 = bool(track.extra_channels)
+                _, columns = name_columns(kind, values.shape[1], khepera4=khepera4, is_mixed=is_mixed)
+                for (column, _), column_values in zip(columns, values.T, strict=True):
+                    values_by_column.setdefault(column, {})[index] = column_values
         gaps = [np.full(len(track.times_ns), np.nan) for track in tracks]
-        for column, own in found.items():
-            parts = [own.get(index, gap) for index, gap in enumerate(gaps)]
+        for column, values_by_track in values_by_column.items():
+            parts = [values_by_track.get(index, gap) for index, gap in enumerate(gaps)]
             table[column] = np.concatenate(parts)[order]
         return table
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A whole log with each channel at its own times, as in logs of real robots.
+    """A complete log with separate times for each channel, as in logs of real robots.
 
     Attributes:
         label: Metadata and attachments of the log.
@@ -144,8 +147,8 @@ class Recording:
 def read_log(path: StrPath) -> LoggedRun:
     """Read a log as arrays."""
     path = Path(path)
-    with _opened(path) as content:
-        label = _label(path, content)
+    with _open_log(path) as content:
+        label = _read_label(path, content)
         messages = Messages(path, content.messages())
     times_ns, poses = messages.poses(label.robots)
     robots = {
@@ -154,19 +157,21 @@ def read_log(path: StrPath) -> LoggedRun:
             pose,
             *(messages.samples(name, kind) for kind in WIDTHS),
             serial=messages.lines(f"/{name}/serial"),
-            more={kind: messages.samples(name, kind) for kind in _MORE if messages.is_khepera4(name)},
+            extra_channels={
+                kind: messages.samples(name, kind) for kind in _EXTRA if messages.is_khepera4(name)
+            },
         )
         for name, pose in zip(label.robots, poses, strict=True)
     }
     return LoggedRun(label.metadata, label.attachments, robots, messages.lines("/events"), path)
 
 
-def require_kheperas_in(label: Label, source: object, what: str) -> None:
-    """Raise a `LogError` where a robot of a log is no Khepera or Khepera II, which `what` is only for."""
+def require_kheperas_in(label: Label, source: object, feature: str) -> None:
+    """Raise a `LogError` if a robot of a log is no Khepera or Khepera II, as `feature` requires."""
     text = label.attachments.get("playpen.toml", "")
     if "khepera4" in text:
         try:
-            require_kheperas(parse(text, "playpen.toml", recorded=True), what)
+            require_kheperas(parse(text, "playpen.toml", recorded=True), feature)
         except PlaypenError as error:
             raise LogError(f"{source}: {error}") from None
 
@@ -174,20 +179,20 @@ def require_kheperas_in(label: Label, source: object, what: str) -> None:
 def read_label(path: StrPath) -> Label:
     """Read metadata and attachments of a log; fast for any length of the run."""
     path = Path(path)
-    with _opened(path) as content:
-        return _label(path, content)
+    with _open_log(path) as content:
+        return _read_label(path, content)
 
 
 def read_end_ns(path: Path) -> int:
     """Return the time of a log's last message [ns]; fast for any length of the run."""
-    with _opened(path) as content:
+    with _open_log(path) as content:
         return content.end_ns()
 
 
-def hash_of(path: Path) -> str:
+def hash_file(path: Path) -> str:
     """Return the SHA-256 of a log's file, in hexadecimal digits."""
     digest = hashlib.sha256()
-    with readable(path), open_regular(path) as file:
+    with read_errors(path), open_regular(path) as file:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
@@ -196,48 +201,45 @@ def hash_of(path: Path) -> str:
 def read_arrays(path: StrPath) -> tuple[Label, dict[str, tuple[NDArray[np.int64], NDArray[np.float64]]]]:
     """Read a log's label and its floats and images by topic: times (n,) [ns] and values (n, length)."""
     path = Path(path)
-    with _opened(path) as content:
-        label = _label(path, content)
-        messages = Messages(path, (each for each in content.messages() if each.schema in (FLOATS, IMAGE)))
+    with _open_log(path) as content:
+        label = _read_label(path, content)
+        messages = Messages(path, (entry for entry in content.messages() if entry.schema in (FLOATS, IMAGE)))
     series = messages.series()
-    return label, {topic: (each.times_ns, each.values.astype(np.float64)) for topic, each in series.items()}
+    return label, {name: (item.times_ns, item.values.astype(np.float64)) for name, item in series.items()}
 
 
 def read_series(path: StrPath) -> Recording:
-    """Read a log with each channel at its own times."""
+    """Read a log with separate times for each channel."""
     path = Path(path)
-    with _opened(path) as content:
-        return _recording(path, _label(path, content), content.messages())
+    with _open_log(path) as content:
+        return _make_recording(path, _read_label(path, content), content.messages())
 
 
-def read_heads(path: Path) -> Recording:
-    """Return a log with the first message of each channel; fast for any length of the run."""
-    with _opened(path) as content:
-        return _recording(path, _label(path, content), content.first_messages())
+def read_first_messages(path: Path) -> Recording:
+    """Read the first message of each channel of a log; fast for any length of the run."""
+    with _open_log(path) as content:
+        return _make_recording(path, _read_label(path, content), content.first_messages())
 
 
-def read_pieces(path: Path, progress: Callable[[float], None] | None = None) -> Iterator[Recording]:
-    """Yield a log in pieces small enough for the memory, in order of time.
-
-    `progress` takes the share that has been read, 0 to 1.
-    """
-    return (recording for recording, _ in read_with_messages(path, progress))
+def read_batches(path: Path, progress: Callable[[float], None] | None = None) -> Iterator[Recording]:
+    """Yield a log in batches that fit in memory, in order of time; `progress` takes the fraction read."""
+    return (recording for recording, _ in read_message_batches(path, progress))
 
 
-def read_with_messages(
+def read_message_batches(
     path: Path, progress: Callable[[float], None] | None = None
 ) -> Iterator[tuple[Recording, list[Entry]]]:
-    """Yield pieces as `read_pieces` does, with their messages."""
-    with _opened(path) as content:
-        label = _label(path, content)
-        for share, messages in content.pieces(PIECE):
-            yield _recording(path, label, messages), messages
+    """Yield batches as `read_batches` does, with their messages."""
+    with _open_log(path) as content:
+        label = _read_label(path, content)
+        for share, messages in content.batches(BATCH_BYTES):
+            yield _make_recording(path, label, messages), messages
             if progress is not None:
                 progress(share)
 
 
-def _recording(path: Path, label: Label, found: Iterable[Entry]) -> Recording:
-    messages = Messages(path, (each for each in found if not is_for_repeat(each.topic)))
+def _make_recording(path: Path, label: Label, entries: Iterable[Entry]) -> Recording:
+    messages = Messages(path, (entry for entry in entries if not is_repeat_channel(entry.topic)))
     series = messages.series()
     times_ns, poses = messages.poses(label.robots)
     if len(times_ns):
@@ -249,77 +251,76 @@ def _recording(path: Path, label: Label, found: Iterable[Entry]) -> Recording:
 
 
 def read_raw(
-    path: Path, wanted: Callable[[str], bool]
+    path: Path, topic_filter: Callable[[str], bool]
 ) -> tuple[Label, dict[str, list[tuple[int, bytes]]], bool]:
     """Read a log's label, and times [ns] and bytes of its messages by topic, in the order of the file.
 
     Args:
         path: Path of a finished log.
-        wanted: Function that returns whether to read a topic.
+        topic_filter: Function that returns whether to read a topic.
 
     Returns:
         Label, messages, and whether the log was recovered, so that its end may be missing.
     """
-    found: dict[str, list[tuple[int, bytes]]] = {}
-    with _opened(path) as content:
-        label = _label(path, content)
-        recovered = any(record.name == "recovered" for record in content.metadata())
+    messages: dict[str, list[tuple[int, bytes]]] = {}
+    with _open_log(path) as content:
+        label = _read_label(path, content)
+        is_recovered = any(record.name == "recovered" for record in content.metadata())
         for topic, _, _, time_ns, data in content.messages():
-            if wanted(topic):
+            if topic_filter(topic):
                 check_time(path, topic, time_ns)
-                found.setdefault(topic, []).append((time_ns, data))
-    return label, found, recovered
+                messages.setdefault(topic, []).append((time_ns, data))
+    return label, messages, is_recovered
 
 
 def read_since(path: Path, topic: str, time_ns: int) -> Generator[list[Entry]]:
-    """Yield the last message of a topic up to a time [ns], then those after it, chunk by chunk.
-
-    Without such a message, yield none, and then all messages. With an index, what lies before is not read.
-    """
-    with _opened(path) as content:
-        yield from content.since(topic, time_ns)
+    """Yield messages as `Content.messages_since` does; with an index, earlier chunks are not read."""
+    with _open_log(path) as content:
+        yield from content.messages_since(topic, time_ns)
 
 
 def read_until(path: Path, last: Entry) -> Generator[list[Entry]]:
-    """Yield the messages of each chunk in the order of the file, up to a message, inclusive."""
-    with _opened(path) as content:
+    """Yield the messages of each chunk in the order of the file, up to and including `last`."""
+    with _open_log(path) as content:
         for _, entries in content.chunks():
-            piece: list[Entry] = []
+            messages: list[Entry] = []
             for entry in entries:
-                piece.append(entry)
+                messages.append(entry)
                 if entry == last:
-                    yield piece
+                    yield messages
                     return
-            yield piece
+            yield messages
 
 
 @contextmanager
-def _opened(path: Path) -> Generator[Content, None, None]:
-    """Open a log; turn errors of its file and its content into one line."""
-    with readable(path), open_regular(path) as file:
+def _open_log(path: Path) -> Generator[Content, None, None]:
+    """Open a log; convert errors of its file and its content to a `LogError` of one line."""
+    with read_errors(path), open_regular(path) as file:
         try:
             yield Content(file)
         except DecodeError as error:
-            # What begins as a log was torn or damaged, and can be rescued.
+            # A file that starts like a log is truncated or damaged, and can be recovered.
             file.seek(0)
-            is_torn = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
-            rescue = f"; to rescue what is left: {command('recover', path)}"
-            make = f"; to make a log: {command('run', '--log', 'run.mcap')}"
-            raise LogError(f"{path}: no whole log: {error}", rescue if is_torn else make) from None
+            is_log = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+            recover_hint = f"; to rescue what is left: {command('recover', path)}"
+            create_hint = f"; to make a log: {command('run', '--log', 'run.mcap')}"
+            hint = recover_hint if is_log else create_hint
+            raise LogError(f"{path}: no whole log: {error}", hint) from None
 
 
-def _label(path: Path, content: Content) -> Label:
-    metadata = run_facts(content.metadata())
+def _read_label(path: Path, content: Content) -> Label:
+    metadata = run_metadata(content.metadata())
     if "robots" not in metadata:
         missing = "it has no metadata record run that names the robots"
         raise LogError(f"{path}: an MCAP file, but no log of khep_twin: {missing}")
     attachments: dict[str, str] = {}
-    for each in content.attachments():
+    for attachment in content.attachments():
         try:
-            # `recover` has kept what it could of damaged attachments.
-            damaged = each.name.startswith("damaged/")
-            attachments[each.name] = each.data.decode("utf-8", "replace" if damaged else "strict")
+            # `recover` saves the readable part of damaged attachments.
+            is_damaged = attachment.name.startswith("damaged/")
+            text = attachment.data.decode("utf-8", "replace" if is_damaged else "strict")
+            attachments[attachment.name] = text
         except UnicodeDecodeError as error:
-            invalid = DecodeError(f"byte {each.data[error.start]:#04x} at {error.start}", "UTF-8")
-            raise invalid.at(path, each.name) from None
-    return label_of(path, metadata, attachments)
+            invalid = DecodeError(f"byte {attachment.data[error.start]:#04x} at {error.start}", "UTF-8")
+            raise invalid.to_log_error(path, attachment.name) from None
+    return make_label(path, metadata, attachments)

@@ -1,6 +1,6 @@
 """Records of an MCAP file as bytes: their extent, their content, and whether they are valid.
 
-No length is used before the bytes are known to be there.
+A length is used only after a check that its bytes exist.
 """
 
 # lz4 is not typed.
@@ -24,28 +24,28 @@ from mcap.records import Attachment, Channel, Header, McapRecord, MessageIndex, 
 HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQI")
 MESSAGE = struct.Struct("<HIQQ")
-_DAMAGE = (McapError, struct.error, ValueError, EOFError, LookupError, OverflowError, MemoryError)
+_PARSE_ERRORS = (McapError, struct.error, ValueError, EOFError, LookupError, OverflowError, MemoryError)
 LARGEST_RATIO = 200
-"""Largest ratio of a log's unpacked content to its file's size, besides `SLACK`; khep_twin's are below 40."""
+"""Maximum ratio of decompressed content to file size, besides `SLACK`; in khep_twin's logs it is below 40."""
 
 SLACK = 4 << 20
-"""Unpacked content that is accepted for a log of any size [bytes]."""
+"""Decompressed content that is accepted for a log of any size [bytes]."""
 
-_PIECE = 1 << 16
+_BLOCK_BYTES = 1 << 16
 _LZ4 = b"\x04\x22\x4d\x18"
 """Magic number of an lz4 frame."""
 
-_FRAME = 18
+_ZSTD_HEADER = 18
 """Largest header of a zstandard frame [bytes]."""
 
 _EXAMINED_PER_BYTE = 20
-"""Most bytes that are examined for each byte of a file to verify records."""
+"""Maximum number of bytes examined per byte of a file to verify records."""
 
 LARGEST_CHUNK = 64 << 20
-"""Largest unpacked chunk [bytes]; khep_twin begins another one at a quarter of it."""
+"""Largest decompressed chunk [bytes]; khep_twin starts a new one at a quarter of it."""
 
-_START = re.compile(rb"(?=[\x01\x03-\x0f].{5}\x00\x00\x00)", re.DOTALL)
-"""Opcode and the upper bytes of a length, where a record may begin."""
+_RECORD_START = re.compile(rb"(?=[\x01\x03-\x0f].{5}\x00\x00\x00)", re.DOTALL)
+"""Opcode and upper bytes of a length, at the possible start of a record."""
 
 READERS: Mapping[int, Callable[[ReadDataStream], McapRecord]] = {
     Opcode.HEADER: Header.read,
@@ -56,7 +56,7 @@ READERS: Mapping[int, Callable[[ReadDataStream], McapRecord]] = {
 }
 _READERS = {**READERS, Opcode.ATTACHMENT: Attachment.read, Opcode.STATISTICS: Statistics.read}
 
-PLACES = {
+INDEX_OPCODES = {
     Opcode.MESSAGE_INDEX,
     Opcode.DATA_END,
     Opcode.STATISTICS,
@@ -66,28 +66,28 @@ PLACES = {
     Opcode.SUMMARY_OFFSET,
     Opcode.FOOTER,
 }
-"""Records that only point to others."""
+"""Opcodes of records that only index others, or end a section."""
 
 
 class RecordBytes:
-    """Content of a file with access to the record at an offset."""
+    """Bytes of a file with access to the record at an offset."""
 
     def __init__(self, data: bytes | mmap) -> None:
         self._data = data
-        self._spent = 0
+        self._n_examined = 0
 
     def next_record(self, offset: int) -> int | None:
         """Return the offset of the next verified record, None if the search limit is reached."""
         limit = LARGEST_CHUNK + _EXAMINED_PER_BYTE * len(self._data)
-        for match in _START.finditer(self._data, offset):
-            if self._spent > limit:
+        for match in _RECORD_START.finditer(self._data, offset):
+            if self._n_examined > limit:
                 return None
             if self.is_record(match.start()):
                 return match.start()
         return None
 
     def head(self, offset: int) -> tuple[int, int | None]:
-        """Return the opcode of a record and its end, None if that is not in the file."""
+        """Return the opcode and the end of a record; None if the end is not in the file."""
         if offset < 0 or offset + HEAD.size > len(self._data):
             return self._data[offset] if 0 <= offset < len(self._data) else 0, None
         opcode, length = HEAD.unpack_from(self._data, offset)
@@ -95,99 +95,100 @@ class RecordBytes:
         return opcode, end if end <= len(self._data) else None
 
     def chunk_head(self, offset: int) -> tuple[int, int, str, int, int] | None:
-        """Return unpacked size, checksum and compression, and begin and end of the packed bytes."""
+        """Return decompressed size, checksum and compression, and start and end of the compressed bytes."""
         start = offset + HEAD.size
         try:
             _, _, size, crc = _CHUNK_HEAD.unpack_from(self._data, start)
             (length,) = struct.unpack_from("<I", self._data, start + _CHUNK_HEAD.size)
-            name = start + _CHUNK_HEAD.size + 4
-            compression = self._data[name : name + min(length, 5)].decode("latin-1")
-            (packed,) = struct.unpack_from("<Q", self._data, name + min(length, 5))
+            name_start = start + _CHUNK_HEAD.size + 4
+            compression = self._data[name_start : name_start + min(length, 5)].decode("latin-1")
+            (packed_size,) = struct.unpack_from("<Q", self._data, name_start + min(length, 5))
         except struct.error:
             return None
         if compression not in ("", "lz4", "zstd"):
             return None
-        first = name + len(compression) + 8
-        return size, crc, compression, first, first + packed
+        data_start = name_start + len(compression) + 8
+        return size, crc, compression, data_start, data_start + packed_size
 
     def chunk(self, offset: int) -> bytes | None:
-        """Return the records in a chunk; None if its lengths differ or its checksum is another."""
-        found = self.chunk_head(offset)
-        if found is None:
+        """Return the records in a chunk; None if a length or the checksum does not match."""
+        head = self.chunk_head(offset)
+        if head is None:
             return None
-        size, crc, compression, start, end = found
+        size, crc, compression, start, end = head
         if (
             size > LARGEST_CHUNK
             or end != self.head(offset)[1]
-            or not self._may_be(compression, start, end, size)
+            or not self._matches_header(compression, start, end, size)
         ):
             return None
-        records = unpacked(compression, self._data[start:end], size)
+        records = decompress(compression, self._data[start:end], size)
         if len(records) == size and (not crc or zlib.crc32(records) == crc):
             return records
-        self._spent += end - start + len(records)
+        self._n_examined += end - start + len(records)
         return None
 
-    def _may_be(self, compression: str, start: int, end: int, size: int) -> bool:
-        """Return whether the header of packed bytes states this unpacked size; a cheap test."""
+    def _matches_header(self, compression: str, start: int, end: int, size: int) -> bool:
+        """Return whether the header of compressed bytes matches a decompressed size; a cheap test."""
         if not compression:
             return end - start == size
         if compression == "lz4":
             return self._data[start : start + len(_LZ4)] == _LZ4
         try:
-            says = zstandard.get_frame_parameters(self._data[start : min(start + _FRAME, end)]).content_size
+            header = self._data[start : min(start + _ZSTD_HEADER, end)]
+            content_size = zstandard.get_frame_parameters(header).content_size
         except zstandard.ZstdError:
             return False
-        return says in (size, zstandard.CONTENTSIZE_UNKNOWN)
+        return content_size in (size, zstandard.CONTENTSIZE_UNKNOWN)
 
     def attachment(self, offset: int, end: int) -> Attachment | None:
         """Return an attachment; one that fails its checksum is named damaged/NAME."""
         content = self._data[offset + HEAD.size : end]
-        self._spent += len(content)
+        self._n_examined += len(content)
         try:
             attachment = Attachment.read(ReadDataStream(BytesIO(content)))
-        except _DAMAGE:
+        except _PARSE_ERRORS:
             return None
         if zlib.crc32(content[:-4]) == int.from_bytes(content[-4:], "little"):
             return attachment
         return replace(attachment, name=f"damaged/{attachment.name}")
 
     def is_record(self, offset: int) -> bool:
-        """Return whether a record at an offset is verified by more than its opcode."""
+        """Return whether the record at an offset can be verified by more than its opcode."""
         opcode, end = self.head(offset)
         if end is None:
             return False
         if opcode == Opcode.CHUNK:
             return self.chunk(offset) is not None
         if opcode == Opcode.ATTACHMENT:
-            found = self.attachment(offset, end)
-            return found is not None and not found.name.startswith("damaged/")
-        self._spent += end - offset
-        if opcode in READERS and parsed(opcode, self._data[offset + HEAD.size : end]) is None:
+            attachment = self.attachment(offset, end)
+            return attachment is not None and not attachment.name.startswith("damaged/")
+        self._n_examined += end - offset
+        if opcode in READERS and parse_record(opcode, self._data[offset + HEAD.size : end]) is None:
             return False
-        if opcode not in READERS and opcode not in PLACES and opcode != Opcode.MESSAGE:
+        if opcode not in READERS and opcode not in INDEX_OPCODES and opcode != Opcode.MESSAGE:
             return False
-        following, after = self.head(end)
-        known = following in READERS or following in PLACES or following in (Opcode.CHUNK, Opcode.MESSAGE)
-        return end == len(self._data) or (known and after is not None)
+        next_opcode, next_end = self.head(end)
+        is_known = next_opcode in {*READERS, *INDEX_OPCODES, Opcode.CHUNK, Opcode.MESSAGE}
+        return end == len(self._data) or (is_known and next_end is not None)
 
 
-def parsed(opcode: int, content: bytes) -> McapRecord | None:
-    """Return the record of exactly these bytes, with printable names; None if they are none."""
+def parse_record(opcode: int, content: bytes) -> McapRecord | None:
+    """Parse a record of exactly these bytes, with printable names; return None if they are invalid."""
     stream = ReadDataStream(BytesIO(content))
     try:
         record = _READERS[opcode](stream)
-    except _DAMAGE:
+    except _PARSE_ERRORS:
         return None
     if stream.count != len(content):
         return None
-    # rerun ends the process at a name with a zero byte.
+    # rerun terminates the process at a name with a zero byte.
     name = record.name if isinstance(record, Schema) else record.topic if isinstance(record, Channel) else ""
     return record if name.isprintable() else None
 
 
-def records_in(data: bytes) -> Generator[tuple[int, int, int], None, None]:
-    """Yield opcode, begin and end of the content of consecutive whole records."""
+def iterate_records(data: bytes) -> Generator[tuple[int, int, int], None, None]:
+    """Yield opcode, start and end of the content of consecutive complete records."""
     offset = 0
     while offset + HEAD.size <= len(data):
         opcode, length = HEAD.unpack_from(data, offset)
@@ -198,8 +199,8 @@ def records_in(data: bytes) -> Generator[tuple[int, int, int], None, None]:
         yield opcode, start, offset
 
 
-def unpacked(compression: str, packed: bytes, limit: int) -> bytes:
-    """Unpack as much as possible, at most one byte more than `limit`, which itself is bounded."""
+def decompress(compression: str, packed: bytes, limit: int) -> bytes:
+    """Decompress as much as possible, at most one byte more than `limit`, which is bounded."""
     limit = min(limit, LARGEST_CHUNK) + 1
     if not compression:
         return packed[:limit]
@@ -208,17 +209,17 @@ def unpacked(compression: str, packed: bytes, limit: int) -> bytes:
             return LZ4FrameDecompressor().decompress(packed, max_length=limit)
         except (RuntimeError, MemoryError):
             return b""
-    pieces: list[bytes] = []
+    blocks: list[bytes] = []
     size = 0
     unpacker = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
     with unpacker.stream_reader(packed) as stream:
         while size < limit:
             try:
-                piece = stream.read(min(_PIECE, limit - size))
+                block = stream.read(min(_BLOCK_BYTES, limit - size))
             except (zstandard.ZstdError, MemoryError):
                 break
-            if not piece:
+            if not block:
                 break
-            pieces.append(piece)
-            size += len(piece)
-    return b"".join(pieces)
+            blocks.append(block)
+            size += len(block)
+    return b"".join(blocks)

@@ -17,12 +17,12 @@ from khep_twin.sensing import calibration
 from khep_twin.world import World
 
 
-class Beginning(NamedTuple):
-    """Beginning of a run that another log has.
+class LogPrefix(NamedTuple):
+    """Start of a run, copied from another log.
 
     Attributes:
-        entries: Messages of the beginning, in pieces as that log has them; none of a run that begins anew.
-        state: State of its recorder after them; None likewise.
+        entries: Messages to copy, in the chunks of that log; empty for a run that starts again.
+        state: State of the recorder after these messages; None for a run that starts again.
     """
 
     entries: Iterable[Sequence[Entry]] = ()
@@ -31,23 +31,23 @@ class Beginning(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RunDescription:
-    """Description of a run besides what its world says.
+    """Description of a run, in addition to that of its world.
 
     Attributes:
-        settings: Configuration of the run, kept in a log as configuration.json.
-        facts: More metadata of the run.
-        attachments: More texts to keep, by name.
-        beginning: Beginning of the run, after which the world is; facts and attachments are then complete.
+        settings: Configuration of the run, saved in a log as configuration.json.
+        facts: Further metadata of the run.
+        attachments: Further attachments by name.
+        prefix: Start of the run before the state of the world; facts and attachments are then complete.
     """
 
     settings: Mapping[str, object]
     facts: Mapping[str, str] = field(default_factory=dict[str, str])
     attachments: Mapping[str, str] = field(default_factory=dict[str, str])
-    beginning: Beginning | None = None
+    prefix: LogPrefix | None = None
 
     def all_attachments(self, world: World) -> Mapping[str, str]:
-        """Return the texts to keep, by name, which describe the world, too."""
-        if self.beginning is not None:
+        """Return all attachments by name, including those that describe the world."""
+        if self.prefix is not None:
             return self.attachments
         return {
             "playpen.toml": playpens.dump(world.playpen),
@@ -61,8 +61,8 @@ class RunDescription:
         }
 
     def all_facts(self, world: World) -> Mapping[str, object]:
-        """Return the metadata of the run, the world's included."""
-        if self.beginning is not None:
+        """Return all metadata of the run, including that of the world."""
+        if self.prefix is not None:
             return self.facts
         return {
             "playpen": world.playpen.name,
@@ -74,7 +74,7 @@ class RunDescription:
 
 
 def versions() -> dict[str, str]:
-    """Return all that the last bits of a run may depend on: packages and kind of machine."""
+    """Return the versions that may affect the last bits of a run: packages and type of machine."""
     return {
         "khep_twin": __version__,
         "mujoco": mujoco.__version__,

@@ -1,17 +1,17 @@
-"""Channels of a shadow's log: where it takes its robot to be, what deviates, and its alarms.
+"""Channels of a shadow's log: estimated pose, residuals of the replies, and alarms.
 
-    /shadow/pose        geometry_msgs/PoseWithCovarianceStamped  estimate, in the plane
-    /shadow/reckoned    geometry_msgs/PoseStamped                pose by commands alone
+    /shadow/pose        geometry_msgs/PoseWithCovarianceStamped  estimate in 2-D
+    /shadow/reckoned    geometry_msgs/PoseStamped                dead reckoning by commands alone
     /shadow/particles   std_msgs/Float64MultiArray               x, y [m], heading [rad] of some particles
-    /shadow/expected    std_msgs/Float64MultiArray               proximity as the twins expect it
-    /shadow/measured    std_msgs/Float64MultiArray               proximity as replied last
+    /shadow/expected    std_msgs/Float64MultiArray               expected proximity of the twins
+    /shadow/measured    std_msgs/Float64MultiArray               last replied proximity
     /shadow/residuals   std_msgs/Float64MultiArray               deviations of the replies (`RESIDUALS`)
-    /shadow/learned     std_msgs/Float64MultiArray               wheels and gains, as parts, now and then
-    /shadow/state       rcl_interfaces/Log                       state of the estimate, where it changes
-    /shadow/suspected   rcl_interfaces/Log                       suspected faults, where these change
-    /shadow/alarms      rcl_interfaces/Log                       alarms: WARN at the begin, INFO at the end
+    /shadow/learned     std_msgs/Float64MultiArray               ratios of wheels and gains, at intervals
+    /shadow/state       rcl_interfaces/Log                       state of the estimate, at changes
+    /shadow/suspected   rcl_interfaces/Log                       suspected faults, at changes
+    /shadow/alarms      rcl_interfaces/Log                       alarms: WARN at the start, INFO at the end
 
-/tf has the robot at the estimate, so that every viewer draws it there. `shadow_track` reads all of it.
+/tf places the robot at the estimate, so that all viewers draw it there. `shadow_track` reads these channels.
 """
 
 import re
@@ -21,15 +21,15 @@ from enum import StrEnum
 
 from khep_twin.clock import NS_PER_S, to_ns
 from khep_twin.log.channels import Level, TextLine
-from khep_twin.log.decoding import DecodeError, shown
+from khep_twin.log.decoding import DecodeError, printable
 from khep_twin.log.entries import Label
 from khep_twin.units import SENSOR_LABELS
 
-TOPICS = "/shadow/"
-"""Beginning of all topics of a shadow."""
+TOPIC_PREFIX = "/shadow/"
+"""Prefix of all topics of a shadow."""
 
-LINE_TOPICS = STATE, SUSPECTED, ALARMS = tuple(f"{TOPICS}{name}" for name in ("state", "suspected", "alarms"))
-"""Those that have lines."""
+LINE_TOPICS = STATE, SUSPECTED, ALARMS = tuple(f"/shadow/{name}" for name in ("state", "suspected", "alarms"))
+"""Topics with lines."""
 
 
 RESIDUALS = [
@@ -39,31 +39,31 @@ RESIDUALS = [
     "wheel right [pulses]",
     "timing [s]",
 ]
-"""Numbers of a message of residuals, in this order; NaN where nothing was asked."""
+"""Numbers of a message of residuals, in order; NaN without a reply."""
 
 PROXIMITY, LIGHT, WHEELS, TIMING = slice(0, 8), slice(8, 16), slice(16, 18), 18
-"""Places of these."""
+"""Indices of these."""
 
 PARTICLES = 100
-"""Particles in a message, evenly chosen."""
+"""Number of particles in a message, a regular subsample."""
 
-_PLAIN = r"[0-9]{1,18}(?:\.[0-9]{1,9})?"
-_ALARM_LINE = re.compile(rf"([^:]+): (?:since ({_PLAIN}) s, ({_PLAIN}) % sure|ended.*)")
-_SUSPICION = re.compile(rf"([^:;]+): ([a-z]+), since ({_PLAIN}) s, ({_PLAIN}) %")
-_NOTHING = "none"
+_DECIMAL = r"[0-9]{1,18}(?:\.[0-9]{1,9})?"
+_ALARM_LINE = re.compile(rf"([^:]+): (?:since ({_DECIMAL}) s, ({_DECIMAL}) % sure|ended.*)")
+_SUSPICION = re.compile(rf"([^:;]+): ([a-z]+), since ({_DECIMAL}) s, ({_DECIMAL}) %")
+_NO_FAULTS = "none"
 
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """Alarm of a shadow: a fault by name, since when, and how sure.
+    """Alarm of a shadow: a fault with its start and probability.
 
     Attributes:
         fault: Name of the fault, e.g. "stuck sensor 3".
-        channel: Channel in which it shows: "proximity", "light", "wheels" or "line".
-        since_ns: Time since when the fault explains the replies better than a sound robot does [ns].
+        channel: Affected channel: "proximity", "light", "wheels" or "line".
+        since_ns: Time from which the fault explains the replies better than a healthy robot [ns].
         raised_ns: Time of the alarm [ns].
-        sureness: Probability of the fault, among all that were considered.
-        ended_ns: Time of its end [ns]; None while it lasts.
+        sureness: Probability of the fault among all hypotheses.
+        ended_ns: Time of its end [ns]; None while it is active.
     """
 
     fault: str
@@ -75,7 +75,7 @@ class Alarm:
 
 
 class PoseState(StrEnum):
-    """State of a pose: known, with a region that holds it; known to less; or searched for."""
+    """State of a pose estimate: tracked within its region, uncertain, or lost and searched globally."""
 
     FOLLOWED = "followed"
     UNSURE = "unsure"
@@ -87,25 +87,25 @@ STATE_COLOURS = {
     PoseState.UNSURE: (240, 140, 0),
     PoseState.LOST: (200, 30, 60),
 }
-"""Colours in which the region of an estimate is drawn: red, green, blue."""
+"""RGB colour of the region of an estimate by state."""
 
-REGION = 2.4477
-"""Standard deviations in half of a region in the plane that holds 95 %."""
+REGION_SIGMAS = 2.4477
+"""Half-axes of the 95 % region of a 2-D normal distribution, in standard deviations."""
 
 
-OR = " or "
-"""Word between the names of faults that look alike."""
+FAULT_SEPARATOR = " or "
+"""Separator of the names of indistinguishable faults."""
 
 
 @dataclass(frozen=True, slots=True)
 class Suspicion:
-    """Fault that explains the replies better than a sound robot does, without being certain.
+    """Fault that explains the replies better than a healthy robot, without certainty.
 
     Attributes:
-        faults: Names that it may have, the most probable first.
-        channel: Channel in which it shows.
-        since_ns: Time since when it explains the replies [ns].
-        probability: Probability that there is one of these faults.
+        faults: Names of the possible faults, the most probable first.
+        channel: Affected channel.
+        since_ns: Time from which the fault explains the replies [ns].
+        probability: Total probability of these faults.
     """
 
     faults: tuple[str, ...]
@@ -115,65 +115,66 @@ class Suspicion:
 
     @property
     def name(self) -> str:
-        """Names in words, in an order that does not change with their probabilities."""
-        return OR.join(sorted(self.faults))
+        """Names of the faults, in an order that is independent of their probabilities."""
+        return FAULT_SEPARATOR.join(sorted(self.faults))
 
 
 class StateTimes:
-    """Times that a pose was in each state.
+    """Durations of a pose's states.
 
     Attributes:
         state: Present state; None before the first.
-        lost: Number of times that it was lost.
+        n_losses: Number of transitions to `LOST`.
     """
 
     def __init__(self) -> None:
-        self._passed_ns = dict.fromkeys(PoseState, 0)
+        self._durations_ns = dict.fromkeys(PoseState, 0)
         self._time_ns = 0
         self.state: PoseState | None = None
-        self.lost = 0
+        self.n_losses = 0
 
     def add(self, time_ns: int, state: PoseState) -> None:
-        """Note the state at a time, not before that of earlier ones [ns]."""
+        """Add the state at a non-decreasing time [ns]."""
         if self.state is not None:
-            self._passed_ns[self.state] += time_ns - self._time_ns
-        self.lost += state is PoseState.LOST and self.state is not PoseState.LOST
-        self._time_ns, self.state = time_ns, state
+            self._durations_ns[self.state] += time_ns - self._time_ns
+        self.n_losses += state is PoseState.LOST and self.state is not PoseState.LOST
+        self._time_ns = time_ns
+        self.state = state
 
     def __str__(self) -> str:
-        whole_ns = sum(self._passed_ns.values())
-        shares = {each: passed_ns / whole_ns for each, passed_ns in self._passed_ns.items() if whole_ns}
-        times = ", ".join(f"{each} {share:.1%}".replace("%", " %") for each, share in shares.items())
+        total_ns = sum(self._durations_ns.values())
+        shares = {state: time_ns / total_ns for state, time_ns in self._durations_ns.items() if total_ns}
+        times = ", ".join(f"{state} {share:.1%}".replace("%", " %") for state, share in shares.items())
         return f"{times} of the time" if times else "of no time"
 
 
 def is_shadow(label: Label) -> bool:
-    """Return whether a log is a shadow's."""
+    """Return whether a log is that of a shadow."""
     return "shadow" in label.metadata
 
 
-def begin_line(time_ns: int, alarm: Alarm) -> TextLine:
-    """Return the line of a log where an alarm begins."""
+def alarm_start_line(time_ns: int, alarm: Alarm) -> TextLine:
+    """Return the line for the start of an alarm."""
     text = f"{alarm.fault}: since {alarm.since_ns / NS_PER_S:.3f} s, {100 * alarm.sureness:.1f} % sure"
     return TextLine(time_ns, Level.WARN, alarm.channel, text)
 
 
-def end_line(time_ns: int, alarm: Alarm) -> TextLine:
-    """Return the line of a log where an alarm ends."""
+def alarm_end_line(time_ns: int, alarm: Alarm) -> TextLine:
+    """Return the line for the end of an alarm."""
     text = f"{alarm.fault}: ended, since {alarm.since_ns / NS_PER_S:.3f} s"
     return TextLine(time_ns, Level.INFO, alarm.channel, text)
 
 
-def alarms_of(lines: Iterable[TextLine]) -> list[Alarm]:
-    """Return the alarms that lines in order of time tell; lines of other forms are left out."""
+def parse_alarms(lines: Iterable[TextLine]) -> list[Alarm]:
+    """Parse alarms from lines in order of time; other lines are ignored."""
     alarms: list[Alarm] = []
     for line in lines:
-        found = _ALARM_LINE.fullmatch(line.text)
-        if found is None:
+        match = _ALARM_LINE.fullmatch(line.text)
+        if match is None:
             continue
-        fault, since, sure = found.groups()
-        if since is not None:
-            since_ns, sureness = to_ns(float(since)), float(sure) / 100
+        fault, start_s, percentage = match.groups()
+        if start_s is not None:
+            since_ns, sureness = to_ns(float(start_s)), float(percentage) / 100
             alarms.append(Alarm(fault, line.name, since_ns, line.time_ns, sureness))
             continue
         for index, alarm in enumerate(alarms):
@@ -183,36 +184,36 @@ def alarms_of(lines: Iterable[TextLine]) -> list[Alarm]:
 
 
 def state_line(time_ns: int, state: PoseState) -> TextLine:
-    """Return the line of a log where a state begins."""
+    """Return the line for the start of a state."""
     level = Level.WARN if state is PoseState.LOST else Level.INFO
     return TextLine(time_ns, level, "state", state)
 
 
-def state_of(text: str) -> PoseState:
-    """Return the state that a line tells; a `DecodeError` is raised where it tells none."""
+def parse_state(text: str) -> PoseState:
+    """Parse a state; raise a `DecodeError` for an unknown one."""
     try:
         return PoseState(text)
     except ValueError:
-        raise DecodeError(f"state {shown(text)}", f"one of {', '.join(PoseState)}") from None
+        raise DecodeError(f"state {printable(text)}", f"one of {', '.join(PoseState)}") from None
 
 
-def suspected_line(time_ns: int, suspected: Iterable[Suspicion]) -> TextLine:
-    """Return the line of a log where the suspected faults change: one after another, or none."""
-    found = [
-        f"{', '.join(each.faults)}: {each.channel}, since {each.since_ns / NS_PER_S:.3f} s, "
-        f"{100 * each.probability:.1f} %"
-        for each in suspected
+def suspicion_line(time_ns: int, suspicions: Iterable[Suspicion]) -> TextLine:
+    """Return the line with the present suspected faults, or none."""
+    parts = [
+        f"{', '.join(suspicion.faults)}: {suspicion.channel}, since {suspicion.since_ns / NS_PER_S:.3f} s, "
+        f"{100 * suspicion.probability:.1f} %"
+        for suspicion in suspicions
     ]
-    return TextLine(time_ns, Level.INFO, "suspected", "; ".join(found) or _NOTHING)
+    return TextLine(time_ns, Level.INFO, "suspected", "; ".join(parts) or _NO_FAULTS)
 
 
-def suspected_of(text: str) -> tuple[Suspicion, ...]:
-    """Return the suspected faults that a line tells; a `DecodeError` is raised where it tells none."""
-    found: list[Suspicion] = []
-    for part in [] if text == _NOTHING else text.split("; "):
-        told = _SUSPICION.fullmatch(part)
-        if told is None or float(told[4]) > 100:
-            raise DecodeError(f"suspected {shown(part)}", "FAULT: CHANNEL, since SECONDS s, PERCENT %")
-        faults = tuple(told[1].split(", "))
-        found.append(Suspicion(faults, told[2], to_ns(float(told[3])), float(told[4]) / 100))
-    return tuple(found)
+def parse_suspicions(text: str) -> tuple[Suspicion, ...]:
+    """Parse suspected faults; raise a `DecodeError` for an invalid text."""
+    suspicions: list[Suspicion] = []
+    for part in [] if text == _NO_FAULTS else text.split("; "):
+        match = _SUSPICION.fullmatch(part)
+        if match is None or float(match[4]) > 100:
+            raise DecodeError(f"suspected {printable(part)}", "FAULT: CHANNEL, since SECONDS s, PERCENT %")
+        faults = tuple(match[1].split(", "))
+        suspicions.append(Suspicion(faults, match[2], to_ns(float(match[3])), float(match[4]) / 100))
+    return tuple(suspicions)

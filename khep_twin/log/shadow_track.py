@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import LogError
 from khep_twin.log.channels import PLANAR
-from khep_twin.log.decoding import DecodeError, Decoder, read_arrays_of, read_each, read_line
+from khep_twin.log.decoding import DecodeError, Decoder, read_all, read_line, stack_arrays
 from khep_twin.log.entries import Label
 from khep_twin.log.reader import read_raw
 from khep_twin.log.shadow_channels import (
     PARTICLES,
     RESIDUALS,
-    TOPICS,
+    TOPIC_PREFIX,
     Alarm,
     PoseState,
     StateTimes,
     Suspicion,
-    alarms_of,
     is_shadow,
-    state_of,
-    suspected_of,
+    parse_alarms,
+    parse_state,
+    parse_suspicions,
 )
 from khep_twin.units import SENSOR_LABELS
 
@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 
 _T = TypeVar("_T")
 
-_DOUBLES = {"pose": 43, "reckoned": 7}
+_POSE_WIDTHS = {"pose": 43, "reckoned": 7}
 """Numbers of a message of a pose: position, quaternion, covariance."""
 
 
@@ -45,16 +45,16 @@ class ShadowTrack:
         label: Metadata and attachments of the log.
         times_ns: Times of the updates (n,) [ns].
         pose: Estimated x, y [m] and heading [rad] (n, 3).
-        covariance: Covariances of these (n, 3, 3).
-        reckoned: x, y [m] and heading [rad] by commands alone (n, 3).
+        covariance: Covariances of `pose` (n, 3, 3).
+        reckoned: x, y [m] and heading [rad] by dead reckoning of the commands (n, 3).
         expected: Expected proximity (n, 8) [counts].
         measured: Measured proximity (n, 8) [counts]; NaN before the first.
         residuals: Deviations of the replies (n, 19), as `RESIDUALS` names them.
         particles_ns: Times of the particles (m,) [ns].
         particles: x, y [m] and heading [rad] of particles (m, 100, 3).
-        alarms: Alarms in order of their beginnings.
-        states: Times at which the state changed [ns], with the state from then on; none in older logs.
-        suspected: Times at which the suspected faults changed [ns], with those from then on.
+        alarms: Alarms in order of their starts.
+        states: Times of changes of the state [ns], with the new state; empty in older logs.
+        suspected: Times of changes of the suspected faults [ns], with the new ones.
     """
 
     label: Label
@@ -86,49 +86,51 @@ def read_shadow(path: Path) -> ShadowTrack:
     """Read a shadow's log.
 
     Raises:
-        LogError: There is no such log, it is not whole, or it is none of a shadow.
+        LogError: The log is missing, incomplete, or not that of a shadow.
     """
-    label, found, _ = read_raw(path, lambda topic: topic.startswith(TOPICS))
+    label, messages_by_topic, _ = read_raw(path, lambda topic: topic.startswith(TOPIC_PREFIX))
     if not is_shadow(label):
         raise LogError(f"{path}: no log of a shadow; expected one of khep-twin shadow -o")
 
-    def channel(name: str, read: Callable[[list[bytes]], _T]) -> tuple[NDArray[np.int64], _T]:
-        messages = found.get(TOPICS + name, [])
+    def read_channel(name: str, read: Callable[[list[bytes]], _T]) -> tuple[NDArray[np.int64], _T]:
+        messages = messages_by_topic.get(TOPIC_PREFIX + name, [])
         times_ns = np.array([time_ns for time_ns, _ in messages], np.int64)
         try:
             return times_ns, read([data for _, data in messages])
         except DecodeError as error:
-            raise error.at(path, TOPICS + name, int(times_ns[error.row])) from None
+            raise error.to_log_error(path, TOPIC_PREFIX + name, int(times_ns[error.row])) from None
 
-    def lines(name: str, read: Callable[[str], _T]) -> list[tuple[int, _T]]:
-        times_ns, found = channel(name, partial(read_each, lambda message: read(read_line(message).text)))
-        return list(zip(times_ns.tolist(), found, strict=True))
+    def read_lines(name: str, read: Callable[[str], _T]) -> list[tuple[int, _T]]:
+        read_texts = partial(read_all, lambda message: read(read_line(message).text))
+        times_ns, values = read_channel(name, read_texts)
+        return list(zip(times_ns.tolist(), values, strict=True))
 
-    times_ns, poses = channel("pose", partial(_poses, width=_DOUBLES["pose"]))
+    times_ns, poses = read_channel("pose", partial(_read_poses, width=_POSE_WIDTHS["pose"]))
 
-    def of_all(name: str, read: Callable[[list[bytes]], Floats]) -> Floats:
-        own_ns, values = channel(name, read)
-        if not np.array_equal(own_ns, times_ns):
-            found = f"{len(own_ns)} messages"
-            raise DecodeError(found, f"{len(times_ns)}, at the times of {TOPICS}pose").at(path, TOPICS + name)
+    def read_updates(name: str, read: Callable[[list[bytes]], Floats]) -> Floats:
+        channel_times_ns, values = read_channel(name, read)
+        if not np.array_equal(channel_times_ns, times_ns):
+            expected = f"{len(times_ns)}, at the times of {TOPIC_PREFIX}pose"
+            error = DecodeError(f"{len(channel_times_ns)} messages", expected)
+            raise error.to_log_error(path, TOPIC_PREFIX + name)
         return values
 
     covariances = poses[:, 7:].reshape(-1, 6, 6)[:, PLANAR][:, :, PLANAR]
-    particles_ns, particles = channel("particles", partial(_floats, width=3 * PARTICLES))
+    particles_ns, particles = read_channel("particles", partial(_read_floats, width=3 * PARTICLES))
     return ShadowTrack(
         label,
         times_ns,
         planar(poses),
         covariances,
-        planar(of_all("reckoned", partial(_poses, width=_DOUBLES["reckoned"]))),
-        of_all("expected", partial(_floats, width=len(SENSOR_LABELS))),
-        of_all("measured", partial(_floats, width=len(SENSOR_LABELS))),
-        of_all("residuals", partial(_floats, width=len(RESIDUALS))),
+        planar(read_updates("reckoned", partial(_read_poses, width=_POSE_WIDTHS["reckoned"]))),
+        read_updates("expected", partial(_read_floats, width=len(SENSOR_LABELS))),
+        read_updates("measured", partial(_read_floats, width=len(SENSOR_LABELS))),
+        read_updates("residuals", partial(_read_floats, width=len(RESIDUALS))),
         particles_ns,
         particles.reshape(-1, PARTICLES, 3),
-        alarms_of(channel("alarms", partial(read_each, read_line))[1]),
-        lines("state", state_of),
-        lines("suspected", suspected_of),
+        parse_alarms(read_channel("alarms", partial(read_all, read_line))[1]),
+        read_lines("state", parse_state),
+        read_lines("suspected", parse_suspicions),
     )
 
 
@@ -137,8 +139,8 @@ def planar(poses: Floats) -> Floats:
     return np.column_stack([poses[:, :2], 2 * np.arctan2(poses[:, 5], poses[:, 6])])
 
 
-def _poses(messages: Sequence[bytes], width: int) -> Floats:
-    """Return position, quaternion and what follows, of messages of poses (n, width)."""
+def _read_poses(messages: Sequence[bytes], width: int) -> Floats:
+    """Return position, quaternion and covariance, if any, of messages of poses (n, width)."""
 
     def read(message: bytes) -> tuple[float, ...]:
         decoder = Decoder(message)
@@ -148,10 +150,10 @@ def _poses(messages: Sequence[bytes], width: int) -> Floats:
         decoder.end()
         return values
 
-    return np.array(read_each(read, messages), np.float64).reshape(-1, width)
+    return np.array(read_all(read, messages), np.float64).reshape(-1, width)
 
 
-def _floats(messages: Sequence[bytes], width: int) -> Floats:
+def _read_floats(messages: Sequence[bytes], width: int) -> Floats:
     if not messages:
         return np.zeros((0, width))
-    return np.asarray(read_arrays_of(messages, "d", width, " of a shadow"), np.float64)
+    return np.asarray(stack_arrays(messages, "d", width, " of a shadow"), np.float64)

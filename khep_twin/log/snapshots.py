@@ -1,10 +1,10 @@
-"""State of the whole world in a log: hashes to compare runs, and snapshots to resume one at any moment.
+"""Complete state of the world in a log: hashes to compare runs, and snapshots to resume them.
 
     /state      std_msgs/Int64MultiArray   a hash of eight bytes every 20 ms from the message's time on
     /snapshot   std_msgs/UInt8MultiArray   state of the world and of its recorder, every 10 s and at the end
 
-A snapshot is the last message of a piece of the log: host events in later messages are those that follow it.
-Replies that have reached the host are left out, since the log does not have when the host reads them.
+A snapshot is the last message of a flush of the log: host events in later messages follow it. Replies that
+have reached the host are omitted, since the log does not contain the times at which the host reads them.
 """
 
 import zlib
@@ -23,7 +23,7 @@ from khep_twin.simulation.snapshot_format import pack, unpack
 from khep_twin.simulation.world_state import WorldState
 from khep_twin.world import World
 
-TOPIC = "/snapshot"
+SNAPSHOT_TOPIC = "/snapshot"
 
 SNAPSHOT_NS = 10 * NS_PER_S
 """Time between two snapshots [ns]."""
@@ -33,10 +33,10 @@ class RecorderState(NamedTuple):
     """State of a recorder.
 
     Attributes:
-        answered: Hash of the answers of each robot.
+        answered: Hash of the replies of each robot.
         rests: Incomplete lines of the transcripts: robot, whether to the robot, bytes.
         lamps_sets: Number of sets of lamps so far.
-        lamps_change: Whether the powers of the present ones are recorded.
+        lamps_change: Whether the powers of the present set are recorded.
     """
 
     answered: tuple[Annotated[int, Field(ge=0, lt=2**32)], ...]
@@ -59,11 +59,11 @@ def snapshot_message(world: World, recorder: RecorderState) -> bytes:
 
 
 def read_snapshot(message: bytes, scene: str | None) -> LoggedState:
-    """Return the state of a message; of a scene with this fingerprint, None for any.
+    """Return the state of a message; its scene must have the fingerprint `scene`, None for any.
 
     Raises:
-        DecodeError: It is no such message.
-        SnapshotError: It is no snapshot, or of another version or scene.
+        DecodeError: The bytes are no message of this type.
+        SnapshotError: The message is no snapshot, or of another version or scene.
     """
     return unpack(bytes(read_array(message, "B")), LoggedState, scene)
 
@@ -78,35 +78,35 @@ def read_states(message: bytes) -> list[int]:
     return list(read_array(message, "q"))
 
 
-def boards(robot: Robot) -> list[NDArray[np.int64]]:
+def board_registers(robot: Robot) -> list[NDArray[np.int64]]:
     """Return the registers of a robot's board and its turrets."""
     return [robot.registers, *(turret.registers for turret in robot.firmware.turrets.values())]
 
 
-class Answered:
-    """Running hash of all answers of each robot, in `numbers`."""
+class ReplyHashes:
+    """Running hash of all replies of each robot, in `values`."""
 
     def __init__(self, robots: int) -> None:
-        # One per robot: the order of two robots within a step depends on which is read first.
-        self.numbers = [0] * robots
+        # One per robot: the order of two robots within a step depends on which host reads first.
+        self.values = [0] * robots
 
     def on_bytes(self, time_ns: int, robot: int, data: bytes) -> None:
-        """Add bytes that a robot has answered."""
-        self.numbers[robot] = zlib.crc32(b"%d " % time_ns + data, self.numbers[robot])
+        """Add bytes of a robot's reply."""
+        self.values[robot] = zlib.crc32(b"%d " % time_ns + data, self.values[robot])
 
 
-def hashes(*parts: NDArray[np.int64] | NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return samples of a state in eight bytes each (n,).
+def hash_samples(*parts: NDArray[np.int64] | NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return a hash of eight bytes for each sample of a state (n,).
 
-    A sum of the parts' words, each times its own odd number, modulo 2^64: any change of one word is
-    detected, and of several all but one in 2^64.
+    The hash is the sum modulo 2^64 of all words, each times a different odd number: it detects any change of
+    one word, and all but one in 2^64 changes of several words.
 
     Args:
-        parts: Parts of the state, a row for each sample (n, length): answers, positions and speeds, and the
-            registers of every robot's boards.
+        parts: Parts of the state, one row for each sample (n, length): hashes of replies, positions and
+            speeds, and the registers of every robot's boards.
     """
     words = np.hstack([np.ascontiguousarray(part).view(np.uint64) for part in parts])
-    # The highest bit of a word, the sign of a float, would only ever change the sum's highest.
+    # The highest bit of a word, the sign of a float, would only affect the highest bit of the sum.
     words ^= words >> np.uint64(32)
     return (words @ _odd_numbers(words.shape[1])).view(np.int64)
 

@@ -1,6 +1,10 @@
-"""Reading of a log while its run still writes it, NAME.mcap.part.
+"""Follower of a log, NAME.mcap.part, while its run writes it.
 
-Only the file is read, which costs the run nothing.
+Only the file is read, at no cost to the run. Each `read_new` parses the complete records of one block:
+
+    magic expected -> label expected -> chunks expected -> finished, at the end of the data
+          |                 |                 |
+          +-----------------+-----------------+-> LogError: invalid record, or the writer's lock is gone
 """
 
 import os
@@ -16,21 +20,21 @@ from mcap.writer import MCAP0_MAGIC
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import open_regular, resolved
 from khep_twin.invocation import command
-from khep_twin.log.decoding import DecodeError, readable
-from khep_twin.log.entries import Entry, EntryReader, Label, label_of, run_facts
+from khep_twin.log.decoding import DecodeError, read_errors
+from khep_twin.log.entries import Entry, EntryReader, Label, make_label, run_metadata
 from khep_twin.log.reader import read_label
-from khep_twin.log.record_bytes import HEAD, RecordBytes, parsed
+from khep_twin.log.record_bytes import HEAD, RecordBytes, parse_record
 from khep_twin.machine import lock, unlock
 
 _BLOCK = 1 << 22
-"""Bytes read at once."""
+"""Bytes per read."""
 
-_SILENCE = 2.0
-"""Wall time without new data after which the run is checked to be still there [s]."""
+_SILENCE_S = 2.0
+"""Wall time without new data after which the lock of the run is checked [s]."""
 
 
 class GrowingLog:
-    """A log that a run is writing.
+    """Follower of a log that a run is writing.
 
     Args:
         path: Path NAME.mcap or NAME.mcap.part.
@@ -38,12 +42,12 @@ class GrowingLog:
     Attributes:
         path: Path of the finished log.
         part: Path of the file while it is written.
-        finished: True if the run has ended and the whole log is read.
-        behind: True if much more is there than was read so far.
+        is_finished: True if the run has ended and the log is read completely.
+        is_behind: True if the last read filled its block, so that more data is available.
 
     Raises:
-        FileNotFoundError: No run is writing it, and it is not finished either.
-        LogError: It is finished already, or cannot be read.
+        FileNotFoundError: There is neither an unfinished nor a finished log.
+        LogError: The log is finished, or cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -59,12 +63,12 @@ class GrowingLog:
             raise LogError(f"{self.path}: this log is finished; to view it, leave out --live") from None
         except OSError as error:
             raise LogError(f"{self.part}: cannot be read: {error.strerror}") from error
-        self.finished = self.behind = False
-        self._rest = b""
-        self._begun = False
-        self._grown = time.monotonic()
+        self.is_finished = self.is_behind = False
+        self._buffer = b""
+        self._has_magic = False
+        self._last_growth_s = time.monotonic()
         self._reader = EntryReader()
-        self._facts: dict[str, str] = {}
+        self._metadata: dict[str, str] = {}
         self._attachments: dict[str, str] = {}
 
     def __enter__(self) -> Self:
@@ -74,62 +78,63 @@ class GrowingLog:
         self._file.close()
 
     def label(self) -> Label | None:
-        """Return metadata and attachments of the log; None as long as they are not written."""
-        if "robots" not in self._facts:
+        """Return metadata and attachments of the log; None until they are written."""
+        if "robots" not in self._metadata:
             return None
-        return label_of(self.part, self._facts, self._attachments)
+        return make_label(self.part, self._metadata, self._attachments)
 
-    def new(self) -> list[Entry]:
-        """Return the messages written since the last call, of a long log a part of them.
+    def read_new(self) -> list[Entry]:
+        """Return new messages in the order of the file, at most one block of data.
 
-        They are in the order of the file, in which each channel is in order of time.
+        Each channel is in order of time.
 
         Raises:
-            LogError: This is no log of khep_twin, or its run has ended without finishing it.
+            LogError: The file is no log of khep_twin, or its run ended without finishing it.
         """
-        with readable(self.part):
+        with read_errors(self.part):
             block = self._file.read(_BLOCK)
-        self.behind = len(block) == _BLOCK
+        self.is_behind = len(block) == _BLOCK
         if not block:
-            self._check_alive()
+            self._check_writer()
             return []
-        self._grown = time.monotonic()
-        self._rest += block
+        self._last_growth_s = time.monotonic()
+        self._buffer += block
         try:
-            return list(self._take())
+            return list(self._parse_buffer())
         except DecodeError as error:
             raise LogError(f"{self.part}: {error}") from None
 
-    def _take(self) -> Generator[Entry, None, None]:
-        """Read the whole records; a partial one stays for the next time."""
+    def _parse_buffer(self) -> Generator[Entry, None, None]:
+        """Parse the complete records; a partial one remains in the buffer."""
         size = len(MCAP0_MAGIC)
         offset = 0
-        if not self._begun:
-            if not MCAP0_MAGIC.startswith(self._rest[:size]):
+        if not self._has_magic:
+            if not MCAP0_MAGIC.startswith(self._buffer[:size]):
                 raise LogError(f"{self.part}: this is no MCAP file; expected the log of a run")
-            if len(self._rest) < size:
+            if len(self._buffer) < size:
                 return
-            self._begun, offset = True, size
-        records = RecordBytes(self._rest)
-        while not self.finished:
+            self._has_magic = True
+            offset = size
+        records = RecordBytes(self._buffer)
+        while not self.is_finished:
             opcode, end = records.head(offset)
             if end is None:
                 break
             if opcode == Opcode.CHUNK:
-                yield from self._unpack(records, offset)
+                yield from self._read_chunk(records, offset)
             elif opcode == Opcode.ATTACHMENT:
-                if (found := records.attachment(offset, end)) is not None:
-                    self._attachments[found.name] = found.data.decode("utf-8", "replace")
+                if (attachment := records.attachment(offset, end)) is not None:
+                    self._attachments[attachment.name] = attachment.data.decode("utf-8", "replace")
             elif opcode == Opcode.METADATA:
-                record = parsed(opcode, self._rest[offset + HEAD.size : end])
+                record = parse_record(opcode, self._buffer[offset + HEAD.size : end])
                 if isinstance(record, Metadata):
-                    self._facts |= run_facts([record])
+                    self._metadata |= run_metadata([record])
             elif opcode == Opcode.DATA_END:
-                self.finished = True
+                self.is_finished = True
             offset = end
-        self._rest = self._rest[offset:]
+        self._buffer = self._buffer[offset:]
 
-    def _unpack(self, records: RecordBytes, offset: int) -> Generator[Entry, None, None]:
+    def _read_chunk(self, records: RecordBytes, offset: int) -> Generator[Entry, None, None]:
         content = records.chunk(offset)
         if content is None:
             recovery = command("recover", self.part)
@@ -138,12 +143,12 @@ class GrowingLog:
             raise LogError(f"{self.part}: an MCAP file, but no log of khep_twin")
         yield from self._reader.entries(content, offset)
 
-    def _check_alive(self) -> None:
-        """Check, now and then, that a process still has the file open to write."""
-        if time.monotonic() - self._grown < _SILENCE:
+    def _check_writer(self) -> None:
+        """Check after a silence that a process still holds the lock of the file."""
+        if time.monotonic() - self._last_growth_s < _SILENCE_S:
             return
-        self._grown = time.monotonic()
-        # A run has its file locked. If the file system has no locks, this never finds an end.
+        self._last_growth_s = time.monotonic()
+        # A run locks its file. On a file system without locks, the end of a run is never detected.
         try:
             lock(self._file, shared=True)
         except OSError:

@@ -1,4 +1,4 @@
-"""Transcript of serial lines: bytes as they come, written as whole lines, at the time of their end."""
+"""Transcript of serial lines: received bytes, written as complete lines at the time of their end."""
 
 from collections.abc import Iterable
 from typing import Protocol
@@ -7,12 +7,12 @@ from khep_twin.log.channels import Level, LineFrame
 
 _LINE_ENDS = b"\r\n"
 _LINE_LIMIT = 1024
-_PLAIN = bytes(each for each in range(0x20, 0x7F) if each != ord("\\"))
-_FROM = {to_robot: LineFrame("host" if to_robot else "robot", Level.INFO) for to_robot in (True, False)}
+_PRINTABLE = bytes(code for code in range(0x20, 0x7F) if code != ord("\\"))
+_FRAMES = {to_robot: LineFrame("host" if to_robot else "robot", Level.INFO) for to_robot in (True, False)}
 
 
 class LineSink(Protocol):
-    """Destination of lines, such as a `LogFile`."""
+    """Destination of lines, e.g. a `LogFile`."""
 
     def add_lines(self, topic: str, times_ns: list[int], messages: list[bytes]) -> None:
         """Add lines of one robot."""
@@ -25,61 +25,61 @@ class Transcript:
     def __init__(self, log: LineSink, robots: list[str]) -> None:
         self._log = log
         self._robots = robots
-        self._heard: list[tuple[int, int, bool, bytes]] = []
-        self._rests: dict[tuple[int, bool], bytes] = {}
+        self._received: list[tuple[int, int, bool, bytes]] = []
+        self._partial_lines: dict[tuple[int, bool], bytes] = {}
 
     @property
-    def rests(self) -> tuple[tuple[int, bool, bytes], ...]:
-        """Bytes of incomplete lines as written so far: robot, whether to the robot, bytes."""
-        return tuple((*whose, rest) for whose, rest in sorted(self._rests.items()))
+    def partial_lines(self) -> tuple[tuple[int, bool, bytes], ...]:
+        """Bytes of incomplete lines after the last `write`: robot, whether to the robot, bytes."""
+        return tuple((*key, rest) for key, rest in sorted(self._partial_lines.items()))
 
     def resume(self, rests: Iterable[tuple[int, bool, bytes]]) -> None:
-        """Go on with incomplete lines."""
-        self._rests = {(robot, to_robot): rest for robot, to_robot, rest in rests}
+        """Resume with incomplete lines."""
+        self._partial_lines = {(robot, to_robot): rest for robot, to_robot, rest in rests}
 
     def on_bytes(self, time_ns: int, robot: int, to_robot: bool, data: bytes) -> None:
-        """Record bytes; they are written with the next `write`."""
-        self._heard.append((time_ns, robot, to_robot, data))
+        """Record bytes for the next `write`."""
+        self._received.append((time_ns, robot, to_robot, data))
 
     def write(self) -> None:
         """Write the lines that the recorded bytes complete."""
-        lines: list[tuple[list[int], list[bytes]]] = [([], []) for _ in self._robots]
-        heard, self._heard = self._heard, []
-        for time_ns, robot, to_robot, data in heard:
-            text = self._rests.pop((robot, to_robot), b"") + data if self._rests else data
-            whole = text.splitlines()
-            # A line beyond the limit is noise, or from a host that sends no line ends.
-            if text[-1:] not in _LINE_ENDS and len(whole[-1]) <= _LINE_LIMIT:
-                self._rests[robot, to_robot] = whole.pop()
-            times_ns, messages = lines[robot]
-            for line in whole:
+        messages_by_robot: list[tuple[list[int], list[bytes]]] = [([], []) for _ in self._robots]
+        received, self._received = self._received, []
+        for time_ns, robot, to_robot, data in received:
+            text = self._partial_lines.pop((robot, to_robot), b"") + data if self._partial_lines else data
+            lines = text.splitlines()
+            # A line beyond the limit is noise, or comes from a host that sends no line ends.
+            if text[-1:] not in _LINE_ENDS and len(lines[-1]) <= _LINE_LIMIT:
+                self._partial_lines[robot, to_robot] = lines.pop()
+            times_ns, messages = messages_by_robot[robot]
+            for line in lines:
                 if line:
                     times_ns.append(time_ns)
                     messages.append(_message(time_ns, to_robot, line))
-        for robot, (times_ns, messages) in enumerate(lines):
+        for robot, (times_ns, messages) in enumerate(messages_by_robot):
             if messages:
                 self._log.add_lines(f"/{self._robots[robot]}/serial", times_ns, messages)
 
-    def write_rests(self, time_ns: int) -> None:
-        """Write unfinished lines."""
-        for (robot, to_robot), rest in self._rests.items():
+    def write_partial_lines(self, time_ns: int) -> None:
+        """Write incomplete lines."""
+        for (robot, to_robot), rest in self._partial_lines.items():
             message = _message(time_ns, to_robot, rest)
             self._log.add_lines(f"/{self._robots[robot]}/serial", [time_ns], [message])
 
 
 def _message(time_ns: int, to_robot: bool, line: bytes) -> bytes:
-    # Nearly all lines are printable as they are.
-    text = text_of(line).encode("ascii") if line.translate(None, _PLAIN) else line
-    return _FROM[to_robot].message(time_ns, text)
+    # Nearly all lines are printable.
+    text = escape(line).encode("ascii") if line.translate(None, _PRINTABLE) else line
+    return _FRAMES[to_robot].message(time_ns, text)
 
 
-def text_of(line: bytes) -> str:
-    """Return a line in printable form: control characters and noise become Python escapes."""
+def escape(line: bytes) -> str:
+    """Return a line with control characters and noise as Python escapes."""
     return line.decode("latin-1").encode("unicode_escape").decode("ascii")
 
 
-def bytes_of(text: str) -> bytes:
-    """Return a line of a transcript as it was (`text_of`)."""
+def unescape(text: str) -> bytes:
+    """Return the bytes of a line of a transcript (inverse of `escape`)."""
     try:
         return text.encode("ascii").decode("unicode_escape").encode("latin-1")
     except UnicodeError:

@@ -10,9 +10,9 @@ from khep_twin.errors import LogError, PortError
 from khep_twin.files.atomic import is_same
 from khep_twin.files.text import encodable
 from khep_twin.log.entries import Label
-from khep_twin.log.reader import hash_of, read_end_ns
-from khep_twin.log.recorded import BRANCH, BranchPoint, changes_of, changes_text
-from khep_twin.log.run_description import Beginning, versions
+from khep_twin.log.reader import hash_file, read_end_ns
+from khep_twin.log.recorded import BRANCH, BranchPoint, read_changes, changes_text
+from khep_twin.log.run_description import LogPrefix, versions
 from khep_twin.ports.resume import ResumedRun, resume_run
 from khep_twin.ports.twin import Twin
 from khep_twin.units import STEP_NS
@@ -61,8 +61,8 @@ def branch_off(
         raise LogError(f"{log}: this is the log that is resumed; expected a separate file")
     begun: list[Twin] = []
 
-    def start(twin: Twin, label: Label, beginning: Beginning) -> None:
-        told = replace(change, parent=encodable(path.name), sha256=hash_of(path))
+    def start(twin: Twin, label: Label, beginning: LogPrefix) -> None:
+        told = replace(change, parent=encodable(path.name), sha256=hash_file(path))
         facts = {
             **label.metadata,
             **versions(),
@@ -71,8 +71,8 @@ def branch_off(
             "parent_sha256": told.sha256,
             "branched_at_s": f"{told.at_ns / NS_PER_S:.9g}",
         }
-        before = [each for each in changes_of(path, label) if each.at_ns < told.at_ns]
-        later = [each for each in changes_of(path, label) if same and each.at_ns >= told.at_ns]
+        before = [each for each in read_changes(path, label) if each.at_ns < told.at_ns]
+        later = [each for each in read_changes(path, label) if same and each.at_ns >= told.at_ns]
         text = changes_text([*before, told, *later])
         attachments = {**label.attachments, BRANCH: text, **more.attachments}
         begun.append(twin)

@@ -15,7 +15,7 @@ from khep_twin.errors import KhepTwinError, LogError, PlaypenError
 from khep_twin.interventions.move_robot import repeat_move, scan
 from khep_twin.interventions.switching import repeat_set_lamps, repeat_switch
 from khep_twin.log.attached import playpen_of
-from khep_twin.log.decoding import DecodeError, first_line, shown
+from khep_twin.log.decoding import DecodeError, first_line, printable
 from khep_twin.log.entries import Label
 from khep_twin.log.reader import read_label
 from khep_twin.log.recorded import BranchPoint, RecordedEvent
@@ -55,8 +55,8 @@ class Setup(NamedTuple):
             raise LogError(f"{path}: cannot be repeated: {reason}") from error
         there = tuple(robot.name for robot in twin.world.robots)
         if there != self.label.robots:
-            found = f"robots = {shown(','.join(self.label.robots))}"
-            raise DecodeError(found, f"{','.join(there)}, those of its playpen.toml").at(path, "metadata")
+            found = f"robots = {printable(','.join(self.label.robots))}"
+            raise DecodeError(found, f"{','.join(there)}, those of its playpen.toml").to_log_error(path, "metadata")
         return twin
 
     @property
@@ -69,7 +69,7 @@ class Setup(NamedTuple):
             if not isinstance(settings, dict):
                 raise DecodeError(f"{type(settings).__name__}", f"an object with {', '.join(known)}")
             if unknown := [key for key in cast(dict[str, object], settings) if key not in known]:
-                raise DecodeError(f"key {shown(unknown[0])}", f"one of {', '.join(known)}")
+                raise DecodeError(f"key {printable(unknown[0])}", f"one of {', '.join(known)}")
             # A repeated run must not write the log named in the options.
             wanted: Mapping[str, object] = {**cast(dict[str, object], settings), "log": None}
             return _OPTIONS.validate_json(json.dumps(wanted), strict=True)
@@ -77,13 +77,13 @@ class Setup(NamedTuple):
             invalid = error
         except ValidationError as error:
             first = error.errors()[0]
-            found = f"{'.'.join(map(str, first['loc']))} = {shown(first['input'])}"
+            found = f"{'.'.join(map(str, first['loc']))} = {printable(first['input'])}"
             invalid = DecodeError(found, first["msg"].removeprefix("Input should be "))
         except KhepTwinError as error:
             raise LogError(f"{self.path}: configuration.json: {error}") from None
         except (ValueError, RecursionError) as error:
-            invalid = DecodeError(f"{shown(text)} ({shown(error)})", "JSON")
-        raise invalid.at(self.path, "configuration.json")
+            invalid = DecodeError(f"{printable(text)} ({printable(error)})", "JSON")
+        raise invalid.to_log_error(self.path, "configuration.json")
 
     def playpen(self, changes: Iterable[BranchPoint] = ()) -> Playpen:
         """Return the playpen of the log at its start, as it is after some changes."""

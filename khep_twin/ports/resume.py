@@ -19,10 +19,10 @@ from khep_twin.interventions.move_robot import current_playpen
 from khep_twin.log.decoding import LATEST_NS, DecodeError, first_line
 from khep_twin.log.entries import Entry, Label
 from khep_twin.log.reader import read_label, read_since, read_until
-from khep_twin.log.recorded import BranchPoint, changes_of, check_line, events_in
+from khep_twin.log.recorded import BranchPoint, read_changes, require_line, order_events
 from khep_twin.log.recorder import WorldRecorder
-from khep_twin.log.run_description import Beginning
-from khep_twin.log.snapshots import TOPIC, LoggedState, read_snapshot, read_states
+from khep_twin.log.run_description import LogPrefix
+from khep_twin.log.snapshots import SNAPSHOT_TOPIC, LoggedState, read_snapshot, read_states
 from khep_twin.playpen import Block, Cylinder, Playpen, RobotEntry
 from khep_twin.playpen.changes import changed_tables, no_room_for, posed, set_values
 from khep_twin.ports.replay import RecordedHosts, Setup
@@ -103,7 +103,7 @@ class ResumedRun:
 def resume_run(
     path: Path,
     at_ns: int,
-    start: Callable[[Twin, Label, Beginning], None] | None = None,
+    start: Callable[[Twin, Label, LogPrefix], None] | None = None,
 ) -> ResumedRun:
     """Take up the run of a log at a moment, before what was done at that very moment.
 
@@ -116,23 +116,23 @@ def resume_run(
         LogError: The log lacks what that needs, or ends before.
     """
     label = read_label(path)
-    check_line(path, label)
+    require_line(path, label)
     # A log's last snapshot may lie at the very moment, after what was done at it.
-    setup, pieces = Setup(path, label), read_since(path, TOPIC, at_ns - 1)
-    changes, last = changes_of(path, label), next(iter(next(pieces)), None)
+    setup, pieces = Setup(path, label), read_since(path, SNAPSHOT_TOPIC, at_ns - 1)
+    changes, last = read_changes(path, label), next(iter(next(pieces)), None)
     try:
         state = None if last is None else _logged(path, last, None)
         from_ns = 0 if state is None else state.world.time_ns
         if last is not None and last.time_ns != from_ns:
-            raise DecodeError(f"a state at {from_ns} ns", "its message's time").at(path, TOPIC, last.time_ns)
+            raise DecodeError(f"a state at {from_ns} ns", "its message's time").to_log_error(path, SNAPSHOT_TOPIC, last.time_ns)
         done = tuple(change for change in changes if last is not None and change.at_ns < from_ns)
         twin = setup.open(done)
         if state is not None and last is not None:
             twin.world.set_state(_logged(path, last, twin.world.scene).world)
         if start is not None:
             begun = () if last is None else read_until(path, last)
-            start(twin, label, Beginning(begun, state and state.recorder))
-        hosts = RecordedHosts(twin, events_in(path, pieces, label.robots))
+            start(twin, label, LogPrefix(begun, state and state.recorder))
+        hosts = RecordedHosts(twin, order_events(path, pieces, label.robots))
         resumed = ResumedRun(setup, done, twin, hosts, [*changes[len(done) :]])
         resumed.run_to(at_ns)
         return resumed
@@ -144,15 +144,15 @@ def resume_run(
 
 def run_end_ns(path: Path) -> int:
     """Return the time at which a logged run ended [ns]: that of its last snapshot, or of its last message."""
-    last, *rest = read_since(path, TOPIC, LATEST_NS)
+    last, *rest = read_since(path, SNAPSHOT_TOPIC, LATEST_NS)
     end_ns = max((entry.time_ns for entry in last), default=0)
     try:
         for entry in chain(*rest):
             if entry.topic == "/state":
                 end_ns = max(end_ns, entry.time_ns + (len(read_states(entry.data)) - 1) * SAMPLE_NS)
     except DecodeError as error:
-        raise error.at(path, "/state") from None
-    events = events_in(path, rest, read_label(path).robots)
+        raise error.to_log_error(path, "/state") from None
+    events = order_events(path, rest, read_label(path).robots)
     return max([end_ns, *(time_ns for time_ns, _, _ in events)])
 
 
@@ -161,7 +161,7 @@ def _logged(path: Path, entry: Entry, scene: str | None) -> LoggedState:
     try:
         return read_snapshot(entry.data, scene)
     except DecodeError as error:
-        raise error.at(path, entry.topic, entry.time_ns) from None
+        raise error.to_log_error(path, entry.topic, entry.time_ns) from None
     except SnapshotError as error:
         raise LogError(f"{path}: {entry.topic} at {entry.time_ns / NS_PER_S:.4f} s: {error}") from None
 

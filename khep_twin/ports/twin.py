@@ -15,7 +15,7 @@ from khep_twin.clock import TimeSource
 from khep_twin.errors import PortError
 from khep_twin.files.paths import StrPath
 from khep_twin.log.recorder import Recorder, WorldRecorder
-from khep_twin.log.run_description import Beginning, RunDescription
+from khep_twin.log.run_description import LogPrefix, RunDescription
 from khep_twin.playpen import Playpen, PlaypenLike
 from khep_twin.playpen.checks import playpen_problems, unfit
 from khep_twin.playpen.parts import MODELS
@@ -127,7 +127,7 @@ class Twin:
         *,
         facts: Mapping[str, str] | None = None,
         attachments: Mapping[str, str] | None = None,
-        beginning: Beginning | None = None,
+        beginning: LogPrefix | None = None,
         on_failure: Callable[[str], None] | None = None,
     ) -> None:
         """Record the run from here on.
@@ -147,7 +147,7 @@ class Twin:
         settings = {key: value for key, value in asdict(self.options).items() if key != "log"}
         run = RunDescription(settings, facts or {}, attachments or {}, beginning)
         self.recorder = Recorder(path, self.world, run, on_failure)
-        self.world.add_observer(self.recorder, at_once=beginning is None or beginning.state is None)
+        self.world.add_observer(self.recorder, sample_now=beginning is None or beginning.state is None)
 
     def watch(self, view: WorldRecorder) -> None:
         """Show the run from here on in a live view."""

@@ -1,4 +1,4 @@
-"""A robot followed by its line: where it is, and what is wrong with it."""
+"""Estimates a robot's pose and its faults from the bytes of its line."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Actions on the line, as particles repeat them: commands, settings of the board, replies with values."""
+"""Actions on the line, as particles replay them: commands, settings of the board, replies with values."""
 
 from typing import NamedTuple
 
@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 
 from khep_twin.board import kernel
 from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.thresholds import THRESHOLDS
 from khep_twin.shadow.wheel_commands import POSITION
 
 Integers = NDArray[np.int64]
 
 
-class Commanded(NamedTuple):
+class WheelCommand(NamedTuple):
     """A command whose effect depends on a board's registers.
 
     Attributes:
@@ -20,49 +21,54 @@ class Commanded(NamedTuple):
         command: SPEED, DUTY, TARGET or POSITION of `planes`.
         left: Argument for the left wheel.
         right: Argument for the right wheel.
-        doubtful: True if no reply tells that it was executed: every other particle does.
-        late_ns: Time until which it may have been executed instead, as its reply came late [ns]: particles
-            do so at times from `time_ns` on, evenly.
+        is_unconfirmed: True if no reply confirms that it was executed: every other particle executes it.
+        late_ns: Latest time of its execution, if its reply came late [ns]: the times of the particles are
+            spread evenly from `time_ns` on.
     """
 
     time_ns: int
     command: int
     left: int
     right: int
-    doubtful: bool = False
+    is_unconfirmed: bool = False
     late_ns: int = 0
 
 
-class Configured(NamedTuple):
-    """A command that sets registers, by index (n,), to values (n,), whatever they were, at a time [ns]."""
+class RegisterWrite(NamedTuple):
+    """A command at a time [ns] that sets registers, by index (n,), to values that no register determines."""
 
     time_ns: int
     registers: Integers
     values: Integers
 
 
-class Restarted(NamedTuple):
+class Restart(NamedTuple):
     """A restart of the processor, by its time [ns]."""
 
     time_ns: int
 
 
-class Waited(NamedTuple):
+class Silence(NamedTuple):
     """A silence until `time_ns` [ns]."""
 
     time_ns: int
 
 
-class Seen(NamedTuple):
-    """A reply to N: proximity (8,) [counts] at the time of the reading, and until when it may be of [ns]."""
+class ProximityReply(NamedTuple):
+    """A reply to N: proximity (8,) [counts], and the earliest and the latest time of the reading [ns]."""
 
     time_ns: int
     readings: Integers
     late_ns: int = 0
 
+    @property
+    def in_sight(self) -> bool:
+        """True if something is in sight."""
+        return bool(self.readings.max() > THRESHOLDS.in_sight)
 
-class Counted(NamedTuple):
-    """A reply to H: counters, left and right (2,) [pulses], with the times of `Seen` [ns]."""
+
+class CounterReply(NamedTuple):
+    """A reply to H: counters, left and right (2,) [pulses], with the times of `ProximityReply` [ns]."""
 
     time_ns: int
     counters: Integers
@@ -70,31 +76,30 @@ class Counted(NamedTuple):
 
 
 LATE_NS = 20_000_000
-"""Lateness of a reply above which the time of its command or reading is not certain, and the time between the
-particles' executions of such a command (assumed) [ns]."""
+"""Lateness of a reply above which the time of its command or reading is uncertain, and the time between the
+particles' executions of that command (assumed) [ns]."""
 
-Action = Commanded | Configured | Restarted | Waited | Seen | Counted
+Action = WheelCommand | RegisterWrite | Restart | Silence | ProximityReply | CounterReply
 
 
-def repeat(action: Action, particles: Particles) -> None:
-    """Advance particles to an action and, unless it is a reply, do it to them."""
+def apply_action(action: Action, particles: Particles) -> None:
+    """Advance particles to an action and, unless it is a reply, apply it to them."""
     planes = particles.planes
     planes.advance_to(action.time_ns)
     match action:
-        case Commanded(time_ns, command, left, right, doubtful, late_ns):
-            turns = max(late_ns - time_ns, 0) // LATE_NS + 1
-            for turn in range(turns):
-                planes.advance_to(time_ns + turn * LATE_NS)
-                planes.taken(slice(turn, None, 2 * turns if doubtful else turns)).command(
-                    command, left, right
-                )
-        case Configured(_, registers, values):
+        case WheelCommand(time_ns, command, left, right, is_unconfirmed, late_ns):
+            n_slots = max(late_ns - time_ns, 0) // LATE_NS + 1
+            for slot in range(n_slots):
+                planes.advance_to(time_ns + slot * LATE_NS)
+                rows = slice(slot, None, 2 * n_slots if is_unconfirmed else n_slots)
+                planes.select(rows).command(command, left, right)
+        case RegisterWrite(_, registers, values):
             planes.registers[:, registers] = values
-        case Restarted():
+        case Restart():
             for board in planes.registers:
                 kernel.reset(board.data)
-            particles.counted[:] = np.nan
+            particles.counter_offsets[:] = np.nan
         case _:
             pass
-    if isinstance(action, Commanded) and action.command == POSITION:
-        particles.counted[:] = np.nan
+    if isinstance(action, WheelCommand) and action.command == POSITION:
+        particles.counter_offsets[:] = np.nan

@@ -1,7 +1,7 @@
-"""Changes that a filter considers, beside no change: each fault that may begin, each that may end.
+"""Changes that a filter considers, beside no change: each fault that may start, each that may end.
 
-Every change has its own particles, at least its quota. At each mixing some particles without a change undergo
-it, with the probability that it happens in that time; the weights tell whether it did.
+The particles of every change are resampled separately, to at least its quota. Each time, particles without a
+change undergo it with the probability that it happened since the last time; the weights decide between them.
 """
 
 import math
@@ -12,56 +12,53 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.shadow.hypotheses import QUOTA, Hypothesis
-from khep_twin.shadow.particles import Particles, drawn
+from khep_twin.shadow.particles import Floats, Particles, resample_indices
 
-Floats = NDArray[np.float64]
+END_LOG_ODDS = 3.0
+"""Logarithm of the odds against the end of a fault, in a second (assumed)."""
 
-ENDS = 3.0
-"""Logarithm of the odds against a fault that ends, in a second (assumed)."""
+UNDO_RATE = 0.005
+"""Rate at which changes are undone, so that none becomes probable without evidence [1/s]."""
 
-UNDONE = 0.005
-"""Rate at which a change turns out not to have happened, lest what nothing tells becomes probable [1/s]."""
-
-
-_NOTHING = 1e-200
-"""Weight below which no particle is drawn."""
+_MIN_WEIGHT = 1e-200
+"""Total weight below which no particle is drawn."""
 
 
 class FaultChange(NamedTuple):
-    """A fault that begins or ends.
+    """A fault that starts or ends.
 
     Attributes:
         hypothesis: Fault.
-        begins: Whether it begins.
+        starts: Whether it starts.
         unseen_s: Time before it was considered, for which it may have happened unseen [s].
     """
 
     hypothesis: Hypothesis
-    begins: bool
+    starts: bool
     unseen_s: float = 0.0
 
     @property
     def key(self) -> tuple[str, bool]:
-        """Name of the fault, and whether it begins."""
-        return self.hypothesis.name, self.begins
+        """Name of the fault, and whether it starts."""
+        return self.hypothesis.name, self.starts
 
     @property
     def rate(self) -> float:
-        """Probability in a second that it happens by itself."""
-        if self.hypothesis.is_found:
+        """Probability in a second that it happens without a search."""
+        if self.hypothesis.needs_search:
             return 0.0
-        return math.exp(-(self.hypothesis.rare if self.begins else ENDS))
+        return math.exp(-(self.hypothesis.log_odds_against if self.starts else END_LOG_ODDS))
 
-    def happen(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Let it happen to particles."""
-        if self.begins:
+    def apply(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Apply it to particles."""
+        if self.starts:
             self.hypothesis.begin(particles, rng)
         else:
             self.hypothesis.end(particles)
 
     def undo(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Undo it."""
-        self._replace(begins=not self.begins).happen(particles, rng)
+        """Undo it in particles."""
+        self._replace(starts=not self.starts).apply(particles, rng)
 
 
 def quotas(changes: Sequence[FaultChange]) -> list[int]:
@@ -69,7 +66,7 @@ def quotas(changes: Sequence[FaultChange]) -> list[int]:
     return [QUOTA * bool(changes), *(change.hypothesis.quota for change in changes)]
 
 
-def mixed(
+def resample_changes(
     particles: Particles,
     changes: Sequence[FaultChange],
     count: int,
@@ -77,52 +74,53 @@ def mixed(
     time_ns: int,
     rng: np.random.Generator,
 ) -> Particles:
-    """Return particles drawn by their weights, for each change apart; some undergo it now, or not any more.
+    """Return particles resampled separately for each change, some of which undergo or undo it now.
 
-    The changes are 1, 2, ... of these particles; they are `count`, besides the quota of each change.
+    The changes have the numbers 1, 2, ... in `Particles.changes`. The result has `count` particles, besides
+    the quota of each change.
     """
-    weights = np.exp(particles.logs - particles.logs.max())
+    weights = np.exp(particles.log_weights - particles.log_weights.max())
     weights /= weights.sum()
-    # In the order of what each has: those drawn of one change follow each other.
+    # In the order of changes, so that those drawn from one change are contiguous.
     order = np.argsort(particles.changes, kind="stable")
     sources: NDArray[np.intp] = order[weights[order] > 0]
-    had, weights = particles.changes[sources], weights[sources]
-    least, rates = quotas(changes), [UNDONE, *(change.rate for change in changes)]
+    old_changes, weights = particles.changes[sources], weights[sources]
+    min_sizes, rates = quotas(changes), [UNDO_RATE, *(change.rate for change in changes)]
     unseen_s = [0.0, *(change.unseen_s for change in changes)]
-    may_turn = np.array([True, *(not change.hypothesis.is_found for change in changes)])
-    numbers: list[NDArray[np.int64]] = []
-    rows: list[NDArray[np.intp]] = []
-    logs: list[Floats] = []
+    may_change = np.array([True, *(not change.hypothesis.needs_search for change in changes)])
+    change_parts: list[NDArray[np.int64]] = []
+    index_parts: list[NDArray[np.intp]] = []
+    log_weight_parts: list[Floats] = []
     for number, rate in enumerate(rates):
-        staying = math.exp(-(sum(rates) - rate) * passed_s)
-        has = had == number
-        for_s = passed_s if has.any() else passed_s + unseen_s[number]
-        shares: Floats = weights * np.where(has, staying, rate * for_s * may_turn[had])
-        whole = float(shares.sum())
-        if whole < _NOTHING:
+        p_stay = math.exp(-(sum(rates) - rate) * passed_s)
+        is_same = old_changes == number
+        exposure_s = passed_s if is_same.any() else passed_s + unseen_s[number]
+        shares: Floats = weights * np.where(is_same, p_stay, rate * exposure_s * may_change[old_changes])
+        total = float(shares.sum())
+        if total < _MIN_WEIGHT:
             continue
-        size = round(count * float(weights[has].sum())) + least[number]
-        picked: NDArray[np.intp] = sources[drawn(shares, size, rng.random())]
-        rows.append(picked)
-        numbers.append(np.full(size, number))
-        logs.append(np.full(size, math.log(whole / size), np.float64))
-    indices = np.concatenate(rows)
-    made = particles.taken(indices)
-    made.logs = np.concatenate(logs)
-    before = particles.changes[indices]
-    made.changes = np.concatenate(numbers)
-    turns = np.diff(before, prepend=-1, append=-1) | np.diff(made.changes, prepend=-1, append=-1)
-    edges = np.flatnonzero(turns)
+        size = round(count * float(weights[is_same].sum())) + min_sizes[number]
+        chosen: NDArray[np.intp] = sources[resample_indices(shares, size, rng.random())]
+        index_parts.append(chosen)
+        change_parts.append(np.full(size, number))
+        log_weight_parts.append(np.full(size, math.log(total / size), np.float64))
+    indices = np.concatenate(index_parts)
+    mixture = particles.select(indices)
+    mixture.log_weights = np.concatenate(log_weight_parts)
+    previous = particles.changes[indices]
+    mixture.changes = np.concatenate(change_parts)
+    is_edge = np.diff(previous, prepend=-1, append=-1) | np.diff(mixture.changes, prepend=-1, append=-1)
+    edges = np.flatnonzero(is_edge)
     for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        old, new = int(before[start]), int(made.changes[start])
-        part = made.taken(slice(start, stop))
+        old, new = int(previous[start]), int(mixture.changes[start])
+        block = mixture.select(slice(start, stop))
         for number, change in enumerate(changes, 1):
-            if old == new and (number == new) == change.begins:
-                change.hypothesis.refine(part, rng)  # All of these have that fault.
+            if old == new and (number == new) == change.starts:
+                change.hypothesis.jitter(block, rng)  # All particles of the block have the fault.
         if old != new:
-            part.since_ns[:] = time_ns
+            block.since_ns[:] = time_ns
             if old:
-                changes[old - 1].undo(part, rng)
+                changes[old - 1].undo(block, rng)
             if new:
-                changes[new - 1].happen(part, rng)
-    return made
+                changes[new - 1].apply(block, rng)
+    return mixture

@@ -1,13 +1,13 @@
-"""Many planar twins side by side, compiled by numba: their motion, the light at their sensors, commands.
+"""Many planar twins, compiled by numba: their motion, the light at their sensors, commands.
 
 Imported only where numba is installed.
 """
 
-# numba is not typed, and its functions have no types of their own.
+# numba is not typed, and its functions have no types.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false, reportArgumentType=false
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from khep_twin import units
 from khep_twin.board import kernel
@@ -25,170 +25,150 @@ from khep_twin.sensing.seen_surfaces import Chip
 from khep_twin.shadow.wheel_commands import DUTY, SPEED, TARGET
 from khep_twin.simulation.compiled import compiled
 
-assert planar_compiled.run  # its queries of a plane are those used here
+assert planar_compiled.run  # This module uses its queries of a plane.
 
-_SOURCES = (
-    units,
-    kernel,
-    seen_surfaces,
-    reflection,
-    robot_sensors,
-    light,
-    optics,
-    casting,
-    contact_solver,
-    motion,
-    plane,
-    pushing,
-    shadows,
-)
+_SENSING = seen_surfaces, reflection, robot_sensors, light, optics
+_SOURCES = units, kernel, *_SENSING, casting, contact_solver, motion, plane, pushing, shadows
 
 _RIGHT = kernel.RIGHT
 _LEFT_DUTY, _RIGHT_DUTY = kernel.DUTIES
 
 _TURN = math.radians(1)
-"""Turn of a sensor for whose slope its light is computed again [rad]."""
+"""Turn of a sensor by which the slope of its light is computed [rad]."""
 
-_HOLD = 6.0
-"""Brake of a wheel that is blocked, as a part of that of a motor without voltage."""
-
-
-class MotorDrive(NamedTuple):
-    """Constants of all twins' motors.
-
-    Attributes:
-        left_angle: Index of the left wheel's position.
-        right_angle: Index of the right wheel's position.
-        left_speed: Index of the left wheel's speed.
-        right_speed: Index of the right wheel's speed.
-        constant: Torque per current [N m/A].
-    """
-
-    left_angle: int
-    right_angle: int
-    left_speed: int
-    right_speed: int
-    constant: float
+_BRAKING = 6.0
+"""Brake of a blocked wheel, as a multiple of that of a motor without voltage."""
 
 
-def _advance(things, order, near, none, planes, registers, processor, strength, drive, voltage, ticks):
-    for twin in range(len(planes)):
-        scene = Plane(things[twin], order[twin], near, none, none, planes[twin])
+def _advance(things, order, near, empty, robots, registers, processor, strength, constant, voltage, ticks):
+    for twin in range(len(robots)):
+        scene = Plane(things[twin], order[twin], near, empty, empty, robots[twin])
         board = registers[twin]
         for _ in range(ticks):
             motion.step(scene)
-            left, right = scene.robot.joints[drive[0].left_angle], scene.robot.joints[drive[0].right_angle]
+            left, right = scene.robot.joints[plane.LEFT_ANGLE], scene.robot.joints[plane.RIGHT_ANGLE]
             kernel.run(board, processor[twin], units.wheel_pulses(left), units.wheel_pulses(right))
-            speeds, constant = scene.robot.speeds, drive[0].constant
-            own = constant * speeds[drive[0].left_speed]
-            wanted = units.duty_voltage(board[_LEFT_DUTY], voltage)
-            scene.robot.ctrl[0] = _voltage(strength[twin, 0], own, wanted, voltage)
-            own = constant * speeds[drive[0].right_speed]
-            wanted = units.duty_voltage(board[_RIGHT_DUTY], voltage)
-            scene.robot.ctrl[1] = _voltage(strength[twin, 1], own, wanted, voltage)
+            speeds = scene.robot.speeds
+            back_emf = constant * speeds[plane.LEFT_ANGLE]
+            applied = units.duty_voltage(board[_LEFT_DUTY], voltage)
+            scene.robot.ctrl[0] = _motor_voltage(strength[twin, 0], back_emf, applied, voltage)
+            back_emf = constant * speeds[plane.RIGHT_ANGLE]
+            applied = units.duty_voltage(board[_RIGHT_DUTY], voltage)
+            scene.robot.ctrl[1] = _motor_voltage(strength[twin, 1], back_emf, applied, voltage)
 
 
 @compilable
-def _voltage(strength, own, wanted, most):
-    """Return the voltage of a motor [V], which generates its own one without current."""
+def _motor_voltage(strength, back_emf, applied, supply):
+    """Return the voltage of a motor [V]; without current it is the back EMF."""
     if strength >= 0:
-        return own + (wanted - own) * strength
-    # A brake that takes its speed from the start of a tick would overshoot more and more without a limit.
-    return own + min(max(_HOLD * strength * own, -most), most)
+        return back_emf + (applied - back_emf) * strength
+    # As the brake uses the speed at the start of a tick, it would oscillate without a limit.
+    return back_emf + min(max(_BRAKING * strength * back_emf, -supply), supply)
 
 
-def _illuminate(things, order, near, none, planes, sensors, turns, light, slope):
-    for twin in range(len(planes)):
-        scene = Plane(things[twin], order[twin], near, none, none, planes[twin])
-        motion.look_around(scene)
+def _illuminate(things, order, near, empty, robots, sensors, turns, light, slope):
+    for twin in range(len(robots)):
+        scene = Plane(things[twin], order[twin], near, empty, empty, robots[twin])
+        motion.find_near(scene)
         for channel in range(units.N_SENSORS):
-            mounted, turn = chip(scene, sensors[0], channel), turns[twin, channel]
-            light[twin, channel] = seen = _light(scene, sensors[0], channel, mounted, turn)
+            face, turn = chip(scene, sensors[0], channel), turns[twin, channel]
+            light[twin, channel] = straight = _light(scene, sensors[0], channel, face, turn)
             slope[twin, channel] = 0.0
-            if seen > 0:
-                turned = _light(scene, sensors[0], channel, mounted, turn + _TURN)
-                slope[twin, channel] = (turned - seen) / _TURN
+            if straight > 0:
+                turned = _light(scene, sensors[0], channel, face, turn + _TURN)
+                slope[twin, channel] = (turned - straight) / _TURN
 
 
 @compilable_once
-def _light(scene, sensors, channel, mounted, turn):
-    """Return the light that a sensor gets back [counts], whose chip is turned about its face [rad]."""
+def _light(scene, sensors, channel, face, turn):
+    """Return the reflected light at a sensor [counts] whose chip is turned about its face [rad]."""
     proximity = sensors.proximity
     c, s, offset = math.cos(turn), math.sin(turn), proximity.offset[channel]
-    ahead, left = c * mounted.ahead - s * mounted.left, s * mounted.ahead + c * mounted.left
-    x, y = mounted.x + offset * (mounted.ahead - ahead), mounted.y + offset * (mounted.left - left)
-    at = Chip(x, y, ahead, left, mounted.height, mounted.reach)
-    count = surfaces(scene, sensors, channel, at, 0.0)
+    ahead, left = c * face.ahead - s * face.left, s * face.ahead + c * face.left
+    x, y = face.x + offset * (face.ahead - ahead), face.y + offset * (face.left - left)
+    turned = Chip(x, y, ahead, left, face.height, face.reach)
+    count = surfaces(scene, sensors, channel, turned, 0.0)
     lobe = lobe_of(proximity, channel)
-    gain, found = proximity.gain[channel], proximity.found
-    count, _ = sift(found, count, lobe, SLIGHT / gain)
-    return gain * reflected(found, count, at, lobe) if count else 0.0
+    gain, buffer = proximity.gain[channel], proximity.found
+    count, _ = sift(buffer, count, lobe, SLIGHT / gain)
+    return gain * reflected(buffer, count, turned, lobe) if count else 0.0
 
 
-def _explain(
-    light, slope, range_left, readings, use, new, law, traits, covariances, counts, deviations, chances
+def _observe(
+    light,
+    slope,
+    usable,
+    readings,
+    is_used,
+    novelty,
+    law,
+    traits,
+    covariances,
+    counts,
+    deviations,
+    likelihoods,
 ):
     for twin in range(len(traits)):
         for channel in range(units.N_SENSORS):
-            sensor, known = traits[twin, channel], covariances[twin, channel]
-            gain = math.exp(sensor[0])
-            scaled, along = gain * light[twin, channel], gain * slope[twin, channel]
-            count, reading = scaled - law.threshold[channel] - sensor[2], readings[channel]
-            low, high = reading <= law.quiet, reading >= law.full
-            if low or high:
-                reading = law.quiet if low else law.full
-            if not high:
-                count = min(count, law.limit * range_left[twin, channel])
-            first = known[0, 0] * scaled + known[0, 1] * along - known[0, 2]
-            second = known[1, 0] * scaled + known[1, 1] * along - known[1, 2]
-            third = known[2, 0] * scaled + known[2, 1] * along - known[2, 2]
-            apart = law.model * max(count, 0.0)
-            own = law.noise[channel] + apart * apart
-            variance = own + scaled * first + along * second - third
+            estimate, covariance = traits[twin, channel], covariances[twin, channel]
+            gain = math.exp(estimate[0])
+            by_gain, by_turn = gain * light[twin, channel], gain * slope[twin, channel]
+            count, reading = by_gain - law.threshold[channel] - estimate[2], readings[channel]
+            is_low, is_high = reading <= law.quiet, reading >= law.full
+            if is_low or is_high:
+                reading = law.quiet if is_low else law.full
+            if not is_high:
+                count = min(count, law.limit * usable[twin, channel])
+            gain_column = covariance[0, 0] * by_gain + covariance[0, 1] * by_turn - covariance[0, 2]
+            turn_column = covariance[1, 0] * by_gain + covariance[1, 1] * by_turn - covariance[1, 2]
+            threshold_column = covariance[2, 0] * by_gain + covariance[2, 1] * by_turn - covariance[2, 2]
+            model_error = law.model_deviation * max(count, 0.0)
+            noise = law.noise[channel] + model_error * model_error
+            variance = noise + by_gain * gain_column + by_turn * turn_column - threshold_column
             deviation = math.sqrt(variance)
-            off = (reading - count) / deviation
-            bell = math.exp(-0.5 * off * off) / math.sqrt(math.tau)
-            if low or high:
-                # Only that the count is beyond: its expectation and variance are those of a normal tail.
-                beyond = off if low else -off
-                inside = 1 / (1 + math.exp(-1.702 * max(min(beyond, 400.0), -400.0)))
-                tail = bell / max(inside, 1e-6)
-                learned, off = max(min(tail * (tail + beyond), 1.0), 0.0), -tail if low else tail
-                outside = 1.0
+            innovation = (reading - count) / deviation
+            density = math.exp(-0.5 * innovation * innovation) / math.sqrt(math.tau)
+            if is_low or is_high:
+                # The reading is beyond a limit: mean and variance are those of the tail.
+                excess = innovation if is_low else -innovation
+                likelihood = 1 / (1 + math.exp(-1.702 * max(min(excess, 400.0), -400.0)))
+                hazard = density / max(likelihood, 1e-6)
+                shrinkage = max(min(hazard * (hazard + excess), 1.0), 0.0)
+                innovation, outlier = -hazard if is_low else hazard, 1.0
             else:
-                inside, learned, outside = bell / deviation, 1.0, 1 / (law.limit + 1)
-            chance = (1 - law.outliers) * inside + law.outliers * outside
+                likelihood, shrinkage, outlier = density / deviation, 1.0, 1 / (law.limit + 1)
+            mixture = (1 - law.outliers) * likelihood + law.outliers * outlier
             counts[twin, channel], deviations[twin, channel] = count, deviation
-            chances[twin, channel] = chance
-            if use[channel] and range_left[twin, channel] >= 1:
-                # Of an observation that is new in part, its own variance counts as much more.
-                trust = (1 - law.outliers) * inside / chance * variance / (variance + own * (1 / new - 1))
-                step = trust * off / deviation
-                sensor[0] += step * first
-                sensor[1] += step * second
-                sensor[2] += step * third
-                step = trust * learned / variance
-                for row, by in ((0, first), (1, second), (2, third)):
-                    known[row, 0] -= step * by * first
-                    known[row, 1] -= step * by * second
-                    known[row, 2] -= step * by * third
-                    known[row, row] = max(known[row, row], law.least[row])
+            likelihoods[twin, channel] = mixture
+            if is_used[channel] and usable[twin, channel] >= 1:
+                # The less novel an observation is, the larger is the variance of its noise.
+                trust = (1 - law.outliers) * likelihood / mixture
+                trust = trust * variance / (variance + noise * (1 / novelty - 1))
+                step = trust * innovation / deviation
+                estimate[0] += step * gain_column
+                estimate[1] += step * turn_column
+                estimate[2] += step * threshold_column
+                step = trust * shrinkage / variance
+                for row, column in ((0, gain_column), (1, turn_column), (2, threshold_column)):
+                    covariance[row, 0] -= step * column * gain_column
+                    covariance[row, 1] -= step * column * turn_column
+                    covariance[row, 2] -= step * column * threshold_column
+                    covariance[row, row] = max(covariance[row, row], law.min_variances[row])
 
 
-def _lamplight(things, order, near, none, planes, sensors, law, bulbs, hidden, powers, least, light):
-    for twin in range(len(planes)):
-        scene = Plane(things[twin], order[twin], near, none, none, planes[twin])
+def _lamplight(things, order, near, empty, robots, sensors, law, bulbs, hidden, powers, min_count, light):
+    for twin in range(len(robots)):
+        scene = Plane(things[twin], order[twin], near, empty, empty, robots[twin])
         for channel in range(units.N_SENSORS):
             for lamp in range(len(bulbs)):
                 bulb, ambient = bulbs[lamp], sensors[0].ambient
                 x, y, _ = position(scene, sensors[0], channel)
-                away = (bulb.x - x) * (bulb.x - x) + (bulb.y - y) * (bulb.y - y)
-                if powers[lamp] * received(ambient, channel, math.sqrt(away), 1.0) < least:
+                square = (bulb.x - x) * (bulb.x - x) + (bulb.y - y) * (bulb.y - y)
+                if powers[lamp] * received(ambient, channel, math.sqrt(square), 1.0) < min_count:
                     continue
-                lit = Light(law[0], bulbs[lamp : lamp + 1], hidden)
-                light[twin, channel, lamp], _ = light_counts(
-                    scene, sensors[0], lit, powers[lamp : lamp + 1], channel
-                )
+                lamp_light = Light(law[0], bulbs[lamp : lamp + 1], hidden)
+                power = powers[lamp : lamp + 1]
+                light[twin, channel, lamp], _ = light_counts(scene, sensors[0], lamp_light, power, channel)
 
 
 def _command(registers, command, left, right):
@@ -208,46 +188,46 @@ def _command(registers, command, left, right):
             kernel.set_position(board, _RIGHT, right)
 
 
-def _clear(things, planes, poses, free):
-    for twin in range(len(planes)):
-        free[twin] = True
+def _clear(things, robots, poses, is_clear):
+    for twin in range(len(robots)):
+        is_clear[twin] = True
         for thing in range(things.shape[1]):
-            away = plane.distance_to(things[twin], thing, poses[twin, 0], poses[twin, 1])
-            if things[twin, thing, plane.TOUCHED] and away < planes[twin].radius:
-                free[twin] = False
+            distance = plane.distance_to(things[twin], thing, poses[twin, 0], poses[twin, 1])
+            if things[twin, thing, plane.TOUCHABLE] and distance < robots[twin].radius:
+                is_clear[twin] = False
                 break
 
 
-def _measure(things, order, near, none, planes):
-    for twin in range(len(planes)):
-        motion.measure(Plane(things[twin], order[twin], near, none, none, planes[twin]))
+def _measure(things, order, near, empty, robots):
+    for twin in range(len(robots)):
+        motion.measure_distances(Plane(things[twin], order[twin], near, empty, empty, robots[twin]))
 
 
 advance: Any = compiled(_advance, _SOURCES)
-"""Advance twins by control ticks of 10 ms: motion, encoders, controllers, voltages."""
+"""Advance twins by control ticks of 10 ms: motion, encoders, controllers and voltages."""
 
 illuminate: Any = compiled(_illuminate, _SOURCES)
 """Compute the light at each sensor, at the gains of the shared calibration, and its slope as it turns (n, 8)
 [counts, counts/rad]."""
 
-explain: Any = compiled(_explain, _SOURCES)
-"""Compute what each sensor is expected to read, and the probability of its reading; learn its traits.
+observe: Any = compiled(_observe, _SOURCES)
+"""Compute the expected reading of each sensor and the likelihood of the reading; update the sensor's traits.
 
-A reading that is not clipped is a Kalman filter's observation of gain, turn and threshold; of one that is,
-the mean and the variance of the normal tail beyond the limit are taken.
+The reading is an observation of gain, turn and threshold for a Kalman filter. If it is clipped, mean and
+variance of the normal tail beyond the limit replace it.
 """
 
 lamplight: Any = compiled(_lamplight, _SOURCES)
 """Compute the light of each lamp at each receiver, below its dark level (n, 8, n_lamps) [counts].
 
-What cannot reach `least`, even in full sight, counts as 0.
+Light that cannot reach `min_count`, even without obstacles, is 0.
 """
 
 command: Any = compiled(_command, _SOURCES)
 """Execute a command on all boards."""
 
 clear: Any = compiled(_clear, _SOURCES)
-"""Compute whether each twin stands free of obstacles (n,)."""
+"""Compute whether each twin is clear of obstacles (n,)."""
 
 measure: Any = compiled(_measure, _SOURCES)
 """Measure the distances of each twin to its obstacles."""

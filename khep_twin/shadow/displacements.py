@@ -1,4 +1,4 @@
-"""Robots that someone has moved: pushed a little, which is no fault, or put elsewhere."""
+"""Hypotheses of a robot that someone has moved: pushed a little, which is no fault, or put elsewhere."""
 
 import math
 
@@ -7,66 +7,67 @@ import numpy as np
 from khep_twin.shadow.hypotheses import Placed
 from khep_twin.shadow.particles import Particles
 
-_DISPLACED = 0.012, 0.012, math.radians(12)
+_DISPLACEMENT = 0.012, 0.012, math.radians(12)
 """Standard deviations by which a robot is displaced [m, rad] (assumed)."""
 
-_PLACE_REFINED = 0.002, 0.002, math.radians(2)
-"""Standard deviations by which a pose is drawn anew [m, rad] (assumed)."""
+_POSE_JITTER = 0.002, 0.002, math.radians(2)
+"""Standard deviations of the jitter of a pose [m, rad] (assumed)."""
 
-_TURN = 10.0
-"""Deviation of headings drawn anew, as a multiple of that of places [rad/m] (assumed)."""
-
-
-class Elsewhere(Placed):
-    """A robot that is elsewhere; its odds are those at a time when replies surprise, not in a second."""
-
-    channel, is_found = "proximity", True
-
-    def draw_near(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
-        """Draw its pose anew."""
-        _push(particles, (spread, spread, _TURN * spread), rng)
+_TURN_PER_METRE = 10.0
+"""Standard deviation of roughened headings over that of positions [rad/m] (assumed)."""
 
 
-class Displaced(Elsewhere):
-    """A robot that is a little off, as it was pushed, slid or was taken for elsewhere: no fault."""
+class Relocated(Placed):
+    """A robot that is elsewhere; its odds are those at an onset of unexpected replies, not in a second."""
 
-    rare, quota, is_fault = 6.0, 300, False
+    channel = "proximity"
+    needs_search = True
+
+    def begin(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Do nothing: replies must first show where it is."""
+
+    def end(self, particles: Particles) -> None:
+        """Do nothing: its former pose is no longer known."""
+
+    def roughen(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
+        """Add noise to the pose."""
+        _perturb(particles, (spread, spread, _TURN_PER_METRE * spread), rng)
+
+
+class Displaced(Relocated):
+    """A robot a little away from its estimate, as it was pushed, slid or was located wrongly: no fault."""
+
+    log_odds_against = 6.0
+    quota = 300
+    is_fault = False
 
     @property
     def name(self) -> str:
-        """Name of what has happened."""
+        """Name of the alarm."""
         return "robot displaced"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Move the robot."""
-        _push(particles, _DISPLACED, rng)
-
-    def end(self, particles: Particles) -> None:
-        """Do nothing: it is not moved back."""
+        _perturb(particles, _DISPLACEMENT, rng)
 
 
-class Lifted(Elsewhere):
-    """A robot that was put elsewhere at once; `Search` has the places where that may be."""
+class Lifted(Relocated):
+    """A robot that was put elsewhere in no time; `Search` draws its pose."""
 
-    rare, quota = 10.0, 600
+    log_odds_against = 10.0
+    quota = 600
 
     @property
     def name(self) -> str:
-        """Name of what has happened."""
+        """Name of the alarm."""
         return "robot lifted"
 
-    def begin(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Do nothing: no place is likely before replies have told one."""
-
-    def end(self, particles: Particles) -> None:
-        """Do nothing: where it was is not known any more."""
-
-    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Draw its pose anew, close to what it is."""
-        _push(particles, _PLACE_REFINED, rng)
+    def jitter(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Add noise to the pose."""
+        _perturb(particles, _POSE_JITTER, rng)
 
 
-def _push(particles: Particles, by: tuple[float, float, float], rng: np.random.Generator) -> None:
-    """Move the robots by these standard deviations [m, rad]."""
+def _perturb(particles: Particles, deviations: tuple[float, float, float], rng: np.random.Generator) -> None:
+    """Add noise of these standard deviations to the poses [m, rad]."""
     planes = particles.planes
-    planes.move(planes.poses + rng.standard_normal((len(particles), 3)) * by)
+    planes.move(planes.poses + rng.standard_normal((len(particles), 3)) * deviations)

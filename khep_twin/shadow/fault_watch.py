@@ -1,9 +1,9 @@
-"""Watch of the faults that twins are compared with: which begins, has a name, is settled, and ends.
+"""Watch of the faults that twins are compared with, by their probabilities.
 
-    nothing -- 20 % --> suspected -- 95 %, for a second --> alarm -- 5 s --> settled -- its end --> nothing
+    none -- 20 % --> suspected -- 95 %, for a second --> alarm -- 5 s --> settled -- its end is 95 % --> none
 
-Faults that look alike, such as a weak motor and a slipping wheel of one side, count together: the sum of
-their probabilities decides about the alarm, which has the name of the most probable one, or all names.
+Faults that look alike, as a weak motor and a slipping wheel of one side, form an ambiguity group: the sum of
+their probabilities decides about the alarm, which names the most probable one, or all of them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,42 +12,43 @@ from typing import NamedTuple
 
 import numpy as np
 
-from khep_twin.log.shadow_channels import OR, Alarm, Suspicion
+from khep_twin.log.shadow_channels import FAULT_SEPARATOR, Alarm, Suspicion
 from khep_twin.shadow.hypotheses import Hypothesis
+from khep_twin.shadow.line_watch import SHOWN_NS
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.thresholds import THRESHOLDS
 
-_LISTED = 0.1
-"""Part of the probability of faults that look alike from which on a suspicion lists one of them (assumed)."""
+_MIN_SHARE = 0.1
+"""Share of a group's probability from which a suspicion lists a fault (assumed)."""
 
 
-class Alike(NamedTuple):
-    """Faults that look alike and may have begun.
+class AmbiguityGroup(NamedTuple):
+    """Faults that look alike and may have started.
 
     Attributes:
-        faults: Faults, the most probable first.
-        numbers: Their numbers among a filter's changes.
-        parts: Parts of their probability.
-        probability: Probability that there is one of them.
+        hypotheses: Faults, the most probable first.
+        changes: Their numbers among a filter's changes.
+        shares: Shares of the group's probability.
+        probability: Probability that the robot has one of them.
         since_ns: Time since when [ns].
     """
 
-    faults: tuple[Hypothesis, ...]
-    numbers: tuple[int, ...]
-    parts: tuple[float, ...]
+    hypotheses: tuple[Hypothesis, ...]
+    changes: tuple[int, ...]
+    shares: tuple[float, ...]
     probability: float
     since_ns: int
 
     @property
     def key(self) -> str:
-        """Name of all of them."""
-        return self.faults[0].alike
+        """Name of the group."""
+        return self.hypotheses[0].group
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of those that are probable."""
-        pairs = zip(self.faults, self.parts, strict=True)
-        return tuple(fault.name for fault, part in pairs if part >= _LISTED)
+        """Names of the probable faults."""
+        pairs = zip(self.hypotheses, self.shares, strict=True)
+        return tuple(fault.name for fault, share in pairs if share >= _MIN_SHARE)
 
 
 class FaultWatch:
@@ -55,101 +56,111 @@ class FaultWatch:
 
     Attributes:
         settled: Faults that are taken for granted, with their alarms.
-        leading: Faults that have an alarm, but are not settled, and the alarm; None for none.
+        leading: Group that has an alarm but is not settled, and the alarm; None for none.
         suspected: Faults that are suspected without an alarm, the most probable first.
     """
 
     def __init__(self) -> None:
         self.settled: list[tuple[Hypothesis, Alarm]] = []
-        self.leading: tuple[Alike, Alarm] | None = None
+        self.leading: tuple[AmbiguityGroup, Alarm] | None = None
         self.suspected: tuple[Suspicion, ...] = ()
-        self._sure: tuple[int, int] | None = None
-        """Time since when faults that look alike are so probable [ns], and number of replies since."""
-        self._over: dict[Hypothesis, int] = {}
+        self._certain: tuple[int, int] | None = None
+        """Time since when a group is certain [ns], and number of replies since."""
+        self._ended_ns: dict[Hypothesis, int] = {}
         """Settled faults that have ended, and when [ns]."""
+        self._event: Alarm | None = None
+        """Alarm of an event without a duration, while it is shown."""
 
     @property
     def alarms(self) -> list[Alarm]:
         """Alarms that last."""
-        leading = [] if self.leading is None else [self.leading[1]]
-        return [alarm for _, alarm in self.settled] + leading
+        alarms = [alarm for _, alarm in self.settled]
+        if self.leading is not None:
+            alarms.append(self.leading[1])
+        return alarms if self._event is None else [*alarms, self._event]
 
-    def see(self, time_ns: int, tracker: ParticleFilter) -> Alike | None:
-        """Take the probabilities after a reply; return the faults that are certain to be there now."""
-        found = sorted(_alike(tracker), key=lambda each: -each.probability)
-        leads = self.leading[0].key if self.leading is not None else ""
+    def update(self, time_ns: int, tracker: ParticleFilter) -> AmbiguityGroup | None:
+        """Take the probabilities after a reply; return the group that is certain by now."""
+        groups = sorted(_ambiguity_groups(tracker), key=lambda group: -group.probability)
+        leading_key = self.leading[0].key if self.leading is not None else ""
         self.suspected = tuple(
-            Suspicion(each.names, each.faults[0].channel, each.since_ns, each.probability)
-            for each in found
-            if each.key != leads and each.faults[0].is_fault
+            Suspicion(group.names, group.hypotheses[0].channel, group.since_ns, group.probability)
+            for group in groups
+            if group.key != leading_key and group.hypotheses[0].is_fault
         )
-        if not found or found[0].probability <= THRESHOLDS.sure:
-            self._sure = None
+        if not groups or groups[0].probability <= THRESHOLDS.certain_above:
+            self._certain = None
             return None
-        since_ns, replies = self._sure or (time_ns, 0)
-        self._sure = since_ns, replies + 1
-        is_held = time_ns - since_ns >= THRESHOLDS.held_ns
-        return found[0] if is_held and replies + 1 >= THRESHOLDS.replies else None
+        since_ns, n_replies = self._certain or (time_ns, 0)
+        self._certain = since_ns, n_replies + 1
+        is_held = time_ns - since_ns >= THRESHOLDS.hold_ns
+        return groups[0] if is_held and n_replies + 1 >= THRESHOLDS.min_replies else None
 
-    def over(self, time_ns: int, tracker: ParticleFilter) -> tuple[int, tuple[Alarm, ...]]:
+    def end_settled(self, time_ns: int, tracker: ParticleFilter) -> tuple[int, tuple[Alarm, ...]]:
         """Return the number of the change by which a settled fault has certainly ended, and its alarms."""
         probabilities = tracker.probabilities
         number = int(np.argmax(probabilities))
-        if not number or tracker.changes[number - 1].begins or probabilities[number] <= THRESHOLDS.sure:
+        is_end = number > 0 and not tracker.changes[number - 1].starts
+        if not is_end or probabilities[number] <= THRESHOLDS.certain_above:
             return 0, ()
         fault = tracker.changes[number - 1].hypothesis
-        ended = tuple(replace(alarm, ended_ns=time_ns) for each, alarm in self.settled if each is fault)
-        self._over[fault] = time_ns
-        self.settled = [each for each in self.settled if each[0] is not fault]
+        ended = tuple(replace(alarm, ended_ns=time_ns) for other, alarm in self.settled if other is fault)
+        self._ended_ns[fault] = time_ns
+        self.settled = [pair for pair in self.settled if pair[0] is not fault]
         return number, ended
 
-    def had(self, time_ns: int) -> list[Hypothesis]:
-        """Return the settled faults that the robot had at a time or since [ns]."""
-        over = [fault for fault, ended_ns in self._over.items() if ended_ns > time_ns]
-        return [fault for fault, _ in self.settled] + over
+    def settled_since(self, time_ns: int) -> list[Hypothesis]:
+        """Return the settled faults that the robot had at a time [ns] or since."""
+        ended = [fault for fault, ended_ns in self._ended_ns.items() if ended_ns > time_ns]
+        return [fault for fault, _ in self.settled] + ended
 
-    def has_gone(self, tracker: ParticleFilter) -> bool:
-        """Return whether the leading faults explain the replies no more."""
+    def is_refuted(self, tracker: ParticleFilter) -> bool:
+        """Return whether the leading group no longer explains the replies."""
         if self.leading is None:
             return False
-        leads = self.leading[0].key
-        rest = [each.begins and each.hypothesis.alike == leads for each in tracker.changes]
-        return float(tracker.probabilities[1:][rest].sum()) < 1 - THRESHOLDS.sure
+        key = self.leading[0].key
+        in_group = [change.starts and change.hypothesis.group == key for change in tracker.changes]
+        return float(tracker.probabilities[1:][in_group].sum()) < 1 - THRESHOLDS.certain_above
 
-    def is_named(self, alike: Alike, time_ns: int) -> bool:
-        """Return whether faults have been told apart, or cannot be in time."""
-        return alike.parts[0] >= THRESHOLDS.named or time_ns - alike.since_ns >= THRESHOLDS.unnamed_ns
+    def is_distinguished(self, group: AmbiguityGroup, time_ns: int) -> bool:
+        """Return whether one fault of a group is probable enough to name it, or the time for that is over."""
+        is_overdue = time_ns - group.since_ns >= THRESHOLDS.name_delay_ns
+        return group.shares[0] >= THRESHOLDS.name_above or is_overdue
 
-    def raise_alarm(self, alike: Alike, time_ns: int) -> None:
-        """Raise the alarm of faults, and lead with it."""
-        self.leading = alike, self.alarm(alike, time_ns)
+    def raise_alarm(self, group: AmbiguityGroup, time_ns: int) -> None:
+        """Raise the alarm of a group, which then leads."""
+        self.leading = group, _alarm_of(group, time_ns)
 
-    def alarm(self, alike: Alike, time_ns: int) -> Alarm:
-        """Return the alarm of faults."""
-        is_one = alike.parts[0] >= THRESHOLDS.named
-        name = alike.faults[0].name if is_one else OR.join(alike.names)
-        sureness = alike.probability * (alike.parts[0] if is_one else 1.0)
-        return Alarm(name, alike.faults[0].channel, alike.since_ns, time_ns, min(sureness, THRESHOLDS.surest))
+    def show(self, group: AmbiguityGroup, time_ns: int) -> None:
+        """Raise the alarm of an event without a duration."""
+        self._event = _alarm_of(group, time_ns)
 
-    def rename(self, alike: Alike) -> bool:
-        """Give the alarm of several names the one that is certain now; return whether it has another name."""
-        if self.leading is None or self.leading[1].fault in [fault.name for fault in alike.faults]:
+    def expire(self, time_ns: int) -> tuple[Alarm, ...]:
+        """Return the alarm of an event, which ends, if it was shown for long enough."""
+        if self._event is None or time_ns - self._event.raised_ns <= SHOWN_NS:
+            return ()
+        ended = replace(self._event, ended_ns=time_ns)
+        self._event = None
+        return (ended,)
+
+    def rename(self, group: AmbiguityGroup) -> bool:
+        """Name the fault in an alarm with several names if it is certain now; return whether it is."""
+        if self.leading is None or self.leading[1].fault in [fault.name for fault in group.hypotheses]:
             return False
-        if alike.parts[0] < THRESHOLDS.named:
+        if group.shares[0] < THRESHOLDS.name_above:
             return False
-        sureness = min(alike.probability * alike.parts[0], THRESHOLDS.surest)
-        alarm = replace(self.leading[1], fault=alike.faults[0].name, sureness=sureness)
-        self.leading = alike, alarm
+        sureness = min(group.probability * group.shares[0], THRESHOLDS.max_sureness)
+        self.leading = group, replace(self.leading[1], fault=group.hypotheses[0].name, sureness=sureness)
         return True
 
-    def settle(self, alike: Alike) -> None:
+    def settle(self, group: AmbiguityGroup) -> None:
         """Take the leading fault for granted."""
         if self.leading is not None:
-            self.settled.append((alike.faults[0], self.leading[1]))
+            self.settled.append((group.hypotheses[0], self.leading[1]))
             self.leading = None
 
-    def give_up(self, time_ns: int) -> tuple[Alarm, ...]:
-        """Give up the leading faults; return their alarm, which ends."""
+    def drop_leading(self, time_ns: int) -> tuple[Alarm, ...]:
+        """Drop the leading group; return its alarm, which ends."""
         if self.leading is None:
             return ()
         ended = replace(self.leading[1], ended_ns=time_ns)
@@ -157,22 +168,29 @@ class FaultWatch:
         return (ended,)
 
 
-def _alike(tracker: ParticleFilter) -> Iterator[Alike]:
-    """Yield the faults that are suspected to have begun, those that look alike together."""
+def _alarm_of(group: AmbiguityGroup, time_ns: int) -> Alarm:
+    """Return the alarm of a group."""
+    is_one = group.shares[0] >= THRESHOLDS.name_above
+    name = group.hypotheses[0].name if is_one else FAULT_SEPARATOR.join(group.names)
+    sureness = min(group.probability * (group.shares[0] if is_one else 1.0), THRESHOLDS.max_sureness)
+    return Alarm(name, group.hypotheses[0].channel, group.since_ns, time_ns, sureness)
+
+
+def _ambiguity_groups(tracker: ParticleFilter) -> Iterator[AmbiguityGroup]:
+    """Yield the groups of faults that are suspected to have started."""
     probabilities: Sequence[float] = tracker.probabilities.tolist()
-    numbers: dict[str, list[int]] = {}
+    groups: dict[str, list[int]] = {}
     for number, change in enumerate(tracker.changes, 1):
-        if change.begins and probabilities[number] > 0:
-            numbers.setdefault(change.hypothesis.alike, []).append(number)
-    for alike in numbers.values():
-        alike.sort(key=lambda number: -probabilities[number])
-        whole = sum(probabilities[number] for number in alike)
-        if whole <= THRESHOLDS.suspected:
-            continue
-        yield Alike(
-            tuple(tracker.changes[number - 1].hypothesis for number in alike),
-            tuple(alike),
-            tuple(probabilities[number] / whole for number in alike),
-            whole,
-            tracker.since_ns(alike[0]),
-        )
+        if change.starts and probabilities[number] > 0:
+            groups.setdefault(change.hypothesis.group, []).append(number)
+    for numbers in groups.values():
+        numbers.sort(key=lambda number: -probabilities[number])
+        total = sum(probabilities[number] for number in numbers)
+        if total > THRESHOLDS.suspect_above:
+            yield AmbiguityGroup(
+                tuple(tracker.changes[number - 1].hypothesis for number in numbers),
+                tuple(numbers),
+                tuple(probabilities[number] / total for number in numbers),
+                total,
+                tracker.since_ns(numbers[0]),
+            )

@@ -1,7 +1,7 @@
-"""Following a robot's line with a shadow: pauses, and alarms that begin and end.
+"""Following a robot's line with a shadow: silence on the line, and alarms that start and end.
 
-A line that is silent advances the shadow at whole steps of `STEP_NS`, so that the same bytes at the same
-times give the same updates, whether they come from a log or as they cross the line.
+Silence advances the shadow at whole steps of `STEP_NS`, so that the same bytes at the same times give the
+same updates, whether they come from a log or from the line.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,23 +10,23 @@ from typing import NamedTuple
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.log.shadow_channels import Alarm, PoseState, StateTimes
-from khep_twin.shadow.recording import Heard
+from khep_twin.shadow.recording import LineChunk
 from khep_twin.shadow.shadow import Shadow
 from khep_twin.shadow.update import Update
 
 STEP_NS = NS_PER_S // 5
-"""Step of the silence after which the pose is estimated without a reply [ns] (assumed)."""
+"""Steps of a silence, at which the pose is estimated without a reply [ns] (assumed)."""
 
 
 class AlarmChange(NamedTuple):
-    """Alarm that has begun, or ended at its end, and the time of the reply that showed it [ns]."""
+    """Alarm that has started or, if it has an end, ended, and the time of the reply that showed it [ns]."""
 
     time_ns: int
     alarm: Alarm
 
 
 class Follower:
-    """A shadow that is fed a line.
+    """A shadow that follows a line.
 
     Attributes:
         last: Last update; None before the first.
@@ -36,65 +36,65 @@ class Follower:
 
     def __init__(self, shadow: Shadow) -> None:
         self._shadow = shadow
-        self._waited_ns = 0
+        self._advanced_ns = 0
         self._alarms = LastingAlarms()
-        self._lost: bool | None = None
+        self._is_lost: bool | None = None
         self.last: Update | None = None
         self.states = StateTimes()
         self.replies = 0
 
-    def feed(self, heard: Heard) -> Iterator[Update]:
-        """Yield the updates up to bytes and by them; no bytes tell that none came until then."""
-        yield from self.wait(heard.time_ns)
-        for update in self._shadow.feed(*heard) if heard.data else ():
+    def feed(self, chunk: LineChunk) -> Iterator[Update]:
+        """Yield the updates of the silence before a chunk, and of its bytes, if any."""
+        yield from self.wait(chunk.time_ns)
+        for update in self._shadow.feed(*chunk) if chunk.data else ():
             self.replies += 1
-            yield self._noted(update)
+            yield self._record(update)
 
     def wait(self, time_ns: int) -> Iterator[Update]:
         """Yield the updates of a silence up to a time [ns]."""
-        while (next_ns := self._waited_ns + STEP_NS) <= time_ns:
-            self._waited_ns = next_ns
+        while (next_ns := self._advanced_ns + STEP_NS) <= time_ns:
+            self._advanced_ns = next_ns
             for update in self._shadow.wait(next_ns):
-                yield self._noted(update)
+                yield self._record(update)
 
     def changes(self, update: Update) -> Iterator[AlarmChange]:
-        """Return the alarms that have ended or begun with an update."""
+        """Return the alarms that end or start with an update."""
         return self._alarms.changes(update.time_ns, update.alarms, update.ended)
 
-    def turn(self, update: Update) -> bool | None:
-        """Return True where the robot is lost with an update, False where it is found; None elsewhere.
+    def loss_change(self, update: Update) -> bool | None:
+        """Return True if the robot becomes lost with an update, False if it is found, None otherwise.
 
-        One that is lost is found where it is followed. One that is lost from the start on was not followed.
+        A robot that is lost at the start was not followed before.
         """
-        before = self._lost
+        was_lost = self._is_lost
         if update.state is not PoseState.UNSURE:
-            self._lost = update.state is PoseState.LOST
-        elif before is None:
-            self._lost = False
-        return None if before is None or self._lost is before else self._lost
+            self._is_lost = update.state is PoseState.LOST
+        elif was_lost is None:
+            self._is_lost = False
+        return None if was_lost is None or self._is_lost is was_lost else self._is_lost
 
-    def _noted(self, update: Update) -> Update:
+    def _record(self, update: Update) -> Update:
         self.last = update
         self.states.add(update.time_ns, update.state)
         return update
 
 
 class LastingAlarms:
-    """Alarms that last; a fault and the time of its alarm identify one."""
+    """Alarms that last; the fault and the time of an alarm identify it."""
 
     def __init__(self) -> None:
         self._lasting: dict[tuple[str, int], Alarm] = {}
 
     def changes(self, time_ns: int, alarms: Sequence[Alarm], ended: Sequence[Alarm]) -> Iterator[AlarmChange]:
-        """Yield the alarms that end or begin with an update; one that does both begins first.
+        """Yield the alarms that end or start with an update; one that does both starts first.
 
-        `alarms` last after it, `ended` have ended with it.
+        `alarms` last after it, `ended` end with it.
         """
-        over, lasting = _by_key(ended), _by_key(alarms)
-        for key, alarm in over.items():
+        ended_by_key, lasting = _by_key(ended), _by_key(alarms)
+        for key, alarm in ended_by_key.items():
             if key not in self._lasting:
                 yield AlarmChange(time_ns, replace(alarm, ended_ns=None))
-        for key, alarm in {**self._lasting, **over}.items():
+        for key, alarm in {**self._lasting, **ended_by_key}.items():
             if key not in lasting:
                 yield AlarmChange(time_ns, replace(alarm, ended_ns=alarm.ended_ns or time_ns))
         for key, alarm in lasting.items():

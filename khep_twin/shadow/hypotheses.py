@@ -1,6 +1,6 @@
-"""Hypotheses of what may be wrong: each makes twins with a fault of sound ones, and sound ones of those.
+"""Hypotheses of faults: each one injects its fault into twins, and removes it.
 
-Those of wheels are in `wheel_faults`, those of things in `thing_faults`, of a robot that is elsewhere in
+Those of wheels are in `wheel_faults`, those of obstacles in `thing_faults`, those of a robot elsewhere in
 `displacements`.
 """
 
@@ -9,17 +9,14 @@ from abc import ABC, abstractmethod
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from khep_twin.shadow.particles import Particles
-
-Floats = NDArray[np.float64]
+from khep_twin.shadow.particles import Floats, Particles
 
 QUOTA = 150
-"""Particles of a change at the least."""
+"""Least number of particles of a change."""
 
-REFINED = 0.2
-"""Part of their deviation by which values are drawn anew (assumed)."""
+JITTER = 0.2
+"""Noise of resampled values, as a part of their standard deviation (assumed)."""
 
 
 class Hypothesis(ABC):
@@ -27,16 +24,16 @@ class Hypothesis(ABC):
 
     Attributes:
         channel: Channel in which it shows.
-        rare: Logarithm of the odds against it, in a second (assumed).
-        quota: Particles that consider it, at the least.
-        is_found: True if only a search can tell where it leads: it does not begin, or end, by itself.
-        is_fault: True unless nobody needs to be told.
+        log_odds_against: Logarithm of the odds against it, in a second (assumed).
+        quota: Least number of particles that have it.
+        needs_search: True if only a search injects it; others may start and end at any resampling.
+        is_fault: False if it has no alarm.
     """
 
     channel: ClassVar[str]
-    rare: ClassVar[float]
+    log_odds_against: ClassVar[float]
     quota: ClassVar[int] = QUOTA
-    is_found: ClassVar[bool] = False
+    needs_search: ClassVar[bool] = False
     is_fault: ClassVar[bool] = True
 
     @property
@@ -45,36 +42,36 @@ class Hypothesis(ABC):
         """Name of the fault."""
 
     @property
-    def alike(self) -> str:
-        """Name of all faults that look like it."""
+    def group(self) -> str:
+        """Name of its ambiguity group: all faults that look like it."""
         return self.name
 
     @abstractmethod
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Give particles the fault."""
+        """Inject the fault into particles."""
 
     @abstractmethod
     def end(self, particles: Particles) -> None:
-        """Take it from them."""
+        """Remove it from them."""
 
-    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Draw what differs among equally probable particles with the fault anew, close to what it is."""
-        return  # by default nothing does
+    def jitter(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Add noise to the fault's values in equally probable particles; by default there are none."""
+        return
 
 
 class Placed(Hypothesis):
-    """One fault that has a place, which a search makes probable step by step."""
+    """One fault that has a place, which a search samples with tempered likelihoods."""
 
     @abstractmethod
-    def draw_near(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
-        """Draw the place of each particle anew, within a standard deviation of what it is [m]."""
+    def roughen(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
+        """Add noise of a standard deviation to the place of each particle [m]."""
 
 
-def refined(values: Floats, least: float, rng: np.random.Generator) -> Floats:
-    """Return values drawn anew, each close to one of these, with the same mean and deviation (n, ...).
+def shrink_and_jitter(values: Floats, min_deviation: float, rng: np.random.Generator) -> Floats:
+    """Return values with noise, shrunk to the mean so that mean and deviation remain the same (n, ...).
 
-    There is a least deviation, as few may have been drawn many times by their weights.
+    This is the kernel smoothing of Liu and West. `min_deviation` serves values that were drawn many times.
     """
-    mean, deviation = values.mean(axis=0), np.maximum(values.std(axis=0), least)
-    kept = math.sqrt(1 - REFINED * REFINED)
-    return mean + kept * (values - mean) + REFINED * deviation * rng.standard_normal(values.shape)
+    mean, deviation = values.mean(axis=0), np.maximum(values.std(axis=0), min_deviation)
+    shrinkage = math.sqrt(1 - JITTER * JITTER)
+    return mean + shrinkage * (values - mean) + JITTER * deviation * rng.standard_normal(values.shape)

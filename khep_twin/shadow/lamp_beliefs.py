@@ -1,69 +1,67 @@
-"""Probabilities of what the lamps of a playpen may be: as told, off, or at one of many places.
+"""Beliefs about the lamps of a playpen: a Bayes filter with the states of each lamp.
 
-The hypotheses are that all lamps are as they are believed, and for each lamp that it alone is in another
-state. At any time a lamp may go from one state to another, at a rate; the likelihoods of replies tell which
-did. The places lie on a grid; where few are probable, others are drawn from them, closer together.
+    any state  -- exp(-9) 1/s --> off                  off, moved -- exp(-5) 1/s --> nominal
+    any state  -- exp(-9.5) 1/s, all places --> moved  moved -- exp(-4) 1/s --> another place nearby
+
+The hypotheses are that all lamps are as believed, and for each lamp that only it is in another state. Replies
+to O weight them by their likelihoods. Places lie on a grid; where few are probable, finer ones are resampled.
 """
 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.light_model import LightModel
-from khep_twin.shadow.particles import drawn
+from khep_twin.shadow.particles import Floats, resample_indices
 from khep_twin.shadow.planes import Planes
 from khep_twin.shadow.start import inside
 
-Floats = NDArray[np.float64]
+NOMINAL, OFF, MOVED = range(3)
+"""States of a lamp: as in the playpen, off, or at the place that is believed."""
 
-TOLD, OFF, MOVED = range(3)
-"""States of a lamp that is believed: as told, off, or where it was found."""
+OFF_LOG_ODDS, MOVED_LOG_ODDS, END_LOG_ODDS, CORRECTION_LOG_ODDS = 9.0, 9.5, 5.0, 4.0
+"""Logarithms of the odds in a second against a lamp that goes off, is moved, returns to nominal, and against
+another place near that of a moved lamp (assumed)."""
 
-GOES_OFF, MOVES, ENDS, CORRECTED = 9.0, 9.5, 5.0, 4.0
-"""Logarithms of the odds against a lamp that goes off in a second, or is moved, against the end of that, and
-against another place nearby of one that was found elsewhere (assumed)."""
+MOVED_DISTANCE = 0.12
+"""Standard deviation of half of the moves of lamps, along x and y [m] (assumed); the others end anywhere."""
 
-MOVED_BY = 0.12
-"""Standard deviation by which half of the lamps that are moved are so, along x and y [m] (assumed); the
-others may be anywhere."""
+_MIN_WEIGHT = 1e-9
+"""Least sum of the weights of places near a lamp; a lamp far outside the arena has none."""
 
-_NEVER = 1e-9
-"""Least sum of weights of places near a lamp; one far outside the arena has none."""
+_FIRST_PLACE = 3
+"""First state that stands for a place."""
 
-_GRID = 3
-"""First state that is another place of a lamp."""
+_N_GRID, _MIN_GRID = 96, 24
+"""Places of the grid: for all lamps together, and least number for one (assumed)."""
 
-_PLACES, _LEAST_PLACES = 96, 24
-"""Places of the grid, for all lamps together and for one at the least (assumed)."""
+_N_FINE = 32
+"""Resampled places of each lamp."""
 
-_FINE = 32
-"""Places that are drawn from others for each lamp."""
+_SAME_PLACE = 0.05
+"""Distance of a move that does not count [m]: poses are known no better."""
 
-_NEAR = 0.05
-"""Distance from its own place up to which a lamp is not elsewhere [m]: poses are no better known."""
+_MIN_SPREAD = 0.004
+"""Least standard deviation of a lamp's place [m] (assumed)."""
 
-_FINEST = 0.004
-"""Least deviation of a lamp's place [m] (assumed)."""
+_MIN_CORRECTION = 0.01
+"""Least standard deviation of a correction of a lamp's place [m] (assumed)."""
 
-_NEARBY = 0.01
-"""Deviation of places that are nearby, at the least [m] (assumed)."""
+_DISTANCE_POWER = 2.5
+"""Power of the distance by which light falls, about."""
 
-_FALLING = 2.5
-"""Power of the distance with which light falls, about."""
+_MIN_LIGHT = 3.0
+"""Light below which it is not computed [counts]."""
 
-_LEAST = 3.0
-"""Light that is not computed [counts]."""
+_RESAMPLED_ABOVE = 0.02
+"""Probability of another place above which places are resampled."""
 
-_PROBABLE = 0.02
-"""Probability that a lamp is elsewhere, from which on places are drawn."""
+_SPREAD_FACTOR = 0.6
+"""Factor of the standard deviation of resampled places."""
 
-_FINER = 0.6
-"""Part of a place's deviation that those drawn from it have."""
-
-_LONGEST_S = 5.0
-"""Longest time for which a lamp may have changed unseen [s]."""
+_MAX_INTERVAL_S = 5.0
+"""Longest time for which transitions are counted [s]."""
 
 
 class LampBeliefs:
@@ -75,143 +73,142 @@ class LampBeliefs:
 
     Attributes:
         state: State in which each lamp is believed (n_lamps,).
-        sure: Probability that all of them are.
+        probability: Probability that all of them are.
     """
 
     def __init__(self, playpen: Playpen, planes: Planes) -> None:
-        self._told: Floats = np.array(planes.lamps.positions)
-        places, spacing = _grid(playpen, max(_PLACES // len(self._told), _LEAST_PLACES))
-        shape = len(self._told), _GRID + len(places) + _FINE
-        self.state = np.full(shape[0], TOLD)
-        self.sure = 1.0
+        self._nominal_places: Floats = np.array(planes.lamps.positions)
+        places, spacing = _grid(playpen, max(_N_GRID // len(self._nominal_places), _MIN_GRID))
+        shape = len(self._nominal_places), _FIRST_PLACE + len(places) + _N_FINE
+        self.state = np.full(shape[0], NOMINAL)
+        self.probability = 1.0
         self._weights: Floats = np.zeros(shape)
-        """Probability of each other state of one lamp."""
-        self._places: Floats = np.repeat(self._told[:, None], shape[1], axis=1)
-        self._places[:, _GRID:-_FINE, :2] = places
+        """Probability that one lamp is in another state, by state (n_lamps, n_states)."""
+        self._places: Floats = np.repeat(self._nominal_places[:, None], shape[1], axis=1)
+        self._places[:, _FIRST_PLACE:-_N_FINE, :2] = places
         self._spread: Floats = np.zeros(shape)
-        self._spread[:, _GRID:-_FINE] = spacing / math.sqrt(12)
+        self._spread[:, _FIRST_PLACE:-_N_FINE] = spacing / math.sqrt(12)
         self._rates: Floats = np.zeros(shape)
-        self._rates[:, :_GRID] = np.exp([-ENDS, -GOES_OFF, -CORRECTED])
-        for rates, place in zip(self._rates[:, _GRID:-_FINE], self._told, strict=True):
-            away = _away(places, place)
-            near = np.exp(-np.square(away / MOVED_BY) / 2)
-            shares = (near / max(near.sum(), _NEVER) + 1 / len(places)) / 2
-            rates[:] = math.exp(-MOVES) * (away > _NEAR) * shares
+        self._rates[:, :_FIRST_PLACE] = np.exp([-END_LOG_ODDS, -OFF_LOG_ODDS, -CORRECTION_LOG_ODDS])
+        for rates, place in zip(self._rates[:, _FIRST_PLACE:-_N_FINE], self._nominal_places, strict=True):
+            distances = _distances(places, place)
+            weights = np.exp(-np.square(distances / MOVED_DISTANCE) / 2)
+            shares = (weights / max(weights.sum(), _MIN_WEIGHT) + 1 / len(places)) / 2
+            rates[:] = math.exp(-MOVED_LOG_ODDS) * (distances > _SAME_PLACE) * shares
 
     @property
     def probabilities(self) -> tuple[Floats, Floats]:
-        """Probabilities that each lamp alone, or any, is as told, off or elsewhere (n_lamps, 3)."""
-        alone = np.add.reduceat(self._weights, [TOLD, OFF, MOVED], axis=1)
-        lamps = np.arange(len(alone))
-        every = alone.copy()
-        every[lamps, self.state] += np.maximum(1 - alone.sum(axis=1), 0)
-        return alone, every
+        """Probabilities that each lamp has changed to nominal, off or moved, and is so (n_lamps, 3)."""
+        changed = np.add.reduceat(self._weights, [NOMINAL, OFF, MOVED], axis=1)
+        lamps = np.arange(len(changed))
+        marginal = changed.copy()
+        marginal[lamps, self.state] += np.maximum(1 - changed.sum(axis=1), 0)
+        return changed, marginal
 
     def light(self, planes: Planes, model: LightModel) -> tuple[Floats, Floats]:
-        """Return the light of all lamps, with its slope (2, n, 8, m + 1), and its variance (n, 8, m + 1).
+        """Return the light of all lamps with its slope (2, n, 8, m + 1), and its variance (n, 8, m + 1).
 
-        Each of the first m is with another state of one lamp, of whose place the variance is; the last is as
+        In each of the first m one lamp is in another state, whose place has the variance; the last is as
         believed.
         """
-        used = (self._weights > 0) | (self._rates > 0)
-        used[:, :_GRID] = False
-        used[:, MOVED] = self.state == MOVED
-        lamps, states = np.nonzero(used)
+        is_used = (self._weights > 0) | (self._rates > 0)
+        is_used[:, :_FIRST_PLACE] = False
+        is_used[:, MOVED] = self.state == MOVED
+        lamps, states = np.nonzero(is_used)
         places, powers = self._places[lamps, states], planes.powers[lamps]
-        found = np.zeros((2, len(planes), 8, *used.shape))
-        for light, turns in zip(found, model.turns, strict=True):
-            light[..., TOLD] = planes.lamplight(_LEAST, turns)
-            light[:, :, lamps, states] = planes.lamplight_from(places, powers, _LEAST, turns)
-        each = model.light(*found)
-        own = each[..., np.arange(len(self.state)), self.state]
-        whole = own.sum(axis=3)
-        away = np.square(self._places - (*planes.poses[:, :2].mean(axis=0), 0)).sum(axis=2)
-        vague = np.square(_FALLING * self._spread) / away * np.square(each[0])
-        others = (whole[..., None, None] - own[..., None] + each).reshape(*whole.shape, -1)
-        every = np.concatenate([others, whole[..., None]], axis=3)
-        return every, np.pad(vague.reshape(*whole.shape[1:], -1), ((0, 0), (0, 0), (0, 1)))
+        lamplight = np.zeros((2, len(planes), 8, *is_used.shape))
+        for light, turns in zip(lamplight, model.turns, strict=True):
+            light[..., NOMINAL] = planes.lamplight(_MIN_LIGHT, turns)
+            light[:, :, lamps, states] = planes.lamplight_from(places, powers, _MIN_LIGHT, turns)
+        lamp_light = model.light(*lamplight)
+        believed = lamp_light[..., np.arange(len(self.state)), self.state]
+        total = believed.sum(axis=3)
+        squares = np.square(self._places - (*planes.poses[:, :2].mean(axis=0), 0)).sum(axis=2)
+        variance = np.square(_DISTANCE_POWER * self._spread) / squares * np.square(lamp_light[0])
+        alternatives = (total[..., None, None] - believed[..., None] + lamp_light).reshape(*total.shape, -1)
+        all_light = np.concatenate([alternatives, total[..., None]], axis=3)
+        return all_light, np.pad(variance.reshape(*total.shape[1:], -1), ((0, 0), (0, 0), (0, 1)))
 
-    def take(self, passed_s: float, told: Floats) -> None:
-        """Take likelihoods of the m other states and of what is believed, a time after the last ones [s]."""
-        self._mix(min(passed_s, _LONGEST_S))
-        self.sure *= float(told[-1])
-        self._weights *= told[:-1].reshape(self._weights.shape)
-        norm = self.sure + float(self._weights.sum())
-        self.sure /= norm
+    def update(self, passed_s: float, likelihoods: Floats) -> None:
+        """Take the likelihoods of the m other states and of the belief, a time after the last ones [s]."""
+        self._predict(min(passed_s, _MAX_INTERVAL_S))
+        self.probability *= float(likelihoods[-1])
+        self._weights *= likelihoods[:-1].reshape(self._weights.shape)
+        norm = self.probability + float(self._weights.sum())
+        self.probability /= norm
         self._weights /= norm
-        self._draw()
+        self._resample()
 
-    def believe(self, lamp: int, state: int) -> None:
-        """Believe a lamp in a state from now on: as told, off, or where it probably is."""
-        self._rates[lamp, -_FINE:] = 0
+    def set_belief(self, lamp: int, state: int) -> None:
+        """Believe a lamp in a state from now on: nominal, off, or at its mean place."""
+        self._rates[lamp, -_N_FINE:] = 0
         if state == MOVED:
-            weights, places = self._weights[lamp, _GRID:], self._places[lamp, _GRID:, :2]
+            weights, places = self._weights[lamp, _FIRST_PLACE:], self._places[lamp, _FIRST_PLACE:, :2]
             weights = weights / weights.sum()
             place = weights @ places
-            apart = np.square(places - place).sum(axis=1) / 2 + self._spread[lamp, _GRID:] ** 2
-            spread = math.sqrt(float(weights @ apart))
+            variances = np.square(places - place).sum(axis=1) / 2 + self._spread[lamp, _FIRST_PLACE:] ** 2
+            spread = math.sqrt(float(weights @ variances))
             self._places[lamp, MOVED, :2], self._spread[lamp, MOVED] = place, spread
-            self._places[lamp, -_FINE:, :2] = place + max(2 * spread, _NEARBY) * _OFFSETS
-            self._spread[lamp, -_FINE:] = max(spread / 2, _FINEST)
-            self._rates[lamp, -_FINE:] = math.exp(-CORRECTED) / _FINE
+            self._places[lamp, -_N_FINE:, :2] = place + max(2 * spread, _MIN_CORRECTION) * _OFFSETS
+            self._spread[lamp, -_N_FINE:] = max(spread / 2, _MIN_SPREAD)
+            self._rates[lamp, -_N_FINE:] = math.exp(-CORRECTION_LOG_ODDS) / _N_FINE
         self.state[lamp] = state
         self._weights[:] = 0
-        self.sure = 1.0
+        self.probability = 1.0
 
-    def _mix(self, passed_s: float) -> None:
-        """Let lamps change with the time that has passed [s]."""
+    def _predict(self, passed_s: float) -> None:
+        """Apply the transitions of a time [s]."""
         lamps = np.arange(len(self.state))
-        own = self._weights.sum(axis=1)
+        lamp_weights = self._weights.sum(axis=1)
         rates = self._rates.copy()
-        back = rates[lamps, self.state]
+        return_rates = rates[lamps, self.state]
         rates[:, MOVED] = rates[lamps, self.state] = 0
-        leaving = rates.sum(axis=1)
-        self._weights *= np.exp(-(leaving + back) * passed_s)[:, None]
-        self._weights += (self.sure + own)[:, None] * rates * passed_s
-        self.sure *= math.exp(-float(leaving.sum()) * passed_s)
-        self.sure += float(own @ back) * passed_s
+        leave_rates = rates.sum(axis=1)
+        self._weights *= np.exp(-(leave_rates + return_rates) * passed_s)[:, None]
+        self._weights += (self.probability + lamp_weights)[:, None] * rates * passed_s
+        self.probability *= math.exp(-float(leave_rates.sum()) * passed_s)
+        self.probability += float(lamp_weights @ return_rates) * passed_s
 
-    def _draw(self) -> None:
-        """Draw places from those of lamps that are probably elsewhere, where few count."""
-        for lamp, weights in enumerate(self._weights[:, _GRID:]):
-            whole = float(weights.sum())
-            if whole < _PROBABLE or whole * whole > _FINE / 2 * float(weights @ weights):
+    def _resample(self) -> None:
+        """Resample the places of lamps that are probably moved, where few places count."""
+        for lamp, weights in enumerate(self._weights[:, _FIRST_PLACE:]):
+            total = float(weights.sum())
+            if total < _RESAMPLED_ABOVE or total * total > _N_FINE / 2 * float(weights @ weights):
                 continue
-            rows = _GRID + drawn(weights, _FINE, 0.5)
+            rows = _FIRST_PLACE + resample_indices(weights, _N_FINE, 0.5)
             spread = self._spread[lamp, rows]
-            finer = np.maximum(spread * _FINER, _FINEST)
-            moved = np.sqrt(np.maximum(spread**2 - finer**2, (_FINEST / 2) ** 2))
-            places = self._places[lamp, rows, :2] + moved[:, None] * _OFFSETS
-            self._places[lamp, -_FINE:, :2], self._spread[lamp, -_FINE:] = places, finer
-            apart = _away(places, self._told[lamp]) > _NEAR
+            finer_spread = np.maximum(spread * _SPREAD_FACTOR, _MIN_SPREAD)
+            step = np.sqrt(np.maximum(spread**2 - finer_spread**2, (_MIN_SPREAD / 2) ** 2))
+            places = self._places[lamp, rows, :2] + step[:, None] * _OFFSETS
+            self._places[lamp, -_N_FINE:, :2], self._spread[lamp, -_N_FINE:] = places, finer_spread
+            is_elsewhere = _distances(places, self._nominal_places[lamp]) > _SAME_PLACE
             weights[:] = 0
-            weights[-_FINE:] = apart * whole / _FINE
+            weights[-_N_FINE:] = is_elsewhere * total / _N_FINE
 
 
-def _away(places: Floats, place: Floats) -> Floats:
+def _distances(places: Floats, place: Floats) -> Floats:
     """Return the distances of places (n, 2) from another [m]."""
-    off = places - place[:2]
-    return np.hypot(off[:, 0], off[:, 1])
+    return np.hypot(*(places - place[:2]).T)
 
 
-def offsets(count: int) -> Floats:
-    """Return offsets in a plane that are about normally distributed, also any few in a row (count, 2)."""
+def normal_offsets(count: int) -> Floats:
+    """Return offsets x, y with an about normal distribution, also of any few in a row (count, 2)."""
     radii = np.sqrt(-2 * np.log((np.arange(count) * 0.618034 + 0.31) % 1))
-    turns = np.arange(count) * 2.4
-    found = np.stack([radii * np.cos(turns), radii * np.sin(turns)], axis=1)
-    return (found - found.mean(axis=0)) / found.std(axis=0)
+    angles = np.arange(count) * 2.4
+    points = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=1)
+    return (points - points.mean(axis=0)) / points.std(axis=0)
 
 
-_OFFSETS = offsets(_FINE)
+_OFFSETS = normal_offsets(_N_FINE)
 
 
 def _grid(playpen: Playpen, count: int) -> tuple[Floats, float]:
-    """Return about so many places on a grid within the arena (n, 2), and their distance [m]."""
+    """Return about this number of places on a grid within the arena (n, 2), and their distance [m]."""
     corners = np.array(playpen.arena.corners) * 1e-3
     low: Floats = corners.min(axis=0)
     size: Floats = corners.max(axis=0) - low
     spacing = math.sqrt(float(size.prod()) / count)
     columns, rows = np.ceil(size / spacing).astype(int).tolist()
-    parts = [((i + 0.5) / columns, (j + 0.5) / rows) for i in range(columns) for j in range(rows)]
-    places: Floats = low + np.array(parts) * size
+    fractions = [((i + 0.5) / columns, (j + 0.5) / rows) for i in range(columns) for j in range(rows)]
+    places: Floats = low + np.array(fractions) * size
     return places[inside(corners, places)], spacing

@@ -1,13 +1,12 @@
-"""The likelihood of ambient readings, with what is learned of each sensor's gain and heading.
+"""The likelihood of ambient readings, with estimates of each sensor's gain and heading.
 
-Where lamps shine with E on a sensor, O reads dark - E, at the least its floor. The likelihood of a reading z
-is
+Where lamps shine with E on a sensor, O reads dark - E, at least its floor. The likelihood of a reading z is
 
     (1 - e) N(z; dark - E, s^2) + e / (dark - floor),    s^2 = noise^2 + STRAY^2 + (MODEL E)^2 + J P J' + v
 
 with the covariance P of the sensor's traits, the derivatives J of E by them and a variance v of the lamp's
-place; near the floor it is the probability of what lies below. That of a reply is the mean over twins of the
-product over sensors, as the error of a pose is common to all of them.
+place; near the floor it is the probability of lower readings. That of a reply is the mean over twins of the
+product over sensors, as the error of a pose is common to all sensors.
 """
 
 import math
@@ -16,31 +15,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.sensing.calibration import HEADING_SPREAD_DEG, LAMP_SPREAD
-from khep_twin.shadow.planes import Planes
+from khep_twin.shadow.planes import Booleans, Floats, Planes
 from khep_twin.units import N_SENSORS
 
-Floats = NDArray[np.float64]
-
-MODEL = 0.08
+MODEL_DEVIATION = 0.08
 """Relative deviation of a lamp's light from the model's, besides the sensors' traits (assumed)."""
 
-STRAY = 5.0
+STRAY_DEVIATION = 5.0
 """Deviation of the light from the model's where lamps hardly shine [counts] (assumed)."""
 
-PERSISTING = 0.12
-"""Part of a reading that is new where the error of the pose is more than all others (assumed)."""
+MIN_POSE_NOVELTY = 0.12
+"""Novelty of a reading where the error of the pose is larger than all others (assumed)."""
 
 OUTLIERS = 0.02
-"""Part of the readings that nothing explains (assumed)."""
+"""Part of the readings that are outliers (assumed)."""
 
-LEAST = 0.02, math.radians(0.5)
-"""Standard deviations below which no gain and heading [rad] is taken for known (assumed)."""
+MIN_DEVIATIONS = 0.02, math.radians(0.5)
+"""Least standard deviations of a gain and a heading [rad] (assumed)."""
 
-_CLIPPED = 3.0
-"""Deviations of the noise within which a reading is taken for one at the floor."""
+_CLIP_DEVIATIONS = 3.0
+"""Standard deviations of the noise within which a reading is clipped at the floor."""
 
 _TURN = math.radians(1)
 """Turn for which the change of light is computed [rad]."""
+
+_FLOOR_OUTLIERS = 0.05
+"""Part of the outliers that are at the floor (assumed)."""
 
 
 class LightModel:
@@ -68,66 +68,66 @@ class LightModel:
         return self.traits[:, 1], self.traits[:, 1] + _TURN
 
     def light(self, straight: Floats, turned: Floats) -> Floats:
-        """Return light that has these values for both turns (n, 8, ...), and its slopes (2, n, 8, ...)."""
+        """Return the light, of these values for both turns (n, 8, ...), with its slope (2, n, 8, ...)."""
         gains = np.exp(self.traits[:, 0]).reshape(-1, *[1] * (straight.ndim - 2))
         return np.stack([straight * gains, (turned - straight) * (gains / _TURN)])
 
     def expected(self, light: Floats) -> Floats:
-        """Return the readings where lamps shine so brightly (8,) [counts]."""
+        """Return the readings for light (8,) [counts]."""
         return np.maximum(self._dark - light, self._floor)
 
-    def new(self, light: Floats) -> Floats:
-        """Return the part of each reading that is new (8,), by the spread of light with slope (2, n, 8)."""
-        apart, own = light[0].var(axis=0), self._variance(light.mean(axis=1)[..., None])[:, 0]
-        return 1 - (1 - PERSISTING) * apart / (apart + own)
+    def novelty(self, light: Floats) -> Floats:
+        """Return the novelty of each reading (8,), by the spread of light with its slope (2, n, 8)."""
+        pose_variance = light[0].var(axis=0)
+        sensor_variance = self._variance(light.mean(axis=1)[..., None])[:, 0]
+        return 1 - (1 - MIN_POSE_NOVELTY) * pose_variance / (pose_variance + sensor_variance)
 
-    def logs(
-        self, readings: NDArray[np.int64], light: Floats, new: Floats, vague: Floats | float = 0.0
+    def log_likelihoods(
+        self, readings: NDArray[np.int64], light: Floats, novelty: Floats, variance: Floats | float = 0.0
     ) -> Floats:
         """Return the log likelihoods of a reply for light with its slope (2, n, 8, m), of each twin (n, m).
 
-        Of each reading a part is new (8,), `vague` is the variance of the light (n, 8, m).
+        `novelty` is that of each reading (8,), `variance` that of the light (n, 8, m).
         """
-        chance = self._chances(readings, light, vague)[0]
-        return np.einsum("nsm,s->nm", np.log(chance), new)
+        likelihood = self._likelihoods(readings, light, variance)[0]
+        return np.einsum("nsm,s->nm", np.log(likelihood), novelty)
 
-    def learn(self, readings: NDArray[np.int64], light: Floats, part: float, new: float) -> None:
-        """Learn the traits from a reply for light (2, n, 8), believed in part, of which a part is new."""
-        mean, apart = light.mean(axis=1), light[0].var(axis=0)
-        chance, inside, clipped = self._chances(readings, mean[:, None, :, None], apart[:, None])
-        trust = np.where(clipped, 0, part * (1 - OUTLIERS) * inside[0, :, 0] / chance[0, :, 0])
-        # Of an observation that is new in part, its own variance counts as much more.
-        own = (self._noise**2 + STRAY**2 + (MODEL * mean[0]) ** 2 + apart / PERSISTING) / new
-        by = -mean.T
-        along = np.einsum("sij,sj->si", self.covariances, by)
-        step = trust[:, None] * along / (own + (along * by).sum(axis=1))[:, None]
-        self.traits += step * (readings - self._dark + mean[0])[:, None]
-        self.covariances -= step[:, :, None] * along[:, None]
-        for trait, least in enumerate(LEAST):
+    def learn(self, readings: NDArray[np.int64], light: Floats, probability: float, novelty: float) -> None:
+        """Update the traits by a reply for light (2, n, 8) of a belief: a Kalman filter for each sensor."""
+        mean, pose_variance = light.mean(axis=1), light[0].var(axis=0)
+        mean_light = mean[:, None, :, None]
+        likelihood, inlier, is_clipped = self._likelihoods(readings, mean_light, pose_variance[:, None])
+        trust = np.where(is_clipped, 0, probability * (1 - OUTLIERS) * inlier[0, :, 0] / likelihood[0, :, 0])
+        # The less novel an observation is, the larger is the variance of its noise.
+        noise = self._noise**2 + STRAY_DEVIATION**2 + (MODEL_DEVIATION * mean[0]) ** 2
+        noise = (noise + pose_variance / MIN_POSE_NOVELTY) / novelty
+        jacobian = -mean.T
+        covariance = np.einsum("sij,sj->si", self.covariances, jacobian)
+        gain = trust[:, None] * covariance / (noise + (covariance * jacobian).sum(axis=1))[:, None]
+        self.traits += gain * (readings - self._dark + mean[0])[:, None]
+        self.covariances -= gain[:, :, None] * covariance[:, None]
+        for trait, min_deviation in enumerate(MIN_DEVIATIONS):
             variance = self.covariances[:, trait, trait]
-            np.maximum(variance, least * least, out=variance)
+            np.maximum(variance, min_deviation * min_deviation, out=variance)
 
     def _variance(self, light: Floats) -> Floats:
         """Return the variances of readings for light with its slope (2, ..., 8, m)."""
-        (gain, both), (_, turn) = self.covariances.transpose(1, 2, 0)[:, :, :, None]
+        (gain, gain_turn), (_, turn) = self.covariances.transpose(1, 2, 0)[:, :, :, None]
         bright, slope = light
-        variance = bright * (bright * (MODEL * MODEL + gain) + 2 * both * slope) + turn * slope * slope
-        return self._noise**2 + STRAY**2 + np.maximum(variance, 0)
+        relative = MODEL_DEVIATION * MODEL_DEVIATION + gain
+        variance = bright * (bright * relative + 2 * gain_turn * slope) + turn * slope * slope
+        return self._noise**2 + STRAY_DEVIATION**2 + np.maximum(variance, 0)
 
-    def _chances(
-        self, readings: NDArray[np.int64], light: Floats, vague: Floats | float
-    ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Return probabilities of readings, also without outliers (n, 8, m), and which are clipped (8,)."""
+    def _likelihoods(
+        self, readings: NDArray[np.int64], light: Floats, extra_variance: Floats | float
+    ) -> tuple[Floats, Floats, Booleans]:
+        """Return likelihoods of readings, those of inliers (n, 8, m), and whether they are clipped (8,)."""
         bright = light[0]
-        variance = self._variance(light) + vague
-        edge = self._floor + _CLIPPED * self._noise
-        clipped = readings <= edge
-        off = (np.maximum(readings, edge)[:, None] - self._dark + bright) / np.sqrt(variance)
-        inside = np.exp(-0.5 * off * off) / np.sqrt(math.tau * variance)
-        inside[:, clipped] = 1 / (1 + np.exp(-np.clip(1.702 * off[:, clipped], -500, 500)))
-        rest = np.where(clipped, _AT_FLOOR, 1 / (self._dark - self._floor))[:, None]
-        return (1 - OUTLIERS) * inside + OUTLIERS * rest, inside, clipped
-
-
-_AT_FLOOR = 0.05
-"""Part of what nothing explains that is at the floor (assumed)."""
+        variance = self._variance(light) + extra_variance
+        edge = self._floor + _CLIP_DEVIATIONS * self._noise
+        is_clipped = readings <= edge
+        innovation = (np.maximum(readings, edge)[:, None] - self._dark + bright) / np.sqrt(variance)
+        inlier = np.exp(-0.5 * innovation * innovation) / np.sqrt(math.tau * variance)
+        inlier[:, is_clipped] = 1 / (1 + np.exp(-np.clip(1.702 * innovation[:, is_clipped], -500, 500)))
+        outlier = np.where(is_clipped, _FLOOR_OUTLIERS, 1 / (self._dark - self._floor))[:, None]
+        return (1 - OUTLIERS) * inlier + OUTLIERS * outlier, inlier, is_clipped

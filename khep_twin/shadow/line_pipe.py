@@ -1,7 +1,7 @@
-"""Pipe by which a line's bytes reach a shadow in another process, and which never delays the line.
+"""Pipe by which a line's bytes reach a shadow in another process, without any delay of the line.
 
-What the pipe does not take at once waits in memory, at most the 1 kB/s of a line at 9600 baud, so nothing is
-lost. Records without bytes tell that none came until their time.
+Bytes that the pipe does not take immediately wait in memory, at most 1 kB/s of a line at 9600 baud, so none
+are lost. A record without bytes states that none came until its time.
 """
 
 import os
@@ -11,107 +11,109 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 
-from khep_twin.shadow.recording import Heard
+from khep_twin.shadow.recording import LineChunk
 
-_START = struct.Struct("<q")
-"""Start of the line's clock, in that of `time.monotonic_ns`, which all processes of a machine share."""
+_CLOCK_START = struct.Struct("<q")
+"""Start of the line's clock by `time.monotonic_ns`, which all processes of a machine share."""
 
 _RECORD = struct.Struct("<q?H")
 """Time [ns], direction, and number of bytes that follow."""
 
-_LARGEST = 1 << 15
+_MAX_RECORD = 1 << 15
 
-_TURN_S = 0.2
-"""Longest wait for bytes, before `stop` is asked again [s]."""
+_POLL_S = 0.2
+"""Longest wait for bytes between two calls of `stop` [s]."""
 
 
 class LineSender:
     """End of the pipe at the line, whose clock starts at 0 [ns]; the descriptor stays open.
 
     Attributes:
-        broken: Whether nobody reads any more.
+        is_broken: Whether the reader has closed the pipe.
     """
 
     def __init__(self, descriptor: int, now: Callable[[], int]) -> None:
-        self._descriptor, self._now = descriptor, now
-        self._waiting = bytearray(_START.pack(time.monotonic_ns() - now()))
-        self.broken = False
+        self._descriptor = descriptor
+        self._now = now
+        self._buffer = bytearray(_CLOCK_START.pack(time.monotonic_ns() - now()))
+        self.is_broken = False
         _set_blocking(descriptor, False)
 
     def on_bytes(self, to_robot: bool, data: bytes) -> None:
-        """Take bytes that cross the line now."""
-        for begin in range(0, len(data), _LARGEST):
-            piece = data[begin : begin + _LARGEST]
-            self._waiting += _RECORD.pack(self._now(), to_robot, len(piece)) + piece
+        """Send bytes that cross the line now."""
+        for start in range(0, len(data), _MAX_RECORD):
+            piece = data[start : start + _MAX_RECORD]
+            self._buffer += _RECORD.pack(self._now(), to_robot, len(piece)) + piece
         self._write()
 
     def on_event(self, text: str) -> None:
-        """Leave an event to the log."""
+        """Ignore an event: only logs record it."""
 
     def flush(self) -> None:
-        """Tell that nothing more came until now."""
-        self._waiting += _RECORD.pack(self._now(), True, 0)
+        """Send that no more bytes came until now."""
+        self._buffer += _RECORD.pack(self._now(), True, 0)
         self._write()
 
     def close(self) -> None:
-        """Pass on what waits, as fast as it is read."""
+        """Send all waiting bytes, as fast as they are read."""
         _set_blocking(self._descriptor, True)
-        while self._waiting and not self.broken:
+        while self._buffer and not self.is_broken:
             self._write()
 
     def _write(self) -> None:
-        if self.broken:
-            self._waiting.clear()
+        if self.is_broken:
+            self._buffer.clear()
             return
         try:
-            del self._waiting[: os.write(self._descriptor, self._waiting)]
+            del self._buffer[: os.write(self._descriptor, self._buffer)]
         except BlockingIOError:
             pass
         except (BrokenPipeError, ConnectionResetError):
-            self.broken = True
+            self.is_broken = True
 
 
 class LineReceiver:
     """End of the pipe at the shadow."""
 
     def __init__(self, descriptor: int, stop: Callable[[], bool]) -> None:
-        self._descriptor, self._stop = descriptor, stop
+        self._descriptor = descriptor
+        self._stop = stop
         self._start_ns = 0
-        self._waiting = bytearray()
+        self._buffer = bytearray()
 
-    def __iter__(self) -> Iterator[Heard]:
-        """Yield what crosses the line, until it is closed."""
-        if not self._fill(_START.size):
+    def __iter__(self) -> Iterator[LineChunk]:
+        """Yield the bytes of the line until it is closed."""
+        if not self._fill(_CLOCK_START.size):
             return
-        (self._start_ns,) = _START.unpack(self._taken(_START.size))
+        (self._start_ns,) = _CLOCK_START.unpack(self._take(_CLOCK_START.size))
         while self._fill(_RECORD.size):
-            time_ns, to_robot, size = _RECORD.unpack(self._taken(_RECORD.size))
+            time_ns, to_robot, size = _RECORD.unpack(self._take(_RECORD.size))
             if not self._fill(size):
                 return
-            yield Heard(time_ns, to_robot, self._taken(size))
+            yield LineChunk(time_ns, to_robot, self._take(size))
 
-    def behind_s(self, time_ns: int) -> float:
-        """Return by how much a time of the line is past [s]."""
+    def lag_s(self, time_ns: int) -> float:
+        """Return how far a time of the line is in the past [s]."""
         return (time.monotonic_ns() - self._start_ns - time_ns) * 1e-9
 
     def _fill(self, size: int) -> bool:
-        """Wait for bytes; return whether there are so many."""
-        while len(self._waiting) < size:
+        """Wait for a number of bytes; return whether they have come."""
+        while len(self._buffer) < size:
             if self._stop():
                 return False
-            if select.select([self._descriptor], [], [], _TURN_S)[0]:
+            if select.select([self._descriptor], [], [], _POLL_S)[0]:
                 if not (read := os.read(self._descriptor, 1 << 16)):
                     return False
-                self._waiting += read
+                self._buffer += read
         return True
 
-    def _taken(self, size: int) -> bytes:
-        taken = bytes(self._waiting[:size])
-        del self._waiting[:size]
-        return taken
+    def _take(self, size: int) -> bytes:
+        head = bytes(self._buffer[:size])
+        del self._buffer[:size]
+        return head
 
 
 def _set_blocking(descriptor: int, blocks: bool) -> None:
-    """Set if a write waits for room; Windows has no such pipes."""
+    """Set whether a write waits for room; Windows does not support this for pipes."""
     if sys.platform != "win32":
         os.set_blocking(descriptor, blocks)

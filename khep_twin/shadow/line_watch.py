@@ -1,4 +1,7 @@
-"""Watch of the line: replies that are missing or damaged, and restarts."""
+"""Watch of the line: missing or damaged replies, and restarts.
+
+sound -- 3 bad replies within 5 s --> losing bytes -- 5 mean intervals, at most 5 s, without one --> sound
+"""
 
 import re
 from collections import deque
@@ -10,20 +13,20 @@ from khep_twin.log.exchanges import BANNER, Exchange
 from khep_twin.log.shadow_channels import Alarm
 
 _VERSIONS = re.compile(rb"b,\d+\.\d+,\d+\.\d+")
-"""Reply to B, whose versions are no integers."""
+"""Reply to B, whose versions are not integers."""
 
 LOSING, RESTART = "line losing bytes", "restart"
 """Names of the faults."""
 
-_BAD, _WITHIN_NS = 3, 5_000_000_000
-"""Damaged or missing replies within so much time that make an alarm (assumed): a single one happens [ns]."""
+_N_BAD, _WINDOW_NS = 3, 5_000_000_000
+"""Number of damaged or missing replies within a time [ns] that raise an alarm (assumed)."""
 
-_SOUND, _SOUND_NS = 5, 5_000_000_000
-"""Time without one after which the alarm ends: so many of their mean intervals, at most this one [ns]. Where
-losses are independent, one interval in 150 (exp(5)) is so long."""
+_N_INTERVALS, _MAX_SOUND_NS = 5, 5_000_000_000
+"""Time without one after which the alarm ends: a number of mean intervals, and its maximum [ns]. If losses
+are independent, one interval in 150 (exp(5)) is that long."""
 
 SHOWN_NS = 1_000_000_000
-"""Time for which the alarm of what happens at once is kept [ns]."""
+"""Time for which the alarm of an event without a duration is shown [ns]."""
 
 
 class LineWatch:
@@ -37,46 +40,46 @@ class LineWatch:
     def __init__(self) -> None:
         self._bad_ns: deque[int] = deque()
         self.alarms: list[Alarm] = []
-        self.lossy_ns = -2 * _SOUND_NS
+        self.lossy_ns = -2 * _MAX_SOUND_NS
 
-    def hear(self, exchange: Exchange) -> tuple[Alarm, ...]:
-        """Take an exchange; return the alarms that end by it."""
-        time_ns = exchange.heard_ns
-        ended = self._end(time_ns)
+    def update(self, exchange: Exchange) -> tuple[Alarm, ...]:
+        """Take an exchange; return the alarms that it ends."""
+        time_ns = exchange.reply_ns
+        ended = self._end_alarms(time_ns)
         if exchange.reply is not None and BANNER in exchange.reply:
-            if not _asked(exchange):
+            if not _is_requested(exchange):
                 self.alarms.append(Alarm(RESTART, "line", time_ns, time_ns, 0.999))
         elif _is_bad(exchange):
             self._bad_ns.append(time_ns)
-            while self._bad_ns[0] < time_ns - _WITHIN_NS:
+            while self._bad_ns[0] < time_ns - _WINDOW_NS:
                 self._bad_ns.popleft()
-            if len(self._bad_ns) >= _BAD and all(alarm.fault != LOSING for alarm in self.alarms):
+            if len(self._bad_ns) >= _N_BAD and all(alarm.fault != LOSING for alarm in self.alarms):
                 self.alarms.append(Alarm(LOSING, "line", self._bad_ns[0], time_ns, 0.99))
         if any(alarm.fault == LOSING for alarm in self.alarms):
             self.lossy_ns = time_ns
         return ended
 
-    def _end(self, time_ns: int) -> tuple[Alarm, ...]:
-        sound_ns = min(_SOUND * _WITHIN_NS // max(len(self._bad_ns), 1), _SOUND_NS)
-        over = [
+    def _end_alarms(self, time_ns: int) -> tuple[Alarm, ...]:
+        sound_ns = min(_N_INTERVALS * _WINDOW_NS // max(len(self._bad_ns), 1), _MAX_SOUND_NS)
+        ended = [
             alarm
             for alarm in self.alarms
             if (alarm.fault == RESTART and time_ns - alarm.raised_ns > SHOWN_NS)
             or (alarm.fault == LOSING and time_ns - self._bad_ns[-1] > sound_ns)
         ]
-        self.alarms = [alarm for alarm in self.alarms if alarm not in over]
-        if any(alarm.fault == LOSING for alarm in over):
+        self.alarms = [alarm for alarm in self.alarms if alarm not in ended]
+        if any(alarm.fault == LOSING for alarm in ended):
             self._bad_ns.clear()
-        return tuple(replace(alarm, ended_ns=time_ns) for alarm in over)
+        return tuple(replace(alarm, ended_ns=time_ns) for alarm in ended)
 
 
-def _asked(exchange: Exchange) -> bool:
-    """Return whether the host has asked for a restart."""
+def _is_requested(exchange: Exchange) -> bool:
+    """Return whether the host has requested a restart."""
     return exchange.command.strip().startswith(b"restart")
 
 
 def _is_bad(exchange: Exchange) -> bool:
-    """Return whether a reply is missing or damaged; the end of a recording is no loss."""
+    """Return whether a reply is missing or damaged; one at the end of a recording is not."""
     if exchange.abandoned or exchange.output_of:
         return False
     if not exchange.command:

@@ -1,9 +1,8 @@
-"""A particle filter whose particles are planar twins: where a robot is, from commands and sensor replies.
+"""A particle filter whose particles are planar twins: it estimates a robot's pose from commands and replies.
 
-Each particle has its own pose, wheels and sensors; what was learned of these is forgotten slowly.
-Replies to N weigh the particles (`sensor_model`), by how far the robot went since the last; those to H move
-them; where few of them count, they are drawn anew. Some have a fault that may have begun, or ended
-(`changes`).
+Each particle has a pose, wheels and sensors; learned values of these decay slowly to the prior. Replies to N
+weight the particles (`sensor_model`), by their novelty (`persistence`); those to H move them; at a low
+effective sample size they are resampled. Some have a fault that may have started, or ended (`changes`).
 """
 
 import math
@@ -11,46 +10,41 @@ from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
-from khep_twin.shadow.actions import LATE_NS, Action, Commanded, Counted, Seen, repeat
-from khep_twin.shadow.changes import FaultChange, mixed, quotas
-from khep_twin.shadow.motion_noise import moves
-from khep_twin.shadow.particles import Particles, drawn
-from khep_twin.shadow.persistence import PERSISTENCE, SENSOR_RADIUS, part_new
-from khep_twin.shadow.planar_bodies import TICK_NS
+from khep_twin.shadow.actions import LATE_NS, Action, CounterReply, ProximityReply, WheelCommand, apply_action
+from khep_twin.shadow.changes import FaultChange, quotas, resample_changes
+from khep_twin.shadow.motion_noise import draw_moves
+from khep_twin.shadow.particles import Floats, Particles, resample_indices
+from khep_twin.shadow.persistence import PERSISTENCE, SENSOR_RADIUS, novelty_of
+from khep_twin.shadow.planar_bodies import TICK_NS, Booleans
 from khep_twin.shadow.pose_estimate import PoseEstimate
-from khep_twin.shadow.sensor_model import SensorModel, log_of_sum
+from khep_twin.shadow.sensor_model import SensorModel, log_sum_exp
 
-Floats = NDArray[np.float64]
+GLOBAL_COUNT, GLOBAL_TEMPER = 3000, 0.17
+"""Number of particles above which the robot may be anywhere, and the tempering power of their likelihood, so
+that the right pose is not dropped early."""
 
-MANY, MANY_TEMPER = 3000, 0.17
-"""Number of particles that are many, of a robot that may be anywhere, and the power of their likelihood: what
-is dropped too early is lost."""
+MIN_EFFECTIVE = 0.5
+"""Effective sample size, over the number of particles, below which they are resampled."""
 
-LEAST_EFFECTIVE = 0.5
-"""Part of the particles that count, below which they are drawn anew."""
-
-FEW, ROUGH = 0.1, 0.3
-"""Part of the particles that count, below which those drawn of them are spread by this part of their spread:
-few of a wide cloud fit a reading (assumed)."""
+FEW_EFFECTIVE, ROUGHENING = 0.1, 0.3
+"""The same below which they are also roughened, and the noise over their standard deviation (assumed)."""
 
 _TICK_S = TICK_NS * 1e-9
 
-_FRESH_TICKS = 25
-"""Time for whose noise few particles are spread that become many [ticks]."""
+_ROUGHENING_TICKS = 25
+"""Time whose noise roughens few particles that are resampled to many [ticks]."""
 
-_LONGEST_TICKS, _LONGEST_SOUND_TICKS = 10, 50
-"""Longest time after which the particles are drawn anew, with changes that may begin then, and without
-[ticks]."""
+_MAX_TICKS, _MAX_SOUND_TICKS = 10, 50
+"""Longest time between two resamplings, with changes and without [ticks]."""
 
-_IN_CELL, _IN_CELL_CHANGED = 200, 10
-"""Particles for each cell of 30 mm and 15 degrees where the robot may be, and with changes (assumed)."""
+_PER_CELL, _PER_CELL_CHANGED = 200, 10
+"""Particles per cell of 30 mm and 15 degrees where the robot may be, without changes and with (assumed)."""
 
 _IMPROBABLE = 0.01
-"""Probability below which a change need not be considered any more."""
+"""Probability below which a change is no longer considered."""
 
 
 class ParticleFilter:
@@ -58,151 +52,153 @@ class ParticleFilter:
 
     Attributes:
         particles: Particles.
-        changes: Changes that are considered: 1, 2, ... of the particles'.
-        evidence: Logarithm of the probability of all readings so far.
+        changes: Changes that are considered, with the numbers 1, 2, ... in `Particles.changes`.
+        evidence: Logarithm of the marginal likelihood of all replies so far.
         expected: Readings expected last, over all particles (8,).
-        surprise: What the last reply was less likely than an expected one, by sensor (8,), in logarithms.
-        new: Part of the last reply to N that was new.
+        surprisal: Log likelihood ratio of the most probable reading and the last one, by sensor (8,).
+        novelty: Novelty of the last reply to N.
     """
 
     def __init__(
         self, setup: EpisodeSetup, particles: Particles, rng: np.random.Generator, count: int
     ) -> None:
-        self._setup, self.particles, self._rng, self._count = setup, particles, rng, count
+        self.particles = particles
+        self._setup = setup
+        self._rng = rng
+        self._count = count
         self._model = SensorModel(particles.planes)
         self.changes: list[FaultChange] = []
         self.evidence = 0.0
         self.expected: Floats = np.zeros(8)
-        self.surprise: Floats = np.zeros(8)
-        self.new = 1.0
-        self._drifted_ticks = particles.planes.ticks
-        self._uncertain_s = _TICK_S
-        """Time within which the last command was executed [s]."""
-        self._jolts: Floats = np.zeros(3)
-        """Variances by changes of speed since the last drift [m^2, rad^2]."""
-        self._way = 0.0
-        """Way of a sensor since the last reply to N [m]."""
-        self._taught = particles.wheels
-        """Wheels of particles when the robot drove freely last (n, 3)."""
+        self.surprisal: Floats = np.zeros(8)
+        self.novelty = 1.0
+        self._noise_ticks = particles.planes.ticks
+        self._timing_s = _TICK_S
+        """Uncertainty of the time of the last command [s]."""
+        self._timing_variances: Floats = np.zeros(3)
+        """Variances due to changes of speed at uncertain times since the last noise [m^2, rad^2]."""
+        self._travel = 0.0
+        """Travel of a sensor since the last reply to N [m]."""
+        self._free_wheels = particles.wheels
+        """Wheels of the particles when the robot last drove freely (n, 3)."""
 
-    def like(self, particles: Particles) -> Self:
-        """Return a filter of other particles of the robot."""
+    def with_particles(self, particles: Particles) -> Self:
+        """Return a filter of other particles."""
         return type(self)(self._setup, particles, self._rng, self._count)
 
-    def act(self, action: Action, use: NDArray[np.bool_]) -> Floats:
-        """Follow an action; return what counters tell beyond commands (2,), NaN for any other one.
+    def follow(self, action: Action, is_used: Booleans) -> Floats:
+        """Follow an action; return the residual of counters (2,), NaN for any other action.
 
-        Sensors to rely on are those of `use` (8,).
+        `is_used` is True for sensors to rely on (8,).
         """
-        told = self.weigh(action, use)
-        if isinstance(action, Seen):
-            self._renew()
-        return told
+        residual = self.weigh(action, is_used)
+        if isinstance(action, ProximityReply):
+            self._resample()
+        return residual
 
-    def weigh(self, action: Action, use: NDArray[np.bool_], new: float | None = None) -> Floats:
-        """Follow an action as `act` does, with the same particles; a part of a reply to N is new.
+    def weigh(self, action: Action, is_used: Booleans, novelty: float | None = None) -> Floats:
+        """Follow an action as `follow` does, without resampling.
 
-        By default that is by the way of these particles. Evidence of two filters compares only if the parts
-        are the same.
+        The default novelty of a reply to N is that by the travel of these particles. The evidence of two
+        filters is comparable only for the same novelties.
         """
-        before, speeds = self.particles.planes.poses, self._speeds
-        repeat(action, self.particles)
-        # Twins obey at whole ticks; the robot did at a time that is not certain.
-        self._jolts += self.weights @ np.square(self._speeds - speeds) * (self._uncertain_s**2 / 12)
-        if isinstance(action, Commanded):
-            self._uncertain_s = _TICK_S + min(max(action.late_ns - action.time_ns, 0), LATE_NS) * 1e-9
-        along = np.abs(self.particles.planes.poses - before) @ (1, 1, SENSOR_RADIUS)
-        self._way += float(self.weights @ along)
-        if isinstance(action, Seen):
-            part = self._part_new(action)
-            self.new = part if new is None else new
-            self._see(action, use)
-        if isinstance(action, Counted):
-            return self.weights @ self.particles.count(action.counters)
+        last_poses, last_speeds = self.particles.planes.poses, self._speeds
+        apply_action(action, self.particles)
+        # Twins execute commands at whole ticks; the time at which the robot did is uncertain.
+        squares = np.square(self._speeds - last_speeds)
+        self._timing_variances += self.weights @ squares * (self._timing_s**2 / 12)
+        if isinstance(action, WheelCommand):
+            self._timing_s = _TICK_S + min(max(action.late_ns - action.time_ns, 0), LATE_NS) * 1e-9
+        travel = np.abs(self.particles.planes.poses - last_poses) @ (1, 1, SENSOR_RADIUS)
+        self._travel += float(self.weights @ travel)
+        if isinstance(action, ProximityReply):
+            travel_novelty = self._novelty(action)
+            self.novelty = travel_novelty if novelty is None else novelty
+            self._weigh_reply(action, is_used)
+        if isinstance(action, CounterReply):
+            return self.weights @ self.particles.follow_counters(action.counters)
         return np.full(2, np.nan)
 
     @property
     def _speeds(self) -> Floats:
         """Speeds of the particles along x, y [m/s] and in turning [rad/s] (n, 3)."""
-        ahead, aside, turn = self.particles.planes.robots["speeds"][:, :3].T
+        forward, sideways, turn = self.particles.planes.robots["speeds"][:, :3].T
         heading = self.particles.planes.poses[:, 2]
-        cosine, sine = np.cos(heading), np.sin(heading)
-        return np.stack([cosine * ahead - sine * aside, sine * ahead + cosine * aside, turn], axis=1)
+        c, s = np.cos(heading), np.sin(heading)
+        return np.stack([c * forward - s * sideways, s * forward + c * sideways, turn], axis=1)
 
     @property
-    def range_left(self) -> Floats:
+    def usable_range(self) -> Floats:
         """Part of each sensor's range that the lamps left at the last reply (8,)."""
-        return self._model.range_left
+        return self._model.usable_range
 
-    def consider(self, wanted: Sequence[FaultChange]) -> None:
-        """Consider changes from now on, and those of the present ones that are not improbable."""
-        keys = [each.key for each in wanted]
-        probable = self.probabilities[1:] > _IMPROBABLE
-        kept = [
-            each for each, is_so in zip(self.changes, probable, strict=True) if is_so and each.key not in keys
-        ]
-        changes = [*wanted, *kept]
-        numbers = {each.key: number for number, each in enumerate(changes, 1)}
-        new = np.array([0, *(numbers.get(each.key, -1) for each in self.changes)])[self.particles.changes]
-        if (new < 0).any():
-            self.particles = self.particles.taken(np.flatnonzero(new >= 0))
-            new = new[new >= 0]
-        self.particles.changes = new
+    def consider(self, requested: Sequence[FaultChange]) -> None:
+        """Consider changes from now on; present ones remain unless they are improbable."""
+        keys = [change.key for change in requested]
+        pairs = zip(self.changes, self.probabilities[1:] > _IMPROBABLE, strict=True)
+        retained = [change for change, is_probable in pairs if is_probable and change.key not in keys]
+        changes = [*requested, *retained]
+        numbers = {change.key: number for number, change in enumerate(changes, 1)}
+        new_numbers = np.array([0, *(numbers.get(change.key, -1) for change in self.changes)])
+        renumbered = new_numbers[self.particles.changes]
+        if (renumbered < 0).any():
+            self.particles = self.particles.select(np.flatnonzero(renumbered >= 0))
+            renumbered = renumbered[renumbered >= 0]
+        self.particles.changes = renumbered
         self.changes = changes
 
     def adopt(self, number: int) -> None:
-        """Go on with the particles of one change alone, as the robot is now."""
-        particles = self.particles.taken(np.flatnonzero(self.particles.changes == number))
-        self.take(particles)
+        """Continue with the particles of one change alone."""
+        particles = self.particles.select(np.flatnonzero(self.particles.changes == number))
+        self.replace_particles(particles)
 
-    def take(self, particles: Particles) -> None:
-        """Go on with other particles of the present time."""
-        norm = log_of_sum(particles.logs)
-        particles.logs = particles.logs - norm
+    def replace_particles(self, particles: Particles) -> None:
+        """Continue with other particles of the present time."""
+        norm = log_sum_exp(particles.log_weights)
+        particles.log_weights = particles.log_weights - norm
         particles.changes[:] = 0
-        self.particles, self.changes = particles, []
+        self.particles = particles
+        self.changes = []
         if len(particles) < self._count:
-            self.particles = particles.drawn(self._count, self._rng.random())
-        self.spread()
+            self.particles = particles.resample(self._count, self._rng.random())
+        # Many may be copies of few.
+        self._noise_ticks = self.particles.planes.ticks - _ROUGHENING_TICKS
+        self._add_noise(np.zeros(3))
 
-    def spread(self) -> None:
-        """Spread the particles a little, as many were drawn of few."""
-        self._drifted_ticks = self.particles.planes.ticks - _FRESH_TICKS
-        self._drift(np.zeros(3))
-
-    def _see(self, seen: Seen, use: NDArray[np.bool_]) -> None:
-        """Weigh the particles by a reply to N of the sensors to rely on (8,)."""
-        particles, new = self.particles, self.new
-        self.expected, self.surprise, logs = self._model.explain(particles, seen.readings, use, new)
-        new *= MANY_TEMPER if not self.changes and len(particles) > MANY else 1.0
-        self.surprise *= new
-        particles.logs += new * logs.sum(axis=1)
-        norm = log_of_sum(particles.logs)
+    def _weigh_reply(self, reply: ProximityReply, is_used: Booleans) -> None:
+        """Weight the particles by a reply to N, with sensors to rely on (8,)."""
+        particles, power = self.particles, self.novelty
+        values = self._model.observe(particles, reply.readings, is_used, power)
+        self.expected, self.surprisal, log_likelihoods = values
+        power *= GLOBAL_TEMPER if not self.changes and len(particles) > GLOBAL_COUNT else 1.0
+        self.surprisal *= power
+        particles.log_weights += power * log_likelihoods.sum(axis=1)
+        norm = log_sum_exp(particles.log_weights)
         self.evidence += norm
-        particles.logs -= norm
+        particles.log_weights -= norm
 
-    def _part_new(self, seen: Seen) -> float:
-        """Return the part of a reply to N that is new, after the way since the last."""
-        # The time is not certain, by a tick at the least.
-        uncertain_s = _TICK_S + max(seen.late_ns - seen.time_ns, 0) * 1e-9
-        vague = uncertain_s * float(self.weights @ np.abs(self._speeds) @ (1, 1, SENSOR_RADIUS))
-        way, self._way = self._way, 0.0
-        return part_new(way, PERSISTENCE, vague)
+    def _novelty(self, reply: ProximityReply) -> float:
+        """Return the novelty of a reply to N after the travel since the last one."""
+        # The time is uncertain, by at least a tick.
+        timing_s = _TICK_S + max(reply.late_ns - reply.time_ns, 0) * 1e-9
+        uncertain_travel = timing_s * float(self.weights @ np.abs(self._speeds) @ (1, 1, SENSOR_RADIUS))
+        travel, self._travel = self._travel, 0.0
+        return novelty_of(travel, PERSISTENCE, uncertain_travel)
 
     def estimate(self, time_ns: int) -> PoseEstimate:
-        """Return the estimate of the pose, of the most probable change."""
-        likely = self.particles.changes == np.argmax(self.probabilities)
-        poses, weights = self.particles.planes.poses[likely], self.weights[likely]
+        """Return the estimate of the pose, by the particles of the most probable change."""
+        is_likely = self.particles.changes == np.argmax(self.probabilities)
+        poses, weights = self.particles.planes.poses[is_likely], self.weights[is_likely]
         weights /= weights.sum()
-        # Twins are at a whole tick; the robot went on since.
+        # Twins are at a whole tick; the robot has moved since.
         since_s = min(max(time_ns - self.particles.planes.ticks * TICK_NS, 0), TICK_NS) * 1e-9
-        poses = poses + self._speeds[likely] * since_s
+        poses = poses + self._speeds[is_likely] * since_s
         return PoseEstimate.of(time_ns, poses, weights)
 
     @property
     def weights(self) -> Floats:
         """Weights of the particles (n,)."""
-        return np.exp(self.particles.logs)
+        return np.exp(self.particles.log_weights)
 
     @property
     def probabilities(self) -> Floats:
@@ -210,63 +206,64 @@ class ParticleFilter:
         return np.bincount(self.particles.changes, self.weights, len(self.changes) + 1).astype(np.float64)
 
     def since_ns(self, number: int) -> int:
-        """Return the mean time since when particles have a change [ns]."""
-        has = self.particles.changes == number
-        return int(np.average(self.particles.since_ns[has], weights=self.weights[has]))
+        """Return the mean time since when the particles of a change have it [ns]."""
+        is_changed = self.particles.changes == number
+        return int(np.average(self.particles.since_ns[is_changed], weights=self.weights[is_changed]))
 
     @property
     def poses(self) -> Floats:
         """Poses of equally probable particles (n, 3) [m, rad]."""
-        return self.particles.planes.poses[drawn(self.weights, len(self.particles), 0.5)]
+        return self.particles.planes.poses[resample_indices(self.weights, len(self.particles), 0.5)]
 
-    def _renew(self) -> None:
-        """Draw the particles anew where too few count, and now and then; spread them a little."""
+    def _resample(self) -> None:
+        """Resample the particles at a low effective sample size, and from time to time; add noise."""
         weights = self.weights
         ticks = self.particles.planes.ticks
-        passed = ticks - self._drifted_ticks
+        passed_ticks = ticks - self._noise_ticks
         effective = 1 / np.square(weights).sum()
-        longest = _LONGEST_TICKS if self.changes else _LONGEST_SOUND_TICKS
-        if passed >= longest or effective <= LEAST_EFFECTIVE * (len(weights) - self._quota):
-            step = TICK_NS * 1e-9
-            spread = np.sqrt(self.estimate(0).covariance.diagonal())
-            self.particles = mixed(
-                self.particles, self.changes, self._wanted(weights), passed * step, ticks * TICK_NS, self._rng
-            )
+        max_ticks = _MAX_TICKS if self.changes else _MAX_SOUND_TICKS
+        if passed_ticks >= max_ticks or effective <= MIN_EFFECTIVE * (len(weights) - self._quota):
+            deviations = np.sqrt(self.estimate(0).covariance.diagonal())
+            times = passed_ticks * _TICK_S, ticks * TICK_NS
+            count = self._n_needed(weights)
+            self.particles = resample_changes(self.particles, self.changes, count, *times, self._rng)
             if self._drives_freely:
-                self._taught = self.particles.wheels
+                self._free_wheels = self.particles.wheels
             else:
-                # What pushes or grinds goes otherwise than its wheels turn, and teaches nothing of them.
-                rows = self._rng.integers(len(self._taught), size=len(self.particles))
-                self.particles.wheels = self._taught[rows]
-            self._drift(ROUGH * spread if effective < FEW * len(weights) else np.zeros(3))
+                # A robot that pushes or slips does not move as its wheels turn, so they are not learned.
+                rows = self._rng.integers(len(self._free_wheels), size=len(self.particles))
+                self.particles.wheels = self._free_wheels[rows]
+            is_few = effective < FEW_EFFECTIVE * len(weights)
+            self._add_noise(ROUGHENING * deviations if is_few else np.zeros(3))
 
     @property
     def _quota(self) -> int:
-        """Number of particles that consider changes."""
+        """Least number of particles for changes."""
         return sum(quotas(self.changes))
 
     @property
     def _drives_freely(self) -> bool:
         """True if most particles touch nothing and do not slip."""
         planes = self.particles.planes
-        hindered = planes.pushes.any(axis=1) | (planes.robots["last"][:, flat.SLIPS] != 0)
-        return float(self.weights @ hindered) < 0.5
+        is_hindered = planes.push_directions.any(axis=1) | (planes.robots["last"][:, flat.SLIPS] != 0)
+        return float(self.weights @ is_hindered) < 0.5
 
-    def _wanted(self, weights: Floats) -> int:
+    def _n_needed(self, weights: Floats) -> int:
         """Return the number of particles that the spread of the pose needs, besides those of changes."""
-        most = len(weights) - self._quota
-        if most <= 2 * self._count:
+        available = len(weights) - self._quota
+        if available <= 2 * self._count:
             return self._count
         poses = self.particles.planes.poses[weights > 1e-3 / len(weights)]
         cells = np.unique(np.floor(poses / (0.03, 0.03, math.radians(15))), axis=0)
-        in_each = _IN_CELL_CHANGED if self.changes else _IN_CELL
-        return int(np.clip(in_each * len(cells), self._count, most))
+        per_cell = _PER_CELL_CHANGED if self.changes else _PER_CELL
+        return int(np.clip(per_cell * len(cells), self._count, available))
 
-    def _drift(self, rough: Floats) -> None:
-        """Move the particles by the noise since the last drift, and by a deviation (3,) [m, rad]."""
+    def _add_noise(self, roughening: Floats) -> None:
+        """Add the noise of the time since the last one, and that of a roughening (3,) [m, rad]."""
         particles, planes = self.particles, self.particles.planes
-        passed_s = (planes.ticks - self._drifted_ticks) * TICK_NS * 1e-9
-        self._drifted_ticks = planes.ticks
-        planes.move(planes.poses + moves(planes, passed_s, self._jolts, rough, self._rng))
-        self._jolts = np.zeros(3)
+        passed_s = (planes.ticks - self._noise_ticks) * TICK_NS * 1e-9
+        self._noise_ticks = planes.ticks
+        moves = draw_moves(planes, passed_s, self._timing_variances, roughening, self._rng)
+        planes.move(planes.poses + moves)
+        self._timing_variances = np.zeros(3)
         particles.forget(passed_s, self._rng)

@@ -1,4 +1,4 @@
-"""Errors of the sensor model, which persist: the part of a reading that is new."""
+"""Novelty of a reading: the share of new information in it, as errors of the sensor model persist."""
 
 import math
 
@@ -6,16 +6,17 @@ SENSOR_RADIUS = 0.025
 """Distance of the sensors from the centre, about [m]."""
 
 PERSISTENCE = 0.004
-"""Way of a sensor over which errors of the model persist [m] (assumed)."""
+"""Travel of a sensor over which errors of the model persist [m] (assumed)."""
 
-LEAST_NEW = 0.05
-"""Power of the likelihood of a reading where the robot stands (assumed)."""
+MIN_NOVELTY = 0.05
+"""Novelty of a reading where the robot stands (assumed)."""
 
 
-def part_new(way: float, persistence: float, vague: float = 0.0) -> float:
-    """Return the part of a reading that is new after a sensor's way, with that of its errors [m].
+def novelty_of(travel: float, persistence: float, uncertain_travel: float = 0.0) -> float:
+    """Return the novelty of a reading, the power of its likelihood, after a sensor's travel [m].
 
-    Errors persist: a reading counts by how far their correlation, exp(-way / persistence), has fallen. The
-    sensor was somewhere on the last part of its way, which is vague [m].
+    It is larger the less the present errors correlate with the last ones: exp(-travel / persistence). The
+    position of the sensor is uncertain by a part of its travel [m].
     """
-    return max(math.tanh(way / (2 * persistence)), LEAST_NEW) * (persistence / (persistence + vague))
+    novelty = max(math.tanh(travel / (2 * persistence)), MIN_NOVELTY)
+    return novelty * (persistence / (persistence + uncertain_travel))

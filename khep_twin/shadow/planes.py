@@ -1,4 +1,4 @@
-"""Planar twins of one robot, side by side: their bodies, and what their sensors see."""
+"""Many planar twins of one robot: their bodies, and the light at their sensors."""
 
 from functools import partial
 from typing import Any, NamedTuple
@@ -12,10 +12,8 @@ from khep_twin.randomness import stream
 from khep_twin.sensing.buffers import as_records
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.sensing.light import Bulb, Hidden
-from khep_twin.shadow.planar_bodies import TICK_NS, PlanarBodies
+from khep_twin.shadow.planar_bodies import TICK_NS, Booleans, Floats, PlanarBodies
 from khep_twin.units import N_SENSORS
-
-Floats = NDArray[np.float64]
 
 
 class SensorLaw(NamedTuple):
@@ -24,21 +22,21 @@ class SensorLaw(NamedTuple):
     Attributes:
         threshold: Thresholds (8,) [counts].
         noise: Variances of the noise (8,) [counts^2].
-        least: Variances below which no trait is taken for known (3,).
+        min_variances: Least variances of the traits (3,).
         limit: Highest reading [counts].
         quiet: Highest reading with nothing in reach [counts].
-        full: Lowest reading that may be at the limit, which lamps lower [counts].
-        model: Relative deviation of readings from the twin's.
-        outliers: Part of the readings that the twins cannot explain.
+        full: Lowest reading that may be clipped at the limit, which lamps lower [counts].
+        model_deviation: Relative standard deviation of readings from the twin's.
+        outliers: Part of the readings that are outliers.
     """
 
     threshold: Floats
     noise: Floats
-    least: Floats
+    min_variances: Floats
     limit: int
     quiet: float
     full: float
-    model: float
+    model_deviation: float
     outliers: float
 
 
@@ -51,14 +49,14 @@ class Planes(PlanarBodies):
 
     Attributes:
         lamps: Lamps of the playpen.
-        others: Whether other robots drive there, which the twins do not have.
+        has_other_robots: Whether other robots drive there, which the twins lack.
     """
 
     def __init__(self, setup: EpisodeSetup, count: int) -> None:
         if setup.planar_scene is None:
             raise ValueError("the setup is not planar; expected EpisodeSetup(playpen, planar=True)")
         forms = PlanarForms(setup.scene_model, setup.planar_scene)
-        forms.put(None)
+        forms.place_robot(None)
         super().__init__(setup, forms, count)
         sensors = forms.robot_states()[0].sensors
         self._sensors: Any = as_records([sensors], sensors)
@@ -69,11 +67,11 @@ class Planes(PlanarBodies):
             as_records(light.bulbs, Bulb()),
             as_records(light.hidden, Hidden()),
         )
-        self.others = False
+        self.has_other_robots = False
 
     @property
     def lamps_are_unknown(self) -> bool:
-        """True if nothing on the line tells which lamps are on."""
+        """True if the line does not show which lamps are on."""
         return self.lamps.lit is not None
 
     @property
@@ -96,63 +94,63 @@ class Planes(PlanarBodies):
         self._code.illuminate(*self._scenes, self._sensors, turns, light, slope)
         return light, slope
 
-    def explain(
+    def observe(
         self,
         traits: Floats,
         covariances: Floats,
         law: SensorLaw,
-        range_left: Floats,
+        usable_range: Floats,
         readings: NDArray[np.int64],
-        use: NDArray[np.bool_],
-        new: float,
+        is_used: Booleans,
+        novelty: float,
     ) -> tuple[Floats, Floats, Floats]:
-        """Return expected counts, their deviations and readings' probabilities (n, 8); learn the traits.
+        """Return expected counts, their deviations and the likelihoods of readings (n, 8); update the traits.
 
         Args:
             traits: Traits of the sensors (n, 8, 3), changed in place.
             covariances: Their covariances (n, 8, 3, 3), changed in place.
             law: Constants of all sensors.
-            range_left: Part of each sensor's range that the lamps leave (n, 8).
+            usable_range: Part of each sensor's range that the lamps leave (n, 8).
             readings: Proximity (8,) [counts].
-            use: Sensors that may be learned from (8,).
-            new: Part of the readings that is new.
+            is_used: Whether to update the traits of each sensor (8,).
+            novelty: Novelty of the readings.
         """
         light, slope = self.illuminate(traits[:, :, 1])
-        counts, deviations, chances = np.zeros((3, len(self), N_SENSORS))
-        given = light, slope, range_left, readings, use, new
-        self._code.explain(*given, law, traits, covariances, counts, deviations, chances)
-        return counts, deviations, chances
+        counts, deviations, likelihoods = np.zeros((3, len(self), N_SENSORS))
+        inputs = light, slope, usable_range, readings, is_used, novelty
+        self._code.observe(*inputs, law, traits, covariances, counts, deviations, likelihoods)
+        return counts, deviations, likelihoods
 
-    def lamplight(self, least: float, turns: Floats | float = 0.0) -> Floats:
+    def lamplight(self, min_count: float, turns: Floats | float = 0.0) -> Floats:
         """Return the light of each lamp at each sensor, below the dark level (n, 8, n_lamps) [counts].
 
-        It holds at the start of the last step; of lamps that shine in turns each may be the one that is on.
-        What cannot reach `least` counts as 0 [counts]. The sensors are turned to the left from their headings
-        (8,) [rad].
+        It holds at the start of the last step; of alternating lamps, each may be the one that is on. Light
+        that cannot reach `min_count` [counts] is 0. Sensors are turned to the left from their headings (8,)
+        [rad].
         """
-        return self._lamplight(self._light, self.powers, least, turns)
+        return self._lamplight(self._light, self.powers, min_count, turns)
 
-    def lamplight_from(self, places: Floats, powers: Floats, least: float, turns: Floats | float) -> Floats:
-        """Return the same of lamps of these powers (m,) [W] at places x, y, z (m, 3) [m]."""
-        law, known, hidden = self._light
-        bulbs = np.zeros(len(places), known.dtype)
+    def lamplight_from(self, places: Floats, powers: Floats, min_count: float, turns: Floats) -> Floats:
+        """Return the same for lamps of these powers (m,) [W] at places x, y, z (m, 3) [m]."""
+        law, known_bulbs, hidden = self._light
+        bulbs = np.zeros(len(places), known_bulbs.dtype)
         bulbs["x"], bulbs["y"], bulbs["z"] = places.T
         law = law.copy()
-        law["known"] = False  # Nothing is known of what may hide them.
-        return self._lamplight((law, bulbs, hidden), powers, least, turns)
+        law["known"] = False  # Any obstacle may hide them.
+        return self._lamplight((law, bulbs, hidden), powers, min_count, turns)
 
     @property
     def powers(self) -> Floats:
-        """Powers of the lamps; of those that shine in turns as if each were the one that is on (m,) [W]."""
+        """Powers of the lamps (m,) [W]; of alternating ones as if each were on."""
         time_ns, lamps = self.ticks * TICK_NS, self.lamps
         if not (self.lamps_are_unknown or lamps.steady):
             lamps.update(time_ns, ())
         return np.array(lamps.possible_powers(time_ns) if self.lamps_are_unknown else lamps.powers)
 
     def _lamplight(
-        self, light: tuple[Any, Any, Any], powers: Floats, least: float, turns: Floats | float
+        self, light: tuple[Any, Any, Any], powers: Floats, min_count: float, turns: Floats | float
     ) -> Floats:
-        found = np.zeros((len(self), N_SENSORS, len(powers)))
+        lamplight = np.zeros((len(self), N_SENSORS, len(powers)))
         sensors = self._sensors
         if np.any(turns):
             sensors = sensors.copy()
@@ -160,5 +158,5 @@ class Planes(PlanarBodies):
             axes = (ambient["ahead"] + 1j * ambient["left"]) * np.exp(1j * np.asarray(turns))
             ambient["ahead"], ambient["left"] = axes.real, axes.imag
         if powers.any():
-            self._code.lamplight(*self._scenes, sensors, *light, powers, least, found)
-        return found
+            self._code.lamplight(*self._scenes, sensors, *light, powers, min_count, lamplight)
+        return lamplight

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-LEAST_DEVIATION = 5e-4, 5e-4, 2e-3
-"""Least standard deviations of a pose [m, rad] (assumed): twins that lean against a wall agree on their
-distance from it, but no robot's body is known better."""
+MIN_DEVIATIONS = 5e-4, 5e-4, 2e-3
+"""Least standard deviations of a pose [m, rad] (assumed), those of a robot's body: twins that lean against a
+wall agree exactly on their distance from it."""
 
 
 class PoseEstimate(NamedTuple):
@@ -25,7 +25,7 @@ class PoseEstimate(NamedTuple):
         """Return the estimate from poses at a time [ns] (n, 3) with weights, whose sum is 1 (n,)."""
         x, y = float(weights @ poses[:, 0]), float(weights @ poses[:, 1])
         heading = math.atan2(weights @ np.sin(poses[:, 2]), weights @ np.cos(poses[:, 2]))
-        off: Floats = poses - np.array([x, y, heading])
-        off[:, 2] = (off[:, 2] + math.pi) % math.tau - math.pi
-        covariance = (off * weights[:, None]).T @ off + np.diag(np.square(LEAST_DEVIATION))
+        deviations: Floats = poses - np.array([x, y, heading])
+        deviations[:, 2] = (deviations[:, 2] + math.pi) % math.tau - math.pi
+        covariance = (deviations * weights[:, None]).T @ deviations + np.diag(np.square(MIN_DEVIATIONS))
         return cls(time_ns, (x, y, heading), covariance)

@@ -1,10 +1,12 @@
-"""Watch of the estimated pose: its state, by the width of its region and by replies that surprise.
+"""Watch of the estimated pose: its state, by the width of its region and by unexpected replies.
 
-    followed   the pose is known, and replies are as expected
-    unsure     its region is wide, or replies surprise
-    lost       it is searched for: the start is unknown, or replies tell that the robot is elsewhere
+    followed -- wide region or high surprisal, for 0.4 s; no reply to N for 1 s --> unsure
+    unsure   -- known, low surprisal, for 0.4 s --> followed
+    any      -- the robot was put elsewhere --> lost
+    lost     -- known, without lasting surprisal, for 5 s --> followed
 
-A pose that is lost is followed again once it is known for a while, without surprise that lasts.
+A pose that is unknown at the start is lost. The surprisal of a reply is the logarithm by which its likelihood
+is below that of the most probable reply; for Gaussian noise, half the squared normalised innovation.
 """
 
 import math
@@ -12,43 +14,40 @@ from collections import deque
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from khep_twin.log.shadow_channels import PoseState
+from khep_twin.shadow.pose_estimate import Floats
 from khep_twin.shadow.thresholds import THRESHOLDS
-
-Floats = NDArray[np.float64]
 
 
 class Onset(NamedTuple):
-    """Begin of replies that surprise.
+    """Onset of unexpected replies.
 
     Attributes:
         calm_ns: Time of the last reply that confirmed the pose [ns].
-        jumps_ns: Times of the replies before those with half of the largest surprise or more, the first one
-            of each onset [ns].
-        most_ns: Time of the reply before the one with the largest [ns].
+        jumps_ns: Of each onset, time before the first reply with half of the largest surprisal or more [ns].
+        largest_ns: Time of the reply before the one with the largest surprisal [ns].
     """
 
     calm_ns: int
     jumps_ns: tuple[int, ...]
-    most_ns: int
+    largest_ns: int
 
-    def later(self, other: "Onset") -> "Onset":
-        """Return this begin, with the surprise of a later one that it does not explain."""
-        return Onset(self.calm_ns, (self.jumps_ns[0], *other.jumps_ns), other.most_ns)
+    def merge(self, later: "Onset") -> "Onset":
+        """Return this onset with the jumps of a later one, which it does not explain."""
+        return Onset(self.calm_ns, (self.jumps_ns[0], *later.jumps_ns), later.largest_ns)
 
 
-class _Heard(NamedTuple):
-    """A reply: its time and that of the one before [ns], the largest sum by then, and its own surprise.
+class _Reply(NamedTuple):
+    """A reply to N: its time and that of the reply before [ns], and whether something is in sight.
 
-    It has something in sight, or not.
+    Further the largest sum of surprisal of a sensor by then, and the surprisal of all sensors in this reply.
     """
 
     time_ns: int
-    before_ns: int
-    whole: float
-    own: float
+    previous_ns: int
+    largest_sum: float
+    surprisal: float
     in_sight: bool
 
 
@@ -60,105 +59,112 @@ class PoseWatch:
 
     Attributes:
         state: State of the pose.
-        surprise: Surprise of each sensor, summed over the last replies (8,), in logarithms.
-        vague_ns: Begin and end of the last time for which the pose was not known [ns]; long ago before any.
-        surprised_ns: Time since when replies surprise [ns]; None while they do not.
+        surprisal: Surprisal of each sensor, summed over the last replies with exponential decay (8,).
+        unknown_ns: Start and end of the last time for which the pose was unknown [ns]; long ago before any.
+        unexpected_since_ns: Time since when replies are unexpected [ns]; None while they are not.
     """
 
     def __init__(self, state: PoseState) -> None:
         self.state = state
-        self.surprise: Floats = np.zeros(8)
-        self.vague_ns = 0, -THRESHOLDS.window_ns
-        self.surprised_ns: int | None = None
-        self._seen_ns = self._unsettled_ns = self._turned_ns = 0
+        self.surprisal: Floats = np.zeros(8)
+        self.unknown_ns = 0, -THRESHOLDS.window_ns
+        self.unexpected_since_ns: int | None = None
+        self._last_reply_ns = 0
+        self._last_unsettled_ns = 0
         self._is_settled: bool = state is PoseState.FOLLOWED
-        self._found_ns: int | None = None
-        self._startled = THRESHOLDS.startled
-        self._heard: deque[_Heard] = deque()
+        self._settled_since_ns = 0
+        """Time since when `_is_settled` has its value [ns]."""
+        self._relocated_ns: int | None = None
+        self._search_above = THRESHOLDS.search_above
+        self._replies: deque[_Reply] = deque()
 
-    def see(self, time_ns: int, surprise: Floats, *, in_sight: bool, is_known: bool) -> None:
-        """Take what a reply to N was less likely than an expected one (8,).
-
-        Something is in sight, or not; the pose is known, or not.
-        """
-        before_ns, self._seen_ns = self._seen_ns, time_ns
-        self.surprise = self.surprise * math.exp((before_ns - time_ns) * 1e-9 / THRESHOLDS.surprise_s)
-        surprise = np.maximum(surprise - THRESHOLDS.usual, 0)
-        self.surprise += surprise
-        whole, own = float(self.surprise.max()), float(surprise.sum())
-        kept = math.exp((before_ns - time_ns) * 1e-9 / THRESHOLDS.raised_s)
-        self._startled = THRESHOLDS.startled + (self._startled - THRESHOLDS.startled) * kept
-        self._heard.append(_Heard(time_ns, before_ns, whole, own, in_sight))
-        while self._heard[0].time_ns < time_ns - THRESHOLDS.window_ns:
-            self._heard.popleft()
+    def update(self, time_ns: int, surprisal: Floats, *, in_sight: bool, is_known: bool) -> None:
+        """Take the surprisal of a reply to N (8,), which has something in sight or not, at a known pose or not."""
+        previous_ns, self._last_reply_ns = self._last_reply_ns, time_ns
+        self.surprisal = self.surprisal * math.exp((previous_ns - time_ns) * 1e-9 / THRESHOLDS.surprisal_s)
+        surprisal = np.maximum(surprisal - THRESHOLDS.usual_surprisal, 0)
+        self.surprisal += surprisal
+        largest_sum = float(self.surprisal.max())
+        decay = math.exp((previous_ns - time_ns) * 1e-9 / THRESHOLDS.raise_decay_s)
+        self._search_above = THRESHOLDS.search_above + (self._search_above - THRESHOLDS.search_above) * decay
+        self._replies.append(_Reply(time_ns, previous_ns, largest_sum, float(surprisal.sum()), in_sight))
+        while self._replies[0].time_ns < time_ns - THRESHOLDS.window_ns:
+            self._replies.popleft()
         if not is_known:
-            began_ns, last_ns = self.vague_ns
-            self.vague_ns = (began_ns if last_ns >= before_ns else time_ns), time_ns
-        if whole <= THRESHOLDS.surprised:
-            self.surprised_ns = None
-        elif self.surprised_ns is None:
-            self.surprised_ns = time_ns
-        is_settled = is_known and self.surprised_ns is None
+            start_ns, end_ns = self.unknown_ns
+            self.unknown_ns = (start_ns if end_ns >= previous_ns else time_ns), time_ns
+        if largest_sum <= THRESHOLDS.unsure_above:
+            self.unexpected_since_ns = None
+        elif self.unexpected_since_ns is None:
+            self.unexpected_since_ns = time_ns
+        is_settled = is_known and self.unexpected_since_ns is None
         if is_settled != self._is_settled:
-            self._is_settled, self._turned_ns = is_settled, time_ns
-        surprised_ns = time_ns if self.surprised_ns is None else self.surprised_ns
-        if not is_known or time_ns - surprised_ns >= THRESHOLDS.told_ns:
-            self._unsettled_ns = time_ns
+            self._is_settled = is_settled
+            self._settled_since_ns = time_ns
+        unexpected_ns = time_ns if self.unexpected_since_ns is None else self.unexpected_since_ns
+        if not is_known or time_ns - unexpected_ns >= THRESHOLDS.alarm_delay_ns:
+            self._last_unsettled_ns = time_ns
         if self.state is not PoseState.LOST:
-            if time_ns - self._turned_ns >= THRESHOLDS.held_ns:
+            if time_ns - self._settled_since_ns >= THRESHOLDS.hold_ns:
                 self.state = PoseState.FOLLOWED if is_settled else PoseState.UNSURE
-        elif time_ns - self._unsettled_ns > THRESHOLDS.found_ns:
-            self.state, self._found_ns = PoseState.FOLLOWED, time_ns
+        elif time_ns - self._last_unsettled_ns > THRESHOLDS.relocated_ns:
+            self.state = PoseState.FOLLOWED
+            self._relocated_ns = time_ns
 
     def is_blind(self, time_ns: int) -> bool:
         """Return whether the pose is followed though no reply to N has come for a while, at a time [ns]."""
-        return self.state is PoseState.FOLLOWED and time_ns - self._seen_ns > THRESHOLDS.told_ns
+        is_followed = self.state is PoseState.FOLLOWED
+        return is_followed and time_ns - self._last_reply_ns > THRESHOLDS.alarm_delay_ns
 
-    def doubt(self, time_ns: int) -> None:
-        """Take that the pose is not known any more at a time [ns]."""
-        self.state, self._is_settled, self._turned_ns = PoseState.UNSURE, False, time_ns
-        self.vague_ns = time_ns, time_ns
+    def set_unsure(self, time_ns: int) -> None:
+        """Set the state of a pose that is unknown from a time on [ns]."""
+        self.state = PoseState.UNSURE
+        self._is_settled = False
+        self._settled_since_ns = time_ns
+        self.unknown_ns = time_ns, time_ns
 
     def lose(self) -> None:
-        """Begin a search for the pose."""
-        self.state, self._unsettled_ns = PoseState.LOST, self._seen_ns
-        self.explain()
+        """Set the state of a robot that was put elsewhere."""
+        self.state = PoseState.LOST
+        self._last_unsettled_ns = self._last_reply_ns
+        self.reset_surprisal()
 
-    def explain(self) -> None:
-        """Forget what surprised, as it has an explanation."""
-        self.surprise[:] = 0
-        self.surprised_ns = None
-        self._heard.clear()
+    def reset_surprisal(self) -> None:
+        """Drop the surprisal so far, which is explained."""
+        self.surprisal[:] = 0
+        self.unexpected_since_ns = None
+        self._replies.clear()
 
-    def expect(self) -> None:
-        """Expect as much surprise, for which a search has found no reason, for a while."""
-        self._startled = min(self._startled * THRESHOLDS.raised, THRESHOLDS.most_startled)
+    def raise_threshold(self) -> None:
+        """Raise the threshold of a search for a while, as the last one has found nothing."""
+        self._search_above = min(self._search_above * THRESHOLDS.raise_factor, THRESHOLDS.max_search_above)
 
     @property
     def onset(self) -> Onset | None:
-        """Begin of replies that have surprised for a while, up to now; None if they do not."""
-        if not self._heard or self._heard[-1].whole < self._startled:
+        """Onset of replies that have been unexpected for a while, up to now; None if they are not."""
+        if not self._replies or self._replies[-1].largest_sum < self._search_above:
             return None
-        calm = max(THRESHOLDS.calm, self._heard[-1].whole / 10)
-        quiet = next((each for each in reversed(self._heard) if each.whole < calm), self._heard[0])
-        heard = reversed([each for each in self._heard if each.time_ns <= quiet.time_ns])
-        begun = next((each for each in heard if each.in_sight), self._heard[0])
-        since = [each for each in self._heard if each.time_ns > quiet.time_ns] or [self._heard[-1]]
-        largest = max(since, key=lambda each: each.own)
-        jump_ns = next(each.before_ns for each in since if each.own >= largest.own / 2)
-        replies = sum(each.time_ns > jump_ns for each in since)
-        if since[-1].time_ns - jump_ns < THRESHOLDS.waited_ns or replies < THRESHOLDS.replies:
+        limit = max(THRESHOLDS.calm_below, self._replies[-1].largest_sum / 10)
+        calm = (reply.time_ns for reply in reversed(self._replies) if reply.largest_sum < limit)
+        calm_ns = next(calm, self._replies[0].time_ns)
+        sights = (reply for reply in reversed(self._replies) if reply.time_ns <= calm_ns and reply.in_sight)
+        confirmation = next(sights, self._replies[0])
+        replies = [reply for reply in self._replies if reply.time_ns > calm_ns] or [self._replies[-1]]
+        largest = max(replies, key=lambda reply: reply.surprisal)
+        jump_ns = next(reply.previous_ns for reply in replies if reply.surprisal >= largest.surprisal / 2)
+        n_replies = sum(reply.time_ns > jump_ns for reply in replies)
+        if replies[-1].time_ns - jump_ns < THRESHOLDS.search_delay_ns or n_replies < THRESHOLDS.min_replies:
             return None
-        return Onset(begun.time_ns, (jump_ns,), largest.before_ns)
+        return Onset(confirmation.time_ns, (jump_ns,), largest.previous_ns)
 
     @property
     def is_proven(self) -> bool:
-        """True unless the pose is lost, or was found or begun only lately."""
-        found_ns = self._found_ns
-        wanted_ns = THRESHOLDS.begun_ns if found_ns is None else THRESHOLDS.proven_ns
-        is_new = self._seen_ns - (found_ns or 0) < wanted_ns
-        return self.state is not PoseState.LOST and not is_new
+        """True unless the pose is lost, or is known since recently only."""
+        relocated_ns = self._relocated_ns
+        proven_ns = THRESHOLDS.start_proven_ns if relocated_ns is None else THRESHOLDS.proven_ns
+        is_recent = self._last_reply_ns - (relocated_ns or 0) < proven_ns
+        return self.state is not PoseState.LOST and not is_recent
 
-    def was_vague(self, time_ns: int, lately_ns: int = 0) -> bool:
-        """Return whether the pose was not known at a time [ns], or lately then, by the last such time."""
-        return self.vague_ns[0] <= time_ns <= self.vague_ns[1] + lately_ns
+    def was_unknown(self, time_ns: int, margin_ns: int = 0) -> bool:
+        """Return whether the pose was unknown at a time [ns], or up to a margin before, by the last time."""
+        return self.unknown_ns[0] <= time_ns <= self.unknown_ns[1] + margin_ns

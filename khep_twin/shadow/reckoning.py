@@ -1,4 +1,4 @@
-"""Dead reckoning: a twin that drives by commands alone, and whose board tells what a command does."""
+"""Dead reckoning: a twin that drives by commands alone; its board shows the effect of each command."""
 
 import math
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from khep_twin.board.rom import ROMS
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.firmware import Firmware, parse
 from khep_twin.log.exchanges import Exchange
-from khep_twin.shadow.actions import Action, Commanded, Configured
+from khep_twin.shadow.actions import Action, RegisterWrite, WheelCommand
 from khep_twin.shadow.planes import Planes
 from khep_twin.shadow.wheel_commands import DUTY, POSITION, SPEED, TARGET
 
@@ -39,7 +39,8 @@ class Reckoning:
     """
 
     def __init__(self, setup: EpisodeSetup, planes: Planes) -> None:
-        self._planes, entry = planes, setup.entry
+        entry = setup.entry
+        self._planes = planes
         board = planes.registers[0], planes.processor[0]
         self._firmware = Firmware(ROMS[entry.rom], entry.mode, None, *board)
 
@@ -54,32 +55,32 @@ class Reckoning:
         self._firmware.reset()
 
     def advance_to(self, time_ns: int) -> None:
-        """Drive on to a time [ns]."""
+        """Advance to a time [ns]."""
         self._planes.advance_to(time_ns)
 
-    def executed(self, time_ns: int, late_ns: int, exchange: Exchange) -> Iterator[Action]:
-        """Execute a command; yield what it is for twins with other wheels.
+    def execute(self, time_ns: int, late_ns: int, exchange: Exchange) -> Iterator[Action]:
+        """Execute a command; yield its actions for twins with other wheels.
 
         Args:
-            time_ns: Time at which the robot has executed it at the earliest [ns].
-            late_ns: Time at which it has at the latest [ns].
+            time_ns: Earliest time at which the robot has executed it [ns].
+            late_ns: Latest time [ns].
             exchange: Command with its reply.
         """
         self.advance_to(time_ns)
         board, line = self._planes.registers[0], exchange.command
-        before = board.copy()
+        old_registers = board.copy()
         match parse(line):
             case Command(letter, (int(left), int(right))) if letter in COMMANDS:
                 self._firmware.receive(line + b"\n")
                 limit = LIMITS[letter]
                 left, right = kernel.clip(left, limit), kernel.clip(right, limit)
                 # The line may have lost the command, or its reply.
-                is_doubtful = exchange.reply is None
-                yield Commanded(time_ns, COMMANDS[letter], left, right, is_doubtful, late_ns)
+                is_unconfirmed = exchange.reply is None
+                yield WheelCommand(time_ns, COMMANDS[letter], left, right, is_unconfirmed, late_ns)
             case Command():
                 # Gains, profiles and LEDs: registers that do not depend on any other.
                 self._firmware.receive(line + b"\n")
-                if len(changed := np.flatnonzero(board != before)):
-                    yield Configured(time_ns, changed, board[changed])
+                if len(changed := np.flatnonzero(board != old_registers)):
+                    yield RegisterWrite(time_ns, changed, board[changed])
             case _:
                 pass

@@ -5,9 +5,9 @@ updates by the readings. The likelihood of a reading z, where the twin predicts 
 
     (1 - e) N(z; c, s^2) + e / 1024,    s^2 = noise^2 + (MODEL c)^2 + J P J'
 
-with the derivatives J of c by the traits; where the reading is clipped, at the limit or by the noise floor,
-it is the probability of what is beyond. Of a reading that is new in part only, as the robot has hardly
-moved since the last, noise and errors of the model have so much larger a variance for the traits.
+with the derivatives J of c by the traits; for a reading that is clipped, at the limit or at the noise floor,
+it is the probability of readings beyond. For the traits, the variance of noise and errors of the model is
+larger the lower the novelty of the reading is (`persistence`).
 """
 
 import math
@@ -15,25 +15,24 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.planes import Planes, SensorLaw
+from khep_twin.shadow.particles import Floats, Particles
+from khep_twin.shadow.planes import Booleans, Planes, SensorLaw
 from khep_twin.shadow.thresholds import THRESHOLDS
 
-Floats = NDArray[np.float64]
-
 OUTLIERS = 0.02
-"""Part of the readings that the twins cannot explain (assumed)."""
+"""Part of the readings that are outliers (assumed)."""
 
-MODEL = 0.1
+MODEL_DEVIATION = 0.1
 """Relative deviation of readings from the twin's, besides the sensors' traits (assumed)."""
 
-LEAST = 0.03, math.radians(0.5), 10.0
-"""Standard deviations below which no gain, turn [rad] and threshold [counts] is taken for known: the model is
-no better (assumed)."""
-
+MIN_DEVIATIONS = 0.03, math.radians(0.5), 10.0
+"""Least standard deviations of a gain, a turn [rad] and a threshold [counts] (assumed)."""
 
 UNLIT = 0.97
-"""Part of its range above which no lamp shines on a sensor (assumed)."""
+"""Usable part of its range above which no lamp shines on a sensor (assumed)."""
+
+_MIN_LAMP_SHARE = 0.1
+"""Part of the range from which a lamp's light matters."""
 
 
 class SensorModel:
@@ -42,79 +41,79 @@ class SensorModel:
     Attributes:
         quiet: Highest reading with nothing in reach [counts].
         limit: Highest reading [counts].
-        range_left: Part of each sensor's range that the lamps left at the last reply (8,).
+        usable_range: Part of each sensor's range that the lamps left at the last reply (8,).
     """
 
     def __init__(self, planes: Planes) -> None:
         proximity = planes.proximity
         quantum = int(proximity["quantum"])
         self.limit = int(proximity["limit"])
-        self.range_left: Floats = np.ones(8)
+        self.usable_range: Floats = np.ones(8)
         self._expected: Floats = np.zeros(8)
         self.quiet = 10 * max(float(proximity["idle"]), float(proximity["floor"]))
         noise = np.square(proximity["noise"]) + quantum * quantum / 12
         self._law = SensorLaw(
             proximity["threshold"].astype(np.float64),
             noise.astype(np.float64),
-            np.square(LEAST),
+            np.square(MIN_DEVIATIONS),
             self.limit,
             self.quiet,
-            self.limit * (1 - _BRIGHT if planes.lamps.names else 1),
-            MODEL,
+            self.limit * (1 - _MIN_LAMP_SHARE if planes.lamps.names else 1),
+            MODEL_DEVIATION,
             OUTLIERS,
         )
 
-    def explain(
-        self, particles: Particles, readings: NDArray[np.int64], use: NDArray[np.bool_], new: float = 1.0
+    def observe(
+        self,
+        particles: Particles,
+        readings: NDArray[np.int64],
+        is_used: Booleans,
+        novelty: float = 1.0,
     ) -> tuple[Floats, Floats, Floats]:
-        """Learn the traits of the particles' sensors from readings (8,) [counts], of which a part is new.
+        """Update the traits of the particles' sensors by readings (8,) [counts] with a novelty.
 
-        Sensors that are not to be relied on (8,) have likelihood 1.
+        Sensors that are not used (8,) have likelihood 1.
 
-        Returns expected counts (8,), what each reading was less likely than an expected one (8,), and the log
-        likelihoods (n, 8).
+        Returns expected counts (8,), surprisals (8,), which are log likelihood ratios of the most probable
+        reading and the actual one, and the log likelihoods (n, 8).
         """
-        told = left = range_left(particles.planes)
-        if particles.planes.others:
-            # What is seen where nothing was expected may be another robot.
-            use = use & ((readings <= self.quiet) | (self._expected > THRESHOLDS.in_sight))
+        believed_range = lamp_range = usable_range(particles.planes)
+        if particles.planes.has_other_robots:
+            # An unexpected obstacle may be another robot.
+            is_used = is_used & ((readings <= self.quiet) | (self._expected > THRESHOLDS.in_sight))
         if particles.planes.lamps_are_unknown:
-            # A sensor that a lamp may blind tells only what it sees.
-            is_lit = left.min(axis=0) < UNLIT
-            use = use & ~(is_lit & (readings <= self.quiet))
-            told = np.ones_like(left)
-        counts, deviations, likelihood = particles.planes.explain(
-            particles.traits, particles.covariances, self._law, told, readings, use, new
-        )
-        weights = np.exp(particles.logs - log_of_sum(particles.logs))
+            # Of a sensor that a lamp may blind, only readings with something in sight count.
+            is_lit = lamp_range.min(axis=0) < UNLIT
+            is_used = is_used & ~(is_lit & (readings <= self.quiet))
+            believed_range = np.ones_like(lamp_range)
+        traits = particles.traits, particles.covariances
+        inputs = believed_range, readings, is_used, novelty
+        counts, deviations, likelihood = particles.planes.observe(*traits, self._law, *inputs)
+        weights = np.exp(particles.log_weights - log_sum_exp(particles.log_weights))
         self._expected = expected = np.clip(weights @ counts, 0, self.limit)
-        self.range_left = weights @ left
-        clipped = (readings <= self.quiet) | (readings >= self._law.full)
-        best = np.where(clipped, 1.0, 1 / (weights @ deviations * math.sqrt(math.tau)))
-        surprise = np.where(use, np.log(np.maximum(best / (weights @ likelihood), 1.0)), 0.0)
-        return expected, surprise, np.where(use, np.log(likelihood), 0.0)
+        self.usable_range = weights @ lamp_range
+        is_clipped = (readings <= self.quiet) | (readings >= self._law.full)
+        highest = np.where(is_clipped, 1.0, 1 / (weights @ deviations * math.sqrt(math.tau)))
+        surprisal = np.where(is_used, np.log(np.maximum(highest / (weights @ likelihood), 1.0)), 0.0)
+        return expected, surprisal, np.where(is_used, np.log(likelihood), 0.0)
 
 
-def range_left(planes: Planes) -> Floats:
+def usable_range(planes: Planes) -> Floats:
     """Return the part of each sensor's range that the lamps leave (n, 8)."""
     if not planes.lamps.names:
         return np.ones((len(planes), 8))
-    reach = float(planes.ambient["dark"] - planes.ambient["floor"])
-    return np.clip(1 - planes.lamplight(_BRIGHT * reach).sum(axis=2) / reach, 0, 1)
+    full_range = float(planes.ambient["dark"] - planes.ambient["floor"])
+    return np.clip(1 - planes.lamplight(_MIN_LAMP_SHARE * full_range).sum(axis=2) / full_range, 0, 1)
 
 
-def range_left_at_least(particles: Particles) -> Floats:
-    """Return that part, where the robot probably is, if nothing stood in the light of any lamp (8,)."""
-    one = particles.planes.taken(np.array([np.argmax(particles.logs)]))
-    one.clear_away()
-    return range_left(one)[0]
+def min_usable_range(particles: Particles) -> Floats:
+    """Return that part at the most probable pose, if no obstacle were in the light of any lamp (8,)."""
+    best_twin = particles.planes.select(np.array([np.argmax(particles.log_weights)]))
+    best_twin.remove_things()
+    return usable_range(best_twin)[0]
 
 
-def log_of_sum(logs: Floats) -> float:
-    """Return the logarithm of the sum of numbers with these logarithms (n,)."""
-    most = float(logs.max())
-    return most + math.log(float(np.exp(logs - most).sum()))
-
-
-_BRIGHT = 0.1
-"""Part of the range from which on a lamp's light matters."""
+def log_sum_exp(log_values: Floats) -> float:
+    """Return the logarithm of a sum of numbers, by their logarithms (n,)."""
+    largest = float(log_values.max())
+    return largest + math.log(float(np.exp(log_values - largest).sum()))

@@ -1,9 +1,11 @@
-"""Watch of each sensor on its own: a stuck one repeats its last reading, a dead one reads 0.
+"""Watch of each sensor by its readings: a stuck sensor repeats its last reading, a dead one reads 0.
 
-A sound sensor has noise. The probability that it repeats a reading is learned from what it read before its
-reading changed last, and from all others, apart for quiet ones, with nothing in reach, and others. Blinded by
-a lamp or near the limit of its range, a sound one repeats itself, too: there only readings that the twins do
-not expect count.
+    sound -- log odds of repetitions over 24 --> stuck or dead -- another reading --> sound
+
+A sound sensor has noise. The probability that it repeats a reading is learned from its readings before the
+last change and from other sensors, separately for quiet readings, with nothing in reach, and others. A sound
+sensor blinded by a lamp or near the limit of its range also repeats readings: there only readings count that
+the twins do not expect.
 """
 
 import math
@@ -13,17 +15,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.log.shadow_channels import Alarm
-from khep_twin.shadow.actions import Seen
-from khep_twin.shadow.sensor_model import UNLIT
+from khep_twin.shadow.actions import ProximityReply
+from khep_twin.shadow.sensor_model import UNLIT, Booleans, Floats
 from khep_twin.units import N_SENSORS
 
-Floats = NDArray[np.float64]
-
-RAISED = 24.0
-"""Logarithm of the odds from which on a sensor counts as stuck."""
+ALARM_LOG_ODDS = 24.0
+"""Logarithm of the odds above which a sensor counts as stuck."""
 
 _PRIOR = 4.0, 8.0
-"""Repetitions, of so many readings, that are taken as seen before the first."""
+"""Repetitions and readings that are counted before the first."""
+
+_PRIOR_READINGS = 20.0
+"""Readings of one sensor as which all others count (assumed)."""
+
+_PRIOR_LOG_ODDS = 8.0
+"""Logarithm of the odds against a stuck sensor (assumed)."""
+
+_SATURATED = 0.85
+"""Part of the range above which a sound sensor repeats readings: there light changes them little."""
+
+_READABLE = 0.7
+"""Usable part of the range below which lamps blind a sensor, which then repeats readings (assumed)."""
+
+_USUAL_SURPRISAL, _SURPRISAL_FACTOR, _MAX_EVIDENCE = 0.3, 2.0, 1.5
+"""There: surprisal that does not count, factor of the rest, and the largest log odds (assumed)."""
 
 
 class SensorWatch:
@@ -32,16 +47,18 @@ class SensorWatch:
     Args:
         quiet: Highest reading with nothing in reach [counts].
         limit: Highest reading [counts].
-        lit: Whether there are lamps.
+        has_lamps: Whether there are lamps.
     """
 
-    def __init__(self, quiet: float, limit: int, lit: bool) -> None:
-        self._quiet, self._limit, self._lit = quiet, limit, lit
+    def __init__(self, quiet: float, limit: int, has_lamps: bool) -> None:
+        self._quiet = quiet
+        self._limit = limit
+        self._has_lamps = has_lamps
         self._repeats = np.tile(np.array(_PRIOR), (2, N_SENSORS, 1))
         self._run = np.zeros_like(self._repeats)
-        """Repetitions, of so many readings, since each sensor's reading changed last."""
+        """Repetitions and readings since the last change of each sensor's reading."""
         self._last: NDArray[np.int64] | None = None
-        self._odds = np.zeros(N_SENSORS)
+        self._log_odds = np.zeros(N_SENSORS)
         self._since_ns = [0] * N_SENSORS
         self._alarms: dict[int, Alarm] = {}
 
@@ -51,75 +68,60 @@ class SensorWatch:
         return list(self._alarms.values())
 
     @property
-    def sound(self) -> NDArray[np.bool_]:
-        """True for each sensor neither stuck nor dead (8,)."""
+    def is_sound(self) -> Booleans:
+        """True for each sensor that is neither stuck nor dead (8,)."""
         return np.array([sensor not in self._alarms for sensor in range(N_SENSORS)])
 
-    def see(self, action: Seen, range_left: Floats, surprise: Floats) -> tuple[Alarm, ...]:
+    def update(self, action: ProximityReply, usable_range: Floats, surprisal: Floats) -> tuple[Alarm, ...]:
         """Take a reply to N; return the alarms that it ends.
 
-        `range_left` is the part of each sensor's range that the lamps leave (8,), `surprise` what each
-        reading is less likely than an expected one (8,), in logarithms.
+        `usable_range` is the part of each sensor's range that the lamps leave (8,).
         """
-        before, self._last = self._last, action.readings
+        previous, self._last = self._last, action.readings
         ended: list[Alarm] = []
-        if before is None:
+        if previous is None:
             return ()
-        for sensor, (last, now) in enumerate(zip(before.tolist(), action.readings.tolist(), strict=True)):
+        for sensor, (last, now) in enumerate(zip(previous.tolist(), action.readings.tolist(), strict=True)):
             if now != last:
                 self._repeats[:, sensor] += self._run[:, sensor]
                 self._run[:, sensor] = 0
-                self._odds[sensor] = 0
+                self._log_odds[sensor] = 0
                 self._since_ns[sensor] = action.time_ns
                 if alarm := self._alarms.pop(sensor, None):
                     ended.append(replace(alarm, ended_ns=action.time_ns))
-            left = range_left[sensor]
-            if left < _READABLE or last > _NEAR_LIMIT * left * self._limit:
-                # Where others surprise as much, the robot is elsewhere.
-                beyond = surprise[sensor] - np.delete(surprise, sensor).max() - _USUAL
-                told = min(_TOLD * beyond, _MOST) if now == last else 0.0
+            sensor_range = usable_range[sensor]
+            if sensor_range < _READABLE or last > _SATURATED * sensor_range * self._limit:
+                # If others have as much surprisal, the robot is elsewhere.
+                excess = surprisal[sensor] - np.delete(surprisal, sensor).max() - _USUAL_SURPRISAL
+                evidence = min(_SURPRISAL_FACTOR * excess, _MAX_EVIDENCE) if now == last else 0.0
             else:
                 kind = int(last > self._quiet)
-                told = -math.log(self._chance(kind, sensor)) if now == last else 0.0
+                evidence = -math.log(self._repeat_probability(kind, sensor)) if now == last else 0.0
                 self._run[kind, sensor] += now == last, 1
                 if last == 0:
-                    # It may be lit more than the twins believe, the likelier the more they do.
-                    told *= min((left - _READABLE) / (UNLIT - _READABLE), 1) ** 2
-            self._odds[sensor] = max(self._odds[sensor] + told, 0)
-        # Several that read 0 at once are blinded by a lamp, which the twins believe to be farther.
-        dark = (action.readings == 0) & (self._odds > RAISED / 2)
-        blinded = dark & (dark.sum() > 1)
-        # Several that repeat bright readings, about as long, are at the end of the range that a lamp leaves.
-        lasts_ns, bright = action.time_ns - np.array(self._since_ns), action.readings > self._quiet
-        blinded |= (bright[:, None] & bright & (2 * lasts_ns >= lasts_ns[:, None])).sum(axis=1) > 1
-        blinded &= self._lit
+                    # It may get more light of lamps than in the twins, the likelier the more it has there.
+                    evidence *= min((sensor_range - _READABLE) / (UNLIT - _READABLE), 1) ** 2
+            self._log_odds[sensor] = max(self._log_odds[sensor] + evidence, 0)
+        # Several that read 0 together are blinded by a lamp, which is farther in the twins.
+        is_dark = (action.readings == 0) & (self._log_odds > ALARM_LOG_ODDS / 2)
+        is_blinded = is_dark & (is_dark.sum() > 1)
+        # Several that repeat bright readings, for about the same time, are at the limit under a lamp.
+        lasts_ns, is_bright = action.time_ns - np.array(self._since_ns), action.readings > self._quiet
+        is_similar = is_bright[:, None] & is_bright & (2 * lasts_ns >= lasts_ns[:, None])
+        is_blinded |= is_similar.sum(axis=1) > 1
+        is_blinded &= self._has_lamps
         for sensor, now in enumerate(action.readings.tolist()):
-            if self._odds[sensor] > RAISED and sensor not in self._alarms and not blinded[sensor]:
+            log_odds, since_ns = self._log_odds[sensor], self._since_ns[sensor]
+            if log_odds > ALARM_LOG_ODDS and sensor not in self._alarms and not is_blinded[sensor]:
                 fault = f"dead sensor {sensor}" if now == 0 else f"stuck sensor {sensor}"
-                since_ns, sureness = self._since_ns[sensor], 1 / (1 + math.exp(_RARE - self._odds[sensor]))
+                sureness = 1 / (1 + math.exp(_PRIOR_LOG_ODDS - log_odds))
                 self._alarms[sensor] = Alarm(fault, "proximity", since_ns, action.time_ns, sureness)
         return tuple(ended)
 
-    def _chance(self, kind: int, sensor: int) -> float:
+    def _repeat_probability(self, kind: int, sensor: int) -> float:
         """Return the probability that a sound sensor repeats a quiet (0) or another reading (1)."""
         all_readings = self._repeats[kind] + self._run[kind]
-        repeats, among = np.delete(all_readings, sensor, axis=0).sum(axis=0).tolist()
-        own, of = self._repeats[kind, sensor].tolist()
-        others = repeats / among
-        return max(others, (own + _OTHERS * others) / (of + _OTHERS))
-
-
-_OTHERS = 20.0
-"""Readings of its own as which all others count (assumed)."""
-
-_RARE = 8.0
-"""Logarithm of the odds against a stuck sensor (assumed)."""
-
-_NEAR_LIMIT = 0.85
-"""Part of the range from which on a sound sensor repeats itself: there light counts little."""
-
-_READABLE = 0.7
-"""Part of the range below which lamps blind a sensor, which then repeats itself, too (assumed)."""
-
-_USUAL, _TOLD, _MOST = 0.3, 2.0, 1.5
-"""Surprise that is usual there, and what more of it adds to the odds, at the most (assumed)."""
+        repeats, n_readings = np.delete(all_readings, sensor, axis=0).sum(axis=0).tolist()
+        prior = repeats / n_readings
+        repeats, n_readings = self._repeats[kind, sensor].tolist()
+        return max(prior, (repeats + _PRIOR_READINGS * prior) / (n_readings + _PRIOR_READINGS))

@@ -5,7 +5,7 @@
         log.write(update)
     log.close()
 
-Times are those of the line that the shadow hears. The same updates give the same bytes.
+Times are those of the shadow's line. The same updates give the same bytes.
 """
 
 import json
@@ -19,23 +19,13 @@ from numpy.typing import NDArray
 
 from khep_twin import playpen as playpens
 from khep_twin.clock import NS_PER_S
-from khep_twin.log import channels
-from khep_twin.log.channels import FLOATS, LINES, POSE, UNSURE_POSE, ArrayFrame, TextLine, TransformFrame
+from khep_twin.log import channels, shadow_channels
+from khep_twin.log.channels import ArrayFrame, TextLine, TransformFrame
 from khep_twin.log.description import body_name
 from khep_twin.log.log_file import FileRecorder, LogFile
-from khep_twin.log.reader import hash_of
+from khep_twin.log.reader import hash_file
 from khep_twin.log.recorder import FLUSH_NS
 from khep_twin.log.run_description import versions
-from khep_twin.log.shadow_channels import (
-    PARTICLES,
-    RESIDUALS,
-    PoseState,
-    Suspicion,
-    begin_line,
-    end_line,
-    state_line,
-    suspected_line,
-)
 from khep_twin.playpen import Playpen
 from khep_twin.playpen_to_mjcf import to_spec
 from khep_twin.sensing import calibration
@@ -49,13 +39,13 @@ ROBOT = "khepera0"
 """Name of the robot in the log."""
 
 LIVE_FLUSH_NS = NS_PER_S // 2
-"""Time between two flushes beside a robot, for those who follow the file [ns]."""
+"""Time between two flushes beside a robot, for programs that follow the file [ns]."""
 
 PARTICLES_NS = NS_PER_S
 """Time between two messages of particles [ns]."""
 
-NOTICEABLE = 0.05
-"""Change of a suspected fault's probability that is written."""
+MIN_CHANGE = 0.05
+"""Change of a suspected fault's probability from which it is written."""
 
 
 class ShadowLog(FileRecorder):
@@ -81,59 +71,71 @@ class ShadowLog(FileRecorder):
         parent: Path | None = None,
         flush_ns: int = FLUSH_NS,
     ) -> None:
-        named = {} if parent is None else {"parent": parent.name, "parent_sha256": hash_of(parent)}
+        parent_facts = {} if parent is None else {"parent": parent.name, "parent_sha256": hash_file(parent)}
         self._time_ns = self._flushed_ns = 0
         self._flush_ns = flush_ns
         self._particles_ns = -PARTICLES_NS
         self._alarms = LastingAlarms()
-        self._state: PoseState | None = None
+        self._state: shadow_channels.PoseState | None = None
         self._suspected: dict[frozenset[str], float] = {}
         self._ghost = _Ghost(playpen)
         label = f"{', '.join(SENSOR_LABELS)} [counts]"
         self._proximity = ArrayFrame(len(SENSOR_LABELS), "f8", label)
-        self._residuals = ArrayFrame(len(RESIDUALS), "f8", ", ".join(RESIDUALS))
+        self._residuals = ArrayFrame(
+            len(shadow_channels.RESIDUALS), "f8", ", ".join(shadow_channels.RESIDUALS)
+        )
         self._learned = ArrayFrame(len(VALUE_NAMES), "f8", ", ".join(VALUE_NAMES))
-        self._particles = ArrayFrame(3 * PARTICLES, "f8", "x, y [m], heading [rad] of each particle")
+        self._particles = ArrayFrame(
+            3 * shadow_channels.PARTICLES, "f8", "x, y [m], heading [rad] of each particle"
+        )
         self._file = LogFile(path, lambda: self._time_ns)
-        self._begin(playpen, settings, named)
-        self._file.complete = self.close
+        self._write_header(playpen, settings, parent_facts)
+        self._file.on_exit = self.close
 
     def write(self, update: Update) -> None:
-        """Write an update; now and then, hand everything so far to the file system."""
+        """Write an update; flush everything so far every `flush_ns`."""
         if not self._file.open:
             return
         time_ns = self._time_ns = update.time_ns
         estimate = update.estimate
         message = channels.pose_message(time_ns, estimate.pose, estimate.covariance)
-        self._file.add("/shadow/pose", UNSURE_POSE, time_ns, message)
-        self._file.add("/shadow/reckoned", POSE, time_ns, channels.pose_message(time_ns, update.reckoned))
+        self._file.add("/shadow/pose", channels.POSE_WITH_COVARIANCE, time_ns, message)
+        self._file.add(
+            "/shadow/reckoned", channels.POSE, time_ns, channels.pose_message(time_ns, update.reckoned)
+        )
         self._file.add("/tf", "tf2_msgs/msg/TFMessage", time_ns, self._ghost.message(time_ns, estimate.pose))
         self._add("expected", self._proximity, update.expected)
         self._add("measured", self._proximity, update.measured)
         self._add("residuals", self._residuals, np.hstack(update.residuals))
         if time_ns - self._particles_ns >= PARTICLES_NS:
             self._particles_ns = time_ns
-            rows = np.linspace(0, len(update.particles) - 1, PARTICLES).round().astype(np.intp)
+            rows = (
+                np.linspace(0, len(update.particles) - 1, shadow_channels.PARTICLES).round().astype(np.intp)
+            )
             self._add("particles", self._particles, update.particles[rows].ravel())
         if update.state is not self._state:
             self._state = update.state
-            self._add_line("state", state_line(time_ns, update.state))
-        if self._notices(update.suspected):
-            self._add_line("suspected", suspected_line(time_ns, update.suspected))
+            self._add_line("state", shadow_channels.state_line(time_ns, update.state))
+        if self._note_suspected(update.suspected):
+            self._add_line("suspected", shadow_channels.suspicion_line(time_ns, update.suspected))
         for change in self._alarms.changes(time_ns, update.alarms, update.ended):
-            tell = begin_line if change.alarm.ended_ns is None else end_line
-            self._add_line("alarms", tell(change.time_ns, change.alarm))
+            make_line = (
+                shadow_channels.alarm_start_line
+                if change.alarm.ended_ns is None
+                else shadow_channels.alarm_end_line
+            )
+            self._add_line("alarms", make_line(change.time_ns, change.alarm))
         if time_ns - self._flushed_ns >= self._flush_ns:
             self._flushed_ns = time_ns
             self._file.flush()
 
-    def write_learned(self, found: LearnedValues) -> None:
-        """Write what was learned of the robot, at the time of the last update."""
+    def write_learned(self, values: LearnedValues) -> None:
+        """Write the learned values of the robot, at the time of the last update."""
         if self._file.open:
-            self._add("learned", self._learned, found.row)
+            self._add("learned", self._learned, values.row)
 
     def flush(self) -> None:
-        """Hand everything so far to the file system."""
+        """Flush everything so far to the file system."""
         if self._file.open:
             self._file.flush()
 
@@ -144,51 +146,52 @@ class ShadowLog(FileRecorder):
 
     def _add(self, name: str, frame: ArrayFrame, values: NDArray[np.float64]) -> None:
         message = frame.messages(values[None])[0].tobytes()
-        self._file.add(f"/shadow/{name}", FLOATS, self._time_ns, message)
+        self._file.add(f"/shadow/{name}", channels.FLOATS, self._time_ns, message)
 
     def _add_line(self, name: str, line: TextLine) -> None:
-        self._file.add(f"/shadow/{name}", LINES, line.time_ns, channels.line_message(line))
+        self._file.add(f"/shadow/{name}", channels.LINES, line.time_ns, channels.line_message(line))
 
-    def _notices(self, suspected: Sequence[Suspicion]) -> bool:
-        """Return whether suspected faults differ noticeably from those written last, and note them."""
-        found = {frozenset(each.faults): each.probability for each in suspected}
+    def _note_suspected(self, suspected: Sequence[shadow_channels.Suspicion]) -> bool:
+        """Return whether suspected faults differ from the last ones by `MIN_CHANGE`; if so, note them."""
+        current = {frozenset(suspicion.faults): suspicion.probability for suspicion in suspected}
         last = self._suspected
-        if found.keys() == last.keys() and all(abs(found[each] - last[each]) < NOTICEABLE for each in found):
+        if current.keys() == last.keys() and all(abs(current[key] - last[key]) < MIN_CHANGE for key in last):
             return False
-        self._suspected = found
+        self._suspected = current
         return True
 
-    def _begin(self, playpen: Playpen, settings: ShadowSettings, named: Mapping[str, str]) -> None:
+    def _write_header(self, playpen: Playpen, settings: ShadowSettings, parent: Mapping[str, str]) -> None:
         attachments = {
             "playpen.toml": playpens.dump(playpen),
             "scene.xml": self._ghost.scene,
             "configuration.json": json.dumps(asdict(settings), indent=2, sort_keys=True, default=str) + "\n",
             f"calibration/{ROBOT}.toml": calibration.read(playpen.robots[0].calibration)[1],
         }
-        facts = {"playpen": playpen.name, "robots": ROBOT, "shadow": "1", **versions(), **named}
+        facts = {"playpen": playpen.name, "robots": ROBOT, "shadow": "1", **versions(), **parent}
         self._file.describe(attachments, {**facts, **asdict(settings)})
         self._file.add_scene(0, self._ghost.model)
         self._file.flush()
 
 
 class _Ghost:
-    """Robot of a scene that is put at estimates."""
+    """Robot of a compiled model that is placed at estimates."""
 
     def __init__(self, playpen: Playpen) -> None:
         spec = to_spec(playpen)
         self.model = spec.compile()
         self.scene = spec.to_xml()
         self._data = mujoco.MjData(self.model)
-        self._place = int(self.model.joint(f"{ROBOT}/pose").qposadr[0])
-        self._moving = np.flatnonzero(self.model.body_weldid != 0)
-        self._frame = TransformFrame([body_name(self.model, body) for body in self._moving.tolist()])
+        self._qpos_index = int(self.model.joint(f"{ROBOT}/pose").qposadr[0])
+        self._bodies = np.flatnonzero(self.model.body_weldid != 0)
+        self._frame = TransformFrame([body_name(self.model, body) for body in self._bodies.tolist()])
 
     def message(self, time_ns: int, pose: tuple[float, float, float]) -> bytes:
         """Return a message of /tf with the robot at a pose."""
         model, data = self.model, self._data
         x, y, heading = pose
-        data.qpos[self._place : self._place + 2] = x, y
-        data.qpos[self._place + 3 : self._place + 7] = np.cos(heading / 2), 0, 0, np.sin(heading / 2)
+        qpos = data.qpos[self._qpos_index :]
+        qpos[:2] = x, y
+        qpos[3:7] = np.cos(heading / 2), 0, 0, np.sin(heading / 2)
         mujoco.mj_kinematics(model, data)
-        poses = np.hstack([data.xpos[self._moving], data.xquat[self._moving][:, [1, 2, 3, 0]]])
+        poses = np.hstack([data.xpos[self._bodies], data.xquat[self._bodies][:, [1, 2, 3, 0]]])
         return self._frame.messages(np.array([time_ns]), poses[None])[0].tobytes()

@@ -1,11 +1,11 @@
-"""rerun's viewer beside a shadow: a separate process that follows a log, as `khep-twin view --live` does.
+"""The rerun viewer of a shadow: a separate process that follows a log, as `khep-twin view --live` does.
 
     with ShadowViewer(playpen, settings) as viewer:
         for update in shadow.feed(...):
             viewer.show(update)
         viewer.wait(stop)
 
-The shadow only writes a file; drawing costs it nothing, and does not delay a relay.
+The shadow only writes a file, so drawing costs it no time and does not delay a relay.
 """
 
 import os
@@ -24,24 +24,24 @@ from khep_twin.shadow.shadow import ShadowSettings
 from khep_twin.shadow.shadow_log import LIVE_FLUSH_NS, ShadowLog
 from khep_twin.shadow.update import Update
 from khep_twin.signals import clear_at_end, undisturbed
-from khep_twin.status_line import BESIDE
+from khep_twin.status_line import STATUS_LINE_VARIABLE
 
-_TURN = 0.05
+_POLL_S = 0.05
 """Interval of checks of the viewer's process [s]."""
 
 
 class ShadowViewer:
-    """A viewer that shows a shadow while it goes on.
+    """A viewer that shows a running shadow.
 
     Args:
         playpen: Playpen of the shadow.
         settings: Settings of the shadow.
-        log: Path of a log that a `ShadowLog` writes anyway, with flushes every `LIVE_FLUSH_NS`; None for one
-            of the viewer's own, which is removed in the end.
+        log: Path of a log that a `ShadowLog` writes, with flushes every `LIVE_FLUSH_NS`; None for a temporary
+            one.
         web: Show it in a browser instead of a window.
 
     Raises:
-        LogError: The viewer's own log cannot be made.
+        LogError: The temporary log cannot be made.
     """
 
     def __init__(
@@ -56,9 +56,12 @@ class ShadowViewer:
         with undisturbed():
             # Ctrl-C in a terminal is for the shadow, which then ends the viewer.
             self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, start_new_session=True, env={**os.environ, BESIDE: "1"}
+                command,
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+                env={**os.environ, STATUS_LINE_VARIABLE: "1"},
             )
-            self._forget = clear_at_end(self.close)
+            self._unregister = clear_at_end(self.close)
 
     def __enter__(self) -> Self:
         return self
@@ -67,11 +70,11 @@ class ShadowViewer:
         self.close()
 
     def show(self, update: Update) -> None:
-        """Show an update; of a log that is written anyway, the viewer reads it there."""
+        """Show an update; with a log of the caller, the viewer reads it there."""
         if self._log is not None:
             self._log.write(update)
 
-    def closed(self) -> bool:
+    def is_closed(self) -> bool:
         """Return whether the viewer has ended."""
         return self._process.poll() is not None
 
@@ -79,13 +82,13 @@ class ShadowViewer:
         """Wait until the viewer is closed, or `stop` returns True."""
         if self._log is not None:
             self._log.flush()
-        while not stop() and not self.closed():
-            time.sleep(_TURN)
+        while not stop() and not self.is_closed():
+            time.sleep(_POLL_S)
 
     def close(self) -> None:
-        """End the viewer, and remove its own log."""
+        """End the viewer, and remove the temporary log."""
         end_process(self._process)
-        self._forget()
+        self._unregister()
         if self._log is not None:
             self._log.discard()
         with suppress(OSError):

@@ -1,21 +1,19 @@
-"""Particles at the start: at a pose that is known more or less, or anywhere."""
+"""Particles at the start: at a known pose with an uncertainty, or anywhere."""
 
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from khep_twin import units
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen.starts import own_starts
 from khep_twin.sensing import calibration
-from khep_twin.shadow.particles import Particles, Prior
-from khep_twin.shadow.planes import Planes
+from khep_twin.shadow.particles import Floats, Particles, Prior
+from khep_twin.shadow.planes import Booleans, Planes
 
-Floats = NDArray[np.float64]
 Pose = tuple[float, float, float]
 
 HEADING_DEVIATION = math.radians(calibration.HEADING_SPREAD_DEG)
@@ -23,14 +21,14 @@ HEADING_DEVIATION = math.radians(calibration.HEADING_SPREAD_DEG)
 
 
 class Spread(NamedTuple):
-    """Knowledge of a robot at the start: standard deviations.
+    """Uncertainty of a robot at the start: standard deviations.
 
     Attributes:
         place: Of x and y [m]; infinite for an unknown start.
         heading: Of the heading [rad].
-        radius: Of the wheels' mean radius, as a part.
+        radius: Of the wheels' mean radius, relative.
         ratio: Of the right wheel's radius over the left one's.
-        base: Of the wheel base, as a part.
+        base: Of the wheel base, relative.
         gain: Of the logarithm of the sensors' common gain.
     """
 
@@ -43,38 +41,39 @@ class Spread(NamedTuple):
 
 
 PUBLISHED = Spread()
-"""Spread of robots of the same make, put down by hand within 10 mm and 5 degrees."""
+"""Spread of robots of the same model, placed by hand within 10 mm and 5 degrees."""
+
+_MAX_TRIES = 200
+"""Tries to find room for every particle."""
 
 
 def known_starts(setup: EpisodeSetup) -> list[Pose]:
-    """Return the poses x, y [m], heading [rad] at which a robot may start: its own, or each spot."""
+    """Return the poses x, y [m], heading [rad] at which a robot may start: its start, or each spot."""
     return [
         (units.metres(x_mm), units.metres(y_mm), units.radians(heading_deg))
         for x_mm, y_mm, heading_deg in own_starts(setup.playpen, 0)
     ]
 
 
-def begun(
+def draw_particles(
     setup: EpisodeSetup, starts: Sequence[Pose] | None, spread: Spread, count: int, rng: np.random.Generator
 ) -> Particles:
-    """Return particles.
+    """Return random particles.
 
     Args:
         setup: Playpen with the robot, prepared for the plane.
-        starts: Starts of equal probability x, y [m] and heading [rad] ; None for anywhere.
-        spread: What is known of each start and of the robot.
+        starts: Equally probable starts x, y [m] and heading [rad]; None for anywhere.
+        spread: Standard deviations of each start and of the robot's values.
         count: Number of particles.
         rng: Random stream.
     """
     planes = Planes(setup, count)
     if starts is None:
-        planes.put(anywhere(setup, planes, rng))
+        planes.reset_poses(draw_anywhere(setup, planes, rng))
     else:
         deviations = spread.place, spread.place, spread.heading
-        planes.put(
-            np.array(starts)[np.arange(count) * len(starts) // count]
-            + rng.standard_normal((count, 3)) * deviations
-        )
+        poses = np.array(starts)[np.arange(count) * len(starts) // count]
+        planes.reset_poses(poses + rng.standard_normal((count, 3)) * deviations)
     wheels = 1 + rng.standard_normal((count, 3)) * (spread.radius, spread.ratio, spread.base)
     planes.set_wheels(*wheels.T)
     traits = np.zeros((count, 8, 3))
@@ -96,30 +95,27 @@ def begun(
     )
 
 
-def anywhere(setup: EpisodeSetup, planes: Planes, rng: np.random.Generator) -> Floats:
-    """Return random poses where there is room, x, y [m] and heading [rad], for each twin (n, 3)."""
+def draw_anywhere(setup: EpisodeSetup, planes: Planes, rng: np.random.Generator) -> Floats:
+    """Return a random pose with room for each twin: x, y [m] and heading [rad] (n, 3)."""
     corners = np.array(setup.playpen.arena.corners) * 1e-3
     low, high = corners.min(axis=0), corners.max(axis=0)
     poses = np.zeros((len(planes), 3))
-    wanted = np.ones(len(planes), np.bool_)
-    for _ in range(_TRIES):
-        drawn = rng.uniform((*low, 0), (*high, math.tau), poses.shape)
-        poses[wanted] = drawn[wanted]
-        wanted = ~(planes.free(poses) & inside(corners, poses))
-        if not wanted.any():
+    is_missing = np.ones(len(planes), np.bool_)
+    for _ in range(_MAX_TRIES):
+        candidates = rng.uniform((*low, 0), (*high, math.tau), poses.shape)
+        poses[is_missing] = candidates[is_missing]
+        is_missing = ~(planes.are_clear(poses) & inside(corners, poses))
+        if not is_missing.any():
             return poses
     raise PlaypenError(f"{setup.playpen.name}: no room for the robot was found; expected a start pose")
 
 
-_TRIES = 200
-
-
-def inside(corners: Floats, poses: Floats) -> NDArray[np.bool_]:
+def inside(corners: Floats, poses: Floats) -> Booleans:
     """Return whether positions are inside a polygon (n,)."""
-    inside = np.zeros(len(poses), np.bool_)
+    is_inside = np.zeros(len(poses), np.bool_)
     x, y = poses[:, 0], poses[:, 1]
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         if y0 == y1:
             continue
-        inside ^= ((y0 > y) != (y1 > y)) & (x < (x1 - x0) * (y - y0) / (y1 - y0) + x0)
-    return inside
+        is_inside ^= ((y0 > y) != (y1 > y)) & (x < (x1 - x0) * (y - y0) / (y1 - y0) + x0)
+    return is_inside

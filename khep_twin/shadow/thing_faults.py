@@ -1,46 +1,44 @@
-"""Faults of what stands in a playpen, as hypotheses: a thing is missing, moved, or not of the playpen."""
+"""Hypotheses of faults of obstacles: one is missing, moved, or not in the playpen."""
 
 import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.sensing.mujoco_scene import visible
-from khep_twin.shadow.hypotheses import Hypothesis, Placed, refined
-from khep_twin.shadow.particles import Particles
+from khep_twin.shadow.hypotheses import Hypothesis, Placed, shrink_and_jitter
+from khep_twin.shadow.particles import Floats, Particles
 from khep_twin.shadow.planar_bodies import AWAY, N_SPARE
 from khep_twin.units import N_SENSORS
 
-Floats = NDArray[np.float64]
-
-MOVED_LEAST, MOVED_BY = 0.015, 0.02
-"""Least distance by which a thing was moved, lest errors of the pose are taken for it, and the standard
-deviation of what comes to it [m] (assumed)."""
+MIN_MOVE, MOVE_DEVIATION = 0.015, 0.02
+"""Least distance of a move, larger than errors of the pose, and the standard deviation of the rest [m]
+(assumed)."""
 
 ADDED_RADII = 0.004, 0.03
-"""Radii of a thing that is not in the playpen [m] (assumed)."""
+"""Radii of an obstacle that is not in the playpen [m] (assumed)."""
 
 ADDED_REACH = 0.03
-"""Farthest that it stands from a sensor that sees it [m] (assumed)."""
+"""Largest distance of it from a sensor that sees it [m] (assumed)."""
 
-_LEAST_SPREAD = 0.003
-"""Least deviation of a thing's place and size, drawn anew [m] (assumed)."""
+_MIN_SPREAD = 0.003
+"""Least standard deviation of the jitter of an obstacle's place and size [m] (assumed)."""
 
 _HEIGHT = 0.05
 
 _CIRCLE = flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH
-"""Columns of a round thing's place and radius."""
+"""Columns of a round obstacle's place and radius."""
 
 
 @dataclass(frozen=True)
-class _OfThing(Hypothesis):
-    """A fault of a thing of the playpen: its name, and its rows among those of the plane."""
+class _ThingFault(Hypothesis):
+    """A fault of an obstacle of the playpen, with its name and its rows in `PlanarBodies.things`."""
 
-    channel, rare = "proximity", 10.0
+    channel = "proximity"
+    log_odds_against = 10.0
     kind: ClassVar[str]
     thing: str
     rows: tuple[int, ...]
@@ -51,55 +49,60 @@ class _OfThing(Hypothesis):
         return f"{self.kind} {self.thing}"
 
     @property
-    def alike(self) -> str:
-        """Name of the thing."""
+    def group(self) -> str:
+        """Name of the obstacle."""
         return self.thing
 
     def end(self, particles: Particles) -> None:
-        """Put the thing back."""
+        """Move the obstacle back."""
         particles.planes.restore(self.rows)
 
 
-class Missing(_OfThing):
-    """A thing that is not in the playpen any more."""
+class Missing(_ThingFault):
+    """An obstacle that is missing in the playpen."""
 
     kind = "missing"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Take the thing away."""
+        """Remove the obstacle."""
         particles.planes.things[:, self.rows, flat.CENTRE_X] += AWAY
         particles.planes.remeasure()
 
 
-class Moved(_OfThing, Placed):
-    """A thing that is not where the playpen says."""
+class Moved(_ThingFault, Placed):
+    """An obstacle that is not at its place in the playpen."""
 
     kind = "moved"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Move the thing."""
-        by = MOVED_LEAST + np.abs(rng.standard_normal(len(particles))) * MOVED_BY
-        way = rng.uniform(0, math.tau, len(particles))
-        particles.planes.offset(self.rows, np.stack([by * np.cos(way), by * np.sin(way)], axis=1))
+        """Move the obstacle."""
+        distance = MIN_MOVE + np.abs(rng.standard_normal(len(particles))) * MOVE_DEVIATION
+        direction = rng.uniform(0, math.tau, len(particles))
+        offsets = np.stack([distance * np.cos(direction), distance * np.sin(direction)], axis=1)
+        particles.planes.set_thing_offsets(self.rows, offsets)
 
-    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Draw its place anew."""
-        self._offset(particles, refined(particles.planes.offsets(self.rows), _LEAST_SPREAD, rng))
+    def jitter(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Add noise to its place."""
+        offsets = particles.planes.thing_offsets(self.rows)
+        self._set_offsets(particles, shrink_and_jitter(offsets, _MIN_SPREAD, rng))
 
-    def draw_near(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
-        """Draw its place anew."""
-        offsets = particles.planes.offsets(self.rows)
-        self._offset(particles, offsets + spread * rng.standard_normal(offsets.shape))
+    def roughen(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
+        """Add noise to its place."""
+        offsets = particles.planes.thing_offsets(self.rows)
+        self._set_offsets(particles, offsets + spread * rng.standard_normal(offsets.shape))
 
-    def _offset(self, particles: Particles, offsets: Floats) -> None:
-        by = np.hypot(*offsets.T)[:, None]
-        particles.planes.offset(self.rows, offsets * np.maximum(MOVED_LEAST / np.maximum(by, 1e-9), 1))
+    def _set_offsets(self, particles: Particles, offsets: Floats) -> None:
+        distances = np.hypot(*offsets.T)[:, None]
+        offsets = offsets * np.maximum(MIN_MOVE / np.maximum(distances, 1e-9), 1)
+        particles.planes.set_thing_offsets(self.rows, offsets)
 
 
 class Unexpected(Placed):
-    """A thing that is not in the playpen."""
+    """An obstacle that is not in the playpen."""
 
-    channel, rare, quota = "proximity", 11.0, 300
+    channel = "proximity"
+    log_odds_against = 11.0
+    quota = 300
 
     @property
     def name(self) -> str:
@@ -107,43 +110,43 @@ class Unexpected(Placed):
         return "unexpected thing"
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Put a cylinder in front of one sensor of each robot."""
+        """Add a cylinder in front of one sensor of each robot."""
         planes, count = particles.planes, len(particles)
         x, y, heading = planes.poses.T
         mounts = planes.robots["mounts"][0, rng.integers(N_SENSORS, size=count)]
-        ahead, left, cosine, sine = mounts[:, :4].T
+        forward, left, cosine, sine = mounts[:, :4].T
         radius = rng.uniform(*ADDED_RADII, count)
-        off = rng.uniform(0.001, ADDED_REACH, count) + radius
-        way = heading + np.arctan2(sine, cosine) + rng.standard_normal(count) * math.radians(20)
+        distance = rng.uniform(0.001, ADDED_REACH, count) + radius
+        direction = heading + np.arctan2(sine, cosine) + rng.standard_normal(count) * math.radians(20)
         c, s = np.cos(heading), np.sin(heading)
         row = planes.things[:, -N_SPARE]
-        row[:, flat.CENTRE_X] = x + c * ahead - s * left + off * np.cos(way)
-        row[:, flat.CENTRE_Y] = y + s * ahead + c * left + off * np.sin(way)
+        row[:, flat.CENTRE_X] = x + c * forward - s * left + distance * np.cos(direction)
+        row[:, flat.CENTRE_Y] = y + s * forward + c * left + distance * np.sin(direction)
         row[:, flat.LENGTH], row[:, flat.WIDTH] = radius, -1
         row[:, flat.BOTTOM], row[:, flat.TOP] = 0, _HEIGHT
-        row[:, flat.TOUCHED] = row[:, flat.REFLECTANCE] = 1
+        row[:, flat.TOUCHABLE] = row[:, flat.REFLECTANCE] = 1
         planes.remeasure()
 
     def end(self, particles: Particles) -> None:
-        """Take it away."""
+        """Remove it."""
         particles.planes.restore((-N_SPARE,))
 
-    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Draw its place and its size anew."""
+    def jitter(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Add noise to its place and its size."""
         row = particles.planes.things[:, -N_SPARE]
-        row[:, _CIRCLE] = refined(row[:, _CIRCLE], _LEAST_SPREAD, rng)
+        row[:, _CIRCLE] = shrink_and_jitter(row[:, _CIRCLE], _MIN_SPREAD, rng)
         particles.planes.remeasure()
 
-    def draw_near(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
-        """Draw its place and its size anew."""
+    def roughen(self, particles: Particles, spread: float, rng: np.random.Generator) -> None:
+        """Add noise to its place and its size."""
         row = particles.planes.things[:, -N_SPARE]
         row[:, _CIRCLE] += spread * rng.standard_normal((len(particles), len(_CIRCLE)))
         row[:, flat.LENGTH] = np.clip(row[:, flat.LENGTH], *ADDED_RADII)
         particles.planes.remeasure()
 
 
-def things_of(setup: EpisodeSetup) -> dict[str, tuple[int, ...]]:
-    """Return the rows of each thing of a playpen among those of its plane; the arena's walls are none."""
+def thing_rows(setup: EpisodeSetup) -> dict[str, tuple[int, ...]]:
+    """Return the rows of each obstacle of a playpen in `PlanarBodies.things`, without the arena's walls."""
     model = setup.model
     rows: dict[str, tuple[int, ...]] = {}
     upright = [geom for geom in visible(model) if model.geom_bodyid[geom] == 0]

@@ -1,6 +1,6 @@
 """Thresholds of the diagnosis, in one place; those without a source were chosen on stand-in robots.
 
-`python -m studies twin-trials` prints what they lead to, on robots, hosts and seeds not used for that.
+`python -m studies twin-trials` prints the resulting rates, on other robots, hosts and seeds.
 """
 
 import math
@@ -11,80 +11,78 @@ from khep_twin.clock import NS_PER_S
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """Thresholds of a diagnosis.
+    """Thresholds of a diagnosis; `pose_watch` defines surprisal and its sum.
 
     Attributes:
-        known: Standard deviation of a known position [m] (assumed).
+        known_place: Standard deviation of a known position [m] (assumed).
         known_turn: Standard deviation of a known heading [rad] (assumed).
-        lit: Standard deviation of a position by which lamps are compared, at the most [m] (assumed).
-        lit_turn: The same of a heading [rad] (assumed).
-        usual: Surprise of one reading that is usual (assumed).
-        surprise_s: Time constant over which surprise is summed [s].
-        surprised: Sum of one sensor from which on a pose is unsure.
-        startled: Sum of one sensor from which on what has happened is searched for.
-        most_startled: The same after searches that have found nothing, at the most.
-        raised: Factor of each of them.
-        raised_s: Time constant with which it falls again [s].
-        calm: Sum of any sensor below which replies do not surprise, or a tenth of what they do later.
-        in_sight: Counts of a reading that confirms a pose.
-        waited_ns: Time after the begin of the surprise before the search [ns].
-        tried_ns: Longest interval of searches while replies surprise: half the time that they repeat [ns].
-        explained: Probability that nothing has happened, below which something does.
-        window_ns: Time before now from which on something may have happened [ns].
-        dropped: Probability that nothing has, above which faults are not considered any more.
-        dropped_ns: Time after a search for which they are [ns].
-        found_ns: Time of a known pose, without surprise that lasts, after which a search has found it [ns].
-        proven_ns: Time after that from which on faults are told: before it another place is the likelier
-            explanation [ns].
-        begun_ns: Time after a known start from which on they are: it is known to about a centimetre [ns].
-        suspected: Probability from which on a fault is suspected (assumed), before the next factor.
-        believed: Factor of a suspicion's probability: what is not considered may be the reason as well. Of
-            180 suspicions with 80 % or more, before this factor, 122 were right (faults, seeds 930 to 959).
-        sure: Probability from which on there is one of faults that look alike: that of an alarm.
-        surest: Highest probability that an alarm tells.
-        named: Part of that probability that one of them has, to give the alarm its name.
-        replies: Replies from which something may be told, however long they take.
-        told_ns: Time for which replies show a fault before an alarm, and for which they surprise until a pose
-            counts as unknown [ns].
-        held_ns: Time for which it stays so probable before an alarm, and after which a pose is unsure, or
+        lamp_place: Largest standard deviation of a position for which lamps are compared [m] (assumed).
+        lamp_turn: The same of a heading [rad] (assumed).
+        usual_surprisal: Surprisal of one reading that is not counted (assumed).
+        surprisal_s: Time constant of the decay of summed surprisal [s].
+        unsure_above: Sum of one sensor above which a pose is unsure.
+        search_above: Sum of one sensor from which a search starts.
+        max_search_above: Largest value of it after searches that have found nothing.
+        raise_factor: Factor that each of them applies to it.
+        raise_decay_s: Time constant with which it decays again [s].
+        calm_below: Sum of any sensor below which replies are as expected, or a tenth of a later sum.
+        in_sight: Reading that confirms a pose [counts].
+        search_delay_ns: Time after the onset of unexpected replies before the search [ns].
+        max_search_interval_ns: Longest interval of searches while replies are unexpected [ns].
+        explained_below: Probability of no change below which changes explain the replies.
+        window_ns: Time before the present within which a change may have happened [ns].
+        drop_above: Probability of no change above which changes are dropped.
+        drop_delay_ns: Time after a search before that [ns].
+        relocated_ns: Time of a known pose, without lasting surprisal, after which a search has found it [ns].
+        proven_ns: Time after that before which another place explains replies better than a fault [ns].
+        start_proven_ns: The same after a known start: it is known to about a centimetre [ns].
+        suspect_above: Probability above which a fault is suspected (assumed), before the next factor.
+        suspicion_factor: Factor of a suspicion's probability, for causes that are not considered: of 180
+            suspicions with 80 % or more before it, 122 were right (faults, seeds 930 to 959).
+        certain_above: Probability of an ambiguity group above which it has an alarm.
+        max_sureness: Highest probability that an alarm states.
+        name_above: Share of that probability from which the alarm names one fault.
+        min_replies: Least number of replies before a decision, however long they take.
+        alarm_delay_ns: Time for which replies show a fault before an alarm, and for which they are unexpected
+            until a pose counts as unknown [ns].
+        hold_ns: Time for which a group stays certain before an alarm, and after which a pose is unsure, or
             followed again [ns].
-        unnamed_ns: Time after which an alarm has all names, if none of them has that part [ns].
-        settled_ns: Time after an alarm from which on the fault is taken for granted, and others may begin
-            [ns].
+        name_delay_ns: Time after which an alarm has all names, if no fault has that share [ns].
+        settle_delay_ns: Time after an alarm after which the fault is settled, and others may start [ns].
     """
 
-    known: float = 0.025
+    known_place: float = 0.025
     known_turn: float = math.radians(10)
-    lit: float = 0.012
-    lit_turn: float = math.radians(4)
-    usual: float = 0.15
-    surprise_s: float = 0.7
-    surprised: float = 3.0
-    startled: float = 2.0
-    most_startled: float = 8.0
-    raised: float = 2.0
-    raised_s: float = 10.0
-    calm: float = 0.3
+    lamp_place: float = 0.012
+    lamp_turn: float = math.radians(4)
+    usual_surprisal: float = 0.15
+    surprisal_s: float = 0.7
+    unsure_above: float = 3.0
+    search_above: float = 2.0
+    max_search_above: float = 8.0
+    raise_factor: float = 2.0
+    raise_decay_s: float = 10.0
+    calm_below: float = 0.3
     in_sight: int = 100
-    waited_ns: int = 200_000_000
-    tried_ns: int = 2 * NS_PER_S
-    explained: float = 0.5
+    search_delay_ns: int = 200_000_000
+    max_search_interval_ns: int = 2 * NS_PER_S
+    explained_below: float = 0.5
     window_ns: int = 6 * NS_PER_S
-    dropped: float = 0.9
-    dropped_ns: int = 1_500_000_000
-    found_ns: int = 5 * NS_PER_S
+    drop_above: float = 0.9
+    drop_delay_ns: int = 1_500_000_000
+    relocated_ns: int = 5 * NS_PER_S
     proven_ns: int = 15 * NS_PER_S
-    begun_ns: int = 4 * NS_PER_S
-    suspected: float = 0.2
-    believed: float = 0.7
-    sure: float = 0.95
-    surest: float = 0.999
-    named: float = 0.8
-    replies: int = 3
-    told_ns: int = NS_PER_S
-    held_ns: int = 400_000_000
-    unnamed_ns: int = 1_500_000_000
-    settled_ns: int = 5 * NS_PER_S
+    start_proven_ns: int = 4 * NS_PER_S
+    suspect_above: float = 0.2
+    suspicion_factor: float = 0.7
+    certain_above: float = 0.95
+    max_sureness: float = 0.999
+    name_above: float = 0.8
+    min_replies: int = 3
+    alarm_delay_ns: int = NS_PER_S
+    hold_ns: int = 400_000_000
+    name_delay_ns: int = 1_500_000_000
+    settle_delay_ns: int = 5 * NS_PER_S
 
 
 THRESHOLDS = Thresholds()

@@ -1,27 +1,24 @@
-"""Updates of a shadow: where the robot is, what is wrong with it, and how its replies deviate."""
+"""Updates of a shadow: the pose of the robot, its faults, and the deviations of its replies."""
 
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from khep_twin.log.shadow_channels import Alarm, PoseState, Suspicion
-from khep_twin.shadow.pose_estimate import PoseEstimate
+from khep_twin.shadow.pose_estimate import Floats, PoseEstimate
 from khep_twin.shadow.reckoning import Pose
 from khep_twin.units import N_SENSORS
 
-Floats = NDArray[np.float64]
-
 
 class Residuals(NamedTuple):
-    """Deviations of the last replies from what the twins expect; NaN where nothing was asked.
+    """Deviations of the last replies from the twins' expectations; NaN without a request.
 
     Attributes:
-        proximity: Readings less expected ones (8,) [counts].
-        light: Ambient readings less expected ones (8,) [counts].
-        wheels: Counters less expected ones since they were asked last, left and right (2,) [pulses].
+        proximity: Readings minus expected ones (8,) [counts].
+        light: Ambient readings minus expected ones (8,) [counts].
+        wheels: Counters minus expected ones since the last request, left and right (2,) [pulses].
         timing: Time of the reply beyond that of its bytes on the line [s].
     """
 
@@ -36,12 +33,12 @@ class Update:
     """State of a shadow after a reply with values.
 
     Attributes:
-        time_ns: Time at which the robot has read its registers, in that of the line [ns].
+        time_ns: Time at which the robot has read its registers, by the clock of the line [ns].
         estimate: Estimated pose.
         reckoned: Pose x, y [m], heading [rad] by commands alone, as the calibration's robot would drive.
         particles: Poses of equally probable particles (n, 3) [m, rad].
         expected: Expected proximity (8,) [counts].
-        measured: Proximity as replied last (8,) [counts]; NaN before the first.
+        measured: Proximity of the last reply (8,) [counts]; NaN before the first.
         residuals: Deviations of the replies.
         state: State of the estimate.
         suspected: Faults that are suspected without an alarm, the most probable first.

@@ -1,4 +1,4 @@
-"""Faults of motors and wheels, as hypotheses."""
+"""Hypotheses of faults of motors and wheels."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -6,21 +6,21 @@ from typing import ClassVar
 
 import numpy as np
 
-from khep_twin.shadow.hypotheses import Hypothesis, refined
+from khep_twin.shadow.hypotheses import Hypothesis, shrink_and_jitter
 from khep_twin.shadow.particles import Particles
 
 SIDES = ("left", "right")
 
-WEAKEST, STRONGEST = 0.06, 0.3
-"""Parts of its torque that a weak motor gives: below, the gear holds it; above, the controller makes up for
+MIN_STRENGTH, MAX_STRENGTH = 0.06, 0.3
+"""Share of its torque that a weak motor has: below, the gear holds it; above, the controller compensates for
 it, so that nothing shows at the speeds that hosts drive."""
 
-MOST_HOLD = 0.1
-"""Part of its friction that a slipping tyre has at the most: with more, hosts' speeds show little."""
+MAX_HOLD = 0.1
+"""Largest share of its friction that a slipping tyre has: with more, little shows at hosts' speeds."""
 
 
 @dataclass(frozen=True)
-class _OfWheel(Hypothesis):
+class _WheelFault(Hypothesis):
     """A fault of a motor or a wheel; 0 is left, 1 right."""
 
     channel = "wheels"
@@ -33,66 +33,69 @@ class _OfWheel(Hypothesis):
         return f"{self.kind} {SIDES[self.side]}"
 
     @property
-    def alike(self) -> str:
+    def group(self) -> str:
         """Name of the wheel."""
         return f"{SIDES[self.side]} wheel"
 
 
-class StandingWheel(_OfWheel):
-    """A wheel that stands: one without current, which yields to a push, or one that is blocked."""
+class StandingWheel(_WheelFault):
+    """A wheel that stands: without current, so that it yields to a push, or blocked."""
 
-    kind, rare = "dead motor or blocked wheel", 9.5
+    kind = "dead motor or blocked wheel"
+    log_odds_against = 9.5
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Take the current from every other motor, block the others."""
+        """Cut the current of every other motor, block the others."""
         particles.planes.strength[:, self.side] = -1
         particles.planes.strength[::2, self.side] = 0
 
     def end(self, particles: Particles) -> None:
-        """Give it back."""
+        """Restore the motor."""
         particles.planes.strength[:, self.side] = 1
 
 
-class WeakMotor(_OfWheel):
-    """A motor that gives a part of its torque."""
+class WeakMotor(_WheelFault):
+    """A motor with a part of its torque."""
 
-    kind, rare = "weak motor", 9.5
+    kind = "weak motor"
+    log_odds_against = 9.5
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Weaken the motor."""
-        particles.planes.strength[:, self.side] = rng.uniform(WEAKEST, STRONGEST, len(particles))
+        particles.planes.strength[:, self.side] = rng.uniform(MIN_STRENGTH, MAX_STRENGTH, len(particles))
 
     def end(self, particles: Particles) -> None:
-        """Strengthen it."""
+        """Restore the motor."""
         particles.planes.strength[:, self.side] = 1
 
-    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Draw its strength anew."""
-        strength = particles.planes.strength
-        strength[:, self.side] = np.clip(refined(strength[:, self.side], 0.01, rng), WEAKEST, STRONGEST)
+    def jitter(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Add noise to its strength."""
+        strength = particles.planes.strength[:, self.side]
+        strength[:] = np.clip(shrink_and_jitter(strength, 0.01, rng), MIN_STRENGTH, MAX_STRENGTH)
 
 
-class SlippingWheel(_OfWheel):
+class SlippingWheel(_WheelFault):
     """A wheel whose tyre slips on the floor."""
 
-    kind, rare = "slipping wheel", 10.0
+    kind = "slipping wheel"
+    log_odds_against = 10.0
 
     def begin(self, particles: Particles, rng: np.random.Generator) -> None:
         """Make the tyre slip."""
-        hold = MOST_HOLD * rng.uniform(0, 1, len(particles)) ** 2
-        particles.planes.robots[f"{SIDES[self.side]}_hold"] = hold
+        hold = MAX_HOLD * rng.uniform(0, 1, len(particles)) ** 2
+        particles.planes.robots[f"{SIDES[self.side]}_grip"] = hold
 
     def end(self, particles: Particles) -> None:
         """Make it grip."""
-        particles.planes.robots[f"{SIDES[self.side]}_hold"] = 1
+        particles.planes.robots[f"{SIDES[self.side]}_grip"] = 1
 
-    def refine(self, particles: Particles, rng: np.random.Generator) -> None:
-        """Draw its hold anew."""
-        hold = particles.planes.robots[f"{SIDES[self.side]}_hold"]
-        hold[:] = np.clip(refined(hold, 0.005, rng), 0, MOST_HOLD)
+    def jitter(self, particles: Particles, rng: np.random.Generator) -> None:
+        """Add noise to its hold."""
+        hold = particles.planes.robots[f"{SIDES[self.side]}_grip"]
+        hold[:] = np.clip(shrink_and_jitter(hold, 0.005, rng), 0, MAX_HOLD)
 
 
-def of_wheels() -> Iterator[Hypothesis]:
+def wheel_faults() -> Iterator[Hypothesis]:
     """Yield the faults of motors and wheels."""
     for side in range(len(SIDES)):
         yield StandingWheel(side)

@@ -1,67 +1,85 @@
-"""Watch of the wheels by the counters that H reads: those that turn less than they are told to."""
+"""Watch of the wheels by the counters that H reads: whether they turn less than commanded."""
 
 from collections import deque
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from khep_twin.log.shadow_channels import Alarm
+from khep_twin.shadow.actions import LATE_NS, CounterReply
+from khep_twin.shadow.particles import Floats
 from khep_twin.shadow.wheel_faults import StandingWheel, WeakMotor
-
-Floats = NDArray[np.float64]
 
 _WINDOW_NS = 1_000_000_000
 """Time over which pulses are summed [ns]."""
 
-_LEAST = 25.0
-"""Pulses that sound wheels turn within it, for anything to be told (assumed)."""
+_MIN_PULSES = 25.0
+"""Pulses that sound wheels turn within it at the least, for a decision (assumed)."""
 
-_STANDS, _WEAK, _SOUND = 0.05, 0.8, 0.9
-"""Parts of these pulses up to which a wheel stands, up to which its motor is weak, and from which on it is
-sound (assumed)."""
+_STANDING_BELOW, _WEAK_BELOW, _SOUND_ABOVE = 0.05, 0.8, 0.9
+"""Shares of the expected pulses below which a wheel stands, below which its motor is weak, and above which it
+is sound (assumed)."""
 
 
 class WheelWatch:
     """Watch of a robot's wheels."""
 
     def __init__(self) -> None:
-        self._told: deque[tuple[int, Floats, Floats]] = deque()
+        self._pulses: deque[tuple[int, Floats, Floats]] = deque()
         self._alarms: dict[int, Alarm] = {}
+        self._counters: Floats | None = None
+        self._was_late = False
 
     @property
     def alarms(self) -> list[Alarm]:
         """Alarms that last."""
         return list(self._alarms.values())
 
-    def forget(self) -> None:
-        """Forget the pulses so far, as the time of a reply is not certain."""
-        self._told.clear()
+    @property
+    def has_counters(self) -> bool:
+        """True if H was read since the start or the last restart."""
+        return self._counters is not None
 
-    def count(self, time_ns: int, turned: Floats, expected: Floats) -> tuple[Alarm, ...]:
-        """Take the pulses that counters have gone on since the reply before, and those of sound wheels (2,).
+    def restart(self) -> None:
+        """Take a restart of the processor, which resets the counters."""
+        self._counters = None
 
-        Return the alarms that end by it.
+    def take_counters(self, reply: CounterReply, residual: Floats) -> tuple[Alarm, ...]:
+        """Take a reply to H and its residual (2,) [pulses]; return the alarms that it ends.
+
+        After a reply whose time is uncertain the sums start again.
         """
-        self._told.append((time_ns, turned * np.sign(expected), np.abs(expected)))
-        while self._told[0][0] < time_ns - _WINDOW_NS:
-            self._told.popleft()
+        last, self._counters = self._counters, reply.counters.astype(np.float64)
+        is_late = reply.late_ns - reply.time_ns >= LATE_NS
+        was_late, self._was_late = self._was_late, is_late
+        if is_late or was_late:
+            self._pulses.clear()
+        elif last is not None:
+            turned = reply.counters - last
+            return self.update(reply.time_ns, turned, turned - residual)
+        return ()
+
+    def update(self, time_ns: int, turned: Floats, expected: Floats) -> tuple[Alarm, ...]:
+        """Take the pulses since the last reply, and those of sound wheels (2,); return alarms that end."""
+        self._pulses.append((time_ns, turned * np.sign(expected), np.abs(expected)))
+        while self._pulses[0][0] < time_ns - _WINDOW_NS:
+            self._pulses.popleft()
         ended: list[Alarm] = []
-        since_ns = self._told[0][0]
+        since_ns = self._pulses[0][0]
         for side in range(2):
-            whole = sum(float(each[side]) for _, _, each in self._told)
-            if whole < _LEAST:
+            expected_sum = sum(float(pulses[side]) for _, _, pulses in self._pulses)
+            if expected_sum < _MIN_PULSES:
                 continue
-            part = sum(float(each[side]) for _, each, _ in self._told) / whole
+            share = sum(float(pulses[side]) for _, pulses, _ in self._pulses) / expected_sum
             alarm = self._alarms.get(side)
-            if alarm is not None and part > _SOUND:
+            if alarm is not None and share > _SOUND_ABOVE:
                 ended.append(replace(self._alarms.pop(side), ended_ns=time_ns))
-            elif part < _WEAK and time_ns - since_ns > _WINDOW_NS // 2:
-                fault = StandingWheel(side).name if part < _STANDS else WeakMotor(side).name
+            elif share < _WEAK_BELOW and time_ns - since_ns > _WINDOW_NS // 2:
+                fault = StandingWheel(side).name if share < _STANDING_BELOW else WeakMotor(side).name
                 # A wheel that comes to a stand looks weak at first.
                 if alarm is None or fault == StandingWheel(side).name != alarm.fault:
-                    begun_ns = since_ns if alarm is None else alarm.since_ns
+                    start_ns = since_ns if alarm is None else alarm.since_ns
                     if alarm is not None:
                         ended.append(replace(alarm, ended_ns=time_ns))
-                    self._alarms[side] = Alarm(fault, "wheels", begun_ns, time_ns, 0.98)
+                    self._alarms[side] = Alarm(fault, "wheels", start_ns, time_ns, 0.98)
         return tuple(ended)

@@ -32,7 +32,7 @@ from khep_twin.simulation.fitted_robots import FittedRobots
 from khep_twin.simulation.physics_state import IN_A_RUN, fingerprint
 from khep_twin.simulation.simulation import NO_LIGHT
 from khep_twin.status_line import announced
-from khep_twin.step import WARNED, RobotState, Timing
+from khep_twin.step import Reason, RobotState, Timing
 
 Floats = NDArray[np.float64]
 
@@ -183,7 +183,7 @@ class MujocoForms:
 
     def trouble(self, reason: int) -> str:
         """Return a sentence on why the physics cannot go on."""
-        if reason == WARNED:
+        if reason == Reason.WARNED:
             kind = mujoco.mjtWarning(int(np.flatnonzero(self._data.warning.number)[0])).name
             return f"MuJoCo warns of {kind}"
         places, speeds = np.abs(self._data.xpos).max(), np.abs(self._data.qvel).max()

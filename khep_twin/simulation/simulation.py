@@ -86,7 +86,7 @@ class SimulationState(NamedTuple):
     """
 
     steps: Annotated[int, Field(ge=0, lt=2**62)]
-    phase: Annotated[int, Field(ge=step.DONE, le=step.TICKED)]
+    phase: Annotated[int, Field(ge=step.Phase.DONE, le=step.Phase.TICKED)]
     keys: tuple[Annotated[int, Field(ge=0, lt=2**64)], ...]
     drawn: Annotated[int, Field(ge=0, lt=2**62)]
 
@@ -250,15 +250,15 @@ class Simulation:
         if lamps is not None and not (lamps.steady or by_turns) and until > self._powered:
             self._power(lamps.rows(self.steps, until, self.plain.timing.step_ns))
             self._powered = until
-        wanted = stops | step.STEPPED if by_turns else stops
+        wanted = stops | step.Stop.STEPPED if by_turns else stops
         while True:
             end = min(until, int(self.counters[step.STEPS]) + _SPAN)
             reason = self.checked(self._run(*self._arguments, end, wanted))
-            if by_turns and reason == step.STEPPED:
+            if by_turns and reason == step.Reason.STEPPED:
                 self._switch_lamps()
-                if not stops & step.STEPPED:
+                if not stops & step.Stop.STEPPED:
                     continue
-            if reason != step.DONE or end >= until:
+            if reason != step.Reason.DONE or end >= until:
                 return reason
 
     def scan(self, first: int) -> None:
@@ -279,10 +279,10 @@ class Simulation:
         Raises:
             DivergedError: The run has ended.
         """
-        if reason < step.WARNED:
+        if reason < step.Reason.WARNED:
             return reason
         trouble = "a controller gave a speed that is no number, or raised an error"
-        if reason != step.NO_SPEED:
+        if reason != step.Reason.NO_SPEED:
             trouble = self._scene.trouble(reason)
         time_s = self.steps * self.plain.timing.step_ns / 1e9
         raise DivergedError(f"{self.title} failed at {time_s:.4f} s, step {self.steps}: {trouble}")

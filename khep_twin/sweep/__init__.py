@@ -1,4 +1,4 @@
-"""Studies over many rollouts, in processes that may die."""
+"""Studies: many episodes in parallel, in threads or in worker processes that may die."""
 
 from typing import TYPE_CHECKING
 

@@ -1,7 +1,7 @@
 """Programs, measures and genomes of a study.
 
-Functions are sent as text, so that workers need none of their files; genomes are from files beside the study,
-or drawn at random.
+Functions are sent to workers as source text, so that these need no files. Genomes are read from files beside
+the study, or drawn at random.
 """
 
 import hashlib
@@ -28,7 +28,7 @@ from khep_twin.sweep.study import NetworkTable, StudyFile
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A function in a file's text, defined by the worker; a controller has a memory of this length."""
+    """Function in a file's source text, defined by the worker; `memory` is the length of a controller's."""
 
     text: str
     file: str
@@ -37,12 +37,12 @@ class Program:
 
 
 def driver_of(driver: Driver | Program) -> Driver:
-    """Return a controller, defined and cached if it is a program."""
-    return _compiled(driver) if isinstance(driver, Program) else driver
+    """Return a controller; a program is executed and cached."""
+    return _cached_driver(driver) if isinstance(driver, Program) else driver
 
 
 @lru_cache(maxsize=16)
-def _compiled(program: Program) -> Driver:
+def _cached_driver(program: Program) -> Driver:
     return Function(function_of(program), program.memory)
 
 
@@ -51,7 +51,7 @@ def function_of(program: Program) -> Callable[..., Any]:
     """Return the Python function.
 
     Raises:
-        ControllerError: The text fails, or has no such function.
+        ControllerError: The text raises an error, or does not define the function.
     """
     name = f"khep_twin_study_{hashlib.sha256(program.text.encode()).hexdigest()[:16]}"
     module = ModuleType(name)
@@ -64,38 +64,38 @@ def function_of(program: Program) -> Callable[..., Any]:
         if is_interruption(error):
             raise
         raise ControllerError(f"{program.file}: {in_a_line(error)}") from error
-    found: object = vars(module).get(program.function)
-    if not callable(found):
-        offers = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
-        raise ControllerError(f"no function {program.function!r}; {choices(program.function, offers)}")
-    return found
+    member: object = vars(module).get(program.function)
+    if not callable(member):
+        names = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
+        raise ControllerError(f"no function {program.function!r}; {choices(program.function, names)}")
+    return member
 
 
 def genomes_of(file: StudyFile, kind: Literal["network", "program"], index: int) -> Floats:
-    """Return the genomes of one of a study's controllers (n, n_genes); n_genes is 0 for a program without."""
+    """Return the genomes of one of a study's controllers (n, n_genes); n_genes is 0 if it has none."""
     table = file.study.networks[index] if kind == "network" else file.study.programs[index]
-    wanted = table.network().n_genes if isinstance(table, NetworkTable) else None
+    n_genes = table.network().n_genes if isinstance(table, NetworkTable) else None
     if isinstance(table, NetworkTable) and table.drawn is not None:
         rng = stream(table.drawn_seed, "genomes", table.name)
-        return rng.normal(0.0, table.drawn_sd, (table.drawn, wanted or 0))
+        return rng.normal(0.0, table.drawn_sd, (table.drawn, n_genes or 0))
     if table.genomes is None:
         return np.zeros((1, 0))
     location = (kind, index, "genomes")
     key = f"{kind} {index + 1}: genomes = {show(table.genomes)}"
     try:
-        found = _read(file.folder / table.genomes)
-    except (OSError, ValueError, TypeError) as trouble:
-        reason = (trouble.strerror if isinstance(trouble, OSError) else None) or str(trouble)
+        genomes = _read_genomes(file.folder / table.genomes)
+    except (OSError, ValueError, TypeError) as error:
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
         raise file.error(location, f"{key}: cannot be read: {reason.splitlines()[0]}") from None
-    if found.ndim != 2 or 0 in found.shape or (wanted is not None and found.shape[1] != wanted):
-        right = "finite numbers" if wanted is None else f"rows of {wanted} numbers"
-        raise file.error(location, f"{key}: shape {found.shape}; expected {right}")
-    if not np.isfinite(found).all():
+    if genomes.ndim != 2 or 0 in genomes.shape or (n_genes is not None and genomes.shape[1] != n_genes):
+        expected = "finite numbers" if n_genes is None else f"rows of {n_genes} numbers"
+        raise file.error(location, f"{key}: shape {genomes.shape}; expected {expected}")
+    if not np.isfinite(genomes).all():
         raise file.error(location, f"{key}: NaN or infinity; expected finite numbers")
-    return found
+    return genomes
 
 
-def _read(path: Path) -> Floats:
+def _read_genomes(path: Path) -> Floats:
     """Return a table of numbers; a single row is accepted."""
     data = read_regular(path)
     if path.suffix == ".npy":

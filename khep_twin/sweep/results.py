@@ -1,10 +1,10 @@
-"""A sweep's folder: a part for each finished task, then one table of all.
+"""A sweep's folder: one part file per finished task, joined into one table at the end.
 
     study.json                    the study, and the number of its tasks
     parts/task-000012.parquet     results of a task, written atomically
     results.parquet               all episodes in order; the parts are deleted when it is complete
 
-A part's name is its task's number, and its content depends on the study alone: a task that was run twice has
+A part is named by its task's number, and its content depends only on the study: a task that was run twice has
 one part. The same study gives the same bytes of results.parquet, after any interruptions.
 """
 
@@ -34,19 +34,19 @@ from khep_twin.sweep.study import COLUMNS
 _STUDY, _TASK = b"khep_twin.study", b"khep_twin.task"
 
 _TYPES = {"failed_step": pa.int64(), "failure": pa.string()}
-"""Types of columns that may have no value at all."""
+"""Types of columns that may be entirely empty."""
 
-_MOST_ROWS = 12
-"""Most rows of means in a summary."""
+_MAX_ROWS = 12
+"""Largest number of rows of means in a summary."""
 
 
-def encoded(work: Work, task: Shard, columns: Columns) -> bytes:
+def encode_part(work: Work, task: Shard, columns: Columns) -> bytes:
     """Return a task's results as the bytes of its part."""
     # NaN is stored as a missing value.
     arrays = {name: pa.array(values, _TYPES.get(name), from_pandas=True) for name, values in columns.items()}
-    marked = pa.table(arrays).replace_schema_metadata({_STUDY: work.digest, _TASK: str(task.index)})
+    table = pa.table(arrays).replace_schema_metadata({_STUDY: work.digest, _TASK: str(task.index)})
     file = io.BytesIO()
-    pq.write_table(marked, file)
+    pq.write_table(table, file)
     return file.getvalue()
 
 
@@ -54,12 +54,13 @@ class SweepFolder:
     """Folder of a sweep's results."""
 
     def __init__(self, path: Path, work: Work) -> None:
-        self._path, self._work = path, work
+        self._path = path
+        self._work = work
         self._parts = path / "parts"
         self.table = path / "results.parquet"
 
     @contextmanager
-    def opened(self, resume: bool) -> Generator[None]:
+    def open(self, resume: bool) -> Generator[None]:
         """Create or resume the folder, locked for this process.
 
         Raises:
@@ -72,7 +73,7 @@ class SweepFolder:
             raise StudyError(f"{self._path}: cannot be created: {error.strerror}") from error
         try:
             self._lock(descriptor)
-            self._begin(resume)
+            self._prepare(resume)
             yield
         finally:
             os.close(descriptor)
@@ -80,24 +81,24 @@ class SweepFolder:
     def missing(self) -> list[Shard]:
         """Return the tasks without complete results."""
         if self.table.exists():
-            if not self._holds(self.table, self._work.n_episodes):
+            if not self._is_complete(self.table, self._work.n_episodes):
                 raise StudyError(f"{self.table}: damaged; delete it, and use --resume")
             return []
         return [
             task
             for task in self._work.tasks
-            if not self._holds(self._part(task), task.count, str(task.index).encode())
+            if not self._is_complete(self._part_path(task), task.count, str(task.index).encode())
         ]
 
-    def keep(self, task: Shard, data: bytes) -> None:
+    def save(self, task: Shard, data: bytes) -> None:
         """Store a task's results."""
-        write_whole(self._part(task), data)
+        write_whole(self._part_path(task), data)
 
     def finish(self) -> Path:
-        """Join all parts to one table; return its path.
+        """Join all parts into one table; return its path.
 
         Raises:
-            StudyError: The table cannot be written, or an episode is missing or duplicate; the parts stay.
+            StudyError: The table cannot be written, or an episode is missing or duplicate; parts are kept.
         """
         if not self.table.exists():
             self._join()
@@ -105,7 +106,7 @@ class SweepFolder:
         return self.table
 
     def _lock(self, descriptor: int) -> None:
-        """Lock the folder; the lock ends with the process, even if that is killed."""
+        """Lock the folder; the system releases the lock when the process ends or is killed."""
         try:
             lock(descriptor)
         except BlockingIOError:
@@ -113,28 +114,28 @@ class SweepFolder:
         except OSError as error:
             raise StudyError(f"{self._path}: cannot be locked: {error.strerror}") from error
 
-    def _begin(self, resume: bool) -> None:
+    def _prepare(self, resume: bool) -> None:
         file, work = self._path / "study.json", self._work
-        known = _json(file)
-        # A sweep that was killed at once may have left a part of its file.
-        there = sorted(self._path.iterdir())
-        left = [path for path in there if is_part(path, file)]
-        found = [path for path in there if path not in left]
-        if known is None and found:
-            raise StudyError(f"{self._path}: holds {found[0].name} and no study.json; expected a new folder")
-        for path in left:
+        previous = _read_json(file)
+        # A sweep killed at its start may have left an incomplete study.json.
+        entries = sorted(self._path.iterdir())
+        leftovers = [path for path in entries if is_part(path, file)]
+        files = [path for path in entries if path not in leftovers]
+        if previous is None and files:
+            raise StudyError(f"{self._path}: holds {files[0].name} and no study.json; expected a new folder")
+        for path in leftovers:
             path.unlink(missing_ok=True)
         # A study without results, as with a program that does not compile, may be corrected and restarted.
-        if known is None or not self._has_results():
-            told = {
+        if previous is None or not self._has_results():
+            description = {
                 "name": work.study.name,
                 "episodes": work.n_episodes,
                 "tasks": len(work.tasks),
                 "khep_twin": __version__,
                 "digest": work.digest,
             }
-            write_whole(file, (json.dumps(told, indent=2) + "\n").encode())
-        elif known.get("digest") != work.digest:
+            write_whole(file, (json.dumps(description, indent=2) + "\n").encode())
+        elif previous.get("digest") != work.digest:
             raise StudyError(
                 f"{self._path}: holds results of another study, or of this one before it changed; expected a "
                 "new folder"
@@ -144,7 +145,7 @@ class SweepFolder:
                 f"{self._path}: holds results of this study already; expected --resume, or a new folder"
             )
         if self.table.exists():
-            return  # no part is written any more, and a kill would leave the folder
+            return  # no more parts are written, and a kill would leave the empty folder
         try:
             self._parts.mkdir(exist_ok=True)
         except OSError as error:
@@ -154,49 +155,49 @@ class SweepFolder:
         """Return whether there are results, of any study."""
         return self.table.exists() or (self._parts.is_dir() and any(self._parts.iterdir()))
 
-    def _part(self, task: Shard) -> Path:
+    def _part_path(self, task: Shard) -> Path:
         return self._parts / f"task-{task.index:06}.parquet"
 
-    def _holds(self, file: Path, n_episodes: int, task: bytes | None = None) -> bool:
+    def _is_complete(self, file: Path, n_episodes: int, task: bytes | None = None) -> bool:
         """Return whether a file is complete, with the episodes of this study."""
         try:
             with open_regular(file) as content:
-                known = pq.read_metadata(content)
+                footer = pq.read_metadata(content)
         except (OSError, pa.ArrowInvalid):
             return False
-        told = known.metadata or {}
-        ours = told.get(_STUDY) == self._work.digest.encode() and told.get(_TASK) == task
-        return ours and known.num_rows == n_episodes
+        metadata = footer.metadata or {}
+        is_same_work = metadata.get(_STUDY) == self._work.digest.encode() and metadata.get(_TASK) == task
+        return is_same_work and footer.num_rows == n_episodes
 
     def _join(self) -> None:
-        scratch = self.table.with_name(f".{self.table.name}.part")
+        part_table = self.table.with_name(f".{self.table.name}.part")
         schema = self._read(self._work.tasks[0]).schema
         try:
-            with pq.ParquetWriter(scratch, schema) as writer:
+            with pq.ParquetWriter(part_table, schema) as writer:
                 for task in self._work.tasks:
                     writer.write_table(self._read(task))
             # The table must be on disk before the parts are deleted, in case of a power failure.
-            with scratch.open("rb") as file:
+            with part_table.open("rb") as file:
                 os.fsync(file.fileno())
-            placed = put(scratch, self.table, None)
+            written_path = put(part_table, self.table, None)
         except OSError as error:
             raise StudyError(f"{self.table}: cannot be written: {error.strerror or error}") from error
         finally:
-            scratch.unlink(missing_ok=True)
-        if placed != self.table:
-            raise StudyError(kept_both(self.table, placed))
+            part_table.unlink(missing_ok=True)
+        if written_path != self.table:
+            raise StudyError(kept_both(self.table, written_path))
 
     def _read(self, task: Shard) -> pa.Table:
-        """Return a part; check that it has each of its episodes once."""
-        file = self._part(task)
+        """Return a part; check that it holds each of its episodes once."""
+        file = self._part_path(task)
         try:
-            # read_table would turn folders such as a=1 into columns.
+            # read_table would turn folder names like a=1 into columns.
             with pq.ParquetFile(file) as part:
                 table = part.read()
-            whole = table["episode"].to_pylist() == list(range(task.first, task.first + task.count))
+            is_complete = table["episode"].to_pylist() == list(range(task.first, task.first + task.count))
         except (OSError, pa.ArrowException):
-            table, whole = pa.table({}), False
-        if not whole:
+            table, is_complete = pa.table({}), False
+        if not is_complete:
             raise StudyError(
                 f"{file}: does not hold episodes {task.first} to {task.first + task.count - 1}, each once; "
                 "delete it, and use --resume"
@@ -211,24 +212,24 @@ def summary(table: Path) -> Iterator[str]:
     yield f"{results.num_rows} episodes, {results.num_rows - results['failure'].null_count} failed; means:"
     groups = results.group_by(["playpen", "controller"], use_threads=False)
     rows = groups.aggregate([(name, "mean") for name in measures]).to_pylist()
-    for row in rows[:_MOST_ROWS]:
+    for row in rows[:_MAX_ROWS]:
         means = [(name, row[f"{name}_mean"]) for name in measures]
-        told = [f"{name} {mean:.4g}" for name, mean in means if mean is not None]
-        yield "  ".join([row["playpen"], row["controller"], *told])
-    if len(rows) > _MOST_ROWS:
-        yield f"and {len(rows) - _MOST_ROWS} more"
+        texts = [f"{name} {mean:.4g}" for name, mean in means if mean is not None]
+        yield "  ".join([row["playpen"], row["controller"], *texts])
+    if len(rows) > _MAX_ROWS:
+        yield f"and {len(rows) - _MAX_ROWS} more"
 
 
-def _json(file: Path) -> dict[str, object] | None:
+def _read_json(file: Path) -> dict[str, object] | None:
     """Return the content of a file; None if there is no file."""
     try:
-        found = json.loads(read_regular(file))
+        content = json.loads(read_regular(file))
     except FileNotFoundError:
         return None
     except (OSError, ValueError):
-        found = None
-    if not isinstance(found, dict):
+        content = None
+    if not isinstance(content, dict):
         raise StudyError(
             f"{file}: cannot be read, so the study of these results is unknown; expected a new folder"
         )
-    return found  # pyright: ignore[reportUnknownVariableType]
+    return content  # pyright: ignore[reportUnknownVariableType]

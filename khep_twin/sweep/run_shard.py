@@ -1,4 +1,4 @@
-"""Episodes of a task, run and returned as columns."""
+"""Runs a task's episodes, and returns their results as columns."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -24,9 +24,9 @@ NS_PER_MS = 1_000_000
 
 
 def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
-    """Run a task on some threads, None for one per core; return a row for each episode in order.
+    """Run a task; return one row per episode, in order.
 
-    The results are the same with any number of threads.
+    The results do not depend on the number of threads; None stands for one per core.
     """
     study, group = work.study, work.groups[task.group]
     controller = work.controllers[group.controller]
@@ -38,13 +38,13 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
         study.step_ms,
         study.period_ms,
     )
-    metrics = np.arange(task.first - group.first, task.first - group.first + task.count)
-    others, seeds = np.divmod(metrics, study.seeds)
-    genomes, which = np.divmod(others, len(group.starts))
+    indices = np.arange(task.first - group.first, task.first - group.first + task.count)
+    combinations, seeds = np.divmod(indices, study.seeds)
+    genomes, start_indices = np.divmod(combinations, len(group.starts))
     seeds += study.first_seed
     # np.divmod is typed for single numbers only.
-    words: list[str] = [group.starts[each] for each in which.tolist()]  # pyright: ignore
-    begins = [_begin(setup, word, seed) for word, seed in zip(words, seeds.tolist(), strict=True)]
+    start_names: list[str] = [group.starts[index] for index in start_indices.tolist()]  # pyright: ignore
+    starts = [_start(setup, name, seed) for name, seed in zip(start_names, seeds.tolist(), strict=True)]
     home = study.home
     results = rollout(
         setup,
@@ -52,7 +52,7 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
         seeds.tolist(),
         study.seconds,
         genes=controller.genomes[genomes],
-        starts=begins,
+        starts=starts,
         line=study.line_baud,
         options=EpisodeOptions(
             noise=group.noise,
@@ -62,7 +62,7 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
         device=study.device,
         threads=threads,
     )
-    failed = {failure.index: failure for failure in results.failures}
+    failures = {failure.index: failure for failure in results.failures}
     count = task.count
     return {
         "episode": np.arange(task.first, task.first + count),
@@ -73,35 +73,35 @@ def run_shard(work: Work, task: Shard, threads: int | None = 1) -> Columns:
         "noise": np.full(count, group.noise),
         "vary": np.full(count, group.vary),
         "lighting": [group.lighting] * count,
-        "start": words,
-        "start_x_mm": np.array([begin[0] for begin in begins], np.float64),
-        "start_y_mm": np.array([begin[1] for begin in begins], np.float64),
-        "start_heading_deg": np.array([begin[2] for begin in begins], np.float64),
+        "start": start_names,
+        "start_x_mm": np.array([start[0] for start in starts], np.float64),
+        "start_y_mm": np.array([start[1] for start in starts], np.float64),
+        "start_heading_deg": np.array([start[2] for start in starts], np.float64),
         **{name: results.metrics[name] for name in study.fitness},
-        **{name: measured(measure, results) for name, measure in work.measures},
+        **{name: evaluate(measure, results) for name, measure in work.measures},
         "end_x_m": results.poses[:, 0],
         "end_y_m": results.poses[:, 1],
         "end_heading_rad": results.poses[:, 2],
-        "failed_step": [failed[i].step if i in failed else None for i in range(count)],
-        "failure": [failed[i].reason if i in failed else None for i in range(count)],
+        "failed_step": [failures[i].step if i in failures else None for i in range(count)],
+        "failure": [failures[i].reason if i in failures else None for i in range(count)],
     }
 
 
-def measured(measure: Program, results: RolloutResult) -> Floats:
+def evaluate(measure: Program, results: RolloutResult) -> Floats:
     """Return the values of a user's function for each episode (n,); NaN for those that failed.
 
-    The arguments are an episode's metrics by name, its board's registers (N_REGISTERS,) and its final pose
-    x, y [m] and heading [rad], in plain Python.
+    The function takes an episode's metrics by name, its board's registers (N_REGISTERS,) and its final pose
+    x, y [m] and heading [rad], and runs in pure Python.
     """
     function = function_of(measure)
-    found = np.full(len(results.poses), np.nan)
-    failed = {failure.index for failure in results.failures}
-    for index in range(len(found)):
-        if index in failed:
+    column = np.full(len(results.poses), np.nan)
+    failed_indices = {failure.index for failure in results.failures}
+    for index in range(len(column)):
+        if index in failed_indices:
             continue
         metrics = {name: float(values[index]) for name, values in results.metrics.items()}
         try:
-            found[index] = float(
+            column[index] = float(
                 function(metrics, results.registers[index].copy(), tuple(results.poses[index].tolist()))
             )
         except BaseException as error:  # the user's own function may raise anything
@@ -109,19 +109,20 @@ def measured(measure: Program, results: RolloutResult) -> Floats:
                 raise
             where = f"{measure.file}:{measure.function}"
             raise ControllerError(f"{where}: {in_a_line(error)}") from error
-    return found
+    return column
 
 
-def _begin(setup: EpisodeSetup, word: str, seed: int) -> Start:
-    if word == "playpen":
+def _start(setup: EpisodeSetup, name: str, seed: int) -> Start:
+    if name == "playpen":
         return setup.start(seed)
-    return start_poses.starts([word], setup.playpen, 0, 1, seed)[0]
+    return start_poses.starts([name], setup.playpen, 0, 1, seed)[0]
 
 
 @lru_cache(maxsize=4)
 def _setup(
     text: str, lighting: str, planar: bool, at_line: bool, step_ms: float | None, period_ms: int
 ) -> EpisodeSetup:
-    place = start_poses.lit(playpen.parse(text, "a study's playpen"), "off" if lighting == "off" else None)
+    override = "off" if lighting == "off" else None
+    study_playpen = start_poses.with_lighting(playpen.parse(text, "a study's playpen"), override)
     step_ns, period_ns = None if step_ms is None else round(step_ms * NS_PER_MS), period_ms * NS_PER_MS
-    return EpisodeSetup(place, step_ns=step_ns, period_ns=period_ns, planar=planar, at_line=at_line)
+    return EpisodeSetup(study_playpen, step_ns=step_ns, period_ns=period_ns, planar=planar, at_line=at_line)

@@ -1,8 +1,8 @@
-"""A study as work: all its episodes in one order, divided into independent tasks.
+"""A study as work: all its episodes in a fixed order, divided into independent tasks.
 
 Episodes are numbered from 0 by playpen, controller, noise, vary, lighting, genome, start and seed; the last
 varies fastest. A task is a range of these numbers with one playpen, controller, noise, vary and lighting. Its
-results depend on the study alone.
+results depend only on the study.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ import numpy as np
 
 from khep_twin import __version__, playpen
 from khep_twin.episodes.controllers import Braitenberg, Driver, Floats, Network
-from khep_twin.episodes.device import refusal
+from khep_twin.episodes.device import find_unsupported
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.network_file import SUFFIX
 from khep_twin.errors import ControllerError, KhepTwinError, PlaypenError
@@ -26,12 +26,12 @@ from khep_twin.lab.experiment import start_poses
 from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration
 from khep_twin.sweep.programs import Program, function_of, genomes_of
-from khep_twin.sweep.study import Study, StudyFile, checked
+from khep_twin.sweep.study import Study, StudyFile, study_error
 
 
 @dataclass(frozen=True, slots=True)
 class ControllerSpec:
-    """One of a study's controllers: name in the results, controller or program, and genomes (n, n_genes)."""
+    """Controller of a study: name in the results, controller or program, and genomes (n, n_genes)."""
 
     name: str
     driver: Driver | Program
@@ -40,16 +40,16 @@ class ControllerSpec:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Episodes that differ by genome, start and seed alone.
+    """Episodes that differ only by genome, start and seed.
 
     Attributes:
         playpen: Index of the study's playpen.
         controller: Index of the study's controller.
         noise: Whether sensors are noisy.
-        vary: Whether each episode has another robot of the same make.
+        vary: Whether each episode has another robot of the same model.
         lighting: "all" or "off".
-        starts: Words for the starts; "playpen" and "random" depend on the seed.
-        first: Number of its first episode.
+        starts: Texts of the starts; "playpen" and "random" depend on the seed.
+        first: Number of the first episode.
         count: Number of episodes.
     """
 
@@ -70,7 +70,7 @@ class Shard:
     Attributes:
         index: Index of the task, from 0.
         group: Index of the group.
-        first: Number of its first episode, among all.
+        first: Number of the first episode, among all.
         count: Number of episodes.
     """
 
@@ -82,11 +82,11 @@ class Shard:
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """Data for a process to run any of a study's tasks.
+    """Data by which a process can run any of a study's tasks.
 
     Attributes:
         study: Content of the study.
-        playpens: Playpens as texts, equal if the playpens are.
+        playpens: Playpens as TOML texts; equal playpens have equal texts.
         controllers: All controllers.
         measures: Names and functions of the user's metrics.
         groups: All groups.
@@ -127,41 +127,41 @@ def work_of(file: StudyFile) -> Work:
     groups: list[Group] = []
     first = 0
     grid = study.grid
-    starts = [tuple(_starts(file, each)) for each in playpens]
+    starts = [tuple(_starts(file, model)) for model in playpens]
     points = itertools.product(
         range(len(playpens)), range(len(controllers)), grid.noise, grid.vary, grid.lighting
     )
-    for place, controller, noise, vary, lighting in points:
-        count = len(controllers[controller].genomes) * len(starts[place]) * study.seeds
-        groups.append(Group(place, controller, noise, vary, lighting, starts[place], first, count))
+    for number, controller, noise, vary, lighting in points:
+        count = len(controllers[controller].genomes) * len(starts[number]) * study.seeds
+        groups.append(Group(number, controller, noise, vary, lighting, starts[number], first, count))
         first += count
     tasks: list[Shard] = []
     for number, group in enumerate(groups):
         end = group.first + group.count
         for start in range(group.first, end, study.rollouts_per_task):
             tasks.append(Shard(len(tasks), number, start, min(study.rollouts_per_task, end - start)))
-    texts = tuple(playpen.dump(each) for each in playpens)
+    texts = tuple(playpen.dump(model) for model in playpens)
     measures = tuple(
         (table.name, _program(file, "measure", index, table.file))
         for index, table in enumerate(study.measures)
     )
     work = Work(study, texts, controllers, measures, tuple(groups), tuple(tasks), "", versions())
-    measured = [calibration.read(each.robots[0].calibration)[1] for each in playpens]
-    return replace(work, digest=_digest(work, measured))
+    calibrations = [calibration.read(model.robots[0].calibration)[1] for model in playpens]
+    return replace(work, digest=_digest(work, calibrations))
 
 
 def _playpen(file: StudyFile, name: str) -> Playpen:
     """Return one of a study's playpens, by the name of a shipped one or by path."""
     try:
-        found = Playpen.load(name if name in playpen.names() else file.folder / name)
-        if len(found.robots) > 1:
-            raise PlaypenError(f"{found.name}: {len(found.robots)} robots; expected one in a study")
-        setup = EpisodeSetup(found, planar=file.study.planar)  # raises early for unsupported features
-        if file.study.device == "cuda" and (trouble := refusal(setup, Braitenberg(), None)):
-            raise PlaypenError(f'device = "cuda": {trouble}')
+        model = Playpen.load(name if name in playpen.names() else file.folder / name)
+        if len(model.robots) > 1:
+            raise PlaypenError(f"{model.name}: {len(model.robots)} robots; expected one in a study")
+        setup = EpisodeSetup(model, planar=file.study.planar)  # raises early for unsupported features
+        if file.study.device == "cuda" and (reason := find_unsupported(setup, Braitenberg(), None)):
+            raise PlaypenError(f'device = "cuda": {reason}')
     except KhepTwinError as error:
-        raise checked(file, ("playpens",), f'playpens: "{name}"', error) from None
-    return found
+        raise study_error(file, ("playpens",), f'playpens: "{name}"', error) from None
+    return model
 
 
 def _controllers(file: StudyFile) -> Iterator[ControllerSpec]:
@@ -172,7 +172,7 @@ def _controllers(file: StudyFile) -> Iterator[ControllerSpec]:
         try:
             network = Network.load(file.folder / name)
         except ControllerError as error:
-            raise checked(file, ("controllers",), f'controllers: "{name}"', error) from None
+            raise study_error(file, ("controllers",), f'controllers: "{name}"', error) from None
         yield ControllerSpec(name, network, np.array([network.genes]))
     for index, table in enumerate(file.study.networks):
         yield ControllerSpec(table.name, table.network(), genomes_of(file, "network", index))
@@ -184,42 +184,42 @@ def _controllers(file: StudyFile) -> Iterator[ControllerSpec]:
 def _program(file: StudyFile, kind: str, index: int, name: str, memory: int = 0) -> Program:
     """Return the program of a study's FILE.py:NAME."""
     path, _, function = name.rpartition(":")
-    place, key = (kind, index, "file"), f'{kind} {index + 1}: file = "{name}"'
+    location, key = (kind, index, "file"), f'{kind} {index + 1}: file = "{name}"'
     try:
         program = Program(decode(read_regular(file.folder / path)), path, function, memory)
         function_of(program)
-    except (OSError, ValueError) as trouble:
-        reason = getattr(trouble, "strerror", None) or trouble
-        raise file.error(place, f"{key}: cannot be read: {reason}") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise file.error(location, f"{key}: cannot be read: {reason}") from None
     except ControllerError as error:
-        raise checked(file, place, key, error) from None
+        raise study_error(file, location, key, error) from None
     return program
 
 
-def _starts(file: StudyFile, place: Playpen) -> Iterator[str]:
-    """Yield a word for each start in a playpen; a grid has one for each of its positions."""
-    for wanted in file.study.grid.starts:
-        if wanted in ("playpen", "random"):
-            yield wanted
+def _starts(file: StudyFile, model: Playpen) -> Iterator[str]:
+    """Yield a text for each start in a playpen; a grid has one per position."""
+    for spec in file.study.grid.starts:
+        if spec in ("playpen", "random"):
+            yield spec
             continue
         try:
-            yield from (str(start) for start in start_poses.starts([wanted], place, 0, 1, 0))
+            yield from (str(start) for start in start_poses.starts([spec], model, 0, 1, 0))
         except KhepTwinError as error:
-            raise checked(file, ("grid", "starts"), f"starts, in {place.name}", error) from None
+            raise study_error(file, ("grid", "starts"), f"starts, in {model.name}", error) from None
 
 
-def _digest(work: Work, measured: list[str]) -> str:
-    """Return a hash of all that results depend on: the study, its files, and the versions of the physics."""
-    told: list[object] = [
+def _digest(work: Work, calibrations: list[str]) -> str:
+    """Return a hash of everything that results depend on: the study, its files, and the versions."""
+    content: list[object] = [
         __version__,
         mujoco.__version__,
         work.study.model_dump(mode="json", exclude={"output"}),
     ]
-    told += [list(work.playpens), measured, [[name, measure.text] for name, measure in work.measures]]
+    content += [list(work.playpens), calibrations, [[name, measure.text] for name, measure in work.measures]]
     for controller in work.controllers:
         genomes = hashlib.sha256(controller.genomes.tobytes()).hexdigest()
         program = controller.driver.text if isinstance(controller.driver, Program) else ""
         if isinstance(controller.driver, Network) and controller.driver.genes:  # of a file, not of the study
             program = repr(controller.driver)
-        told.append([controller.name, controller.genomes.shape, genomes, program])
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+        content.append([controller.name, controller.genomes.shape, genomes, program])
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Studies: the episodes of a sweep, as a TOML file.
+"""Studies: TOML files that define the episodes of a sweep.
 
     version = 1
     name = "noise"
@@ -36,7 +36,7 @@ from khep_twin.files.toml_files import Name, Problems, TomlTable, show
 from khep_twin.files.toml_lines import LineNumbers
 from khep_twin.randomness import SEED_LIMIT
 
-# Type checkers want a list that is written out; pydantic takes the tuple, and suggests what was meant.
+# Type checkers accept only literal choices; pydantic accepts the tuple, and suggests similar names.
 if TYPE_CHECKING:
     Fitness = str
 else:
@@ -87,7 +87,7 @@ class ProgramTable(TomlTable):
 
 
 class MeasureTable(TomlTable):
-    """A `[[measure]]`: a user's fitness, a function of an episode's end (`run_shard.measured`)."""
+    """A `[[measure]]`: a user's fitness, a function of an episode's end (`run_shard.evaluate`)."""
 
     name: Name
     file: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$", description="FILE.py:NAME")]
@@ -112,7 +112,7 @@ class Home(TomlTable):
 
 
 class Study(TomlTable):
-    """A whole study."""
+    """Content of a study."""
 
     version: Annotated[int, Field(ge=1, le=1, description="1")]
     name: Name
@@ -153,8 +153,8 @@ class Study(TomlTable):
         try:
             n_steps(to_ns(self.seconds), self.period_ms * 1_000_000)
         except ValueError:
-            wanted = f"whole control periods of {self.period_ms} ms"
-            yield Problem.of(("seconds",), f"seconds = {self.seconds:g}", wanted)
+            expected = f"whole control periods of {self.period_ms} ms"
+            yield Problem.of(("seconds",), f"seconds = {self.seconds:g}", expected)
         for name in self.controllers:
             if name != "braitenberg" and not name.endswith(SUFFIX):
                 choices = ("braitenberg", f"a network's FILE{SUFFIX}")
@@ -164,25 +164,25 @@ class Study(TomlTable):
         if "homing" in self.fitness and self.home is None:
             yield Problem(("fitness",), 'fitness = "homing": there is no [home]')
         for key, values in self._lists():
-            for value in sorted({str(each) for each in values if values.count(each) > 1}):
+            for value in sorted({str(value) for value in values if values.count(value) > 1}):
                 yield Problem.of(key, f"{key[-1]} has {show(value)} twice", "once")
         controllers: set[str] = {*self.controllers}
         columns = {*COLUMNS, *METRICS}
-        for kind, tables, taken in (
+        for kind, tables, known_names in (
             ("network", self.networks, controllers),
             ("program", self.programs, controllers),
             ("measure", self.measures, columns),
         ):
             for index, table in enumerate(tables):
-                if table.name in taken:
-                    found = f'{kind} {index + 1}: name = "{table.name}": taken'
-                    yield Problem.of((kind, index, "name"), found, "a unique name")
-                taken.add(table.name)
+                if table.name in known_names:
+                    problem = f'{kind} {index + 1}: name = "{table.name}": taken'
+                    yield Problem.of((kind, index, "name"), problem, "a unique name")
+                known_names.add(table.name)
         for index, table in enumerate(self.networks):
             if (table.genomes is None) == (table.drawn is None):
-                given = "both" if table.drawn else "neither"
-                found = f"network {index + 1}: has {given} of genomes and drawn"
-                yield Problem.of(("network", index), found, "one of them")
+                count = "both" if table.drawn else "neither"
+                problem = f"network {index + 1}: has {count} of genomes and drawn"
+                yield Problem.of(("network", index), problem, "one of them")
 
     def _lists(self) -> Iterator[tuple[Location, tuple[object, ...]]]:
         for key in ("playpens", "controllers", "fitness"):
@@ -193,7 +193,7 @@ class Study(TomlTable):
 
 @dataclass(frozen=True, slots=True)
 class StudyFile:
-    """A study as it was read.
+    """A study read from a file.
 
     Attributes:
         study: Content of the study.
@@ -232,6 +232,6 @@ def load(path: StrPath) -> StudyFile:
     return StudyFile(study, source, path.parent.absolute(), LineNumbers(text))
 
 
-def checked(file: StudyFile, location: Location, key: str, error: KhepTwinError) -> StudyError:
-    """Return an error of a file that a study names, as an error of the study."""
+def study_error(file: StudyFile, location: Location, key: str, error: KhepTwinError) -> StudyError:
+    """Return an error in a file that a study refers to, as an error of the study."""
     return file.error(location, f"{key}: {str(error).splitlines()[0]}")

@@ -1,11 +1,11 @@
-"""Sweeps: all episodes of a study, run here or on Ray, each stored once.
+"""Sweeps: all episodes of a study, run locally or on Ray, each stored once.
 
     from khep_twin.sweep import study, sweep
 
     table = sweep.run_sweep(study.load("noise.toml"))
 
-Workers only return bytes; this process alone writes them. So a task may be repeated as often as workers die,
-and the folder shows the missing tasks.
+Workers return bytes, and only this process writes them. So a task may be repeated when a worker dies, and the
+folder shows the missing tasks.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -13,23 +13,23 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from khep_twin.files.paths import StrPath
-from khep_twin.sweep.results import SweepFolder, encoded
+from khep_twin.sweep.results import SweepFolder, encode_part
 from khep_twin.sweep.run_shard import run_shard
 from khep_twin.sweep.shards import Shard, Work, work_of
 from khep_twin.sweep.study import StudyFile
 
 Executor = Callable[[Work, Sequence[Shard]], AbstractContextManager[Iterable[tuple[Shard, bytes]]]]
-"""Function that runs tasks, in any order, and yields the results of each as soon as they arrive."""
+"""Function that runs tasks, in any order, and yields each result as soon as it arrives."""
 
 
 def run_locally(threads: int | None = None) -> Executor:
-    """Return a function that runs one task after another on some threads, None for one per core."""
+    """Return a function that runs tasks one by one on this number of threads; None for one per core."""
 
-    def done(work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
+    def run_tasks(work: Work, tasks: Sequence[Shard]) -> Iterator[tuple[Shard, bytes]]:
         for task in tasks:
-            yield task, encoded(work, task, run_shard(work, task, threads))
+            yield task, encode_part(work, task, run_shard(work, task, threads))
 
-    return lambda work, tasks: nullcontext(done(work, tasks))
+    return lambda work, tasks: nullcontext(run_tasks(work, tasks))
 
 
 def run_sweep(
@@ -49,7 +49,7 @@ def run_sweep(
         resume: Whether to resume with the results in the folder.
         executor: Workers; by default this process's threads.
         begin: Called with all the work and the tasks to be run.
-        progress: Called with the number of finished episodes and the number that were missing at the start.
+        progress: Called with the numbers of episodes finished, and missing at the start.
 
     Returns:
         Path of the table of all results.
@@ -58,19 +58,19 @@ def run_sweep(
         StudyError: The study or the folder cannot be used.
         KhepTwinError: The episodes cannot be run; finished tasks are kept.
     """
-    place = Path(output or file.output).absolute()  # a program of the study may change the working directory
+    output_path = Path(output or file.output).absolute()  # programs may change the working directory
     work = work_of(file)
-    folder = SweepFolder(place, work)
-    with folder.opened(resume):
+    folder = SweepFolder(output_path, work)
+    with folder.open(resume):
         missing = folder.missing()
         if begin is not None:
             begin(work, missing)
         if missing:
-            total, done = sum(task.count for task in missing), 0
-            with (executor or run_locally())(work, missing) as coming:
-                for task, data in coming:
-                    folder.keep(task, data)
-                    done += task.count
+            total, n_done = sum(task.count for task in missing), 0
+            with (executor or run_locally())(work, missing) as results:
+                for task, data in results:
+                    folder.save(task, data)
+                    n_done += task.count
                     if progress is not None:
-                        progress(done, total)
+                        progress(n_done, total)
         return folder.finish()

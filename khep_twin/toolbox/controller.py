@@ -72,7 +72,7 @@ class ToolboxController(LoopingController):
             end_cycle()  # which reports that no time has passed
         names = function.__globals__
         named = {name: names[name] for name in function.__code__.co_names if name in names}
-        self._told = {**named, **run.variables(), **_returned(returned)}
+        self._returned = {**named, **run.variables(), **_returned(returned)}
         return run.count if run.counts else cycles
 
 

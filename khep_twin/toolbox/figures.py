@@ -24,7 +24,7 @@ from khep_twin.lab.sensor_test.sensor_test import (
     PULSES_PER_DEGREE,
     SensorRun,
     SensorTest,
-    What,
+    QuantityName,
 )
 from khep_twin.toolbox.sense import test_of
 from khep_twin.toolbox.windows import show
@@ -38,7 +38,7 @@ Matrix = NDArray[np.generic] | Sequence[Sequence[SupportsFloat]]
 
 
 def ddl(
-    dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
+    dv: Matrix, khep_pos: SupportsFloat, what: QuantityName | None = None, *, speed: int | None = None
 ) -> "Figure":
     """Draw all sensors over a straight path, which counts down to 0 cm at its end.
 
@@ -55,21 +55,21 @@ def ddl(
 
 
 def ddlg(
-    dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
+    dv: Matrix, khep_pos: SupportsFloat, what: QuantityName | None = None, *, speed: int | None = None
 ) -> "Figure":
     """Draw the graph of `ddl` with a grid."""
     return _drawn(dv, khep_pos, "linear", what, speed, grid=True)
 
 
 def ddr(
-    dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
+    dv: Matrix, khep_pos: SupportsFloat, what: QuantityName | None = None, *, speed: int | None = None
 ) -> "Figure":
     """Draw all sensors over a turn, in degrees; arguments as for `ddl`, 15 to 360 degrees."""
     return _drawn(dv, khep_pos, "rotational", what, speed)
 
 
 def ddrg(
-    dv: Matrix, khep_pos: SupportsFloat, what: What | None = None, *, speed: int | None = None
+    dv: Matrix, khep_pos: SupportsFloat, what: QuantityName | None = None, *, speed: int | None = None
 ) -> "Figure":
     """Draw the graph of `ddr` with a grid."""
     return _drawn(dv, khep_pos, "rotational", what, speed, grid=True)
@@ -79,7 +79,7 @@ def disonel(
     dv: Matrix,
     khep_pos: SupportsFloat,
     which_one: int | str,
-    what: What | None = None,
+    what: QuantityName | None = None,
     *,
     y_min: int = 0,
     grid: bool = False,
@@ -139,7 +139,7 @@ def _drawn(
     dv: Matrix,
     khep_pos: SupportsFloat,
     motion: Literal["linear", "rotational"],
-    what: What | None,
+    what: QuantityName | None,
     speed: int | None,
     *,
     sensor: str | None = None,

@@ -15,7 +15,7 @@ from typing import SupportsFloat
 from khep_twin.errors import PlaypenError
 from khep_twin.interventions.move_robot import scan
 from khep_twin.interventions.switching import set_lamps
-from khep_twin.lab.experiment.start_poses import lit, nearest_lamp, without_nearest_lamp
+from khep_twin.lab.experiment.start_poses import with_lighting, nearest_lamp, without_nearest_lamp
 from khep_twin.playpen import Lamp, Playpen
 from khep_twin.toolbox.simulator import opened
 
@@ -72,7 +72,7 @@ def lamp_control(mode: str) -> None:
     Raises:
         PlaypenError: It is none of them.
     """
-    _set_up("lamp_control", lit(_playpen(), mode))
+    _set_up("lamp_control", with_lighting(_playpen(), mode))
 
 
 def _playpen() -> Playpen:

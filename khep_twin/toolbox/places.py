@@ -8,7 +8,7 @@ import math
 from typing import SupportsFloat
 
 from khep_twin.errors import PlaypenError
-from khep_twin.interventions.move_robot import current_playpen, put, scan
+from khep_twin.interventions.move_robot import current_playpen, place_robot, scan
 from khep_twin.lab.sensor_test.sensor_test import PULSES_PER_DEGREE
 from khep_twin.playpen.footprint import Circle
 from khep_twin.playpen.overlap import Thing, placement_problems
@@ -76,7 +76,7 @@ def putkhep(
     world, robot = scene.twin.world, scene.twin.robots[scene.index(port_id)]
     heading = math.degrees(robot.pose[2]) if heading_deg is None else float(heading_deg)
     try:
-        put(world, robot.index, float(xabs), float(yabs), heading, afresh=True)
+        place_robot(world, robot.index, float(xabs), float(yabs), heading, reset=True)
     except PlaypenError as error:
         raise PlaypenError(f"putkhep: {error}") from None
     scan(world)

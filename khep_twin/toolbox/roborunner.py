@@ -25,7 +25,7 @@ from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.controllers import AnyController, write_template
 from khep_twin.lab.experiment.series import OneRobot, run_series
 from khep_twin.lab.experiment.series_run import Plan, SeriesRun
-from khep_twin.lab.experiment.series_statistics import Summary, measured, summary, table, values
+from khep_twin.lab.experiment.series_statistics import Summary, measured_columns, summarize, table, finite_values
 from khep_twin.toolbox.controller import ToolboxController
 from khep_twin.toolbox.form import as_toolbox_form
 from khep_twin.toolbox.serial_commands import Port, robot_at
@@ -85,7 +85,7 @@ def roborun2(
     for run in run_series(controller, OneRobot(robot), plan):
         _runs.append(run)
         if folder is not None:
-            folder.keep(run)
+            folder.save(run)
         print(run.text(runs))
         for each in after:
             call_on_run_end(each, run)
@@ -101,7 +101,7 @@ def getstat(*, runs: Sequence[SeriesRun] | StrPath | None = None) -> dict[str, S
         ControllerError: There are no runs.
     """
     rows = _rows(runs)
-    return {name: summary(values(rows, name)) for name in measured([rows])}
+    return {name: summarize(finite_values(rows, name)) for name in measured_columns([rows])}
 
 
 def plotrun(
@@ -119,10 +119,10 @@ def plotrun(
         KhepTwinError: The picture cannot be written.
     """
     from khep_twin.drawing import map as drawing
-    from khep_twin.lab.experiment.figures import draw, shown
+    from khep_twin.lab.experiment.figures import draw, default_columns
 
     rows = _rows(runs)
-    figure = draw(["runs"], [rows], measured([rows], names) if names else shown(measured([rows])))
+    figure = draw(["runs"], [rows], measured_columns([rows], names) if names else default_columns(measured_columns([rows])))
     if picture is not None:
         drawing.save(figure, Path(picture))
     show(figure, "plotrun")
@@ -140,7 +140,7 @@ def user1(*, runs: Sequence[SeriesRun] | StrPath | None = None, save: StrPath | 
     tables = series_files.tables(rows)
     if save is not None and Path(save).suffix.lower() not in tables:
         raise KhepTwinError(f"user1: save = {str(save)!r}: expected a name that ends in {', '.join(tables)}")
-    print(table(["runs"], [rows], measured([rows])))
+    print(table(["runs"], [rows], measured_columns([rows])))
     if save is not None:
         write_whole(Path(save), tables[Path(save).suffix.lower()])
 

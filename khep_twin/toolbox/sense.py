@@ -24,7 +24,7 @@ from khep_twin.lab.sensor_test.sensor_test import (
     InterruptedTest,
     SensorRun,
     SensorTest,
-    What,
+    QuantityName,
     sense,
 )
 from khep_twin.toolbox.serial_commands import Port, robot_at
@@ -36,7 +36,7 @@ EXCHANGE = 0.03
 
 def tstsense(
     port_id: Port,
-    what: What = "proximity",
+    what: QuantityName = "proximity",
     *,
     linear_cm: float | None = None,
     rotate_deg: float | None = None,
@@ -75,7 +75,7 @@ def tstsense(
 
 
 def simsense(
-    what: What = "proximity",
+    what: QuantityName = "proximity",
     *,
     linear_cm: float | None = None,
     rotate_deg: float | None = None,
@@ -125,7 +125,7 @@ def _driven(
     robot: Khepera, test: SensorTest, save: StrPath | None, dlgstr: str
 ) -> tuple[NDArray[np.int64], int]:
     if save is not None:
-        sensor_files.checked_suffix(Path(save))  # before the robot moves
+        sensor_files.check_suffix(Path(save))  # before the robot moves
     try:
         _keep(sense(robot, test, text=dlgstr), save)
     except (BrokenOffError, InterruptedTest) as ended:

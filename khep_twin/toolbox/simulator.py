@@ -29,7 +29,7 @@ from khep_twin.errors import BitmapError, PlaypenError, PortError
 from khep_twin.files.paths import StrPath
 from khep_twin.host import Khepera
 from khep_twin.interventions.move_robot import scan
-from khep_twin.lab.experiment.start_poses import lit
+from khep_twin.lab.experiment.start_poses import with_lighting
 from khep_twin.playpen import Playpen, bitmap, bitmap_files
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
@@ -115,7 +115,7 @@ def open_custom(
     """
     global _current
     options = TwinOptions(seed=seed, robot=None, noise=noise, rom=rom, unpaced=True, log=log and str(log))
-    chosen = lit(_playpen(playpen), lighting)
+    chosen = with_lighting(_playpen(playpen), lighting)
     if not chosen.robots:
         raise PlaypenError(f"{chosen.name}: no robot stands in it; expected a [[robot]] in its file")
     close_playpen()

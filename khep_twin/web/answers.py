@@ -1,8 +1,8 @@
-"""Actions of the page: what takes a request and returns an answer, each a POST with JSON and JSON back.
+"""Actions of the page: functions that take a request and return a reply, by POST with JSON both ways.
 
-A user's error is answered 400 with its line, a file that has changed meanwhile 409, a path outside the
-folder 403. The page itself, which asks by a header, gets these as 200: browsers report any other status in
-their console, as a fault of the page.
+The status is 400 for a user's error, 409 for a file that has changed meanwhile, and 403 for a path outside
+the folder. The page requests 200 instead by a header, as browsers report other statuses in their console as
+faults of the page.
 """
 
 from collections.abc import Awaitable, Callable, Mapping
@@ -14,15 +14,15 @@ from starlette.responses import JSONResponse, Response
 
 from khep_twin.errors import KhepTwinError
 from khep_twin.web.documents import ConflictError, OutsideError
-from khep_twin.web.requests import Asked, Request, request_of
+from khep_twin.web.requests import Request, RequestType, request_of
 
-QUIET = "Khepera-Quiet"
+QUIET_HEADER = "Khepera-Quiet"
 """Header of requests whose refusals are answered 200."""
 
 Endpoint = Callable[[HttpRequest], Awaitable[Response]]
 
-Shown = Callable[[str], str]
-"""Function that returns an error's text as users are shown it."""
+FormatText = Callable[[str], str]
+"""Function that returns an error's text as the page shows it."""
 
 
 class Action(NamedTuple):
@@ -30,7 +30,7 @@ class Action(NamedTuple):
 
     Attributes:
         kind: Class of its request.
-        do: Function of a request that returns a response, an object for JSON, or None for an empty one.
+        do: Function that takes the request and returns a response, an object for JSON, or None for {}.
     """
 
     kind: type[Request]
@@ -41,50 +41,50 @@ Actions = Mapping[str, Action]
 """Actions by name."""
 
 
-def on(kind: type[Asked], do: Callable[[Asked], object]) -> Action:
-    """Return the action that a function does on requests of a class."""
+def action(kind: type[RequestType], do: Callable[[RequestType], object]) -> Action:
+    """Return the action that calls a function with requests of a class."""
     return Action(kind, do)
 
 
-def endpoint(name: str, action: Action, shown: Shown) -> Endpoint:
+def endpoint(name: str, action: Action, format_text: FormatText) -> Endpoint:
     """Return the endpoint of an action."""
-    return with_body(lambda body, _: action.do(request_of(body, action.kind, name)), shown)
+    return body_endpoint(lambda body, _: action.do(request_of(body, action.kind, name)), format_text)
 
 
-def with_body(act: Callable[[bytes, HttpRequest], object], shown: Shown) -> Endpoint:
-    """Return the endpoint of a function of a request's body, which runs in a thread of its own."""
+def body_endpoint(act: Callable[[bytes, HttpRequest], object], format_text: FormatText) -> Endpoint:
+    """Return the endpoint of a function of a request's body, which runs in a worker thread."""
 
     async def answer(request: HttpRequest) -> Response:
         body = await request.body()
-        response = await run_in_threadpool(answered, lambda: act(body, request), shown)
-        if QUIET in request.headers:
+        response = await run_in_threadpool(respond, lambda: act(body, request), format_text)
+        if QUIET_HEADER in request.headers:
             response.status_code = 200
         return response
 
     return answer
 
 
-async def failed(request: HttpRequest, error: Exception) -> Response:
+async def internal_error(request: HttpRequest, error: Exception) -> Response:
     """Answer a request after an internal error, which is printed on standard error."""
-    return refused(f"the designer failed: {type(error).__name__}: {error}", 500)
+    return refusal(f"the designer failed: {type(error).__name__}: {error}", 500)
 
 
-def answered(act: Callable[[], object], shown: Shown) -> Response:
-    """Return the response of an action, or of its error as it is shown."""
+def respond(act: Callable[[], object], format_text: FormatText) -> Response:
+    """Return the response of an action, or a refusal with its error."""
     try:
         answer = act()
         return answer if isinstance(answer, Response) else JSONResponse({} if answer is None else answer)
     except OutsideError as error:
-        return refused(shown(error.plain), 403)
+        return refusal(format_text(error.plain), 403)
     except ConflictError as error:
-        return refused(shown(error.plain), 409, conflict=True)
-    except OSError as error:  # such as a name that is too long
-        return refused(error.strerror or str(error))
+        return refusal(format_text(error.plain), 409, conflict=True)
+    except OSError as error:  # for example a name that is too long
+        return refusal(error.strerror or str(error))
     except KhepTwinError as error:
-        return refused(shown(error.plain))
+        return refusal(format_text(error.plain))
 
 
-def refused(text: str, status: int = 400, **more: bool) -> Response:
-    """Return an answer with the problems, a line each."""
+def refusal(text: str, status: int = 400, **fields: bool) -> Response:
+    """Return a response with the problems, a line each."""
     lines = (line if line.isprintable() else ascii(line)[1:-1] for line in text.split("\n"))
-    return JSONResponse({"error": "\n".join(lines), **more}, status)
+    return JSONResponse({"error": "\n".join(lines), **fields}, status)

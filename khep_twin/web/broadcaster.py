@@ -1,7 +1,8 @@
-"""Messages to the open pages: each page gets what a thread sends; a slow page misses pictures only.
+"""Messages to the open pages, from any thread; a slow page misses pictures only.
 
-Each message to a page wakes the sending thread, which slows the simulation down. So messages are sent no
-more often than pictures, and no pictures without an open page.
+Each message wakes the server's thread, which slows the simulation down. So messages are sent at most as often
+as pictures, and pictures only while a page is open. A page that opens during a session first gets the message
+that started the session, and the latest picture.
 """
 
 import asyncio
@@ -13,99 +14,99 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from khep_twin.web.messages import FromPage, Message
 
-_WAITING = 500
-"""Largest number of messages that wait for a slow page."""
+_QUEUE_LIMIT = 500
+"""Largest number of messages queued for a slow page."""
 
 
 class Broadcaster:
     """Sender of messages to the open pages."""
 
     def __init__(self) -> None:
-        self._watchers: list[_Watcher] = []
+        self._pages: list[_PageQueue] = []
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._begun: str | None = None
+        self._session_text: str | None = None
         self._picture: Message | None = None
 
     @property
-    def is_watched(self) -> bool:
+    def has_pages(self) -> bool:
         """True if a page is open."""
-        return bool(self._watchers)
+        return bool(self._pages)
 
     def publish(self, message: Message) -> None:
         """Send a message to all pages; from any thread."""
         kind = message["kind"]
         if kind == "picture":
             self._picture = message
-            if not self._watchers:
+            if not self._pages:
                 return
-        text = _text(message)
+        text = _to_json(message)
         if kind in ("twin", "robot", "ended"):
-            self._begun, self._picture = None if kind == "ended" else text, None
+            self._session_text = None if kind == "ended" else text
+            self._picture = None
         if self._loop is not None:
-            with suppress(RuntimeError):  # the server is at its end
+            with suppress(RuntimeError):  # the server is shutting down
                 self._loop.call_soon_threadsafe(self._broadcast, kind, text)
 
     async def serve(self, socket: WebSocket) -> None:
         """Serve one page until it disconnects."""
         self._loop = asyncio.get_running_loop()
         await socket.accept()
-        watcher = _Watcher()
-        if self._begun is not None:
-            watcher.take("begun", self._begun)
-            if (picture := self._picture) is not None:  # the next one may be long in coming
-                watcher.take("picture", _text(picture))
-        self._watchers.append(watcher)
-        sending = asyncio.create_task(self._send(socket, watcher))
+        page = _PageQueue()
+        if self._session_text is not None:
+            page.put("session", self._session_text)
+            if (picture := self._picture) is not None:  # the next one may take long
+                page.put("picture", _to_json(picture))
+        self._pages.append(page)
+        sending = asyncio.create_task(self._send(socket, page))
         try:
             while True:
-                # A page reports its file to the others.
-                said = await socket.receive_text()
-                message: FromPage = {"kind": "page", "said": said[:1000]}
-                self._broadcast("page", json.dumps(message), but=watcher)
+                text = await socket.receive_text()  # the page reports its file to the others
+                message: FromPage = {"kind": "page", "said": text[:1000]}
+                self._broadcast("page", json.dumps(message), sender=page)
         except (WebSocketDisconnect, KeyError):
             pass
         finally:
-            self._watchers.remove(watcher)
+            self._pages.remove(page)
             sending.cancel()
 
-    def _broadcast(self, kind: str, text: str, but: "_Watcher | None" = None) -> None:
-        for watcher in self._watchers:
-            if watcher is not but:
-                watcher.take(kind, text)
+    def _broadcast(self, kind: str, text: str, sender: "_PageQueue | None" = None) -> None:
+        for page in self._pages:
+            if page is not sender:
+                page.put(kind, text)
 
     @staticmethod
-    async def _send(socket: WebSocket, watcher: "_Watcher") -> None:
+    async def _send(socket: WebSocket, page: "_PageQueue") -> None:
         with suppress(WebSocketDisconnect, RuntimeError):
             while True:
-                await socket.send_text(await watcher.next())
+                await socket.send_text(await page.get())
 
 
-def _text(message: Message) -> str:
+def _to_json(message: Message) -> str:
     return json.dumps(message, allow_nan=False, separators=(",", ":"))
 
 
-class _Watcher:
+class _PageQueue:
     """Queue of messages for one page."""
 
     def __init__(self) -> None:
-        self._waiting: deque[str] = deque(maxlen=_WAITING)
+        self._texts: deque[str] = deque(maxlen=_QUEUE_LIMIT)
         self._picture: str | None = None
-        self._something = asyncio.Event()
+        self._has_text = asyncio.Event()
 
-    def take(self, kind: str, text: str) -> None:
-        """Queue a message; a new picture replaces one that still waits."""
+    def put(self, kind: str, text: str) -> None:
+        """Queue a message; a new picture replaces a queued one."""
         if kind == "picture":
             self._picture = text
         else:
-            self._waiting.append(text)
-        self._something.set()
+            self._texts.append(text)
+        self._has_text.set()
 
-    async def next(self) -> str:
+    async def get(self) -> str:
         """Wait for the next message and return it."""
-        while not self._waiting and self._picture is None:
-            self._something.clear()
-            await self._something.wait()
-        if self._waiting:
-            return self._waiting.popleft()
+        while not self._texts and self._picture is None:
+            self._has_text.clear()
+            await self._has_text.wait()
+        if self._texts:
+            return self._texts.popleft()
         text, self._picture = self._picture or "", None
         return text

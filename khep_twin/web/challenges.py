@@ -1,7 +1,7 @@
-"""Challenges in the page: one program, or a folder of them, is scored at a time, in its own process.
+"""Challenges in the page: one program, or one folder of programs, is scored at a time, in separate processes.
 
-A thread watches that process, so requests are answered meanwhile. It ends when the page asks for it, when the
-designer ends, and when no page is open any more.
+A thread watches them, so requests are answered meanwhile. Scoring stops on the page's request, when the
+designer ends, or when no page has been open for 10 s.
 """
 
 import threading
@@ -17,55 +17,49 @@ from khep_twin import playpen as playpens
 from khep_twin.errors import ChallengeError, KhepTwinError, StoppedError, choices
 from khep_twin.lab.challenge.attempt import Attempt, score_file
 from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile, load, names
-from khep_twin.lab.challenge.results import attempts, participants, ranked, to_csv
+from khep_twin.lab.challenge.results import participants, rank_attempts, score_files, to_csv
 from khep_twin.machine import n_cores
 from khep_twin.web import requests
-from khep_twin.web.answers import Actions, on
-from khep_twin.web.documents import PROGRAMS, Documents
+from khep_twin.web.answers import Actions, action
+from khep_twin.web.documents import PROGRAM_SUFFIXES, Documents
 from khep_twin.web.messages import Publish, Scored, Scoring
-from khep_twin.web.session import PrintBuffer
+from khep_twin.web.print_capture import PrintBuffer
 
 _ENDING_S = 5.0
-"""Longest time for a process to end with the designer [s]; a file that hangs takes 3.5."""
+"""Longest time for a process to end with the designer [s]; a program that hangs takes 3.5."""
 
-_UNWATCHED = 10.0
-"""Time without an open page after which scoring ends [s]; a page that is loaded again takes less."""
+_PAGE_TIMEOUT = 10.0
+"""Time without an open page after which scoring stops [s]; reloading a page takes less."""
 
-_TELL = 0.08
-"""Shortest time between two messages of printed text [s]."""
-
-Over = Callable[[], bool]
-"""Function that returns whether the scoring is to end."""
+_FLUSH_INTERVAL = 0.08
+"""Shortest interval of messages with printed text [s]."""
 
 
 class Challenges:
-    """Challenges of the page, and what is being scored.
+    """Challenges of the page, and the scoring in progress; `is_watched` returns whether a page is open."""
 
-    Args:
-        documents: Files of the folder.
-        publish: Function that takes messages for the page.
-        watched: Function that returns whether a page is open.
-    """
-
-    def __init__(self, documents: Documents, publish: Publish, watched: Callable[[], bool]) -> None:
-        self._documents, self._publish, self._watched = documents, publish, watched
-        self._stop, self._starting = threading.Event(), threading.Lock()
+    def __init__(self, documents: Documents, publish: Publish, is_watched: Callable[[], bool]) -> None:
+        self._documents = documents
+        self._publish = publish
+        self._is_watched = is_watched
+        self._stop = threading.Event()
+        self._start_lock = threading.Lock()
         self._thread: threading.Thread | None = None
-        self._now: Scoring | None = None
+        self._current: Scoring | None = None
         self._table: tuple[Challenge, list[Attempt]] | None = None
 
     @property
     def actions(self) -> Actions:
         """Actions by name."""
         return {
-            "challenges": on(requests.Request, self._list),
-            "challenge-picture": on(
-                requests.Library, lambda asked: FileResponse(_shipped(asked.name).picture)
+            "challenges": action(requests.Request, self._list),
+            "challenge-picture": action(
+                requests.LibraryRequest, lambda request: FileResponse(_load_challenge(request.name).picture)
             ),
-            "score": on(requests.ScoreRequest, self._score),
-            "score-table": on(requests.ScoreTableRequest, self._score_table),
-            "score-csv": on(requests.Request, self._csv),
-            "score-stop": on(requests.Request, lambda asked: self._stop.set()),
+            "score": action(requests.ScoreRequest, self._score),
+            "score-table": action(requests.ScoreTableRequest, self._score_table),
+            "score-csv": action(requests.Request, self._csv),
+            "score-stop": action(requests.Request, lambda request: self._stop.set()),
         }
 
     def close(self) -> None:
@@ -74,95 +68,95 @@ class Challenges:
         if self._thread is not None:
             self._thread.join(_ENDING_S)
 
-    def _list(self, asked: requests.Request) -> dict[str, object]:
-        """Return the challenges by name, and the message of what is being scored."""
-        return {"challenges": {name: _described(load(name)) for name in names()}, "now": self._now}
+    def _list(self, request: requests.Request) -> dict[str, object]:
+        """Return the challenges by name, and the message of the scoring in progress."""
+        return {"challenges": {name: _describe(load(name)) for name in names()}, "now": self._current}
 
-    def _score(self, asked: requests.ScoreRequest) -> None:
-        file = _shipped(asked.challenge)
-        path = file.solution if asked.program is None else self._program(asked.program)
-        name = "reference solution" if asked.program is None else asked.program
-        printed, told = PrintBuffer(self._publish, "score-printed"), 0.0
-        decoder = getincrementaldecoder("utf-8")("replace")
+    def _score(self, request: requests.ScoreRequest) -> None:
+        file = _load_challenge(request.challenge)
+        path = file.solution if request.program is None else self._program(request.program)
+        name = "reference solution" if request.program is None else request.program
+        output = PrintBuffer(self._publish, "score-printed")
+        flush_time = 0.0
+        decode = getincrementaldecoder("utf-8")("replace").decode
 
-        def work(over: Over) -> None:
+        def work(is_over: Callable[[], bool]) -> None:
             def stop() -> bool:
-                nonlocal told
-                if (now := time.monotonic()) > told + _TELL:
-                    told = now
-                    printed.tell()
-                return over()
+                nonlocal flush_time
+                if (now := time.monotonic()) > flush_time + _FLUSH_INTERVAL:
+                    flush_time = now
+                    output.flush()
+                return is_over()
 
-            found = score_file(
-                file, str(path), show=lambda data: printed.add(decoder.decode(data)), stop=stop
-            )
-            printed.tell()
-            self._publish(_told(file.challenge, name, self._named(found)))
+            attempt = score_file(file, str(path), show=lambda data: output.add(decode(data)), stop=stop)
+            output.flush()
+            self._publish(_scored_message(file.challenge, name, self._with_relative_names(attempt)))
 
-        self._begin({"kind": "scoring", "challenge": asked.challenge, "program": name}, work)
+        self._start({"kind": "scoring", "challenge": request.challenge, "program": name}, work)
 
-    def _score_table(self, asked: requests.ScoreTableRequest) -> None:
-        file = _shipped(asked.challenge)
+    def _score_table(self, request: requests.ScoreTableRequest) -> None:
+        file = _load_challenge(request.challenge)
         root = self._documents.root
-        found = participants(self._documents.below(asked.folder))
-        files = [self._program(str(path.relative_to(root))) for path in found]
+        paths = participants(self._documents.below(request.folder))
+        files = [self._program(str(path.relative_to(root))) for path in paths]
         rows: list[Attempt] = []
 
-        def done(each: Attempt, part: float) -> None:
-            rows.append(self._named(each))
-            self._publish({"kind": "score-rows", "part": part, "rows": _rows(file.challenge, rows)})
+        def add_row(attempt: Attempt, part: float) -> None:
+            rows.append(self._with_relative_names(attempt))
+            self._publish({"kind": "score-rows", "part": part, "rows": _table_rows(file.challenge, rows)})
 
-        def work(over: Over) -> None:
+        def work(is_over: Callable[[], bool]) -> None:
             self._table = file.challenge, rows
-            attempts(file, files, jobs=max(n_cores() // 2, 1), done=done, stop=over)
+            score_files(file, files, jobs=max(n_cores() // 2, 1), on_result=add_row, stop=is_over)
 
-        self._begin({"kind": "scoring", "challenge": asked.challenge, "folder": asked.folder}, work)
+        self._start({"kind": "scoring", "challenge": request.challenge, "folder": request.folder}, work)
 
-    def _csv(self, asked: requests.Request) -> Response:
+    def _csv(self, request: requests.Request) -> Response:
         if self._table is None or not self._table[1]:
             raise ChallengeError("no program of a folder was scored yet")
         return Response(to_csv(*self._table), media_type="application/octet-stream")
 
     def _program(self, name: str) -> Path:
-        path = self._documents.path(name, *PROGRAMS)
+        path = self._documents.path(name, *PROGRAM_SUFFIXES)
         if not path.is_file():
             raise ChallengeError(
                 "not found", file=name, expected="a program below the folder of the designer"
             )
         return path
 
-    def _named(self, found: Attempt) -> Attempt:
-        """Return an attempt whose file has its name in the folder."""
+    def _with_relative_names(self, attempt: Attempt) -> Attempt:
+        """Return an attempt with file names relative to the folder."""
         relative = self._documents.relative
-        return replace(found, file=relative(found.file), reason=relative(found.reason))
+        return replace(attempt, file=relative(attempt.file), reason=relative(attempt.reason))
 
-    def _begin(self, message: Scoring, work: Callable[[Over], None]) -> None:
+    def _start(self, message: Scoring, work: Callable[[Callable[[], bool]], None]) -> None:
         """Start a thread that scores.
 
         Raises:
-            ChallengeError: Something is being scored.
+            ChallengeError: Another scoring is in progress.
         """
-        with self._starting:
-            if self._now is not None:
-                what = self._now.get("program") or f"the folder {self._now.get('folder')}"
-                raise ChallengeError(f"{what} is being scored; expected to wait for it, or to stop it")
+        with self._start_lock:
+            if self._current is not None:
+                subject = self._current.get("program") or f"the folder {self._current.get('folder')}"
+                raise ChallengeError(f"{subject} is being scored; expected to wait for it, or to stop it")
             self._stop.clear()
-            self._now = message
+            self._current = message
             self._publish(message)
             self._thread = threading.Thread(target=self._run, args=(work,), name="scoring", daemon=True)
             self._thread.start()
 
-    def _run(self, work: Callable[[Over], None]) -> None:
-        seen, text = time.monotonic(), ""
+    def _run(self, work: Callable[[Callable[[], bool]], None]) -> None:
+        watched_time = time.monotonic()
+        text = ""
 
-        def over() -> bool:
-            nonlocal seen
-            if self._watched():
-                seen = time.monotonic()
-            return self._stop.is_set() or time.monotonic() > seen + _UNWATCHED
+        def is_over() -> bool:
+            nonlocal watched_time
+            if self._is_watched():
+                watched_time = time.monotonic()
+            return self._stop.is_set() or time.monotonic() > watched_time + _PAGE_TIMEOUT
 
         try:
-            work(over)
+            work(is_over)
         except StoppedError:
             text = "stopped"
         except KhepTwinError as error:
@@ -171,12 +165,12 @@ class Challenges:
             text = f"{type(error).__name__}: {error}"
             raise
         finally:
-            self._now = None
+            self._current = None
             self._publish({"kind": "score-ended", "text": text})
 
 
-def _shipped(name: str) -> ChallengeFile:
-    """Return a challenge that ships with the package.
+def _load_challenge(name: str) -> ChallengeFile:
+    """Return a challenge of the package.
 
     Raises:
         ChallengeError: There is none of this name.
@@ -186,15 +180,15 @@ def _shipped(name: str) -> ChallengeFile:
     return load(name)
 
 
-def _described(file: ChallengeFile) -> dict[str, object]:
-    """Return what the page shows of a challenge."""
+def _describe(file: ChallengeFile) -> dict[str, object]:
+    """Return a challenge as the page shows it."""
     challenge = file.challenge
-    penalties = [f"{each.each:g} for each of {each.metric}" for each in challenge.penalties]
+    penalties = [f"{penalty.each:g} for each of {penalty.metric}" for penalty in challenge.penalties]
     facts = {
         "metric": challenge.reading,
         "penalty": ", ".join(penalties),
         "time": challenge.length,
-        "passed": challenge.wanted,
+        "passed": challenge.passing_scores,
         "reference": "" if challenge.reference is None else challenge.value(challenge.reference),
     }
     return {
@@ -205,30 +199,30 @@ def _described(file: ChallengeFile) -> dict[str, object]:
     }
 
 
-def _told(challenge: Challenge, program: str, found: Attempt) -> Scored:
+def _scored_message(challenge: Challenge, program: str, attempt: Attempt) -> Scored:
     """Return the result of a program as the page shows it."""
-    if found.score is None:
-        return {"kind": "scored", "program": program, "score": None, "reason": found.reason}
+    if attempt.score is None:
+        return {"kind": "scored", "program": program, "score": None, "reason": attempt.reason}
     return {
         "kind": "scored",
         "program": program,
-        "score": challenge.value(found.score.value),
-        "runs": [challenge.value(each) for each in found.score.runs],
-        "passes": challenge.passes(found.score.value),
-        "threshold": challenge.wanted,
+        "score": challenge.value(attempt.score.value),
+        "runs": [challenge.value(value) for value in attempt.score.runs],
+        "passes": challenge.passes(attempt.score.value),
+        "threshold": challenge.passing_scores,
         "reference": None if challenge.reference is None else challenge.value(challenge.reference),
     }
 
 
-def _rows(challenge: Challenge, found: list[Attempt]) -> list[dict[str, object]]:
-    """Return the rows of a table, the best first."""
+def _table_rows(challenge: Challenge, finished: list[Attempt]) -> list[dict[str, object]]:
+    """Return the rows of a table, best first."""
     return [
         {
             "rank": rank,
-            "participant": Path(each.file).stem,
-            "score": "" if each.score is None else f"{each.score.value:.4g}",
-            "passes": None if each.score is None else challenge.passes(each.score.value),
-            "note": each.note,
+            "participant": Path(attempt.file).stem,
+            "score": "" if attempt.score is None else f"{attempt.score.value:.4g}",
+            "passes": None if attempt.score is None else challenge.passes(attempt.score.value),
+            "note": attempt.note,
         }
-        for rank, each in ranked(challenge, found)
+        for rank, attempt in rank_attempts(challenge, finished)
     ]

@@ -1,4 +1,4 @@
-"""Drafts of the page: playpens as JSON, which may be invalid, and their problems."""
+"""Drafts of the page: playpens as JSON, valid or not, and their problems."""
 
 import re
 import unicodedata
@@ -21,7 +21,7 @@ BLANK = (
 
 def name_of(stem: str) -> str:
     """Return a playpen's name for a file name: letters without accents, digits, '_' and '-'."""
-    letters = (each for each in unicodedata.normalize("NFKD", stem) if not unicodedata.combining(each))
+    letters = (letter for letter in unicodedata.normalize("NFKD", stem) if not unicodedata.combining(letter))
     return re.sub("[^A-Za-z0-9_-]+", "-", "".join(letters))[:64].strip("-") or "playpen"
 
 
@@ -32,7 +32,7 @@ def blank(stem: str) -> Draft:
 
 
 def draft_of(playpen: Playpen) -> Draft:
-    """Return a playpen as the page uses it: all keys of its file, tables of a kind as lists."""
+    """Return a playpen for the page: all keys of its file, with tables of one kind as a list."""
     return playpen.model_dump(by_alias=True, exclude_none=True, mode="json")
 
 
@@ -55,15 +55,15 @@ def playpen_of(draft: Mapping[str, object]) -> Playpen:
 
 
 def text_of(draft: Mapping[str, object], base: str | None) -> str:
-    """Return the text of a playpen file for a draft, in place of `base`, whose comments stay.
+    """Return the text of a playpen file for a draft, with the comments of `base`.
 
     Raises:
-        PlaypenError: The draft is invalid, or the text cannot be edited in this way.
+        PlaypenError: The draft is invalid, or `base` cannot be edited.
     """
     playpen = playpen_of(draft)
     return playpens.edited(BLANK.format(name=playpen.name) if base is None else base, playpen)
 
 
 def surfaces() -> dict[str, object]:
-    """Return the surfaces that every playpen has."""
+    """Return the built-in surfaces."""
     return {name: surface.model_dump(exclude_none=True) for name, surface in BUILT_IN_SURFACES.items()}

@@ -1,12 +1,13 @@
 """Guard of requests: only the page that this server has sent, in a browser on this machine, has access.
 
-A server on loopback is not safe from other pages in the same browser: they can send forms to it, and by a
-host name of their own that resolves to 127.0.0.1 they can read its answers. So each request must name this
-host, must come from this page, and its path must begin with a random token that is new at each start. Other
-requests are answered 403, and those that are too long 413, before their content is read.
+A server on loopback is not safe from other pages in the same browser. They can send forms to it
+(cross-site request forgery), and read its answers under a host name that resolves to 127.0.0.1 (DNS
+rebinding). So each request must name this host, must come from this page, and its path must start with a
+random token that is new at each start. Other requests are answered 403, and oversized ones 413, before their
+content is read.
 
-The browser is started with its own path, which works once and leads to the token: the arguments of a
-process can be read by others for as long as it runs.
+The browser is started with a separate path, which works once and redirects to the token: other users can read
+the arguments of a running process.
 """
 
 import hmac
@@ -35,14 +36,14 @@ _HEADERS = (
 
 
 class Guard:
-    """Guard of an application: passes requests on, without the token at the start of their paths.
+    """Guard of an application, which gets accepted requests without the token in their paths.
 
     Args:
         app: Application to guard.
         token: Token of the page.
-        hosts: Hosts that a browser may name, each with its port.
-        once: Token that works once and leads to the page; empty for none.
-        complain: Function that takes a line if that token is used again.
+        hosts: Accepted hosts, each with its port.
+        one_time_token: Token that works once and redirects to the page; empty for none.
+        report: Function that takes a line if that token is used again.
     """
 
     def __init__(
@@ -51,92 +52,94 @@ class Guard:
         token: str,
         hosts: Iterable[str],
         *,
-        once: str = "",
-        complain: Callable[[str], object] | None = None,
+        one_time_token: str = "",
+        report: Callable[[str], object] | None = None,
     ) -> None:
-        self._app, self._token = app, token
-        self._once, self._complain, self._n_led = once, complain or str, 0
+        self._app = app
+        self._token = token
+        self._one_time_token = one_time_token
+        self._report = report or str
+        self._n_visits = 0
         self._hosts = frozenset(hosts)
         self._origins = frozenset(f"http://{host}" for host in self._hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Refuse a request, or pass it on."""
+        """Refuse a request, or pass it to the application."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        given = [(name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"]]
-        headers = [(name.lower(), value) for name, value in given]
+        headers = [
+            (name.decode("latin-1").lower(), value.decode("latin-1")) for name, value in scope["headers"]
+        ]
         status, reason = self._refusal(scope, headers)
         if status == 403 and self._is_first_visit(scope, headers):
-            await _lead(send, f"/{self._token}/")
+            await _redirect(send, f"/{self._token}/")
             return
         if status:
             await _refuse(scope, receive, send, status, reason)
             return
-        inner = dict(scope)
-        inner["path"] = scope["path"][len(self._token) + 1 :]
-        inner["raw_path"] = inner["path"].encode("ascii")
-        limit = _limit(dict(headers))
-        await _Bounded(self._app, limit)(inner, receive, send)
+        path = scope["path"][len(self._token) + 1 :]
+        inner = {**scope, "path": path, "raw_path": path.encode("ascii")}
+        await _SizeLimit(self._app, _limit(dict(headers)))(inner, receive, send)
 
     def _is_first_visit(self, scope: Scope, headers: list[tuple[str, str]]) -> bool:
-        """Return whether a request uses the path that works once, for the first time; complain of others."""
-        path = f"/{self._once}/".encode("ascii")
-        given: bytes = scope.get("raw_path") or b""
-        if not self._once or not hmac.compare_digest(given, path):
+        """Return whether a request uses the one-time path for the first time; report the second time."""
+        path = f"/{self._one_time_token}/".encode("ascii")
+        requested_path: bytes = scope.get("raw_path") or b""
+        if not self._one_time_token or not hmac.compare_digest(requested_path, path):
             return False
         with_token = {**scope, "raw_path": f"/{self._token}/".encode("ascii")}
         if scope["type"] != "http" or scope["method"] != "GET" or self._refusal(with_token, headers)[0]:
             return False
-        self._n_led += 1
-        if self._n_led == 2:
-            self._complain(
+        self._n_visits += 1
+        if self._n_visits == 2:
+            self._report(
                 "the address that the browser was given, which works once, was used again: if no page has "
                 "opened, another program may have the page; end the designer with Ctrl-C"
             )
-        return self._n_led == 1
+        return self._n_visits == 1
 
     def _refusal(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str]:
         """Return status and reason; 0 for an accepted request."""
-        named = [name for name, _ in headers]
-        if any(named.count(name) > 1 for name in ("host", "origin", "content-length", "content-type")):
+        names = [name for name, _ in headers]
+        if any(names.count(name) > 1 for name in ("host", "origin", "content-length", "content-type")):
             return 403, "a header stands there twice"
-        given = dict(headers)
-        length = given.get("content-length", "0")
+        header = dict(headers)
+        length = header.get("content-length", "0")
         if not length.isascii() or not length.isdigit() or len(length) > 12:
             return 413, "a length that is none"
-        if given.get("host") not in self._hosts:
+        if header.get("host") not in self._hosts:
             return 403, "another host"
-        talks = scope["type"] == "websocket"
-        posts = not talks and scope["method"] == "POST"
-        origin = given.get("origin")
-        if (origin is None and (talks or posts)) or (origin is not None and origin not in self._origins):
+        is_websocket = scope["type"] == "websocket"
+        is_post = not is_websocket and scope["method"] == "POST"
+        origin = header.get("origin")
+        if origin not in self._origins and (origin is not None or is_websocket or is_post):
             return 403, "another origin"
-        site = given.get("sec-fetch-site", "same-origin")
-        if site != "same-origin" and (posts or talks or site != "none"):
+        fetch_site = header.get("sec-fetch-site", "same-origin")
+        if fetch_site != "same-origin" and (is_post or is_websocket or fetch_site != "none"):
             return 403, "another site"
-        if not talks and scope["method"] not in ("GET", "HEAD", "POST"):
+        if not is_websocket and scope["method"] not in ("GET", "HEAD", "POST"):
             return 403, "another method"
         path: bytes = scope.get("raw_path") or scope["path"].encode("utf-8", "surrogateescape")
-        key, _, rest = path.removeprefix(b"/").partition(b"/")
-        if not hmac.compare_digest(key, self._token.encode("ascii")) or not path.startswith(
-            b"/" + key + b"/"
-        ):
+        token, _, rest = path.removeprefix(b"/").partition(b"/")
+        is_token = hmac.compare_digest(token, self._token.encode("ascii"))
+        if not is_token or not path.startswith(b"/" + token + b"/"):
             return 403, "no token, or not this one"
-        if any(odd in b"/" + rest for odd in (b"..", b"%", b"\\", b"//", b"\0")) or not rest.isascii():
+        if any(part in b"/" + rest for part in (b"..", b"%", b"\\", b"//", b"\0")) or not rest.isascii():
             return 403, "an odd path"
-        if posts and given.get("content-type") not in (_JSON, _FILE):
+        if is_post and header.get("content-type") not in (_JSON, _FILE):
             return 403, "neither JSON nor a file"
-        if int(length) > (_limit(given) if posts else 0):
+        if int(length) > (_limit(header) if is_post else 0):
             return 413, "too long"
         return 0, ""
 
 
-class _Bounded:
-    """Limit of a request's length: refuses a request that exceeds it."""
+class _SizeLimit:
+    """Limit of a request's length; refuses longer requests."""
 
     def __init__(self, app: ASGIApp, limit: int) -> None:
-        self._app, self._limit = app, limit
+        self._app = app
+        self._limit = limit
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "websocket":
@@ -144,39 +147,35 @@ class _Bounded:
             return
         # The whole body is read before the application runs, so that the answer can still be 413.
         body = bytearray()
-        more = True
-        while more:
+        has_more = True
+        while has_more:
             message = await receive()
             if message["type"] != "http.request":
                 return
             body += message.get("body", b"")
-            more = message.get("more_body", False)
+            has_more = message.get("more_body", False)
             if len(body) > self._limit:
                 await _refuse(scope, receive, send, 413, "too long")
                 return
-        given = False
+        pending: list[Message] = [{"type": "http.request", "body": bytes(body), "more_body": False}]
 
-        async def whole() -> Message:
-            nonlocal given
-            if given:
-                return await receive()
-            given = True
-            return {"type": "http.request", "body": bytes(body), "more_body": False}
+        async def receive_body() -> Message:
+            return pending.pop() if pending else await receive()
 
-        async def safely(message: Message) -> None:
+        async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 message = {**message, "headers": [*message.get("headers", []), *_HEADERS]}
             await send(message)
 
-        await self._app(scope, whole, safely)
+        await self._app(scope, receive_body, send_with_headers)
 
 
 def _limit(headers: dict[str, str]) -> int:
     return FILE_LIMIT if headers.get("content-type") == _FILE else JSON_LIMIT
 
 
-async def _lead(send: Send, path: str) -> None:
-    """Answer with another path of this server."""
+async def _redirect(send: Send, path: str) -> None:
+    """Redirect to another path of this server."""
     headers = [(b"location", path.encode("ascii")), (b"content-length", b"0"), *_HEADERS]
     await send({"type": "http.response.start", "status": 303, "headers": headers})
     await send({"type": "http.response.body", "body": b""})

@@ -1,6 +1,6 @@
 """Jobs of the page's robot, twin or real: controllers in series, and sensor tests."""
 
-# matplotlib's own annotations leave keyword arguments open.
+# matplotlib's annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
 
 import math
@@ -21,7 +21,7 @@ from khep_twin.lab.experiment.series_run import Plan
 from khep_twin.lab.experiment.series_run import SeriesRun as DoneRun
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, sense
 from khep_twin.toolbox.form import as_toolbox_form
-from khep_twin.web.documents import PROGRAMS, Documents
+from khep_twin.web.documents import PROGRAM_SUFFIXES, Documents
 from khep_twin.web.messages import Publish
 from khep_twin.web.requests import RunRequest, SenseRequest
 
@@ -57,12 +57,13 @@ class SeriesJob:
 
     def do(self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
         """Run the series."""
-        plan, kept = self.plan, None
+        plan = self.plan
+        series_folder = None
         if self.folder is not None:
             length = {"cycles": plan.cycles, "seconds": plan.seconds, "pause": plan.pause}
-            kept = SeriesFolder(self.folder, {"controller": self.name, "port": robot.name, **length})
+            series_folder = SeriesFolder(self.folder, {"controller": self.name, "port": robot.name, **length})
 
-        def row(run: DoneRun, stopped: bool = False) -> None:
+        def publish_run(run: DoneRun, stopped: bool = False) -> None:
             metrics = {name: value for name, value in run.metrics.items() if math.isfinite(value)}
             publish(
                 {
@@ -76,90 +77,88 @@ class SeriesJob:
                 }
             )
 
-        broken_off = partial(row, stopped=True)
+        on_abort = partial(publish_run, stopped=True)
         source = OneRobot(robot)
-        for run in run_series(
-            self.controller, source, plan, progress=progress, stop=stop, broken_off=broken_off
-        ):
-            if kept is not None:
-                kept.keep(run)
-            row(run)
+        for run in run_series(self.controller, source, plan, progress=progress, stop=stop, on_abort=on_abort):
+            if series_folder is not None:
+                series_folder.save(run)
+            publish_run(run)
 
 
 @dataclass(frozen=True, slots=True)
-class Sensing:
+class SensorJob:
     """A sensor test and its picture.
 
     Attributes:
         test: Test to run.
-        keep: Function that takes the data.
-        text: Description to keep with them.
+        save: Function that takes the data.
+        text: Description to save with them.
     """
 
     test: SensorTest
-    keep: Callable[[SensorRun], None]
+    save: Callable[[SensorRun], None]
     text: str = ""
 
     def do(self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
         """Run the test."""
         run = sense(robot, self.test, text=self.text, progress=progress, stop=stop)
-        self.keep(run)
+        self.save(run)
         publish({"kind": "sensed", "warning": run.warning})
 
 
 @dataclass(frozen=True, slots=True)
 class FileJob:
-    """A series whose controller is read when it begins: a file may print, and need not end.
+    """A series whose controller is read in the job: its file may print, and may never return.
 
     Attributes:
-        asked: Request of the page.
+        request: Request of the page.
         documents: Files of the folder.
         robot: Number of the robot that it drives.
     """
 
-    asked: RunRequest
+    request: RunRequest
     documents: Documents
     robot: int
 
     def do(self, robot: Khepera, publish: Publish, progress: Progress, stop: Callable[[], bool]) -> None:
         """Read the controller and run the series."""
-        series(self.asked, self.documents, self.robot).do(robot, publish, progress, stop)
+        series_job(self.request, self.documents, self.robot).do(robot, publish, progress, stop)
 
 
-def series(asked: RunRequest, documents: Documents, robot: int = 0) -> SeriesJob:
+def series_job(request: RunRequest, documents: Documents, robot: int = 0) -> SeriesJob:
     """Return the series that the page requests for a robot.
 
     Raises:
-        KhepTwinError: There is no such controller or plan, or a file is not below the folder.
+        KhepTwinError: The controller or the plan is invalid, or a file is not below the folder.
     """
-    name = asked.controllers[robot]
+    name = request.controllers[robot]
     if name in BUILT_IN:
-        found = find_controller(name, as_toolbox_form)
+        controller = find_controller(name, as_toolbox_form)
     else:
         file, _, function = name.partition(":")
-        path = documents.path(file, *PROGRAMS)
+        path = documents.path(file, *PROGRAM_SUFFIXES)
         forget_modules_beside(path)
-        found = find_controller(f"{path}:{function}" if function else str(path), as_toolbox_form)
-    plan = Plan(asked.runs, asked.cycles, asked.seconds, asked.pause)
-    folder = documents.path(asked.folder, "") if asked.folder else None
-    if folder is not None and len(asked.controllers) > 1:
+        controller = find_controller(f"{path}:{function}" if function else str(path), as_toolbox_form)
+    plan = Plan(request.runs, request.cycles, request.seconds, request.pause)
+    folder = documents.path(request.folder, "") if request.folder else None
+    if folder is not None and len(request.controllers) > 1:
         folder /= f"khepera{robot}"
-    return SeriesJob(name, found, plan, folder, robot)
+    return SeriesJob(name, controller, plan, folder, robot)
 
 
-def sensing(asked: SenseRequest, keep: Callable[[SensorRun], None]) -> Sensing:
+def sensor_job(request: SenseRequest, save: Callable[[SensorRun], None]) -> SensorJob:
     """Return the sensor test that the page requests.
 
     Raises:
         SensorTestError: The test is invalid.
     """
-    motion = (asked.amount, None) if asked.motion == "linear" else (None, asked.amount)
-    test = SensorTest(asked.what, *motion, asked.speed, asked.acceleration, asked.back)
-    return Sensing(test, keep, asked.text)
+    motion = (request.amount, None) if request.motion == "linear" else (None, request.amount)
+    test = SensorTest(request.what, *motion, request.speed, request.acceleration, request.back)
+    return SensorJob(test, save, request.text)
 
 
 def figure(run: SensorRun, sensor: str | None, y_min: int, grid: bool) -> bytes:
-    """Return the toolbox's picture of a sensor test, as PNG, or of a single sensor."""
+    """Return the toolbox's picture of a sensor test, or of a single sensor, as PNG."""
     from khep_twin.lab.sensor_test.sensor_figure import draw
 
     picture = BytesIO()

@@ -1,20 +1,19 @@
 """Messages from the designer to its open pages: the kinds, each with its keys.
 
-The page has one function for each kind, in a table `hears` of `main.js`, `run.js` or `challenges.js`; a test
-holds both to the same kinds. A message with a `tab` answers one page, which alone takes it.
+The page has one function for each kind, in a table of `main.js`, `run.js` or `challenges.js`; a test compares
+both lists of kinds. A message with a `tab` is for this page only; others ignore it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal, NotRequired, TypedDict, get_args, get_type_hints
-
-# The twin or the robot ------------------------------------------------------------------------------------
+from typing import Literal, NotRequired, TypedDict
 
 
 class RobotShape(TypedDict):
-    """Radius of a robot [mm], and the position [mm] and heading [deg] of each sensor around.
+    """Radius of a robot [mm], and position [mm] and heading [deg] of each proximity sensor.
 
-    `names` are those of its infrared sensors, `n_ground` of which look at the floor; `wheels_mm` has their
-    distance, radius and width; `sonar` is as `sensors` for the ultrasonic ones; `bars` are the kinds of bars.
+    `names` are those of the infrared sensors, of which `n_ground` point at the floor; `wheels_mm` has the
+    distance, radius and width of the wheels; `sonar` has the ultrasonic sensors as in `sensors`; `bars` the
+    kinds of bars.
     """
 
     radius_mm: float
@@ -27,7 +26,7 @@ class RobotShape(TypedDict):
 
 
 class PresentRobot(RobotShape):
-    """Robot of a session; a robot at a port lacks what only a playpen knows."""
+    """Robot of a session; a robot at a port lacks the keys that need a playpen."""
 
     name: str
     port: str
@@ -37,8 +36,8 @@ class PresentRobot(RobotShape):
     turrets: NotRequired[Sequence[str]]
 
 
-class TwinBegins(TypedDict):
-    """A twin has begun, in a playpen of this name; `log` is the name of its log."""
+class TwinStarted(TypedDict):
+    """A twin has started in a playpen; `log` is the name of its log."""
 
     kind: Literal["twin"]
     playpen: str
@@ -46,7 +45,7 @@ class TwinBegins(TypedDict):
     log: str | None
 
 
-class RobotBegins(TypedDict):
+class RobotConnected(TypedDict):
     """A robot at a port is connected."""
 
     kind: Literal["robot"]
@@ -54,10 +53,10 @@ class RobotBegins(TypedDict):
 
 
 class RobotReadings(TypedDict):
-    """Readings of a robot; what follows `vision` is known of a twin only.
+    """Readings of a robot; a robot at a port lacks the keys after `vision`.
 
-    `vision` is missing where the image was not read, and None without a camera; `more` has further channels
-    of a Khepera IV.
+    `vision` is missing if the image was not read, and None without a camera; `more` has further channels of a
+    Khepera IV.
     """
 
     proximity: Sequence[int]
@@ -75,7 +74,7 @@ class RobotReadings(TypedDict):
 
 
 class Picture(TypedDict):
-    """Present state; what follows `robots` is known of a twin only.
+    """Present state; a robot at a port lacks the keys after `robots`.
 
     `part` is the completed part of the job; `objects` has x, y [mm] and angle [deg] of each movable object by
     its table and index; `bodies` has the poses of the 3-D view's moving bodies.
@@ -123,9 +122,6 @@ class Notice(TypedDict):
     text: str
 
 
-# Jobs -----------------------------------------------------------------------------------------------------
-
-
 class RunDone(TypedDict):
     """A run of a series is over."""
 
@@ -146,7 +142,7 @@ class Sensed(TypedDict):
 
 
 class Printed(TypedDict):
-    """A program of a job, or one that is scored, has printed this."""
+    """Text printed by the program of a job or of a scoring."""
 
     kind: Literal["printed", "score-printed"]
     text: str
@@ -158,11 +154,8 @@ class JobDone(TypedDict):
     kind: Literal["done"]
 
 
-# Challenges -----------------------------------------------------------------------------------------------
-
-
 class Scoring(TypedDict):
-    """A program, or all of a folder, is being scored."""
+    """The scoring of a program, or of all programs of a folder, has started."""
 
     kind: Literal["scoring"]
     challenge: str
@@ -171,7 +164,7 @@ class Scoring(TypedDict):
 
 
 class Scored(TypedDict):
-    """Result of a program: a score and what it is compared with, or the reason why there is none."""
+    """Result of a program: a score with its references, or the reason for its absence."""
 
     kind: Literal["scored"]
     program: str
@@ -184,7 +177,7 @@ class Scored(TypedDict):
 
 
 class ScoreRows(TypedDict):
-    """Table of a folder's programs so far, and the part of them that is scored."""
+    """Table of a folder's scored programs, and their share of all."""
 
     kind: Literal["score-rows"]
     part: float
@@ -192,13 +185,10 @@ class ScoreRows(TypedDict):
 
 
 class ScoreEnded(TypedDict):
-    """The scoring has ended; the text says why if it is no success."""
+    """The scoring has ended; the text is the reason if it failed."""
 
     kind: Literal["score-ended"]
     text: str
-
-
-# Other pages ----------------------------------------------------------------------------------------------
 
 
 class FileSaved(TypedDict):
@@ -211,39 +201,19 @@ class FileSaved(TypedDict):
 
 
 class FromPage(TypedDict):
-    """Another page's own message, as JSON: its file and its identifier."""
+    """Another page's message, as JSON: its file and its identifier."""
 
     kind: Literal["page"]
     said: str
 
 
-Message = (
-    TwinBegins
-    | RobotBegins
-    | Picture
-    | Ended
-    | RoomFound
-    | Refused
-    | Notice
-    | RunDone
-    | Sensed
-    | Printed
-    | JobDone
-    | Scoring
-    | Scored
-    | ScoreRows
-    | ScoreEnded
-    | FileSaved
-    | FromPage
-)
-
-KINDS: frozenset[str] = frozenset(
-    kind for message in get_args(Message) for kind in get_args(get_type_hints(message)["kind"])
-)
-"""All kinds of messages."""
+SessionMessage = TwinStarted | RobotConnected | Picture | Ended | RoomFound | Refused | Notice
+JobMessage = RunDone | Sensed | Printed | JobDone
+ChallengeMessage = Scoring | Scored | ScoreRows | ScoreEnded
+Message = SessionMessage | JobMessage | ChallengeMessage | FileSaved | FromPage
 
 REPORTS = ("error", "note", "refused", "score-ended")
-"""Those whose "text" is the designer's, and may name files."""
+"""Kinds whose "text" is the designer's and may contain file names."""
 
 Publish = Callable[[Message], None]
 """Function that takes a message for the page."""

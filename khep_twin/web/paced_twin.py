@@ -1,11 +1,14 @@
 """Time of a watched twin: paced by the wall clock; it can be paused, stepped and sped up.
 
-It stands between a world and the code that advances its time, such as a controller's port in lock-step.
-Between two slices of time it handles the user's requests and an outside host on the robot's line.
+`PacedTwin` is a time source between a world and the code that advances its time, for example a controller's
+port in lock-step. Between two slices of time it handles the page's requests, which are its mailbox, and an
+outside host on the robot's line.
 
-Without a program of the page, that host uses the line as with `khep-twin serve`. With one, its commands are
-inserted between the program's: one whole line at a time, with its own reply. They delay the program, as they
-would on one cable.
+Without a program of the page, this host uses the line as with `khep-twin serve`. With one, its commands are
+inserted between those of the program: one line at a time, with its reply. They delay the program, as on a
+shared cable. States of the program:
+
+    running --stop_program--> stopping --its cycle takes over 1 s--> interrupted
 """
 
 import math
@@ -24,7 +27,7 @@ from khep_twin.robot import Robot
 from khep_twin.units import TICK_NS
 
 _LINE_LIMIT = 1024
-"""Longest incomplete line that is held back [bytes]."""
+"""Longest incomplete line that is buffered [bytes]."""
 
 LONGEST_WAIT = 0.02
 """Longest wall time of one wait [s]."""
@@ -35,81 +38,72 @@ PICTURE_INTERVAL = 0.04
 STEP_NS = 10 * TICK_NS
 """Time of one step while paused [ns]."""
 
-_LISTENING_INTERVAL = 0.002
-"""Wall time between two polls of the hosts while a program runs: each costs system calls [s]."""
+_HOST_POLL_INTERVAL = 0.002
+"""Wall time between two polls of the hosts while a program runs, as a poll costs system calls [s]."""
 
 _LAST_CYCLE_S = 1.0
 """Longest time for a stopped controller to finish its cycle [s of wall time]."""
 
 
 class OutsideHost:
-    """Host at the far end of one robot's cable.
-
-    Args:
-        twin: Twin whose world the robot is in.
-        robot: Robot of the line.
-        port: Cable to the host.
-        notify: Callback that takes notices for the user.
-
-    Attributes:
-        commands: Number of lines inserted so far.
-    """
+    """Host at the far end of one robot's cable; `commands` is the number of its inserted lines."""
 
     def __init__(self, twin: Twin, robot: Robot, port: HostPort, notify: Callable[[str], None]) -> None:
-        self.robot, self.port = robot, port
+        self.robot = robot
+        self.port = port
         self.commands = 0
-        self._alone = Connection(twin, robot, port, notify)
+        self._connection = Connection(twin, robot, port, notify)
         self._notify = notify
-        self._begun = bytearray()
+        self._partial_line = bytearray()
 
     def descriptors(self) -> Sequence[int]:
         """Return the descriptors to wait for."""
-        return self._alone.descriptors()
+        return self._connection.descriptors()
 
     def next_ns(self) -> int:
         """Return the time of the next event on the line [ns]."""
-        return self._alone.next_ns()
+        return self._connection.next_ns()
 
     def exchange(self, now: Callable[[], int] | None) -> None:
         """Pass bytes in both directions, with no other program on the line."""
-        if self._begun:
-            self.robot.send(bytes(self._begun))
-            self._begun.clear()
-        self._alone.take(now)
-        self._alone.give()
+        if self._partial_line:
+            self.robot.send(bytes(self._partial_line))
+            self._partial_line.clear()
+        self._connection.take(now)
+        self._connection.give()
 
-    def speak_between(self, pass_time: Callable[[int], None]) -> None:
+    def insert_command(self, pass_time: Callable[[int], None]) -> None:
         """Execute one line of the host if there is one and no reply is pending."""
         uart = self.robot.uart
         if len(uart.rx) or len(uart.tx):
             return
-        answered = not any(end in self._begun for end in LINE_ENDS)
-        received = self.port.receive(max(_LINE_LIMIT - len(self._begun), 0), answered)
+        is_answered = not any(end in self._partial_line for end in LINE_ENDS)
+        received = self.port.receive(max(_LINE_LIMIT - len(self._partial_line), 0), is_answered)
         for notice in received.notices:
             self._notify(notice)
         if received.left:
-            # The host's last bytes still reach the robot; the answers are dropped.
-            if last := bytes(self._begun) + received.last:
+            # The host's last bytes still reach the robot; the replies are dropped.
+            if last := bytes(self._partial_line) + received.last:
                 self.robot.send(last)
             self.robot.disconnect()
-            self._begun.clear()
-        self._begun += received.data
-        end = next((at for at, byte in enumerate(self._begun) if byte in LINE_ENDS), -1)
+            self._partial_line.clear()
+        self._partial_line += received.data
+        end = next((index for index, byte in enumerate(self._partial_line) if byte in LINE_ENDS), -1)
         if end < 0:
-            if len(self._begun) >= _LINE_LIMIT:
-                self._begun.clear()
+            if len(self._partial_line) >= _LINE_LIMIT:
+                self._partial_line.clear()
             return
-        line = bytes(self._begun[: end + 1])
-        del self._begun[: end + 1]
+        line = bytes(self._partial_line[: end + 1])
+        del self._partial_line[: end + 1]
         self.commands += 1
         self.robot.send(line)
-        while (next_ns := self._alone.next_ns()) != NEVER_NS:
+        while (next_ns := self._connection.next_ns()) != NEVER_NS:
             pass_time(next_ns)
-            self._alone.give()
+            self._connection.give()
 
 
 class SessionEndedError(KhepTwinError):
-    """A stopped program on a paced twin that did not end by itself."""
+    """A stopped program on a paced twin that did not end in time."""
 
 
 class PacedTwin:
@@ -118,67 +112,66 @@ class PacedTwin:
     Args:
         twin: Twin to pace.
         hosts: Outside hosts, one for each robot on the line.
-        show: Callback for a picture, up to 25 times a second.
+        publish_picture: Callback for a picture, up to 25 times a second.
 
     Attributes:
         world: World of the twin.
         robots: Robots of the twin.
-        view: Twin for the ports of programs; closing it keeps the world.
+        program_twin: Twin for the ports of programs; closing it keeps the world.
         speed: Simulated seconds per second; inf for as fast as possible.
         paused: True if time stands still.
-        ended: True if the twin must end.
+        is_ending: True if the twin must end.
         driven: Robots whose lines are used by programs in lock-step.
     """
 
-    def __init__(self, twin: Twin, hosts: Sequence[OutsideHost], show: Callable[[], None]) -> None:
-        self.world, self.robots = twin.world, twin.robots
-        self.view = Twin(twin.world, twin.robots, twin.options, self)
-        self._twin = twin
+    def __init__(self, twin: Twin, hosts: Sequence[OutsideHost], publish_picture: Callable[[], None]) -> None:
+        self.world = twin.world
+        self.robots = twin.robots
+        self.program_twin = Twin(twin.world, twin.robots, twin.options, self)
         # Loading compiled code would stop the picture for a moment.
         twin.world.code.switch_at = None
         self.speed = 1.0
         self.paused = False
-        self.ended = False
+        self.is_ending = False
         self.driven: Sequence[Robot] = []
-        self._hosts, self._show_picture = hosts, show
+        self._hosts = hosts
+        self._publish_picture = publish_picture
         self._requests: deque[Callable[[], None]] = deque()
         self._steps_left_ns = 0
         self._stop_at: float | None = None
-        self._broken_off = False
-        self._pacer = Pacer(1.0, self.world.time_ns)
-        self._paced_by: float | None = None
-        self._shown = self._listened = 0.0
+        self._is_interrupted = False
+        self._pacer: Pacer | None = None
+        self._picture_time = 0.0
+        self._poll_time = 0.0
 
     def request(self, action: Callable[[], None]) -> None:
         """Have the twin's thread execute an action between two slices of time; from any thread."""
-        self._requests.append(action)  # a deque's own lock suffices
+        self._requests.append(action)  # appending to a deque is atomic
 
     def step(self) -> None:
         """Advance one step while paused."""
         self._steps_left_ns += STEP_NS
 
-    def stop_program(self, wanted: bool = True) -> None:
-        """Request the end of the program in lock-step, or allow the next one to begin."""
-        self._stop_at = time.monotonic() + _LAST_CYCLE_S if wanted else None
-        self._broken_off = False
+    def stop_program(self, stop: bool = True) -> None:
+        """Request the end of the program in lock-step, or allow the next one to start."""
+        self._stop_at = time.monotonic() + _LAST_CYCLE_S if stop else None
+        self._is_interrupted = False
 
-    def stopping(self) -> bool:
+    def is_stopping(self) -> bool:
         """Return whether the program must end."""
-        return self.ended or self._stop_at is not None
+        return self.is_ending or self._stop_at is not None
 
     def advance_to(self, time_ns: int) -> None:
         """Advance to `time_ns` [ns] at the selected speed, and handle requests meanwhile."""
-        world = self.world
-        while world.time_ns < time_ns:
+        while self.world.time_ns < time_ns:
             self.attend()
-            self._slice(min(time_ns, world.time_ns + TICK_NS))
+            self._slice(min(time_ns, self.world.time_ns + TICK_NS))
 
     def idle(self) -> None:
         """Advance to the next event, with only outside hosts on the lines."""
         self.attend()
-        world = self.world
-        next_ns = min([world.time_ns + TICK_NS, *(host.next_ns() for host in self._hosts)])
-        self._slice(max(next_ns, world.time_ns))
+        next_ns = min([self.world.time_ns + TICK_NS, *(host.next_ns() for host in self._hosts)])
+        self._slice(max(next_ns, self.world.time_ns))
 
     def attend(self) -> None:
         """Execute requests, wait while time is paused, and exchange bytes with outside hosts.
@@ -189,66 +182,64 @@ class PacedTwin:
         while True:
             while self._requests:
                 self._requests.popleft()()
-            if self.ended or self._stop_at is not None or not self.paused:
+            if self.is_stopping() or not self.paused:
                 break
             if self._steps_left_ns >= TICK_NS:
                 self._steps_left_ns -= TICK_NS
                 break
-            self._picture()
+            self._publish_if_due()
             self._wait(LONGEST_WAIT)
-        late = self.ended or (self._stop_at is not None and time.monotonic() > self._stop_at)
-        if self.driven and late and not self._broken_off:
-            # Only once: the commands that stop the motors must still pass.
-            self._broken_off = True
+        late = self.is_ending or (self._stop_at is not None and time.monotonic() > self._stop_at)
+        if self.driven and late and not self._is_interrupted:
+            # Once per program: the commands that stop its motors must still pass.
+            self._is_interrupted = True
             raise SessionEndedError("stopped within a cycle")
         if not self.driven:
             for host in self._hosts:
                 host.exchange(None if self.paused else self._due_ns)
-        elif time.monotonic() - self._listened >= _LISTENING_INTERVAL:
-            self._listened = time.monotonic()
+        elif time.monotonic() - self._poll_time >= _HOST_POLL_INTERVAL:
+            self._poll_time = time.monotonic()
             for host in self._hosts:
                 if host.robot in self.driven:
-                    host.speak_between(self._slice)
+                    host.insert_command(self._slice)
                 else:
                     host.exchange(None)
-        self._picture()
-
-    def end(self) -> None:
-        """Complete the log."""
-        self._twin.close()
+        self._publish_if_due()
 
     def _slice(self, time_ns: int) -> None:
         """Wait until a time is due, and advance the world to it."""
-        pacer = self._pacer_now()
-        if pacer is not None and not self.paused and not self.stopping():
-            while (left := pacer.wait(time_ns)) > 0 and not self._requests and not self._wait(left):
+        pacer = self._current_pacer()
+        if pacer is not None and not self.paused and not self.is_stopping():
+            while (remaining := pacer.wait(time_ns)) > 0 and not self._requests and not self._wait(remaining):
                 pass
             if not self.driven:
-                # Bytes of a host that arrived meanwhile must not wait until then.
+                # A host's bytes that arrived meanwhile must not wait until `time_ns`.
                 time_ns = max(min(pacer.due_ns(), time_ns), self.world.time_ns)
         self.world.advance_to(time_ns)
         if pacer is not None:
             pacer.slip(self.world.time_ns)
 
-    def _pacer_now(self) -> Pacer | None:
-        wanted = None if self.paused or not math.isfinite(self.speed) else self.speed
-        if wanted != self._paced_by:
-            self._paced_by = wanted
-            if wanted is not None:
-                self._pacer = Pacer(wanted, self.world.time_ns)
-        return None if wanted is None else self._pacer
+    def _current_pacer(self) -> Pacer | None:
+        """Return the pacer of the present speed; None while paused or without a limit."""
+        speed = self.speed  # which other threads may change
+        if self.paused or not math.isfinite(speed):
+            self._pacer = None
+        elif self._pacer is None or self._pacer.speed != speed:
+            self._pacer = Pacer(speed, self.world.time_ns)
+        return self._pacer
 
     def _due_ns(self) -> int:
-        pacer = self._pacer_now()
+        pacer = self._current_pacer()
         return self.world.time_ns if pacer is None else max(pacer.due_ns(), self.world.time_ns)
 
     def _wait(self, duration: float) -> bool:
         """Wait for a duration, or until a host sends; return whether one did."""
-        descriptors = [] if self.driven else [each for host in self._hosts for each in host.descriptors()]
+        hosts = () if self.driven else self._hosts
+        descriptors = [descriptor for host in hosts for descriptor in host.descriptors()]
         return bool(select.select(descriptors, [], [], min(duration, LONGEST_WAIT))[0])
 
-    def _picture(self) -> None:
+    def _publish_if_due(self) -> None:
         now = time.monotonic()
-        if now - self._shown >= PICTURE_INTERVAL:
-            self._shown = now
-            self._show_picture()
+        if now - self._picture_time >= PICTURE_INTERVAL:
+            self._picture_time = now
+            self._publish_picture()

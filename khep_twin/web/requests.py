@@ -1,7 +1,6 @@
 """Requests of the page: one class per action, with the keys of the request as attributes.
 
-Each request is checked here before it is executed: it has these keys and no others, of these types; numbers
-are finite and within their ranges, texts not too long.
+Each request is checked here before it is executed: its keys, their types, ranges of numbers, lengths of text.
 """
 
 import json
@@ -17,40 +16,31 @@ from khep_twin.files.toml_files import TomlTable
 from khep_twin.randomness import SEED_LIMIT
 from khep_twin.units import COUNTS_LIMIT
 
-_DEPTH = 32
+_DEPTH_LIMIT = 32
 """Largest depth of nested objects and lists; a playpen has five."""
 
-_FAR = 100_000
-"""Bound beyond all positions [mm] and turns [degrees] of a page."""
+PROGRAM_LIMIT = 60_000
+"""Longest program that the page edits [characters]."""
+
+_COORDINATE_LIMIT = 100_000
+"""Bound of positions [mm] and angles [degrees]."""
+
+Sendable = TypeVar("Sendable", str, dict[str, object])
 
 
-def sendable(value: dict[str, object]) -> dict[str, object]:
+def sendable(value: Sendable) -> Sendable:
     """Return a value if JSON can represent it.
 
     Raises:
-        ValueError: It has numbers that are not finite, or text that is not Unicode.
+        ValueError: It contains non-finite numbers or invalid Unicode.
     """
     json.dumps(value, ensure_ascii=False, allow_nan=False).encode("utf-8")
     return value
 
 
-PROGRAM_LIMIT = 60_000
-"""Longest program that the page edits [characters]."""
-
-
-def unicode(text: str) -> str:
-    """Return a text if UTF-8 can represent it.
-
-    Raises:
-        ValueError: It cannot.
-    """
-    text.encode("utf-8")
-    return text
-
-
 FileName = Annotated[str, Field(min_length=1, max_length=1024, description="the name of a file")]
 Text = Annotated[str, Field(max_length=10_000, description="text of up to 10000 characters")]
-Word = Annotated[str, Field(max_length=1024, description="text of up to 1024 characters")]
+ShortText = Annotated[str, Field(max_length=1024, description="text of up to 1024 characters")]
 PageId = Annotated[
     str, Field(pattern="^[A-Za-z0-9-]{0,40}$", description="up to 40 letters, digits and hyphens")
 ]
@@ -60,46 +50,46 @@ Draft = Annotated[
     AfterValidator(sendable),
 ]
 Index = Annotated[int, Field(ge=0, le=10_000)]
-Far = Annotated[float, Field(ge=-_FAR, le=_FAR)]
+Coordinate = Annotated[float, Field(ge=-_COORDINATE_LIMIT, le=_COORDINATE_LIMIT)]
 Speed = Annotated[float, Field(ge=0, le=1000, description="a number from 0.001 to 1000, or 0 for the most")]
 
 
 class RequestError(KhepTwinError):
-    """An invalid request; one line, of the first problem."""
+    """An invalid request; one line with the first problem."""
 
     def __init__(self, message: object = "", option: str = "", *, problems: Sequence[Problem] = ()) -> None:
         super().__init__(str(message).partition("\n")[0], option, problems=problems[:1])
 
 
 class Request(TomlTable):
-    """A request without its own keys; `tab` is the identifier of the page that asks."""
+    """A request; `tab` is the identifier of the requesting page."""
 
     tab: PageId = ""
 
 
-class Named(Request):
+class FileRequest(Request):
     """A request about a file."""
 
     file: FileName
 
 
-class MaybeNamed(Request):
+class PlaypenRequest(Request):
     """A request about a file, or about a playpen without a file."""
 
     file: FileName | None = None
 
 
-class Hello(MaybeNamed):
-    """The first request of a page; `file` is the file of a page that is loaded again."""
+class HelloRequest(PlaypenRequest):
+    """The first request of a page; `file` is that of a reloaded page."""
 
 
-class Library(Request):
-    """A shipped playpen."""
+class LibraryRequest(Request):
+    """A playpen or challenge of the library."""
 
     name: FileName
 
 
-class Drafted(Request):
+class DraftRequest(Request):
     """A request about a draft."""
 
     draft: Draft
@@ -118,106 +108,106 @@ class SceneRequest(Request):
     draft: Draft | None = None
 
 
-class Kept(Request):
-    """A draft to keep or, if it is None, to delete; of the requesting page or of another."""
+class SaveDraftRequest(Request):
+    """A draft to save, or to delete if it is None; of the requesting page or of another."""
 
     file: FileName | None = None
     draft: Draft | None = None
-    version: Word | None = None
+    version: ShortText | None = None
     base: Base | None = None
     page: PageId | None = None
 
 
-class Saved(Drafted):
+class SaveRequest(DraftRequest):
     """A file to write."""
 
     file: FileName
-    version: Word | None = None
+    version: ShortText | None = None
     base: Base = Base()
     overwrite: bool = False
     rename: bool = False
 
 
-class SavedProgram(Request):
+class SaveProgramRequest(Request):
     """A program to write."""
 
     file: FileName
     text: Annotated[
         str,
         Field(max_length=PROGRAM_LIMIT, description="Unicode text of up to 60000 characters"),
-        AfterValidator(unicode),
+        AfterValidator(sendable),
     ]
-    version: Word | None = None
+    version: ShortText | None = None
     overwrite: bool = False
 
 
-class Pace(Request):
+class PaceRequest(Request):
     """Speed of time; 0 is as fast as possible."""
 
     speed: Speed = 1.0
     paused: bool = False
 
 
-class StartRequest(Drafted, Pace):
-    """A twin to start; `version` is that of the file which the draft was made from."""
+class StartRequest(DraftRequest, PaceRequest):
+    """A twin to start; `version` is that of the file on which the draft is based."""
 
     file: FileName | None = None
-    version: Word | None = None
+    version: ShortText | None = None
     seed: Annotated[int, Field(ge=0, lt=SEED_LIMIT, description="an integer from 0 to 2**63-1")] = 0
     noise: bool = True
-    log: Word | None = None
+    log: ShortText | None = None
 
 
-class Connect(Request):
+class ConnectRequest(Request):
     """A robot at a port."""
 
     port: Annotated[str, Field(min_length=1, max_length=1024, description="the name of a port")]
 
 
-class Room(Request):
+class RoomRequest(Request):
     """A position to check for room for a robot."""
 
     robot: Index
-    x_mm: Far
-    y_mm: Far
+    x_mm: Coordinate
+    y_mm: Coordinate
 
 
-class Put(Room):
-    """A position to put a robot at."""
+class PutRequest(RoomRequest):
+    """A pose for a robot."""
 
-    heading_deg: Far
+    heading_deg: Coordinate
 
 
 class SwitchRequest(Request):
-    """A lamp that is turned on or off."""
+    """A lamp to switch on or off."""
 
     lamp: Index
     on: bool
 
 
 class RunRequest(Request):
-    """A series of runs of a controller, or of one for each robot; a robot stands where its name is empty."""
+    """A series of runs of a controller, or of one for each robot; an empty name lets the robot stand."""
 
     controllers: Annotated[
-        tuple[Word, ...],
+        tuple[ShortText, ...],
         Field(min_length=1, max_length=1000, description="names of controllers or of their files"),
     ] = ("braitenberg",)
     runs: Annotated[int, Field(ge=1, le=100_000)] = 1
     cycles: Annotated[int | None, Field(ge=1, le=10**9, description="an integer from 1 to 1000000000")] = None
     seconds: Annotated[float | None, Field(gt=0, le=100_000)] = None
     pause: Annotated[float, Field(ge=0, le=100_000)] = 0.0
-    folder: Word | None = None
+    folder: ShortText | None = None
 
 
 class ScoreRequest(Request):
-    """A program to score in a challenge; without one, the reference solution."""
+    """A program to score in a challenge; None for the reference solution."""
 
     challenge: FileName
     program: FileName | None = None
 
 
 class ScoreTableRequest(Request):
-    """A folder whose programs are scored in a challenge; "." is the designer's own."""
+    """A folder of programs to score in a challenge; "." is the designer's folder."""
 
     challenge: FileName
     folder: FileName = "."
@@ -235,22 +225,22 @@ class SenseRequest(Request):
     text: Text = ""
 
 
-class Figure(Request):
+class FigureRequest(Request):
     """The picture of a sensor test."""
 
-    sensor: Word | None = None
+    sensor: ShortText | None = None
     y_min: Annotated[int, Field(ge=0, le=COUNTS_LIMIT)] = 0
     grid: bool = False
 
 
-Asked = TypeVar("Asked", bound=Request)
+RequestType = TypeVar("RequestType", bound=Request)
 
 
-def request_of(data: bytes, kind: type[Asked], action: str) -> Asked:
+def request_of(data: bytes, kind: type[RequestType], action: str) -> RequestType:
     """Return a request from JSON.
 
     Raises:
-        RequestError: The JSON is no valid request.
+        RequestError: The request is invalid.
     """
     return toml_files.check(kind, toml_files.frozen(object_of(data)), action, RequestError)
 
@@ -259,22 +249,24 @@ def object_of(data: bytes) -> dict[str, object]:
     """Return an object from JSON as Python reads it: numbers may be infinite or NaN.
 
     Raises:
-        RequestError: The JSON is no object, or nested too deeply.
+        RequestError: The data are not a JSON object, or its nesting exceeds 32 levels.
     """
     try:
-        found = json.loads(data, parse_int=_whole)
-        if _depth(found) > _DEPTH:
+        value = json.loads(data, parse_int=_parse_int)
+        if _depth(value) > _DEPTH_LIMIT:
             raise RecursionError
     except RecursionError:
-        raise RequestError(f"nested too deeply; expected a JSON object of at most {_DEPTH} levels") from None
+        raise RequestError(
+            f"nested too deeply; expected a JSON object of at most {_DEPTH_LIMIT} levels"
+        ) from None
     except ValueError as error:
         raise RequestError(f"no JSON: {error}; expected a JSON object") from None
-    if not isinstance(found, dict):
-        raise RequestError(f"{toml_files.show(found)}: expected a JSON object")
-    return cast(dict[str, object], found)
+    if not isinstance(value, dict):
+        raise RequestError(f"{toml_files.show(value)}: expected a JSON object")
+    return cast(dict[str, object], value)
 
 
-def _whole(digits: str) -> float:
+def _parse_int(digits: str) -> float:
     # Python refuses to read thousands of digits; the checks report which key has them.
     return int(digits) if len(digits) < 1000 else math.inf
 
@@ -282,7 +274,7 @@ def _whole(digits: str) -> float:
 def _depth(value: object) -> int:
     """Return the depth of nested objects and lists."""
     depth, level = 0, [value]
-    while level := [items for each in level if (items := _items(each)) is not None]:
+    while level := [items for item in level if (items := _items(item)) is not None]:
         depth, level = depth + 1, [item for items in level for item in items]
     return depth
 

@@ -20,14 +20,14 @@ from khep_twin.sensing import colours
 from khep_twin.sensing.bars import BARS
 from khep_twin.units import BODIES
 from khep_twin.web import drafts, requests
-from khep_twin.web.answers import Actions, endpoint, failed, on, with_body
+from khep_twin.web.answers import Actions, action, body_endpoint, endpoint, internal_error
 from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.challenges import Challenges
 from khep_twin.web.documents import Documents
-from khep_twin.web.file_actions import FileActions, Programs, imported
+from khep_twin.web.file_actions import FileActions, Programs, import_file
 from khep_twin.web.messages import REPORTS, Message
-from khep_twin.web.scene import at_start
-from khep_twin.web.session import shape
+from khep_twin.web.robot_shape import robot_shape
+from khep_twin.web.scene import start_parts
 from khep_twin.web.session_actions import SessionActions
 
 ASSETS = Path(__file__).parent.parent / "assets" / "web"
@@ -36,11 +36,11 @@ _KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".
 
 
 class Page:
-    """Application behind the page, which opens a file at first, or with None a new playpen.
+    """Application behind the page.
 
     Args:
         documents: Playpens of the folder.
-        file: File to open.
+        file: File to open first; None for a new playpen.
         writes_programs: True if controllers can be edited in the page.
     """
 
@@ -49,34 +49,34 @@ class Page:
         self._broadcaster = Broadcaster()
 
         def publish(message: Message) -> None:
-            """Send a message, with files in what it reports named from the folder on."""
+            """Send a message; file names in reports become relative to the folder."""
             if message["kind"] in REPORTS:
                 message = cast(Message, {**message, "text": documents.relative(str(message.get("text")))})
             self._broadcaster.publish(message)
 
         self._files = FileActions(documents, Programs(documents, writes_programs), publish, file)
         self._session = SessionActions(documents, publish)
-        self._challenges = Challenges(documents, publish, lambda: self._broadcaster.is_watched)
+        self._challenges = Challenges(documents, publish, lambda: self._broadcaster.has_pages)
 
     def app(self) -> Starlette:
-        """Return the application, to be wrapped in a guard."""
-        shown = self._documents.relative
+        """Return the application, which a guard must wrap."""
+        format_text = self._documents.relative
         routes = [
             Route("/", _asset, methods=["GET"]),
             Route("/static/{name}", _asset, methods=["GET"]),
-            Route("/import", with_body(imported, shown), methods=["POST"]),
+            Route("/import", body_endpoint(import_file, format_text), methods=["POST"]),
             *(
-                Route(f"/do/{name}", endpoint(name, action, shown), methods=["POST"])
+                Route(f"/do/{name}", endpoint(name, action, format_text), methods=["POST"])
                 for name, action in self.actions.items()
             ),
             WebSocketRoute("/live", self._broadcaster.serve),
         ]
-        return Starlette(routes=routes, exception_handlers={Exception: failed})
+        return Starlette(routes=routes, exception_handlers={Exception: internal_error})
 
     @property
     def actions(self) -> Actions:
         """Actions of the page by name."""
-        hello = {"hello": on(requests.Hello, self._hello)}
+        hello = {"hello": action(requests.HelloRequest, self._hello)}
         return {**hello, **self._files.actions, **self._session.actions, **self._challenges.actions}
 
     def close(self) -> None:
@@ -84,25 +84,26 @@ class Page:
         self._session.close()
         self._challenges.close()
 
-    def _hello(self, asked: requests.Hello) -> dict[str, object]:
+    def _hello(self, request: requests.HelloRequest) -> dict[str, object]:
         """Answer the first request of a page: a document and the designer's data.
 
-        A page that is loaded again names its "file". A new page gets the running playpen, or else the last
-        one in use.
+        A reloaded page names its "file". A new page gets the running playpen, or if none runs the last one in
+        use.
         """
-        runs = self._session.runs()
-        file = self._files.file if runs is None else self._session.runs_in
-        if "file" in asked.model_fields_set:
-            file = asked.file
-        trouble = None
+        running_twin = self._session.running_twin()
+        file = self._files.file if running_twin is None else self._session.twin_file
+        if "file" in request.model_fields_set:
+            file = request.file
+        error_text = None
         try:
-            there = file is not None and self._documents.version(file) is not None
-            opened = self._documents.open(file) if file and there else self._documents.new(file)
+            exists = file is not None and self._documents.version(file) is not None
+            document = self._documents.open(file) if file and exists else self._documents.new(file)
         except KhepTwinError as error:
-            opened, trouble = self._documents.new(None), error.plain
+            document = self._documents.new(None)
+            error_text = error.plain
         return {
-            **opened,
-            "trouble": trouble,
+            **document,
+            "trouble": error_text,
             "folder": self._documents.root.name,
             "version_of_twin": __version__,
             "surfaces": drafts.surfaces(),
@@ -111,18 +112,18 @@ class Page:
             "bars": {name: asdict(bar) for name, bar in BARS.items()},
             "colours": {"sensors": colours.OF_SENSORS, "wheels": colours.WHEELS},
             "turrets": {
-                name: {"description": kind.description, "parts": at_start(name)}
+                name: {"description": kind.description, "parts": start_parts(name)}
                 for name, kind in installed().items()
             },
-            "shapes": {model: shape(model, model) for model in BODIES},
-            "runs": runs,
+            "shapes": {model: robot_shape(model, model) for model in BODIES},
+            "runs": running_twin,
         }
 
 
 async def _asset(request: Request) -> Response:
-    """Return one of the page's own files."""
+    """Return a file of the page itself."""
     name = request.path_params.get("name", "index.html")
-    known = await asyncio.to_thread(lambda: {path.name: path for path in ASSETS.iterdir()})
-    if name not in known or known[name].suffix not in _KINDS:
+    assets = await asyncio.to_thread(lambda: {path.name: path for path in ASSETS.iterdir()})
+    if name not in assets or assets[name].suffix not in _KINDS:
         return PlainTextResponse("404: no such file of the page\n", 404)
-    return FileResponse(known[name], media_type=_KINDS[known[name].suffix])
+    return FileResponse(assets[name], media_type=_KINDS[assets[name].suffix])

@@ -1,8 +1,7 @@
 """Scenes as the page draws them: the 3-D view, and turrets from above.
 
-In the 3-D view lengths are in m and colours from 0 to 1, as MuJoCo has them. Shapes of bodies that cannot
-move are in the frame of the world, all others in the frame of their body. Outlines of turrets are in the
-frame of their robot.
+In the 3-D view lengths are in m and colours from 0 to 1, as in MuJoCo. Shapes of fixed bodies are in the
+world frame, all others in the frame of their body. Outlines of turrets are in the frame of their robot.
 """
 
 import math
@@ -19,17 +18,16 @@ from khep_twin.errors import TurretError
 from khep_twin.world import World
 
 _GROUPS = 3
-"""Number of groups that are visible: those of collision shapes come after them."""
+"""Number of visible groups; those of collision shapes have higher numbers."""
 
 _DIGITS = 5
 
 Floats = NDArray[np.float32]
-
 Points = NDArray[np.float64]
 
 _TURNS = np.linspace(0, 2 * math.pi, 24, endpoint=False)
 _CIRCLE = np.column_stack([np.cos(_TURNS), np.sin(_TURNS), np.zeros(len(_TURNS))])
-_BALL = np.vstack([_CIRCLE * math.cos(up) + (0, 0, math.sin(up)) for up in np.linspace(-1.5, 1.5, 9)])
+_BALL = np.vstack([_CIRCLE * math.cos(lat) + (0, 0, math.sin(lat)) for lat in np.linspace(-1.5, 1.5, 9)])
 _CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 
 
@@ -42,11 +40,13 @@ class DrawnScene:
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        self._model, self._data = model, data
-        owners = [*model.geom_bodyid[_visible(model, "geom")], *model.site_bodyid[_visible(model, "site")]]
-        self._moving = [body for body in sorted({*map(int, owners)}) if _moves(model, body)]
+        self._model = model
+        self._data = data
+        geoms, sites = (_visible_indices(model, kind) for kind in ("geom", "site"))
+        bodies = [*model.geom_bodyid[geoms], *model.site_bodyid[sites]]
+        self._moving = [body for body in sorted({*map(int, bodies)}) if _is_movable(model, body)]
 
-    def described(self) -> dict[str, object]:
+    def describe(self) -> dict[str, object]:
         """Return shapes, lights and moving bodies, with their present poses."""
         model = self._model
         head = model.vis.headlight
@@ -55,50 +55,52 @@ class DrawnScene:
             "poses": self.poses(),
             "shapes": [*self._shapes("geom"), *self._shapes("site")],
             "meshes": [
-                {"points": _rounded(vertices), "faces": faces.tolist()} for vertices, faces in _meshes(model)
+                {"points": _round(vertices), "faces": faces.tolist()} for vertices, faces in _meshes(model)
             ],
             "lights": [
                 {
                     "directional": bool(model.light_type[light] == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL),
-                    "at": _rounded(self._data.light_xpos[light]),
-                    "direction": _rounded(self._data.light_xdir[light]),
-                    "diffuse": _rounded(model.light_diffuse[light]),
-                    "ambient": _rounded(model.light_ambient[light]),
+                    "at": _round(self._data.light_xpos[light]),
+                    "direction": _round(self._data.light_xdir[light]),
+                    "diffuse": _round(model.light_diffuse[light]),
+                    "ambient": _round(model.light_ambient[light]),
                 }
                 for light in range(model.nlight)
                 if model.light_active[light]
             ],
-            "headlight": {"ambient": _rounded(head.ambient), "diffuse": _rounded(head.diffuse)},
+            "headlight": {"ambient": _round(head.ambient), "diffuse": _round(head.diffuse)},
         }
 
     def poses(self) -> list[list[float]]:
         """Return the present poses of the moving bodies: position [m] and quaternion, w first (n, 7)."""
-        at = np.hstack([self._data.xpos[self._moving], self._data.xquat[self._moving]])
-        return at.round(_DIGITS).tolist()
+        poses = np.hstack([self._data.xpos[self._moving], self._data.xquat[self._moving]])
+        return poses.round(_DIGITS).tolist()
 
     def _shapes(self, kind: str) -> Iterator[dict[str, object]]:
         """Yield the visible geoms or sites."""
         model, data = self._model, self._data
-        of = {name: getattr(model, f"{kind}_{name}") for name in ("bodyid", "type", "size", "pos", "quat")}
-        seen = {name: getattr(data, f"{kind}_{name}") for name in ("xpos", "xmat")}
-        for index in _visible(model, kind):
-            body, turned = int(of["bodyid"][index]), of["quat"][index]
-            moves = body in self._moving
-            if not moves:
-                turned = np.zeros(4)
-                mujoco.mju_mat2Quat(turned, seen["xmat"][index])
+        local = {key: getattr(model, f"{kind}_{key}") for key in ("bodyid", "type", "size", "pos", "quat")}
+        world = {key: getattr(data, f"{kind}_{key}") for key in ("xpos", "xmat")}
+        for index in _visible_indices(model, kind):
+            body = int(local["bodyid"][index])
+            quat = local["quat"][index]
+            is_moving = body in self._moving
+            if not is_moving:
+                quat = np.zeros(4)
+                mujoco.mju_mat2Quat(quat, world["xmat"][index])
+            position = (local["pos"] if is_moving else world["xpos"])[index]
             yield {
                 "name": model.geom(index).name if kind == "geom" else model.site(index).name,
-                "kind": mujoco.mjtGeom(int(of["type"][index])).name.removeprefix("mjGEOM_").lower(),
-                "size": _rounded(of["size"][index]),
-                "body": self._moving.index(body) if moves else None,
-                "pose": _rounded(np.array([*(of["pos"] if moves else seen["xpos"])[index], *turned])),
-                "rgba": _rounded(_colour(model, kind, index)),
+                "kind": mujoco.mjtGeom(int(local["type"][index])).name.removeprefix("mjGEOM_").lower(),
+                "size": _round(local["size"][index]),
+                "body": self._moving.index(body) if is_moving else None,
+                "pose": _round(np.array([*position, *quat])),
+                "rgba": _round(_colour(model, kind, index)),
                 "mesh": int(model.geom_dataid[index]) if kind == "geom" else -1,
             }
 
 
-def compiled(spec: mujoco.MjSpec) -> DrawnScene:
+def compile_scene(spec: mujoco.MjSpec) -> DrawnScene:
     """Return the scene of a specification at its start."""
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -106,7 +108,7 @@ def compiled(spec: mujoco.MjSpec) -> DrawnScene:
     return DrawnScene(model, data)
 
 
-def _visible(model: mujoco.MjModel, kind: str) -> list[int]:
+def _visible_indices(model: mujoco.MjModel, kind: str) -> list[int]:
     """Return the geoms or sites of the visible groups that are not transparent."""
     groups = getattr(model, f"{kind}_group")
     return [
@@ -114,13 +116,13 @@ def _visible(model: mujoco.MjModel, kind: str) -> list[int]:
     ]
 
 
-def _moves(model: mujoco.MjModel, body: int) -> bool:
-    """Return whether a body can move: it has a joint somewhere above, or is placed by a program."""
+def _is_movable(model: mujoco.MjModel, body: int) -> bool:
+    """Return whether a body can move: by a joint of it or of a parent, or as a mocap body."""
     return bool(model.body_weldid[body] or model.body_mocapid[model.body_rootid[body]] >= 0)
 
 
 def _colour(model: mujoco.MjModel, kind: str, index: int) -> Floats:
-    """Return a colour: a material's, or its own."""
+    """Return the colour of the material, or without one that of the geom or site."""
     material = int(getattr(model, f"{kind}_matid")[index])
     return model.mat_rgba[material] if material >= 0 else getattr(model, f"{kind}_rgba")[index]
 
@@ -134,16 +136,16 @@ def _meshes(model: mujoco.MjModel) -> Iterator[tuple[Floats, NDArray[np.int32]]]
         )
 
 
-def _rounded(values: NDArray[np.floating]) -> list[float]:
+def _round(values: NDArray[np.floating]) -> list[float]:
     return np.asarray(values, np.float64).round(_DIGITS).tolist()
 
 
 @cache
-def at_start(name: str) -> list[dict[str, object]]:
-    """Return the parts of a turret in its start pose, each with its corners [mm] and its colour.
+def start_parts(name: str) -> list[dict[str, object]]:
+    """Return the parts of a turret in its start pose: corners [mm] and colour of each.
 
     Raises:
-        TurretError: The turret's scene cannot be compiled.
+        TurretError: The turret's MJCF file cannot be compiled.
     """
     kind = installed()[name]
     if kind.scene is None:
@@ -161,39 +163,40 @@ def at_start(name: str) -> list[dict[str, object]]:
 
 
 class TurretParts:
-    """Parts of the turrets of a world's robot, in the order of `at_start`, turret by turret."""
+    """Parts of the turrets of a robot, in the order of `start_parts`, turret by turret."""
 
     def __init__(self, world: World, index: int) -> None:
         model, name = world.model, world.robots[index].name
-        self._data, self._base = world.data, world.robots[index].indices.base
+        self._data = world.data
+        self._base = world.robots[index].indices.base
         self._points = {
             geom: _points(model, geom)
             for turret in world.playpen.robots[index].turrets
             for geom in range(model.ngeom)
-            if _owned(model, geom, f"{name}/{turret}/")
+            if _belongs_to(model, geom, f"{name}/{turret}/")
         }
 
     def corners(self) -> list[list[list[float]]]:
         """Return the present corners of the parts [mm]."""
-        position, turned = self._data.xpos[self._base], self._data.xmat[self._base].reshape(3, 3)
-        return _outlines(self._data, self._points, position, turned)
+        position, rotation = self._data.xpos[self._base], self._data.xmat[self._base].reshape(3, 3)
+        return _outlines(self._data, self._points, position, rotation)
 
 
-def _owned(model: mujoco.MjModel, geom: int, prefix: str) -> bool:
-    owner = model.body(int(model.geom_bodyid[geom]))
-    return model.geom(geom).name.startswith(prefix) or owner.name.startswith(prefix)
+def _belongs_to(model: mujoco.MjModel, geom: int, prefix: str) -> bool:
+    body = model.body(int(model.geom_bodyid[geom]))
+    return model.geom(geom).name.startswith(prefix) or body.name.startswith(prefix)
 
 
 def _outlines(
-    data: mujoco.MjData, points: Mapping[int, Points], position: Points, turned: Points
+    data: mujoco.MjData, points: Mapping[int, Points], position: Points, rotation: Points
 ) -> list[list[list[float]]]:
-    """Return the convex outlines of geoms with these points, along z of a frame [mm]."""
-    found: list[list[list[float]]] = []
+    """Return the convex outlines of geoms, projected along z of a frame [mm]."""
+    outlines: list[list[list[float]]] = []
     for geom, local in points.items():
-        at = local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-        flat = ((at - position) @ turned)[:, :2] * 1e3
-        found.append(_hull(flat.round(2).tolist()))
-    return found
+        points_3d = local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        flat = ((points_3d - position) @ rotation)[:, :2] * 1e3
+        outlines.append(_hull(flat.round(2).tolist()))
+    return outlines
 
 
 def _hull(points: list[list[float]]) -> list[list[float]]:
@@ -217,7 +220,7 @@ def _hull(points: list[list[float]]) -> list[list[float]]:
 
 
 def _points(model: mujoco.MjModel, geom: int) -> Points:
-    """Return points of a geom, in its own frame, whose convex hull approximates the geom."""
+    """Return points in the frame of a geom whose convex hull approximates it."""
     size, kind = model.geom_size[geom], model.geom_type[geom]
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
         return np.vstack([_CIRCLE * size[0] + (0, 0, side * size[1]) for side in (-1, 1)])

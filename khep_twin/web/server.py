@@ -11,13 +11,13 @@ import uvicorn
 
 from khep_twin.errors import PortError
 from khep_twin.ports.network import is_loopback, listening_address
-from khep_twin.web.connections import ACCEPTED_AT_ONCE, PING, QUEUE, PageConnection, Watch, reported
+from khep_twin.web.connections import ACCEPT_BATCH, BACKLOG, PING_S, PageConnection, Watchdog, report_errors
 from khep_twin.web.documents import Documents
 from khep_twin.web.guard import Guard
 from khep_twin.web.routes import Page
 
-_ANY = ("0.0.0.0", "::")
-"""Hosts that mean all of a machine's addresses."""
+_WILDCARD_HOSTS = ("0.0.0.0", "::")
+"""Wildcard addresses."""
 
 MESSAGE_LIMIT = 64 * 1024
 """Longest message of a page over its websocket [bytes]."""
@@ -28,14 +28,14 @@ class Server:
 
     Attributes:
         url: URL of its page, with its token.
-        url_once: URL that leads to the page once, for the browser's arguments.
+        one_time_url: URL that leads to the page once, for the browser's arguments.
 
     Args:
         folder: Folder whose files the page may read and write.
-        file: File to open at first, relative to the folder.
+        file: File to open first, relative to the folder.
         listen: HOST:PORT; port 0 is any free port.
         allow_remote: Allow connections from other machines.
-        complain: Function that takes the server's own errors, a line each; without it, they are logged.
+        report: Function that takes the server's errors, a line each; None to log them.
 
     Raises:
         PortError: The server cannot or may not listen there.
@@ -48,7 +48,7 @@ class Server:
         listen: str,
         *,
         allow_remote: bool = False,
-        complain: Callable[[str], object] | None = None,
+        report: Callable[[str], object] | None = None,
     ) -> None:
         host, port = listening_address(listen, "reach your files", allow_remote=allow_remote)
         documents = Documents(folder)
@@ -61,15 +61,15 @@ class Server:
             reason = (error.strerror or str(error)).partition(" (while")[0]
             raise PortError(f"{listen}: cannot listen there: {reason}") from error
         port = self.listener.getsockname()[1]
-        names = _names(host)
-        token, once = (secrets.token_urlsafe(24) for _ in range(2))
+        names = _host_names(host)
+        token, one_time_token = (secrets.token_urlsafe(24) for _ in range(2))
         self.url = f"http://{names[0]}:{port}/{token}/"
-        self.url_once = f"http://{names[0]}:{port}/{once}/"
+        self.one_time_url = f"http://{names[0]}:{port}/{one_time_token}/"
         self._page = Page(documents, file, writes_programs=is_loopback(host))
-        self._complain = complain
+        self._report = report
         hosts = {f"{name}:{port}" for name in names}
-        guard = Guard(self._page.app(), token, hosts, once=once, complain=complain)
-        self._server = _Quiet(
+        guard = Guard(self._page.app(), token, hosts, one_time_token=one_time_token, report=report)
+        self._server = _PolledServer(
             uvicorn.Config(
                 guard,
                 log_config=None,
@@ -79,9 +79,9 @@ class Server:
                 server_header=False,
                 ws="websockets-sansio",
                 ws_max_size=MESSAGE_LIMIT,
-                ws_ping_interval=PING,
-                ws_ping_timeout=PING,
-                backlog=ACCEPTED_AT_ONCE,
+                ws_ping_interval=PING_S,
+                ws_ping_timeout=PING_S,
+                backlog=ACCEPT_BATCH,
                 timeout_graceful_shutdown=2,
                 h11_max_incomplete_event_size=32 * 1024,
                 http=PageConnection,
@@ -98,49 +98,49 @@ class Server:
         """Serve until `stop` returns True."""
         self._server.stop = stop
         try:
-            with reported(self._complain):
+            with report_errors(self._report):
                 self._server.run(sockets=[self.listener])
         finally:
             self._page.close()
             self.listener.close()
 
 
-def _names(host: str) -> list[str]:
+def _host_names(host: str) -> list[str]:
     """Return the names that a browser may use for the listening host; the first is that of the URL."""
     if is_loopback(host):
         return [_bracketed(host)] if host == "localhost" else [_bracketed(host), "localhost"]
-    if host not in _ANY:
+    if host not in _WILDCARD_HOSTS:
         return [_bracketed(host)]
-    own = {socket.gethostname()}
+    names = {socket.gethostname()}
     with suppress(OSError):
-        own |= {str(found[4][0]) for found in socket.getaddrinfo(socket.gethostname(), None)}
-    outwards = []
+        names |= {str(address[4][0]) for address in socket.getaddrinfo(socket.gethostname(), None)}
+    outgoing = []
     with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         # Sends nothing: only looks up the route.
         probe.connect(("192.0.2.1", 9))
-        outwards = [probe.getsockname()[0]]
-    others = [_bracketed(name.partition("%")[0]) for name in sorted(own)]
-    return list(dict.fromkeys([*outwards, *others, "127.0.0.1", "localhost"]))
+        outgoing = [probe.getsockname()[0]]
+    hosts = [_bracketed(name.partition("%")[0]) for name in sorted(names)]
+    return list(dict.fromkeys([*outgoing, *hosts, "127.0.0.1", "localhost"]))
 
 
 def _bracketed(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-class _Quiet(uvicorn.Server):
-    """Server that leaves signals to its caller, polls `stop`, and watches its connections."""
+class _PolledServer(uvicorn.Server):
+    """Server that leaves signals to its caller, polls `stop`, and checks its connections."""
 
     stop: Callable[[], bool]
 
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
-        self._watch = Watch()
+        self._watchdog = Watchdog()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start listening."""
         await super().startup(sockets)
-        for each in sockets or ():
-            each.listen(QUEUE)  # which asyncio makes as short as what it accepts at once
+        for listener in sockets or ():
+            listener.listen(BACKLOG)  # asyncio sets it to `backlog`
 
     @contextmanager
     def capture_signals(self) -> Generator[None, None, None]:
@@ -149,5 +149,5 @@ class _Quiet(uvicorn.Server):
 
     async def on_tick(self, counter: int) -> bool:
         """Return whether to end; called ten times a second."""
-        self._watch.look(self.server_state.connections, time.monotonic())
+        self._watchdog.check(self.server_state.connections, time.monotonic())
         return self.stop() or await super().on_tick(counter)

@@ -1,4 +1,4 @@
-"""Session of a twin in its playpen, with a pseudo-terminal for an outside host at each robot."""
+"""Session of a twin in its playpen: its thread runs a `PacedTwin`, alone or in lock-step with programs."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.errors import KhepTwinError, PortError
-from khep_twin.interventions.move_robot import current_playpen, put
+from khep_twin.interventions.move_robot import current_playpen, place_robot
 from khep_twin.interventions.switching import switch
 from khep_twin.lab.experiment.multi_robot import drive_together
 from khep_twin.playpen import Playpen
@@ -25,50 +25,47 @@ from khep_twin.units import BODIES
 from khep_twin.web import messages
 from khep_twin.web.messages import Publish
 from khep_twin.web.paced_twin import OutsideHost, PacedTwin
+from khep_twin.web.robot_shape import robot_shape
 from khep_twin.web.scene import DrawnScene, TurretParts
-from khep_twin.web.session import WebSession, shape
+from khep_twin.web.session import SessionActor
 
-_MORE = ("ultrasonic", "position", "accelerometer", "gyroscope", "battery")
+_EXTRA_CHANNELS = ("ultrasonic", "position", "accelerometer", "gyroscope", "battery")
 """Further channels of a Khepera IV that the page shows."""
 
-_NOT_YET = "the twin is not there yet; expected a started twin"
+_NOT_STARTED = "the twin is not there yet; expected a started twin"
 
 
-class TwinActor(WebSession):
-    """A twin in a playpen, with a pseudo-terminal for an outside host at each robot.
-
-    Args:
-        playpen: Playpen to simulate.
-        options: Options of the twin.
-        log: File of the log; None for none.
-        publish: Function that takes messages for the page.
-    """
+class TwinActor(SessionActor):
+    """Twin in a playpen, with a pseudo-terminal for an outside host at each robot; `log` is its log file."""
 
     def __init__(self, playpen: Playpen, options: TwinOptions, log: Path | None, publish: Publish) -> None:
         super().__init__(publish)
-        self.playpen, self._options, self.log = playpen, options, log
-        self._paced: PacedTwin | None = None
+        self.playpen = playpen
+        self._options = options
+        self.log = log
+        self._twin: PacedTwin | None = None
         self._turrets: list[TurretParts] = []
         self._scene: DrawnScene | None = None
-        self.speed, self.paused = 1.0, False
+        self.speed = 1.0
+        self.paused = False
 
     def set_pace(self, speed: float, paused: bool) -> None:
         """Set the speed of time, and whether it is paused."""
         self.speed, self.paused = speed, paused
-        if self._paced is not None:
-            self._paced.speed, self._paced.paused = speed, paused
+        if self._twin is not None:
+            self._twin.speed, self._twin.paused = speed, paused
 
     def step(self) -> None:
         """Advance one step."""
-        if self._paced is not None:
-            self._paced.step()
+        if self._twin is not None:
+            self._twin.step()
 
-    def put(self, robot: int, x_mm: float, y_mm: float, heading_deg: float, page: str = "") -> None:
+    def put_robot(self, robot: int, x_mm: float, y_mm: float, heading_deg: float, page: str = "") -> None:
         """Move a robot for a page; report to it if there is no room."""
-        self._request(lambda twin: put(twin.world, robot, x_mm, y_mm, heading_deg), page)
+        self._request(lambda twin: place_robot(twin.world, robot, x_mm, y_mm, heading_deg), page)
 
-    def room(self, robot: int, x_mm: float, y_mm: float, page: str = "") -> None:
-        """Report to a page why a held robot has no room at a position; with room, the reason is empty."""
+    def report_room(self, robot: int, x_mm: float, y_mm: float, page: str = "") -> None:
+        """Report to a page why a held robot has no room at a position; the reason is empty if it has."""
 
         def report(twin: PacedTwin) -> None:
             reason = no_room(current_playpen(twin.world), robot, x_mm, y_mm)
@@ -76,91 +73,89 @@ class TwinActor(WebSession):
 
         self._request(report, page)
 
-    def switch(self, lamp: int, on: bool, page: str = "") -> None:
+    def switch_lamp(self, lamp: int, on: bool, page: str = "") -> None:
         """Switch a lamp for a page."""
         self._request(lambda twin: switch(twin.world, lamp, on), page)
 
     def scene(self) -> DrawnScene:
-        """Return the scene of the world, with the poses of its moving bodies in each picture's "bodies".
+        """Return the scene of the world; each picture's "bodies" has the poses of its moving bodies.
 
         Raises:
             PortError: The twin has not started yet.
         """
         if self._scene is None:
-            raise PortError(_NOT_YET)
+            raise PortError(_NOT_STARTED)
         return self._scene
 
     def end(self) -> None:
         """End the twin and complete its log."""
-        if self._paced is not None:
-            self._paced.ended = True
+        if self._twin is not None:
+            self._twin.is_ending = True
         super().end()
 
     def _halt_motors(self) -> None:
-        if self.jobs and self._paced is not None:
-            self._paced.stop_program()
+        if self.jobs and self._twin is not None:
+            self._twin.stop_program()
         else:
             self._request(lambda twin: [robot.send(b"D,0,0\n") for robot in twin.robots])
 
     def _request(self, action: Callable[[PacedTwin], object], page: str = "") -> None:
-        """Have something done to the twin, for a page or for all."""
-        twin = self._paced
+        """Have the twin's thread execute an action, for a page or for all."""
+        twin = self._twin
         if twin is None:
-            raise PortError(_NOT_YET)
+            raise PortError(_NOT_STARTED)
 
-        def safely() -> None:
+        def run() -> None:
             try:
                 action(twin)
             except (KhepTwinError, IndexError) as error:
                 text = error.plain if isinstance(error, KhepTwinError) else str(error)
                 self.publish({"kind": "refused", "text": text, "tab": page})
 
-        twin.request(safely)
+        twin.request(run)
 
-    def _live(self) -> None:
-        options = replace(self._options, robot=None)
+    def _serve(self) -> None:
         with ExitStack() as stack:
-            twin = stack.enter_context(open_twin(self.playpen, options))
-            bauds = [robot.firmware.baud for robot in twin.robots]
-            ports = [stack.enter_context(closing(open_any(baud))) for baud in bauds]
-            pairs = zip(twin.robots, ports, strict=True)
-            hosts = [OutsideHost(twin, robot, port, self._note) for robot, port in pairs]
+            twin = stack.enter_context(open_twin(self.playpen, replace(self._options, robot=None)))
+            ports = [stack.enter_context(closing(open_any(robot.firmware.baud))) for robot in twin.robots]
+            hosts = [OutsideHost(twin, *pair, self._note) for pair in zip(twin.robots, ports, strict=True)]
             if self.log is not None:
                 twin.record(self.log)
             with suppress(PortError):
-                what = f"twin in {self.playpen.name}, in a page"
-                stack.enter_context(registered([port.path for port in ports], what))
+                description = f"twin in {self.playpen.name}, in a page"
+                stack.enter_context(registered([port.path for port in ports], description))
 
-            def show() -> None:
-                self.printed.tell()
+            def publish_picture() -> None:
+                self.output.flush()
                 self.publish(self._picture(paced, hosts))
 
             exact_timeouts()
-            paced = PacedTwin(twin, hosts, show)
-            stack.callback(paced.end)
+            paced = PacedTwin(twin, hosts, publish_picture)
+            stack.callback(twin.close)
             paced.speed, paced.paused = self.speed, self.paused
             self._turrets = [TurretParts(twin.world, index) for index in range(len(twin.robots))]
             self._scene = DrawnScene(twin.world.model, twin.world.data)
-            self._paced = paced
-            self.publish(self._cast(paced, ports))
-            show()
-            while not (paced.ended or self._ended.is_set()):
+            self._twin = paced
+            self.publish(self._start_message(paced, ports))
+            publish_picture()
+            while not (paced.is_ending or self._is_ending()):
                 if not self.jobs:
                     paced.idle()
                     continue
-                show()  # a program may let no time pass
+                publish_picture()  # a program may let no time pass
                 jobs = {index: job for index, job in enumerate(self.jobs) if job is not None}
                 paced.driven = [twin.robots[index] for index in jobs]
-                do = {index: partial(self._do, job, stop=paced.stopping) for index, job in jobs.items()}
+                do_job = partial(self._do_job, stop=paced.is_stopping)
+                programs = {index: partial(do_job, job) for index, job in jobs.items()}
                 try:
-                    drive_together(paced.view, do)
+                    drive_together(paced.program_twin, programs)
                 finally:
                     paced.driven = []
-                    self._done()
+                    self._finish_jobs()
                     paced.stop_program(False)
 
-    def _cast(self, twin: PacedTwin, ports: Sequence[HostPort]) -> messages.TwinBegins:
-        """Return the first message: the robots and the log."""
+    def _start_message(self, twin: PacedTwin, ports: Sequence[HostPort]) -> messages.TwinStarted:
+        """Return the first message, with the robots and the log."""
         sites: NDArray[np.float64] = twin.world.model.site_pos
         return {
             "kind": "twin",
@@ -170,7 +165,7 @@ class TwinActor(WebSession):
                     "name": robot.name,
                     "port": port.path,
                     "baud": robot.firmware.baud,
-                    **shape(entry.model, entry.calibration),
+                    **robot_shape(entry.model, entry.calibration),
                     "sensor_height_mm": BODIES[entry.model].sensor_height * 1e3,
                     "leds_mm": np.round(1e3 * sites[list(robot.indices.leds), :2], 2).tolist(),
                     "turrets": entry.turrets,
@@ -184,21 +179,21 @@ class TwinActor(WebSession):
         """Return the present state of the world."""
         world = twin.world
         robots: list[messages.RobotReadings] = []
-        now = current_playpen(world)
-        for index, (robot, host, entry) in enumerate(zip(twin.robots, hosts, now.robots, strict=True)):
-            told, image = robot.readings(), robot.line_image
+        playpen = current_playpen(world)
+        for index, (robot, host, entry) in enumerate(zip(twin.robots, hosts, playpen.robots, strict=True)):
+            readings, image = robot.readings(), robot.line_image
             robots.append(
                 {
                     "x_mm": round(entry.x_mm, 2),
                     "y_mm": round(entry.y_mm, 2),
                     "heading_deg": round(entry.heading_deg, 2),
-                    "proximity": told["proximity"],
-                    "ambient": told["ambient"],
-                    "speed": told["speed"][:2],
+                    "proximity": readings["proximity"],
+                    "ambient": readings["ambient"],
+                    "speed": readings["speed"][:2],
                     "vision": None if image is None else image.tolist(),
                     "turrets": self._turrets[index].corners(),
-                    "leds": told["leds"],
-                    "more": {name: told[name] for name in _MORE if name in told},
+                    "leds": readings["leds"],
+                    "more": {name: readings[name] for name in _EXTRA_CHANNELS if name in readings},
                     "host": host.port.occupied,
                     "host_commands": host.commands,
                 }
@@ -218,8 +213,10 @@ class TwinActor(WebSession):
             "lamps": lamps,
             "bodies": [] if self._scene is None else self._scene.poses(),
             "objects": {
-                kind: {i: [it.x_mm, it.y_mm, it.angle_deg] for i, it in enumerate(items) if it.movable}
-                for kind, items in now.objects.items()
+                kind: {
+                    i: [item.x_mm, item.y_mm, item.angle_deg] for i, item in enumerate(items) if item.movable
+                }
+                for kind, items in playpen.objects.items()
             },
         }
 

@@ -9,7 +9,7 @@ from notes import Notes
 import khep_twin  # noqa: F401  (teaches pyserial khep://)
 from khep_twin.board.fault_injection import MOTOR, SENSOR, WHEEL, parse_fault
 from khep_twin.errors import FaultError
-from khep_twin.interventions.move_robot import put
+from khep_twin.interventions.move_robot import place_robot
 
 
 def open_with(fault: str, seed: int = 1) -> tuple[Any, Notes]:
@@ -102,7 +102,7 @@ def test_a_stuck_sensor_reads_what_it_read_last() -> None:
 
 def test_a_dead_sensor_reads_nothing_and_the_highest_ambient_counts() -> None:
     port, notes = open_with("dead:2@0.5-1")
-    put(port.twin.world, 0, 570, 250, 0)
+    place_robot(port.twin.world, 0, 570, 250, 0)
     port.sleep(0.1)
     notes.told.clear()
     counts = []

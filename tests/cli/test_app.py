@@ -185,7 +185,7 @@ def test_a_wrong_playpen_is_reported_file_table_key_and_value(
         ("view nothing.mcap", "nothing.mcap: "),
         ("view a.mcap b.mcap --live", "--live follows one log, not 2"),
         ("view no/a.mcap --live", "no/a.mcap: no run writes this log"),
-        ("view a.mcap --live --save a.rrd", "--save and --live do not go together"),
+        ("view a.mcap --live --save a.rrd", "--save and --live cannot be combined"),
         ("view a.mcap --no-browser", "--no-browser is for --web"),
         ("view a.mcap --save b.mcap", "--save b.mcap: expected a name that ends in .rrd"),
         (

@@ -77,7 +77,7 @@ def test_a_person_at_a_served_twin_reads_answers_and_interrupts(tmp_path: Path) 
             process.send_signal(signal.SIGINT)
             assert process.wait(60) == 130
             assert process.stderr is not None
-            assert "the same command goes on with what is in mine-session" in process.stderr.read()
+            assert "the same command resumes from mine-session" in process.stderr.read()
         ended = run_python(command, input="s\ns\n", cwd=tmp_path)
     assert "step 2 of 4: skipped\n" in shown
     assert "step 3 of 4: duty.mcap=duty\n" in shown

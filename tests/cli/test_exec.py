@@ -69,7 +69,7 @@ def test_two_programs_share_a_playpen_and_the_end_of_their_time(
     [
         (("--playpen", "obstacles"), "obstacles: no Khepera IV; expected a robot with model"),
         (("--playpen", "arena4-two", "--robot", "2"), "--robot 2: not a Khepera IV of arena4-two; expected"),
-        (("--also", "true"), "2 programs; expected up to 1, the Khepera IVs of arena4 from there on"),
+        (("--also", "true"), "2 programs; expected up to 1, the Khepera IVs of arena4 from robot 0 on"),
         (("--also", "'true"), "expected a program and its arguments"),
     ],
 )

@@ -10,7 +10,7 @@ import typer
 from typer.testing import CliRunner
 
 from khep_twin.cli.option_groups import LogOptions, RobotOptions, grouped, option_names
-from khep_twin.cli.options import given
+from khep_twin.cli.options import typed_options
 
 SEEN: list[object] = []
 
@@ -36,7 +36,7 @@ def box(
     colour: Annotated[str | None, typer.Option(help="Colour.")] = None,
 ) -> None:
     """Make a box."""
-    SEEN[:] = [name, size, colour, given(context)]
+    SEEN[:] = [name, size, colour, typed_options(context)]
 
 
 app = typer.Typer(rich_markup_mode=None)

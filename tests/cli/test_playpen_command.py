@@ -168,7 +168,7 @@ def test_a_scene_of_many_robots_is_announced_and_a_check_warns_of_it(
     check("default")
     World("default")
     told = capsys.readouterr()
-    assert told.out.splitlines()[1].startswith("note: with more than 0 robots a scene takes long to make")
+    assert told.out.splitlines()[1].startswith("note: with more than 0 robots a playpen compiles slowly")
     making = "khep_twin: making the scene of 1 robots"
     assert re.fullmatch(rf"{making}, which takes long\n{making}: \d+ s\n", told.err)
 

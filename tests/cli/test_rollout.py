@@ -49,7 +49,7 @@ def test_the_path_of_a_rollout_is_drawn_and_changes_nothing(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--planar", "--log", "x.mcap"), "a plane has no scene to replay; expected one of them"),
+        (("--planar", "--log", "x.mcap"), "the 2-D model has no scene to replay; expected one of them"),
         (("--picture", "way.bmp"), "expected a name that ends in .png, .svg or .pdf"),
         (("--seconds", "0.03"), "0.03 s; expected a whole number of control periods of 20 ms"),
         (("--seconds", "0"), "--seconds and --cycles are above 0 and finite"),
@@ -89,5 +89,5 @@ def test_an_episode_with_robots_and_faults_is_logged_and_its_log_is_read(tmp_pat
 
 def test_a_plane_has_no_log(tmp_path: Path) -> None:
     words = ("rollout", "--planar", "--seconds", "1", "--log", "run.mcap")
-    assert "a plane has no scene to replay" in complaint(*words, folder=tmp_path, codes=[2])
+    assert "the 2-D model has no scene to replay" in complaint(*words, folder=tmp_path, codes=[2])
     assert not list(tmp_path.iterdir())

@@ -125,7 +125,7 @@ def test_a_series_that_was_stopped_goes_on_to_the_very_same_table(
         output, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
     kept = len(rows(tmp_path / "series"))
-    assert errors.endswith(f"stopped before its end; {kept} of 40 runs are kept, go on with --resume\n")
+    assert errors.endswith(f"stopped before its end; {kept} of 40 runs are saved; resume with --resume\n")
     assert "khep-twin series series" in output
     log = read_log(sorted(tmp_path.glob("run*.mcap"))[-1])
     # The last setpoints of the log are those of motors that stand.
@@ -237,11 +237,11 @@ def test_before_each_run_a_person_is_waited_for(tmp_path: Path) -> None:
     command = [*PROGRAM, "run", "--confirm", "--cycles", "1", "--runs", "2"]
     result = run_python(command, cwd=tmp_path, input="\nready\n", timeout=60)
     assert result.returncode == 0
-    assert result.stderr.count("put the robot right, then press Enter") == 2
+    assert result.stderr.count("place the robot, then press Enter") == 2
     ended = run_python(command, cwd=tmp_path, input="\n", timeout=60)
     assert ended.returncode == 1
     error = "khep-twin: --confirm: the input ended before run 2; expected a terminal"
-    assert ended.stderr.splitlines()[-2:] == ["run 2: put the robot right, then press Enter ", error]
+    assert ended.stderr.splitlines()[-2:] == ["run 2: place the robot, then press Enter ", error]
 
 
 def test_ctrl_c_ends_the_wait_for_a_person(tmp_path: Path) -> None:
@@ -344,7 +344,7 @@ def test_series_are_compared_and_drawn(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("typed", "line"),
     [
-        ("--resume", "--resume goes on with a series that was saved; expected --save FOLDER, too"),
+        ("--resume", "--resume continues a saved series; expected --save FOLDER with it"),
         ("--save s --resume", "s: no series to resume; expected a folder that --save made"),
         ("--start 5,5,0", "start 5,5,0: robot 1 at (5, 5) overlaps the left wall"),
         ("--start playpen --robot 3", "robot = 3: not in playpen 'default'; (choices: 0)"),

@@ -86,7 +86,7 @@ def drives(part: Path) -> bool:
     try:
         with GrowingLog(part.with_suffix("")) as log:
             found: list[Entry] = []
-            while block := log.new():
+            while block := log.read_new():
                 found += block
     except LogError:  # it has only just begun
         return False

@@ -124,7 +124,7 @@ def test_a_robot_that_is_lost_and_found_is_a_line_each_and_ends_it_where_that_is
         (["--robot", "1"], "obstacles: robot 1; expected 0, as it has 1"),
         (["--poll"], "--poll is for a robot at --relay, not for a log"),
         (["--relay", "loop://"], "--relay follows a robot, not a log; expected either"),
-        (["-o", "LOG"], "this is what is read; expected a separate file"),
+        (["-o", "LOG"], "this is an input file; expected a separate file"),
     ],
 )
 def test_what_cannot_be_is_one_line(log: Path, options: list[str], message: str) -> None:
@@ -196,14 +196,14 @@ def test_a_relay_ends_with_a_shadow_that_has_ended_as_asked_and_goes_on_without_
         process = ShadowProcess(program, here)
         line = process.listener(lambda: 0)
         line.flush()
-        assert not process.ended_as_asked()
+        assert not process.has_ended_on_event()
         there.send(bytes([code]))
         there.close()
-        while not line.broken:
+        while not line.is_broken:
             line.flush()
-        assert process.ended_as_asked() is asked
+        assert process.has_ended_on_event() is asked
         assert process.finish() == code
-    told = f"khep-twin: the shadow has ended with code {code}; the relay goes on without it\n"
+    told = f"khep-twin: the shadow has ended with code {code}; the relay continues without it\n"
     assert capsys.readouterr().err == ("" if asked else told)
 
 

@@ -198,7 +198,7 @@ def test_a_current_directory_that_is_gone_is_one_line_where_it_is_needed(
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
-    told = "khep-twin: the current directory is not there any more; expected one that is\n"
+    told = "khep-twin: the current directory no longer exists; expected an existing one\n"
     for words, code, shown in (
         ("run --cycles 3", 0, ("3 cycles in 0.1 s", "")),
         ("design --no-browser", 1, ("", told.strip())),

@@ -16,8 +16,8 @@ from khep_twin.lab.experiment.periodic_controllers import NetworkController
 from khep_twin.log.reader import read_label
 from khep_twin.sweep import study
 from khep_twin.sweep.sweep import run_sweep
-from khep_twin.web.documents import PROGRAMS, Documents
-from khep_twin.web.jobs import series
+from khep_twin.web.documents import PROGRAM_SUFFIXES, Documents
+from khep_twin.web.jobs import series_job
 from khep_twin.web.requests import RunRequest
 
 NETWORK = Network(recurrent=True, period_ns=40_000_000)
@@ -83,7 +83,7 @@ def test_a_log_has_the_network(folder: Path) -> None:
 
 def test_a_speed_is_that_of_a_port(folder: Path) -> None:
     told = complaint("run", "best.npz", "--baudrate", "38400", folder=folder)
-    assert told == "--baudrate is that of a line to a robot; expected --port, too"
+    assert told == "--baudrate is that of a line to a robot; expected --port with it"
 
 
 def test_a_study_has_networks_of_files(folder: Path) -> None:
@@ -106,7 +106,7 @@ def test_a_challenge_scores_a_network(folder: Path) -> None:
 def test_the_page_offers_and_runs_networks(folder: Path) -> None:
     (folder / "mine.py").write_text("def controller(robot): ...\n")
     documents = Documents(folder)
-    assert documents.names(*PROGRAMS) == ["best.npz", "mine.py"]
-    job = series(RunRequest(controllers=("best.npz",), cycles=1), documents)
+    assert documents.names(*PROGRAM_SUFFIXES) == ["best.npz", "mine.py"]
+    job = series_job(RunRequest(controllers=("best.npz",), cycles=1), documents)
     assert isinstance(job.controller, NetworkController)
     assert job.controller.network == Network.load(folder / "best.npz")

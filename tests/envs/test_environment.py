@@ -458,7 +458,7 @@ def test_what_a_plane_has_not_is_refused_in_one_line() -> None:
     movable = tuple(block.model_copy(update={"movable": True, "width_mm": 9.0}) for block in scene.blocks)
     with pytest.raises(PlaypenError, match=r"is movable, 9 mm wide .* in the plane, where nothing tips over"):
         gyms(2, planar=True, playpen=scene.model_copy(update={"blocks": movable}))
-    with pytest.raises(KhepTwinError, match=r"^planar = True: dm_env shows MuJoCo's physics; expected False"):
+    with pytest.raises(KhepTwinError, match=r"^planar = True: dm_env needs MuJoCo's physics; expected False"):
         dm("ObstacleAvoidance", planar=True)
 
 
@@ -502,7 +502,7 @@ def test_a_step_before_a_reset_or_after_the_end_asks_for_a_reset(charge_s: float
     many = gyms(2, planar=True)
     together = zoo("ObstacleAvoidance", 1, planar=True)
     for each, action in ((environment, [0, 0]), (many, [[0, 0], [0, 0]]), (together, {"khepera0": [0, 0]})):
-        with pytest.raises(ValueError, match=r"begun.*; expected reset\(\) first"):
+        with pytest.raises(ValueError, match=r"started.*; expected reset\(\) first"):
             each.step(np.array(action) if isinstance(action, list) else action)
     environment.reset(seed=1)
     while not any(environment.step(np.zeros(2))[2:4]):

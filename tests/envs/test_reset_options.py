@@ -64,10 +64,10 @@ def test_a_playpen_is_prepared_once() -> None:
     setups = []
     for playpen in ("two-lamps", "light-seeking", "two-lamps", Playpen.load("two-lamps")):
         environment.reset(seed=1, options={"playpen": playpen})
-        setups.append(environment._episode.batch._used[0])
+        setups.append(environment._episode.batch._active_setups[0])
     assert setups[0] is setups[2]
     assert len({id(setup) for setup in setups}) == 3
-    assert sum(map(len, environment._episode.batch._idle.values())) == 3
+    assert sum(map(len, environment._episode.batch._idle_episodes.values())) == 3
 
 
 @pytest.mark.parametrize("threads", [1, 3])

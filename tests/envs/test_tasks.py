@@ -64,7 +64,7 @@ def test_an_episode_depends_on_its_seed_and_actions_alone() -> None:
 
 def test_an_episode_without_a_line_is_the_same_as_in_a_world() -> None:
     setup = TaskSetup("LoopingMaze", robots=2, **SHORT)
-    episode, world = TaskEpisode(setup), World(setup.started(2), seed=2, unpaced=True)
+    episode, world = TaskEpisode(setup), World(setup.start_playpen(2), seed=2, unpaced=True)
     episode.begin(2)
     for period in range(5):
         for robot, speeds in zip(world.robots, ((10, -4), (20, 12)), strict=True):
@@ -139,7 +139,7 @@ def test_a_charge_runs_out_away_from_home_and_is_full_again_there() -> None:
     for _ in range(4):
         (outcome,) = episode.step([(0, 0)])
         charges.append(float(outcome.observation[-1]))
-        ends.append(outcome.ended)
+        ends.append(outcome.terminated)
     assert charges == pytest.approx([0.75, 0.5, 0.25, 0])
     assert ends == [False, False, False, True]
     home = TaskEpisode(TaskSetup(dataclasses.replace(task, reach_mm=1000.0), **SHORT))
@@ -184,10 +184,10 @@ def test_speeds_that_are_no_numbers_end_the_episode_and_the_next_one_begins() ->
 
 def test_an_episode_that_is_over_or_not_begun_takes_no_step() -> None:
     episode = TaskEpisode(TaskSetup("ObstacleAvoidance", **SHORT))
-    with pytest.raises(ValueError, match=r"over, or none has begun; expected begin\(\)"):
+    with pytest.raises(ValueError, match=r"over, or none has started; expected begin\(\)"):
         episode.step([(0, 0)])
     driven(episode, 0)
-    with pytest.raises(ValueError, match=r"^the episode is over, or none has begun; expected begin\(\)"):
+    with pytest.raises(ValueError, match=r"^the episode is over, or none has started; expected begin\(\)"):
         episode.step([(0, 0)])
 
 
@@ -215,9 +215,9 @@ def test_errors_of_wrong_words_name_the_right_ones() -> None:
 
 
 def test_only_the_known_pair_of_mujoco_and_dm_control_is_taken() -> None:
-    assert version_check.problem("3.17.0", "1.0.50") == version_check.problem("3.17.3", "1.0.50") == ""
+    assert version_check.find_problem("3.17.0", "1.0.50") == version_check.find_problem("3.17.3", "1.0.50") == ""
     for mujoco, dm_control in (("4.0.0", "1.0.50"), ("3.17.0", "1.0.49"), ("3.1.7", "1.0.50")):
-        assert version_check.problem(mujoco, dm_control).endswith(
+        assert version_check.find_problem(mujoco, dm_control).endswith(
             " --no-deps 'mujoco~=3.17.0' dm-control==1.0.50"
         )
 

@@ -64,6 +64,6 @@ if __name__ == "__main__":
     dispatcher.get_current_device = cuda.get_current_device = lambda: CARD
     cuda.to_device = lambda array: np.ascontiguousarray(array).view(OnCard)
     cuda.device_array = lambda shape, dtype: np.zeros(shape, dtype).view(OnCard)
-    kernel.kernel, device.missing_card = Compiler, lambda: ""
+    kernel.kernel, device.find_gpu_error = Compiler, lambda: ""
     rollout("obstacles", Braitenberg(), range(2), 0.04, planar=True, device="cuda")
     raise SystemExit("the kernel was not launched")

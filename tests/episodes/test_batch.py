@@ -325,7 +325,7 @@ def test_paths_are_sampled_at_a_part_of_the_time(every: float) -> None:
 
 def test_a_policy_at_a_line_has_no_paths() -> None:
     policy = Policy(lambda proximity, ambient, index: np.zeros((len(index), 2)))
-    with pytest.raises(ValueError, match=r"paths_every = 0\.2: a policy at a line is asked at uneven times"):
+    with pytest.raises(ValueError, match=r"paths_every = 0\.2: a policy at a line decides at uneven times"):
         rollout("default", policy, [1], 0.6, line=38400, paths_every=0.2, compiled=False)
 
 

@@ -22,7 +22,7 @@ from khep_twin.episodes.controllers import (
     Policy,
 )
 from khep_twin.episodes.cuda import card
-from khep_twin.episodes.device import chosen_device
+from khep_twin.episodes.device import choose_device
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_batch import EpisodeBatch
 from khep_twin.episodes.episode_options import EpisodeOptions
@@ -115,7 +115,7 @@ def test_a_network_whose_speed_is_no_number_fails_with_the_words_of_the_cpu() ->
 
 
 def test_more_episodes_than_fit_on_a_card_are_run_in_bounded_batches(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(card, "FILLING", 1)
+    monkeypatch.setattr(card, "EPISODES_PER_PROCESSOR", 1)
     compare(planar("default"), NETWORK, genes=GENES)
 
 
@@ -179,16 +179,16 @@ def test_what_a_card_does_not_run_is_refused_by_name(
     setup: EpisodeSetup, driver: Driver, line: int | None, lamps: Any, message: str
 ) -> None:
     with pytest.raises(DeviceError, match=message):
-        chosen_device("cuda", setup, driver, line, 1, lamps)
-    assert chosen_device("auto", setup, driver, line, 10**6, lamps) == "cpu"
+        choose_device("cuda", setup, driver, line, 1, lamps)
+    assert choose_device("auto", setup, driver, line, 10**6, lamps) == "cpu"
 
 
 def test_auto_takes_a_card_that_the_episodes_fill() -> None:
     setup = planar("default")
-    assert chosen_device("auto", setup, Braitenberg(), None, card.FILLING - 1) == "cpu"
-    assert chosen_device("auto", setup, Braitenberg(), None, card.FILLING) == "cuda"
+    assert choose_device("auto", setup, Braitenberg(), None, card.EPISODES_PER_PROCESSOR - 1) == "cpu"
+    assert choose_device("auto", setup, Braitenberg(), None, card.EPISODES_PER_PROCESSOR) == "cuda"
     with pytest.raises(DeviceError, match=r"device = 'gpu': unknown; did you mean 'cpu'"):
-        chosen_device("gpu", setup, Braitenberg(), None, 1)
+        choose_device("gpu", setup, Braitenberg(), None, 1)
 
 
 def environments(device: str, **options: Any) -> Any:

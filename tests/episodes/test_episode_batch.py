@@ -91,7 +91,7 @@ def test_episodes_of_different_playpens_side_by_side_are_the_same_as_alone(
         batch.speeds[:] = each
         assert batch.step(np.arange(4), PERIOD_NS // setups[0].step_ns) == {}
     batch.close()
-    assert not compiled or batch._runs_jointly.all()
+    assert not compiled or batch._runs_compiled.all()
     for index, setup in enumerate(setups):
         alone = Episode(setup, compiled=False)
         alone.begin(index, EpisodeOptions(noise=index != 2))

@@ -146,7 +146,7 @@ def test_a_task_at_a_line_observes_and_drives_as_a_host_does(compiled: bool) -> 
     seen = [episode.begin(3)[0]] + [
         episode.step([(12 - index % 7, 5 + index % 5)])[0].observation for index in range(12)
     ]
-    (robot,) = setup.started(3).robots
+    (robot,) = setup.start_playpen(3).robots
     twin = open_twin(setup.playpen.model_copy(update={"robots": (robot,)}), TwinOptions(seed=3, mode=3))
     with Khepera(Serial.of(twin, timeout=1.0)) as khepera:
         before = None

@@ -81,7 +81,7 @@ def test_what_has_been_pushed_is_seen_where_it_is() -> None:
     world.reset(0, noise=False)
     view, found = PlaneView(world.playpen, setup.model, world.forms.plane), np.zeros((2, 64), np.int64)
     view.take(found[0], [], 300.0)
-    world.forms.plane.things[len(world.forms._order), 1] += 0.1  # its centre, to the left
+    world.forms.plane.obstacles[len(world.forms._order), 1] += 0.1  # its centre, to the left
     view.take(found[1], [], 300.0)
     assert (found[0, 20:44] < 20).all()
     assert not (found[1, 20:44] < 20).all()

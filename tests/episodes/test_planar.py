@@ -18,7 +18,7 @@ from khep_twin.episodes.planar.casting import PlaneScene, surfaces
 from khep_twin.episodes.planar.motion import step
 from khep_twin.episodes.planar.planar import PlanarScene
 from khep_twin.episodes.planar.planar_world import PlanarForms, PlanarWorld
-from khep_twin.episodes.planar.plane import TOUCHED, distance_to, nearest
+from khep_twin.episodes.planar.plane import TOUCHABLE, distance_to, nearest
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import Start
 from khep_twin.sensing.optics import proximity_counts
@@ -69,7 +69,7 @@ def put(scene: Playpen, step_ns: int, x_mm: float, y_mm: float, heading_deg: flo
     """A plane, as Python has it, with its robot put down."""
     setup = EpisodeSetup(scene)
     backend = PlanarForms(setup.scene_model, PlanarScene(scene, setup.model, setup.indices, step_ns))
-    backend.put((x_mm, y_mm, heading_deg))
+    backend.place_robot((x_mm, y_mm, heading_deg))
     return backend
 
 
@@ -95,7 +95,7 @@ def test_a_robot_straight_on_follows_its_voltage_as_one_lag() -> None:
     backend = put(playpen.parse(OPEN, "open"), units.TICK_NS, 4500, 4500, 30)
     robot = backend.plane.robot
     drive(backend, 0.8, 0.8, 40)
-    lag = (robot.mass / 2 * robot.wheel**2 + robot.spin) / robot.damping
+    lag = (robot.mass / 2 * robot.wheel_radius**2 + robot.wheel_inertia) / robot.damping
     fastest, h = (0.8 - robot.dead_voltage) * robot.left_free_speed, robot.substep
     left = 1 / (1 + h / lag)
     way = fastest * sum(h * (1 - left ** (k + 1)) for k in range(160))
@@ -127,7 +127,7 @@ def test_a_robot_without_voltage_stops_as_a_lag_and_dry_friction_stop_it() -> No
     speed, start = float(backend.plane.robot.speeds[0]), backend.pose[0]
     drive(backend, 0.0, 0.0, 100)
     # m v' = -d (v + u), with u the free speed of the voltage that friction takes.
-    lag = (robot.mass / 2 * robot.wheel**2 + robot.spin) / robot.damping
+    lag = (robot.mass / 2 * robot.wheel_radius**2 + robot.wheel_inertia) / robot.damping
     friction = robot.left_free_speed * robot.dead_voltage
     path = lag * speed - friction * lag * math.log1p(speed / friction)
     assert backend.pose[0] - start == pytest.approx(path, abs=speed * robot.substep)
@@ -172,7 +172,7 @@ def test_a_tyre_slips_when_it_would_need_more_than_its_grip() -> None:
     forward = backend.pose[0] - 4.5
     # As hard as both tyres can push, with what the weight and the acceleration put on the support.
     fastest = (
-        2 * (robot.grip - robot.relief * robot.lean) / (robot.mass * (1 + 2 * robot.relief * robot.high))
+        2 * (robot.tyre_force - robot.pitch_relief * robot.weight_moment) / (robot.mass * (1 + 2 * robot.pitch_relief * robot.pitch_arm))
     )
     h = robot.substep
     assert forward == pytest.approx(fastest * h * h * 12 * 13 / 2, rel=0.01)
@@ -188,9 +188,9 @@ def test_the_disc_is_never_in_anything_however_it_is_driven() -> None:
         drive(backend, *rng.uniform(-2, 5, 2).tolist(), 8)
         x, y, _ = backend.pose
         gaps = [
-            nearest(backend.plane.things, thing, x, y)[2] - units.BODY_RADIUS
-            for thing in range(len(backend.plane.things))
-            if backend.plane.things[thing, TOUCHED]
+            nearest(backend.plane.obstacles, thing, x, y)[2] - units.BODY_RADIUS
+            for thing in range(len(backend.plane.obstacles))
+            if backend.plane.obstacles[thing, TOUCHABLE]
         ]
         assert min(gaps) > -1e-9
         touched += min(gaps) < 1e-6
@@ -236,8 +236,8 @@ def test_counts_are_mujocos_at_the_same_pose(name: str) -> None:
     while tried < 60:
         x, y = rng.uniform((0, 0), (floor.width_mm, floor.height_mm)).tolist()
         clear = min(
-            distance_to(backend.plane.things, thing, x / 1e3, y / 1e3)
-            for thing in range(len(backend.plane.things))
+            distance_to(backend.plane.obstacles, thing, x / 1e3, y / 1e3)
+            for thing in range(len(backend.plane.obstacles))
         )
         if not units.BODY_RADIUS + 1e-3 < clear < 0.05:
             continue
@@ -286,7 +286,7 @@ def test_leaving_out_what_is_not_near_changes_no_count(name: str) -> None:
             return surfaces(self.plane, sensors, channel, chip, 0.0)
 
     for _ in range(100):
-        backend.put((*rng.uniform((0, 0), (floor.width_mm, floor.height_mm)).tolist(), rng.uniform(0, 360)))
+        backend.place_robot((*rng.uniform((0, 0), (floor.width_mm, floor.height_mm)).tolist(), rng.uniform(0, 360)))
         drive(backend, 0.5, 0.5, 1)
         for channel, draw in enumerate(rng.normal(size=8).tolist()):
             noise, idle = draw * sensors.proximity.noise[channel], int(sensors.proximity.idle)

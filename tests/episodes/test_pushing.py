@@ -59,7 +59,7 @@ def plane_of(*things: str) -> tuple[PlanarForms, np.ndarray]:
     setup = EpisodeSetup(arena(*things), planar=True)
     assert setup.planar_scene is not None
     forms = PlanarForms(setup.scene_model, setup.planar_scene)
-    forms.put(None)
+    forms.place_robot(None)
     return forms, forms.compiled()[3]
 
 
@@ -123,14 +123,14 @@ def test_a_robot_pushes_in_the_plane_as_in_mujoco(case: str) -> None:
 
 def test_things_between_a_robot_and_a_wall_do_not_overlap() -> None:
     forms, _ = plane_of(block(640, 350, mass_g=5), cylinder(604, 351, mass_g=5), cylinder(640, 100))
-    forms.put((545.0, 350.0, 0.0))
+    forms.place_robot((545.0, 350.0, 0.0))
     forms.state["ctrl"][:] = 2.0
     for _ in range(200):
         step(forms.plane)
         (x, y, _), (box, can, far) = forms.pose, forms.objects
         corners = abs(math.cos(box[2])) + abs(math.sin(box[2]))
         assert box[0] + 0.015 * corners < 0.7 + 2e-3
-        assert flat.distance_to(forms.plane.things, int(forms.plane.bodies[0, flat.THING]), *can[:2]) > 0.013
+        assert flat.distance_to(forms.plane.obstacles, int(forms.plane.bodies[0, flat.OBSTACLE]), *can[:2]) > 0.013
         assert math.hypot(can[0] - x, can[1] - y) > 0.015 + units.BODY_RADIUS - 2e-3
         assert far.tolist() == [0.64, 0.1, 0.0]
     assert forms.objects[0, 0] > 0.67

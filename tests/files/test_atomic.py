@@ -180,7 +180,7 @@ def test_what_is_read_is_not_replaced(
         cli.main()
     assert ended.value.code == 1
     name = "linked.png" if "linked" in typed else "arena.png"
-    told = f"khep-twin: {name}: this is what is read; expected a separate file\n"
+    told = f"khep-twin: {name}: this is an input file; expected a separate file\n"
     assert capsys.readouterr() == ("", told)
     assert Path("arena.png").read_text() == playpen.dump(field)
     assert {path.name for path in tmp_path.iterdir()} == {"arena.png", "linked.png"}

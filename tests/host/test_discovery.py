@@ -1,4 +1,4 @@
-"""Which ports are found."""
+"""Discovery of ports and served twins."""
 
 import subprocess
 from pathlib import Path
@@ -11,14 +11,14 @@ from shares import share
 from khep_twin.cli import completion
 from khep_twin.errors import PortInUse, PortTimeout
 from khep_twin.host import Khepera, opening
-from khep_twin.host.discovery import found_ports, who_answers
+from khep_twin.host.discovery import FoundPort, found_ports, identify_robot
 from khep_twin.ports.event_sources import Event, open_events
 from khep_twin.ports.negotiation import HIGHEST_BAUD
 
 
 @pytest.fixture(autouse=True)
 def private(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A private directory of this test's own, on a machine without serial ports."""
+    """A private directory of this test, on a machine without serial ports."""
     monkeypatch.setattr(list_ports, "comports", list[object])
     (tmp_path / "runtime").mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
@@ -26,7 +26,7 @@ def private(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def twins() -> dict[str, str]:
-    return {port.url: port.what for port in found_ports() if port.twin}
+    return {port.url: port.description for port in found_ports() if port.twin}
 
 
 def test_a_served_twin_is_found_until_it_is_killed(private: Path) -> None:
@@ -42,14 +42,23 @@ def test_a_served_twin_is_found_until_it_is_killed(private: Path) -> None:
         assert len(list((private / "runtime" / "khep_twin").glob("*.served"))) == 1
 
 
+def test_the_old_name_of_a_ports_description_warns() -> None:
+    port = FoundPort("/dev/ttyUSB0", "serial port", twin=False)
+    with pytest.warns(DeprecationWarning, match="expected 'description'"):
+        assert port.what == port.description
+
+
 def test_the_command_lists_and_asks() -> None:
-    def said(*options: str) -> subprocess.CompletedProcess[str]:
+    def run_ports(*options: str) -> subprocess.CompletedProcess[str]:
         command = [*LISTS_PORTS, *options]
         return subprocess.run(command, capture_output=True, text=True, check=True)
 
     with served("default", "--mode", "2", "--strict-line") as (_, path):
-        assert f"{path}  twin in default\n" in said().stdout
-        assert f"{path}  twin in default: BIOS 5.02, protocol 5.01 at 19200 baud\n" in said("--probe").stdout
+        assert f"{path}  twin in default\n" in run_ports().stdout
+        assert (
+            f"{path}  twin in default: BIOS 5.02, protocol 5.01 at 19200 baud\n"
+            in run_ports("--probe").stdout
+        )
 
 
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")
@@ -58,15 +67,15 @@ def test_asking_leaves_a_running_session_undisturbed(options: str) -> None:
     command = [*LISTS_PORTS, "--probe"]
     with served("default", *options.split()) as (process, url):
         with Khepera(url) as robot:
-            asking = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-            n_asked = 0
-            while asking.poll() is None:
-                robot.set_position(n_asked, -n_asked)
-                assert robot.position() == (n_asked, -n_asked)
-                n_asked += 1
-            said, errors = asking.communicate()
-        assert n_asked > 0
-        assert f"{url}  twin in default: in use by " in said
+            probe = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            n_exchanges = 0
+            while probe.poll() is None:
+                robot.set_position(n_exchanges, -n_exchanges)
+                assert robot.position() == (n_exchanges, -n_exchanges)
+                n_exchanges += 1
+            output, errors = probe.communicate()
+        assert n_exchanges > 0
+        assert f"{url}  twin in default: in use by " in output
         assert errors == ""
         # With the host gone it is asked.
         free = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -111,5 +120,5 @@ def test_asking_leaves_a_robots_port_alone_that_is_relayed() -> None:
     with served("default") as (_, device):
         with served("--relay", device) as (_, path), Khepera(path) as robot:
             with pytest.raises(PortInUse, match=f"{device}: in use by process "):
-                who_answers(device)
+                identify_robot(device)
             assert robot.versions().bios == "5.02"

@@ -1,4 +1,4 @@
-"""One body of tests for a robot behind khep://, a pseudo-terminal, TCP and RFC 2217."""
+"""The same tests for a robot behind khep://, a pseudo-terminal, TCP and RFC 2217."""
 
 import math
 
@@ -48,13 +48,13 @@ def test_a_move_farther_than_targets_reach_is_refused(robot: Khepera) -> None:
 
 
 def test_a_burst_is_answered_in_order(robot: Khepera) -> None:
-    wanted = [
+    requests = [
         commands.proximity(),
         commands.set_position(700, -700),
         commands.position(),
         commands.speed(),
     ] * 3
-    answers = robot.burst(*wanted)
+    answers = robot.burst(*requests)
     assert [type(answer).__name__ for answer in answers] == [
         "SensorCounts",
         "NoneType",

@@ -1,4 +1,4 @@
-"""The host's side, on a twin in lock-step and on ports that misbehave."""
+"""The host library, on a twin in lock-step and on faulty ports."""
 
 import math
 import subprocess
@@ -48,7 +48,7 @@ def test_every_command_has_its_method(robot: Khepera) -> None:
         robot.turret(1, "B")
 
 
-def test_time_is_the_ports_own(robot: Khepera) -> None:
+def test_time_is_that_of_the_port(robot: Khepera) -> None:
     start = robot.time
     robot.sleep(2.5)
     assert robot.time - start == pytest.approx(2.5)
@@ -73,7 +73,7 @@ def test_after_a_broken_exchange_the_next_one_is_right(robot: Khepera) -> None:
     assert robot.position() == (5, 6)
 
 
-def test_a_stop_does_not_take_the_answer_to_a_broken_command_for_its_own() -> None:
+def test_a_stop_ignores_the_reply_to_an_interrupted_command() -> None:
     robot = Khepera("khep://default")
     twin = robot.port.twin
     robot.set_speed(10, 10)
@@ -122,7 +122,7 @@ def test_a_port_may_be_a_path_and_an_odd_one_is_one_error(tmp_path: Path) -> Non
     assert port_user("socket://[::1") == ""
 
 
-def test_a_wait_without_a_number_ends_at_once(robot: Khepera) -> None:
+def test_a_wait_until_nan_ends_immediately(robot: Khepera) -> None:
     robot.set_target(1000, 1000)
     with pytest.raises(MoveError, match="not on target"):
         robot.wait_for_target(math.nan)
@@ -200,7 +200,7 @@ def test_a_wrong_answer_is_reported_with_the_exchange(answer: bytes) -> None:
         ("loop://?logging=foo", r"^loop://\?logging=foo: 'foo'"),
     ],
 )
-def test_a_port_that_cannot_be_opened_says_what_would_be_right(url: str, message: str) -> None:
+def test_a_port_that_cannot_be_opened_is_reported_with_the_expected_form(url: str, message: str) -> None:
     with pytest.raises(PortError, match=message) as caught:
         Khepera(url)
     assert len(traceback.extract_tb(caught.value.__traceback__)) == 3  # with the class and its base

@@ -1,4 +1,4 @@
-"""The host's side of a Khepera IV, on twins in lock-step and behind ports."""
+"""The host library for a Khepera IV, on twins in lock-step and behind ports."""
 
 import math
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from shares import share
 
 from khep_twin.errors import MoveError, PortError, ProtocolError, StoppedError
 from khep_twin.host import Distances, Khepera, Khepera4, Vector3
-from khep_twin.host.discovery import who_answers
+from khep_twin.host.discovery import identify_robot
 from khep_twin.khepera4.registers import Control, DspicRegister
 from khep_twin.khepera4.robot import Khepera4Robot
 
@@ -21,9 +21,9 @@ def robot() -> Iterator[Khepera4]:
 
 
 def twin_of(robot: Khepera4) -> Khepera4Robot:
-    found = robot.port.twin.robot  # type: ignore[attr-defined]
-    assert isinstance(found, Khepera4Robot)
-    return found
+    twin = robot.port.twin.robot  # type: ignore[attr-defined]
+    assert isinstance(twin, Khepera4Robot)
+    return twin
 
 
 def registers(robot: Khepera4, first: DspicRegister, count: int) -> list[int]:
@@ -80,9 +80,9 @@ def test_sensors_have_names_and_units(robot: Khepera4) -> None:
     assert robot.turn_rates()[0] == Vector3(0, 0, pytest.approx(0.1 / 0.1054, abs=0.05))
     robot.enable_ultrasonic([2])
     robot.sleep(0.1)
-    seen = robot.ultrasonic()
-    assert seen.front is not None
-    assert seen[:2] == (None, None) == seen[3:]
+    distances = robot.ultrasonic()
+    assert distances.front is not None
+    assert distances[:2] == (None, None) == distances[3:]
     assert Distances.of((0, 25, 250, 1000, 2000)) == (0, 0.25, 2.5, math.inf, None)
 
 
@@ -138,4 +138,4 @@ def test_a_served_twin_answers_at_each_kind_of_port(kind: list[str]) -> None:
             with pytest.raises(ProtocolError, match="and 8 values; a Khepera IV answers so; expected a Khep"):
                 wrong.proximity()
         if not kind:
-            assert who_answers(url) == (9600, ("B", "0"))  # a twin takes any speed
+            assert identify_robot(url) == (9600, ("B", "0"))  # a twin takes any speed

@@ -1,4 +1,4 @@
-"""Lines that break: what is tried, what is told, and how long it takes."""
+"""Disconnected lines: retries, error messages and durations."""
 
 import os
 import signal
@@ -21,8 +21,8 @@ pytestmark = pytest.mark.filterwarnings(
     "ignore:unclosed <socket", "ignore::pytest.PytestUnraisableExceptionWarning"
 )
 
-LONG = 8.0
-"""Far beyond any bound that is told, for machines under load [s]."""
+BOUND_S = 8.0
+"""Far beyond all documented durations, for machines under load [s]."""
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def test_a_killed_twin_is_one_clear_error() -> None:
         start = time.monotonic()
         while True:
             robot.proximity()
-    assert time.monotonic() - start < LONG
+    assert time.monotonic() - start < BOUND_S
     assert "\n" not in str(caught.value)
     assert "its number may be reused by now" in str(caught.value)
 
@@ -68,7 +68,7 @@ def test_the_link_of_a_killed_twin_is_not_followed_to_a_stranger(tmp_path: Path)
             robot.proximity()
 
 
-def test_a_link_that_is_served_anew_is_opened_again(tmp_path: Path) -> None:
+def test_a_link_that_is_served_again_is_reopened(tmp_path: Path) -> None:
     link = str(tmp_path / "khepera")
     with ExitStack() as stack:
         process, _ = stack.enter_context(served("default", "--link", link))
@@ -105,7 +105,7 @@ def test_a_peer_that_is_gone_is_reported_once(fake: FakeRobot) -> None:
     start = time.monotonic()
     with pytest.raises(PortError, match=r"port failed .*motors may still run.*again failed: .*refused"):
         cut()
-    assert time.monotonic() - start < LONG
+    assert time.monotonic() - start < BOUND_S
 
 
 def test_a_host_that_fails_itself_keeps_its_own_error(fake: FakeRobot) -> None:
@@ -131,13 +131,13 @@ def test_a_silent_robot_ends_within_the_timeout(fake: FakeRobot) -> None:
         with pytest.raises(PortTimeout, match=r"no reply to 'N' within 0.2 s; is the robot on"):
             robot.proximity()
         assert time.monotonic() - start >= 0.4
-        # One try for the answer and one for whether anybody is there, and not one more.
+        # One try for the reply and one probe, and no more.
         assert fake.requests == ["N", "B"]
         fake.silent = False
         assert robot.position() == (12, -5)
 
 
-def test_a_speed_that_has_no_answer_is_reported_with_all_that_were_tried(fake: FakeRobot) -> None:
+def test_baud_rates_without_a_reply_are_all_reported(fake: FakeRobot) -> None:
     fake.silent = True
     with pytest.raises(PortTimeout, match="no answer to 'B' at 9600, 19200, 38400, 57600, 115200 baud"):
         Khepera(fake.url, baudrate="auto")
@@ -150,13 +150,13 @@ def test_a_stopped_twin_does_not_hold_up_its_host() -> None:
         start = time.monotonic()
         with pytest.raises(PortTimeout):
             robot.burst(*[commands.proximity()] * 7)
-        # Nobody reads: what is sent piles up until a write is late.
+        # Nobody reads: the output fills the buffer until a write times out.
         with pytest.raises((PortTimeout, serial.SerialTimeoutException)):  # noqa: PT012
             while True:
                 robot.port.write(b"N\n" * 1000)
                 robot.proximity()
         robot.close()
-        assert time.monotonic() - start < LONG
+        assert time.monotonic() - start < BOUND_S
 
 
 def test_a_read_is_asked_again_and_an_order_is_not(fake: FakeRobot) -> None:
@@ -181,7 +181,7 @@ def test_an_order_whose_answer_comes_behind_noise_is_done(fake: FakeRobot) -> No
 
 
 class StalledPort(serial.SerialBase):
-    """A robot in its own time that answers nothing for a while, and then everything at once."""
+    """A port in simulated time that replies to nothing until a time, and then to all requests."""
 
     name, baudrate, timeout, time_ns, is_open = "stalled", 9600, 0.5, 0, True
 

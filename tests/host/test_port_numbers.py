@@ -1,4 +1,4 @@
-"""Ports by the numbers that the environment gives them."""
+"""Ports by the numbers that the environment assigns to them."""
 
 import pytest
 from typer.testing import CliRunner
@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 from khep_twin.cli.app import app
 from khep_twin.errors import PortError
 from khep_twin.host import Khepera
-from khep_twin.host.opening import numbered
+from khep_twin.host.opening import resolve_port
 
 
 def test_a_number_is_the_port_that_the_environment_names(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -14,8 +14,8 @@ def test_a_number_is_the_port_that_the_environment_names(monkeypatch: pytest.Mon
     with Khepera("3") as robot:
         assert robot.name == "khep://default?noise=off"
         assert robot.versions().bios == "5.02"
-    assert numbered("/dev/ttyUSB3") == "/dev/ttyUSB3"
-    assert numbered("5") == "5"
+    assert resolve_port("/dev/ttyUSB3") == "/dev/ttyUSB3"
+    assert resolve_port("5") == "5"
 
 
 def test_a_number_without_a_port_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Replies of turrets that are none, as a disturbed line makes them."""
+"""Malformed replies of turrets, as on a disturbed line."""
 
 from collections.abc import Callable
 

@@ -109,7 +109,7 @@ def test_a_long_reply_takes_the_time_of_its_bytes_on_the_line(mode: int) -> None
     with Khepera(Serial.of(twin, timeout=1), baudrate=baud) as robot:
         robot.sleep(0.3)
         for request in ("T,2,N", "T,2,R,0", "T,2,O"):
-            begun = robot.time
+            start = robot.time
             reply = robot.ask(request)
             n_bytes = len(request) + 1 + len(reply) + 2
-            assert robot.time - begun == pytest.approx(n_bytes * 11 / baud, abs=1e-4)
+            assert robot.time - start == pytest.approx(n_bytes * 11 / baud, abs=1e-4)

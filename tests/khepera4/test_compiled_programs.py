@@ -1,4 +1,4 @@
-"""Programs compiled for a Khepera IV: device nodes, clock, threads, and what goes wrong."""
+"""Programs compiled for a Khepera IV: device nodes, clock, threads, and errors."""
 
 import os
 import shutil
@@ -26,8 +26,8 @@ FOLDER = Path(__file__).parent / "programs"
 
 
 @pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep the preload library of the tests apart from the user's."""
+def separate_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep the preload library of the tests out of the user's cache."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
@@ -65,7 +65,7 @@ def machine_of(world: World) -> Machine:
 
 
 def python(source: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
-    """Run source code beside this file, in a session of its own."""
+    """Run Python code beside this file, in a separate session."""
     paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
     return subprocess.run(
         [sys.executable, "-c", source, *words],
@@ -77,18 +77,18 @@ def python(source: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def said(path: Path, capfd: pytest.CaptureFixture[str], *words: str, code: int = 0) -> list[str]:
+def output_of(path: Path, capfd: pytest.CaptureFixture[str], *words: str, code: int = 0) -> list[str]:
     """Return the lines that a program prints in simulated time."""
     assert run_program([str(path), *words], machine()) == code
-    told = capfd.readouterr()
-    assert told.err == ""
-    return told.out.splitlines()
+    output = capfd.readouterr()
+    assert output.err == ""
+    return output.out.splitlines()
 
 
 def test_a_program_finds_the_dspic_on_its_bus_and_drives(
     programs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    lines = said(programs / "drive", capfd, code=3)
+    lines = output_of(programs / "drive", capfd, code=3)
     assert lines[:4] == ["slave 0", "probe 1", "other ENXIO", "revision B 0"]
     speeds = [int(line) for line in lines[4:]]
     assert speeds[0] == 0
@@ -99,10 +99,10 @@ def test_a_program_finds_the_dspic_on_its_bus_and_drives(
 def test_time_passes_while_all_threads_and_children_wait_and_a_run_repeats(
     programs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    first = said(programs / "threads", capfd)
+    first = output_of(programs / "threads", capfd)
     words = [line.split() for line in first]
     assert [(name, float(seconds)) for name, _, seconds in words] == sorted(
-        [(name, float(seconds)) for name, _, seconds in words], key=lambda each: each[1]
+        [(name, float(seconds)) for name, _, seconds in words], key=lambda entry: entry[1]
     )
     assert [round(float(seconds), 3) for name, _, seconds in words if name == "slow"] == [
         0.05,
@@ -113,13 +113,13 @@ def test_time_passes_while_all_threads_and_children_wait_and_a_run_repeats(
     ]
     assert [name for name, _, _ in words[-3:]] == ["main", "child", "parent"]
     for _ in range(3):
-        assert said(programs / "threads", capfd) == first
+        assert output_of(programs / "threads", capfd) == first
 
 
-def test_timers_of_all_kinds_go_by_simulated_time_and_interrupt_what_waits(
+def test_timers_of_all_kinds_follow_simulated_time_and_interrupt_waits(
     programs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert said(programs / "timers", capfd) == [
+    assert output_of(programs / "timers", capfd) == [
         "pause 2.000",
         "sleep leaves 3 at 2.000",
         "nanosleep -1 1 leaves 0.700",
@@ -138,11 +138,11 @@ def test_timers_of_all_kinds_go_by_simulated_time_and_interrupt_what_waits(
 
 
 @pytest.mark.parametrize("name", ["limits", "limits-strict"])
-def test_waits_for_threads_and_handles_end_when_they_are_woken_or_at_their_limit(
+def test_waits_for_threads_and_descriptors_end_at_a_wake_or_a_time_out(
     programs: Path, capfd: pytest.CaptureFixture[str], name: str
 ) -> None:
-    lines = [line.rpartition(" ") for line in said(programs / name, capfd)]
-    assert [(told, round(float(seconds), 2)) for told, _, seconds in lines] == [
+    lines = [line.rpartition(" ") for line in output_of(programs / name, capfd)]
+    assert [(text, round(float(seconds), 2)) for text, _, seconds in lines] == [
         ("begin 0", 0.0),
         ("condition in vain 1", 0.25),
         ("and by the other clock 1", 0.25),
@@ -157,14 +157,14 @@ def test_waits_for_threads_and_handles_end_when_they_are_woken_or_at_their_limit
     ]
 
 
-def test_the_date_begins_with_2026_and_other_clocks_at_0(
+def test_the_date_starts_with_2026_and_other_clocks_at_0(
     programs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert said(programs / "clocks", capfd) == ["2026-01-01 00:00:00", "10 10 10", "10 10", "0.0101"]
+    assert output_of(programs / "clocks", capfd) == ["2026-01-01 00:00:00", "10 10 10", "10 10", "0.0101"]
 
 
 def test_threads_and_children_take_turns(programs: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert said(programs / "turns", capfd) == [
+    assert output_of(programs / "turns", capfd) == [
         *["ask 0.000", "answer 0.000"] * 5,
         "system 0.010",
         "after 0.010",
@@ -177,15 +177,15 @@ def test_threads_and_children_take_turns(programs: Path, capfd: pytest.CaptureFi
     ]
 
 
-def test_who_gets_a_lock_repeats(programs: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    first = said(programs / "order", capfd)
+def test_the_order_of_lock_owners_is_deterministic(programs: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    first = output_of(programs / "order", capfd)
     assert len(first[0]) == 80 + 80 + 4 + 40
     for _ in range(5):
-        assert said(programs / "order", capfd) == first
+        assert output_of(programs / "order", capfd) == first
 
 
 @pytest.mark.parametrize("name", ["paths", "paths-strict"])
-def test_nodes_and_files_of_the_robot_are_there_by_path(
+def test_nodes_and_files_of_the_robot_are_found_by_path(
     programs: Path, capfd: pytest.CaptureFixture[str], name: str
 ) -> None:
     assert run_program([str(programs / name)], machine(), robot_id=42) == 0
@@ -202,23 +202,23 @@ def test_nodes_and_files_of_the_robot_are_there_by_path(
 
 
 @pytest.mark.parametrize(("how", "told"), [("jump", "jumped"), ("close", "closed")])
-def test_a_program_may_leave_a_handler_by_a_jump_and_close_all_handles(
-    programs: Path, capfd: pytest.CaptureFixture[str], how: str, told: str
+def test_a_program_may_leave_a_handler_by_longjmp_and_close_all_descriptors(
+    programs: Path, capfd: pytest.CaptureFixture[str], how: str, line: str
 ) -> None:
-    assert said(programs / "ends", capfd, how) == [told]
+    assert output_of(programs / "ends", capfd, how) == [line]
 
 
 @pytest.mark.parametrize(("how", "code", "left"), [("outlive", 4, 1), ("kill", -signal.SIGKILL, 3)])
-def test_a_run_ends_with_the_program_and_children_that_outlive_it_end_too(
+def test_a_run_ends_with_the_program_and_its_surviving_children(
     programs: Path, tmp_path: Path, how: str, code: int, left: int
 ) -> None:
-    told = "khep-twin: the twin has ended, and this program with it\n"
+    message = "khep-twin: the twin has ended, and this program with it\n"
     source = (
         "from test_compiled_programs import machine, run_program\nimport sys\n"
         "print(run_program(sys.argv[1:], machine()))\n"
     )
-    done = python(source, programs / "ends", how)  # which waits for the end of all that have its stderr
-    assert (done.stdout, done.stderr) == (f"{code}\n", told * left)
+    result = python(source, programs / "ends", how)  # which waits for the end of all that have its stderr
+    assert (result.stdout, result.stderr) == (f"{code}\n", message * left)
 
 
 @pytest.mark.parametrize(
@@ -229,8 +229,8 @@ def test_a_run_ends_with_the_program_and_children_that_outlive_it_end_too(
         ("long", signal.SIGTERM, f"{-signal.SIGTERM}\n"),  # a sleep of days
     ],
 )
-def test_a_signal_that_ends_the_twin_is_the_programs(
-    programs: Path, how: str, number: signal.Signals, told: str
+def test_a_signal_that_ends_the_twin_is_forwarded_to_the_program(
+    programs: Path, how: str, number: signal.Signals, output: str
 ) -> None:
     source = (
         "from test_compiled_programs import machine, run_program\nimport os, signal, sys, threading, time\n"
@@ -243,10 +243,10 @@ def test_a_signal_that_ends_the_twin_is_the_programs(
         "threading.Thread(target=end).start()\n"
         "print(run_program(sys.argv[1:], own))\n"
     )
-    assert python(source, programs / "ends", how).stdout == told
+    assert python(source, programs / "ends", how).stdout == output
 
 
-def test_the_bits_of_a_program_are_those_of_its_interpreter(tmp_path: Path) -> None:
+def test_the_word_size_of_a_program_is_that_of_its_interpreter(tmp_path: Path) -> None:
     (tmp_path / "old").write_bytes(b"\x7fELF\x01\x01")
     (tmp_path / "script").write_text(f"#!{tmp_path / 'old'} -x\n")
     (tmp_path / "loop").write_text(f"#!{tmp_path / 'loop'}\n")
@@ -255,7 +255,7 @@ def test_the_bits_of_a_program_are_those_of_its_interpreter(tmp_path: Path) -> N
     assert bits("sh") == 8 * struct.calcsize("P")
 
 
-def test_a_program_of_32_bits_without_a_compiler_for_them_is_one_line(
+def test_a_32_bit_program_without_a_compiler_is_a_one_line_error(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     program, compiler = tmp_path / "old", tmp_path / "cc"
@@ -269,21 +269,27 @@ def test_a_program_of_32_bits_without_a_compiler_for_them_is_one_line(
         run_program([str(program)], machine())
 
 
-def test_pins_reset_the_dspic_and_tell_of_the_charger(
+def test_pins_reset_the_dspic_and_report_the_charger(
     programs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     world = World("arena4")
-    own, dspic = machine_of(world), world.robots[0].dspic
-    own.set_pin(CHARGER_PIN, 0)
+    twin_machine, dspic = machine_of(world), world.robots[0].dspic
+    twin_machine.set_pin(CHARGER_PIN, 0)
     dspic.write(bytes([DspicRegister.KP, 99]))
-    assert run_program([str(programs / "pins")], own) == 0
+    assert run_program([str(programs / "pins")], twin_machine) == 0
     assert capfd.readouterr().out.splitlines() == ["charger 0", "held ENXIO", "kp 10"]
 
 
-def test_many_handles_and_long_writes_get_an_answer_or_an_error(
+def test_many_descriptors_and_long_writes_get_a_reply_or_an_error(
     programs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert said(programs / "much", capfd) == ["opened 1000", "long 8192", "bad ENOTTY", "copy 1", "closed"]
+    assert output_of(programs / "much", capfd) == [
+        "opened 1000",
+        "long 8192",
+        "bad ENOTTY",
+        "copy 1",
+        "closed",
+    ]
 
 
 def test_exit_codes_and_signals_pass_through(programs: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -299,12 +305,12 @@ def test_a_program_ends_with_its_twin(programs: Path) -> None:
         "Machine.transfer = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
         "run_program([sys.argv[1]], machine(), simulated=False)\n"
     )
-    done = python(code, programs / "forever")
-    assert done.returncode == -signal.SIGKILL
-    assert done.stderr == "khep-twin: the twin has ended, and this program with it\n"
+    result = python(code, programs / "forever")
+    assert result.returncode == -signal.SIGKILL
+    assert result.stderr == "khep-twin: the twin has ended, and this program with it\n"
 
 
-def test_without_a_compiler_it_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_missing_compiler_is_a_one_line_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)

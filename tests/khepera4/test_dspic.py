@@ -20,18 +20,18 @@ class Driven:
 
     def run(self, ticks: int) -> list[int]:
         """Return the left wheel's speed after each control period [pulses/10 ms]."""
-        found: list[int] = []
+        speeds: list[int] = []
         for _ in range(ticks):
             self.world.advance(0.01)
-            found.append(speed_of(self.dspic))
-        return found
+            speeds.append(speed_of(self.dspic))
+        return speeds
 
 
 def speed_of(dspic: Dspic) -> int:
     return int.from_bytes(dspic.read(DspicRegister.SPEED_LEFT, 2), "little", signed=True)
 
 
-def whole(value: int, size: int = 2) -> bytes:
+def little_endian(value: int, size: int = 2) -> bytes:
     return value.to_bytes(size, "little", signed=True)
 
 
@@ -39,7 +39,7 @@ def driven(gains: tuple[int, int, int], control: Control, order: int) -> Driven:
     """Return a robot that turns in place, which may take long without reaching a wall."""
     robot = Driven()
     robot.dspic.write(bytes([DspicRegister.KP, *gains]))
-    robot.dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT]) + whole(order) + whole(-order))
+    robot.dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT]) + little_endian(order) + little_endian(-order))
     robot.dspic.write(bytes([DspicRegister.CONTROL, control]))
     return robot
 
@@ -60,14 +60,16 @@ def test_a_profile_holds_its_least_speed_and_rises_by_its_acceleration() -> None
     seconds = 1.27 + 0.07  # 380 steps of 3 in 10 ms, behind the hold
     assert wheels.run(round(100 * seconds))[-1] < 400
     assert wheels.run(60)[-1] == pytest.approx(400, rel=0.05)
-    wheels.dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT]) + whole(0) * 2)
+    wheels.dspic.write(bytes([DspicRegister.SPEED_ORDER_LEFT]) + little_endian(0) * 2)
     assert wheels.run(200)[-1] == pytest.approx(0, abs=2)
 
 
-def test_a_move_of_70000_pulses_takes_what_the_manuals_figure_shows() -> None:
+def test_a_move_of_70000_pulses_takes_as_long_as_in_the_manual() -> None:
     wheels = Driven()
     dspic = wheels.dspic
-    dspic.write(bytes([DspicRegister.POSITION_ORDER_LEFT]) + whole(70_000, 4) + whole(-70_000, 4))
+    dspic.write(
+        bytes([DspicRegister.POSITION_ORDER_LEFT]) + little_endian(70_000, 4) + little_endian(-70_000, 4)
+    )
     dspic.write(bytes([DspicRegister.CONTROL, Control.POSITION]))
     ticks = 0
     while dspic.read(DspicRegister.ON_TARGET, 1) != bytes([0b11]):
@@ -77,8 +79,8 @@ def test_a_move_of_70000_pulses_takes_what_the_manuals_figure_shows() -> None:
     assert ticks * 0.010 == pytest.approx(3.05, rel=0.05)
     wheels.run(200)
     for register, target in ((DspicRegister.POSITION_LEFT, 70_000), (DspicRegister.POSITION_RIGHT, -70_000)):
-        found = int.from_bytes(dspic.read(register, 4), "little", signed=True)
-        assert found == pytest.approx(target, abs=40)
+        position = int.from_bytes(dspic.read(register, 4), "little", signed=True)
+        assert position == pytest.approx(target, abs=40)
 
 
 def test_a_short_move_begins_where_a_long_one_has_ended() -> None:
@@ -86,32 +88,34 @@ def test_a_short_move_begins_where_a_long_one_has_ended() -> None:
     dspic = wheels.dspic
     dspic.write(bytes([DspicRegister.CONTROL, Control.POSITION]))
     for target in (3000, 3050):
-        dspic.write(bytes([DspicRegister.POSITION_ORDER_LEFT]) + whole(target, 4) * 2)
+        dspic.write(bytes([DspicRegister.POSITION_ORDER_LEFT]) + little_endian(target, 4) * 2)
         assert max(wheels.run(20)) > 5
         wheels.run(280)
         assert dspic.read(DspicRegister.ON_TARGET, 1) == bytes([0b11])
 
 
-def test_an_open_loop_gives_its_pwm_clipped_to_what_is_full() -> None:
+def test_open_loop_control_clips_the_pwm() -> None:
     dspic = Dspic()
-    dspic.write(bytes([DspicRegister.PWM_ORDER_LEFT]) + whole(1000) + whole(-9000))
+    dspic.write(bytes([DspicRegister.PWM_ORDER_LEFT]) + little_endian(1000) + little_endian(-9000))
     dspic.write(bytes([DspicRegister.CONTROL, Control.OPEN_LOOP]))
     assert dspic.tick(0, 0) == (1000, -PWM_LIMIT)
     dspic.write(bytes([DspicRegister.CONTROL, Control.IDLE]))
     assert dspic.tick(0, 0) == (0, 0)
 
 
-def test_a_read_runs_on_through_the_map_and_ends_with_zeros() -> None:
+def test_a_read_continues_through_the_map_and_ends_with_zeros() -> None:
     dspic = Dspic()
     dspic.sense(DspicRegister.PROXIMITY, range(100, 112))
-    found = dspic.read(DspicRegister.AMBIENT, 48)
-    assert found[:24] == bytes(24)
-    assert [int.from_bytes(found[at : at + 2], "little") for at in range(24, 48, 2)] == list(range(100, 112))
+    content = dspic.read(DspicRegister.AMBIENT, 48)
+    assert content[:24] == bytes(24)
+    assert [int.from_bytes(content[at : at + 2], "little") for at in range(24, 48, 2)] == list(
+        range(100, 112)
+    )
     dspic.set_battery(bytes(range(12)))
     assert dspic.read(DspicRegister.BATTERY, 16) == bytes([*range(12), 0, 0, 0, 0])
 
 
-def test_what_cannot_be_written_stays_and_a_reset_takes_back_the_rest() -> None:
+def test_read_only_registers_stay_and_a_reset_restores_the_others() -> None:
     dspic = Dspic()
     before = dspic.read(0, 256)
     dspic.write(bytes([DspicRegister.SPEED_LEFT, 1, 2, 3, 4]))
@@ -132,4 +136,4 @@ def test_a_reset_of_the_encoders_counts_from_zero_again() -> None:
     dspic.write(bytes([DspicRegister.RESET_ENCODERS, 1]))
     assert dspic.read(DspicRegister.POSITION_LEFT, 8) == bytes(8)
     dspic.tick(1010, 1995)
-    assert dspic.read(DspicRegister.POSITION_LEFT, 8) == whole(10, 4) + whole(-5, 4)
+    assert dspic.read(DspicRegister.POSITION_LEFT, 8) == little_endian(10, 4) + little_endian(-5, 4)

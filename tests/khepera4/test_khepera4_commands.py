@@ -1,4 +1,4 @@
-"""The command line with a Khepera IV: its runs repeat; what is for Kheperas only refuses it in one line."""
+"""The command line with a Khepera IV: runs repeat; commands for other models refuse it in one line."""
 
 from pathlib import Path
 
@@ -77,13 +77,13 @@ def test_a_run_repeats_from_its_log_resumes_and_answers_the_same_at_another_port
         ),
     ],
 )
-def test_what_does_not_fit_a_khepera4_ends_in_one_line(
+def test_a_command_for_other_models_is_a_one_line_error(
     words: str, message: str, log: Path, tmp_path: Path
 ) -> None:
-    done = khep_twin(*words.replace("LOG", str(log)).split(), folder=tmp_path)
-    assert done.returncode in (1, 2)
-    assert len(done.stderr.splitlines()) == 1
-    assert message in done.stderr
+    result = khep_twin(*words.replace("LOG", str(log)).split(), folder=tmp_path)
+    assert result.returncode in (1, 2)
+    assert len(result.stderr.splitlines()) == 1
+    assert message in result.stderr
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 from khep_twin.board.fault_injection import parse_fault
 from khep_twin.errors import CalibrationError
-from khep_twin.interventions.move_robot import put, scan
+from khep_twin.interventions.move_robot import place_robot, scan
 from khep_twin.khepera4.inertial import COUNTS_PER_G, DEGREES_PER_COUNT
 from khep_twin.khepera4.machine import Machine
 from khep_twin.khepera4.registers import Control, DspicRegister
@@ -52,7 +52,7 @@ def words(world: World, register: DspicRegister, count: int) -> list[int]:
     return [int.from_bytes(content[at : at + 2], "little", signed=True) for at in range(0, 2 * count, 2)]
 
 
-def at(x_mm: float, y_mm: float = 1000, heading_deg: float = 0, playpen: str = "arena4-line") -> World:
+def world_at(x_mm: float, y_mm: float = 1000, heading_deg: float = 0, playpen: str = "arena4-line") -> World:
     world = World(playpen)
     world.reset(noise=False, starts=[(x_mm, y_mm, heading_deg)])
     world.advance(0.2)
@@ -60,7 +60,7 @@ def at(x_mm: float, y_mm: float = 1000, heading_deg: float = 0, playpen: str = "
 
 
 def order(world: World, left: int, right: int, control: Control = Control.SPEED) -> None:
-    content = b"".join(each.to_bytes(2, "little", signed=True) for each in (left, right))
+    content = b"".join(speed.to_bytes(2, "little", signed=True) for speed in (left, right))
     first = DspicRegister.PWM_ORDER_LEFT if control is Control.OPEN_LOOP else DspicRegister.SPEED_ORDER_LEFT
     robot_of(world).dspic.write(bytes([first]) + content)
     robot_of(world).dspic.write(bytes([DspicRegister.CONTROL, control]))
@@ -68,8 +68,8 @@ def order(world: World, left: int, right: int, control: Control = Control.SPEED)
 
 def test_proximity_follows_the_manuals_curve() -> None:
     for cm, counts in WHITE_CM.items():
-        (found,) = words(at(2000 - EYE_MM - 10 * cm), DspicRegister.PROXIMITY, FRONT + 1)[FRONT:]
-        assert abs(found - counts) <= max(0.05 * counts, 15), cm
+        (reading,) = words(world_at(2000 - EYE_MM - 10 * cm), DspicRegister.PROXIMITY, FRONT + 1)[FRONT:]
+        assert abs(reading - counts) <= max(0.05 * counts, 15), cm
 
 
 def test_readings_are_those_of_a_measurement_whenever_they_are_read() -> None:
@@ -85,9 +85,9 @@ def test_readings_are_those_of_a_measurement_whenever_they_are_read() -> None:
 
 
 def test_ground_sensors_tell_floor_line_and_edge_apart() -> None:
-    on_the_line = words(at(1600 - 61, 1000), DspicRegister.PROXIMITY, 12)[8:]
+    on_the_line = words(world_at(1600 - 61, 1000), DspicRegister.PROXIMITY, 12)[8:]
     assert on_the_line == pytest.approx([930, 51, 51, 930], abs=8)
-    beyond = words(at(1149, 400, playpen="arena4-table"), DspicRegister.PROXIMITY, 12)[8:]
+    beyond = words(world_at(1149, 400, playpen="arena4-table"), DspicRegister.PROXIMITY, 12)[8:]
     assert beyond == pytest.approx([930, 30, 30, 930], abs=8)
 
 
@@ -107,24 +107,24 @@ def test_a_robot_falls_from_a_table_and_climbs_a_ramp() -> None:
 
 @pytest.mark.parametrize(("gap_mm", "reading"), [(200, 0), (260, 26), (700, 70), (1500, 150), (1800, 180)])
 def test_ultrasound_ranges_a_wall_ahead(gap_mm: int, reading: int) -> None:
-    front = words(at(2000 - SONAR_MM - gap_mm), DspicRegister.ULTRASONIC, 5)[2]
+    front = words(world_at(2000 - SONAR_MM - gap_mm), DspicRegister.ULTRASONIC, 5)[2]
     assert front == pytest.approx(reading, abs=2)
 
 
-def test_ultrasound_misses_oblique_walls_that_are_far_and_meets_things_in_its_beam() -> None:
+def test_ultrasound_misses_far_oblique_walls_and_detects_objects_in_its_beam() -> None:
     pen = Playpen.load("arena4-line").model_copy(update={"patches": ()})
     board = Block(x_mm=1900, y_mm=1000, angle_deg=90, length_mm=600, width_mm=20, height_mm=200)
-    for turn_deg, seen in ((0, True), (60, False)):
+    for turn_deg, is_seen in ((0, True), (60, False)):
         turned = board.model_copy(update={"angle_deg": 90 + turn_deg})
         world = World(pen.model_copy(update={"blocks": (turned,)}))
         world.reset(noise=False, starts=[(900, 1000, 0)])
         world.advance(0.2)
         front = words(world, DspicRegister.ULTRASONIC, 5)[2]
-        assert (front == pytest.approx(92, abs=2)) == seen
+        assert (front == pytest.approx(92, abs=2)) == is_seen
 
 
-def test_disabled_ultrasonic_sensors_say_so_and_leave_their_turns_to_the_others() -> None:
-    world = at(1000)
+def test_disabled_ultrasonic_sensors_return_a_code_and_are_skipped() -> None:
+    world = world_at(1000)
     robot_of(world).dspic.write(bytes([DspicRegister.ULTRASONIC_ENABLED, 0b00100]))
     assert words(world, DspicRegister.ULTRASONIC, 5) == [2000, 2000, 93, 2000, 2000]
     order(world, 400, 400)
@@ -133,8 +133,8 @@ def test_disabled_ultrasonic_sensors_say_so_and_leave_their_turns_to_the_others(
     assert words(world, DspicRegister.ULTRASONIC, 5)[2] == pytest.approx(expected, abs=2)
 
 
-def test_the_accelerometer_feels_gravity_and_a_start() -> None:
-    world = at(400)
+def test_the_accelerometer_measures_gravity_and_a_start() -> None:
+    world = world_at(400)
     assert [words(world, DspicRegister.ACCELEROMETER + 20 * axis, 10)[0] for axis in range(3)] == [
         0,
         0,
@@ -143,28 +143,28 @@ def test_the_accelerometer_feels_gravity_and_a_start() -> None:
     before = world.data.qvel[0]
     order(world, 2000, 2000, Control.OPEN_LOOP)
     world.advance(0.1)
-    # The casters give way, by a hundredth of g.
-    felt = np.mean(words(world, DspicRegister.ACCELEROMETER, 10)) / COUNTS_PER_G * GRAVITY
-    assert felt == pytest.approx((world.data.qvel[0] - before) / 0.1, abs=0.15)
+    # The casters deflect, by a hundredth of g.
+    acceleration = np.mean(words(world, DspicRegister.ACCELEROMETER, 10)) / COUNTS_PER_G * GRAVITY
+    assert acceleration == pytest.approx((world.data.qvel[0] - before) / 0.1, abs=0.15)
 
 
-def test_the_gyroscope_tells_the_rate_of_a_turn_in_place() -> None:
-    world = at(1000)
+def test_the_gyroscope_measures_the_rate_of_a_turn_in_place() -> None:
+    world = world_at(1000)
     order(world, -200, 200)
     world.advance(3)
-    found = np.mean(words(world, DspicRegister.GYROSCOPE + 40, 10)) * DEGREES_PER_COUNT
+    rate_deg = np.mean(words(world, DspicRegister.GYROSCOPE + 40, 10)) * DEGREES_PER_COUNT
     speed = 200 / 0.010 / PULSES_PER_TURN * math.tau * 0.021
-    assert found == pytest.approx(math.degrees(2 * speed / 0.1054), rel=0.01)
+    assert rate_deg == pytest.approx(math.degrees(2 * speed / 0.1054), rel=0.01)
 
 
 def test_inertial_values_come_in_packets_of_ten_the_newest_first() -> None:
     world = World("arena4", seed=1)
-    seen = [tuple(words(world, DspicRegister.ACCELEROMETER, 10))]
+    packets = [tuple(words(world, DspicRegister.ACCELEROMETER, 10))]
     for _ in range(40):
         world.advance(0.01)
-        if (found := tuple(words(world, DspicRegister.ACCELEROMETER, 10))) != seen[-1]:
-            seen.append(found)
-    assert len(seen) == 5
+        if (packet := tuple(words(world, DspicRegister.ACCELEROMETER, 10))) != packets[-1]:
+            packets.append(packet)
+    assert len(packets) == 5
 
 
 def test_a_battery_runs_down_and_stops_the_robot() -> None:
@@ -181,28 +181,28 @@ def test_a_battery_runs_down_and_stops_the_robot() -> None:
     assert np.abs(world.data.qvel).max() < 1e-3
 
 
-def test_a_snapshot_goes_on_bit_for_bit_with_robots_of_two_models() -> None:
+def test_a_snapshot_resumes_bit_for_bit_with_robots_of_two_models() -> None:
     world = World("arena4-two", seed=2)
     order(world, 250, 240)
     world.robots[1].send(b"D,200,210\r\n")
     world.robots[2].send(b"D,5,4\n")
     world.advance(0.6175)
-    taken = world.snapshot()
+    snapshot = world.snapshot()
     world.advance(0.7)
     other = World("arena4-two", seed=9)
-    other.restore(taken)
+    other.restore(snapshot)
     other.advance_to(world.time_ns)
     assert other.snapshot() == world.snapshot()
     assert world.poses[1][0] < 1.45
 
 
-def test_robots_of_the_same_make_differ_and_a_seed_repeats_them() -> None:
+def test_robots_of_one_model_differ_and_a_seed_repeats_them() -> None:
     world = World("arena4", seed=4, vary=True)
-    again = World("arena4", seed=4, vary=True)
-    for each in (world, again):
-        each.advance(0.1)
+    repetition = World("arena4", seed=4, vary=True)
+    for copy in (world, repetition):
+        copy.advance(0.1)
     first = words(world, DspicRegister.PROXIMITY, 12)
-    assert first == words(again, DspicRegister.PROXIMITY, 12)
+    assert first == words(repetition, DspicRegister.PROXIMITY, 12)
     assert max(first[:8]) - min(first[:8]) > 20
 
 
@@ -214,7 +214,7 @@ def test_an_episode_of_a_khepera_iv_is_refused_by_name() -> None:
         EpisodeSetup("arena4")
 
 
-def test_a_reset_sets_the_positions_to_zero_and_keeps_what_was_measured() -> None:
+def test_a_reset_sets_the_positions_to_zero_and_keeps_readings() -> None:
     world = World("arena4", seed=1)
     order(world, 300, 300)
     world.advance(1.0025)
@@ -229,7 +229,7 @@ def test_a_reset_sets_the_positions_to_zero_and_keeps_what_was_measured() -> Non
     assert abs(speed) < 400
 
 
-def test_a_brown_out_resets_the_robot_and_an_empty_battery_silences_it() -> None:
+def test_a_brown_out_resets_the_robot_and_with_an_empty_battery_it_does_not_reply() -> None:
     world = World("arena4", faults=[parse_fault("brown-out@0.5")])
     order(world, 300, 300)
     world.advance(1)
@@ -245,13 +245,13 @@ def test_a_brown_out_resets_the_robot_and_an_empty_battery_silences_it() -> None
         Machine(robot_of(world).dspic, world).transfer([(0x30, 0, b"\0")])
 
 
-def test_a_scan_and_a_moved_wall_are_seen_at_once() -> None:
+def test_a_scan_and_a_moved_wall_are_measured_immediately() -> None:
     world = World("arena4", noise=False)
     world.advance(0.1)
-    put(world, 0, 1000, 1925, 90)
+    place_robot(world, 0, 1000, 1925, 90)
     scan(world)
     assert words(world, DspicRegister.PROXIMITY, 4)[FRONT] == 1004
-    put(world, 0, 1000, 1000, 90)
+    place_robot(world, 0, 1000, 1000, 90)
     world.model.geom("block0").pos[:2] = 1.0, 1.2
     world.refresh()
     world.advance(0.02)

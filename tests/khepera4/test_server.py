@@ -1,4 +1,4 @@
-"""kh4server on a dsPIC: replies letter by letter, by the manual and the published program."""
+"""kh4server on a dsPIC: replies to the byte, by the manual and the published program."""
 
 import pytest
 
@@ -75,7 +75,7 @@ def test_each_command_has_the_reply_of_the_published_program(command: str, reply
     assert Kh4Server(sensing()).receive(command.encode() + b"\n") == reply.encode() + b"\r\n"
 
 
-def test_a_command_ends_with_its_line_and_what_is_behind_it_is_lost() -> None:
+def test_a_command_ends_with_its_line_and_later_input_is_discarded() -> None:
     server = Kh4Server(sensing())
     assert server.receive(b"E") == b""
     assert server.receive(b"\r\n") == b"e,0,0\r\n"
@@ -109,12 +109,12 @@ def test_orders_reach_the_registers_with_their_control_type() -> None:
 def test_the_binary_reply_has_the_published_programs_length_and_shift() -> None:
     dspic = sensing()
     dspic.tick(70_000, -3)
-    told = Kh4Server(dspic).receive(b"X\n")
-    assert len(told) == 128
-    assert told[:1] == b"x"
-    assert told[1:5] == bytes([0, 1, 0, 2])  # proximity from its second byte on
-    assert told[23:27] == bytes([0, 0, 3, 133])  # behind the last one a byte that nothing has set
-    assert told[57:67] == (70_000).to_bytes(4, "little") + (-3).to_bytes(4, "little", signed=True) + b"\n\r"
+    reply = Kh4Server(dspic).receive(b"X\n")
+    assert len(reply) == 128
+    assert reply[:1] == b"x"
+    assert reply[1:5] == bytes([0, 1, 0, 2])  # proximity from its second byte on
+    assert reply[23:27] == bytes([0, 0, 3, 133])  # behind the last one a byte that nothing has set
+    assert reply[57:67] == (70_000).to_bytes(4, "little") + (-3).to_bytes(4, "little", signed=True) + b"\n\r"
 
 
 def orders(dspic: Dspic) -> tuple[int, int]:

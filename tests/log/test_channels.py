@@ -103,13 +103,13 @@ def test_what_is_encoded_can_be_read_back() -> None:
 def test_many_arrays_are_read_at_once_as_one_by_one(kind: str, letter: str) -> None:
     values = np.arange(12).reshape(4, 3) - 5
     messages = rows(ArrayFrame(3, kind, "counts").messages(values))
-    found = decoding.read_arrays_of(messages, letter)
+    found = decoding.stack_arrays(messages, letter)
     assert found.dtype == np.dtype(kind)
     assert found.tolist() == values.tolist()
     other = rows(ArrayFrame(3, kind, "another label").messages(values))
-    assert decoding.read_arrays_of(messages + other, letter).tolist() == [*values.tolist(), *values.tolist()]
+    assert decoding.stack_arrays(messages + other, letter).tolist() == [*values.tolist(), *values.tolist()]
     with pytest.raises(ValueError, match="2 values; expected 3, as in the channel's first message"):
-        decoding.read_arrays_of([*messages, *rows(ArrayFrame(2, kind, "").messages(values[:, :2]))], letter)
+        decoding.stack_arrays([*messages, *rows(ArrayFrame(2, kind, "").messages(values[:, :2]))], letter)
 
 
 IMAGES = np.array([[0, 7, 255], [1, 2, 3]])
@@ -125,7 +125,7 @@ def test_a_line_image_decodes_by_the_rules_of_cdr() -> None:
         assert (cdr.take("B"), cdr.take("I"), cdr.take("I")) == (0, 3, 3)
         assert [cdr.take("B") for _ in range(3)] == pixels
         assert cdr.at_end()
-    assert np.array_equal(decoding.read_images_of(messages), IMAGES)
+    assert np.array_equal(decoding.stack_images(messages), IMAGES)
 
 
 @pytest.mark.parametrize(
@@ -141,11 +141,11 @@ def test_another_image_is_refused(old: bytes, new: bytes, found: str) -> None:
     whole, second = rows(ImageFrame(3, "khepera0/k213").messages(np.array([0, 1]), IMAGES))
     assert whole.count(old) == 1
     with pytest.raises(decoding.DecodeError, match=found) as caught:
-        decoding.read_images_of([second, whole.replace(old, new)])
+        decoding.stack_images([second, whole.replace(old, new)])
     assert caught.value.row == 1
 
 
 def test_images_of_two_widths_are_refused() -> None:
     narrow, wide = (rows(ImageFrame(n, "a").messages(np.array([0]), np.zeros((1, n))))[0] for n in (3, 4))
     with pytest.raises(decoding.DecodeError, match="4 pixels; expected 3, as in the channel's first message"):
-        decoding.read_images_of([narrow, wide])
+        decoding.stack_images([narrow, wide])

@@ -10,7 +10,7 @@ from mcap.records import MessageIndex
 
 from khep_twin.log.batch_writer import BatchWriter
 from khep_twin.log.chunk_index import ChunkIndex
-from khep_twin.log.record_bytes import HEAD, RecordBytes, parsed, records_in
+from khep_twin.log.record_bytes import HEAD, RecordBytes, parse_record, iterate_records
 
 DAY = 172_800
 """Chunks of a day of `serve`, one each half second."""
@@ -33,7 +33,7 @@ def test_the_index_says_of_each_chunk_what_the_file_holds() -> None:
     found = {each.chunk_start_offset: each for each in summary.chunk_indexes}
     records = RecordBytes(data)
     chunks = 0
-    for opcode, start, end in records_in(data[8:]):
+    for opcode, start, end in iterate_records(data[8:]):
         place = start + 8 - HEAD.size
         if opcode == Opcode.CHUNK:
             chunks += 1
@@ -43,7 +43,7 @@ def test_the_index_says_of_each_chunk_what_the_file_holds() -> None:
             assert content is not None
             times = [
                 int.from_bytes(content[a + 6 : a + 14], "little")
-                for code, a, _ in records_in(content)
+                for code, a, _ in iterate_records(content)
                 if code == 5
             ]
             assert (chunk.message_start_time, chunk.message_end_time) == (min(times), max(times))
@@ -52,7 +52,7 @@ def test_the_index_says_of_each_chunk_what_the_file_holds() -> None:
             assert chunk.compressed_size == head[4] - head[3]
             behind, offsets = end + 8, dict[int, int]()
             while (index := records.head(behind))[0] == Opcode.MESSAGE_INDEX and index[1] is not None:
-                record = parsed(Opcode.MESSAGE_INDEX, data[behind + HEAD.size : index[1]])
+                record = parse_record(Opcode.MESSAGE_INDEX, data[behind + HEAD.size : index[1]])
                 assert isinstance(record, MessageIndex)
                 offsets[record.channel_id], behind = behind, index[1]
             assert chunk.message_index_offsets == offsets

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from khep_twin.log.exchanges import GIVE_UP_NS, Dialogue, Exchange
+from khep_twin.log.exchanges import REPLY_TIMEOUT_NS, Dialogue, Exchange
 
 MS = 1_000_000
 
@@ -62,8 +62,8 @@ def test_late_replies_to_a_burst_stay_in_order() -> None:
 def test_a_command_that_nothing_answers_is_given_up_after_a_while() -> None:
     dialogue = Dialogue()
     assert dialogue.feed(0, True, b"N\n") == []
-    assert dialogue.wait(GIVE_UP_NS) == []
-    assert dialogue.wait(GIVE_UP_NS + 1) == [Exchange(b"N", 0, None, GIVE_UP_NS + 1)]
+    assert dialogue.expire(REPLY_TIMEOUT_NS) == []
+    assert dialogue.expire(REPLY_TIMEOUT_NS + 1) == [Exchange(b"N", 0, None, REPLY_TIMEOUT_NS + 1)]
 
 
 def test_a_wrong_letter_is_still_the_reply_to_the_command() -> None:

@@ -50,7 +50,7 @@ mountable = pytest.mark.skipif(
 def until(part: Path) -> float:
     """Recovers a part; returns the time of its last sample [s]."""
     found = recover(part)
-    assert found.whole
+    assert found.is_complete
     return max(message.log_time for _, message in messages_of(found.path, "/tf")) / SECOND
 
 
@@ -165,7 +165,7 @@ def test_what_to_do_without_a_log_needs_a_log(command: str) -> None:
     done = CliRunner().invoke(app, [command, "--ignore-log-errors"])
     assert done.exit_code == 2
     assert done.stderr == (
-        "khep-twin: --ignore-log-errors is about a log that fails; expected --log FILE.mcap, too\n"
+        "khep-twin: --ignore-log-errors is about a log that fails; expected --log FILE.mcap with it\n"
     )
 
 
@@ -278,7 +278,7 @@ def test_wherever_a_file_fails_what_it_took_before_is_rescued(tmp_path: Path, wr
             recover(part)
     else:
         found = recover(part)
-        assert (found.messages, found.whole) == (len(written), True)
+        assert (found.n_messages, found.is_complete) == (len(written), True)
 
 
 def write(file: Failing, written: list[int]) -> None:

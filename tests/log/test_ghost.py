@@ -92,7 +92,7 @@ def test_a_ray_ends_where_a_facing_wall_would_give_the_reading(tmp_path: Path) -
     ghost = Ghost(read_label(path), path)
     counts = ghost._gain / (20 + ghost._offset) ** 2 - ghost._threshold  # pyright: ignore[reportPrivateUsage]
     nothing = np.full(8, np.nan)
-    near, none, empty = ghost._reach(np.array([counts, np.zeros(8), nothing]))  # pyright: ignore[reportPrivateUsage]
+    near, none, empty = ghost._wall_distances(np.array([counts, np.zeros(8), nothing]))  # pyright: ignore[reportPrivateUsage]
     assert near == pytest.approx(0.02)
     assert (none > 0.03).all()
     assert not empty.any()

@@ -20,8 +20,8 @@ from khep_twin.errors import KhepTwinError
 from khep_twin.lab.conformance.recording.conform import conform_recording
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.lab.experiment.replay_to_port import replay_to_port
-from khep_twin.lab.report.report import report
-from khep_twin.log.attached import shapes_of
+from khep_twin.lab.report.report import make_report
+from khep_twin.log.attached import compile_shapes
 from khep_twin.log.channels import (
     CDR_HEADER,
     ArrayFrame,
@@ -34,11 +34,11 @@ from khep_twin.log.channels import (
 from khep_twin.log.decoding import read_line
 from khep_twin.log.host_events import events_message
 from khep_twin.log.reader import Recording, read_arrays, read_end_ns, read_label, read_log, read_series
-from khep_twin.log.recorded import read_recorded
+from khep_twin.log.recorded import read_recorded_run
 from khep_twin.log.recover import recover as rescue
 from khep_twin.log.viewer.replay import view
 from khep_twin.ports.twin import TwinOptions, open_twin
-from khep_twin.shadow.recording import recorded
+from khep_twin.shadow.recording import read_recording
 
 TIME_NS = 1_000_000_000
 
@@ -94,7 +94,7 @@ def told(use: Callable[[Path], object], path: Path) -> str:
 
 
 def again(path: Path) -> object:
-    return repeat(read_recorded(path))
+    return repeat(read_recorded_run(path))
 
 
 ACTS = {
@@ -135,7 +135,7 @@ MESSAGES = {
     "/events": line_message(TextLine(0, Level.INFO, "x", "y")).replace(b"x", b"\xff"),
     "/khepera0/host_events": CDR_HEADER,
     "/state": b"",
-    "/tf": Encoder().put("I", 2**32 - 1).message(),
+    "/tf": Encoder().append("I", 2**32 - 1).message(),
 }
 
 
@@ -154,7 +154,7 @@ def test_messages_of_a_wrong_shape_are_refused_with_their_position(
     assert "; expected " in line
 
 
-@pytest.mark.parametrize("use", [read_log, read_series, read_recorded, read_arrays])
+@pytest.mark.parametrize("use", [read_log, read_series, read_recorded_run, read_arrays])
 @pytest.mark.parametrize("data", [b"", b"\0", CDR_HEADER, bytes(3), b"\xff" * 40, CDR_HEADER + b"\xff" * 40])
 def test_empty_and_foreign_messages_everywhere_are_one_line(
     small: Path, tmp_path: Path, use: Callable[[Path], object], data: bytes
@@ -219,7 +219,7 @@ def test_attached_files_that_cannot_be_are_one_line(
     small: Path, tmp_path: Path, name: str, content: bytes
 ) -> None:
     path = rewritten(small, tmp_path / "x.mcap", attachment=attached(name, content))
-    assert name in told(lambda path: report(read_series(path), str(path)), path)
+    assert name in told(lambda path: make_report(read_series(path), str(path)), path)
     told(again, path)
 
 
@@ -252,7 +252,7 @@ def test_a_robot_s_speed_that_is_no_number_is_one_line(small: Path, tmp_path: Pa
     message = events_message([(0, HostEvent(HostEventKind.SEND, 0, None, b"B\n"))])
     facts = {"baud": "9" * 5000}
     path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", message), facts=facts)
-    line = told(lambda path: replay_to_port(read_recorded(path), "khep://obstacles"), path)
+    line = told(lambda path: replay_to_port(read_recorded_run(path), "khep://obstacles"), path)
     assert "baud = 9999" in line
 
 
@@ -263,12 +263,12 @@ def test_a_host_that_set_its_line_is_still_believed(small: Path, tmp_path: Path)
         (5, HostEvent(HostEventKind.DISCONNECT, 0)),
     ]
     path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/host_events", events_message(events)))
-    assert [(time_ns, event) for time_ns, _, event in read_recorded(path).events] == events
+    assert [(time_ns, event) for time_ns, _, event in read_recorded_run(path).events] == events
 
 
 def test_times_beyond_all_bounds_are_one_line(small: Path, tmp_path: Path) -> None:
     late = rewritten(small, tmp_path / "late.mcap", time=lambda topic, time_ns: 2**64 - 1)
-    for use in (read_log, read_series, read_recorded, read_arrays, read_end_ns):
+    for use in (read_log, read_series, read_recorded_run, read_arrays, read_end_ns):
         assert "expected at most" in told(use, late)
     line = line_message(TextLine(2**31 * SECOND - SECOND, Level.INFO, "host", "N"))
     path = rewritten(small, tmp_path / "line.mcap", instead("/khepera0/serial", line))
@@ -296,7 +296,7 @@ def test_scenes_that_cannot_be_are_one_line(small: Path, tmp_path: Path, name: s
 
 def test_a_scene_of_a_run_has_all_its_shapes(small: Path) -> None:
     label = read_label(small)
-    model = shapes_of(label.attachments, label.robots, small)
+    model = compile_shapes(label.attachments, label.robots, small)
     with open_twin("obstacles", TwinOptions(seed=3)) as twin:
         whole = twin.world.model
     for name in ("nbody", "ngeom", "ncam", "nq"):
@@ -342,7 +342,7 @@ def test_what_is_not_attached_is_one_line_or_not_needed(small: Path, tmp_path: P
     for missing in ("playpen.toml", "scene.xml", "configuration.json", "calibration/khepera0.toml"):
         path = rewritten(small, tmp_path / "x.mcap", attachment=attached(missing, None))
         recording: Recording = read_series(path)
-        report(recording, str(path))
+        make_report(recording, str(path))
         if missing != "scene.xml":
             assert missing in told(again, path)
 
@@ -350,7 +350,7 @@ def test_what_is_not_attached_is_one_line_or_not_needed(small: Path, tmp_path: P
 def test_an_answer_is_shown_without_what_a_terminal_would_obey(small: Path, tmp_path: Path) -> None:
     line = line_message(TextLine(0, Level.INFO, "robot", "\x1b[2J\nx" + "y" * 500))
     path = rewritten(small, tmp_path / "x.mcap", instead("/khepera0/serial", line))
-    difference = repeat(read_recorded(path))
+    difference = repeat(read_recorded_run(path))
     assert difference is not None
     assert difference.recorded.isprintable()
     assert len(difference.recorded) < 200
@@ -359,7 +359,7 @@ def test_an_answer_is_shown_without_what_a_terminal_would_obey(small: Path, tmp_
 def test_the_configuration_of_a_run_is_still_read(small: Path) -> None:
     label = read_label(small)
     assert json.loads(label.attachments["configuration.json"])["seed"] == 3
-    assert repeat(read_recorded(small)) is None
+    assert repeat(read_recorded_run(small)) is None
 
 
 LINES = {
@@ -400,7 +400,7 @@ def test_messages_of_a_line_that_cannot_be_are_one_line_for_shadow_and_conform(
     driven: Path, tmp_path: Path, data: bytes
 ) -> None:
     log = rewritten(driven, tmp_path / "x.mcap", instead("/khepera0/serial", data))
-    for use in (conform_recording, recorded):
+    for use in (conform_recording, read_recording):
         assert "; expected " in told(use, log)
 
 
@@ -409,5 +409,5 @@ def test_topics_of_any_form_are_read_over(small: Path, tmp_path: Path, topic: st
     path = rewritten(
         small, tmp_path / "x.mcap", rename=lambda each: topic if each == "/khepera0/leds" else each
     )
-    for use in (read_log, read_series, read_recorded, read_arrays):
+    for use in (read_log, read_series, read_recorded_run, read_arrays):
         use(path)

@@ -17,12 +17,12 @@ from khep_twin.errors import LogError
 from khep_twin.khepera4.ultrasonic import RADIUS
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.lab.experiment.run_statistics import clearance
-from khep_twin.lab.report.export import chosen_channels, write_table
+from khep_twin.lab.report.export import choose_channels, write_table
 from khep_twin.lab.report.pages import html, pictures
-from khep_twin.lab.report.report import report
-from khep_twin.log.columns import KNOWN4
-from khep_twin.log.reader import read_heads, read_series
-from khep_twin.log.recorded import PROGRAM, read_recorded
+from khep_twin.lab.report.report import make_report
+from khep_twin.log.columns import KHEPERA4_COLUMNS
+from khep_twin.log.reader import read_first_messages, read_series
+from khep_twin.log.recorded import PROGRAM, read_recorded_run
 from khep_twin.log.viewer.replay import view
 from khep_twin.playpen import Playpen
 from khep_twin.ports.resume import resume_run
@@ -44,18 +44,18 @@ def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_channels_of_a_khepera4_have_names_and_units() -> None:
-    assert KNOWN4["proximity"][0] == ("proximity_back_left", "counts")
-    assert KNOWN4["proximity"][-1] == ("proximity_ground_right", "counts")
-    assert KNOWN4["ultrasonic"][2] == ("ultrasonic_front", "cm")
-    assert KNOWN4["control"][-1] == ("control_status_led", "register")
+    assert KHEPERA4_COLUMNS["proximity"][0] == ("proximity_back_left", "counts")
+    assert KHEPERA4_COLUMNS["proximity"][-1] == ("proximity_ground_right", "counts")
+    assert KHEPERA4_COLUMNS["ultrasonic"][2] == ("ultrasonic_front", "cm")
+    assert KHEPERA4_COLUMNS["control"][-1] == ("control_status_led", "register")
 
 
 def test_a_read_log_has_the_channels_of_both_models(mixed: Path) -> None:
     run = khep_twin.read_log(mixed)
     large, _, small = run.robots.values()
     assert (large.proximity.shape[1], small.proximity.shape[1]) == (12, 8)
-    assert large.more["leds"][-1].tolist() == [63, 0, 0, 0, 32, 0, 0, 0, 0]
-    assert not small.more
+    assert large.extra_channels["leds"][-1].tolist() == [63, 0, 0, 0, 32, 0, 0, 0, 0]
+    assert not small.extra_channels
     table = run.table()
     own = table["robot"] == "khepera0"
     assert table["khepera4_proximity_ground_left"][own].tolist() == large.proximity[:, 8].tolist()
@@ -64,13 +64,13 @@ def test_a_read_log_has_the_channels_of_both_models(mixed: Path) -> None:
 
 
 def test_an_export_has_the_columns_of_both_models(mixed: Path, tmp_path: Path) -> None:
-    heads = read_heads(mixed)
+    heads = read_first_messages(mixed)
     for robots, name in (
         (heads.label.robots, "khepera4_proximity_front"),
         (("khepera1",), "proximity_front"),
     ):
         with (tmp_path / "table.csv").open("w+b") as file:
-            write_table(mixed, robots, chosen_channels(heads, robots, None), ".csv", file)
+            write_table(mixed, robots, choose_channels(heads, robots, None), ".csv", file)
         rows = [*csv.DictReader((tmp_path / "table.csv").read_text().splitlines())]
         large = [row for row in rows if row.get("robot", "khepera1") == "khepera1"]
         track = khep_twin.read_log(mixed).robots["khepera1"]
@@ -83,7 +83,7 @@ def test_a_view_has_beams_as_long_as_readings_and_leds_in_their_colours(mixed: P
     track = khep_twin.read_log(mixed).robots["khepera0"]
     shown = values_of(tmp_path / "run.rrd", "/obstacles/khepera0_ultrasonic", "LineStrips3D:strips")
     time_ns, strips = shown[-1]
-    reading = int(track.more["ultrasonic"][track.times_ns.tolist().index(time_ns), 2])
+    reading = int(track.extra_channels["ultrasonic"][track.times_ns.tolist().index(time_ns), 2])
     # Its axis is in the middle of the sector, and the sector of a disabled sensor has no size.
     middle = np.array(strips[2])[5]
     assert middle[0] == pytest.approx(RADIUS + reading / 100 * (reading < 1000), abs=1e-4)
@@ -95,7 +95,7 @@ def test_a_view_has_beams_as_long_as_readings_and_leds_in_their_colours(mixed: P
 
 
 def test_a_report_knows_the_wheels_and_the_further_sensors(mixed: Path) -> None:
-    told = report(read_series(mixed), "run.mcap")
+    told = make_report(read_series(mixed), "run.mcap")
     large, _, small = told.robots
     assert dict(large.rows)["Distance by counters"].endswith(", 0.0 %")
     assert dict(large.rows)["Collisions"] == "none"
@@ -105,7 +105,7 @@ def test_a_report_knows_the_wheels_and_the_further_sensors(mixed: Path) -> None:
 
 
 def test_a_run_at_the_serial_line_is_repeated_and_taken_up(mixed: Path) -> None:
-    assert repeat(read_recorded(mixed)) is None
+    assert repeat(read_recorded_run(mixed)) is None
     with resume_run(mixed, NS).twin as twin:
         assert twin.world.time_ns == NS
 
@@ -115,7 +115,7 @@ def test_a_run_that_a_program_drove_is_neither_repeated_nor_taken_up(tmp_path: P
     with open_twin("arena4") as twin:
         twin.record(path, facts={PROGRAM: "prog"})
         twin.advance_to(NS // 10)
-    for refused in (lambda: read_recorded(path), lambda: resume_run(path, 0)):
+    for refused in (lambda: read_recorded_run(path), lambda: resume_run(path, 0)):
         with pytest.raises(LogError, match=r"a program drove it; expected a log of a serial line$"):
             refused()
 

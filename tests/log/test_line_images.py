@@ -7,7 +7,7 @@ import pytest
 
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.reader import read_series
-from khep_twin.log.viewer.robot_panel import INTERVAL_NS, ROWS, Strips, strip
+from khep_twin.log.viewer.robot_panel import ROW_INTERVAL_NS, ROWS, Strips, strip
 
 
 def test_a_reply_with_an_image_is_an_image_of_the_log(tmp_path: Path) -> None:
@@ -37,7 +37,7 @@ def test_a_strip_in_pieces_is_the_whole_one(cut: int) -> None:
     whole = pictures(first, times_ns, images)
     pieces = pictures(last, times_ns[:cut], images[:cut]) + pictures(last, times_ns[cut:], images[cut:])
     assert pieces == whole
-    assert len(whole) == 250 * 20_000_000 // INTERVAL_NS
+    assert len(whole) == 250 * 20_000_000 // ROW_INTERVAL_NS
     newest = np.frombuffer(whole[-1], np.uint8).reshape(ROWS, 64)
     assert np.array_equal(newest[-2:], images[[240, 245]])
     assert np.array_equal(newest[-len(whole)], images[0])

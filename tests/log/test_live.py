@@ -25,14 +25,14 @@ from rerun.chunk import Chunk
 from khep_twin.errors import LogError
 from khep_twin.log.entries import Entry
 from khep_twin.log.tail import GrowingLog
-from khep_twin.log.viewer.live import SAMPLE_NS, _Dealer, follow
+from khep_twin.log.viewer.live import SAMPLE_NS, _SmoothingQueue, follow
 from khep_twin.ports.twin import Twin
 
 
 def all_of(log: GrowingLog) -> list[Entry]:
     """What can be read by now."""
     found: list[Entry] = []
-    while block := log.new():
+    while block := log.read_new():
         found += block
     return found
 
@@ -46,7 +46,7 @@ def test_what_a_run_writes_is_read_while_it_goes_on(start: Callable[[Path], Twin
         label = log.label()
         assert label is not None
         assert label.robots == ("khepera0",)
-        assert not log.finished
+        assert not log.is_finished
         twin.advance_to(3 * SECOND)
         twin.recorder.flush()
         late = all_of(log)
@@ -60,7 +60,7 @@ def test_the_end_is_seen_through_the_renaming(start: Callable[[Path], Twin], tmp
         drive(twin)
     with log:
         found = all_of(log)
-    assert log.finished
+    assert log.is_finished
     assert sum(each.topic == "/khepera0/proximity" for each in found) == 101
 
 
@@ -71,7 +71,7 @@ def test_a_record_of_which_a_part_is_written_waits_for_its_rest(log: Path, tmp_p
         for start in range(5, len(data), 997):
             with growing.part.open("ab") as file:
                 file.write(data[start : start + 997])
-            found += growing.new()
+            found += growing.read_new()
         with _growing(tmp_path / "whole", data) as whole:
             assert found == all_of(whole)
 
@@ -89,7 +89,7 @@ def test_a_finished_log_is_viewed_without_live(log: Path) -> None:
 
 def test_what_is_no_log_is_one_line(tmp_path: Path) -> None:
     with _growing(tmp_path, b"hello, world") as growing, pytest.raises(LogError, match="no MCAP file"):
-        growing.new()
+        growing.read_new()
 
 
 def test_a_damaged_chunk_is_one_line(log: Path, tmp_path: Path) -> None:
@@ -109,22 +109,22 @@ def _end_of_data(data: bytes) -> int:
 
 
 def test_a_run_that_was_killed_is_noticed(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("khep_twin.log.tail._SILENCE", 0.0)
+    monkeypatch.setattr("khep_twin.log.tail._SILENCE_S", 0.0)
     data = log.read_bytes()
     # All but what the end of a run writes.
     with _growing(tmp_path, data[: _end_of_data(data)]) as growing:
-        assert growing.new()
+        assert growing.read_new()
         with pytest.raises(LogError, match=r"ended without finishing it; to recover it: .*khep-twin recover"):
-            growing.new()
+            growing.read_new()
 
 
 def test_a_run_that_only_pauses_is_waited_for(
     start: Callable[[Path], Twin], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("khep_twin.log.tail._SILENCE", 0.0)
+    monkeypatch.setattr("khep_twin.log.tail._SILENCE_S", 0.0)
     with start(tmp_path / "run.mcap"), GrowingLog(tmp_path / "run.mcap") as log:
         all_of(log)
-        assert log.new() == []
+        assert log.read_new() == []
 
 
 def test_a_run_is_shown_as_its_replay_is_but_25_times_a_second(
@@ -140,7 +140,7 @@ def test_a_run_is_shown_as_its_replay_is_but_25_times_a_second(
         follower.join(timeout=20)
         assert not follower.is_alive()
     with log:
-        assert log.finished
+        assert log.is_finished
     times = times_of(tmp_path / "live.rrd")
     once = sorted(set(times["/tf"]))
     assert once[-1] == 2_000_000_000
@@ -158,15 +158,15 @@ def test_a_piece_is_dealt_out_over_the_time_that_it_took_to_come() -> None:
         )
         return [Chunk.from_columns("/x", [times], rr.Scalars.columns(scalars=np.arange(10.0)))]
 
-    dealer = _Dealer()
-    dealer.take(piece(0), 1.0, at_once=False)
-    assert sum(chunk.num_rows for chunk in dealer.due(1.0)) == 10
-    dealer.take(piece(10), 1.4, at_once=False)
-    dealt = [sum(chunk.num_rows for chunk in dealer.due(1.4 + 0.1 * step)) for step in range(5)]
+    dealer = _SmoothingQueue()
+    dealer.add(piece(0), 1.0, is_immediate=False)
+    assert sum(chunk.num_rows for chunk in dealer.release(1.0)) == 10
+    dealer.add(piece(10), 1.4, is_immediate=False)
+    dealt = [sum(chunk.num_rows for chunk in dealer.release(1.4 + 0.1 * step)) for step in range(5)]
     assert sum(dealt) == 10
     assert dealt[-1] > 0
     assert max(dealt) < 8
-    assert dealer.empty()
+    assert dealer.is_empty()
 
 
 @pytest.fixture

@@ -191,5 +191,5 @@ def test_what_is_recovered_of_a_bomb_can_be_read(parts: list[Record], bomb: byte
     path = tmp_path / "bomb.mcap"
     path.write_bytes(put_together(with_packed(parts, bomb, 1 << 31)))
     found = recover(path)
-    assert found.damaged == 1
+    assert found.n_damaged == 1
     read_log(found.path)

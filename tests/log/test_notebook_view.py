@@ -23,7 +23,7 @@ def test_it_is_handed_what_a_replay_shows(tmp_path: Path) -> None:
     with rr.RecordingStream("khep_twin") as recording, open_twin("obstacles", TwinOptions(seed=3)) as twin:
         recording.save(tmp_path / "live.rrd")
         twin.record(tmp_path / "run.mcap")
-        shown_live = LiveRecorder(RerunWriter(recording), twin.world, {}, interval_ns=SECOND // 5)
+        shown_live = LiveRecorder(RerunWriter(recording), twin.world, {}, flush_interval_wall_ns=SECOND // 5)
         twin.watch(shown_live)
         drive(twin)
         shown_live.flush()  # the event comes in a piece without a pose
@@ -52,7 +52,7 @@ class Broken(RerunWriter):
 def test_a_log_is_completed_even_if_a_view_fails_at_the_end(tmp_path: Path) -> None:
     with rr.RecordingStream("khep_twin") as recording:
         twin = open_twin("default", TwinOptions(log=str(tmp_path / "run.mcap")))
-        twin.watch(LiveRecorder(Broken(recording), twin.world, {}, interval_ns=SECOND))
+        twin.watch(LiveRecorder(Broken(recording), twin.world, {}, flush_interval_wall_ns=SECOND))
         drive(twin)
         with pytest.raises(OSError, match="no space left"):
             twin.close()

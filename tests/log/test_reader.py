@@ -17,7 +17,7 @@ from khep_twin.log.channels import ArrayFrame
 from khep_twin.log.content import Content
 from khep_twin.log.decoding import read_line
 from khep_twin.log.log_file import LogFile
-from khep_twin.log.reader import read_heads, read_label, read_log, read_raw, read_series, read_since
+from khep_twin.log.reader import read_first_messages, read_label, read_log, read_raw, read_series, read_since
 from khep_twin.log.recover import recover
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -88,7 +88,7 @@ def test_a_late_reply_alone_in_a_chunk_keeps_its_place(tmp_path: Path) -> None:
     last, *rest = ([read_line(each.data).text for each in piece] for piece in read_since(path, "/events", 3))
     assert (last, [*chain(*rest)]) == (["kept"], ["asked again"])
     with path.open("rb") as file:
-        parts = [[each.time_ns for each in part] for _, part in Content(file).pieces(1)]
+        parts = [[each.time_ns for each in part] for _, part in Content(file).batches(1)]
     assert parts == [[1], [3], [4], [9]]
 
 
@@ -164,7 +164,7 @@ def test_a_log_packed_with_lz4_is_read_and_recovered(log: Path, tmp_path: Path) 
     assert read_series(copy).lines == read_series(log).lines
     (tmp_path / "torn.mcap").write_bytes(copy.read_bytes()[:-9])
     found = recover(tmp_path / "torn.mcap")
-    assert found.messages == recover(copy).messages > 300
+    assert found.n_messages == recover(copy).n_messages > 300
     assert (
         read_log(found.path).robots["khepera0"].pose.tolist()
         == read_log(log).robots["khepera0"].pose.tolist()
@@ -205,5 +205,5 @@ def test_the_first_messages_unpack_each_chunk_once(log: Path, monkeypatch: pytes
         return unpack(content, place, length)
 
     monkeypatch.setattr(Content, "_chunk", noted)
-    assert "/khepera0/proximity" in read_heads(log).series
+    assert "/khepera0/proximity" in read_first_messages(log).series
     assert len(places) == len(set(places))

@@ -257,7 +257,7 @@ def test_what_a_crash_left_behind_is_kept(tmp_path: Path, start: Start) -> None:
     (tmp_path / "run.mcap.part.1").write_text("crashed before")
     with start(path) as twin:
         assert twin.recorder is not None
-        assert twin.recorder.kept == tmp_path / "run.mcap.part.2"
+        assert twin.recorder.previous_part == tmp_path / "run.mcap.part.2"
     assert (tmp_path / "run.mcap.part.1").read_text() == "crashed before"
     assert (tmp_path / "run.mcap.part.2").read_bytes() == MCAP0_MAGIC + b"crashed"
     read_log(path)

@@ -23,7 +23,7 @@ from shares import share
 from khep_twin.errors import LogError
 from khep_twin.log.channels import CDR_HEADER
 from khep_twin.log.log_file import PartFile
-from khep_twin.log.mcap_recovery import WholeRecords
+from khep_twin.log.mcap_recovery import IntactRecords
 from khep_twin.log.reader import read_log, read_series
 from khep_twin.log.recover import Recovery, recover, summary
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -58,7 +58,7 @@ def rescued(folder: Path, data: bytes) -> Recovery | None:
         return None
     assert sorted(os.listdir(folder)) == [target.name, part.name]
     assert part.read_bytes() == data
-    assert len(messages_of(target)) == found.messages
+    assert len(messages_of(target)) == found.n_messages
     return found
 
 
@@ -67,8 +67,8 @@ def test_a_finished_log_is_copied_message_by_message(tmp_path: Path, long_log: P
     path.write_bytes(long_log.read_bytes())
     found = recover(path)
     assert found.path == tmp_path / "run.recovered.mcap"
-    assert found.whole
-    assert found.until_ns == 12 * SECOND
+    assert found.is_complete
+    assert found.end_ns == 12 * SECOND
     before, after = messages_of(path), messages_of(found.path)
     assert [(topic, each.log_time, each.data) for topic, each in before] == [
         (topic, each.log_time, each.data) for topic, each in after
@@ -84,7 +84,7 @@ def test_more_bytes_never_give_fewer_messages(cuts: int, tmp_path: Path, long_lo
     points = [*sorted(random.Random(1).sample(range(len(data)), cuts)), len(data)]
     before, opened = (0, 0), 0
     for point in points:
-        records = WholeRecords(data[:point])
+        records = IntactRecords(data[:point])
         now = sum(1 for _ in records.messages()), len(records.attachments)
         assert now >= before, point
         assert now[1] >= before[1], point
@@ -98,7 +98,7 @@ def test_more_bytes_never_give_fewer_messages(cuts: int, tmp_path: Path, long_lo
         opened += 1
         kept = messages_of(found.path)
         assert {(topic, each.log_time, each.data) for topic, each in kept} <= known
-        if found.messages:
+        if found.n_messages:
             run = read_log(found.path)
             assert list(run.attachments) == ATTACHMENTS
             assert run.metadata["playpen"] == "obstacles"
@@ -116,14 +116,14 @@ def test_flipped_bytes_lose_what_they_hit_and_nothing_false_is_kept(flips: int, 
         place = rng.randrange(8, len(data))
         damaged = bytearray(data)
         damaged[place] ^= 1 << rng.randrange(8)
-        records = WholeRecords(bytes(damaged))
+        records = IntactRecords(bytes(damaged))
         # Channels are named in the summary, too: only the chunk that was hit is lost.
         kept = {
             (records.channels[each.channel_id].topic, each.log_time, each.data) for each in records.messages()
         }
         assert len(kept) >= len(whole) * 0.4, place
         assert sum(not name.name.startswith("damaged/") for name in records.attachments) >= 3, place
-        if records.damaged == 0 and not records.torn:
+        if records.n_damaged == 0 and not records.is_truncated:
             assert len(kept) == len(whole), place
         assert {each[1:] for each in kept} <= known, place
 
@@ -133,9 +133,9 @@ def test_damage_in_the_middle_is_skipped_and_said(tmp_path: Path, long_log: Path
     data[len(data) // 2 : len(data) // 2 + 40] = bytes(40)
     found = rescued(tmp_path, bytes(data))
     assert found is not None
-    assert (found.damaged, found.torn) == (1, False)
-    assert found.until_ns == 12 * SECOND
-    assert 0 < found.messages < len(messages_of(long_log))
+    assert (found.n_damaged, found.is_truncated) == (1, False)
+    assert found.end_ns == 12 * SECOND
+    assert 0 < found.n_messages < len(messages_of(long_log))
 
 
 def test_a_damaged_attachment_does_not_pass_for_a_good_one(tmp_path: Path, long_log: Path) -> None:
@@ -143,7 +143,7 @@ def test_a_damaged_attachment_does_not_pass_for_a_good_one(tmp_path: Path, long_
     place = data.index(b"obstacles")
     found = rescued(tmp_path, data[:place] + b"0bstacles" + data[place + 9 :])
     assert found is not None
-    assert found.damaged == 1
+    assert found.n_damaged == 1
     assert list(read_log(found.path).attachments) == ["damaged/playpen.toml", *ATTACHMENTS[1:]]
 
 
@@ -159,12 +159,12 @@ def test_messages_outside_of_chunks_are_kept(tmp_path: Path) -> None:
             writer.add_message(channel, number, b'{"a": 1}', number)
         writer.finish()
     data = path.read_bytes()
-    counts = [sum(1 for _ in WholeRecords(data[:size]).messages()) for size in range(0, len(data), 7)]
+    counts = [sum(1 for _ in IntactRecords(data[:size]).messages()) for size in range(0, len(data), 7)]
     assert counts == sorted(counts)
     assert counts[-1] == 100
     found = rescued(folder, data[: len(data) // 2])
     assert found is not None
-    assert (found.messages, found.torn) == (counts[len(data) // 14], True)
+    assert (found.n_messages, found.is_truncated) == (counts[len(data) // 14], True)
 
 
 def test_exit_codes_tell_all_part_and_nothing(tmp_path: Path, long_log: Path) -> None:
@@ -264,7 +264,7 @@ def test_what_reads_no_log_is_left_out_and_said(tmp_path: Path, long_log: Path) 
     with pytest.raises(LogError, match=r"/khepera0/proximity at 1\.0000 s"):
         read_log(path)
     found = recover(path)
-    assert (found.refused, found.damaged, found.whole) == (1, 0, False)
+    assert (found.n_refused, found.n_damaged, found.is_complete) == (1, 0, False)
     assert "1 left out" in summary(path, found)
     assert (
         len(read_log(found.path).robots["khepera0"].proximity)

@@ -20,7 +20,7 @@ from khep_twin.cli.app import app
 from khep_twin.errors import LogError
 from khep_twin.log.reader import read_end_ns
 from khep_twin.log.viewer import replay, robot_panel
-from khep_twin.log.viewer.arena import REACH
+from khep_twin.log.viewer.arena import RAY_LIMIT
 from khep_twin.log.viewer.replay import distinct_names, view, view_still
 from khep_twin.ports.twin import TwinOptions, open_twin
 
@@ -188,7 +188,7 @@ def test_bars_are_filled_and_as_long_as_what_they_tell() -> None:
     }
     (strips,) = (column for name, column in columns.items() if "strips" in name)
     points = np.array(strips.flatten().to_pylist())  # of each bar eight corners
-    radius = robot_panel._LINE
+    radius = robot_panel._LINE_RADIUS
     tall = points[..., 1].max(axis=1) - points[..., 1].min(axis=1) + 2 * radius
     np.testing.assert_allclose(tall, [2 * radius, 0.006, 0.012, 0.012], rtol=1e-5)
     wide = points[..., 0].max(axis=1) - points[..., 0].min(axis=1) + 2 * radius
@@ -249,7 +249,7 @@ def test_rays_are_as_long_as_what_they_see_and_coloured_by_the_reading(at_a_wall
     lengths = np.linalg.norm(first[:, :, 1] - first[:, :, 0], axis=-1)
     # Left 10 and right 10 have their middle ray to the wall, 22.5 mm ahead; the back ones see nothing.
     np.testing.assert_allclose(lengths[2:4, 2], 0.0225 / np.cos(np.radians(8)), rtol=0.03)
-    np.testing.assert_allclose(lengths[6:], REACH, rtol=1e-5)
+    np.testing.assert_allclose(lengths[6:], RAY_LIMIT, rtol=1e-5)
     red, green = (
         (np.array(row[1]).reshape(8, -1) >> shift) & 0xFF for row in colours[:1] for shift in (24, 16)
     )
@@ -285,7 +285,7 @@ def test_a_still_shows_the_end_of_the_run_unless_a_time_is_given(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[float] = []
-    monkeypatch.setattr(replay, "still", lambda recording, at_s, *_: asked.append(at_s))
+    monkeypatch.setattr(replay, "write_still", lambda recording, at_s, *_: asked.append(at_s))
     assert CliRunner().invoke(app, ["view", str(log), "--png", str(tmp_path / "a.png")]).exit_code == 0
     assert (
         CliRunner().invoke(app, ["view", str(log), "--png", str(tmp_path / "a.png"), "--at", "0"]).exit_code

@@ -8,24 +8,24 @@ from command_line import good, khep_twin
 from log_rewriting import BARE, REWRITINGS, rewritten
 
 from khep_twin import playpen
-from khep_twin.envs.tasks import find
+from khep_twin.envs.tasks import find_task
 from khep_twin.errors import LogError
 from khep_twin.host import Khepera
-from khep_twin.interventions.move_robot import put, scan
+from khep_twin.interventions.move_robot import place_robot, scan
 from khep_twin.lab.dataset.episodes import episodes_of
 from khep_twin.lab.experiment.multi_robot import run_together
 from khep_twin.log.reader import (
     read_arrays,
     read_end_ns,
-    read_heads,
+    read_first_messages,
     read_label,
     read_log,
-    read_pieces,
+    read_batches,
     read_raw,
     read_since,
 )
-from khep_twin.log.recorded import events_in, read_recorded
-from khep_twin.log.viewer.replay import _checked
+from khep_twin.log.recorded import order_events, read_recorded_run
+from khep_twin.log.viewer.replay import _check_and_copy
 from khep_twin.ports.resume import run_end_ns
 from khep_twin.ports.twin import TwinOptions
 
@@ -43,7 +43,7 @@ def _drive(robot: Khepera) -> None:
 def _meddle(robot: Khepera) -> None:
     _drive(robot)
     world = robot.port.twin.world
-    put(world, 0, 200, 300, 45)
+    place_robot(world, 0, 200, 300, 45)
     scan(world)
     _drive(robot)
 
@@ -93,17 +93,17 @@ def test_what_is_missing_is_said(original: Path, tmp_path: Path) -> None:
 
 def read(path: Path) -> dict[str, object]:
     """Return a log as each function reads it that the commands call."""
-    recorded, resumed = read_recorded(path), read_since(path, "/snapshot", SECOND)
-    heads, whole = read_heads(path).series, read_log(path)
+    recorded, resumed = read_recorded_run(path), read_since(path, "/snapshot", SECOND)
+    heads, whole = read_first_messages(path).series, read_log(path)
     return {
         "label": read_label(path),
         "tracks": {name: repr(track) for name, track in whole.robots.items()},
         "events": whole.events,
         "heads": {topic: (each.times_ns.tolist(), each.values.tolist()) for topic, each in heads.items()},
-        "pieces": [repr(sorted(each.series.items())) for each in read_pieces(path)],
+        "pieces": [repr(sorted(each.series.items())) for each in read_batches(path)],
         "arrays": repr(sorted(read_arrays(path)[1].items())),
         "recorded": (recorded.events, recorded.states, recorded.lines, recorded.last_ns),
-        "resumed": [*events_in(path, resumed, recorded.label.robots)],
+        "resumed": [*order_events(path, resumed, recorded.label.robots)],
         "end": (read_end_ns(path), run_end_ns(path)),
         "messages": messages(path),
     }
@@ -124,11 +124,11 @@ def everything(path: Path, folder: Path) -> dict[str, object]:
     found["conform"] = khep_twin("conform", log.name, folder=folder).stdout
     good("branch", log.name, "--at", "1.1", "-o", "branch.mcap", folder=folder)
     found["branch"] = messages(folder / "branch.mcap")
-    found["view"] = _checked(log, folder / "copy.mcap", None)
+    found["view"] = _check_and_copy(log, folder / "copy.mcap", None)
     found["viewed"] = messages(folder / "copy.mcap")
     found["recover"] = good("recover", log.name, folder=folder).partition(": ")[2]
     found["recovered"] = messages(folder / "run.recovered.mcap")
-    episodes = episodes_of(log, find("ObstacleAvoidance"), 50_000_000)
+    episodes = episodes_of(log, find_task("ObstacleAvoidance"), 50_000_000)
     found["dataset"] = [(each.observations.tolist(), each.rewards.tolist()) for each in episodes]
     found["end"] = read_end_ns(log)
     files = ("t.csv", "lines.csv", "t.mat", "map.svg", "page.html")

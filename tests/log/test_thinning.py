@@ -10,10 +10,10 @@ from log_contents import times_of
 from typer.testing import CliRunner
 
 from khep_twin.cli.app import app
-from khep_twin.log.reader import read_with_messages
+from khep_twin.log.reader import read_message_batches
 from khep_twin.log.viewer import thinning
 from khep_twin.log.viewer.collected import TIMELINE, Collector
-from khep_twin.log.viewer.thinning import Copy, interval_ns
+from khep_twin.log.viewer.thinning import LogCopy, thinning_interval_ns
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 
@@ -37,12 +37,12 @@ def collected(log: Path, step_ns: int, folder: Path) -> tuple[Collector, list[in
     collector, times_ns, texts = Collector(), list[int](), list[str]()
     copy = folder / f"{step_ns}.mcap"
     with copy.open("wb") as file:
-        writer = Copy(file, step_ns, ["^/state$"])
-        for recording, messages in read_with_messages(log):
+        writer = LogCopy(file, step_ns, ["^/state$"])
+        for recording, messages in read_message_batches(log):
             writer.add(messages)
             label = recording.label
         writer.finish(label)
-    for chunk in collector.passing(copy, log):
+    for chunk in collector.collect(copy, log):
         assert chunk.entity_path != "/state"
         if chunk.entity_path == "/khepera0/serial" and not chunk.is_static:
             batch: Any = chunk.to_record_batch()
@@ -53,9 +53,9 @@ def collected(log: Path, step_ns: int, folder: Path) -> tuple[Collector, list[in
 
 
 def test_an_hour_is_shown_whole_and_a_day_is_thinned() -> None:
-    assert interval_ns(3600 * SECOND) == interval_ns(3605 * SECOND) == 0
-    assert interval_ns(2 * 3600 * SECOND) == 40_000_000
-    assert interval_ns(24 * 3600 * SECOND) == 480_000_000
+    assert thinning_interval_ns(3600 * SECOND) == thinning_interval_ns(3605 * SECOND) == 0
+    assert thinning_interval_ns(2 * 3600 * SECOND) == 40_000_000
+    assert thinning_interval_ns(24 * 3600 * SECOND) == 480_000_000
 
 
 def test_of_each_interval_the_first_sample_is_kept_in_every_channel(log: Path, tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ def test_of_the_transcript_a_command_and_its_reply_are_kept(log: Path, tmp_path:
 def test_a_long_log_is_reported_and_saved_with_fewer_samples(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(thinning, "SAMPLES", 12)
+    monkeypatch.setattr(thinning, "MAX_SAMPLES", 12)
     result = CliRunner().invoke(app, ["view", str(log), "--save", str(tmp_path / "run.rrd")])
     assert "one sample in 0.50 s is shown, as it lasts 0:00:06" in result.stderr
     assert len(times_of(tmp_path / "run.rrd")["/khepera0/proximity"]) == 13

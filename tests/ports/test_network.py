@@ -62,7 +62,7 @@ def test_a_reply_leaves_in_one_piece_when_its_last_byte_has_come(kind: str) -> N
 
 
 def test_the_pace_of_a_network_port_conforms() -> None:
-    pace = next(each for each in checks(False) if each.name.startswith("every reply begins within 10 ms"))
+    pace = next(each for each in checks(False) if each.name.startswith("every reply starts within 10 ms"))
     with served("default", "--tcp", ":0") as (_, url), Khepera(url) as robot:
         # What a busy machine delays is no deviation of the port's.
         assert "" in (run_check(pace, CheckedPort(robot.port)).deviation for _ in range(5))

@@ -13,7 +13,7 @@ import pytest
 import serial
 
 from khep_twin.errors import PortInUse
-from khep_twin.host.discovery import who_answers
+from khep_twin.host.discovery import identify_robot
 from khep_twin.ports import port_users
 from khep_twin.ports.port_users import port_user
 
@@ -48,7 +48,7 @@ def test_who_keeps_the_far_end_is_no_host_and_another_process_is(
         for name in (path, str(link)):
             assert port_user(name).startswith(f"process {host.pid} (")
         with pytest.raises(PortInUse, match=f"{path}: in use by process {host.pid}"):
-            who_answers(path)
+            identify_robot(path)
         host.communicate()
     assert port_user(path) == ""
 
@@ -87,7 +87,7 @@ def test_a_lock_of_a_holder_that_cannot_be_seen_counts(
     fcntl.flock(kept, fcntl.LOCK_EX)
     assert port_user(path) == ""
     with pytest.raises(PortInUse, match="in use by a program that has locked it"):
-        who_answers(path)
+        identify_robot(path)
 
 
 def test_a_port_that_its_holder_has_made_exclusive_is_in_use(
@@ -99,7 +99,7 @@ def test_a_port_that_its_holder_has_made_exclusive_is_in_use(
 
     monkeypatch.setattr(serial, "serial_for_url", refuse)
     with pytest.raises(PortInUse, match="in use by a program that has locked it"):
-        who_answers(terminal[2])
+        identify_robot(terminal[2])
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "0.0.0.0", "::1", "::"])
@@ -118,7 +118,7 @@ def test_an_established_connection_holds_a_port_of_the_network(address: str) -> 
         with socket.create_connection((near, number), timeout=5):
             assert port_user(url) == "a connection"
             with pytest.raises(PortInUse, match="in use by a connection"):
-                who_answers(url)
+                identify_robot(url)
 
 
 @pytest.mark.parametrize("url", ["/nowhere", "khep://default", "socket://", "socket://127.0.0.1:x", "\0"])

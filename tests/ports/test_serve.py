@@ -219,7 +219,7 @@ def test_a_killed_server_loses_less_than_a_second_and_is_announced_next_time(tmp
         (["--tcp", "no.such.host.invalid:0", "--allow-remote"], "cannot listen here"),
         (["--fault", "nope"], "fault 'nope': unknown"),
         (["--clock", "wire", "--speed", "2"], "--speed: has no effect with --clock wire"),
-        (["--strict-line", "--tcp", ":0"], "--strict-line: hosts at --tcp have no speed"),
+        (["--strict-line", "--tcp", ":0"], "--strict-line: hosts at --tcp have no baud rate"),
         (["--tcp", ""], "expected HOST:PORT"),
         (["--link", ""], "--link '': expected a name"),
         (["nowhere"], "khep-twin: nowhere: no such file"),

@@ -37,6 +37,6 @@ def test_a_recorded_bar_of_light_is_full_in_the_dark_and_short_where_it_is_brigh
     (light,) = (chunk for chunk in chunks if chunk.entity_path.endswith("/light"))
     strips: Any = light.to_record_batch()["LineStrips2D:strips"][0].as_py()
     heights = [strip[0][1] - strip[1][1] for strip in strips]
-    lengths = [height + 2 * robot_panel._LINE for height in heights]  # a line ends round
+    lengths = [height + 2 * robot_panel._LINE_RADIUS for height in heights]  # a line ends round
     assert lengths[3] == pytest.approx(0.1 * lengths[0], rel=1e-3)
-    assert lengths[0] == pytest.approx(robot_panel._BAR, rel=1e-4)
+    assert lengths[0] == pytest.approx(robot_panel._BAR_LENGTH, rel=1e-4)

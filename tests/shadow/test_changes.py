@@ -4,22 +4,22 @@ import numpy as np
 import pytest
 from twins import AT_THE_CRATE, SECOND, particles_at, setup_of
 
-from khep_twin.shadow.changes import FaultChange, mixed
+from khep_twin.shadow.changes import FaultChange, resample_changes
 from khep_twin.shadow.hypotheses import QUOTA
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.thing_faults import Missing, things_of
-from khep_twin.shadow.wheel_faults import STRONGEST, WEAKEST, StandingWheel, WeakMotor
+from khep_twin.shadow.thing_faults import Missing, thing_rows
+from khep_twin.shadow.wheel_faults import MAX_STRENGTH, MIN_STRENGTH, StandingWheel, WeakMotor
 
 STANDS, WEAK = FaultChange(StandingWheel(0), True), FaultChange(WeakMotor(1), True)
 
 
 def mix(particles: Particles, *changes: FaultChange, count: int = 100, passed_s: float = 0.5) -> Particles:
-    return mixed(particles, changes, count, passed_s, SECOND, np.random.default_rng(0))
+    return resample_changes(particles, changes, count, passed_s, SECOND, np.random.default_rng(0))
 
 
 def shares(particles: Particles, changes: int) -> list[float]:
     """Probabilities of no change and of each one."""
-    return np.bincount(particles.changes, np.exp(particles.logs), changes + 1).tolist()
+    return np.bincount(particles.changes, np.exp(particles.log_weights), changes + 1).tolist()
 
 
 def test_some_twins_undergo_each_change_with_the_probability_of_that_time() -> None:
@@ -37,7 +37,7 @@ def test_some_twins_undergo_each_change_with_the_probability_of_that_time() -> N
 
 def test_a_change_that_the_weights_favour_gets_the_twins_and_keeps_when_it_began() -> None:
     made = mix(particles_at(*[AT_THE_CRATE] * 50), STANDS, WEAK)
-    made.logs[made.changes == 1] += 20
+    made.log_weights[made.changes == 1] += 20
     made.since_ns[made.changes == 1] = 7
     later = mix(made, STANDS, WEAK)
     assert (later.changes == 1).sum() == 100 + QUOTA
@@ -48,7 +48,7 @@ def test_a_change_that_the_weights_favour_gets_the_twins_and_keeps_when_it_began
 
 def test_twins_without_a_change_any_more_are_sound_again() -> None:
     made = mix(particles_at(*[AT_THE_CRATE] * 50), STANDS)
-    made.logs[made.changes == 0] -= 1000
+    made.log_weights[made.changes == 0] -= 1000
     later = mix(made, STANDS)
     sound = later.changes == 0
     assert sound.sum() == QUOTA
@@ -65,7 +65,7 @@ def test_an_end_takes_the_fault_from_twins_that_have_it() -> None:
 
 
 def test_what_may_have_happened_unseen_has_the_probability_of_that_time_once() -> None:
-    gone = FaultChange(Missing("block1", things_of(setup_of("workshop"))["block1"]), True, unseen_s=60.0)
+    gone = FaultChange(Missing("block1", thing_rows(setup_of("workshop"))["block1"]), True, unseen_s=60.0)
     made = mix(particles_at(*[AT_THE_CRATE] * 50), gone)
     assert shares(made, 1)[1] == pytest.approx(gone.rate * 60.5, rel=0.02)
     later = mix(made, gone)
@@ -83,14 +83,14 @@ def test_twins_that_keep_a_fault_differ_a_little_from_those_they_were_drawn_of(b
     assert len(np.unique(has)) > 1000
     assert has.mean() == pytest.approx(before.mean(), abs=0.01)
     assert has.std() == pytest.approx(before.std(), rel=0.1)
-    assert WEAKEST <= has.min() < has.max() <= STRONGEST
+    assert MIN_STRENGTH <= has.min() < has.max() <= MAX_STRENGTH
     # Those that have it no more, or are not to have it, are whole.
     assert (made.planes.strength[made.changes != int(begins), 1] == 1).all()
 
 
 def test_without_changes_twins_are_drawn_by_their_weights() -> None:
     particles = particles_at(AT_THE_CRATE, (100.0, 371.0, 0.0))
-    particles.logs[:] = np.log([0.25, 0.75])
+    particles.log_weights[:] = np.log([0.25, 0.75])
     made = mix(particles, count=40)
     assert len(made) == 40
     assert (made.planes.poses[:, 0] > 0.09).sum() == 30

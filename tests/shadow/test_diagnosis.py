@@ -11,10 +11,10 @@ from khep_twin.episodes.planar import plane as flat
 from khep_twin.log.exchanges import Exchange
 from khep_twin.log.shadow_channels import Alarm, PoseState
 from khep_twin.randomness import stream
-from khep_twin.shadow.actions import Commanded, Counted, Seen
+from khep_twin.shadow.actions import WheelCommand, CounterReply, ProximityReply
 from khep_twin.shadow.diagnosis import Diagnosis
 from khep_twin.shadow.particle_filter import ParticleFilter
-from khep_twin.shadow.start import PUBLISHED, begun
+from khep_twin.shadow.start import PUBLISHED, draw_particles
 from khep_twin.shadow.thresholds import THRESHOLDS
 from khep_twin.shadow.wheel_commands import SPEED
 
@@ -31,8 +31,8 @@ class Driven:
     def __init__(self, seed: int, counters: bool = False, particles: int = 300, others: bool = False) -> None:
         setup = setup_of("workshop", lit=False)
         self.robot = planes_at((START[0] + 5, START[1] - 4, START[2] + 3), lit=False)
-        start = begun(setup, [metric(START)], PUBLISHED, particles, stream(seed, "start"))
-        start.planes.others = others
+        start = draw_particles(setup, [metric(START)], PUBLISHED, particles, stream(seed, "start"))
+        start.planes.has_other_robots = others
         tracker = ParticleFilter(setup, start, stream(seed, "filter"), particles)
         self.diagnosis = Diagnosis(setup, tracker, stream(seed, "hypotheses"))
         self._rng, self._counters = stream(seed, "robot"), counters
@@ -47,17 +47,17 @@ class Driven:
         for _ in range(round(seconds * 100 / TICKS)):
             robot.advance(TICKS)
             time_ns = robot.ticks * SECOND // 100
-            diagnosis.hear(Exchange(b"N", time_ns, b"n,0,0,0,0,0,0,0,0", time_ns))
+            diagnosis.start_exchange(Exchange(b"N", time_ns, b"n,0,0,0,0,0,0,0,0", time_ns))
             light = readings(robot)
             noisy = np.where(light > 0, light + self._rng.normal(0, 20, 8), self._rng.exponential(2, 8))
-            diagnosis.follow(Seen(time_ns, noisy.clip(0, 1023).astype(np.int64)))
+            diagnosis.follow(ProximityReply(time_ns, noisy.clip(0, 1023).astype(np.int64)))
             if self._counters:
                 angles = robot.robots["joints"][0, [flat.LEFT_ANGLE, flat.RIGHT_ANGLE]]
                 counts = np.rint(angles * 600 / math.tau).astype(np.int64)
-                diagnosis.follow(Counted(time_ns, counts, time_ns + LATENESS_NS))
+                diagnosis.follow(CounterReply(time_ns, counts, time_ns + LATENESS_NS))
             left, right = speeds = self._decide(light)
             robot.command(SPEED, left, right)
-            diagnosis.follow(Commanded(time_ns, SPEED, *speeds))
+            diagnosis.follow(WheelCommand(time_ns, SPEED, *speeds))
             self.raised |= {(alarm.fault, alarm.raised_ns): alarm for alarm in diagnosis.alarms}
             self.ended += diagnosis.ended
             self.suspected += [each.probability for each in diagnosis.suspected]
@@ -122,7 +122,7 @@ def test_a_robot_that_was_put_elsewhere_is_told_for_a_second_and_lost_until_it_i
     driven.drive(1.5)
     assert driven.names == ["robot lifted"]
     assert driven.diagnosis.state is PoseState.LOST
-    assert 0.5 < max(driven.suspected) <= THRESHOLDS.believed  # until it was certain
+    assert 0.5 < max(driven.suspected) <= THRESHOLDS.suspicion_factor  # until it was certain
     driven.drive(1)
     assert driven.diagnosis.alarms == ()
     assert [alarm.fault for alarm in driven.ended] == ["robot lifted"]
@@ -133,7 +133,7 @@ def test_a_thing_that_is_not_in_the_playpen_is_no_fault_where_other_robots_drive
     driven.drive(4)
     x, y, heading = driven.robot.poses[0].tolist()
     place = x + 0.05 * math.cos(heading), y + 0.05 * math.sin(heading)
-    circle = [flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH, flat.WIDTH, flat.TOP, flat.TOUCHED, flat.REFLECTANCE]
+    circle = [flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH, flat.WIDTH, flat.TOP, flat.TOUCHABLE, flat.REFLECTANCE]
     driven.robot.things[:, -1, circle] = *place, 0.02, -1, 0.05, 1, 1
     driven.robot.remeasure()
     driven.drive(3)
@@ -153,9 +153,9 @@ def test_a_robot_that_was_pushed_a_little_is_followed_without_an_alarm() -> None
 
 def test_ended_alarms_are_those_of_the_last_exchange() -> None:
     driven = Driven(0)
-    driven.diagnosis.hear(Exchange(b"", 0, b"ROM of minirobot KHEPERA", 0))
+    driven.diagnosis.start_exchange(Exchange(b"", 0, b"ROM of minirobot KHEPERA", 0))
     assert [alarm.fault for alarm in driven.diagnosis.alarms] == ["restart"]
-    driven.diagnosis.hear(Exchange(b"N", 5 * SECOND, b"n,0,0,0,0,0,0,0,0", 5 * SECOND))
+    driven.diagnosis.start_exchange(Exchange(b"N", 5 * SECOND, b"n,0,0,0,0,0,0,0,0", 5 * SECOND))
     assert [alarm.fault for alarm in driven.diagnosis.ended] == ["restart"]
-    driven.diagnosis.hear(Exchange(b"N", 6 * SECOND, b"n,0,0,0,0,0,0,0,0", 6 * SECOND))
+    driven.diagnosis.start_exchange(Exchange(b"N", 6 * SECOND, b"n,0,0,0,0,0,0,0,0", 6 * SECOND))
     assert driven.diagnosis.ended == ()

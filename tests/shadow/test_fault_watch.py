@@ -8,7 +8,7 @@ import pytest
 from twins import SECOND
 
 from khep_twin.shadow.changes import FaultChange
-from khep_twin.shadow.fault_watch import Alike, FaultWatch
+from khep_twin.shadow.fault_watch import AmbiguityGroup, FaultWatch
 from khep_twin.shadow.hypotheses import Hypothesis
 from khep_twin.shadow.thing_faults import Missing
 from khep_twin.shadow.wheel_faults import SlippingWheel, WeakMotor
@@ -31,18 +31,18 @@ class Tracker:
 
 def see(
     watch: FaultWatch, seconds: float, probabilities: Mapping[Hypothesis, float], *, begins: bool = True
-) -> Alike | None:
+) -> AmbiguityGroup | None:
     """Take two replies with the same probabilities, the second one at a time."""
     tracker = cast(Any, Tracker(probabilities, begins=begins))
-    watch.see(round((seconds - 0.1) * SECOND), tracker)
-    return watch.see(round(seconds * SECOND), tracker)
+    watch.update(round((seconds - 0.1) * SECOND), tracker)
+    return watch.update(round(seconds * SECOND), tracker)
 
 
 def test_one_reply_tells_nothing_however_long_it_takes() -> None:
     watch = FaultWatch()
-    assert watch.see(1 * SECOND, cast(Any, Tracker({WEAK: 0.99}))) is None
-    assert watch.see(5 * SECOND, cast(Any, Tracker({WEAK: 0.99}))) is None
-    assert watch.see(6 * SECOND, cast(Any, Tracker({WEAK: 0.99}))) is not None
+    assert watch.update(1 * SECOND, cast(Any, Tracker({WEAK: 0.99}))) is None
+    assert watch.update(5 * SECOND, cast(Any, Tracker({WEAK: 0.99}))) is None
+    assert watch.update(6 * SECOND, cast(Any, Tracker({WEAK: 0.99}))) is not None
 
 
 def test_faults_that_look_alike_decide_together_and_have_all_names_if_nothing_tells_them_apart() -> None:
@@ -52,8 +52,8 @@ def test_faults_that_look_alike_decide_together_and_have_all_names_if_nothing_te
     assert certain is not None
     assert certain.probability == pytest.approx(0.97)
     assert [each.faults for each in watch.suspected] == [("weak motor left", "slipping wheel left")]
-    assert not watch.is_named(certain, 2 * SECOND)
-    assert watch.is_named(certain, 3 * SECOND)
+    assert not watch.is_distinguished(certain, 2 * SECOND)
+    assert watch.is_distinguished(certain, 3 * SECOND)
     watch.raise_alarm(certain, 4 * SECOND)
     (alarm,) = watch.alarms
     assert (alarm.fault, alarm.channel) == ("weak motor left or slipping wheel left", "wheels")
@@ -72,12 +72,12 @@ def test_one_that_is_told_apart_has_its_name_and_its_own_probability() -> None:
     see(watch, 2.0, found)
     certain = see(watch, 3.0, found)
     assert certain is not None
-    assert watch.is_named(certain, 3 * SECOND)
+    assert watch.is_distinguished(certain, 3 * SECOND)
     watch.raise_alarm(certain, 3 * SECOND)
     assert [(each.fault, round(each.sureness, 2)) for each in watch.alarms] == [("weak motor left", 0.95)]
-    assert not watch.has_gone(cast(Any, Tracker({SLIP: 0.5})))
-    assert watch.has_gone(cast(Any, Tracker({GONE: 0.9})))
-    (ended,) = watch.give_up(5 * SECOND)
+    assert not watch.is_refuted(cast(Any, Tracker({SLIP: 0.5})))
+    assert watch.is_refuted(cast(Any, Tracker({GONE: 0.9})))
+    (ended,) = watch.drop_leading(5 * SECOND)
     assert (ended.fault, ended.ended_ns) == ("weak motor left", 5 * SECOND)
 
 
@@ -94,15 +94,15 @@ def settled(fault: Hypothesis) -> FaultWatch:
 
 def test_a_fault_that_has_ended_is_known_to_a_search_that_begins_before() -> None:
     watch = settled(SLIP)
-    assert watch.had(8 * SECOND) == [SLIP]
-    watch.over(9 * SECOND, cast(Any, Tracker({SLIP: 0.99}, begins=False)))
-    assert watch.had(8 * SECOND) == [SLIP]
-    assert watch.had(9 * SECOND) == []
+    assert watch.settled_since(8 * SECOND) == [SLIP]
+    watch.end_settled(9 * SECOND, cast(Any, Tracker({SLIP: 0.99}, begins=False)))
+    assert watch.settled_since(8 * SECOND) == [SLIP]
+    assert watch.settled_since(9 * SECOND) == []
 
 
 def test_a_settled_fault_ends_when_its_end_is_certain() -> None:
     watch = settled(GONE)
-    assert watch.over(4 * SECOND, cast(Any, Tracker({GONE: 0.9}, begins=False))) == (0, ())
-    number, (ended,) = watch.over(5 * SECOND, cast(Any, Tracker({GONE: 0.99}, begins=False)))
+    assert watch.end_settled(4 * SECOND, cast(Any, Tracker({GONE: 0.9}, begins=False))) == (0, ())
+    number, (ended,) = watch.end_settled(5 * SECOND, cast(Any, Tracker({GONE: 0.99}, begins=False)))
     assert (number, ended.fault, ended.ended_ns) == (1, "missing block4", 5 * SECOND)
     assert watch.alarms == []

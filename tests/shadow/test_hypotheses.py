@@ -7,29 +7,29 @@ import pytest
 from twins import AT_THE_CRATE, OPEN, light_of, particles_at, setup_of
 
 from khep_twin.episodes.planar import plane as flat
-from khep_twin.shadow.hypotheses import REFINED, Hypothesis, refined
+from khep_twin.shadow.hypotheses import JITTER, Hypothesis, shrink_and_jitter
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.thing_faults import MOVED_LEAST, Missing, Moved, Unexpected, things_of
+from khep_twin.shadow.thing_faults import MIN_MOVE, Missing, Moved, Unexpected, thing_rows
 from khep_twin.shadow.wheel_commands import SPEED
-from khep_twin.shadow.wheel_faults import of_wheels
+from khep_twin.shadow.wheel_faults import wheel_faults
 
 
 def of_things() -> list[Hypothesis]:
-    crate = things_of(setup_of("workshop"))["block1"]
+    crate = thing_rows(setup_of("workshop"))["block1"]
     return [Missing("block1", crate), Moved("block1", crate), Unexpected()]
 
 
 def state(particles: Particles) -> list[object]:
     """What a fault may change."""
     planes = particles.planes
-    seen = [flat.CENTRE_X, flat.CENTRE_Y, flat.COSINE, flat.SINE, flat.LENGTH, flat.WIDTH, flat.TOUCHED]
-    robots = [planes.robots[name].tolist() for name in ("joints", "left_hold", "right_hold", "left_wheel")]
+    seen = [flat.CENTRE_X, flat.CENTRE_Y, flat.COSINE, flat.SINE, flat.LENGTH, flat.WIDTH, flat.TOUCHABLE]
+    robots = [planes.robots[name].tolist() for name in ("joints", "left_grip", "right_grip", "left_wheel")]
     light = light_of(planes).tolist()
     return [planes.things[:, :, seen].tolist(), planes.strength.tolist(), robots, light]
 
 
 def faults() -> list[Hypothesis]:
-    return [*of_wheels(), *of_things()]
+    return [*wheel_faults(), *of_things()]
 
 
 def test_each_fault_has_a_name_of_its_own() -> None:
@@ -53,7 +53,7 @@ def test_a_fault_begins_in_those_that_are_given_it_and_ends_without_a_trace(inde
     particles = particles_at(*[AT_THE_CRATE] * 4)
     particles.planes.advance(1)
     before = state(particles)
-    halves = particles.taken(slice(0, 2)), particles.taken(slice(2, 4))
+    halves = particles.select(slice(0, 2)), particles.select(slice(2, 4))
     untouched = state(halves[0])
     fault.begin(halves[1], np.random.default_rng(0))
     assert state(halves[0]) == untouched
@@ -64,10 +64,10 @@ def test_a_fault_begins_in_those_that_are_given_it_and_ends_without_a_trace(inde
 
 @pytest.mark.parametrize("side", [0, 1])
 def test_wheels_with_a_fault_drive_less_than_sound_ones(side: int) -> None:
-    standing, weak, slipping = list(of_wheels())[3 * side : 3 * side + 3]
+    standing, weak, slipping = list(wheel_faults())[3 * side : 3 * side + 3]
     particles = particles_at(*[OPEN] * 4)
     for row, fault in enumerate((standing, weak, slipping)):
-        fault.begin(particles.taken(slice(row, row + 1)), np.random.default_rng(0))
+        fault.begin(particles.select(slice(row, row + 1)), np.random.default_rng(0))
     particles.planes.command(SPEED, 8, 8)
     particles.planes.advance(100)
     angles = particles.planes.robots["joints"][:, [flat.LEFT_ANGLE, flat.RIGHT_ANGLE][side]]
@@ -101,7 +101,7 @@ def test_a_thing_that_is_missing_is_not_seen_and_an_unexpected_one_is() -> None:
 @pytest.mark.parametrize("name", ["workshop", "obstacles"])
 def test_things_have_the_names_of_the_scene_and_rows_of_the_plane(name: str) -> None:
     setup = setup_of(name)
-    found, playpen = things_of(setup), setup.playpen
+    found, playpen = thing_rows(setup), setup.playpen
     items = {f"{kind}{i}": item for kind, all_ in playpen.objects.items() for i, item in enumerate(all_)}
     assert {thing for thing in found if not thing.startswith("wall")} == set(items)
     planes = particles_at(setup.start(0), name=name).planes
@@ -116,16 +116,16 @@ def test_things_have_the_names_of_the_scene_and_rows_of_the_plane(name: str) -> 
 def test_a_thing_that_was_moved_stays_moved_as_its_place_is_refined() -> None:
     particles, rng = particles_at(*[AT_THE_CRATE] * 200), np.random.default_rng(0)
     _, moved, _ = of_things()
-    rows = things_of(setup_of("workshop"))["block1"]
+    rows = thing_rows(setup_of("workshop"))["block1"]
     moved.begin(particles, rng)
-    before = particles.planes.offsets(rows)
+    before = particles.planes.thing_offsets(rows)
     away = np.hypot(*before.T)
-    assert away.min() >= MOVED_LEAST
+    assert away.min() >= MIN_MOVE
     assert 0.025 < np.median(away) < 0.035
     for _ in range(20):
-        moved.refine(particles, rng)
-    after = particles.planes.offsets(rows)
-    assert np.hypot(*after.T).min() >= 0.999 * MOVED_LEAST
+        moved.jitter(particles, rng)
+    after = particles.planes.thing_offsets(rows)
+    assert np.hypot(*after.T).min() >= 0.999 * MIN_MOVE
     assert after.mean(axis=0) == pytest.approx(before.mean(axis=0), abs=0.005)
     assert after.std(axis=0) == pytest.approx(before.std(axis=0), rel=0.4)
     # All its faces have moved together, and what one robot sees is not what another does.
@@ -136,9 +136,9 @@ def test_a_thing_that_was_moved_stays_moved_as_its_place_is_refined() -> None:
 def test_values_drawn_anew_have_their_mean_and_deviation_but_not_less_than_the_least() -> None:
     rng = np.random.default_rng(0)
     values = rng.normal(3.0, 0.5, 4000)
-    drawn = refined(values, 0.01, rng)
+    drawn = shrink_and_jitter(values, 0.01, rng)
     assert (drawn != values).all()
-    assert np.corrcoef(drawn, values)[0, 1] == pytest.approx(math.sqrt(1 - REFINED**2), abs=0.01)
+    assert np.corrcoef(drawn, values)[0, 1] == pytest.approx(math.sqrt(1 - JITTER**2), abs=0.01)
     assert drawn.mean() == pytest.approx(3.0, abs=0.05)
     assert drawn.std() == pytest.approx(0.5, rel=0.05)
-    assert refined(np.full(4000, 2.0), 0.1, rng).std() == pytest.approx(0.1 * REFINED, rel=0.1)
+    assert shrink_and_jitter(np.full(4000, 2.0), 0.1, rng).std() == pytest.approx(0.1 * JITTER, rel=0.1)

@@ -50,12 +50,12 @@ class Watched:
             pose, apart = np.array([metric(self._place(angle))]), self._rng.normal(0, 1, (60, 3))
             twins = pose + self._off + apart * self._apart
             for planes, poses in ((robot, pose), (self._particles.planes, twins)):
-                planes.put(poses)
+                planes.reset_poses(poses)
                 planes.advance(1)
             dark, floor = float(robot.ambient["dark"]), float(robot.ambient["floor"])
             light = np.maximum(dark - robot.lamplight(0.0)[0].sum(axis=1), floor)
             readings = np.rint(light + self._rng.normal(0, 5, 8)).astype(np.int64)
-            self.ended += self.watch.see(self._turn * SECOND // 10, readings, self._particles)
+            self.ended += self.watch.update(self._turn * SECOND // 10, readings, self._particles)
         return [alarm.fault for alarm in self.watch.alarms]
 
     def _place(self, angle: float) -> tuple[float, float, float]:
@@ -130,5 +130,5 @@ def test_what_is_expected_is_the_light_at_the_particles() -> None:
     particles.planes.advance(1)
     watch = LampWatch(setup_of("two-lamps").playpen, particles.planes)
     assert np.isnan(watch.expected).all()
-    watch.see(0, np.full(8, 480), particles)
+    watch.update(0, np.full(8, 480), particles)
     assert watch.expected[2:4].max() < 300 < 400 < watch.expected[6:].min()

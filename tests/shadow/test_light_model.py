@@ -31,9 +31,9 @@ def test_light_that_explains_a_reply_is_more_likely_than_none() -> None:
     light = light_at((150, 170, -135), model)
     both = np.stack([light, np.zeros_like(light)], axis=3)
     readings = np.rint(model.expected(light[0, 0])).astype(np.int64)
-    ((bright, dark),) = model.logs(readings, both, np.ones(8)).tolist()
+    ((bright, dark),) = model.log_likelihoods(readings, both, np.ones(8)).tolist()
     assert bright > dark + 10
-    ((bright, dark),) = model.logs(np.full(8, 485), both, np.ones(8)).tolist()
+    ((bright, dark),) = model.log_likelihoods(np.full(8, 485), both, np.ones(8)).tolist()
     assert dark > bright + 5
 
 
@@ -41,7 +41,7 @@ def test_a_place_that_is_vague_tells_less() -> None:
     model = model_of()
     light = light_at((150, 170, -135), model)[..., None]
     off = np.full(8, 485)
-    exact, vague = (model.logs(off, light, np.ones(8), each * light[0] ** 2).item() for each in (0.0, 1.0))
+    exact, vague = (model.log_likelihoods(off, light, np.ones(8), each * light[0] ** 2).item() for each in (0.0, 1.0))
     assert vague > exact + 5
 
 
@@ -65,5 +65,5 @@ def test_a_turned_and_a_weak_sensor_are_learned() -> None:
 def test_where_the_pose_is_vague_less_is_new() -> None:
     model = model_of()
     near, far = (light_at((x, 130.0, -135.0), model) for x in (120.0, 160.0))
-    assert model.new(near) == pytest.approx(1)
-    assert model.new(np.concatenate([near, far], axis=1)).min() < 0.5
+    assert model.novelty(near) == pytest.approx(1)
+    assert model.novelty(np.concatenate([near, far], axis=1)).min() < 0.5

@@ -54,7 +54,7 @@ def test_a_listener_that_has_gone_is_noticed_and_costs_nothing() -> None:
         there.close()
         for _ in range(10):
             sender.on_bytes(True, b"N\n")
-        assert sender.broken
+        assert sender.is_broken
         sender.close()
 
 

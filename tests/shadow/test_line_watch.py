@@ -18,7 +18,7 @@ BANNER = b"ROM of minirobot KHEPERA, version 4.02"
 
 def heard(watch: LineWatch, exchange: Exchange, time_s: float) -> tuple[Alarm, ...]:
     time_ns = round(time_s * SECOND)
-    return watch.hear(replace(exchange, sent_ns=time_ns, heard_ns=time_ns))
+    return watch.update(replace(exchange, sent_ns=time_ns, reply_ns=time_ns))
 
 
 @pytest.mark.parametrize("bad", [DAMAGED, SILENT, UNASKED], ids=["damaged", "silent", "unasked"])
@@ -77,7 +77,7 @@ def test_a_restart_that_no_host_asked_for_is_shown_for_a_while() -> None:
     told = Dialogue(0).feed(SECOND, False, BANNER + b"\r\nCopyright (C) K-Team\r\n")
     assert len(told) == 2
     for exchange in told:
-        watch.hear(exchange)
+        watch.update(exchange)
     (alarm,) = watch.alarms
     assert (alarm.fault, alarm.since_ns, alarm.raised_ns) == (RESTART, SECOND, SECOND)
     assert heard(watch, SOUND, 1.1) == ()

@@ -13,15 +13,15 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Playpen
 from khep_twin.randomness import stream
-from khep_twin.shadow.actions import Commanded, Counted, Seen, Waited
+from khep_twin.shadow.actions import WheelCommand, CounterReply, ProximityReply, Silence
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.hypotheses import QUOTA
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.planes import Planes
-from khep_twin.shadow.pose_estimate import LEAST_DEVIATION, PoseEstimate
-from khep_twin.shadow.start import PUBLISHED, Spread, anywhere, begun
+from khep_twin.shadow.pose_estimate import MIN_DEVIATIONS, PoseEstimate
+from khep_twin.shadow.start import PUBLISHED, Spread, draw_anywhere, draw_particles
 from khep_twin.shadow.wheel_commands import SPEED
-from khep_twin.shadow.wheel_faults import of_wheels
+from khep_twin.shadow.wheel_faults import wheel_faults
 
 START = 360.0, 240.0, -70.0
 TICKS = 6
@@ -31,7 +31,7 @@ TICKS = 6
 def filtering(
     setup: EpisodeSetup, pose: tuple[float, float, float] | None, spread: Spread = PUBLISHED, count: int = 300
 ) -> ParticleFilter:
-    particles = begun(setup, [pose] if pose else None, spread, count, stream(0, "start"))
+    particles = draw_particles(setup, [pose] if pose else None, spread, count, stream(0, "start"))
     return ParticleFilter(setup, particles, stream(0, "filter"), count if pose else 300)
 
 
@@ -41,10 +41,10 @@ def driven(robot: Planes, tracker: ParticleFilter, seconds: float) -> Iterator[P
         robot.advance(TICKS)
         time_ns = robot.ticks * SECOND // 100
         counts = readings(robot)
-        tracker.act(Seen(time_ns, counts), ALL)
+        tracker.follow(ProximityReply(time_ns, counts), ALL)
         speeds = (4, -4) if counts[:5].max() > 250 else (7, 6)
         robot.command(SPEED, *speeds)
-        tracker.act(Commanded(time_ns, SPEED, *speeds), ALL)
+        tracker.follow(WheelCommand(time_ns, SPEED, *speeds), ALL)
         yield tracker.estimate(time_ns)
 
 
@@ -81,7 +81,7 @@ def test_particles_that_push_are_turned_by_what_they_push() -> None:
     nothing = np.zeros(8, np.bool_)
     for _ in range(40):
         robot.advance(TICKS)
-        tracker.act(Seen(robot.ticks * SECOND // 100, readings(robot)), nothing)
+        tracker.follow(ProximityReply(robot.ticks * SECOND // 100, readings(robot)), nothing)
     turned = robot.poses[0, 2] - metric(start)[2]
     assert turned < math.radians(-30)
     estimate = tracker.estimate(0)
@@ -99,14 +99,14 @@ def test_particles_that_stand_against_a_wall_stay() -> None:
         before = tracker.estimate(0)
         for _ in range(60):
             robot.advance(TICKS)
-            tracker.act(Seen(robot.ticks * SECOND // 100, readings(robot)), np.zeros(8, np.bool_))
+            tracker.follow(ProximityReply(robot.ticks * SECOND // 100, readings(robot)), np.zeros(8, np.bool_))
     assert tracker.estimate(0).covariance[1, 1] < 1.5 * before.covariance[1, 1]
 
 
 def test_particles_spread_in_the_open_where_no_reply_tells_them_apart(field: Playpen) -> None:
     setup = EpisodeSetup(field, planar=True)
     robot = Planes(setup, 1)
-    robot.put(np.array([[1.5, 2.5, 0.0]]))
+    robot.reset_poses(np.array([[1.5, 2.5, 0.0]]))
     tracker = filtering(setup, (1.5, 2.5, 0.0), EXACT)
     spreads = [math.sqrt(np.trace(each.covariance[:2, :2])) for each in driven(robot, tracker, 20)]
     assert not readings(robot).any()
@@ -120,10 +120,10 @@ def test_a_reading_counts_the_more_the_farther_the_robot_went_since_the_last() -
     told: list[float] = []
     for speed in (0, 3, 10):
         tracker = filtering(setup_of("workshop"), metric(AT_THE_CRATE), EXACT)
-        tracker.act(Commanded(0, SPEED, -speed, speed), ALL)
+        tracker.follow(WheelCommand(0, SPEED, -speed, speed), ALL)
         for turn in (30, 36):
-            tracker.act(Seen(turn * SECOND // 100, np.full(8, 500)), ALL)
-        told.append(float(tracker.surprise.sum()))
+            tracker.follow(ProximityReply(turn * SECOND // 100, np.full(8, 500)), ALL)
+        told.append(float(tracker.surprisal.sum()))
     assert 0 < 3 * told[0] < told[1] < 0.6 * told[2]
 
 
@@ -133,42 +133,42 @@ def test_replies_are_more_probable_for_a_filter_that_is_right() -> None:
         filtering(setup_of("workshop"), metric(pose)) for pose in (AT_THE_CRATE, (250.0, 220.0, 0.0))
     )
     for tracker in (right, wrong):
-        tracker.act(Commanded(0, SPEED, 0, 0), ALL)
+        tracker.follow(WheelCommand(0, SPEED, 0, 0), ALL)
     robot.advance(TICKS)
     for turn in range(1, 20):
-        action = Seen(turn * TICKS * SECOND // 100, readings(robot))
+        action = ProximityReply(turn * TICKS * SECOND // 100, readings(robot))
         for tracker in (right, wrong):
-            tracker.act(action, ALL)
-    assert right.surprise.sum() < wrong.surprise.sum()
+            tracker.follow(action, ALL)
+    assert right.surprisal.sum() < wrong.surprisal.sum()
     assert right.expected[3:5].min() > 100 > wrong.expected[3:5].max()
 
 
 def test_counters_move_the_estimate_and_tell_what_commands_do_not() -> None:
     tracker = filtering(setup_of("workshop"), metric(START), EXACT)
-    assert tracker.act(Counted(0, np.array([100, 100])), ALL) == pytest.approx([0, 0])
-    assert tracker.act(Counted(SECOND, np.array([600, 600])), ALL) == pytest.approx([500, 500])
+    assert tracker.follow(CounterReply(0, np.array([100, 100])), ALL) == pytest.approx([0, 0])
+    assert tracker.follow(CounterReply(SECOND, np.array([600, 600])), ALL) == pytest.approx([500, 500])
     way = math.dist(tracker.estimate(SECOND).pose[:2], metric(START)[:2])
     assert way == pytest.approx(0.04, abs=0.002)  # 500 pulses of 0.08 mm
-    assert np.isnan(tracker.act(Seen(SECOND, np.zeros(8, np.int64)), ALL)).all()
+    assert np.isnan(tracker.follow(ProximityReply(SECOND, np.zeros(8, np.int64)), ALL)).all()
 
 
 def test_an_estimate_is_a_mean_by_the_weights_and_headings_are_a_circle() -> None:
     tracker = filtering(setup_of("workshop"), metric(START), EXACT, 2)
-    tracker.particles.planes.put(np.array([(0.3, 0.2, math.pi - 0.1), (0.4, 0.2, 0.3 - math.pi)]))
+    tracker.particles.planes.reset_poses(np.array([(0.3, 0.2, math.pi - 0.1), (0.4, 0.2, 0.3 - math.pi)]))
     x, y, heading = tracker.estimate(7).pose
     assert (x, y) == pytest.approx((0.35, 0.2))
     assert math.remainder(heading - (math.pi + 0.1), math.tau) == pytest.approx(0)
-    found = np.diag(tracker.estimate(7).covariance) - np.square(LEAST_DEVIATION)
+    found = np.diag(tracker.estimate(7).covariance) - np.square(MIN_DEVIATIONS)
     assert found == pytest.approx([0.05**2, 0, 0.2**2])
-    tracker.particles.logs = np.log([0.9, 0.1])
+    tracker.particles.log_weights = np.log([0.9, 0.1])
     assert tracker.estimate(7).pose[0] == pytest.approx(0.31)
     assert tracker.estimate(7).time_ns == 7
 
 
 def test_an_estimate_goes_on_from_the_last_whole_tick_to_the_time_of_the_reply() -> None:
     tracker = filtering(setup_of("workshop"), metric(OPEN), EXACT)
-    tracker.act(Commanded(0, SPEED, 10, 10), ALL)
-    tracker.act(Waited(SECOND), ALL)
+    tracker.follow(WheelCommand(0, SPEED, 10, 10), ALL)
+    tracker.follow(Silence(SECOND), ALL)
     x, *_ = tracker.estimate(SECOND).pose
     assert tracker.estimate(SECOND + 5_000_000).pose[0] - x == pytest.approx(0.0004, rel=0.05)  # 80 mm/s
 
@@ -180,8 +180,8 @@ def test_changes_of_speed_make_a_pose_less_certain() -> None:
         for turn in range(20):
             time_ns = turn * SECOND // 10
             way = speed * (turn % 2 * 2 - 1)
-            tracker.act(Commanded(time_ns, SPEED, -way, way), ALL)
-            tracker.act(Seen(time_ns + SECOND // 20, np.zeros(8, np.int64)), ALL)
+            tracker.follow(WheelCommand(time_ns, SPEED, -way, way), ALL)
+            tracker.follow(ProximityReply(time_ns + SECOND // 20, np.zeros(8, np.int64)), ALL)
         spreads.append(math.sqrt(tracker.estimate(2 * SECOND).covariance[2, 2]))
     assert 2 * spreads[0] < spreads[1] < math.radians(15)
 
@@ -189,18 +189,18 @@ def test_changes_of_speed_make_a_pose_less_certain() -> None:
 @pytest.mark.parametrize(("places", "least"), [(1, 300), (4, 800)])
 def test_the_more_places_are_possible_the_more_particles_are_kept(places: int, least: int) -> None:
     setup, x = setup_of("default"), np.linspace(0.15, 0.45, places)
-    particles = begun(setup, [(each, 0.25, 0.0) for each in x.tolist()], EXACT, 2400, stream(0, "start"))
+    particles = draw_particles(setup, [(each, 0.25, 0.0) for each in x.tolist()], EXACT, 2400, stream(0, "start"))
     tracker = ParticleFilter(setup, particles, stream(0, "filter"), 300)
-    tracker.act(Commanded(0, SPEED, 1, 1), ALL)
-    tracker.act(Seen(SECOND, np.zeros(8, np.int64)), ALL)
+    tracker.follow(WheelCommand(0, SPEED, 1, 1), ALL)
+    tracker.follow(ProximityReply(SECOND, np.zeros(8, np.int64)), ALL)
     assert least <= len(tracker.particles) <= 2 * least
 
 
 def test_particles_that_are_taken_over_become_as_many_as_are_wanted_and_differ() -> None:
     tracker = filtering(setup_of("workshop"), metric(START))
-    few = begun(setup_of("workshop"), [metric(AT_THE_CRATE)], EXACT, 10, stream(0, "few"))
-    few.logs -= 100
-    tracker.take(few)
+    few = draw_particles(setup_of("workshop"), [metric(AT_THE_CRATE)], EXACT, 10, stream(0, "few"))
+    few.log_weights -= 100
+    tracker.replace_particles(few)
     assert len(tracker.particles) == 300
     assert tracker.weights.sum() == pytest.approx(1)
     assert math.dist(tracker.estimate(0).pose, metric(AT_THE_CRATE)) < 0.01
@@ -210,8 +210,8 @@ def test_particles_that_are_taken_over_become_as_many_as_are_wanted_and_differ()
 def test_an_unknown_start_is_anywhere_where_there_is_room() -> None:
     setup = setup_of("workshop")
     planes = Planes(setup, 400)
-    poses = anywhere(setup, planes, stream(0, "anywhere"))
-    assert planes.free(poses).all()
+    poses = draw_anywhere(setup, planes, stream(0, "anywhere"))
+    assert planes.are_clear(poses).all()
     assert np.ptp(poses, axis=0) == pytest.approx([0.6, 0.4, 6.2], abs=0.1)
     # Nobody stands outside of the outline, whose right lower corner is cut off.
     assert not ((poses[:, 0] > 0.45) & (poses[:, 1] < 0.07)).any()
@@ -222,7 +222,7 @@ def test_a_playpen_with_hardly_any_room_is_an_error_of_one_line() -> None:
     tight = playpens.parse(arena(200, 100, "tight") + outline + robot(27.65, 27.65), "tight")
     setup = EpisodeSetup(tight, planar=True)
     with pytest.raises(PlaypenError, match="tight: no room for the robot was found; expected a start pose"):
-        anywhere(setup, Planes(setup, 50), stream(0, "anywhere"))
+        draw_anywhere(setup, Planes(setup, 50), stream(0, "anywhere"))
 
 
 @pytest.mark.parametrize(
@@ -238,8 +238,8 @@ def test_a_robot_that_pushes_teaches_nothing_of_its_wheels(
         planes.advance(10 * TICKS)
     before = tracker.particles.wheels[:, 1].copy()
     # Whatever makes some wheels the likelier ones.
-    tracker.particles.logs = np.where(before > before.mean(), -5.0, -25.0)
-    tracker.act(Seen(robot.ticks * SECOND // 100, readings(robot)), ALL)
+    tracker.particles.log_weights = np.where(before > before.mean(), -5.0, -25.0)
+    tracker.follow(ProximityReply(robot.ticks * SECOND // 100, readings(robot)), ALL)
     moved = tracker.particles.wheels[:, 1].mean() - before.mean()
     assert moved / before.std() == pytest.approx(shift, abs=0.25)
 
@@ -247,13 +247,13 @@ def test_a_robot_that_pushes_teaches_nothing_of_its_wheels(
 def test_faults_that_are_considered_add_their_quota_once() -> None:
     setup = setup_of("workshop")
     tracker = ParticleFilter(
-        setup, begun(setup, None, PUBLISHED, 3000, stream(0, "start")), stream(0, "f"), 300
+        setup, draw_particles(setup, None, PUBLISHED, 3000, stream(0, "start")), stream(0, "f"), 300
     )
     robot = planes_at(START)
     counts: list[int] = []
     for _ in range(5):
         robot.advance(60)
-        tracker.consider([FaultChange(fault, True) for fault in of_wheels()])
-        tracker.act(Seen(robot.ticks * SECOND // 100, readings(robot)), ALL)
+        tracker.consider([FaultChange(fault, True) for fault in wheel_faults()])
+        tracker.follow(ProximityReply(robot.ticks * SECOND // 100, readings(robot)), ALL)
         counts.append(len(tracker.particles))
     assert max(counts) <= 3000 + QUOTA * 7, counts

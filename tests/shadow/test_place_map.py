@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from twins import ALL, AT_THE_CRATE, metric, planes_at, readings, setup_of
 
-from khep_twin.shadow.place_map import PlaceMap, Sight
+from khep_twin.shadow.place_map import PlaceMap, Sighting
 
 
 def test_places_are_drawn_by_what_was_seen_and_by_the_way_between() -> None:
     places, rng = PlaceMap(setup_of("workshop")), np.random.default_rng(0)
     turned = (*AT_THE_CRATE[:2], AT_THE_CRATE[2] + 40)
     sights = [
-        Sight((0, 0, 0), readings(planes_at(AT_THE_CRATE))),
-        Sight((0, 0, math.radians(40)), readings(planes_at(turned))),
+        Sighting((0, 0, 0), readings(planes_at(AT_THE_CRATE))),
+        Sighting((0, 0, math.radians(40)), readings(planes_at(turned))),
     ]
     poses, logs = places.draw(4000, sights, ALL, rng)
     x, y, heading = metric(AT_THE_CRATE)
@@ -34,4 +34,4 @@ def test_there_is_room_at_all_places() -> None:
     planes = planes_at(*[AT_THE_CRATE] * 200)
     some = places.poses[:: len(places.poses) // 199][:200]
     assert len(some) == 200
-    assert planes.free(some).all()
+    assert planes.are_clear(some).all()

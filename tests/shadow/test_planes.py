@@ -17,7 +17,7 @@ from khep_twin.errors import MissingNumbaError
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.planar_bodies import AWAY
 from khep_twin.shadow.planes import Planes
-from khep_twin.shadow.thing_faults import things_of
+from khep_twin.shadow.thing_faults import thing_rows
 from khep_twin.shadow.wheel_commands import SPEED
 
 STARTS = (360.0, 240.0, -70.0), AT_THE_CRATE, (120.0, 200.0, 90.0)
@@ -84,7 +84,7 @@ def test_wheels_of_a_twin_are_its_own() -> None:
     turned = planes.poses[:, 2]
     assert turned[[0, 1, 3]] == pytest.approx([0, 0, 0], abs=1e-9)
     assert turned[2] == pytest.approx(0.01 * way[0] / units.WHEEL_BASE, rel=0.02)
-    planes.put(np.tile((0.35, 0.25, 0.0), (4, 1)))
+    planes.reset_poses(np.tile((0.35, 0.25, 0.0), (4, 1)))
     planes.command(SPEED, -3, 3)
     planes.advance(100)
     turned = planes.poses[:, 2]
@@ -94,7 +94,7 @@ def test_wheels_of_a_twin_are_its_own() -> None:
 def test_taken_twins_are_copies_and_those_of_a_slice_are_the_same() -> None:
     planes = planes_at(*STARTS)
     planes.command(SPEED, 5, 5)
-    copies, same = planes.taken(np.array([2, 0, 2])), planes.taken(slice(1, None))
+    copies, same = planes.select(np.array([2, 0, 2])), planes.select(slice(1, None))
     before = planes.poses
     assert copies.poses.tolist() == before[[2, 0, 2]].tolist()
     copies.advance(100)
@@ -109,7 +109,7 @@ def test_taken_twins_are_copies_and_those_of_a_slice_are_the_same() -> None:
 
 def test_a_thing_that_is_moved_in_one_twin_is_seen_and_felt_by_that_one_alone() -> None:
     planes = planes_at(AT_THE_CRATE, AT_THE_CRATE)
-    rows = things_of(setup_of("workshop"))["block1"]
+    rows = thing_rows(setup_of("workshop"))["block1"]
     planes.advance(1)
     before = light_of(planes)
     assert before[0].tolist() == before[1].tolist()
@@ -154,7 +154,7 @@ def test_a_pose_is_free_where_the_body_touches_nothing() -> None:
     planes = planes_at(OPEN, OPEN, OPEN)
     # In the open; in the crate; 20 mm from a wall, where the body of 27 mm has no room.
     poses = np.array([(0.35, 0.25, 0.0), (0.115, 0.310, 0.0), (0.02, 0.25, 0.0)])
-    assert planes.free(poses).tolist() == [True, False, False]
+    assert planes.are_clear(poses).tolist() == [True, False, False]
 
 
 def test_a_lamp_lights_the_sensors_that_it_is_before_and_nothing_behind_a_thing() -> None:
@@ -184,7 +184,7 @@ def test_put_twins_are_at_rest_and_keep_their_counters() -> None:
     planes.command(SPEED, 8, 8)
     planes.advance(50)
     counters = planes.robots["joints"][0, flat.LEFT_ANGLE]
-    planes.put(np.array([[0.3, 0.2, 1.0]]))
+    planes.reset_poses(np.array([[0.3, 0.2, 1.0]]))
     assert not planes.robots["speeds"].any()
     assert planes.robots["joints"][0, flat.LEFT_ANGLE] == counters > 0
 

@@ -16,7 +16,7 @@ def seen(
     """States after replies at tenths of a second."""
     states: list[PoseState] = []
     for number in range(begin, end):
-        watch.see(number * TENTH, MUCH if surprise else NOTHING, in_sight=number % 10 == 5, is_known=known)
+        watch.update(number * TENTH, MUCH if surprise else NOTHING, in_sight=number % 10 == 5, is_known=known)
         states.append(watch.state)
     return states
 
@@ -26,7 +26,7 @@ def test_a_pose_that_is_not_known_any_more_is_unsure_without_a_reply_to_n_as_wel
     seen(watch, 1, 10)
     assert not watch.is_blind(15 * TENTH)
     assert watch.is_blind(30 * TENTH)
-    watch.doubt(30 * TENTH)
+    watch.set_unsure(30 * TENTH)
     assert watch.state is PoseState.UNSURE
     seen(watch, 34, 35, known=False)
     assert watch.was_vague(32 * TENTH)
@@ -54,7 +54,7 @@ def test_what_surprises_most_may_have_begun_later_than_the_surprise() -> None:
     watch = PoseWatch(PoseState.FOLLOWED)
     seen(watch, 1, 10)
     for number in range(10, 14):
-        watch.see(number * TENTH, MUCH * (1.8 if number == 13 else 1), in_sight=False, is_known=True)
+        watch.update(number * TENTH, MUCH * (1.8 if number == 13 else 1), in_sight=False, is_known=True)
     seen(watch, 14, 17)
     assert watch.onset == (5 * TENTH, (9 * TENTH,), 12 * TENTH)
 
@@ -67,16 +67,16 @@ def test_surprise_begins_after_the_last_reply_that_confirmed_the_pose() -> None:
     assert watch.onset is None  # not for long enough
     seen(watch, 31, 35, surprise=True)
     assert watch.onset == (25 * TENTH, (29 * TENTH,), 29 * TENTH)
-    watch.explain()
+    watch.reset_surprisal()
     assert watch.onset is None
     assert watch.state is PoseState.FOLLOWED
     seen(watch, 35, 40, surprise=True)
     later = watch.onset
     assert later is not None
-    both = Onset(25 * TENTH, (29 * TENTH,), 29 * TENTH).later(later)
+    both = Onset(25 * TENTH, (29 * TENTH,), 29 * TENTH).merge(later)
     assert both == (25 * TENTH, (29 * TENTH, 35 * TENTH), later.most_ns)
     for _ in range(9):
-        watch.expect()  # Searches have found nothing.
+        watch.raise_threshold()  # Searches have found nothing.
     assert watch.onset is None
     assert seen(watch, 40, 1000)
     seen(watch, 1000, 1005, surprise=True)

@@ -10,7 +10,7 @@ from khep_twin import playpen as playpens
 from khep_twin.errors import LogError
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.ports.twin import TwinOptions, open_twin
-from khep_twin.shadow.recording import recorded
+from khep_twin.shadow.recording import read_recording
 
 
 def test_a_relays_log_gives_its_lines_in_order_with_their_times(tmp_path: Path) -> None:
@@ -20,9 +20,9 @@ def test_a_relays_log_gives_its_lines_in_order_with_their_times(tmp_path: Path) 
     for to_robot, data in pieces:
         recorder.on_bytes(to_robot, data)
     recorder.close()
-    found = recorded(path)
+    found = read_recording(path)
     assert (found.name, found.baud) == ("khepera0", 19200)
-    assert [(each.time_ns, each.to_robot, each.data) for each in found.heard] == [
+    assert [(each.time_ns, each.to_robot, each.data) for each in found.chunks] == [
         (1000, True, b"N\n"),
         (3000, False, b"n,1,2,3\n"),
         (4000, True, b"D,1,1\n"),
@@ -38,20 +38,20 @@ def test_a_twins_log_gives_the_line_of_the_robot_that_is_asked_for(tmp_path: Pat
             robot.send(command)
         twin.advance_to(SECOND)
     for index, letter in enumerate("no"):
-        found = recorded(path, index)
+        found = read_recording(path, index)
         assert found.name == f"khepera{index}"
-        assert [each.data[:1].decode().lower() for each in found.heard if each.time_ns][-2:] == [letter] * 2
+        assert [each.data[:1].decode().lower() for each in found.chunks if each.time_ns][-2:] == [letter] * 2
     with pytest.raises(LogError, match="robot 2; expected one of 0 to 1, as the log has them"):
-        recorded(path, 2)
+        read_recording(path, 2)
 
 
 def test_a_log_without_a_line_is_an_error_of_one_line(tmp_path: Path) -> None:
     path = tmp_path / "line.mcap"
     LineRecorder(path, {"baud": "fast"}, lambda: 0).close()
     with pytest.raises(LogError, match="nothing crossed the line of khepera0; expected a host's commands"):
-        recorded(path)
+        read_recording(path)
     with pytest.raises(LogError, match=r"none\.mcap"):
-        recorded(tmp_path / "none.mcap")
+        read_recording(tmp_path / "none.mcap")
 
 
 def test_a_log_that_does_not_tell_its_speed_has_none(tmp_path: Path) -> None:
@@ -59,4 +59,4 @@ def test_a_log_that_does_not_tell_its_speed_has_none(tmp_path: Path) -> None:
     recorder = LineRecorder(path, {}, lambda: 0)
     recorder.on_bytes(True, b"N\n")
     recorder.close()
-    assert recorded(path).baud is None
+    assert read_recording(path).baud is None

@@ -9,13 +9,13 @@ from twins import ALL, AT_THE_CRATE, SECOND, metric, planes_at, readings, setup_
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.randomness import stream
 from khep_twin.shadow import search
-from khep_twin.shadow.actions import Commanded, Seen
+from khep_twin.shadow.actions import WheelCommand, ProximityReply
 from khep_twin.shadow.changes import FaultChange
 from khep_twin.shadow.displacements import Displaced, Lifted
 from khep_twin.shadow.particle_filter import ParticleFilter
 from khep_twin.shadow.pose_watch import Onset
 from khep_twin.shadow.search import Search
-from khep_twin.shadow.start import PUBLISHED, begun
+from khep_twin.shadow.start import PUBLISHED, draw_particles
 from khep_twin.shadow.thing_faults import Unexpected
 from khep_twin.shadow.wheel_commands import SPEED
 from khep_twin.shadow.wheel_faults import StandingWheel
@@ -31,13 +31,13 @@ class Turning:
     def __init__(self) -> None:
         setup, rng = setup_of("workshop", lit=False), stream(0, "filter")
         self.robot, self._rng = planes_at(AT_THE_CRATE, lit=False), stream(0, "robot")
-        start = begun(setup, [metric(AT_THE_CRATE)], PUBLISHED, 500, rng)
+        start = draw_particles(setup, [metric(AT_THE_CRATE)], PUBLISHED, 500, rng)
         self.filter, self.search = ParticleFilter(setup, start, rng, 500), Search(setup, rng)
         self.drive(TURNING)
 
     def drive(self, speeds: tuple[int, int]) -> None:
         """Drive at other speeds from now on."""
-        self._act(Commanded(self.robot.ticks * SECOND // 100, SPEED, *speeds))
+        self._act(WheelCommand(self.robot.ticks * SECOND // 100, SPEED, *speeds))
         self.robot.command(SPEED, *speeds)
 
     def turn(self, seconds: float) -> int:
@@ -47,20 +47,20 @@ class Turning:
             self.robot.advance(5)
             time_ns = self.robot.ticks * SECOND // 100
             noisy = readings(self.robot) + self._rng.normal(0, 20, 8)
-            self._act(Seen(time_ns, noisy.clip(0, 1023).astype(np.int64)))
-            self.search.keep(time_ns, self.filter)
+            self._act(ProximityReply(time_ns, noisy.clip(0, 1023).astype(np.int64)))
+            self.search.save_snapshot(time_ns, self.filter)
         return time_ns
 
     def found(self, since_ns: int, changes: Sequence[FaultChange] = CHANGES) -> ParticleFilter:
         """Search for what has happened since a time [ns]."""
-        found = self.search.again(self.filter, Onset(since_ns, (since_ns,), since_ns), changes, ALL)
+        found = self.search.search_since(self.filter, Onset(since_ns, (since_ns,), since_ns), changes, ALL)
         assert found is not None
-        assert np.exp(found.particles.logs).sum() == pytest.approx(1)
+        assert np.exp(found.particles.log_weights).sum() == pytest.approx(1)
         return found
 
-    def _act(self, action: Commanded | Seen) -> None:
-        self.search.note(action)
-        self.filter.act(action, ALL)
+    def _act(self, action: WheelCommand | ProximityReply) -> None:
+        self.search.add_action(action)
+        self.filter.follow(action, ALL)
 
 
 def test_a_robot_that_was_put_elsewhere_is_found_there_and_one_that_was_not_is_not() -> None:
@@ -122,7 +122,7 @@ def test_a_thing_that_was_added_is_found_where_it_is() -> None:
     turning = Turning()
     since_ns = turning.turn(2)
     x, y, _ = turning.robot.poses[0].tolist()
-    circle = [flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH, flat.WIDTH, flat.TOP, flat.TOUCHED, flat.REFLECTANCE]
+    circle = [flat.CENTRE_X, flat.CENTRE_Y, flat.LENGTH, flat.WIDTH, flat.TOP, flat.TOUCHABLE, flat.REFLECTANCE]
     turning.robot.things[:, -1, circle] = x - 0.02, y + 0.05, 0.012, -1, 0.05, 1, 1
     turning.robot.remeasure()
     turning.turn(2)
@@ -146,7 +146,7 @@ def test_a_wheel_that_has_come_to_a_stand_is_told_from_a_robot_that_was_put_else
 def test_nothing_is_told_of_what_was_too_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "KEPT_NS", 2 * SECOND)
     turning = Turning()
-    nothing = turning.search.again(turning.filter, Onset(0, (0,), 0), CHANGES, ALL)
+    nothing = turning.search.search_since(turning.filter, Onset(0, (0,), 0), CHANGES, ALL)
     assert nothing is None
     turning.turn(4)
     assert turning.found(0).probabilities[0] > 0.9

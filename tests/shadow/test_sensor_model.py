@@ -10,7 +10,7 @@ from khep_twin.episodes.controllers import ConstantSpeed
 from khep_twin.episodes.episode import Episode
 from khep_twin.episodes.episode_options import EpisodeOptions
 from khep_twin.shadow.particles import Particles
-from khep_twin.shadow.sensor_model import SensorModel, log_of_sum, range_left, range_left_at_least
+from khep_twin.shadow.sensor_model import SensorModel, log_sum_exp, usable_range, min_usable_range
 
 BESIDE_THE_LAMP = 600.0, 275.0, 0.0
 X, Y, HEADING = AT_THE_CRATE
@@ -39,7 +39,7 @@ def test_the_right_pose_is_the_likeliest(gain: float) -> None:
         *[(X + dx, Y + dy, HEADING + turn) for dx, dy, turn in [*places, *turns, (150, -60, 0)]],
     ]
     particles, model = standing(*poses)
-    _, _, logs = model.explain(particles, seen(gain), ALL)
+    _, _, logs = model.observe(particles, seen(gain), ALL)
     assert np.argmax(logs.sum(axis=1)) == 0
     # One that sees nothing of it is out of the question.
     assert logs.sum(axis=1)[-1] < logs.sum(axis=1)[0] - 1
@@ -47,25 +47,25 @@ def test_the_right_pose_is_the_likeliest(gain: float) -> None:
 
 def test_what_is_expected_surprises_less_than_what_is_not() -> None:
     (particles, model), told = standing(AT_THE_CRATE), seen()
-    expected, usual, _ = model.explain(particles, told, ALL)
+    expected, usual, _ = model.observe(particles, told, ALL)
     assert expected == pytest.approx(told, abs=1)
     assert usual.max() < 1
     other = told.copy()
     other[3], other[7] = 0, 700
-    _, surprise, _ = model.explain(particles, other, ALL)
+    _, surprise, _ = model.observe(particles, other, ALL)
     assert surprise[[3, 7]].min() > 1
     assert np.delete(surprise, [3, 7]).max() < 0.7
 
 
 def test_where_other_robots_drive_only_things_that_are_missing_surprise() -> None:
     particles, told = particles_at(AT_THE_CRATE), seen()
-    particles.planes.others = True
+    particles.planes.has_other_robots = True
     particles.planes.advance(1)
     model = SensorModel(particles.planes)
-    model.explain(particles, told, ALL)
+    model.observe(particles, told, ALL)
     other = told.copy()
     other[3], other[7] = 0, 700
-    _, surprise, _ = model.explain(particles, other, ALL)
+    _, surprise, _ = model.observe(particles, other, ALL)
     assert surprise[3] > 1
     assert surprise[7] == 0
 
@@ -74,7 +74,7 @@ def test_a_sensor_that_is_not_relied_on_tells_nothing() -> None:
     particles, model = standing(AT_THE_CRATE)
     told, use = seen(), ALL.copy()
     told[3], use[3] = 0, False
-    _, surprise, logs = model.explain(particles, told, use)
+    _, surprise, logs = model.observe(particles, told, use)
     assert surprise[3] == logs[0, 3] == 0
     assert not particles.traits[0, 3].any()
     assert particles.traits[0, 4].all()
@@ -88,8 +88,8 @@ def test_traits_are_learned_by_the_sensors_that_see_something() -> None:
     assert nothing.any()
     before = particles.covariances.copy()
     for _ in range(100):
-        model.explain(particles, told, ALL)
-    expected, _, _ = model.explain(particles, told, ALL)
+        model.observe(particles, told, ALL)
+    expected, _, _ = model.observe(particles, told, ALL)
     assert expected[sees] == pytest.approx(told[sees], abs=2)
     variances = np.einsum("stt->st", particles.covariances[0])
     assert (variances[sees, 0] < 0.7 * np.einsum("stt->st", before[0])[sees, 0]).all()
@@ -105,10 +105,10 @@ def test_a_sensors_gain_heading_and_threshold_are_told_apart_by_many_views() -> 
     threshold = planes.proximity["threshold"]
     for _ in range(400):
         dx, dy, turn = rng.uniform(-15, 0), rng.uniform(-5, 15), rng.uniform(-60, 60)
-        planes.put(np.array([metric((X + dx, Y + dy, HEADING + turn))]))
+        planes.reset_poses(np.array([metric((X + dx, Y + dy, HEADING + turn))]))
         light = planes.illuminate(np.full((1, 8), own[1]))[0][0]
         counts = math.exp(own[0]) * light - threshold - own[2] + 20 * rng.standard_normal(8)
-        model.explain(particles, np.rint(counts.clip(0, 1023)).astype(np.int64), ALL)
+        model.observe(particles, np.rint(counts.clip(0, 1023)).astype(np.int64), ALL)
     gain, turn, shift = particles.traits[0, 1:5].T
     assert gain == pytest.approx(np.full(4, own[0]), abs=0.06)
     assert turn == pytest.approx(np.full(4, own[1]), abs=math.radians(1.5))
@@ -120,36 +120,36 @@ def test_what_is_beyond_the_range_tells_on_which_side_the_count_is(reading: int,
     (particles, model), told = standing(AT_THE_CRATE), seen()
     sees = (told > 100) & (told < 900)
     for _ in range(50):
-        model.explain(particles, np.full(8, reading), ALL)
+        model.observe(particles, np.full(8, reading), ALL)
     assert (sign * particles.traits[0, sees, 0] > 0.02).all()
     far = particles_at(AT_THE_CRATE)
     far.traits[:, :, 0] = 3.0 * sign  # Counts that are beyond anyhow.
     far.planes.advance(1)
-    model.explain(far, np.full(8, reading), ALL)
+    model.observe(far, np.full(8, reading), ALL)
     assert far.traits[0, sees, 0] == pytest.approx(np.full(sees.sum(), 3.0 * sign), abs=1e-3)
 
 
 def test_beside_a_lamp_sensors_have_a_part_of_their_range_as_those_of_an_episode() -> None:
     episode = Episode(setup_of("workshop"), ConstantSpeed(), compiled=True)
     particles, model = standing(BESIDE_THE_LAMP)
-    assert (model.range_left == 1).all()
+    assert (model.usable_range == 1).all()
     episode.begin(options=EpisodeOptions(noise=False, start=BESIDE_THE_LAMP))
     episode.run(0.1)
     told = np.array(episode.readings()[0])
-    expected, surprise, _ = model.explain(particles, told, ALL)
-    assert model.range_left[2:4].max() < 0.7
-    assert model.range_left[6:].min() > 0.9
-    assert (expected <= 1023 * model.range_left + 1e-9).all()
+    expected, surprise, _ = model.observe(particles, told, ALL)
+    assert model.usable_range[2:4].max() < 0.7
+    assert model.usable_range[6:].min() > 0.9
+    assert (expected <= 1023 * model.usable_range + 1e-9).all()
     assert expected == pytest.approx(np.where(told > 0, told, expected.clip(max=model.quiet)), abs=15)
     assert surprise.max() < 0.3
     # What a blinded sensor reads tells nothing of its traits.
-    assert not particles.traits[0, model.range_left < 1].any()
+    assert not particles.traits[0, model.usable_range < 1].any()
 
 
 def test_sums_of_logarithms_do_not_overflow() -> None:
-    assert log_of_sum(np.log([1.0, 2.0, 3.0])) == pytest.approx(math.log(6))
-    assert log_of_sum(np.full(4, -5000.0)) == pytest.approx(-5000 + math.log(4))
-    assert log_of_sum(np.array([5000.0, 0.0])) == pytest.approx(5000)
+    assert log_sum_exp(np.log([1.0, 2.0, 3.0])) == pytest.approx(math.log(6))
+    assert log_sum_exp(np.full(4, -5000.0)) == pytest.approx(-5000 + math.log(4))
+    assert log_sum_exp(np.array([5000.0, 0.0])) == pytest.approx(5000)
 
 
 def test_where_one_of_several_lamps_is_on_a_sensor_that_it_may_blind_tells_only_what_it_sees() -> None:
@@ -158,11 +158,11 @@ def test_where_one_of_several_lamps_is_on_a_sensor_that_it_may_blind_tells_only_
     assert planes.lamps_are_unknown
     planes.advance(1)
     blind = np.zeros(8, np.int64)
-    _, surprise, logs = model.explain(particles, blind, ALL)
-    lit = model.range_left < 0.97
+    _, surprise, logs = model.observe(particles, blind, ALL)
+    lit = model.usable_range < 0.97
     assert lit.any()
     assert surprise[lit].tolist() == logs[0, lit].tolist() == [0.0] * lit.sum()
-    _, _, logs = model.explain(particles, np.full(8, 500), ALL)
+    _, _, logs = model.observe(particles, np.full(8, 500), ALL)
     assert (logs[0] != 0).all()
 
 
@@ -173,7 +173,7 @@ def test_a_sensor_in_the_shadow_of_a_thing_may_be_blinded_if_that_is_gone() -> N
     hidden = 0
     for place in places:
         particles = particles_at(place, name="two-lamps")
-        left, open_left = range_left(particles.planes)[0], range_left_at_least(particles)
+        left, open_left = usable_range(particles.planes)[0], min_usable_range(particles)
         assert (open_left <= left + 1e-9).all()
         hidden += int((open_left < left - 0.1).sum())
     assert hidden > 0

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from twins import SECOND
 
 from khep_twin.log.shadow_channels import Alarm
-from khep_twin.shadow.actions import Seen
+from khep_twin.shadow.actions import ProximityReply
 from khep_twin.shadow.sensor_watch import SensorWatch
 
 LIMIT = 1023
@@ -40,7 +40,7 @@ class Watched:
             readings = np.where(self._levels > 0, noisy, quiet).astype(np.int64).clip(0, LIMIT)
             change(readings)
             self.time_ns += 60_000_000
-            self.ended += self.watch.see(Seen(self.time_ns, readings), range_left, surprise)
+            self.ended += self.watch.update(ProximityReply(self.time_ns, readings), range_left, surprise)
         return self.watch.alarms
 
 
@@ -64,12 +64,12 @@ def test_a_sensor_that_repeats_itself_among_others_that_do_not_is_named_until_it
     assert (alarm.fault, alarm.channel) == (fault, "proximity")
     assert 5 * SECOND < alarm.since_ns < alarm.raised_ns < 8 * SECOND
     assert 0.9 < alarm.sureness <= 1
-    assert watched.watch.sound.tolist() == [sensor != 2 for sensor in range(8)]
+    assert watched.watch.is_sound.tolist() == [sensor != 2 for sensor in range(8)]
     assert watched.see(1) == []
     (ended,) = watched.ended
     assert (ended.fault, ended.since_ns) == (fault, alarm.since_ns)
     assert 10 * SECOND < (ended.ended_ns or 0) < 10.2 * SECOND
-    assert watched.watch.sound.all()
+    assert watched.watch.is_sound.all()
 
 
 def test_two_sensors_may_be_stuck() -> None:

@@ -14,7 +14,7 @@ from shadow_updates import ALARM, MS, SUSPICION, updates, written
 
 from khep_twin import playpen as playpens
 from khep_twin.errors import LogError
-from khep_twin.log.channels import UNSURE_POSE, Level, TextLine, line_message, pose_message
+from khep_twin.log.channels import POSE_WITH_COVARIANCE, Level, TextLine, line_message, pose_message
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.reader import read_raw, read_series
@@ -174,7 +174,7 @@ def test_numbers_at_other_times_than_the_pose_are_one_line(tmp_path: Path) -> No
     path = tmp_path / "shadow.mcap"
     log = LogFile(path, lambda: 0)
     log.describe({}, {"robots": "khepera0", "shadow": "1"})
-    log.add("/shadow/pose", UNSURE_POSE, 0, pose_message(0, (0.1, 0.2, 0.3), np.eye(3)))
+    log.add("/shadow/pose", POSE_WITH_COVARIANCE, 0, pose_message(0, (0.1, 0.2, 0.3), np.eye(3)))
     log.finish()
     expected = r"/shadow/reckoned: 0 messages; expected 1, at the times of /shadow/pose"
     with pytest.raises(LogError, match=expected):

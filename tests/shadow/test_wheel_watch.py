@@ -24,7 +24,7 @@ def watched(
     expected = np.array(pulses, np.float64)
     for step in range(round(seconds * 10)):
         time_ns = round(since * SECOND) + (step + 1) * STEP_NS
-        ended += watch.count(time_ns, expected * np.array(parts), expected)
+        ended += watch.update(time_ns, expected * np.array(parts), expected)
     return ended
 
 
@@ -52,7 +52,7 @@ def test_sound_wheels_with_the_errors_of_a_line_are_no_fault() -> None:
     for step in range(600):
         expected = rng.uniform(-80, 80, 2)
         turned = np.rint(expected + rng.standard_normal(2))
-        assert watch.count(step * STEP_NS, turned, expected) == ()
+        assert watch.update(step * STEP_NS, turned, expected) == ()
         assert watch.alarms == []
 
 

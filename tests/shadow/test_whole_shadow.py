@@ -13,7 +13,7 @@ from khep_twin.log.shadow_channels import PoseState
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.following import AlarmChange, Follower
 from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
-from khep_twin.shadow.recording import Heard, recorded
+from khep_twin.shadow.recording import LineChunk, read_recording
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.update import Update
 from studies.twin_runs import Followed, Recording, follow, told_playpen
@@ -39,15 +39,15 @@ def followed(log: Path) -> Followed:
     return follow(log, "workshop", SETTINGS)
 
 
-def updates(lines: Iterable[Heard], settings: ShadowSettings, followed: Followed) -> Iterator[Update]:
+def updates(lines: Iterable[LineChunk], settings: ShadowSettings, followed: Followed) -> Iterator[Update]:
     """Feed a new shadow."""
     shadow = Shadow(told_playpen("workshop", followed.truth), settings)
     for heard in lines:
         yield from shadow.feed(*heard)
 
 
-def early(log: Path) -> list[Heard]:
-    return [heard for heard in recorded(log).heard if heard.time_ns < 2 * SECOND]
+def early(log: Path) -> list[LineChunk]:
+    return [heard for heard in read_recording(log).chunks if heard.time_ns < 2 * SECOND]
 
 
 def bits(found: Iterable[Update]) -> list[object]:
@@ -115,7 +115,7 @@ def test_the_same_line_gives_the_same_updates_and_another_seed_others(log: Path,
 def test_bytes_may_come_in_any_pieces(log: Path, followed: Followed) -> None:
     lines = early(log)[:60]
     pieces = [
-        Heard(heard.time_ns, heard.to_robot, heard.data[i : i + 3])
+        LineChunk(heard.time_ns, heard.to_robot, heard.data[i : i + 3])
         for heard in lines
         for i in range(0, len(heard.data), 3)
     ]
@@ -225,11 +225,11 @@ def test_a_follower_steps_through_silence_and_tells_when_alarms_begin_and_end() 
     changes: list[AlarmChange] = []
     banner = b"ROM of minirobot KHEPERA, version 5.02\r\n"
     for heard in (
-        Heard(1000 * MS, True, b"N\n"),
-        Heard(1030 * MS, False, QUIET),
-        Heard(2000 * MS, False, banner),
-        Heard(5000 * MS, True, b"N\n"),
-        Heard(5030 * MS, False, QUIET),
+        LineChunk(1000 * MS, True, b"N\n"),
+        LineChunk(1030 * MS, False, QUIET),
+        LineChunk(2000 * MS, False, banner),
+        LineChunk(5000 * MS, True, b"N\n"),
+        LineChunk(5030 * MS, False, QUIET),
     ):
         for update in follower.feed(heard):
             changes += follower.changes(update)
@@ -249,7 +249,7 @@ def test_a_shadow_learns_its_robots_wheels_and_gains(log: Path, followed: Follow
     before = shadow.learned
     assert before.wheels == pytest.approx(np.ones(3), abs=0.01)
     assert before.gains == pytest.approx(np.ones(8), abs=0.1)
-    for heard in recorded(log).heard:
+    for heard in read_recording(log).chunks:
         if heard.time_ns < 7 * SECOND:
             shadow.feed(*heard)
     after = shadow.learned
@@ -257,5 +257,5 @@ def test_a_shadow_learns_its_robots_wheels_and_gains(log: Path, followed: Follow
     assert (after.gain_deviations < 0.7 * before.gain_deviations).any()
     assert (after.wheel_deviations > 0).all()
     assert len(after.row) == len(VALUE_NAMES)
-    again = LearnedValues.of_row(after.row)
+    again = LearnedValues.from_row(after.row)
     assert all(np.array_equal(one, two) for one, two in zip(again, after, strict=True))

@@ -11,7 +11,7 @@ from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.playpen import Playpen
 from khep_twin.shadow.particles import Particles
 from khep_twin.shadow.planes import Planes
-from khep_twin.shadow.start import Spread, begun
+from khep_twin.shadow.start import Spread, draw_particles
 
 Integers = NDArray[np.int64]
 Pose = tuple[float, float, float]
@@ -47,14 +47,14 @@ def metric(pose: Pose) -> Pose:
 def planes_at(*poses: Pose, name: str = "workshop", lit: bool = True) -> Planes:
     """A twin at each pose."""
     planes = Planes(setup_of(name, lit), len(poses))
-    planes.put(np.array([metric(pose) for pose in poses]))
+    planes.reset_poses(np.array([metric(pose) for pose in poses]))
     return planes
 
 
 def particles_at(*poses: Pose, name: str = "workshop") -> Particles:
     """A particle at each pose, with the calibration's wheels and gains, of equal weights."""
-    made = begun(setup_of(name), [metric(poses[0])], EXACT, len(poses), np.random.default_rng(0))
-    made.planes.put(np.array([metric(pose) for pose in poses]))
+    made = draw_particles(setup_of(name), [metric(poses[0])], EXACT, len(poses), np.random.default_rng(0))
+    made.planes.reset_poses(np.array([metric(pose) for pose in poses]))
     return made
 
 

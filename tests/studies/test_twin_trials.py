@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from khep_twin.log.shadow_channels import PoseState
-from khep_twin.shadow.actions import Seen
-from khep_twin.shadow.persistence import LEAST_NEW
+from khep_twin.shadow.actions import ProximityReply
+from khep_twin.shadow.persistence import MIN_NOVELTY
 from khep_twin.shadow.shadow import ShadowSettings
 from stand_ins.hosts import TUNED
 from stand_ins.recordings import Truth
@@ -179,10 +179,10 @@ def test_a_reply_is_as_new_as_the_robot_has_moved() -> None:
     poses[:, 0] = 0.05 * np.clip(times / SECOND - 1, 0, 1)  # It drives from 1 to 2 s.
     none = np.zeros(0, np.int64)
     found = Truth(times, poses, poses[0], poses[0], np.zeros(0, np.str_), none, none, none, none)
-    replies = [Seen(round(each * SECOND), np.zeros(8, np.int64)) for each in (0.5, 1, 1.02, 1.9, 2.5, 2.9)]
+    replies = [ProximityReply(round(each * SECOND), np.zeros(8, np.int64)) for each in (0.5, 1, 1.02, 1.9, 2.5, 2.9)]
     first, standing, slow, far, _, stopped = parts_new(found, replies).values()
-    assert [first, standing, stopped] == pytest.approx([LEAST_NEW] * 3)
-    assert LEAST_NEW < slow < 0.2 < 0.8 < far < 1
+    assert [first, standing, stopped] == pytest.approx([MIN_NOVELTY] * 3)
+    assert MIN_NOVELTY < slow < 0.2 < 0.8 < far < 1
 
 
 def test_said_and_true_are_compared_in_bins(tmp_path: Path) -> None:

@@ -209,7 +209,7 @@ def test_an_interrupted_sweep_says_how_to_go_on_and_only_what_is_missing_is_done
         told = sweep.communicate()[1]
     assert sweep.returncode == 130, told
     again = command("sweep", tmp_path / "study.toml", "--resume", "--output", output)
-    assert told.endswith(f"stopped; go on: {again}\n")
+    assert told.endswith(f"stopped; resume: {again}\n")
     assert len(list(output.glob("parts/task-*.parquet"))) == 2
     (tmp_path / "go").touch()
     following = Counted()
@@ -367,7 +367,7 @@ def test_ray_here_has_a_token_and_no_dashboard_and_is_refused_where_others_reach
 
 def test_a_worker_with_other_versions_does_nothing(tmp_path: Path) -> None:
     work = work_of(loaded(tmp_path, STUDY))
-    data, trouble = ray_workers._do(replace(work, versions="khep_twin 9.9"), work.tasks[0])
+    data, trouble = ray_workers._run_task(replace(work, versions="khep_twin 9.9"), work.tasks[0])
     assert data == b""
     assert re.search(r"a worker has khep_twin .* with mujoco .*; expected khep_twin 9.9, as here", trouble)
 

@@ -10,7 +10,7 @@ from khep_twin import toolbox
 from khep_twin.errors import PlaypenError
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.reader import read_series
-from khep_twin.log.recorded import read_recorded
+from khep_twin.log.recorded import read_recorded_run
 from khep_twin.toolbox.simulator import OpenPlaypen
 
 ARENA = 'version = 1\nname = "p"\n[arena]\nwidth_mm = 600\nheight_mm = 500\n'
@@ -86,7 +86,7 @@ def test_a_log_repeats_what_the_toolbox_did_to_robot_and_lamps(tmp_path: Path) -
         toolbox.kheprom(btmap1, 0.3)
         toolbox.upsv(btmap1)
     toolbox.close_playpen()
-    assert repeat(read_recorded(tmp_path / "run.mcap")) is None
+    assert repeat(read_recorded_run(tmp_path / "run.mcap")) is None
     lamps = {topic: each.values.shape[1] for topic, each in read_series(tmp_path / "run.mcap").series.items()}
     assert [lamps[topic] for topic in ("/lamps", "/lamps_2", "/lamps_3")] == [2, 3, 4]
 

@@ -1,4 +1,4 @@
-"""A designer that listens, and a page that asks it."""
+"""A designer's server, and a client that sends the requests of a page."""
 
 import base64
 import json
@@ -28,12 +28,12 @@ HANDSHAKE = {
 
 
 @dataclass
-class Asker:
-    """What a page of the server would ask, and what others would.
+class Client:
+    """HTTP client of a designer's server.
 
     Attributes:
-        server: that is asked.
-        end: ends it.
+        server: Server.
+        end: Function that ends it.
     """
 
     server: Server
@@ -45,7 +45,7 @@ class Asker:
 
     @property
     def base(self) -> str:
-        """The path with the token."""
+        """Path with the token."""
         return urlsplit(self.server.url).path.rstrip("/")
 
     def raw(
@@ -66,26 +66,28 @@ class Asker:
         finally:
             connection.close()
 
-    def own(self, **changed: str) -> dict[str, str]:
-        """The headers of the page itself."""
+    def headers(self, **changes: str) -> dict[str, str]:
+        """Return the headers of the page, with changes."""
         return {
             "Host": self.host,
             "Origin": f"http://{self.host}",
             "Sec-Fetch-Site": "same-origin",
             "Content-Type": "application/json",
-            **{name.replace("_", "-"): value for name, value in changed.items()},
+            **{name.replace("_", "-"): value for name, value in changes.items()},
         }
 
-    def do(self, action: str, **wanted: Any) -> tuple[int, Any]:
-        status, body = self.raw("POST", f"{self.base}/do/{action}", self.own(), json.dumps(wanted).encode())
+    def do(self, action: str, **values: Any) -> tuple[int, Any]:
+        status, body = self.raw(
+            "POST", f"{self.base}/do/{action}", self.headers(), json.dumps(values).encode()
+        )
         return status, json.loads(body) if body[:1] == b"{" else body
 
 
 @contextmanager
-def asked(
+def run_server(
     folder: Path, file: str | None = None, listen: str = "127.0.0.1:0", **options: Any
-) -> Generator[Asker]:
-    """A server of a folder, in a thread of its own."""
+) -> Generator[Client]:
+    """Run a server of a folder in a thread."""
     ended = threading.Event()
     server = Server(folder, file, listen, **options)
     thread = threading.Thread(target=server.serve, args=(ended.is_set,))
@@ -97,51 +99,53 @@ def asked(
         assert not thread.is_alive()
 
     try:
-        yield Asker(server, end)
+        yield Client(server, end)
     finally:
         end()
 
 
 @pytest.fixture
-def asker(tmp_path: Path) -> Iterator[Asker]:
-    """A server in its own folder."""
-    with asked(tmp_path) as asker:
-        yield asker
+def client(tmp_path: Path) -> Iterator[Client]:
+    """Client of a server of the test's folder."""
+    with run_server(tmp_path) as client:
+        yield client
 
 
-class Ear:
-    """Hears what is told, and waits for it."""
+class Inbox:
+    """Messages published to a page; a test waits for them."""
 
     def __init__(self) -> None:
-        self.heard: list[Mapping[str, Any]] = []
-        self._news = threading.Condition()
+        self.messages: list[Mapping[str, Any]] = []
+        self._changed = threading.Condition()
 
     def __call__(self, message: Mapping[str, Any]) -> None:
-        with self._news:
-            self.heard.append(message)
-            self._news.notify_all()
+        with self._changed:
+            self.messages.append(message)
+            self._changed.notify_all()
 
-    def wait(self, kind: str, fits: Any = lambda message: True) -> Mapping[str, Any]:
-        """The next message of a kind that fits."""
-        seen = 0
-        with self._news:
+    def wait(self, kind: str, matches: Any = lambda message: True) -> Mapping[str, Any]:
+        """Return the next matching message of a kind, and drop it and those before it."""
+        n_checked = 0
+        with self._changed:
             while True:
-                for message in self.heard[seen:]:
-                    if message["kind"] == kind and fits(message):
-                        del self.heard[: self.heard.index(message) + 1]
+                for message in self.messages[n_checked:]:
+                    if message["kind"] == kind and matches(message):
+                        del self.messages[: self.messages.index(message) + 1]
                         return message
-                seen = len(self.heard)
-                assert self._news.wait(120), f"no {kind} among {[each['kind'] for each in self.heard]}"
+                n_checked = len(self.messages)
+                assert self._changed.wait(120), (
+                    f"no {kind} among {[message['kind'] for message in self.messages]}"
+                )
 
 
 @pytest.fixture
-def ear() -> Ear:
-    return Ear()
+def inbox() -> Inbox:
+    return Inbox()
 
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
-    """Chromium, where it and Playwright are installed; see `make browser`."""
+    """Chromium, if it and Playwright are installed; see `make browser`."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -153,25 +157,25 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def empty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """New playpens without a robot, as a test draws its own ones."""
+    """New playpens without a robot, as the tests draw robots."""
     monkeypatch.setattr(drafts, "BLANK", drafts.BLANK.partition("[[robot]]")[0])
 
 
 @pytest.fixture
-def visit(browser: Any, empty: None, asker: Asker) -> Iterator[Visit]:
-    """A page of a separate designer, 1280 x 720; its console has to stay empty."""
+def visit(browser: Any, empty: None, client: Client) -> Iterator[Visit]:
+    """A page of a separate designer, 1280 x 720; its console must stay empty."""
     context = browser.new_context(viewport={"width": 1280, "height": 720})
-    visit = Visit(context.new_page(), asker.server.url)
+    visit = Visit(context.new_page(), client.server.url)
     yield visit
     context.close()
-    assert visit.trouble == []
+    assert visit.errors == []
 
 
 @pytest.fixture
-def tablet(browser: Any, empty: None, asker: Asker) -> Iterator[Visit]:
-    """The same for fingers, 820 x 1180."""
+def tablet(browser: Any, empty: None, client: Client) -> Iterator[Visit]:
+    """A page on a touch screen, 820 x 1180."""
     context = browser.new_context(viewport={"width": 820, "height": 1180}, has_touch=True)
-    visit = Visit(context.new_page(), asker.server.url)
+    visit = Visit(context.new_page(), client.server.url)
     yield visit
     context.close()
-    assert visit.trouble == []
+    assert visit.errors == []

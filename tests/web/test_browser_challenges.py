@@ -50,10 +50,12 @@ def test_programs_are_scored_stopped_and_listed_and_a_failing_line_is_marked(
     page.select_option("#score-folder", "class")
     page.click("#score-table")
     page.wait_for_selector("#score-rows tbody >> text=class/fails.py:3: NameError")
-    with page.expect_download() as kept:
+    with page.expect_download() as download:
         page.click("#score-csv")
-    assert kept.value.suggested_filename == "stop.csv"
-    assert kept.value.path().read_text().splitlines()[1].startswith(",fails,,,class/fails.py:3: NameError")
+    assert download.value.suggested_filename == "stop.csv"
+    assert (
+        download.value.path().read_text().splitlines()[1].startswith(",fails,,,class/fails.py:3: NameError")
+    )
     visit.wait("!document.querySelector('#score').disabled")
 
     # The line at which a program fails is marked where it is open.

@@ -14,7 +14,7 @@ from scipy.io import savemat  # pyright: ignore[reportMissingTypeStubs, reportUn
 from khep_twin.playpen import Playpen
 from khep_twin.playpen.parts import Block
 from tests.drawn_bitmap import drawn
-from tests.web.conftest import Asker, asked
+from tests.web.conftest import Client, run_server
 from tests.web.visit import BROWSED, PICTURES, Visit, need_a_browser
 
 need_a_browser()
@@ -75,11 +75,11 @@ def test_a_playpen_is_built_by_keys_alone(visit: Visit, tmp_path: Path) -> None:
     page.fill("#dialog input", "keys")
     page.keyboard.press("Enter")
     visit.wait_file("keys.toml")
-    made = Playpen.load(tmp_path / "keys.toml")
+    playpen = Playpen.load(tmp_path / "keys.toml")
     for default in ("mass_g", "movable", "[lighting]", "surface", "calibration", "mode"):
         assert default not in (tmp_path / "keys.toml").read_text()
-    assert (made.blocks[0].x_mm, made.blocks[0].angle_deg) == (245, 15)
-    assert made.robots[0].y_mm == 200
+    assert (playpen.blocks[0].x_mm, playpen.blocks[0].angle_deg) == (245, 15)
+    assert playpen.robots[0].y_mm == 200
 
 
 def test_a_tool_is_kept_for_several_objects(visit: Visit) -> None:
@@ -167,7 +167,7 @@ def test_a_turret_that_is_checked_later_goes_below_those_that_stand_on_it(
 
 def test_what_was_not_saved_is_offered_again(visit: Visit, tmp_path: Path) -> None:
     visit.add("block", (200, 200))
-    # As when the tab is closed: at once, before the page has kept its draft by itself.
+    # For example if the tab is closed before the page saves its draft automatically.
     visit.page.goto("about:blank")
     wait_for(lambda: drafts(tmp_path) == ["unnamed"])
     visit.open()
@@ -254,8 +254,8 @@ def test_a_draft_of_a_file_that_has_changed_since_does_not_replace_it_unasked(
 
 def test_a_new_file_of_any_name_is_drawn_and_saved(browser: Any, tmp_path: Path) -> None:
     context = browser.new_context(viewport={"width": 1280, "height": 720})
-    with asked(tmp_path, "my pen.toml") as asker:
-        visit = Visit(context.new_page(), asker.server.url)
+    with run_server(tmp_path, "my pen.toml") as client:
+        visit = Visit(context.new_page(), client.server.url)
         assert visit.page.text_content("#file") == "my pen.toml"
         visit.add("block", (200, 200))
         visit.page.click("#save")
@@ -265,12 +265,12 @@ def test_a_new_file_of_any_name_is_drawn_and_saved(browser: Any, tmp_path: Path)
         assert (visit.page.text_content("#file"), visit.count(".kind-block.drawn")) == ("my pen.toml", 1)
         visit.save_as("größe 2.toml")
         context.close()
-    assert visit.trouble == []
+    assert visit.errors == []
     assert Playpen.load(tmp_path / "my pen.toml").name == "my-pen"
     assert Playpen.load(tmp_path / "größe 2.toml").name == "gro-e-2"
 
 
-def test_an_error_of_the_first_request_is_shown(browser: Any, asker: Asker) -> None:
+def test_an_error_of_the_first_request_is_shown(browser: Any, client: Client) -> None:
     context = browser.new_context(viewport={"width": 1280, "height": 720})
     page = context.new_page()
 
@@ -278,7 +278,7 @@ def test_an_error_of_the_first_request_is_shown(browser: Any, asker: Asker) -> N
         route.fulfill(status=500, body="no more room")
 
     page.route("**/do/hello", refuse)
-    page.goto(asker.server.url)
+    page.goto(client.server.url)
     page.wait_for_selector(".banner.error >> text=no more room")
     page.unroute("**/do/hello")
     page.click("text=Try again")
@@ -287,26 +287,26 @@ def test_an_error_of_the_first_request_is_shown(browser: Any, asker: Asker) -> N
 
 
 def test_a_designer_that_ends_during_a_run_says_so_once_and_what_needs_it_is_off(
-    visit: Visit, asker: Asker
+    visit: Visit, client: Client
 ) -> None:
     page = visit.page
     visit.add("block", (200, 200))
     visit.add("robot", (400, 200))
     visit.drive()
-    asker.end()
+    client.end()
     page.wait_for_selector("text=The designer has ended, and the twin with it")
     assert page.inner_text("#clock") == "not running"
     page.click('[data-tab="object"]')
     visit.add("cylinder", (400, 400))
     page.keyboard.press("Control+s")
-    page.wait_for_timeout(2000)  # checks, drafts and the attempts to reach it again fail meanwhile
+    page.wait_for_timeout(2000)  # checks, drafts and reconnections fail meanwhile
     assert visit.count(".banner") == 1
     assert visit.count(".drawn") == 3
     for name in "new open save save-as import three-d run stop start end put connect gather".split():
         assert page.evaluate(f"document.querySelector('#{name}').closest('[inert]') !== null"), name
     assert page.evaluate("document.querySelector('#undo').closest('[inert]') === null")
     visit.picture("8-ended")
-    visit.trouble = [text for text in visit.trouble if "ERR_CONNECTION" not in text]
+    visit.errors = [text for text in visit.errors if "ERR_CONNECTION" not in text]
 
 
 def test_a_designer_that_is_reached_again_is_used_again(visit: Visit) -> None:
@@ -321,7 +321,7 @@ def test_a_designer_that_is_reached_again_is_used_again(visit: Visit) -> None:
     page.unroute("**/do/check")
     visit.wait("!document.querySelector('.banner')")
     visit.save_as("mine.toml")
-    visit.trouble = [text for text in visit.trouble if "ERR_FAILED" not in text]
+    visit.errors = [text for text in visit.errors if "ERR_FAILED" not in text]
 
 
 def test_an_error_stays_until_its_cause_is_gone(visit: Visit, tmp_path: Path) -> None:
@@ -341,27 +341,27 @@ def test_an_error_stays_until_its_cause_is_gone(visit: Visit, tmp_path: Path) ->
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (820, 1180), (390, 844), (390, 600)])
 def test_banners_cover_neither_arena_nor_tools_nor_legend(
-    browser: Any, empty: None, asker: Asker, tmp_path: Path, width: int, height: int
+    browser: Any, empty: None, client: Client, tmp_path: Path, width: int, height: int
 ) -> None:
     (tmp_path / "notes.png").write_text("no picture")
     context = browser.new_context(viewport={"width": width, "height": height}, has_touch=width < 1280)
-    visit = Visit(context.new_page(), asker.server.url)
+    visit = Visit(context.new_page(), client.server.url)
     page = visit.page
     before = page.evaluate("JSON.stringify(document.querySelector('#arena').getBoundingClientRect())")
     page.click('[data-tab="run"]')
     page.click("#start")
     visit.drop(tmp_path / "notes.png")
     page.click("#dialog .main")
-    Visit(context.new_page(), asker.server.url)
+    Visit(context.new_page(), client.server.url)
     visit.wait("document.querySelectorAll('.banner').length === 3")
     page.evaluate("document.querySelector('main').scrollTo(0, 0)")
     assert page.evaluate("JSON.stringify(document.querySelector('#arena').getBoundingClientRect())") == before
     page.screenshot(path=PICTURES / f"12-banners-{width}x{height}.png")
     covered = """() => ["header", "#tools", "#view", "#legend"].filter((name) => {
         const main = document.querySelector("main").getBoundingClientRect();
-        const [is, over] = [name, "#banners"].map((each) =>
-            document.querySelector(each).getBoundingClientRect());
-        const bottom = Math.min(is.bottom, main.height ? main.bottom : Infinity);  // what is scrolled away
+        const [is, over] = [name, "#banners"].map((selector) =>
+            document.querySelector(selector).getBoundingClientRect());
+        const bottom = Math.min(is.bottom, main.height ? main.bottom : Infinity);  // scrolled out of view
         return is.left < over.right && over.left < is.right && is.top < over.bottom && over.top < bottom;
     })"""
     assert page.evaluate(covered) == []
@@ -380,7 +380,7 @@ def test_two_pages_on_one_file_ask_before_one_replaces_the_other(visit: Visit, t
     second.page.click("#open")
     second.page.click("#dialog .main")
     second.page.wait_for_selector("text=Another page has both.toml open")
-    second.page.wait_for_timeout(1000)  # it had this file before, and nothing tells that it is there anew
+    second.page.wait_for_timeout(1000)  # it had this file before, and no event shows that it was loaded again
     second.add("cylinder", (400, 200))
     second.page.click("#save")
     visit.page.wait_for_selector("text=was saved by another page")
@@ -482,9 +482,9 @@ def test_two_fingers_zoom_and_move_the_view(tablet: Visit) -> None:
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (1024, 768), (820, 1180), (390, 844)])
-def test_nothing_sticks_out_of_the_window(browser: Any, asker: Asker, width: int, height: int) -> None:
+def test_nothing_sticks_out_of_the_window(browser: Any, client: Client, width: int, height: int) -> None:
     context = browser.new_context(viewport={"width": width, "height": height}, has_touch=width < 1280)
-    visit = Visit(context.new_page(), asker.server.url)
+    visit = Visit(context.new_page(), client.server.url)
     wide, high = visit.page.evaluate(
         "[document.documentElement.scrollWidth, document.documentElement.scrollHeight]"
     )
@@ -492,13 +492,13 @@ def test_nothing_sticks_out_of_the_window(browser: Any, asker: Asker, width: int
     assert high <= height
     visit.picture(f"7-{width}x{height}")
     context.close()
-    assert visit.trouble == []
+    assert visit.errors == []
 
 
 def test_a_long_name_covers_nothing_on_a_phone(browser: Any, tmp_path: Path) -> None:
     context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True)
-    with asked(tmp_path) as asker:
-        visit = Visit(context.new_page(), asker.server.url)
+    with run_server(tmp_path) as client:
+        visit = Visit(context.new_page(), client.server.url)
         place = "JSON.stringify(document.querySelector('#arena').getBoundingClientRect())"
         before = visit.page.evaluate(place)
         for name in ("a name of many words " * 10, "long" * 50):
@@ -510,11 +510,11 @@ def test_a_long_name_covers_nothing_on_a_phone(browser: Any, tmp_path: Path) -> 
             assert visit.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         visit.picture("7-long-name")
         context.close()
-    assert visit.trouble == []
+    assert visit.errors == []
 
 
 def test_a_drag_among_two_hundred_objects_ends_where_the_mouse_does(visit: Visit) -> None:
-    """How smooth it is tells python -m benchmarks.page."""
+    """`python -m benchmarks.page` measures the frame rate."""
     page = visit.page
     page.evaluate("window.frames_seen = 0")
     for _ in range(4):
@@ -546,9 +546,9 @@ def drafts(folder: Path) -> list[str]:
     return sorted(re.sub(r"\.[\d-]+\.draft$", "", path.name)[1:] for path in folder.glob(".*.draft"))
 
 
-def wait_for(happens: Callable[[], bool]) -> None:
+def wait_for(condition: Callable[[], bool]) -> None:
     end = time.monotonic() + 60
-    while not happens():
+    while not condition():
         assert time.monotonic() < end
         time.sleep(0.02)
 
@@ -558,7 +558,7 @@ def saved_blocks(folder: Path) -> tuple[Block, ...]:
 
 
 def view(visit: Visit) -> list[float]:
-    """What of the arena is in view: x, y, width, height [mm]."""
+    """Return the visible part of the arena: x, y, width, height [mm]."""
     return [float(number) for number in visit.page.get_attribute("#view", "viewBox").split()]
 
 
@@ -604,7 +604,7 @@ def test_a_playpen_of_the_library_is_chosen_by_its_picture(visit: Visit) -> None
     page = visit.page
     page.click("#new")
     visit.wait(
-        "[...document.querySelectorAll('.cards img')].slice(0, 4).every((each) => each.naturalWidth > 100)"
+        "[...document.querySelectorAll('.cards img')].slice(0, 4).every((image) => image.naturalWidth > 100)"
     )
     visit.picture("12-library")
     assert "Five cylinders to be carried away" in page.inner_text(".cards label:nth-child(3)")
@@ -615,23 +615,25 @@ def test_a_playpen_of_the_library_is_chosen_by_its_picture(visit: Visit) -> None
 
 
 def test_a_picture_of_the_library_that_is_still_drawn_has_another_in_its_place(visit: Visit) -> None:
-    page, asked = visit.page, list[Any]()
+    page = visit.page
+    requests: list[Any] = []
 
     def hold(route: Any) -> None:
-        if asked:
+        if requests:
             route.continue_()
-        asked.append(route)
+        requests.append(route)
 
     page.route("**/do/thumbnail", hold)
     page.click("#new")
     visit.wait("document.querySelectorAll('.cards img').length > 4")
-    shown = "[...document.querySelectorAll('.cards img')].every((each) => each.complete && each.naturalWidth)"
-    visit.wait(shown)
+    images = "[...document.querySelectorAll('.cards img')]"
+    complete = f"{images}.every((image) => image.complete && image.naturalWidth)"
+    visit.wait(complete)
     page.wait_for_timeout(100)
-    assert len(asked) == 1
-    asked[0].continue_()
+    assert len(requests) == 1
+    requests[0].continue_()
     visit.wait("document.querySelector('.cards img').naturalWidth > 100")
-    assert page.evaluate(shown)
+    assert page.evaluate(complete)
 
 
 def test_undo_in_a_field_takes_back_what_is_typed_and_then_the_drawings_last_change(visit: Visit) -> None:
@@ -736,16 +738,16 @@ def test_tools_and_buttons_of_the_top_bar_have_icons_in_the_colour_of_the_text_a
     page = visit.page
     drawn_icons = """[
         ...document.querySelectorAll('header button:not([hidden]), header label, nav button'),
-    ].every((each) => {
-        const { width, height } = each.querySelector('use').getBBox();
-        return each.textContent.trim() && Math.min(width, height) > 4;
+    ].every((button) => {
+        const { width, height } = button.querySelector('use').getBBox();
+        return button.textContent.trim() && Math.min(width, height) > 4;
     })"""
     for width in (1280, 420):
         page.set_viewport_size({"width": width, "height": 860})
         visit.wait(drawn_icons)
         for name in ("Run", "New…", "Undo", "Delete", "Zoom in", "3-D", "Keys", "Block", "Spot"):
             assert page.get_by_role("button", name=name, exact=True).count() == 1, name
-        # The key of each tool stands beside it, also where its name has no room.
+        # The key of each tool is shown beside it, even without room for its name.
         keys = page.locator("nav kbd")
         assert keys.all_inner_texts() == list("VBCWLRPS")
         assert all(key.is_visible() for key in keys.all())
@@ -768,7 +770,7 @@ def test_a_large_draft_is_kept_when_the_page_is_hidden(visit: Visit, tmp_path: P
     visit.wait("document.querySelectorAll('.kind-cylinder').length === 600")
     visit.add("lamp", (1060, 560))
     visit.wait_file("many.toml *")
-    # As when another tab is shown.
+    # For example if another tab is shown.
     page.evaluate(
         "Object.defineProperty(document, 'hidden', { value: true, configurable: true });"
         "document.dispatchEvent(new Event('visibilitychange'))"
@@ -776,7 +778,7 @@ def test_a_large_draft_is_kept_when_the_page_is_hidden(visit: Visit, tmp_path: P
     page.wait_for_timeout(400)
     assert not page.locator("text=The designer cannot be reached").count()
     end = 100
-    while not (kept := list(tmp_path.glob(".many.toml.*.draft"))) and end:
+    while not (paths := list(tmp_path.glob(".many.toml.*.draft"))) and end:
         page.wait_for_timeout(100)
         end -= 1
-    assert kept[0].stat().st_size > 64 * 1024
+    assert paths[0].stat().st_size > 64 * 1024

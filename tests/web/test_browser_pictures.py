@@ -1,6 +1,6 @@
-"""The pictures of docs/designer.md, as a reader gets them.
+"""The pictures of docs/designer.md.
 
-KHEP_SCREENSHOTS=docs/pictures make browser BROWSER='-k pictures_of_the_guide'    # makes them anew
+KHEP_SCREENSHOTS=docs/pictures make browser BROWSER='-k pictures_of_the_guide'    # updates them
 """
 
 import re
@@ -107,8 +107,8 @@ def test_the_pictures_of_the_guide_are_the_pages_own(visit: Visit, tmp_path: Pat
     page.locator("#challenge-text").evaluate("text => text.scrollIntoView()")
     visit.picture("designer_challenge")
 
-    shown = re.findall(r"\(pictures/(designer\w*\.png)\)", PAGE.read_text())
-    assert len(shown) >= 4
-    for name in shown:
-        with Image.open(PAGE.parent / "pictures" / name) as kept, Image.open(PICTURES / name) as made:
-            assert (kept.mode, kept.size) == (made.mode, made.size), name
+    names = re.findall(r"\(pictures/(designer\w*\.png)\)", PAGE.read_text())
+    assert len(names) >= 4
+    for name in names:
+        with Image.open(PAGE.parent / "pictures" / name) as old, Image.open(PICTURES / name) as new:
+            assert (old.mode, old.size) == (new.mode, new.size), name

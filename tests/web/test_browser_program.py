@@ -180,15 +180,15 @@ def test_a_program_without_an_end_is_left_after_a_stop_and_the_mended_one_runs(
     assert second.robot() == (300, 250)
     assert (second.page.is_disabled("#run"), second.count(".banner.error")) == (True, 0)
     second.page.click("#stop")
-    for each in (visit, second):
-        each.page.wait_for_selector(".banner.error >> text=the program does not end")
-        each.wait("document.querySelector('#clock').textContent === 'not running'")
-        assert each.page.is_enabled("#run")
-        assert (each.count(".live"), each.count("#tools[inert]")) == (0, 0)
+    for tab in (visit, second):
+        tab.page.wait_for_selector(".banner.error >> text=the program does not end")
+        tab.wait("document.querySelector('#clock').textContent === 'not running'")
+        assert tab.page.is_enabled("#run")
+        assert (tab.count(".live"), tab.count("#tools[inert]")) == (0, 0)
     second.page.close()
     page.fill("#code", "def controller(robot):\n    print('mended')\n    robot.set_speed(3, 3)\n")
     page.press("#code", "Control+Enter")
     page.wait_for_selector("#printed >> text=mended", state="attached")
-    assert second.trouble == []
+    assert second.errors == []
     visit.stop()
     visit.end()

@@ -8,10 +8,10 @@ import pytest
 from khep_twin.board.uart import HostEventKind
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.repeat import repeat
-from khep_twin.log.recorded import read_recorded
+from khep_twin.log.recorded import read_recorded_run
 from khep_twin.playpen import Playpen
 from tests.served_twin import served
-from tests.web.conftest import Asker
+from tests.web.conftest import Client
 from tests.web.visit import BROWSED, Visit, need_a_browser
 
 need_a_browser()
@@ -91,7 +91,7 @@ def test_ten_objects_are_drawn_saved_run_lifted_and_stopped(visit: Visit, tmp_pa
     visit.picture("3-lifted")
     visit.stop()
     visit.end()
-    recorded = read_recorded(tmp_path / "run.mcap")
+    recorded = read_recorded_run(tmp_path / "run.mcap")
     assert [
         event.kind
         for _, _, event in recorded.events
@@ -191,7 +191,7 @@ def test_an_outside_host_shares_the_line_of_the_robot_that_runs(visit: Visit) ->
 
 
 def test_a_robot_at_a_port_shows_its_readings_and_stops_at_a_click(visit: Visit) -> None:
-    """Its port is a served twin's, which speaks as a robot does."""
+    """The port is that of a served twin, which replies like a robot."""
     page = visit.page
     with served("obstacles") as (_, port):
         page.click('[data-tab="run"]')
@@ -235,20 +235,20 @@ def test_fingers_lift_the_robot_that_runs_and_turn_it(tablet: Visit, tmp_path: P
     tablet.add("robot", (300, 200))
     tablet.start("run.mcap")
     tablet.wait("/^[0-9.]+ s/.test(document.querySelector('#clock').textContent)")
-    there, beside, above = map(tablet.at, (300, 400, 300), (200, 200, 300))
-    tablet.touch(there)
+    start, right, top = map(tablet.at, (300, 400, 300), (200, 200, 300))
+    tablet.touch(start)
     page.wait_for_selector(".live.held")
-    tablet.touch(there, beside)
-    tablet.touch(there, above)
+    tablet.touch(start, right)
+    tablet.touch(start, top)
     tablet.touch()
     tablet.wait("!document.querySelector('.held')")
     tablet.end()
-    recorded = read_recorded(tmp_path / "run.mcap")
-    (put,) = [
+    recorded = read_recorded_run(tmp_path / "run.mcap")
+    (pose,) = [
         struct.unpack("<3d", event.data) for _, _, event in recorded.events if event.kind is HostEventKind.PUT
     ]
-    assert put[:2] == pytest.approx((300, 200), abs=2)
-    assert abs(put[2]) == pytest.approx(180, abs=2)
+    assert pose[:2] == pytest.approx((300, 200), abs=2)
+    assert abs(pose[2]) == pytest.approx(180, abs=2)
 
 
 def test_a_twin_is_run_by_keys_alone(visit: Visit) -> None:
@@ -292,7 +292,7 @@ def test_a_held_robot_gets_a_red_outline_where_it_has_no_room(visit: Visit) -> N
     visit.add("robot", (300, 200))
     visit.add("block", (300, 400))
     visit.start()
-    # Before the first picture there is no place from which to lift it.
+    # Before the first picture the robot has no position to lift it from.
     visit.wait_seconds(0)
     page.mouse.move(*visit.at(300, 200))
     page.mouse.down()
@@ -332,12 +332,12 @@ def test_the_gripper_is_drawn_as_it_stands(visit: Visit, tmp_path: Path) -> None
     page.fill("#cycles", "100000")
     page.click("#start")
     page.wait_for_selector(".live .turret")
-    # How far the parts reach ahead of the robot's centre, once it is lowered.
-    boxes = "[...document.querySelectorAll('.live .turret')].map((each) => each.getBBox())"
-    ahead = f"Math.max(...{boxes}.map((box) => box.x + box.width))"
-    assert page.evaluate(ahead) < 30
+    # Largest distance of the parts ahead of the robot's centre; above 65 mm when lowered.
+    boxes = "[...document.querySelectorAll('.live .turret')].map((part) => part.getBBox())"
+    front_mm = f"Math.max(...{boxes}.map((box) => box.x + box.width))"
+    assert page.evaluate(front_mm) < 30
     page.click("#run")
-    visit.wait(f"{ahead} > 65")
+    visit.wait(f"{front_mm} > 65")
     visit.picture("17-gripper")
     page.click("#stop")
     page.click("#end")
@@ -404,10 +404,10 @@ def test_after_a_run_its_log_and_report_are_kept_and_the_command_that_views_it_i
     page.wait_for_selector("#logged:not([hidden])")
     assert page.inner_text("#view-command").endswith("run.mcap")
     for button, name in (("#keep-log", "run.mcap"), ("#keep-report", "run.html")):
-        with page.expect_download() as kept:
+        with page.expect_download() as download:
             page.click(button)
-        assert kept.value.suggested_filename == name
-        assert Path(kept.value.path()).stat().st_size > 1000
+        assert download.value.suggested_filename == name
+        assert Path(download.value.path()).stat().st_size > 1000
 
 
 def test_curves_show_the_readings_of_the_selected_robot_and_their_values_at_the_pointer(visit: Visit) -> None:
@@ -428,9 +428,9 @@ def test_curves_show_the_readings_of_the_selected_robot_and_their_values_at_the_
         for plot, column in ((0, 2), (1, 3)):
             point(visit, plot, 1.0)
             table = f"[...document.querySelectorAll('#readings tr td:nth-child({column})')].slice(0, 8)"
-            shown = "[...document.querySelectorAll('#curves li b')].slice(0, 8)"
-            texts = ".map((each) => each.textContent).join(' ')"
-            visit.wait(f"{table}{texts} === {shown}{texts}")
+            values = "[...document.querySelectorAll('#curves li b')].slice(0, 8)"
+            texts = ".map((cell) => cell.textContent).join(' ')"
+            visit.wait(f"{table}{texts} === {values}{texts}")
     point(visit, 2, 1.0)
     visit.wait("document.querySelector('#curves li:nth-child(10) b').textContent !== ''")
     driven = page.locator("#curves li b").all_inner_texts()
@@ -445,7 +445,7 @@ def test_curves_show_the_readings_of_the_selected_robot_and_their_values_at_the_
 
 
 def point(visit: Visit, plot: int, part: float) -> None:
-    """Has the pointer over a plot of the curves, at a part of its width."""
+    """Move the pointer over a plot of the curves, to a fraction of its width."""
     canvas = visit.page.locator("#curves canvas")
     canvas.scroll_into_view_if_needed()
     box = canvas.bounding_box()
@@ -543,21 +543,21 @@ def test_undo_during_a_run_puts_a_lifted_robot_back_and_switches_a_lamp_again(
     assert page.is_enabled("#undo")
     page.click("#undo")
     assert visit.count(".drawn") == 1
-    recorded = read_recorded(tmp_path / "run.mcap")
+    recorded = read_recorded_run(tmp_path / "run.mcap")
     kinds = [event.kind for _, _, event in recorded.events]
     assert (kinds.count(HostEventKind.PUT), kinds.count(HostEventKind.SWITCH)) == (4, 2)
     assert repeat(recorded) is None
 
 
-def test_a_move_that_another_page_is_refused_takes_no_step_of_undo(visit: Visit, asker: Asker) -> None:
+def test_a_move_that_another_page_is_refused_takes_no_step_of_undo(visit: Visit, client: Client) -> None:
     visit.add("robot", (300, 200))
     visit.start()
     visit.wait_seconds(0)
     visit.lift(450, 350)
     stands_at(visit, 450, 350)
     refused = {"robot": 0, "x_mm": -20, "y_mm": 300, "heading_deg": 0, "tab": "another-page"}
-    asker.do("put", **refused)
-    asker.do("put", **{**refused, "x_mm": 100})
+    client.do("put", **refused)
+    client.do("put", **{**refused, "x_mm": 100})
     stands_at(visit, 100, 300)
     assert not visit.page.is_visible(".banner.error")
     visit.page.click("#undo")

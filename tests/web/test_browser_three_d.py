@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from tests.web.conftest import Asker
+from tests.web.conftest import Client
 from tests.web.visit import BROWSED, Visit, need_a_browser
 
 need_a_browser()
 pytestmark = BROWSED
 
 
-def seen(visit: Visit) -> NDArray[np.uint8]:
+def screenshot(visit: Visit) -> NDArray[np.uint8]:
     picture = visit.page.locator("#solid").screenshot()
     return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"))
 
@@ -32,15 +32,15 @@ def test_the_scene_is_shown_by_a_key_and_orbited(visit: Visit) -> None:
     page.wait_for_selector("#solid[data-shapes]")
     assert page.get_attribute("#three-d", "aria-pressed") == "true"
     page.wait_for_timeout(300)
-    first = seen(visit)
+    first = screenshot(visit)
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > 20
     page.keyboard.press("ArrowLeft")
     page.wait_for_timeout(300)
-    turned = seen(visit)
+    turned = screenshot(visit)
     assert (turned != first).any()
     page.keyboard.press("0")
     page.wait_for_timeout(300)
-    assert (seen(visit) == first).mean() > 0.99
+    assert (screenshot(visit) == first).mean() > 0.99
     visit.picture("3d-drawing")
     # What is drawn meanwhile appears.
     before = shapes(visit)
@@ -61,9 +61,9 @@ def test_a_running_twin_is_followed(visit: Visit) -> None:
     page.click("#run")
     page.wait_for_selector("#follow:not([hidden])")
     visit.wait_seconds(1)
-    first = seen(visit)
+    first = screenshot(visit)
     visit.wait_seconds(2.5)
-    assert (seen(visit) != first).any()
+    assert (screenshot(visit) != first).any()
     page.focus("#solid")
     page.keyboard.press("f")
     assert page.get_attribute("#follow", "aria-pressed") == "true"
@@ -79,7 +79,7 @@ def test_a_lamp_lights_the_floor_but_not_behind_an_object_and_the_robot_has_a_sh
     visit.page.wait_for_selector("#problems.none")
     visit.show_3d()
     visit.page.wait_for_timeout(500)
-    pictures = [seen(visit).astype(int)]
+    pictures = [screenshot(visit).astype(int)]
     floor = np.median(pictures[0][-150:-100, 300:400], axis=(0, 1))
     near = pictures[0].sum(axis=2) - floor.sum()
     assert ((near < -20) & (near > -200)).sum() > 100  # a soft edge at the foot of walls and of the robot
@@ -89,32 +89,32 @@ def test_a_lamp_lights_the_floor_but_not_behind_an_object_and_the_robot_has_a_sh
         visit.page.wait_for_selector("#problems.none")
         visit.show_3d()
         visit.page.wait_for_timeout(1000)
-        pictures.append(seen(visit).astype(int))
+        pictures.append(screenshot(visit).astype(int))
         visit.picture(f"3d-{tool}")
         visit.page.click("#three-d")
-    dark, lit, hidden = (picture.sum(axis=2) for picture in pictures)
-    assert (lit > dark + 30).sum() > 2000
-    assert (hidden < lit - 30).sum() > 500
+    dark, bright, hidden = (picture.sum(axis=2) for picture in pictures)
+    assert (bright > dark + 30).sum() > 2000
+    assert (hidden < bright - 30).sum() > 500
 
 
-def test_a_lamp_that_becomes_bright_later_lights_the_floor_from_then_on(visit: Visit, asker: Asker) -> None:
+def test_a_lamp_that_becomes_bright_later_lights_the_floor_from_then_on(visit: Visit, client: Client) -> None:
     visit.add("robot", (450, 250))
     visit.add("lamp", (200, 250))
     visit.page.wait_for_selector("#problems.none")
-    other = Visit(visit.page.context.new_page(), asker.server.url)
+    other = Visit(visit.page.context.new_page(), client.server.url)
     visit.start()
     other.page.wait_for_selector(".live")
-    assert other.count(".kind-lamp") == 0  # its drawing tells no power
+    assert other.count(".kind-lamp") == 0  # its drawing has no power
     other.show_3d()
     pictures: list[NDArray[np.int64]] = []
     for _ in range(2):
         other.page.wait_for_timeout(1000)
-        pictures.append(seen(other).astype(int).sum(axis=2))
+        pictures.append(screenshot(other).astype(int).sum(axis=2))
         visit.page.click("#switches input")
     other.picture("3d-later")
-    lit, dark = pictures
-    assert (lit > dark + 30).sum() > 2000
-    visit.trouble += other.trouble
+    bright, dark = pictures
+    assert (bright > dark + 30).sum() > 2000
+    visit.errors += other.errors
 
 
 def test_a_dark_system_gets_a_dark_page(visit: Visit) -> None:
@@ -124,13 +124,13 @@ def test_a_dark_system_gets_a_dark_page(visit: Visit) -> None:
     visit.show_3d()
     page.wait_for_timeout(500)
     fill = "getComputedStyle(document.querySelector('.floor')).fill"
-    light, plan = seen(visit), page.evaluate(fill)
+    light, plan = screenshot(visit), page.evaluate(fill)
     assert brightness(page.evaluate("getComputedStyle(document.body).backgroundColor")) == 255
     page.emulate_media(color_scheme="dark")
     page.wait_for_timeout(1000)
     assert brightness(page.evaluate("getComputedStyle(document.body).backgroundColor")) < 50
     assert brightness(page.evaluate(fill)) < 80 < brightness(plan)
-    assert seen(visit).mean() < light.mean() / 2
+    assert screenshot(visit).mean() < light.mean() / 2
     visit.picture("3d-dark")
     assert contrast_of_texts(visit) > 4.5
 
@@ -140,7 +140,7 @@ def brightness(colour: str) -> float:
 
 
 def contrast_of_texts(visit: Visit) -> float:
-    """The contrast of the page's text with its background, as WCAG counts it."""
+    """Return the contrast of the page's text with its background by WCAG."""
     pair = visit.page.evaluate(
         "(({ color, backgroundColor }) => [color, backgroundColor])(getComputedStyle(document.body))"
     )

@@ -1,4 +1,4 @@
-"""Connections that send half a request, take nothing or are too many: the page is answered all the same."""
+"""The page is answered in spite of incomplete requests, peers that read nothing, and many connections."""
 
 import asyncio
 import logging
@@ -15,37 +15,37 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from khep_twin.web import connections
-from khep_twin.web.connections import reported
-from tests.web.conftest import HANDSHAKE, Asker
+from khep_twin.web.connections import report_errors
+from tests.web.conftest import HANDSHAKE, Client
 
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A server that waits for 0.3 s only; asked for before the server itself."""
+    """Time limits of 0.3 s; requested before the server."""
     monkeypatch.setattr(connections, "LONGEST_S", dict.fromkeys(connections.LONGEST_S, 0.3))
 
 
 @pytest.fixture
-def opened(asker: Asker) -> Iterator[Callable[[bytes], socket.socket]]:
-    """Opens a connection and sends something."""
-    host, _, port = asker.host.rpartition(":")
+def opened(client: Client) -> Iterator[Callable[[bytes], socket.socket]]:
+    """Function that opens a connection and sends data."""
+    host, _, port = client.host.rpartition(":")
     with ExitStack() as stack:
 
-        def opened(data: bytes) -> socket.socket:
-            found = stack.enter_context(socket.create_connection((host, int(port)), timeout=30))
-            found.sendall(data)
-            return found
+        def open_connection(data: bytes) -> socket.socket:
+            connection = stack.enter_context(socket.create_connection((host, int(port)), timeout=30))
+            connection.sendall(data)
+            return connection
 
-        yield opened
+        yield open_connection
 
 
-def head(asker: Asker, method: str, path: str, **changed: str) -> bytes:
-    lines = [f"{name}: {value}" for name, value in {**asker.own(), **changed}.items()]
-    return "\r\n".join([f"{method} {asker.base}{path} HTTP/1.1", *lines, "", ""]).encode()
+def head(client: Client, method: str, path: str, **changed: str) -> bytes:
+    lines = [f"{name}: {value}" for name, value in {**client.headers(), **changed}.items()]
+    return "\r\n".join([f"{method} {client.base}{path} HTTP/1.1", *lines, "", ""]).encode()
 
 
 def ended(connection: socket.socket) -> bool:
-    """Whether the server ends a connection before the connection's own timeout."""
+    """Return True if the server ends a connection before the connection's timeout."""
     try:
         while connection.recv(65536):
             pass
@@ -54,8 +54,8 @@ def ended(connection: socket.socket) -> bool:
     return True
 
 
-def given_up(connection: socket.socket, data: bytes) -> bool:
-    """Whether the server has ended a connection by now, to which more is sent."""
+def is_closed(connection: socket.socket, data: bytes) -> bool:
+    """Return whether the server has ended a connection, to which data are sent."""
     try:
         connection.sendall(data)
         return not connection.recv(65536)
@@ -66,8 +66,10 @@ def given_up(connection: socket.socket, data: bytes) -> bool:
 
 
 @pytest.mark.usefixtures("impatient")
-def test_half_of_a_request_is_not_waited_for(asker: Asker, opened: Callable[[bytes], socket.socket]) -> None:
-    post = head(asker, "POST", "/do/check", **{"Content-Length": "100"})
+def test_half_of_a_request_is_not_waited_for(
+    client: Client, opened: Callable[[bytes], socket.socket]
+) -> None:
+    post = head(client, "POST", "/do/check", **{"Content-Length": "100"})
     halves = [b"", b"G", b"GET / HTTP/1.1\r\nHost: x\r\n", post, post + b'{"draft"']
     for connection in [opened(half) for half in halves]:
         assert ended(connection)
@@ -76,52 +78,52 @@ def test_half_of_a_request_is_not_waited_for(asker: Asker, opened: Callable[[byt
 @pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("body", [False, True])
 def test_a_request_that_comes_a_byte_at_a_time_is_not_waited_for(
-    asker: Asker, opened: Callable[[bytes], socket.socket], body: bool
+    client: Client, opened: Callable[[bytes], socket.socket], body: bool
 ) -> None:
-    post = head(asker, "POST", "/do/check", **{"Content-Length": "10000"})
+    post = head(client, "POST", "/do/check", **{"Content-Length": "10000"})
     connection = opened(post if body else post[:20])
     connection.settimeout(0.05)
-    assert any(given_up(connection, b"x") for _ in range(1000))
+    assert any(is_closed(connection, b"x") for _ in range(1000))
 
 
 @pytest.mark.usefixtures("impatient")
 def test_a_connection_that_asks_nothing_more_is_ended(
-    asker: Asker, opened: Callable[[bytes], socket.socket]
+    client: Client, opened: Callable[[bytes], socket.socket]
 ) -> None:
-    connection = opened(head(asker, "GET", "/"))
+    connection = opened(head(client, "GET", "/"))
     assert connection.recv(12) == b"HTTP/1.1 200"
     assert ended(connection)
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_peer_that_takes_no_answer_is_given_up(asker: Asker) -> None:
-    host, _, port = asker.host.rpartition(":")
-    # So that the kernel has no room for all of it.
-    asker.server.listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+def test_a_peer_that_takes_no_answer_is_is_closed(client: Client) -> None:
+    host, _, port = client.host.rpartition(":")
+    # The kernel must not buffer the whole answer.
+    client.server.listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
     with socket.socket() as connection:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         connection.connect((host, int(port)))
-        connection.sendall(head(asker, "GET", "/static/main.js") * 100)
+        connection.sendall(head(client, "GET", "/static/main.js") * 100)
         assert connection.recv(4, socket.MSG_PEEK) == b"HTTP"
         deadline = time.monotonic() + 30
-        while asker.server.connections and time.monotonic() < deadline:
+        while client.server.connections and time.monotonic() < deadline:
             time.sleep(0.05)
-        taken = b"".join(iter(lambda: connection.recv(65536), b""))
-        assert 0 < taken.count(b"HTTP/1.1 200") < 100
+        received = b"".join(iter(lambda: connection.recv(65536), b""))
+        assert 0 < received.count(b"HTTP/1.1 200") < 100
 
 
 def test_requests_that_come_much_faster_than_they_are_answered_are_not_kept(
-    asker: Asker, opened: Callable[[bytes], socket.socket]
+    client: Client, opened: Callable[[bytes], socket.socket]
 ) -> None:
-    connection = opened(head(asker, "GET", "/"))
-    assert any(given_up(connection, head(asker, "GET", "/") * 500) for _ in range(100))
+    connection = opened(head(client, "GET", "/"))
+    assert any(is_closed(connection, head(client, "GET", "/") * 500) for _ in range(100))
 
 
 def test_requests_in_one_piece_are_answered_one_by_one(
-    asker: Asker, opened: Callable[[bytes], socket.socket]
+    client: Client, opened: Callable[[bytes], socket.socket]
 ) -> None:
     connection = opened(
-        (head(asker, "POST", "/do/check", **{"Content-Length": "13"}) + b'{"draft": {}}') * 50
+        (head(client, "POST", "/do/check", **{"Content-Length": "13"}) + b'{"draft": {}}') * 50
     )
     answers = b""
     while answers.count(b"HTTP/1.1 200") < 50:
@@ -131,12 +133,12 @@ def test_requests_in_one_piece_are_answered_one_by_one(
 
 
 def test_connections_that_send_nothing_keep_no_page_out(
-    asker: Asker, opened: Callable[[bytes], socket.socket], monkeypatch: pytest.MonkeyPatch
+    client: Client, opened: Callable[[bytes], socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connections, "most", lambda: 4)
+    monkeypatch.setattr(connections, "connection_limit", lambda: 4)
     idle = [opened(b"GET / HTTP/1.1\r\nHost: x\r\n") for _ in range(20)]
-    assert asker.do("hello")[0] == 200
-    # The first to come are the first to go; the last of them still have their places.
+    assert client.do("hello")[0] == 200
+    # The oldest connections are closed first; the latest ones stay open.
     assert all(ended(connection) for connection in idle[:16])
 
 
@@ -158,16 +160,16 @@ def test_with_few_descriptors_the_page_is_answered_and_at_most_a_line_is_reporte
         host, key = url.split("/")[2:4]
         name, _, port = host.rpartition(":")
 
-        def asked(data: bytes) -> socket.socket:
-            found = stack.enter_context(socket.create_connection((name, int(port)), timeout=30))
-            found.sendall(data)
-            return found
+        def send(data: bytes) -> socket.socket:
+            connection = stack.enter_context(socket.create_connection((name, int(port)), timeout=30))
+            connection.sendall(data)
+            return connection
 
         for _ in range(3):
             for _ in range(60):
-                asked(b"GET / HTTP/1.1\r\nHost: x\r\n")
+                send(b"GET / HTTP/1.1\r\nHost: x\r\n")
             page = f"GET /{key}/ HTTP/1.1\r\nHost: {host}\r\nSec-Fetch-Site: none\r\n\r\n"
-            assert asked(page.encode()).recv(12) == b"HTTP/1.1 200"
+            assert send(page.encode()).recv(12) == b"HTTP/1.1 200"
         process.terminate()
         assert process.wait(60) == 0
         announced, *lines = process.stderr.read().splitlines()
@@ -183,7 +185,7 @@ import os, time
 from pathlib import Path
 from khep_twin.web.server import Server
 
-server = Server(Path.cwd(), None, "127.0.0.1:0", complain=lambda text: print(text, flush=True))
+server = Server(Path.cwd(), None, "127.0.0.1:0", report=lambda text: print(text, flush=True))
 full = []
 
 def stop():
@@ -214,30 +216,30 @@ print(time.process_time() - used < 0.5 * (time.monotonic() - begin))
         host, _, port = process.stdout.readline().split("/")[2].rpartition(":")
         for _ in range(5):
             stack.enter_context(socket.create_connection((host, int(port)), timeout=30))
-        told = process.stdout.readline()
+        line = process.stdout.readline()
         time.sleep(1.5)
         (tmp_path / "stop").touch()
         assert process.wait(60) == 0
-        assert told == (
+        assert line == (
             "the page: socket.accept() out of system resource: OSError: [Errno 24] Too many open files\n"
         )
-        # Nothing more was told, and the processor was left alone.
+        # No further line was printed, and the processor was idle.
         assert process.stdout.read() == "True\n"
 
 
 def test_a_websocket_stays_open_as_long_as_its_page_answers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
-    monkeypatch.setattr("khep_twin.web.server.PING", 0.2)
+    monkeypatch.setattr("khep_twin.web.server.PING_S", 0.2)
     monkeypatch.setattr(connections, "LONGEST_S", dict.fromkeys(connections.LONGEST_S, 0.3))
-    asker: Asker = request.getfixturevalue("asker")
-    host, _, port = asker.host.rpartition(":")
-    origin = Origin(f"http://{asker.host}")
+    client: Client = request.getfixturevalue("client")
+    host, _, port = client.host.rpartition(":")
+    origin = Origin(f"http://{client.host}")
     with (
-        connect(f"ws://{asker.host}{asker.base}/live", origin=origin, ping_interval=None) as alive,
+        connect(f"ws://{client.host}{client.base}/live", origin=origin, ping_interval=None) as alive,
         socket.create_connection((host, int(port)), timeout=30) as dead,
     ):
-        dead.sendall(head(asker, "GET", "/live", **HANDSHAKE))
+        dead.sendall(head(client, "GET", "/live", **HANDSHAKE))
         assert ended(dead)
         time.sleep(0.5)
         alive.ping().wait(30)
@@ -247,7 +249,7 @@ def test_a_websocket_stays_open_as_long_as_its_page_answers(
 def test_an_error_of_the_server_is_a_line_and_the_same_again_is_none() -> None:
     lines: list[str] = []
     logger = logging.getLogger("uvicorn.error")
-    with reported(lines.append):
+    with report_errors(lines.append):
         for number in range(3):
             try:
                 raise OSError(24, f"no descriptor {number}")

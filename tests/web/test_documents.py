@@ -1,4 +1,4 @@
-"""Files below one folder, and what the page works on."""
+"""Files below one folder: playpens, drafts and imports."""
 
 import json
 import os
@@ -18,7 +18,7 @@ from khep_twin.playpen import Playpen
 from khep_twin.web.documents import ConflictError, Documents, OutsideError
 from khep_twin.web.drafts import blank, draft_of, problems_of
 from tests.drawn_bitmap import drawn
-from tests.web.conftest import Asker, asked
+from tests.web.conftest import Client, run_server
 
 MINE = """# My own.
 version = 1
@@ -37,7 +37,7 @@ heading_deg = 90
 
 @pytest.fixture
 def documents(tmp_path: Path) -> Documents:
-    """A folder with a playpen of one's own."""
+    """A folder with a playpen file."""
     (tmp_path / "mine.toml").write_text(MINE)
     return Documents(tmp_path)
 
@@ -55,8 +55,8 @@ def test_comments_stay_in_a_file_that_is_saved(documents: Documents, tmp_path: P
 
 def test_a_playpen_of_the_library_keeps_its_comments_under_a_new_name(tmp_path: Path) -> None:
     documents = Documents(tmp_path)
-    found = documents.library("obstacles")
-    documents.save("new.toml", found["draft"], version=None, base={"library": "obstacles"})
+    document = documents.library("obstacles")
+    documents.save("new.toml", document["draft"], version=None, base={"library": "obstacles"})
     assert "wedged nowhere" in (tmp_path / "new.toml").read_text()
 
 
@@ -105,11 +105,11 @@ def test_a_file_that_changes_while_its_new_text_is_made_is_not_written_over(
 ) -> None:
     opened: Any = documents.open("mine.toml")
 
-    def made(*_: object) -> str:
+    def edit_file(*_: object) -> str:
         (tmp_path / "mine.toml").write_text(MINE.replace("600", "700"))
         return MINE
 
-    monkeypatch.setattr("khep_twin.web.documents.text_of", made)
+    monkeypatch.setattr("khep_twin.web.documents.text_of", edit_file)
     with pytest.raises(ConflictError, match=r"mine.toml: was changed by another page or program"):
         documents.save("mine.toml", opened["draft"], version=opened["version"], base={})
     assert "700" in (tmp_path / "mine.toml").read_text()
@@ -121,23 +121,23 @@ def test_a_read_only_file_is_not_written_over_and_keeps_its_draft(tmp_path: Path
     documents = Documents(tmp_path)
     opened = documents.open("mine.toml")
     opened["draft"]["robot"][0]["x_mm"] = 200
-    documents.keep("mine.toml", opened["draft"])
+    documents.save_draft("mine.toml", opened["draft"])
     with pytest.raises(KhepTwinError, match=r"mine.toml: cannot be written: the file is read-only"):
         documents.save("mine.toml", opened["draft"], version=opened["version"], base={"file": "mine.toml"})
     assert (tmp_path / "mine.toml").read_text() == MINE
-    assert [kept["draft"] for kept in documents.left("mine.toml")] == [opened["draft"]]
+    assert [entry["draft"] for entry in documents.drafts("mine.toml")] == [opened["draft"]]
 
 
-def test_what_was_worked_on_last_is_opened_first(asker: Asker, tmp_path: Path) -> None:
+def test_what_was_worked_on_last_is_opened_first(client: Client, tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(MINE)
-    new = asker.do("hello")[1]
+    new = client.do("hello")[1]
     assert (new["file"], len(new["draft"]["robot"])) == (None, 1)
-    draft = asker.do("open", file="mine.toml")[1]["draft"]
-    assert asker.do("hello")[1]["file"] == "mine.toml"
+    draft = client.do("open", file="mine.toml")[1]["draft"]
+    assert client.do("hello")[1]["file"] == "mine.toml"
     draft["robot"][0]["x_mm"] = 100
-    asker.do("keep", file=None, draft=draft)
-    hello = asker.do("hello")[1]
-    assert (hello["file"], [kept["draft"] for kept in hello["left"]]) == (None, [draft])
+    client.do("keep", file=None, draft=draft)
+    hello = client.do("hello")[1]
+    assert (hello["file"], [entry["draft"] for entry in hello["left"]]) == (None, [draft])
 
 
 def test_a_draft_with_a_mistake_leaves_the_file_as_it_was(documents: Documents, tmp_path: Path) -> None:
@@ -151,10 +151,14 @@ def test_a_draft_with_a_mistake_leaves_the_file_as_it_was(documents: Documents, 
 def test_a_draft_is_kept_until_it_is_saved(documents: Documents, tmp_path: Path) -> None:
     opened = documents.open("mine.toml")
     version = opened["version"]
-    kept = {"draft": {**opened["draft"], "robot": "half"}, "version": version, "base": {"file": "mine.toml"}}
-    documents.keep("mine.toml", kept, "1-2")
+    content = {
+        "draft": {**opened["draft"], "robot": "half"},
+        "version": version,
+        "base": {"file": "mine.toml"},
+    }
+    documents.save_draft("mine.toml", content, "1-2")
     [left] = documents.open("mine.toml")["left"]
-    assert left == {**kept, "page": "1-2", "time": left["time"]}
+    assert left == {**content, "page": "1-2", "time": left["time"]}
     assert documents.names() == ["mine.toml"]
     documents.save("mine.toml", opened["draft"], version=version, base={}, page="1-2")
     assert documents.open("mine.toml")["left"] == []
@@ -166,11 +170,11 @@ def test_a_page_that_saves_leaves_the_drafts_of_other_pages_and_documents(tmp_pa
     draft = documents.new("mine.toml")["draft"]
     for name in ("mine.toml", "mine.toml.1-1.toml", None):
         for page in ("1-1", "2-2"):
-            documents.keep(name, {"draft": {**draft, "name": f"{name} {page}"}}, page)
+            documents.save_draft(name, {"draft": {**draft, "name": f"{name} {page}"}}, page)
     documents.save("mine.toml", draft, version=None, base={}, page="1-1")
-    assert [kept["draft"]["name"] for kept in documents.left("mine.toml")] == ["mine.toml 2-2"]
+    assert [entry["draft"]["name"] for entry in documents.drafts("mine.toml")] == ["mine.toml 2-2"]
     for name in ("mine.toml.1-1.toml", None):
-        assert {kept["draft"]["name"] for kept in documents.left(name)} == {f"{name} 1-1", f"{name} 2-2"}
+        assert {entry["draft"]["name"] for entry in documents.drafts(name)} == {f"{name} 1-1", f"{name} 2-2"}
 
 
 def test_a_draft_of_an_earlier_version_is_still_offered_and_what_is_none_is_not(
@@ -181,7 +185,7 @@ def test_a_draft_of_an_earlier_version_is_still_offered_and_what_is_none_is_not(
     (tmp_path / ".mine.toml.1.draft").write_text("{")
     (tmp_path / ".mine.toml.2.draft").symlink_to(tmp_path / ".mine.toml.draft")
     (tmp_path / ".mine.toml.3.draft").mkdir()
-    [left] = documents.left("mine.toml")
+    [left] = documents.drafts("mine.toml")
     assert (left["draft"], left["page"]) == ({"name": "mine"}, "")
 
 
@@ -199,28 +203,28 @@ def test_a_draft_of_an_earlier_version_is_still_offered_and_what_is_none_is_not(
     ],
 )
 def test_any_name_of_a_file_will_do(tmp_path: Path, file: str, name: str) -> None:
-    with asked(tmp_path, file) as asker:
-        status, hello = asker.do("hello")
+    with run_server(tmp_path, file) as client:
+        status, hello = client.do("hello")
         assert (status, hello["file"], hello["draft"]["name"]) == (200, file, name)
-        assert asker.do("keep", file=file, draft={"half": 1}, tab="7-7") == (200, {})
-        assert asker.do("hello")[1]["left"][0]["draft"] == {"half": 1}
-        saved = asker.do("save", file=file, draft=hello["draft"], version=None, base={}, tab="7-7")
+        assert client.do("keep", file=file, draft={"half": 1}, tab="7-7") == (200, {})
+        assert client.do("hello")[1]["left"][0]["draft"] == {"half": 1}
+        saved = client.do("save", file=file, draft=hello["draft"], version=None, base={}, tab="7-7")
         assert (saved[0], saved[1]["name"]) == (200, name)
-        assert asker.do("hello")[1]["left"] == []
-        # As when a playpen of another name is saved under this one.
+        assert client.do("hello")[1]["left"] == []
+        # For example if a playpen of another name is saved under this file name.
         renamed = {**hello["draft"], "name": "other"}
-        wanted = {"file": file, "draft": renamed, "version": saved[1]["version"], "base": {}, "rename": True}
-        assert asker.do("save", **wanted)[1]["name"] == Playpen.load(tmp_path / file).name == name
+        request = {"file": file, "draft": renamed, "version": saved[1]["version"], "base": {}, "rename": True}
+        assert client.do("save", **request)[1]["name"] == Playpen.load(tmp_path / file).name == name
 
 
-def test_a_page_loaded_again_gets_its_own_document(asker: Asker, tmp_path: Path) -> None:
+def test_a_page_loaded_again_gets_its_own_document(client: Client, tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(MINE)
-    assert asker.do("open", file="mine.toml")[0] == 200
-    assert asker.do("hello")[1]["file"] == "mine.toml"
-    assert asker.do("hello", file=None)[1]["file"] is None
-    assert asker.do("hello", file="new one.toml")[1]["draft"]["name"] == "new-one"
+    assert client.do("open", file="mine.toml")[0] == 200
+    assert client.do("hello")[1]["file"] == "mine.toml"
+    assert client.do("hello", file=None)[1]["file"] is None
+    assert client.do("hello", file="new one.toml")[1]["draft"]["name"] == "new-one"
     (tmp_path / "mine.toml").write_text("broken")
-    hello = asker.do("hello")[1]
+    hello = client.do("hello")[1]
     assert hello["file"] is None
     assert "mine.toml" in hello["trouble"]
 
@@ -250,19 +254,19 @@ def test_each_problem_of_a_draft_has_its_place() -> None:
 
 
 @pytest.mark.parametrize("draft", [{}, {"arena": 3}, {"robot": [[[]]]}, {"block": {"x": 1}}, {"name": None}])
-def test_any_draft_is_reported_what_is_wrong_with_it(asker: Asker, draft: dict[str, object]) -> None:
-    status, answer = asker.do("check", draft=draft)
+def test_any_draft_is_reported_what_is_wrong_with_it(client: Client, draft: dict[str, object]) -> None:
+    status, answer = client.do("check", draft=draft)
     assert status == 200
     assert answer["problems"]
 
 
-def test_no_json_is_reported(asker: Asker) -> None:
+def test_no_json_is_reported(client: Client) -> None:
     for body in (b"", b"[]", b"{", b"[" * 100_000, b'{"draft": 1}', b"\xff"):
-        assert asker.raw("POST", f"{asker.base}/do/check", asker.own(), body)[0] == 400
+        assert client.raw("POST", f"{client.base}/do/check", client.headers(), body)[0] == 400
 
 
-def test_refusals_name_no_options_of_the_command_line(asker: Asker, tmp_path: Path) -> None:
-    headers = asker.own(Content_Type="application/octet-stream")
+def test_refusals_name_no_options_of_the_command_line(client: Client, tmp_path: Path) -> None:
+    headers = client.headers(Content_Type="application/octet-stream")
     scans: list[tuple[dict[str, Any], str, str]] = [
         ({"a": np.eye(50), "b": np.eye(60)}, "1", "several matrices (a: 50 x 50, b: 60 x 60)"),
         ({"btmap1": np.eye(50)}, "1", "btmap1: no pixel is 44"),
@@ -271,31 +275,31 @@ def test_refusals_name_no_options_of_the_command_line(asker: Asker, tmp_path: Pa
         ({"btmap1": np.eye(50) * 44}, "nan", "nan mm per pixel: expected 0.001 to 1000"),
         ({"btmap1": np.eye(50) * 44}, "1", "an arena of 50 x 50 mm within the walls"),
     ]
-    for matrices, scale, told in scans:
+    for matrices, scale, reason in scans:
         data = BytesIO()
         savemat(data, matrices)
-        path = f"{asker.base}/import?name=scan.mat&mm={scale}"
-        status, body = asker.raw("POST", path, headers, data.getvalue())
+        path = f"{client.base}/import?name=scan.mat&mm={scale}"
+        status, body = client.raw("POST", path, headers, data.getvalue())
         assert status == 400
-        assert told in json.loads(body)["error"]
+        assert reason in json.loads(body)["error"]
         assert "--" not in json.loads(body)["error"]
 
 
-def test_a_scan_becomes_a_playpen(asker: Asker) -> None:
+def test_a_scan_becomes_a_playpen(client: Client) -> None:
     picture = BytesIO()
     Image.fromarray(~drawn()).save(picture, format="PNG")
-    headers = asker.own(Content_Type="application/octet-stream")
-    status, body = asker.raw("POST", f"{asker.base}/import?name=scan.png&mm=2", headers, picture.getvalue())
+    headers = client.headers(Content_Type="application/octet-stream")
+    status, body = client.raw("POST", f"{client.base}/import?name=scan.png&mm=2", headers, picture.getvalue())
     assert status == 200, body
     assert json.loads(body)["draft"]["arena"]["width_mm"] == 1160
-    assert asker.raw("POST", f"{asker.base}/import?name=scan.mat", headers, b"rubbish")[0] == 400
+    assert client.raw("POST", f"{client.base}/import?name=scan.mat", headers, b"rubbish")[0] == 400
 
 
 def test_a_name_too_long_for_its_draft_is_refused_before_the_file_is_written(
-    asker: Asker, tmp_path: Path
+    client: Client, tmp_path: Path
 ) -> None:
-    status, told = asker.do("save", file="x" * 240 + ".toml", tab="1-2345678", draft=blank("p"))
-    assert (status, told["error"]) == (400, "File name too long")
+    status, reply = client.do("save", file="x" * 240 + ".toml", tab="1-2345678", draft=blank("p"))
+    assert (status, reply["error"]) == (400, "File name too long")
     assert not [*tmp_path.glob("x*")]
 
 
@@ -309,22 +313,22 @@ def test_a_file_that_has_something_in_it_is_no_place_for_a_new_one(tmp_path: Pat
         assert documents.new_path(name, ".mcap") == tmp_path / name
 
 
-def test_a_name_that_is_no_utf_8_hides_no_other_file(asker: Asker, tmp_path: Path) -> None:
+def test_a_name_that_is_no_utf_8_hides_no_other_file(client: Client, tmp_path: Path) -> None:
     for name in (b"caf\xe9.toml", b"caf\xe9.py", b"mine.toml", b"mine.py"):
         (tmp_path / os.fsdecode(name)).touch()
-    status, told = asker.do("list")
-    assert (status, told.get("files"), told.get("programs")) == (200, ["mine.toml"], ["mine.py"])
+    status, reply = client.do("list")
+    assert (status, reply.get("files"), reply.get("programs")) == (200, ["mine.toml"], ["mine.py"])
 
 
 def test_a_file_that_was_broken_meanwhile_can_be_replaced_or_left_for_another(
-    asker: Asker, tmp_path: Path
+    client: Client, tmp_path: Path
 ) -> None:
     draft = draft_of(Playpen.load("two-lamps"))
-    _, saved = asker.do("save", file="mine.toml", draft=draft)
+    _, saved = client.do("save", file="mine.toml", draft=draft)
     (tmp_path / "mine.toml").write_text("version = [1\n")  # by an editor
-    wanted = {"draft": draft, "version": saved["version"], "base": {"file": "mine.toml"}}
-    assert asker.do("save", file="mine.toml", **wanted)[0] == 409
-    assert asker.do("save", file="other.toml", **{**wanted, "version": None})[0] == 200
-    assert asker.do("save", file="mine.toml", overwrite=True, **wanted)[0] == 200
+    request = {"draft": draft, "version": saved["version"], "base": {"file": "mine.toml"}}
+    assert client.do("save", file="mine.toml", **request)[0] == 409
+    assert client.do("save", file="other.toml", **{**request, "version": None})[0] == 200
+    assert client.do("save", file="mine.toml", overwrite=True, **request)[0] == 200
     for name in ("mine.toml", "other.toml"):
         assert draft_of(Playpen.load(tmp_path / name)) == draft

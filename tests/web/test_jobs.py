@@ -1,9 +1,9 @@
-"""Programs of the page as they are when they are run."""
+"""Programs of the page are read from their files at the start of each run."""
 
 from pathlib import Path
 
 from khep_twin.web.documents import Documents
-from khep_twin.web.jobs import series
+from khep_twin.web.jobs import series_job
 from khep_twin.web.requests import RunRequest
 
 
@@ -11,8 +11,8 @@ def test_a_program_has_the_modules_beside_it_as_they_are_now(tmp_path: Path) -> 
     """Not those of an earlier run, nor those of a program in another folder."""
 
     def speed(folder: str) -> object:
-        asked = RunRequest(controllers=(f"{folder}/mine.py",), cycles=1)
-        return series(asked, Documents(tmp_path)).controller(None)  # type: ignore[operator, arg-type]
+        request = RunRequest(controllers=(f"{folder}/mine.py",), cycles=1)
+        return series_job(request, Documents(tmp_path)).controller(None)  # type: ignore[operator, arg-type]
 
     for folder, text in (("a", "1"), ("b", "22")):
         (tmp_path / folder).mkdir()

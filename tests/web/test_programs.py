@@ -1,4 +1,4 @@
-"""Controllers are edited in the page by the rules of playpens."""
+"""Controllers are edited in the page like playpens."""
 
 import os
 import time
@@ -13,30 +13,30 @@ from khep_twin.web.drafts import draft_of
 from khep_twin.web.file_actions import TEMPLATE, Programs
 from khep_twin.web.server import Server
 from khep_twin.web.session_actions import SessionActions
-from tests.web.conftest import Asker, Ear
+from tests.web.conftest import Client, Inbox
 
 TEXT = "def controller(robot):\n    robot.set_speed(3, 3)  # ü\n"
 
 
-def test_a_new_program_begins_with_the_template_and_is_saved(asker: Asker, tmp_path: Path) -> None:
-    status, new = asker.do("program", file="mine.py")
+def test_a_new_program_begins_with_the_template_and_is_saved(client: Client, tmp_path: Path) -> None:
+    status, new = client.do("program", file="mine.py")
     assert (status, new) == (200, {"text": TEMPLATE.read_text(), "version": None})
-    status, saved = asker.do("save-program", file="mine.py", text=TEXT)
+    status, saved = client.do("save-program", file="mine.py", text=TEXT)
     assert (status, saved["version"]) == (200, version_of(TEXT))
     assert (tmp_path / "mine.py").read_text() == TEXT
-    assert asker.do("program", file="mine.py")[1] == {"text": TEXT, "version": version_of(TEXT)}
-    assert "mine.py" in asker.do("list")[1]["programs"]
+    assert client.do("program", file="mine.py")[1] == {"text": TEXT, "version": version_of(TEXT)}
+    assert "mine.py" in client.do("list")[1]["programs"]
 
 
-def test_a_program_that_was_changed_meanwhile_is_not_overwritten(asker: Asker, tmp_path: Path) -> None:
+def test_a_program_that_was_changed_meanwhile_is_not_overwritten(client: Client, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("x = 1\n")
-    version = asker.do("program", file="mine.py")[1]["version"]
+    version = client.do("program", file="mine.py")[1]["version"]
     (tmp_path / "mine.py").write_text("x = 2\n")
-    for known in (version, None):
-        status, told = asker.do("save-program", file="mine.py", text=TEXT, version=known)
-        assert (status, told["conflict"]) == (409, True)
+    for base_version in (version, None):
+        status, reply = client.do("save-program", file="mine.py", text=TEXT, version=base_version)
+        assert (status, reply["conflict"]) == (409, True)
     assert (tmp_path / "mine.py").read_text() == "x = 2\n"
-    assert asker.do("save-program", file="mine.py", text=TEXT, version=version, overwrite=True)[0] == 200
+    assert client.do("save-program", file="mine.py", text=TEXT, version=version, overwrite=True)[0] == 200
 
 
 @pytest.mark.parametrize("name", ["../x.py", "/tmp/x.py", "link.py", "mine.toml", ".x.py", "x", "pipe.py"])
@@ -75,38 +75,40 @@ def test_a_page_for_other_machines_writes_no_programs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("before", ["", "def controller(robot):\n    "])
 def test_a_program_without_an_end_is_left_after_a_stop_and_the_next_one_runs(
-    ear: Ear, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str
+    inbox: Inbox, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str
 ) -> None:
-    """It may have none when it is read, or in a cycle."""
+    """The endless loop is in the file or in a cycle."""
     monkeypatch.setattr("khep_twin.web.session._ENDING_S", 0.2)
     (tmp_path / "endless.py").write_text(f"{before}open({str(tmp_path / 'begun')!r}, 'w').close()\n")
     with (tmp_path / "endless.py").open("a") as file:
         file.write(f"{' ' * 4 * bool(before)}while True: pass\n")
     (tmp_path / "mended.py").write_text("def controller(robot):\n    robot.set_speed(5, 5)\n")
-    session = SessionActions(Documents(tmp_path), ear)
+    session = SessionActions(Documents(tmp_path), inbox)
 
-    def do(name: str, **wanted: object) -> None:
+    def do(name: str, **values: object) -> None:
         action = session.actions[name]
-        action.do(action.kind(**wanted))
+        action.do(action.kind(**values))
 
     do("start", draft=draft_of(Playpen.load("default")))
-    ear.wait("twin")
+    inbox.wait("twin")
     do("run", controllers=("endless.py",), cycles=1)
     while not (tmp_path / "begun").exists():
         time.sleep(0.01)
-    assert ear.wait("picture", lambda told: told["busy"])["robots"][0]["x_mm"] == pytest.approx(300, abs=1)
+    assert inbox.wait("picture", lambda picture: picture["busy"])["robots"][0]["x_mm"] == pytest.approx(
+        300, abs=1
+    )
     hung = session._actor._thread  # type: ignore[union-attr]
     with pytest.raises(PortError, match="busy"):
         do("run", controllers=("mended.py",), cycles=5)
     do("stop")
-    assert "left to itself" in ear.wait("error")["text"]
-    ear.wait("ended")
-    assert session.runs() is None
+    assert "left to itself" in inbox.wait("error")["text"]
+    inbox.wait("ended")
+    assert session.running_twin() is None
     do("start", draft=draft_of(Playpen.load("default")), speed=0.0)
-    ear.wait("twin")
+    inbox.wait("twin")
     do("run", controllers=("mended.py",), cycles=5)
-    assert ear.wait("run")["cycles"] == 5
+    assert inbox.wait("run")["cycles"] == 5
     session.close()
-    # It executes Python, so that it could be interrupted, and takes no time from what comes after it.
+    # It executes Python, so it could be interrupted, and takes no time from later programs.
     hung.join(30)
     assert not hung.is_alive()

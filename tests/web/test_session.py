@@ -1,4 +1,4 @@
-"""What runs for the page: twins that are watched, lifted, switched, shared and repeated; robots at ports."""
+"""Sessions of the page: twins that are watched, moved, switched, shared and repeated; robots at ports."""
 
 import asyncio
 import json
@@ -23,122 +23,124 @@ from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.lab.experiment.series_run import Plan
 from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest
-from khep_twin.log.recorded import read_recorded
+from khep_twin.log.recorded import read_recorded_run
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import TwinOptions
 from khep_twin.web.broadcaster import Broadcaster
 from khep_twin.web.documents import Documents
 from khep_twin.web.drafts import draft_of
-from khep_twin.web.jobs import Sensing, SeriesJob
+from khep_twin.web.jobs import SensorJob, SeriesJob
 from khep_twin.web.requests import Request, RequestError, RunRequest, StartRequest
-from khep_twin.web.session import RobotActor
+from khep_twin.web.robot_session import RobotActor
 from khep_twin.web.session_actions import SessionActions
 from khep_twin.web.twin_session import TwinActor
-from tests.web.conftest import Ear
+from tests.web.conftest import Inbox
 
 
 @pytest.fixture
-def actor(ear: Ear, tmp_path: Path) -> Iterator[TwinActor]:
-    """A twin among two lamps, as fast as it goes, recorded."""
-    actor = TwinActor(Playpen.load("two-lamps"), TwinOptions(seed=3), tmp_path / "run.mcap", ear)
+def actor(inbox: Inbox, tmp_path: Path) -> Iterator[TwinActor]:
+    """A recorded twin among two lamps, as fast as possible."""
+    actor = TwinActor(Playpen.load("two-lamps"), TwinOptions(seed=3), tmp_path / "run.mcap", inbox)
     actor.set_pace(math.inf, False)
     actor.begin()
     yield actor
     actor.end()
-    assert not actor.alive
+    assert not actor.is_alive
 
 
 def test_a_twin_is_driven_lifted_and_switched_and_its_log_repeats(
-    actor: TwinActor, ear: Ear, tmp_path: Path
+    actor: TwinActor, inbox: Inbox, tmp_path: Path
 ) -> None:
-    ear.wait("twin")
-    actor.start(SeriesJob("braitenberg", braitenberg, Plan(runs=2, cycles=100), None))
-    ear.wait("run")
-    actor.put(0, 100, 120, 45)
-    actor.switch(0, False)
-    assert ear.wait("picture", lambda told: told["lamps"][0]["power_w"] == 0)["lamps"][1]["power_w"] > 0
-    assert ear.wait("run")["number"] == 2
-    ear.wait("done")
-    actor.switch(0, True)
-    ear.wait("picture", lambda told: told["lamps"][0]["power_w"] > 0)
+    inbox.wait("twin")
+    actor.start_jobs(SeriesJob("braitenberg", braitenberg, Plan(runs=2, cycles=100), None))
+    inbox.wait("run")
+    actor.put_robot(0, 100, 120, 45)
+    actor.switch_lamp(0, False)
+    assert (
+        inbox.wait("picture", lambda message: message["lamps"][0]["power_w"] == 0)["lamps"][1]["power_w"] > 0
+    )
+    assert inbox.wait("run")["number"] == 2
+    inbox.wait("done")
+    actor.switch_lamp(0, True)
+    inbox.wait("picture", lambda message: message["lamps"][0]["power_w"] > 0)
     actor.end()
-    recorded = read_recorded(tmp_path / "run.mcap")
+    recorded = read_recorded_run(tmp_path / "run.mcap")
     assert repeat(recorded) is None
 
 
-def test_a_khepera4_is_shown_beside_a_khepera_with_all_its_sensors(ear: Ear) -> None:
-    actor = TwinActor(Playpen.load("arena4-two"), TwinOptions(), None, ear)
+def test_a_khepera4_is_shown_beside_a_khepera_with_all_its_sensors(inbox: Inbox) -> None:
+    actor = TwinActor(Playpen.load("arena4-two"), TwinOptions(), None, inbox)
     actor.begin()
-    large, _, small = ear.wait("twin")["robots"]
+    large, _, small = inbox.wait("twin")["robots"]
     assert [len(large[key]) for key in ("sensors", "names", "sonar", "leds_mm")] == [8, 12, 5, 3]
     assert (large["radius_mm"], small["radius_mm"], small["sonar"]) == (70.4, 27.5, [])
-    large, _, small = ear.wait("picture", lambda told: told["time"] > 0.1)["robots"]
+    large, _, small = inbox.wait("picture", lambda message: message["time"] > 0.1)["robots"]
     assert [len(large[key]) for key in ("proximity", "ambient", "speed", "leds")] == [12, 12, 2, 9]
     assert (len(large["more"]["ultrasonic"]), small["more"]) == (5, {})
     actor.end()
 
 
-def test_there_is_no_room_for_a_robot_in_a_wall(actor: TwinActor, ear: Ear) -> None:
-    ear.wait("twin")
-    actor.put(0, 5, 5, 0)
-    assert "overlaps the left wall" in ear.wait("refused")["text"]
-    actor.switch(7, False, "a-page")
-    refusal = ear.wait("refused")
+def test_there_is_no_room_for_a_robot_in_a_wall(actor: TwinActor, inbox: Inbox) -> None:
+    inbox.wait("twin")
+    actor.put_robot(0, 5, 5, 0)
+    assert "overlaps the left wall" in inbox.wait("refused")["text"]
+    actor.switch_lamp(7, False, "a-page")
+    refusal = inbox.wait("refused")
     assert "lamp = 7" in refusal["text"]
     assert refusal["tab"] == "a-page"
 
 
-def test_a_held_robot_is_reported_to_have_room_or_not(actor: TwinActor, ear: Ear) -> None:
-    ear.wait("twin")
-    actor.room(0, 5, 5)
-    assert "overlaps the left wall" in ear.wait("room")["reason"]
-    actor.room(0, 100, 120)
-    ear.wait("room", lambda told: told["reason"] == "")
-    actor.room(7, 100, 120, "a-page")
-    assert ear.wait("refused")["tab"] == "a-page"
+def test_a_held_robot_is_reported_to_have_room_or_not(actor: TwinActor, inbox: Inbox) -> None:
+    inbox.wait("twin")
+    actor.report_room(0, 5, 5)
+    assert "overlaps the left wall" in inbox.wait("room")["reason"]
+    actor.report_room(0, 100, 120)
+    inbox.wait("room", lambda message: message["reason"] == "")
+    actor.report_room(7, 100, 120, "a-page")
+    assert inbox.wait("refused")["tab"] == "a-page"
 
 
-def test_a_paused_twin_steps_by_a_tenth_of_a_second(actor: TwinActor, ear: Ear) -> None:
-    ear.wait("picture")
+def test_a_paused_twin_steps_by_a_tenth_of_a_second(actor: TwinActor, inbox: Inbox) -> None:
+    inbox.wait("picture")
     actor.set_pace(1.0, True)
-    before = ear.wait("picture", lambda told: told["paused"])["time"]
+    before = inbox.wait("picture", lambda message: message["paused"])["time"]
     actor.step()
-    after = ear.wait("picture", lambda told: told["time"] > before + 0.09)
+    after = inbox.wait("picture", lambda message: message["time"] > before + 0.09)
     assert after["time"] == pytest.approx(before + 0.1, abs=0.011)
 
 
-def test_one_job_at_a_time(actor: TwinActor, ear: Ear) -> None:
-    ear.wait("twin")
+def test_one_job_at_a_time(actor: TwinActor, inbox: Inbox) -> None:
+    inbox.wait("twin")
     long = SeriesJob("braitenberg", braitenberg, Plan(cycles=10**6), None)
-    actor.start(long)
+    actor.start_jobs(long)
     with pytest.raises(PortError, match="busy"):
-        actor.start(long)
-    ear.wait("picture", lambda told: told["part"] > 0)
-    actor.stop()
-    row = ear.wait("run")
+        actor.start_jobs(long)
+    inbox.wait("picture", lambda message: message["part"] > 0)
+    actor.stop_jobs()
+    row = inbox.wait("run")
     assert (row["stopped"], row["cycles"] > 0, row["metrics"]["distance_m"] > 0) == (True, True, True)
-    ear.wait("done")
-    ear.wait("picture", lambda told: not told["busy"])
+    inbox.wait("done")
+    inbox.wait("picture", lambda message: not message["busy"])
 
 
 def test_a_controller_that_never_ends_its_cycle_is_broken_off_and_the_motors_stand(
-    actor: TwinActor, ear: Ear
+    actor: TwinActor, inbox: Inbox
 ) -> None:
     def stubborn(robot: Khepera) -> None:
         while True:
             robot.set_speed(5, 5)
 
-    ear.wait("twin")
-    actor.start(SeriesJob("stubborn", stubborn, Plan(cycles=5), None))
-    ear.wait("picture", lambda told: told["busy"] and told["robots"][0]["speed"] == [5, 5])
-    actor.stop()
-    row = ear.wait("run")
+    inbox.wait("twin")
+    actor.start_jobs(SeriesJob("stubborn", stubborn, Plan(cycles=5), None))
+    inbox.wait("picture", lambda message: message["busy"] and message["robots"][0]["speed"] == [5, 5])
+    actor.stop_jobs()
+    row = inbox.wait("run")
     assert (row["number"], row["stopped"], row["cycles"], row["seconds"] > 0) == (1, True, 0, True)
-    ear.wait("done")
-    assert ear.wait("picture", lambda told: told["robots"][0]["speed"] == [0, 0])
+    inbox.wait("done")
+    assert inbox.wait("picture", lambda message: message["robots"][0]["speed"] == [0, 0])
 
 
-def test_each_robot_has_a_controller_of_its_own_and_a_stop_ends_all(ear: Ear, tmp_path: Path) -> None:
+def test_each_robot_has_a_controller_of_its_own_and_a_stop_ends_all(inbox: Inbox, tmp_path: Path) -> None:
     draft = draft_of(Playpen.load("default"))
     draft["robot"] = [{"x_mm": x_mm, "y_mm": 250, "heading_deg": 90} for x_mm in (150, 300, 450)]
     (tmp_path / "back.py").write_text(
@@ -147,28 +149,28 @@ def test_each_robot_has_a_controller_of_its_own_and_a_stop_ends_all(ear: Ear, tm
     (tmp_path / "stubborn.py").write_text(
         "def controller(robot):\n    print('on')\n    while True:\n        robot.set_speed(5, 5)\n"
     )
-    session = SessionActions(Documents(tmp_path), ear)
+    session = SessionActions(Documents(tmp_path), inbox)
     run = session.actions["run"]
     session.actions["start"].do(StartRequest(draft=draft, speed=0))
-    ear.wait("twin")
+    inbox.wait("twin")
     names = ("back.py", "", "stubborn.py")
     with pytest.raises(RequestError, match="4 controllers; expected 1 to 3"):
         run.do(RunRequest(controllers=(*names, "back.py"), cycles=10**6))
     run.do(RunRequest(controllers=names, cycles=10**6, folder="kept"))
-    told = ear.wait("picture", lambda told: told["time"] > 0.5)
-    assert [robot["speed"][0] for robot in told["robots"]] == pytest.approx([-3, 0, 5], abs=2)
+    message = inbox.wait("picture", lambda message: message["time"] > 0.5)
+    assert [robot["speed"][0] for robot in message["robots"]] == pytest.approx([-3, 0, 5], abs=2)
     session.actions["stop"].do(Request())
-    assert sorted(ear.wait("run")["robot"] for _ in range(2)) == [0, 2]
-    ear.wait("done")
-    ear.wait("picture", lambda told: all(robot["speed"] == [0, 0] for robot in told["robots"]))
+    assert sorted(inbox.wait("run")["robot"] for _ in range(2)) == [0, 2]
+    inbox.wait("done")
+    inbox.wait("picture", lambda message: all(robot["speed"] == [0, 0] for robot in message["robots"]))
     run.do(RunRequest(controllers=("back.py", "", "back.py"), cycles=2, folder="kept"))
-    ear.wait("done")
+    inbox.wait("done")
     assert sorted(path.name for path in (tmp_path / "kept").iterdir()) == ["khepera0", "khepera2"]
     session.close()
 
 
 def test_a_page_that_is_opened_has_the_last_picture_at_once() -> None:
-    """The next one may be long in coming, as a program may let no time pass."""
+    """The next one may take long, as a program may let no time pass."""
     broadcaster = Broadcaster()
     broadcaster.publish({"kind": "twin", "playpen": "default", "robots": [], "log": None})
     broadcaster.publish({"kind": "picture", "time": 2.5, "busy": True, "part": 0, "robots": []})
@@ -187,25 +189,31 @@ def test_a_page_that_is_opened_has_the_last_picture_at_once() -> None:
             raise WebSocketDisconnect
 
     asyncio.run(broadcaster.serve(Socket()))  # type: ignore[arg-type]
-    assert [(told["kind"], told.get("time")) for told in Socket.sent] == [("twin", None), ("picture", 2.5)]
+    assert [(message["kind"], message.get("time")) for message in Socket.sent] == [
+        ("twin", None),
+        ("picture", 2.5),
+    ]
 
 
-def test_an_outside_host_has_the_line_alone(actor: TwinActor, ear: Ear) -> None:
-    port = ear.wait("twin")["robots"][0]["port"]
+def test_an_outside_host_has_the_line_alone(actor: TwinActor, inbox: Inbox) -> None:
+    port = inbox.wait("twin")["robots"][0]["port"]
     actor.set_pace(1.0, False)
     host = Khepera(port)
     try:
         assert host.versions() == ("5.02", "5.01")
         host.set_speed(5, 5)
-        ear.wait("picture", lambda told: told["robots"][0]["speed"] == [5, 5] and told["robots"][0]["host"])
+        inbox.wait(
+            "picture",
+            lambda message: message["robots"][0]["speed"] == [5, 5] and message["robots"][0]["host"],
+        )
     finally:
         host.close()
 
 
 def test_an_outside_host_shares_the_line_with_a_program_and_each_has_its_own_replies(
-    actor: TwinActor, ear: Ear
+    actor: TwinActor, inbox: Inbox
 ) -> None:
-    port = ear.wait("twin")["robots"][0]["port"]
+    port = inbox.wait("twin")["robots"][0]["port"]
     strange: list[str] = []
 
     def program(robot: Khepera) -> None:
@@ -215,133 +223,133 @@ def test_an_outside_host_shares_the_line_with_a_program_and_each_has_its_own_rep
         robot.sleep(0.01)
 
     actor.set_pace(2.0, False)
-    actor.start(SeriesJob("program", program, Plan(cycles=10**6), None))
-    ear.wait("picture", lambda told: told["busy"])
+    actor.start_jobs(SeriesJob("program", program, Plan(cycles=10**6), None))
+    inbox.wait("picture", lambda message: message["busy"])
     host = Khepera(port)
     try:
         replies = [host.ask(request)[:2] for request in "HNOB" * 5]
     finally:
         host.port.close()
-    actor.stop()
-    ear.wait("done")
+    actor.stop_jobs()
+    inbox.wait("done")
     assert replies == ["h,", "n,", "o,", "b,"] * 5
     assert strange == []
 
 
-def test_a_sensor_test_gathers_rows(actor: TwinActor, ear: Ear) -> None:
+def test_a_sensor_test_gathers_rows(actor: TwinActor, inbox: Inbox) -> None:
     gathered: list[SensorRun] = []
-    ear.wait("twin")
-    actor.start(Sensing(SensorTest(rotate_deg=30), gathered.append))
-    assert ear.wait("sensed")["warning"] == gathered[0].warning
+    inbox.wait("twin")
+    actor.start_jobs(SensorJob(SensorTest(rotate_deg=30), gathered.append))
+    assert inbox.wait("sensed")["warning"] == gathered[0].warning
     assert len(gathered[0].times) > 5
 
 
 def test_a_folder_that_has_a_series_is_refused_in_the_page_s_words(
-    actor: TwinActor, ear: Ear, tmp_path: Path
+    actor: TwinActor, inbox: Inbox, tmp_path: Path
 ) -> None:
-    ear.wait("twin")
+    inbox.wait("twin")
     series = SeriesJob("braitenberg", braitenberg, Plan(cycles=2), tmp_path / "series")
-    actor.start(series)
-    ear.wait("done")
-    actor.start(series)
-    assert ear.wait("error")["text"].endswith("has a series of 1 runs already")
-    ear.wait("done")
+    actor.start_jobs(series)
+    inbox.wait("done")
+    actor.start_jobs(series)
+    assert inbox.wait("error")["text"].endswith("has a series of 1 runs already")
+    inbox.wait("done")
 
 
-def test_a_sensor_test_reports_where_nothing_was_within_reach(actor: TwinActor, ear: Ear) -> None:
-    ear.wait("twin")
-    for what, x_mm, warning in (
+def test_a_sensor_test_reports_where_nothing_was_within_reach(actor: TwinActor, inbox: Inbox) -> None:
+    inbox.wait("twin")
+    for quantity, x_mm, warning in (
         ("proximity", 300, "no proximity count is above"),
         ("proximity", 40, ""),
         ("light", 300, ""),
     ):
-        actor.put(0, x_mm, 250, 180)
-        actor.start(Sensing(SensorTest(what=what, rotate_deg=30), lambda run: None))
-        told = ear.wait("sensed")["warning"]
-        assert (warning in told) if warning else not told
-        ear.wait("done")
+        actor.put_robot(0, x_mm, 250, 180)
+        actor.start_jobs(SensorJob(SensorTest(what=quantity, rotate_deg=30), lambda run: None))
+        text = inbox.wait("sensed")["warning"]
+        assert (warning in text) if warning else not text
+        inbox.wait("done")
 
 
 def test_what_a_controller_prints_is_reported_and_all_else_is_not(
-    capsys: pytest.CaptureFixture[str], actor: TwinActor, ear: Ear
+    capsys: pytest.CaptureFixture[str], actor: TwinActor, inbox: Inbox
 ) -> None:
     def talks(robot: Khepera) -> None:
         print("from the controller", "x" * 50_000)
         robot.sleep(0.1)
 
-    ear.wait("twin")
-    actor.start(SeriesJob("talks", talks, Plan(cycles=2), None))
+    inbox.wait("twin")
+    actor.start_jobs(SeriesJob("talks", talks, Plan(cycles=2), None))
     print("from elsewhere")
-    text = ear.wait("printed")["text"]
-    ear.wait("done")
+    text = inbox.wait("printed")["text"]
+    inbox.wait("done")
     assert text.endswith("x\n")
     assert len(text) < 60_000
     assert capsys.readouterr().out == "from elsewhere\n"
 
 
-def test_a_controller_that_fails_is_reported_and_the_twin_goes_on(actor: TwinActor, ear: Ear) -> None:
+def test_a_controller_that_fails_is_reported_and_the_twin_goes_on(actor: TwinActor, inbox: Inbox) -> None:
     def failing(robot: Khepera) -> None:
         raise KhepTwinError("out of ideas")
 
-    ear.wait("twin")
-    actor.start(SeriesJob("failing", failing, Plan(cycles=5), None))
-    assert "out of ideas" in ear.wait("error")["text"]
-    ear.wait("done")
-    ear.wait("picture", lambda told: not told["busy"])
+    inbox.wait("twin")
+    actor.start_jobs(SeriesJob("failing", failing, Plan(cycles=5), None))
+    assert "out of ideas" in inbox.wait("error")["text"]
+    inbox.wait("done")
+    inbox.wait("picture", lambda message: not message["busy"])
 
 
-def test_a_robot_at_a_port_shows_its_readings_and_stops(actor: TwinActor, ear: Ear) -> None:
-    """Its port is another twin's here, which speaks as a robot does."""
-    port = ear.wait("twin")["robots"][0]["port"]
+def test_a_robot_at_a_port_shows_its_readings_and_stops(actor: TwinActor, inbox: Inbox) -> None:
+    """The port is that of another twin, which replies like a robot."""
+    port = inbox.wait("twin")["robots"][0]["port"]
     actor.set_pace(1.0, False)
-    heard = Ear()
-    robot = RobotActor(port, heard)
+    robot_inbox = Inbox()
+    robot = RobotActor(port, robot_inbox)
     robot.begin()
-    heard.wait("robot")
-    first = heard.wait("picture")
+    robot_inbox.wait("robot")
+    first = robot_inbox.wait("picture")
     assert len(first["robots"][0]["proximity"]) == 8
-    assert 0 <= first["time"] < 60  # since the page has it
-    robot.start(SeriesJob("braitenberg", braitenberg, Plan(cycles=10**6), None))
-    heard.wait("picture", lambda told: max(told["robots"][0]["speed"]) > 3)
-    robot.stop()
-    heard.wait("done")
-    heard.wait("picture", lambda told: told["robots"][0]["speed"] == [0, 0])
+    assert 0 <= first["time"] < 60  # since the connection
+    robot.start_jobs(SeriesJob("braitenberg", braitenberg, Plan(cycles=10**6), None))
+    robot_inbox.wait("picture", lambda message: max(message["robots"][0]["speed"]) > 3)
+    robot.stop_jobs()
+    robot_inbox.wait("done")
+    robot_inbox.wait("picture", lambda message: message["robots"][0]["speed"] == [0, 0])
     robot.end()
-    assert not robot.alive
+    assert not robot.is_alive
 
 
-def test_the_page_has_the_line_images_of_a_twin_and_of_a_robot_at_a_port(ear: Ear) -> None:
-    """The robot's port is the twin's, too."""
-    twin = TwinActor(Playpen.load("stripes"), TwinOptions(), None, ear)
+def test_the_page_has_the_line_images_of_a_twin_and_of_a_robot_at_a_port(inbox: Inbox) -> None:
+    """The robot's port is that of the twin."""
+    twin = TwinActor(Playpen.load("stripes"), TwinOptions(), None, inbox)
     twin.begin()
-    port = ear.wait("twin")["robots"][0]["port"]
-    first = ear.wait("picture", lambda told: told["time"] > 0.5)["robots"][0]["vision"]
+    port = inbox.wait("twin")["robots"][0]["port"]
+    first = inbox.wait("picture", lambda message: message["time"] > 0.5)["robots"][0]["vision"]
     assert len(first) == 64
     assert max(first) - min(first) > 100  # stripes
-    heard = Ear()
-    robot = RobotActor(port, heard)
+    robot_inbox = Inbox()
+    robot = RobotActor(port, robot_inbox)
     robot.begin()
-    other = heard.wait("picture")["robots"][0]["vision"]
+    other = robot_inbox.wait("picture")["robots"][0]["vision"]
     assert max(abs(a - b) for a, b in zip(first, other, strict=True)) < 80  # it stands; the noise differs
     robot.end()
     twin.end()
 
 
 def test_how_far_a_job_is_comes_with_the_pictures_and_wakes_nobody_between(
-    actor: TwinActor, ear: Ear
+    actor: TwinActor, inbox: Inbox
 ) -> None:
-    ear.wait("twin")
+    inbox.wait("twin")
     kinds: list[str] = []
 
     def publish(message: Mapping[str, Any]) -> None:
         kinds.append(message["kind"])
-        ear(message)
+        inbox(message)
 
     actor.publish = publish
-    actor.start(SeriesJob("braitenberg", braitenberg, Plan(cycles=300), None))
-    assert 0 < ear.wait("picture", lambda told: told["part"] > 0)["part"] <= 1
-    ear.wait("done")
-    assert ear.wait("picture")["part"] == 1
+    actor.start_jobs(SeriesJob("braitenberg", braitenberg, Plan(cycles=300), None))
+    assert 0 < inbox.wait("picture", lambda message: message["part"] > 0)["part"] <= 1
+    inbox.wait("done")
+    assert inbox.wait("picture")["part"] == 1
     assert sorted(kind for kind in kinds if kind != "picture") == ["done", "run"]
 
 
@@ -352,54 +360,56 @@ def test_no_picture_is_reported_without_an_open_page() -> None:
         broadcaster.publish({"kind": "note", "text": math.nan})
 
 
-def test_pictures_come_at_most_25_times_a_second(actor: TwinActor, ear: Ear) -> None:
-    ear.wait("picture")
+def test_pictures_come_at_most_25_times_a_second(actor: TwinActor, inbox: Inbox) -> None:
+    inbox.wait("picture")
     times: list[float] = []
 
     def publish(message: Mapping[str, Any]) -> None:
         times.append(time.monotonic())
-        ear(message)
+        inbox(message)
 
     actor.publish = publish
-    ear.heard.clear()
+    inbox.messages.clear()
     for _ in range(21):
-        ear.wait("picture")
-    # Noted where they are told, as whoever waits for them may be woken late. A picture that is late itself
+        inbox.wait("picture")
+    # Times are taken at publication, as a waiting thread may be woken late. A late picture
     # makes one gap longer and the next one shorter.
     assert median(after - before for before, after in pairwise(times)) >= 0.04 * 0.99
 
 
 def test_a_program_that_does_not_end_is_left_and_the_next_twin_comes_up_beside_it(
-    ear: Ear, monkeypatch: pytest.MonkeyPatch
+    inbox: Inbox, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("khep_twin.web.session._ENDING_S", 0.2)
-    inside, go_on = threading.Event(), threading.Event()
+    inside, resume = threading.Event(), threading.Event()
 
     def hangs(robot: Khepera) -> None:
         inside.set()
-        go_on.wait(60)
+        resume.wait(60)
 
-    first, second = (TwinActor(Playpen.load("default"), TwinOptions(), None, ear) for _ in range(2))
+    first, second = (TwinActor(Playpen.load("default"), TwinOptions(), None, inbox) for _ in range(2))
     first.begin()
-    ear.wait("twin")
-    first.start(SeriesJob("hangs", hangs, Plan(1, cycles=1), None))
+    inbox.wait("twin")
+    first.start_jobs(SeriesJob("hangs", hangs, Plan(1, cycles=1), None))
     assert inside.wait(30)
     first.end()
-    assert "left to itself" in ear.wait("error")["text"]
-    ear.wait("ended")
+    assert "left to itself" in inbox.wait("error")["text"]
+    inbox.wait("ended")
     second.begin()
-    ear.wait("twin")
-    go_on.set()
+    inbox.wait("twin")
+    resume.set()
     second.set_pace(2.0, False)
-    ear.wait("picture", lambda picture: picture["speed"] == 2)
-    assert not first.alive
+    inbox.wait("picture", lambda picture: picture["speed"] == 2)
+    assert not first.is_alive
     first._thread.join(30)  # pyright: ignore[reportPrivateUsage]
-    assert "ended" not in [message["kind"] for message in ear.heard]
+    assert "ended" not in [message["kind"] for message in inbox.messages]
     second.end()
-    ear.wait("ended")
+    inbox.wait("ended")
 
 
-def test_a_fork_of_a_controller_ends_and_its_log_repeats(actor: TwinActor, ear: Ear, tmp_path: Path) -> None:
+def test_a_fork_of_a_controller_ends_and_its_log_repeats(
+    actor: TwinActor, inbox: Inbox, tmp_path: Path
+) -> None:
     forked: list[int] = []
 
     def forks(robot: Khepera) -> None:
@@ -409,9 +419,9 @@ def test_a_fork_of_a_controller_ends_and_its_log_repeats(actor: TwinActor, ear: 
                 warnings.simplefilter("ignore", DeprecationWarning)  # beside other threads, from 3.12 on
                 forked.append(os.fork())
 
-    ear.wait("twin")
-    actor.start(SeriesJob("forks", forks, Plan(cycles=1000), None))
-    ear.wait("done")
+    inbox.wait("twin")
+    actor.start_jobs(SeriesJob("forks", forks, Plan(cycles=1000), None))
+    inbox.wait("done")
     actor.end()
     end, ended = time.monotonic() + 20, 0
     try:
@@ -421,5 +431,5 @@ def test_a_fork_of_a_controller_ends_and_its_log_repeats(actor: TwinActor, ear: 
         if not ended:
             os.kill(forked[0], signal.SIGKILL)
             os.waitpid(forked[0], 0)
-    assert repeat(read_recorded(tmp_path / "run.mcap")) is None
+    assert repeat(read_recorded_run(tmp_path / "run.mcap")) is None
     assert ended

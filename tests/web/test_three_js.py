@@ -1,11 +1,11 @@
-"""three.js is shipped as one minified module (`python -m tools three-js`), and loads nothing else."""
+"""three.js is shipped as one minified module (`python -m tools three-js`) without imports."""
 
 import re
 from hashlib import sha256
 from http.client import HTTPConnection
 
 from khep_twin.web.routes import ASSETS
-from tests.web.conftest import Asker
+from tests.web.conftest import Client
 from tools.three_js import FILES, SUMS
 
 MODULE = "three.min.js"
@@ -32,9 +32,9 @@ def test_the_module_imports_nothing_and_exports_the_names_that_the_page_uses() -
     assert uses <= exports
 
 
-def test_it_is_served_under_the_pages_own_rules(asker: Asker) -> None:
-    connection = HTTPConnection(asker.host, timeout=10)
-    connection.request("GET", f"{asker.base}/static/{MODULE}", headers=asker.own())
+def test_it_is_served_under_the_pages_own_rules(client: Client) -> None:
+    connection = HTTPConnection(client.host, timeout=10)
+    connection.request("GET", f"{client.base}/static/{MODULE}", headers=client.headers())
     answer = connection.getresponse()
     assert (answer.status, answer.getheader("content-type")) == (200, "text/javascript; charset=utf-8")
     assert "default-src 'self'" in str(answer.getheader("content-security-policy"))

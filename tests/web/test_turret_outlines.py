@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull  # pyright: ignore[reportMissingTypeStubs]
 
 from khep_twin.playpen import Playpen
-from khep_twin.web.scene import TurretParts, _hull, _points, at_start
+from khep_twin.web.scene import TurretParts, _hull, _points, start_parts
 from khep_twin.world import World
 
 
@@ -18,7 +18,7 @@ def spans(parts: list[list[list[float]]]) -> NDArray[np.float64]:
 
 
 def test_a_gripper_at_start_is_up_with_its_fingers_open() -> None:
-    parts = at_start("gripper")
+    parts = start_parts("gripper")
     (left, bottom), (right, top) = spans([part["points_mm"] for part in parts])
     assert (bottom, top) == pytest.approx((-31, 31), abs=0.01)  # of the palm and the bars
     assert left == pytest.approx(-26.5, abs=0.5)  # of the board
@@ -29,7 +29,7 @@ def test_a_gripper_at_start_is_up_with_its_fingers_open() -> None:
 def test_the_parts_of_a_robot_in_a_world_are_where_its_joints_have_them() -> None:
     world = World(Playpen.load("gripper"))
     parts = TurretParts(world, 0)
-    start = [part["points_mm"] for part in at_start("gripper")]
+    start = [part["points_mm"] for part in start_parts("gripper")]
     assert spans(parts.corners()) == pytest.approx(spans(start), abs=0.05)
     joint = world.model.joint("khepera0/gripper/shoulder")
     world.data.qpos[joint.qposadr[0]] = 0

@@ -1,6 +1,6 @@
-"""What a person does in a browser with a page of the designer: Chromium by Playwright (`make browser`).
+"""Actions of a person on a page of the designer, in Chromium by Playwright (`make browser`).
 
-Pictures of each step are left in the folder KHEP_SCREENSHOTS, out/browser by default.
+Screenshots of each step are saved in the folder KHEP_SCREENSHOTS, out/browser by default.
 """
 
 import base64
@@ -16,15 +16,15 @@ import pytest
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 PICTURES = Path(os.environ.get("KHEP_SCREENSHOTS", "out/browser"))
 BROWSED = [
-    # Playwright's own loop leaves a socket to the garbage collector.
+    # Playwright's loop leaves a socket to the garbage collector.
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
-"""The marks of tests in a browser."""
+"""Marks of tests in a browser."""
 
 
 def need_a_browser() -> None:
-    """Skip a file of tests without one, and beside other tests: Playwright's loop would disturb them."""
+    """Skip a file of tests without a browser, and in pytest-xdist: Playwright's loop disturbs other tests."""
     if "PYTEST_XDIST_WORKER" in os.environ:
         pytest.skip("a browser needs its own process: make browser", allow_module_level=True)
     pytest.importorskip("playwright.sync_api", reason="playwright is not installed; see make browser")
@@ -33,20 +33,22 @@ def need_a_browser() -> None:
 
 
 class Visit:
-    """A page of the designer, and what a person does with it.
+    """A page of the designer, and a person's actions on it.
 
     Attributes:
-        page: Playwright's.
-        trouble: what its console has told.
+        page: Page of Playwright.
+        errors: Errors and warnings in its console.
     """
 
     def __init__(self, page: Any, url: str) -> None:
         self.page, self.url = page, url
-        self.trouble: list[str] = []
+        self.errors: list[str] = []
         self._session: Any = None
         self._touched = 0
-        page.on("console", lambda told: told.type in ("error", "warning") and self.trouble.append(told.text))
-        page.on("pageerror", lambda error: self.trouble.append(str(error)))
+        page.on(
+            "console", lambda entry: entry.type in ("error", "warning") and self.errors.append(entry.text)
+        )
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
         page.set_default_timeout(60_000)
         self.open()
 
@@ -59,7 +61,7 @@ class Visit:
         self.page.screenshot(path=PICTURES / f"{name}.png")
 
     def at(self, x_mm: float, y_mm: float) -> tuple[float, float]:
-        """Where in the window a place of the arena is."""
+        """Return the position in the window of a point of the arena."""
         spot = self.page.evaluate(
             """([x, y]) => {
                 const matrix = document.querySelector("#view > g").getScreenCTM();
@@ -79,10 +81,10 @@ class Visit:
         self.page.mouse.move(*self.at(*end), steps=5)
         self.page.mouse.up()
 
-    def add(self, tool: str, *places: tuple[float, float]) -> None:
-        for place in places:
+    def add(self, tool: str, *points: tuple[float, float]) -> None:
+        for point in points:
             self.page.click(f'[data-tool="{tool}"]')
-            self.click(*place)
+            self.click(*point)
 
     def save_as(self, name: str) -> None:
         self.page.click("#save-as")
@@ -91,7 +93,7 @@ class Visit:
         self.wait_file(name)
 
     def open_file(self, name: str) -> None:
-        """Opens a file of the folder, and waits until it is checked."""
+        """Open a file of the folder, and wait until it is checked."""
         self.page.click("#open")
         self.page.select_option("#dialog select", name)
         self.page.click("#dialog .main")
@@ -99,11 +101,11 @@ class Visit:
         self.page.wait_for_selector("#problems.none")
 
     def wait_file(self, name: str) -> None:
-        """Waits until this file is open, without changes."""
+        """Wait until a file is open, without changes."""
         self.wait(f"document.querySelector('#file').textContent === '{name}'")
 
     def new(self) -> None:
-        """Opens the chosen playpen of the library, and waits for it."""
+        """Open the selected playpen of the library, and wait for it."""
         self.page.click("#dialog .main")
         self.wait_file("new playpen")
 
@@ -112,40 +114,40 @@ class Visit:
         self.page.wait_for_selector("#solid[data-shapes]")
 
     def start(self, log: str = "") -> None:
-        """Starts a twin of what is drawn, with a log of this name, and waits until it is shown."""
+        """Start a twin of the drawing, with a log of this name, and wait until it is shown."""
         self.page.click('[data-tab="run"]')
         self.page.fill("#log", log)
         self.page.click("#start")
         self.page.wait_for_selector(".live")
 
     def drive(self) -> None:
-        """Starts a program that does not end by itself, and waits until it drives."""
+        """Start a program of 100000 cycles, and wait until it drives."""
         self.page.click('[data-tab="run"]')
         self.page.fill("#cycles", "100000")
         self.page.click("#run")
         self.wait_driven()
 
     def choose_program(self, name: str) -> None:
-        """Chooses a controller's file, as soon as it is offered."""
-        offered = "[...document.querySelector('#controller').options]"
-        self.wait(f"{offered}.some(({{ value }}) => value === '{name}')")
+        """Select a controller's file as soon as it is listed."""
+        options = "[...document.querySelector('#controller').options]"
+        self.wait(f"{options}.some(({{ value }}) => value === '{name}')")
         self.page.select_option("#controller", name)
 
     def wait_driven(self) -> None:
-        """Waits until a program drives."""
+        """Wait until a program drives."""
         self.wait("document.querySelector('#clock').textContent.includes('driven')")
 
     def wait_seconds(self, seconds: float) -> None:
-        """Waits until the clock shows more."""
+        """Wait until the clock shows a later time."""
         self.wait(f"parseFloat(document.querySelector('#clock').textContent) > {seconds}")
 
     def stop(self) -> None:
-        """Stops the program that drives, and waits for it."""
+        """Stop the running program, and wait for its end."""
         self.page.click("#stop")
         self.wait("!document.querySelector('#run').disabled")
 
     def end(self) -> None:
-        """Ends the twin, and waits for it."""
+        """End the twin, and wait for its end."""
         self.page.click("#end")
         self.wait("document.querySelector('#clock').textContent === 'not running'")
 
@@ -153,20 +155,20 @@ class Visit:
         return self.page.locator(selector).count()
 
     def drop(self, file: Path) -> None:
-        """Drops a file on the arena, as a file manager does."""
-        carried = self.page.evaluate_handle(
+        """Drop a file on the arena, as a file manager does."""
+        transfer = self.page.evaluate_handle(
             """([name, data]) => {
-                const carried = new DataTransfer();
-                carried.items.add(new File([Uint8Array.from(atob(data), (c) => c.charCodeAt(0))], name));
-                return carried;
+                const transfer = new DataTransfer();
+                transfer.items.add(new File([Uint8Array.from(atob(data), (c) => c.charCodeAt(0))], name));
+                return transfer;
             }""",
             [file.name, base64.b64encode(file.read_bytes()).decode()],
         )
         for kind in ("dragover", "drop"):
-            self.page.dispatch_event("#arena", kind, {"dataTransfer": carried})
+            self.page.dispatch_event("#arena", kind, {"dataTransfer": transfer})
 
     def lift(self, x_mm: float, y_mm: float) -> None:
-        """Takes the robot that runs, wherever it is by now, and puts it down elsewhere."""
+        """Lift the moving robot and put it down at a position."""
         while not self.count(".held"):
             self.page.mouse.up()
             self.page.mouse.move(*self.at(*self.robot()))
@@ -175,24 +177,24 @@ class Visit:
         self.page.mouse.up()
 
     def robot(self) -> tuple[float, float]:
-        """Where the robot that runs is shown."""
-        place = self.page.get_attribute(".live", "transform")
-        x_mm, y_mm, _ = map(float, re.findall(r"[-\d.]+", place))
+        """Return the position of the running robot on the page."""
+        transform = self.page.get_attribute(".live", "transform")
+        x_mm, y_mm, _ = map(float, re.findall(r"[-\d.]+", transform))
         return x_mm, y_mm
 
     def clock(self) -> float:
-        found = re.match(r"[\d.]+", self.page.inner_text("#clock"))
-        return float(found[0]) if found else 0.0
+        match = re.match(r"[\d.]+", self.page.inner_text("#clock"))
+        return float(match[0]) if match else 0.0
 
     def wait(self, expression: str) -> None:
-        """Asks again and again: the page's own rules let nothing be evaluated in it by itself."""
+        """Poll an expression: the page's content security policy forbids `wait_for_function`."""
         end = time.monotonic() + 120
         while not self.page.evaluate(expression):
             assert time.monotonic() < end, expression
             self.page.wait_for_timeout(50)
 
     def touch(self, *fingers: tuple[float, float]) -> None:
-        """Has fingers at these places of the window from now on, and nowhere else; none lifts them all."""
+        """Set the positions of all fingers in the window; without any, lift them."""
         self._session = self._session or self.page.context.new_cdp_session(self.page)
         points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(fingers)]
         kind = "touchEnd" if not points else "touchStart" if len(points) > self._touched else "touchMove"

@@ -2,7 +2,7 @@
 
 from khep_twin import Gripper
 
-NEAR_COUNTS = 400  # of the front sensors, about a centimetre from a bright object
+NEAR_COUNTS = 400  # reading of the front sensors about a centimetre from a bright object
 TURN_PULSES = 511  # a quarter of a circle of the wheels, 52 mm apart
 PULSES_PER_MM = 12.5
 
@@ -33,11 +33,11 @@ def controller(robot):
     gripper.wait()
     gripper.lift()
     gripper.wait()
-    way = robot.position().left
-    drive(robot, -way, -way)
+    distance = robot.position().left
+    drive(robot, -distance, -distance)
     drive(robot, -TURN_PULSES, TURN_PULSES)
-    ahead = 45 * PULSES_PER_MM  # the gripper holds it 45 mm before the robot's middle
-    drive(robot, 150 * PULSES_PER_MM - ahead, 150 * PULSES_PER_MM - ahead)
+    offset = 45 * PULSES_PER_MM  # the gripper holds it 45 mm before the robot's middle
+    drive(robot, 150 * PULSES_PER_MM - offset, 150 * PULSES_PER_MM - offset)
     gripper.lower()
     gripper.wait()
     gripper.open()

@@ -1,13 +1,13 @@
-"""Turns to the brighter side, away from what is near, and stands where it is bright enough."""
+"""Turns to the brighter side, away from obstacles, and stops where it is bright enough."""
 
 BRIGHT_COUNTS = 60  # ambient light: about 500 in the dark, 50 in bright light
 NEAR_COUNTS = 150  # proximity, from 0, nothing there, to 1023, touching
 
 
 def controller(robot):
-    seen = robot.proximity()
-    left = max(seen.left_90 / 2, seen.left_45, seen.left_10)
-    right = max(seen.right_10, seen.right_45, seen.right_90 / 2)
+    proximity = robot.proximity()
+    left = max(proximity.left_90 / 2, proximity.left_45, proximity.left_10)
+    right = max(proximity.right_10, proximity.right_45, proximity.right_90 / 2)
     if max(left, right) > NEAR_COUNTS:
         turn = 8 if left > right else -8
         robot.set_speed(2 + turn, 2 - turn)

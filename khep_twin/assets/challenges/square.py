@@ -1,4 +1,4 @@
-"""Sends the wheels to positions, with a faster profile than after a reset."""
+"""Moves the wheels to target positions, with a faster speed profile than after a reset."""
 
 SIDE_PULSES = 1875  # 150 mm in pulses of 0.08 mm
 TURN_PULSES = 511  # a quarter of a circle of the wheels, 52 mm apart

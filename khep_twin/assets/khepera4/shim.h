@@ -1,5 +1,5 @@
-/* Parts of the preload library: `shim.c` has the devices, `shim_time.c` the clock, and
-   `shim_locks.c` what threads wait for. */
+/* Parts of the preload library: `shim.c` has the devices, `shim_time.c` the clock, and `shim_locks.c` the
+   locks of threads. A futex address is that of a lock on which threads wait; "fd" is a file descriptor. */
 
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -12,48 +12,49 @@
 #include <time.h>
 #include <unistd.h>
 
-enum kind { NOTHING, I2C, GPIO, PWM, LINE, TIMER };
-enum question { TRANSFER = 1, GPIO_SET, GPIO_GET, NOW, SLEEP, HELLO, CANCEL, WAKE };
+enum kind { NOTHING, I2C, GPIO, PWM, CONNECTION, TIMER };
+enum request { TRANSFER = 1, GPIO_SET, GPIO_GET, NOW, SLEEP, HELLO, CANCEL, WAKE };
 enum sleep { RELATIVE, ABSOLUTE };
 
-#define MOST_HANDLES 4096
+#define MAX_FDS 4096
 #define NEVER INT64_MAX
-#define OWN __attribute__((visibility("hidden")))
+#define HIDDEN __attribute__((visibility("hidden")))
 
-/* The function that a name has without this library. */
+/* The function of this name in the C library. */
 #define REAL(name)                                                                                           \
     ({                                                                                                       \
-        static __typeof__(&name) found;                                                                      \
-        found ? found : (found = (__typeof__(&name))dlsym(RTLD_NEXT, #name));                                \
+        static __typeof__(&name) function;                                                                   \
+        function ? function : (function = (__typeof__(&name))dlsym(RTLD_NEXT, #name));                       \
     })
 
-extern OWN unsigned char kinds[MOST_HANDLES]; /* of the handles of this process */
-extern OWN int simulated;
+extern HIDDEN unsigned char kinds[MAX_FDS]; /* by file descriptor */
+extern HIDDEN int simulated;
 
-static inline enum kind kind_at(int handle) {
-    return handle >= 0 && handle < MOST_HANDLES ? kinds[handle] : NOTHING;
+static inline enum kind kind_of_fd(int fd) {
+    return fd >= 0 && fd < MAX_FDS ? kinds[fd] : NOTHING;
 }
 
-static inline int failed(int result) {
-    if (result >= 0)
-        return result;
-    errno = -result;
-    return -1;
+/* Return a result as the C library does: -1 and an error number if it is below 0. */
+static inline int c_result(int result) {
+    return result < 0 ? (errno = -result, -1) : result;
 }
 
-/* The end of a wait [ns]; by the second pair also at a wake of a place later than the one seen. */
-struct limit { int64_t ns; uint64_t place, seen; };
+/* End of a wait [ns], or, if there is a futex address, a WAKE of it later than `last_wake`. */
+struct limit { int64_t ns; uint64_t futex_address, last_wake; };
 
-OWN int ask(enum question, uint32_t number, const void *content, uint32_t count, void *back, uint32_t room,
-            int64_t *value);
-OWN int wait_until(enum sleep, struct limit, struct pollfd *handles, nfds_t count, const sigset_t *mask,
-                   int64_t *left);
-OWN void wake(uint32_t count, uint64_t place, uint64_t number);
-OWN int out_of_the_way(int handle);
-OWN void say_hello(void);
-OWN void take_turn(void);
-OWN void forget_timers(void);
-OWN void forget_timer_of(int handle);
-OWN void forget_locks(void);
-OWN int64_t now(void);
-OWN int64_t since_start(const struct timespec *time);
+/* 64-bit timespec of 32-bit programs. */
+struct wide { int64_t seconds; int32_t rest, unused; };
+
+HIDDEN int exchange(enum request, uint32_t number, const void *content, uint32_t count, void *output,
+                    uint32_t size, int64_t *value);
+HIDDEN int wait_until(enum sleep, struct limit, struct pollfd *fds, nfds_t count, const sigset_t *mask,
+                      int64_t *left);
+HIDDEN void wake(uint32_t count, uint64_t futex_address, uint64_t number);
+HIDDEN int move_fd(int fd);
+HIDDEN void say_hello(void);
+HIDDEN void wait_turn(void);
+HIDDEN void forget_timers(void);
+HIDDEN void forget_timer_of(int fd);
+HIDDEN void forget_locks(void);
+HIDDEN int64_t now(void);
+HIDDEN int64_t since_start(const struct timespec *time);

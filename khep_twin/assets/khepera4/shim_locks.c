@@ -1,7 +1,7 @@
-/* Waits of threads for each other, with a simulated clock: mutexes, conditions, semaphores.
+/* Mutexes, conditions and semaphores with a simulated clock.
 
-   A thread that finds one taken waits at the twin for a wake of its place, which is its address; who gives it
-   back wakes. So the twin decides who goes on, and that repeats, where the kernel's choice would not. */
+   A thread that finds a lock taken waits at the twin for a WAKE of its futex address, that of the lock; the
+   thread that releases it sends the WAKE. So the twin orders the waiters, and not the kernel: runs repeat. */
 
 #include "shim.h"
 
@@ -9,48 +9,50 @@
 #include <semaphore.h>
 #include <stdarg.h>
 
-#define STEP_NS 1000000 /* in which those look again whom another process can wake */
-#define MOST_PLACES 1024
+#define RETRY_NS 1000000 /* period of retries if another process can release the lock */
+#define N_FUTEXES 1024
 
-static struct place { int waiting; uint64_t wakes; } places[MOST_PLACES]; /* by a part of the address */
-static int between_processes;
+static struct futex { int waiting; uint64_t wakes; } futexes[N_FUTEXES]; /* hashed by address */
+static int has_shared_locks;
 
-static struct place *place_of(const void *at) { return &places[(uintptr_t)at / 8 % MOST_PLACES]; }
+static struct futex *futex_of(const void *address) { return &futexes[(uintptr_t)address / 8 % N_FUTEXES]; }
 
-/* In a child, which has none of its parent's threads. */
+/* Called in a child process, which does not have its parent's threads. */
 void forget_locks(void) {
-    for (int i = 0; i < MOST_PLACES; i++)
-        places[i].waiting = 0;
+    for (int i = 0; i < N_FUTEXES; i++)
+        futexes[i].waiting = 0;
 }
 
-static void tell(const void *at, uint32_t count) {
+static void notify(const void *address, uint32_t count) {
     __atomic_thread_fence(__ATOMIC_SEQ_CST);
-    if (place_of(at)->waiting)
-        wake(count, (uintptr_t)at, __atomic_add_fetch(&place_of(at)->wakes, 1, __ATOMIC_SEQ_CST));
+    if (futex_of(address)->waiting)
+        wake(count, (uintptr_t)address, __atomic_add_fetch(&futex_of(address)->wakes, 1, __ATOMIC_SEQ_CST));
 }
 
-static uint64_t enlist(const void *at) {
-    __atomic_add_fetch(&place_of(at)->waiting, 1, __ATOMIC_SEQ_CST);
-    return __atomic_load_n(&place_of(at)->wakes, __ATOMIC_SEQ_CST);
+static uint64_t add_waiter(const void *address) {
+    __atomic_add_fetch(&futex_of(address)->waiting, 1, __ATOMIC_SEQ_CST);
+    return __atomic_load_n(&futex_of(address)->wakes, __ATOMIC_SEQ_CST);
 }
 
-static void strike(const void *at) { __atomic_sub_fetch(&place_of(at)->waiting, 1, __ATOMIC_SEQ_CST); }
+static void remove_waiter(const void *address) {
+    __atomic_sub_fetch(&futex_of(address)->waiting, 1, __ATOMIC_SEQ_CST);
+}
 
-/* Wait for a wake later than one seen: 0 when the time has passed, 1 after a wake, or minus EINTR. */
-static int wait_for(const void *at, uint64_t seen, int64_t until) {
-    struct limit limit = {until, (uintptr_t)at, seen};
-    int64_t next = between_processes ? now() + STEP_NS : NEVER;
-    if (next < until)
-        limit.ns = next;
+/* Wait for a WAKE later than a known one; return 0 after the time-out, 1 after a WAKE, or minus EINTR. */
+static int wait_futex(const void *address, uint64_t last_wake, int64_t stop_ns) {
+    struct limit limit = {stop_ns, (uintptr_t)address, last_wake};
+    int64_t retry_ns = has_shared_locks ? now() + RETRY_NS : NEVER;
+    if (retry_ns < stop_ns)
+        limit.ns = retry_ns;
     int result = wait_until(ABSOLUTE, limit, NULL, 0, NULL, NULL);
-    return result || limit.ns == until ? result : 1;
+    return result || limit.ns == stop_ns ? result : 1;
 }
 
-static int64_t end_of(const struct timespec *limit) { return limit ? since_start(limit) : NEVER; }
+static int64_t end_ns(const struct timespec *limit) { return limit ? since_start(limit) : NEVER; }
 
-typedef int attempt(void *);
+typedef int try_function(void *);
 
-/* True if a wait goes on after a handler of a signal; which one ran is not known, so all have to say so. */
+/* True if all signal handlers have SA_RESTART, as it is unknown which one interrupted the wait. */
 static int restarts(void) {
     struct sigaction action;
     for (int i = 1; i < NSIG; i++)
@@ -60,93 +62,93 @@ static int restarts(void) {
     return 1;
 }
 
-/* Try until it is not busy; return an error number. */
-static int get(attempt *attempt, void *at, const struct timespec *limit, int interruptible) {
-    int error = attempt(at), result = 1;
+/* Try until the lock is not busy; return an error number. */
+static int acquire(try_function *try_lock, void *address, const struct timespec *limit, int interruptible) {
+    int error = try_lock(address), result = 1;
     while (error == EBUSY && result) {
         if (limit && (limit->tv_nsec < 0 || limit->tv_nsec >= 1000000000))
             return EINVAL;
-        uint64_t seen = enlist(at);
-        if ((error = attempt(at)) == EBUSY) {
-            result = wait_for(at, seen, end_of(limit));
-            error = result == -EINTR && interruptible && !restarts() ? EINTR : attempt(at);
+        uint64_t last_wake = add_waiter(address);
+        if ((error = try_lock(address)) == EBUSY) {
+            result = wait_futex(address, last_wake, end_ns(limit));
+            error = result == -EINTR && interruptible && !restarts() ? EINTR : try_lock(address);
         }
-        strike(at);
+        remove_waiter(address);
     }
     return error == EBUSY ? ETIMEDOUT : error;
 }
 
-static int try_mutex(void *at) { return pthread_mutex_trylock(at); }
-static int try_read(void *at) { return pthread_rwlock_tryrdlock(at); }
-static int try_write(void *at) { return pthread_rwlock_trywrlock(at); }
-static int try_token(void *at) { return sem_trywait(at) ? (errno == EAGAIN ? EBUSY : errno) : 0; }
+static int try_mutex(void *address) { return pthread_mutex_trylock(address); }
+static int try_read(void *address) { return pthread_rwlock_tryrdlock(address); }
+static int try_write(void *address) { return pthread_rwlock_trywrlock(address); }
+static int try_token(void *address) { return sem_trywait(address) ? (errno == EAGAIN ? EBUSY : errno) : 0; }
 
-/* True if a thread would wait for itself, of which the mutex itself has to tell. */
-static int own(const pthread_mutex_t *mutex) {
+/* True for a self-deadlock that the mutex reports as an error. */
+static int is_own(const pthread_mutex_t *mutex) {
     return (mutex->__data.__kind & 3) == PTHREAD_MUTEX_ERRORCHECK && mutex->__data.__owner == gettid();
 }
 
 #define MUTEX pthread_mutex_t *mutex
-#define BOTH pthread_rwlock_t *both
-#define TOKENS sem_t *tokens
-#define LIMIT const struct timespec *limit
+#define RWLOCK pthread_rwlock_t *rwlock
+#define SEM sem_t *sem
+#define DEADLINE const struct timespec *limit
 #define CLOCK clockid_t clock
 
 int pthread_mutex_lock(MUTEX) {
-    return simulated && !own(mutex) ? get(try_mutex, mutex, NULL, 0) : REAL(pthread_mutex_lock)(mutex);
+    return simulated && !is_own(mutex) ? acquire(try_mutex, mutex, NULL, 0) : REAL(pthread_mutex_lock)(mutex);
 }
-int pthread_mutex_timedlock(MUTEX, LIMIT) {
-    return simulated && !own(mutex) ? get(try_mutex, mutex, limit, 0)
-                                    : REAL(pthread_mutex_timedlock)(mutex, limit);
+int pthread_mutex_timedlock(MUTEX, DEADLINE) {
+    return simulated && !is_own(mutex) ? acquire(try_mutex, mutex, limit, 0)
+                                          : REAL(pthread_mutex_timedlock)(mutex, limit);
 }
-int pthread_mutex_clocklock(MUTEX, CLOCK, LIMIT) {
+int pthread_mutex_clocklock(MUTEX, CLOCK, DEADLINE) {
     return simulated ? pthread_mutex_timedlock(mutex, limit)
                      : REAL(pthread_mutex_clocklock)(mutex, clock, limit);
 }
-int pthread_rwlock_rdlock(BOTH) {
-    return simulated ? get(try_read, both, NULL, 0) : REAL(pthread_rwlock_rdlock)(both);
+int pthread_rwlock_rdlock(RWLOCK) {
+    return simulated ? acquire(try_read, rwlock, NULL, 0) : REAL(pthread_rwlock_rdlock)(rwlock);
 }
-int pthread_rwlock_wrlock(BOTH) {
-    return simulated ? get(try_write, both, NULL, 0) : REAL(pthread_rwlock_wrlock)(both);
+int pthread_rwlock_wrlock(RWLOCK) {
+    return simulated ? acquire(try_write, rwlock, NULL, 0) : REAL(pthread_rwlock_wrlock)(rwlock);
 }
-int pthread_rwlock_timedrdlock(BOTH, LIMIT) {
-    return simulated ? get(try_read, both, limit, 0) : REAL(pthread_rwlock_timedrdlock)(both, limit);
+int pthread_rwlock_timedrdlock(RWLOCK, DEADLINE) {
+    return simulated ? acquire(try_read, rwlock, limit, 0) : REAL(pthread_rwlock_timedrdlock)(rwlock, limit);
 }
-int pthread_rwlock_timedwrlock(BOTH, LIMIT) {
-    return simulated ? get(try_write, both, limit, 0) : REAL(pthread_rwlock_timedwrlock)(both, limit);
+int pthread_rwlock_timedwrlock(RWLOCK, DEADLINE) {
+    return simulated ? acquire(try_write, rwlock, limit, 0) : REAL(pthread_rwlock_timedwrlock)(rwlock, limit);
 }
-int sem_wait(TOKENS) { return simulated ? failed(-get(try_token, tokens, NULL, 1)) : REAL(sem_wait)(tokens); }
-int sem_timedwait(TOKENS, LIMIT) {
-    return simulated ? failed(-get(try_token, tokens, limit, 1)) : REAL(sem_timedwait)(tokens, limit);
+int sem_wait(SEM) { return simulated ? c_result(-acquire(try_token, sem, NULL, 1)) : REAL(sem_wait)(sem); }
+int sem_timedwait(SEM, DEADLINE) {
+    return simulated ? c_result(-acquire(try_token, sem, limit, 1)) : REAL(sem_timedwait)(sem, limit);
 }
-int sem_clockwait(TOKENS, CLOCK, LIMIT) {
-    return simulated ? sem_timedwait(tokens, limit) : REAL(sem_clockwait)(tokens, clock, limit);
+int sem_clockwait(SEM, CLOCK, DEADLINE) {
+    return simulated ? sem_timedwait(sem, limit) : REAL(sem_clockwait)(sem, clock, limit);
 }
 
-static int gave(const void *at, int result) {
+static int released(const void *address, int result) {
     if (simulated && !result)
-        tell(at, 0);
+        notify(address, 0);
     return result;
 }
 
-int pthread_mutex_unlock(MUTEX) { return gave(mutex, REAL(pthread_mutex_unlock)(mutex)); }
-int pthread_rwlock_unlock(BOTH) { return gave(both, REAL(pthread_rwlock_unlock)(both)); }
-int sem_post(TOKENS) { return gave(tokens, REAL(sem_post)(tokens)); }
+int pthread_mutex_unlock(MUTEX) { return released(mutex, REAL(pthread_mutex_unlock)(mutex)); }
+int pthread_rwlock_unlock(RWLOCK) { return released(rwlock, REAL(pthread_rwlock_unlock)(rwlock)); }
+int sem_post(SEM) { return released(sem, REAL(sem_post)(sem)); }
 
-static void lock_again(void *mutex) { pthread_mutex_lock(mutex); }
+static void relock(void *mutex) { pthread_mutex_lock(mutex); }
 
-static int wait_for_condition(pthread_cond_t *condition, MUTEX, LIMIT) {
+static int wait_for_condition(pthread_cond_t *condition, MUTEX, DEADLINE) {
     int result, error;
     if (limit && (limit->tv_nsec < 0 || limit->tv_nsec >= 1000000000))
         return EINVAL;
-    uint64_t seen = enlist(condition);
+    uint64_t last_wake = add_waiter(condition);
     if ((error = pthread_mutex_unlock(mutex))) {
-        strike(condition);
+        remove_waiter(condition);
         return error;
     }
-    pthread_cleanup_push(lock_again, mutex);
-    result = wait_for(condition, seen, end_of(limit));
-    strike(condition);
+    pthread_cleanup_push(relock, mutex);
+    result = wait_futex(condition, last_wake, end_ns(limit));
+    remove_waiter(condition);
     pthread_cleanup_pop(0);
     error = pthread_mutex_lock(mutex);
     return error ? error : result ? 0 : ETIMEDOUT;
@@ -155,35 +157,35 @@ static int wait_for_condition(pthread_cond_t *condition, MUTEX, LIMIT) {
 int pthread_cond_wait(pthread_cond_t *condition, MUTEX) {
     return simulated ? wait_for_condition(condition, mutex, NULL) : REAL(pthread_cond_wait)(condition, mutex);
 }
-int pthread_cond_timedwait(pthread_cond_t *condition, MUTEX, LIMIT) {
+int pthread_cond_timedwait(pthread_cond_t *condition, MUTEX, DEADLINE) {
     return simulated ? wait_for_condition(condition, mutex, limit)
                      : REAL(pthread_cond_timedwait)(condition, mutex, limit);
 }
-int pthread_cond_clockwait(pthread_cond_t *condition, MUTEX, CLOCK, LIMIT) {
+int pthread_cond_clockwait(pthread_cond_t *condition, MUTEX, CLOCK, DEADLINE) {
     return simulated ? wait_for_condition(condition, mutex, limit)
                      : REAL(pthread_cond_clockwait)(condition, mutex, clock, limit);
 }
 int pthread_cond_signal(pthread_cond_t *condition) {
     if (simulated)
-        tell(condition, 1);
+        notify(condition, 1);
     return REAL(pthread_cond_signal)(condition);
 }
 int pthread_cond_broadcast(pthread_cond_t *condition) {
     if (simulated)
-        tell(condition, 0);
+        notify(condition, 0);
     return REAL(pthread_cond_broadcast)(condition);
 }
 
 int pthread_barrier_wait(pthread_barrier_t *barrier) {
     int result = REAL(pthread_barrier_wait)(barrier);
-    take_turn();
+    wait_turn();
     return result;
 }
 
-/* A lock that processes share has an address in each, so their waits look again in steps. */
-int sem_init(TOKENS, int shared, unsigned int value) {
-    between_processes |= shared;
-    return REAL(sem_init)(tokens, shared, value);
+/* A lock shared by processes has another address in each, so its waiters retry periodically. */
+int sem_init(SEM, int shared, unsigned int value) {
+    has_shared_locks |= shared;
+    return REAL(sem_init)(sem, shared, value);
 }
 sem_t *sem_open(const char *name, int flags, ...) {
     va_list rest;
@@ -191,21 +193,19 @@ sem_t *sem_open(const char *name, int flags, ...) {
     mode_t mode = flags & O_CREAT ? va_arg(rest, mode_t) : 0;
     unsigned int value = flags & O_CREAT ? va_arg(rest, unsigned int) : 0;
     va_end(rest);
-    between_processes = 1;
+    has_shared_locks = 1;
     return REAL(sem_open)(name, flags, mode, value);
 }
-#define SHARED(what)                                                                                         \
-    int pthread_##what##attr_setpshared(pthread_##what##attr_t *how, int shared) {                           \
-        between_processes |= shared == PTHREAD_PROCESS_SHARED;                                               \
-        return REAL(pthread_##what##attr_setpshared)(how, shared);                                           \
+#define SHARED(type)                                                                                         \
+    int pthread_##type##attr_setpshared(pthread_##type##attr_t *attributes, int shared) {                    \
+        has_shared_locks |= shared == PTHREAD_PROCESS_SHARED;                                                \
+        return REAL(pthread_##type##attr_setpshared)(attributes, shared);                                    \
     }
 SHARED(mutex)
 SHARED(cond)
 SHARED(rwlock)
 
 #if __WORDSIZE == 32
-
-struct wide { int64_t seconds; int32_t rest, unused; };
 
 #define WIDE const struct wide *limit
 #define NARROW &(struct timespec){limit->seconds, limit->rest}
@@ -217,6 +217,6 @@ int __pthread_cond_clockwait64(pthread_cond_t *condition, MUTEX, CLOCK, WIDE) {
     return pthread_cond_clockwait(condition, mutex, clock, NARROW);
 }
 int __pthread_mutex_timedlock64(MUTEX, WIDE) { return pthread_mutex_timedlock(mutex, NARROW); }
-int __sem_timedwait64(TOKENS, WIDE) { return sem_timedwait(tokens, NARROW); }
+int __sem_timedwait64(SEM, WIDE) { return sem_timedwait(sem, NARROW); }
 
 #endif

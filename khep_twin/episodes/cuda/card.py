@@ -1,4 +1,4 @@
-"""The card of this machine, as numba-cuda finds it.
+"""The NVIDIA GPU of this machine, as numba-cuda finds it.
 
 Imported only where numba-cuda is installed.
 """
@@ -10,19 +10,19 @@ from functools import cache
 
 from numba import cuda
 
-FILLING = 256
-"""Episodes for each multiprocessor of a card that fill it: one for each thread, of 255 registers."""
+EPISODES_PER_PROCESSOR = 256
+"""Episodes per multiprocessor that fill a GPU: one for each thread, of 255 registers."""
 
 
 @cache
-def trouble() -> str:
-    """Return why there is no card that runs kernels; empty if there is one."""
+def find_error() -> str:
+    """Return why no GPU can run kernels; empty if one can."""
     if cuda.is_available():
         return ""
     reason = str(cuda.cuda_error() or "no device").strip().partition("\n")[0].rstrip(".: ")
-    return f"no NVIDIA card: {reason}; expected a card and its driver"
+    return f"no NVIDIA GPU: {reason}; expected a GPU and its driver"
 
 
 def n_processors() -> int:
-    """Return the number of its multiprocessors, of which numba's simulator has one."""
+    """Return the number of multiprocessors; numba's simulator has one."""
     return getattr(cuda.get_current_device(), "MULTIPROCESSOR_COUNT", 1)

@@ -1,4 +1,4 @@
-"""Episodes in a plane side by side on a card: an `EpisodeBatch` whose steps are launches of `kernel`.
+"""Episodes in a plane on a GPU: an `EpisodeBatch` whose steps are launches of `kernel`.
 
     setup = EpisodeSetup(Playpen.load("obstacles"), planar=True)
     batch = CardBatch([PreparedEpisode(setup, Policy())] * 4096, Policy())
@@ -8,8 +8,8 @@
     batch.speeds[:] = 10, 8
     failures |= batch.step(range(4096), setup.steps_per_period)
 
-The CPU prepares an episode, and the card runs it. It is copied back when it is looked at, or when it has
-failed: what an episode answers is written once.
+The CPU prepares an episode, and the GPU runs it. Its state is copied back when a caller reads the episode, or
+after it has failed, so that `Episode` alone computes its properties and errors.
 
 Imported only where numba-cuda is installed.
 """
@@ -29,99 +29,98 @@ from numpy.typing import NDArray
 
 from khep_twin.episodes.controllers import Driver, Floats, Policy
 from khep_twin.episodes.cuda import card, kernel
-from khep_twin.episodes.cuda.rows import ConstantRows
-from khep_twin.episodes.cuda.words import EpisodeWords, Words, constants_of
+from khep_twin.episodes.cuda.episode_layout import EpisodeLayout, State, constants_of
+from khep_twin.episodes.cuda.slot_constants import SlotConstants
 from khep_twin.episodes.episode import Episode
-from khep_twin.episodes.episode_batch import EpisodeBatch, Rows
+from khep_twin.episodes.episode_batch import EpisodeBatch, Slots
 from khep_twin.episodes.episode_options import DEFAULT_OPTIONS, EpisodeOptions
 from khep_twin.episodes.episode_setup import EpisodeSetup
 from khep_twin.episodes.planar.plane import PUSHED, PUSHED_ASIDE, true_pose
+from khep_twin.episodes.stepping import EpisodeArguments
 from khep_twin.errors import DivergedError, PlaypenError
 from khep_twin.one_thread import one_thread
-from khep_twin.step import DONE
+from khep_twin.step import Reason
 
-BLOCK = 64
+BLOCK_SIZE = 64
 """Threads of a block."""
 
-_LAUNCH = Lock()
-"""One launch at a time, until its results are there; other threads prepare episodes meanwhile."""
+_LAUNCH_LOCK = Lock()
+"""Lock for one launch and the copy of its results; other threads prepare episodes meanwhile."""
 
 
 class PreparedEpisode(Episode):
-    """Episode that begins, and is left to a card to run; arguments are those of `Episode`."""
+    """Episode that the CPU starts and a GPU runs; arguments are those of `Episode`."""
 
     def __init__(self, setup: EpisodeSetup, driver: Driver | None = None) -> None:
         super().__init__(setup, driver, compiled=True)
 
     def _advance(self, *arguments: Any) -> int:
         if arguments[-2] < 0:
-            return DONE  # the card switches the robot on
-        raise RuntimeError("a card runs this episode; expected CardBatch.step")
+            return Reason.DONE  # the GPU switches the robot on
+        raise RuntimeError("a GPU runs this episode; expected CardBatch.step")
 
 
 class CardBatch(EpisodeBatch):
-    """Episodes that a card runs; see `EpisodeBatch`.
+    """Episodes that a GPU runs; see `EpisodeBatch`.
 
     Args:
-        episodes: Memory in which the CPU prepares each of them; the same one may serve several.
-        driver: Their controller; the caller sets the speeds of a policy.
+        episodes: For each slot, the object in which the CPU prepares its episodes; slots may share one.
+        driver: Controller of the episodes; the caller sets the speeds of a policy.
     """
 
-    INSTEAD = "another CardBatch of new episodes, begun with the same seeds"
+    COPY_ADVICE = "another CardBatch of new episodes, started with the same seeds"
 
     def __init__(self, episodes: Sequence[Episode], driver: Driver) -> None:
         super().__init__(episodes, threads=1)
         self._is_driven = isinstance(driver, Policy)
-        self._begun: list[tuple[int, EpisodeOptions]] = [(0, DEFAULT_OPTIONS)] * len(episodes)
-        self._fresh: dict[int, Words] = {}
-        self._constants = ConstantRows(len(episodes))
-        self._joint = self._joint._replace(addresses=np.zeros((1, 1), np.int64))  # of the CPU's arrays
-        self._layout: EpisodeWords | None = None
-        self._first: tuple[object, ...] = ()
-        self._table: _Table | None = None
-        self._copied: Words | None = None
+        self._start_arguments: list[tuple[int, EpisodeOptions]] = [(0, DEFAULT_OPTIONS)] * len(episodes)
+        self._new_states: dict[int, State] = {}
+        self._constants = SlotConstants(len(episodes))
+        self._arrays = self._arrays._replace(addresses=np.zeros((1, 1), np.int64))  # of the CPU's arrays
+        self._layout: EpisodeLayout | None = None
+        self._shared_arrays: tuple[object, ...] = ()
+        self._gpu_states: _GpuStates | None = None
+        self._host_states: State | None = None
 
     @one_thread
     def begin(
-        self,
-        index: int,
-        seed: int,
-        options: EpisodeOptions = DEFAULT_OPTIONS,
-        episode: Episode | None = None,
+        self, index: int, seed: int, options: EpisodeOptions = DEFAULT_OPTIONS, episode: Episode | None = None
     ) -> None:
-        """Start an episode, or another `episode` in its place; `switch_on` has to follow."""
-        own = episode or self._own[index]
-        given = _arguments(own, seed, options)
-        # The arrays of robots that are not drawn anew have the same content if they are the same objects.
-        arrays = () if options.vary else (*given[1:6], given[-1])
-        is_as_first = arrays and self._first and all(map(operator.is_, arrays, self._first))
+        """Start an episode in a slot, or replace it by `episode`; `switch_on` has to follow."""
+        episode = episode or self._episodes[index]
+        arguments = _start_episode(episode, seed, options)
+        # Without `vary`, arrays that are the same objects have the same content.
+        shared = () if options.vary else (*arguments[1:6], arguments.tables)
+        is_shared = shared and self._shared_arrays and all(map(operator.is_, shared, self._shared_arrays))
         if self._layout is None:
-            self._layout, self._first = EpisodeWords(given), arrays
-        if not self._layout.fits(given):
+            self._layout, self._shared_arrays = EpisodeLayout(arguments), shared
+        if not self._layout.fits(arguments):
             raise PlaypenError(
-                f"{own.playpen.name}: other numbers of obstacles, or another controller, than in the first "
-                "episode; expected the same in all episodes of a batch on a card"
+                f"{episode.playpen.name}: other numbers of obstacles, or another controller, than in the "
+                "first episode; expected the same in all episodes of a batch on a GPU"
             )
-        self._own[index], self._begun[index] = own, (seed, options)
-        self._fresh[index] = self._layout.take(given)
-        of_it = {"genes": given[0].genes, "home": given[0].home, "powers": given[-2]}
-        self._constants.take(index, of_it if is_as_first else constants_of(given))
-        self.steps[index], self._runs_jointly[index] = 0, True
+        self._episodes[index], self._start_arguments[index] = episode, (seed, options)
+        self._new_states[index] = self._layout.pack(arguments)
+        controllers = arguments.controllers
+        constants = {"genes": controllers.genes, "home": controllers.home, "powers": arguments.powers}
+        self._constants.set_slot(index, constants if is_shared else constants_of(arguments))
+        self.steps[index], self._runs_compiled[index] = 0, True
 
     @one_thread
     def switch_on(self) -> dict[int, DivergedError]:
-        """Switch on the robots of the episodes that have begun; return the failures by episode."""
-        if not self._fresh:
+        """Switch on the robots of episodes that were started; return the failures by slot."""
+        if not self._new_states:
             return {}
-        rows, fresh = np.array(list(self._fresh)), np.stack(list(self._fresh.values()), axis=1)
-        self._fresh.clear()
-        self._launch(rows, fresh, np.full(len(self._own), -1))
-        return self._failures(rows)
+        slots = np.array(list(self._new_states))
+        new_states = np.stack(list(self._new_states.values()), axis=1)
+        self._new_states.clear()
+        self._launch(slots, new_states, np.full(len(self._episodes), -1))
+        return self._failures(slots)
 
     @property
     def episodes(self) -> Sequence[Episode]:
-        """Episodes, each copied from the card when it is looked at; the next look may change it."""
-        return _Restored(self._restored, len(self._own))
+        """Episodes; each access copies one from the GPU, and may change one that was returned before."""
+        return _RestoredEpisodes(self._restore, len(self._episodes))
 
     @property
     def boards(self) -> NDArray[np.int64]:
@@ -129,124 +128,128 @@ class CardBatch(EpisodeBatch):
         return self.registers
 
     @property
-    def joint_poses(self) -> Floats:
-        """Poses as of `Episode.poses` (n, n_robots, 3)."""
-        return np.array([[true_pose(joints)] for joints in self._told["joints"].T.tolist()])
+    def episode_poses(self) -> Floats:
+        """Poses as by `Episode.poses` (n, n_robots, 3)."""
+        return np.array([[true_pose(joints)] for joints in self._outputs["joints"].T.tolist()])
 
     @property
     def sums(self) -> Floats:
         """Sums of the metrics of the robots (n, n_robots, N_SUMS)."""
-        return self._told["sums"].T[:, None]
+        return self._outputs["sums"].T[:, None]
 
     @property
     def objects(self) -> Floats:
         """Positions x, y [m] and headings [rad] of the movable objects (n, n_objects, 3)."""
-        return self._layout.objects(self._told["things"])
+        return self._layout.objects(self._outputs["objects"])
 
-    def touches(self, rows: Rows) -> NDArray[np.bool_]:
-        """Return whether the robots of some episodes touch anything but the floor (n_rows, n_robots)."""
-        pushes = self._told["grips"]
-        return ((pushes[PUSHED] != 0) | (pushes[PUSHED_ASIDE] != 0))[np.asarray(rows), None]
+    def touches(self, slots: Slots) -> NDArray[np.bool_]:
+        """Return whether the robots of some slots touch anything but the floor (n_slots, n_robots)."""
+        impulses = self._outputs["impulses"]
+        return ((impulses[PUSHED] != 0) | (impulses[PUSHED_ASIDE] != 0))[np.asarray(slots), None]
 
     @property
-    def _told(self) -> dict[str, Floats]:
-        if self._table is None:
+    def _outputs(self) -> dict[str, Floats]:
+        if self._gpu_states is None:
             raise ValueError("no episode has been switched on; expected begin() and switch_on() first")
-        return self._table.told
+        return self._gpu_states.outputs
 
-    def _restored(self, index: int) -> Episode:
-        """Return an episode, copied from the card unless its robot is still to be switched on."""
-        episode, begun = self._own[index], self._begun[index]
-        given = _arguments(episode, *begun)
-        if self._table is not None and index not in self._fresh:
-            if self._copied is None:
-                with _LAUNCH:
-                    self._copied = self._table.words.copy_to_host()
-            self._layout.put(self._copied[:, index], given)
+    def _restore(self, index: int) -> Episode:
+        """Return an episode, copied from the GPU unless its robot is still to be switched on."""
+        episode, start_arguments = self._episodes[index], self._start_arguments[index]
+        arguments = _start_episode(episode, *start_arguments)
+        if self._gpu_states is not None and index not in self._new_states:
+            if self._host_states is None:
+                with _LAUNCH_LOCK:
+                    self._host_states = self._gpu_states.states.copy_to_host()
+            self._layout.unpack(self._host_states[:, index], arguments)
         return episode
 
     def _finish(self, index: int) -> None:
-        self._restored(index)
+        self._restore(index)
         super()._finish(index)
 
-    def _take(self, index: int) -> None:
-        """Leave an episode that has failed as it is."""
+    def _update_slot(self, index: int) -> None:
+        """Do nothing: an episode that failed stays as it is."""
 
-    def _run_jointly(self, rows: NDArray[np.int64]) -> None:
+    def _run_slots(self, slots: NDArray[np.int64]) -> None:
         for error in self.switch_on().values():
             raise error
-        self._launch(rows, None, self.steps)
+        self._launch(slots, None, self.steps)
 
-    def _launch(self, rows: NDArray[np.int64], fresh: Words | None, untils: NDArray[np.int64]) -> None:
-        """Run some episodes on the card; with `fresh`, their words (n_words, n_rows), switch them on."""
-        speeds = self.speeds if self._is_driven and fresh is None else self.speeds[:0]
-        joint = self._joint._replace(rows=rows, untils=untils, speeds=speeds)
-        blocks = min(-(-len(rows) // BLOCK), card.n_processors() * max(card.FILLING // BLOCK, 1))
-        with _LAUNCH, kernel.compiling():
-            if self._table is None:
-                self._table = _Table(self._layout, len(self._own))
-            on_card = type(joint)(*map(cuda.to_device, joint))
-            kernel.kernel(self._layout.capacity)[blocks, min(BLOCK, len(rows))](
-                kernel.Constants(**self._table.common, **self._constants.on_card()),
-                self._table.like,
-                self._layout.first,
-                self._table.words,
-                self._table.words if fresh is None else cuda.to_device(fresh),
-                0 if fresh is None else -1,
-                on_card,
+    def _launch(
+        self, slots: NDArray[np.int64], new_states: State | None, end_steps: NDArray[np.int64]
+    ) -> None:
+        """Run some slots on the GPU; with `new_states` (n_words, n_slots), switch their robots on."""
+        speeds = self.speeds if self._is_driven and new_states is None else self.speeds[:0]
+        arrays = self._arrays._replace(indices=slots, end_steps=end_steps, speeds=speeds)
+        max_blocks = card.n_processors() * max(card.EPISODES_PER_PROCESSOR // BLOCK_SIZE, 1)
+        n_blocks = min(-(-len(slots) // BLOCK_SIZE), max_blocks)
+        with _LAUNCH_LOCK, kernel.compiling():
+            if self._gpu_states is None:
+                self._gpu_states = _GpuStates(self._layout, len(self._episodes))
+            gpu_arrays = type(arrays)(*map(cuda.to_device, arrays))
+            kernel.kernel(self._layout.capacity)[n_blocks, min(BLOCK_SIZE, len(slots))](
+                kernel.Constants(**self._gpu_states.common, **self._constants.on_gpu()),
+                self._gpu_states.templates,
+                self._layout.offsets,
+                self._gpu_states.states,
+                self._gpu_states.states if new_states is None else cuda.to_device(new_states),
+                0 if new_states is None else -1,
+                gpu_arrays,
             )
             for name in ("reasons", "registers", "poses"):
-                getattr(on_card, name).copy_to_host(getattr(joint, name))
-            self._table.tell()
-        self._copied = None
+                getattr(gpu_arrays, name).copy_to_host(getattr(arrays, name))
+            self._gpu_states.copy_outputs()
+        self._host_states = None
 
 
-class _Table:
-    """Words of n episodes on the card, and what all of them have in common.
+class _GpuStates:
+    """States of n slots on the GPU, with the constants that all of them share.
 
     Args:
-        layout: Layout of the words.
-        count: Number of episodes.
+        layout: Layout of the states.
+        count: Number of slots.
 
     Attributes:
-        words: Words on the card (n_words, n).
-        like: `kernel.LocalMemory` of arrays on the card.
+        states: States on the GPU (n_words, n).
+        templates: `kernel.LocalMemory` of arrays on the GPU.
         common: Constants without rows, by name.
-        told: Numbers of the episodes after the last launch by the names of `EpisodeWords.told` (n_words, n).
+        outputs: Results of the last launch by the names of `EpisodeLayout.outputs`, each (n_words, n).
     """
 
-    def __init__(self, layout: EpisodeWords, count: int) -> None:
+    def __init__(self, layout: EpisodeLayout, count: int) -> None:
         self._layout = layout
-        self.words: Any = cuda.device_array((layout.n_kept, count), np.int64)
-        self.like = kernel.LocalMemory(*(cuda.to_device(np.ascontiguousarray(each)) for each in layout.like))
-        of = layout.controllers
+        self.states: Any = cuda.device_array((layout.n_state, count), np.int64)
+        templates = map(np.ascontiguousarray, layout.templates)
+        self.templates = kernel.LocalMemory(*map(cuda.to_device, templates))
+        controllers = layout.controllers
         self.common = {
-            "kind": of.kind,
-            "recurrent": of.recurrent,
-            "top_speed": of.top_speed,
-            "sizes": cuda.to_device(of.sizes),
-            "line": cuda.to_device(of.line),
+            "kind": controllers.kind,
+            "recurrent": controllers.recurrent,
+            "top_speed": controllers.top_speed,
+            "sizes": cuda.to_device(controllers.sizes),
+            "line": cuda.to_device(controllers.line),
         }
-        self.told: dict[str, Floats] = {}
+        self.outputs: dict[str, Floats] = {}
 
-    def tell(self) -> None:
-        """Copy the numbers of `told` from the card."""
-        for name, words in self._layout.told.items():
-            shape = len(words), self.words.shape[1]
-            part = self.words[words.start : words.stop].copy_to_host() if words else np.zeros(shape)
-            self.told[name] = part.view(np.float64)
+    def copy_outputs(self) -> None:
+        """Copy the outputs from the GPU."""
+        for name, indices in self._layout.outputs.items():
+            shape = len(indices), self.states.shape[1]
+            values = self.states[indices.start : indices.stop].copy_to_host() if indices else np.zeros(shape)
+            self.outputs[name] = values.view(np.float64)
 
 
-class _Restored(Sequence[Episode]):
+class _RestoredEpisodes(Sequence[Episode]):
     """Episodes of a batch.
 
     Args:
-        restored: Function that copies an episode from the card.
+        restore: Function that copies an episode from the GPU.
         count: Number of episodes.
     """
 
-    def __init__(self, restored: Callable[[int], Episode], count: int) -> None:
-        self._restored, self._count = restored, count
+    def __init__(self, restore: Callable[[int], Episode], count: int) -> None:
+        self._restore, self._count = restore, count
 
     def __len__(self) -> int:
         return self._count
@@ -254,14 +257,14 @@ class _Restored(Sequence[Episode]):
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
             raise TypeError(
-                f"{index} of episodes on a card; expected one index, as the next look may change it"
+                f"{index} of episodes on a GPU; expected one index, as the next access may change it"
             )
-        return self._restored(range(self._count)[index])
+        return self._restore(range(self._count)[index])
 
 
-def _arguments(episode: Episode, seed: int, options: EpisodeOptions) -> tuple[Any, ...]:
-    """Begin an episode; return its arguments for compiled code."""
+def _start_episode(episode: Episode, seed: int, options: EpisodeOptions) -> EpisodeArguments:
+    """Start an episode; return its arguments for compiled code."""
     episode.begin(seed, options)
-    if (found := episode.joint_arguments) is None:
-        raise PlaypenError(f"{episode.playpen.name}: lamps that change; expected steady ones on a card")
-    return found[1]
+    if (call := episode.compiled_call) is None:
+        raise PlaypenError(f"{episode.playpen.name}: lamps that change; expected steady ones on a GPU")
+    return call[1]

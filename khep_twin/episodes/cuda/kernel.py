@@ -1,8 +1,8 @@
 """The stepping core of episodes in a plane as a CUDA kernel, compiled from the source of the plane.
 
-A thread takes one episode after another: it copies the episode's words to its own memory, runs it, and
-copies them back. What differs between episodes is in columns of a table; constants are shared, or have a row
-for each.
+A thread runs one episode after another. It copies an episode's state to its local memory, runs the episode,
+and copies the state back. The states are the columns of a table of 64-bit words. Constants are shared by all
+episodes, or have a row for each slot.
 
 Imported only where numba-cuda is installed.
 """
@@ -24,33 +24,33 @@ from numba import config, cuda, types
 from khep_twin.compilable import ONCE
 from khep_twin.episodes import stepping
 from khep_twin.episodes.cuda import views
-from khep_twin.episodes.cuda.views import array_at, record_at, row_of, scene_of, split, things_at
+from khep_twin.episodes.cuda.views import array_at, constant_of, obstacles_at, overlay, record_at, scene_of
 from khep_twin.episodes.planar.compiled import PLANE_SOURCES
 from khep_twin.episodes.planar.plane import Plane
 from khep_twin.sensing.light import Light
 from khep_twin.simulation.compiled import source_of, stamp
 from khep_twin.status_line import announced
-from khep_twin.step import STOPPED, Simulated, StepInputs
+from khep_twin.step import Reason, Simulated, StepInputs
 
 STAMP = stamp(
     [*map(source_of, (*PLANE_SOURCES, views)), *map(Path(__file__).with_name, ("lowering.py", "kernel.py"))]
 )
 """Digest of all sources that are compiled."""
 
-ANNOUNCEMENT = "khep_twin: compiling for the card"
-"""Begin of each line of an announcement."""
+ANNOUNCEMENT = "khep_twin: compiling for the GPU"
+"""Start of each line of an announcement."""
 
 SIMULATED = bool(config.ENABLE_CUDASIM)
 """True if kernels run in numba's simulator, in plain Python."""
 
 if not SIMULATED:
-    from khep_twin.episodes.cuda import lowering as _lowering  # noqa: F401  # how a card does it
+    from khep_twin.episodes.cuda import lowering as _lowering  # noqa: F401  # the same functions for a GPU
 
 
 class Constants(NamedTuple):
     """Constants of episodes.
 
-    Those from `tables` on have a row for all, or one for each (1 or n, ...).
+    Those from `tables` on have one row for all slots, or a row for each (1 or n, ...).
 
     Attributes:
         kind: Kind of controller.
@@ -62,14 +62,14 @@ class Constants(NamedTuple):
         genes: Genes of the robots.
         home: Home of the robots.
         table: Cumulated light of faces, of `Proximity`.
-        things: Obstacles, of which the fixed ones' constants are read.
+        obstacles: Obstacles; only the constant columns of fixed ones are read.
         timing: Divisions of time.
         law: Law of the lamps' light.
         bulbs: Lamps.
-        hidden: Directions in which they may be hidden.
+        hidden: Directions in which the lamps may be hidden.
         powers: Powers of the lamps.
         robots: Robots, as records of `step.RobotState`.
-        planes: The same, as records of `PlanarRobot`.
+        planar_robots: The same, as records of `PlanarRobot`.
     """
 
     kind: Any
@@ -81,134 +81,134 @@ class Constants(NamedTuple):
     genes: Any
     home: Any
     table: Any
-    things: Any
+    obstacles: Any
     timing: Any
     law: Any
     bulbs: Any
     hidden: Any
     powers: Any
     robots: Any
-    planes: Any
+    planar_robots: Any
 
 
 class LocalMemory(NamedTuple):
-    """Parts of a thread's memory, in order: each an array of its shape, or the index of its first word.
+    """Parts of a thread's local memory, in order: the template of each (an array), or its offset in words.
 
     Attributes:
-        kept: State of the robot, a record (1,).
+        state: State of the robot, a record (1,).
         memory: Memories of the controllers.
-        things: Changing numbers of the obstacles, as of `views.things_at`.
+        obstacles: Changing columns of the obstacles: `state` of `views.obstacles_at`.
         order: Order of the fixed obstacles.
         bodies: Movable obstacles.
-        buffers: Buffers of the robot, a record (1,), the first part that is not kept.
-        values: Buffer for a network's values.
+        buffers: Buffers of the robot, a record (1,); from here on nothing is stored between launches.
+        neurons: Buffer for the values of a network's neurons.
         near: Buffer for the obstacles within sight.
-        touches: Buffer for contacts.
+        obstacle_contacts: Buffer for contacts of movable obstacles.
     """
 
-    kept: Any
+    state: Any
     memory: Any
-    things: Any
+    obstacles: Any
     order: Any
     bodies: Any
     buffers: Any
-    values: Any
+    neurons: Any
     near: Any
-    touches: Any
+    obstacle_contacts: Any
 
 
 class _Sensors(NamedTuple):
-    """Field of `RobotState` that is a split."""
+    """Field of `RobotState` that is an overlay."""
 
     sensors: Any
 
 
 class _Proximity(NamedTuple):
-    """Field of `RobotSensors` that is a split."""
+    """Field of `RobotSensors` that is an overlay."""
 
     proximity: Any
 
 
 class _Table(NamedTuple):
-    """Field of `Proximity` that its record is without."""
+    """Field of `Proximity` that its record leaves out."""
 
     table: Any
 
 
-def body(capacity: int) -> Any:
+def make_run(capacity: int) -> Any:
     """Return the kernel's function for a number of words of local memory."""
 
-    def run(constants, like, first, words, fresh, until, joint):
-        """Run the episodes of a joint run.
+    def run(constants, templates, offsets, states, new_states, end_step, slots):
+        """Run the episodes of some slots.
 
         Args:
             constants: `Constants`.
-            like: `LocalMemory` of arrays.
-            first: `LocalMemory` of the indices of their first words.
-            words: Words of the episodes (n_words, n).
-            fresh: Words of the episodes to switch on (n_words, n_rows).
-            until: Number of steps, as for `stepping.run`: below 0 to switch on the episodes of `fresh`.
-            joint: `stepping.JointRun` of the episodes.
+            templates: `LocalMemory` of arrays, for shapes and types.
+            offsets: `LocalMemory` of the index of each part's first word.
+            states: States of all slots (n_words, n).
+            new_states: States of the slots to switch on (n_words, n_slots).
+            end_step: Number of steps as for `stepping.run`; below 0 to switch on the robots of `new_states`.
+            slots: Arrays of the slots (`stepping.SlotArrays`).
         """
         local = cuda.local.array(capacity, types.int64)
-        for turn in range(cuda.grid(1), len(joint.rows), cuda.gridsize(1)):
-            lane = joint.rows[turn]
-            for word in range(len(words)):
-                local[word] = fresh[word, turn] if until < 0 else words[word, lane]
-            for word in range(len(words), capacity):
+        for index in range(cuda.grid(1), len(slots.indices), cuda.gridsize(1)):
+            slot = slots.indices[index]
+            for word in range(len(states)):
+                local[word] = new_states[word, index] if end_step < 0 else states[word, slot]
+            for word in range(len(states), capacity):
                 local[word] = 0
-            kept = record_at(local, first.kept, like.kept)
-            buffers = record_at(local, first.buffers, like.buffers)
-            order = array_at(local, first.order, like.order)
-            own = array_at(local, first.things, like.things)
-            values = array_at(local, first.values, like.values)
+            state = record_at(local, offsets.state, templates.state)
+            buffers = record_at(local, offsets.buffers, templates.buffers)
+            order = array_at(local, offsets.order, templates.order)
+            obstacle_state = array_at(local, offsets.obstacles, templates.obstacles)
+            neurons = array_at(local, offsets.neurons, templates.neurons)
             controllers = stepping.Controllers(
                 constants.kind,
                 0,
                 constants.sizes,
                 constants.recurrent,
                 constants.top_speed,
-                row_of(constants.genes, lane),
-                array_at(local, first.memory, like.memory),
-                values,
-                values,
-                row_of(constants.home, lane),
-                kept.sums,
+                constant_of(constants.genes, slot),
+                array_at(local, offsets.memory, templates.memory),
+                neurons,
+                neurons,
+                constant_of(constants.home, slot),
+                state.sums,
                 constants.line,
-                kept.events,
-                kept.seen,
+                state.events,
+                state.host_registers,
             )
-            robot = row_of(constants.robots, lane)
-            table = _Table(row_of(constants.table, lane))
-            proximity = split(split(robot.sensors.proximity, table), buffers.proximity)
-            sensors = _Sensors(split(robot.sensors, _Proximity(proximity)))
+            robot = constant_of(constants.robots, slot)
+            table = _Table(constant_of(constants.table, slot))
+            proximity = overlay(overlay(robot.sensors.proximity, table), buffers.proximity)
+            sensors = _Sensors(overlay(robot.sensors, _Proximity(proximity)))
             plane = Plane(
-                things_at(row_of(constants.things, lane), own, len(order)),
+                obstacles_at(constant_of(constants.obstacles, slot), obstacle_state, len(order)),
                 order,
-                array_at(local, first.near, like.near),
-                array_at(local, first.bodies, like.bodies),
-                array_at(local, first.touches, like.touches),
-                split(split(row_of(constants.planes, lane), kept.plane), buffers.plane),
+                array_at(local, offsets.near, templates.near),
+                array_at(local, offsets.bodies, templates.bodies),
+                array_at(local, offsets.obstacle_contacts, templates.obstacle_contacts),
+                overlay(overlay(constant_of(constants.planar_robots, slot), state.plane), buffers.plane),
             )
             simulated = Simulated(
                 scene_of(plane),
-                row_of(constants.timing, lane)[0],
+                constant_of(constants.timing, slot)[0],
                 Light(
-                    row_of(constants.law, lane)[0],
-                    row_of(constants.bulbs, lane),
-                    row_of(constants.hidden, lane),
+                    constant_of(constants.law, slot)[0],
+                    constant_of(constants.bulbs, slot),
+                    constant_of(constants.hidden, slot),
                 ),
-                (split(split(robot, sensors), kept.robot),),
-                kept.counters,
+                (overlay(overlay(robot, sensors), state.robot),),
+                state.counters,
             )
-            inputs = StepInputs(row_of(constants.powers, lane), row_of(constants.tables, lane))
-            reason = STOPPED
-            while reason == STOPPED:  # without its processor a robot rolls on
-                reason = stepping.run_in_turn(controllers, simulated, inputs, until, 0, joint, turn)
-                if until < 0:
+            inputs = StepInputs(constant_of(constants.powers, slot), constant_of(constants.tables, slot))
+            reason = Reason.STOPPED
+            while reason == Reason.STOPPED:  # a robot continues to roll without its processor
+                reason = stepping.run_slot(controllers, simulated, inputs, end_step, 0, slots, index)
+                if end_step < 0:
                     break
-            for word in range(len(words)):
-                words[word, lane] = local[word]
+            for word in range(len(states)):
+                states[word, slot] = local[word]
 
     return run
 
@@ -216,49 +216,50 @@ def body(capacity: int) -> Any:
 @cache
 def kernel(capacity: int) -> Any:
     """Return the kernel for a number of words of local memory, compiled when it is first launched."""
-    run = body(capacity)
+    run = make_run(capacity)
     # numba's cache checks only the kernel's own source, as `simulation.compiled.compiled` says.
     run.__qualname__ = f"run_{capacity}_{STAMP}"
-    made = cuda.jit(run)
+    dispatcher = cuda.jit(run)
     if not SIMULATED:
         with suppress(RuntimeError):  # where no folder can be written, nothing is cached
-            made.enable_caching()
-    return made
+            dispatcher.enable_caching()
+    return dispatcher
 
 
 @contextmanager
 def compiling() -> Generator[None]:
-    """Compile what is launched within as on the CPU: no fused multiply-adds, and large functions once.
-
-    numba's advice on small grids is left out: few episodes do not fill a card.
+    """Compile kernels within this context as on the CPU: no fused multiply-adds, large functions only once.
 
     A fused multiply-add rounds once where the CPU's code rounds twice. numba-cuda has no option for it, nor
-    for what `compilable.ONCE` asks, so its own function for one compilation is replaced meanwhile.
+    for `compilable.ONCE`, so its function that compiles one function is replaced temporarily. numba's warning
+    about small grids is suppressed: few episodes do not fill a GPU.
     """
     if SIMULATED:
         yield
         return
     from numba.cuda import dispatcher
 
-    plain, begin, done = dispatcher.compile_cuda, time.monotonic(), list[Any]()
+    original, start_s, compiled = dispatcher.compile_cuda, time.monotonic(), list[Any]()
 
-    def passed() -> str:
-        return f"{ANNOUNCEMENT}: {len(done)} functions, {time.monotonic() - begin:.0f} s"
+    def report_progress() -> str:
+        return f"{ANNOUNCEMENT}: {len(compiled)} functions, {time.monotonic() - start_s:.0f} s"
 
-    def compile_cuda(function: Any, *given: Any, nvvm_options: Any = None, **options: Any) -> Any:
-        if not done:
-            took = f"{ANNOUNCEMENT} took"
-            first = f"{ANNOUNCEMENT}, once per version: half a minute to two minutes"
-            shown.enter_context(announced(first, passed, lambda: f"{took} {time.monotonic() - begin:.0f} s"))
-        done.append(function)
-        made = plain(function, *given, nvvm_options={**(nvvm_options or {}), "fma": 0}, **options)
+    def report_end() -> str:
+        return f"{ANNOUNCEMENT} took {time.monotonic() - start_s:.0f} s"
+
+    def compile_cuda(function: Any, *arguments: Any, nvvm_options: Any = None, **options: Any) -> Any:
+        if not compiled:
+            notice = f"{ANNOUNCEMENT}, once per version: half a minute to two minutes"
+            stack.enter_context(announced(notice, report_progress, report_end))
+        compiled.append(function)
+        result = original(function, *arguments, nvvm_options={**(nvvm_options or {}), "fma": 0}, **options)
         if function in ONCE:
-            made.library.get_function(made.fndesc.llvm_func_name).attributes.add("noinline")
-        return made
+            result.library.get_function(result.fndesc.llvm_func_name).attributes.add("noinline")
+        return result
 
-    with ExitStack() as shown:
+    with ExitStack() as stack:
         dispatcher.compile_cuda = compile_cuda
-        shown.callback(setattr, dispatcher, "compile_cuda", plain)
-        shown.enter_context(warnings.catch_warnings())
+        stack.callback(setattr, dispatcher, "compile_cuda", original)
+        stack.enter_context(warnings.catch_warnings())
         warnings.filterwarnings("ignore", "Grid size")
         yield

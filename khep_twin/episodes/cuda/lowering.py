@@ -1,4 +1,4 @@
-"""The functions of `views` for a card, and the queries of a plane's scene, as numba compiles them.
+"""The functions of `views` for a GPU, and the queries of a plane's scene, as numba-cuda compiles them.
 
 Imported only where numba-cuda is installed, and not for its simulator.
 """
@@ -23,116 +23,118 @@ from khep_twin.episodes.cuda import views
 from khep_twin.episodes.planar import casting
 from khep_twin.sensing import scene as queries
 
-_OVERLOADED = fitness.root, fitness.clipped
-"""Functions of numbers and arrays; a card has numbers."""
+_OVERLOADED = fitness.square_root, fitness.clip
+"""Functions of numbers and arrays; a GPU calls them with numbers only."""
 
 
-class _Split(types.Type):
-    """Type of a `views.split`: a record or another split, and what has some of its fields."""
+class _Overlay(types.Type):
+    """Type of a `views.overlay`: a record or another overlay, and the values of some of its fields."""
 
-    def __init__(self, record, over):
-        self.record, self.over = record, over
-        self.names = tuple(over.fields)  # of a record or of a named tuple
-        super().__init__(f"Split({record}, {over})")
-
-
-class _Things(types.Type):
-    """Type of a `views.things_at`."""
-
-    def __init__(self, fixed, own):
-        self.fixed, self.own = fixed, own
-        super().__init__(f"Things({fixed}, {own})")
+    def __init__(self, record, override):
+        self.record, self.override = record, override
+        self.names = tuple(override.fields)  # of a record or of a named tuple
+        super().__init__(f"Overlay({record}, {override})")
 
 
-@register_model(_Split)
-class _SplitModel(core_models.StructModel):
+class _Obstacles(types.Type):
+    """Type of a `views.obstacles_at`."""
+
+    def __init__(self, fixed, state):
+        self.fixed, self.state = fixed, state
+        super().__init__(f"Obstacles({fixed}, {state})")
+
+
+@register_model(_Overlay)
+class _OverlayModel(core_models.StructModel):
     def __init__(self, manager, kind):
-        super().__init__(manager, kind, [("record", kind.record), ("over", kind.over)])
+        super().__init__(manager, kind, [("record", kind.record), ("override", kind.override)])
 
 
-@register_model(_Things)
-class _ThingsModel(core_models.StructModel):
+@register_model(_Obstacles)
+class _ObstaclesModel(core_models.StructModel):
     def __init__(self, manager, kind):
-        super().__init__(manager, kind, [("fixed", kind.fixed), ("own", kind.own), ("n_fixed", types.intp)])
+        members = [("fixed", kind.fixed), ("state", kind.state), ("n_fixed", types.intp)]
+        super().__init__(manager, kind, members)
 
 
 @declarations.register_attr
-class _SplitAttributes(AttributeTemplate):
-    key = _Split
+class _OverlayAttributes(AttributeTemplate):
+    key = _Overlay
 
     def generic_resolve(self, kind, name):
-        return self.context.resolve_getattr(kind.over if name in kind.names else kind.record, name)
+        return self.context.resolve_getattr(kind.override if name in kind.names else kind.record, name)
 
 
 @declarations.register_attr
-class _ThingsAttributes(AttributeTemplate):
-    key = _Things
+class _ObstaclesAttributes(AttributeTemplate):
+    key = _Obstacles
 
     def generic_resolve(self, kind, name):
-        return {"fixed": kind.fixed, "own": kind.own, "n_fixed": types.intp}.get(name)
+        return {"fixed": kind.fixed, "state": kind.state, "n_fixed": types.intp}.get(name)
 
 
-@implementations.lower_getattr_generic(_Split)
-def _field(context, builder, kind, value, name):
-    place, part = (1, kind.over) if name in kind.names else (0, kind.record)
-    return context.get_getattr(part, name)(context, builder, part, builder.extract_value(value, place), name)
+@implementations.lower_getattr_generic(_Overlay)
+def _overlay_field(context, builder, kind, value, name):
+    index, member = (1, kind.override) if name in kind.names else (0, kind.record)
+    member_value = builder.extract_value(value, index)
+    return context.get_getattr(member, name)(context, builder, member, member_value, name)
 
 
-@implementations.lower_getattr_generic(_Things)
-def _part(context, builder, kind, value, name):
-    return builder.extract_value(value, ("fixed", "own", "n_fixed").index(name))
+@implementations.lower_getattr_generic(_Obstacles)
+def _obstacles_member(context, builder, kind, value, name):
+    return builder.extract_value(value, ("fixed", "state", "n_fixed").index(name))
 
 
-def _gathered(context, builder, signature, arguments):
-    """Return a value that consists of the arguments."""
-    made = ir.Constant(context.get_value_type(signature.return_type), ir.Undefined)
-    for place, argument in enumerate(arguments):
-        made = builder.insert_value(made, argument, place)
-    return made
-
-
-@intrinsic
-def _split(typing_context, record, over):
-    """Return a split."""
-    return _Split(record, over)(record, over), _gathered
+def _pack_values(context, builder, signature, arguments):
+    """Return a struct of the arguments."""
+    struct = ir.Constant(context.get_value_type(signature.return_type), ir.Undefined)
+    for index, argument in enumerate(arguments):
+        struct = builder.insert_value(struct, argument, index)
+    return struct
 
 
 @intrinsic
-def _things_at(typing_context, fixed, own, n_fixed):
-    """Return things."""
-    return _Things(fixed, own)(fixed, own, types.intp), _gathered
+def _overlay(typing_context, record, override):
+    """Return an overlay."""
+    return _Overlay(record, override)(record, override), _pack_values
 
 
 @intrinsic
-def _array_at(typing_context, local, first, like):
-    """Return an array as another one, at a word of local memory."""
+def _obstacles_at(typing_context, fixed, state, n_fixed):
+    """Return a table of obstacles."""
+    return _Obstacles(fixed, state)(fixed, state, types.intp), _pack_values
+
+
+@intrinsic
+def _array_at(typing_context, local, offset, template):
+    """Return an array of a template's shape and type, at a word of local memory."""
 
     def generate(context, builder, signature, arguments):
-        array = context.make_array(like)(context, builder, arguments[2])
-        array.data = _place(context, builder, signature, arguments, array.data.type)
+        array = context.make_array(template)(context, builder, arguments[2])
+        array.data = _pointer_at(context, builder, signature, arguments, array.data.type)
         return array._getvalue()
 
-    return like(local, types.intp, like), generate
+    return template(local, types.intp, template), generate
 
 
 @intrinsic
-def _record_at(typing_context, local, first, like):
-    """Return a record as those of an array, at a word of local memory."""
+def _record_at(typing_context, local, offset, template):
+    """Return a record of a template's type, at a word of local memory."""
 
     def generate(context, builder, signature, arguments):
-        return _place(context, builder, signature, arguments, context.get_value_type(like.dtype))
+        return _pointer_at(context, builder, signature, arguments, context.get_value_type(template.dtype))
 
-    return like.dtype(local, types.intp, like), generate
+    return template.dtype(local, types.intp, template), generate
 
 
-def _place(context, builder, signature, arguments, kind):
+def _pointer_at(context, builder, signature, arguments, kind):
     """Return the pointer to a word of local memory."""
     words = context.make_array(signature.args[0])(context, builder, arguments[0]).data
     return builder.bitcast(builder.gep(words, [arguments[1]]), kind)
 
 
-def _always(function):
-    """Return what chooses a function for arguments of any kind."""
+def _chooser(function):
+    """Return a function that selects an implementation for arguments of any kind."""
 
     def choose(*arguments):
         return function
@@ -140,54 +142,54 @@ def _always(function):
     return choose
 
 
-def _nothing(function, registers, memory, genes, speeds):
-    """Leave the speeds: functions are refused on a card."""
+def _decide_nothing(function, registers, memory, genes, speeds):
+    """Leave the speeds unchanged: functions are not supported on a GPU."""
 
 
 for _plain in FUNCTIONS:
     if _plain not in _OVERLOADED:
         register_jitable(_plain)
-register_jitable(views.own_word)
+register_jitable(views.state_word)
 for _query in casting.QUERIES:
-    overload(getattr(queries, _query.__name__), strict=False)(_always(_query))
+    overload(getattr(queries, _query.__name__), strict=False)(_chooser(_query))
 for _query, _function in (
-    (views.split, lambda record, over: _split(record, over)),
-    (views.things_at, lambda fixed, own, n_fixed: _things_at(fixed, own, n_fixed)),
-    (views.array_at, lambda local, first, like: _array_at(local, first, like)),
-    (views.record_at, lambda local, first, like: _record_at(local, first, like)),
-    (views.row_of, lambda rows, lane: rows[min(lane, len(rows) - 1)]),
+    (views.overlay, lambda record, override: _overlay(record, override)),
+    (views.obstacles_at, lambda fixed, state, n_fixed: _obstacles_at(fixed, state, n_fixed)),
+    (views.array_at, lambda local, offset, template: _array_at(local, offset, template)),
+    (views.record_at, lambda local, offset, template: _record_at(local, offset, template)),
+    (views.constant_of, lambda table, slot: table[min(slot, len(table) - 1)]),
     (views.scene_of, lambda plane: plane),
-    (queries.decide, _nothing),
-    (fitness.root, lambda number: math.sqrt(number)),
-    (fitness.clipped, lambda number, low, high: min(max(number, low), high)),
+    (queries.decide, _decide_nothing),
+    (fitness.square_root, lambda number: math.sqrt(number)),
+    (fitness.clip, lambda number, low, high: min(max(number, low), high)),
 ):
-    overload(_query, strict=False, inline="always")(_always(_function))  # an array cannot be returned
+    overload(_query, strict=False, inline="always")(_chooser(_function))  # an array cannot be returned
 
 
 @overload(len)
-def _length(things):
-    if isinstance(things, _Things):
-        return lambda things: len(things.fixed)
+def _length(table):
+    if isinstance(table, _Obstacles):
+        return lambda table: len(table.fixed)
 
 
 @overload(operator.getitem)
-def _get(things, at):
-    if isinstance(things, _Things):
+def _get(table, index):
+    if isinstance(table, _Obstacles):
 
-        def get(things, at):
-            thing, column = at
-            word = views.own_word(thing, column, things.n_fixed)
-            return things.fixed[thing, column] if word < 0 else things.own[word]
+        def get(table, index):
+            obstacle, column = index
+            word = views.state_word(obstacle, column, table.n_fixed)
+            return table.fixed[obstacle, column] if word < 0 else table.state[word]
 
         return get
 
 
 @overload(operator.setitem)
-def _set(things, at, value):
-    if isinstance(things, _Things):
+def _set(table, index, value):
+    if isinstance(table, _Obstacles):
 
-        def put(things, at, value):
-            thing, column = at
-            things.own[views.own_word(thing, column, things.n_fixed)] = value
+        def set_value(table, index, value):
+            obstacle, column = index
+            table.state[views.state_word(obstacle, column, table.n_fixed)] = value
 
-        return put
+        return set_value

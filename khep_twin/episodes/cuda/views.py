@@ -1,8 +1,8 @@
-"""Data of an episode in a thread's own memory, with constants that threads share.
+"""Data of an episode in a thread's local memory, with constants that threads share.
 
-A thread's local memory is an array of words. `record_at` and `array_at` return parts of it; `split` and
-`things_at` return a record and a table of which some numbers are in it, and the others are shared.
-These forms are for numba's simulator of CUDA; `lowering` has those for a card.
+A thread's local memory is an array of 64-bit words. `record_at` and `array_at` return parts of it. `overlay`
+and `obstacles_at` return a record and a table with some numbers in it, and the others in shared constants.
+These versions run in numba's CUDA simulator; `lowering` has those for a GPU.
 """
 
 from typing import Any
@@ -13,43 +13,43 @@ from khep_twin.episodes.planar import plane as flat
 from khep_twin.episodes.planar.casting import PlaneScene
 from khep_twin.episodes.planar.plane import ACROSS, DISTANCE, N_COLUMNS, Plane
 
-N_LIVE = ACROSS + 1 - DISTANCE
+N_STATE_COLUMNS = ACROSS + 1 - DISTANCE
 """Columns of a fixed obstacle that change: its distance, and its impulses on the body."""
 
 
-def record_at(local: Any, first: int, like: Any) -> Any:
-    """Return a record as those of an array, at a word of local memory."""
-    kind = like.dtype
-    return _Record(np.asarray(local)[first : first + kind.itemsize // 8].view(kind)[0])
+def record_at(local: Any, offset: int, template: Any) -> Any:
+    """Return a record of a template's type, at a word of local memory."""
+    kind = template.dtype
+    return _Record(np.asarray(local)[offset : offset + kind.itemsize // 8].view(kind)[0])
 
 
-def array_at(local: Any, first: int, like: Any) -> Any:
-    """Return an array of a shape and type, at a word of local memory."""
-    return np.asarray(local)[first : first + like.size].view(like.dtype).reshape(like.shape)
+def array_at(local: Any, offset: int, template: Any) -> Any:
+    """Return an array of a template's shape and type, at a word of local memory."""
+    return np.asarray(local)[offset : offset + template.size].view(template.dtype).reshape(template.shape)
 
 
-def row_of(rows: Any, lane: int) -> Any:
-    """Return the row of an episode in constants: its own, or the only one."""
-    row = np.asarray(getattr(rows, "_ary", rows))[min(lane, len(rows) - 1)]
+def constant_of(table: Any, slot: int) -> Any:
+    """Return a slot's constant from a table: its row, or the only one."""
+    row = np.asarray(getattr(table, "_ary", table))[min(slot, len(table) - 1)]
     if row.dtype.names is None:
         return row
-    return [_Record(each) for each in row] if row.ndim else _Record(row)
+    return [_Record(record) for record in row] if row.ndim else _Record(row)
 
 
-def split(record: Any, over: Any) -> Any:
-    """Return a record with the fields of another one, or of a named tuple, in place of its own."""
-    return _Split(record, over)
+def overlay(record: Any, override: Any) -> Any:
+    """Return a record with some fields replaced by those of another record or of a named tuple."""
+    return _Overlay(record, override)
 
 
-def things_at(fixed: Any, own: Any, n_fixed: int) -> Any:
-    """Return the table `Plane.things` of an episode.
+def obstacles_at(fixed: Any, state: Any, n_fixed: int) -> Any:
+    """Return the table `Plane.obstacles` of an episode.
 
     Args:
-        fixed: Table in which the fixed obstacles' constants are (n, N_COLUMNS).
-        own: The changing columns of fixed obstacles, then movable ones (n_words,).
+        fixed: Table with the constants of the fixed obstacles (n, N_COLUMNS).
+        state: The changing columns of fixed obstacles, then movable ones (n_words,).
         n_fixed: Number of fixed obstacles.
     """
-    return _Things(fixed, own, n_fixed)
+    return _Obstacles(fixed, state, n_fixed)
 
 
 def scene_of(plane: Plane) -> Any:
@@ -71,33 +71,33 @@ class _Record:
         return _Record(value) if isinstance(value, np.void) else value
 
 
-class _Split:
-    def __init__(self, record: Any, over: Any) -> None:
-        self._record, self._over = record, over
+class _Overlay:
+    def __init__(self, record: Any, override: Any) -> None:
+        self._record, self._override = record, override
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._over if hasattr(self._over, name) else self._record, name)
+        return getattr(self._override if hasattr(self._override, name) else self._record, name)
 
 
-class _Things:
-    def __init__(self, fixed: Any, own: Any, n_fixed: int) -> None:
-        self._fixed, self._own, self._n_fixed = fixed, own, n_fixed
+class _Obstacles:
+    def __init__(self, fixed: Any, state: Any, n_fixed: int) -> None:
+        self._fixed, self._state, self._n_fixed = fixed, state, n_fixed
 
     def __len__(self) -> int:
         return len(self._fixed)
 
-    def __getitem__(self, at: tuple[int, int]) -> float:
-        word = own_word(at[0], at[1], self._n_fixed)
-        return self._fixed[at] if word < 0 else self._own[word]
+    def __getitem__(self, index: tuple[int, int]) -> float:
+        word = state_word(index[0], index[1], self._n_fixed)
+        return self._fixed[index] if word < 0 else self._state[word]
 
-    def __setitem__(self, at: tuple[int, int], value: float) -> None:
-        self._own[own_word(at[0], at[1], self._n_fixed)] = value
+    def __setitem__(self, index: tuple[int, int], value: float) -> None:
+        self._state[state_word(index[0], index[1], self._n_fixed)] = value
 
 
-def own_word(thing: int, column: int, n_fixed: int) -> int:
-    """Return the index of a number among an episode's own; below 0 for a constant."""
-    if thing >= n_fixed:
-        return n_fixed * N_LIVE + (thing - n_fixed) * N_COLUMNS + column
+def state_word(obstacle: int, column: int, n_fixed: int) -> int:
+    """Return the index of a number in the state of the obstacles; below 0 for a constant."""
+    if obstacle >= n_fixed:
+        return n_fixed * N_STATE_COLUMNS + (obstacle - n_fixed) * N_COLUMNS + column
     if flat.DISTANCE <= column <= flat.ACROSS:
-        return thing * N_LIVE + column - flat.DISTANCE
+        return obstacle * N_STATE_COLUMNS + column - flat.DISTANCE
     return -1

@@ -1,11 +1,12 @@
 """The queries of `sensing.scene` in a plane, for screening.
 
-The robot is a disc on two wheels, among upright boxes and cylinders with heights. `motion` moves it,
-`shadows` computes which lamps its sensors see, as MuJoCo does for upright obstacles and no tilt.
-This source runs interpreted and compiled.
+The robot is a disc on two wheels among upright boxes and cylinders with heights. `motion` moves it. `shadows`
+computes which lamps its sensors see, as MuJoCo does for upright obstacles and no tilt. This source runs
+interpreted and compiled.
 
-No obstacle is left out that can matter. For each a lower bound of its distance is kept, less the distance
-moved since; once per step, those within sight are found in that order and put into the robot's frame.
+The search for near obstacles is exact. A lower bound of each distance is the last measured one minus the
+distance moved since. Once per step, obstacles in range are found in that order, and put into the robot's
+frame.
 """
 
 import math
@@ -16,20 +17,6 @@ from khep_twin.compilable import compilable
 from khep_twin.episodes.planar import motion, shadows
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.episodes.planar.plane import (
-    BOTTOM,
-    CENTRE_X,
-    CENTRE_Y,
-    COSINE,
-    DISTANCE,
-    HEADING_COSINE,
-    HEADING_SINE,
-    LENGTH,
-    N_NEAR,
-    NEAREST,
-    REFLECTANCE,
-    SINE,
-    TOP,
-    WIDTH,
     Plane,
     X,
     Y,
@@ -48,10 +35,10 @@ def step(scene: Plane) -> None:
 
 @compilable
 def in_bounds(scene: Plane, limit: float) -> bool:
-    """Return the same as `scene.in_bounds`."""
+    """Return the value of `scene.in_bounds`."""
     joints, speeds = scene.robot.joints, scene.robot.speeds
-    places = joints[X] * joints[X] + joints[Y] * joints[Y]
-    if not places <= 2 * limit * limit:
+    square_distance = joints[X] * joints[X] + joints[Y] * joints[Y]
+    if not square_distance <= 2 * limit * limit:
         return False
     return _square(speeds) <= len(speeds) * FASTEST * FASTEST and _square(joints) < math.inf
 
@@ -72,7 +59,7 @@ def warned(scene: Plane) -> bool:
 
 @compilable
 def pose(scene: Plane, index: int) -> tuple[float, float, float, float]:
-    """Return the same as `scene.pose`."""
+    """Return the value of `scene.pose`."""
     joints = scene.robot.joints
     c, s = flat.direction(scene.robot)
     return joints[X], joints[Y], c, s
@@ -80,19 +67,19 @@ def pose(scene: Plane, index: int) -> tuple[float, float, float, float]:
 
 @compilable
 def joint_position(scene: Plane, index: int) -> float:
-    """Return the same as `scene.joint_position`."""
+    """Return the value of `scene.joint_position`."""
     return scene.robot.joints[index]
 
 
 @compilable
 def joint_speed(scene: Plane, index: int) -> float:
-    """Return the same as `scene.joint_speed`."""
+    """Return the value of `scene.joint_speed`."""
     return scene.robot.speeds[index]
 
 
 @compilable
 def motor_torque(scene: Plane, index: int) -> float:
-    """Return the same as `scene.motor_torque`."""
+    """Return the value of `scene.motor_torque`."""
     return scene.robot.force[index]
 
 
@@ -104,81 +91,82 @@ def set_motor(scene: Plane, index: int, voltage: float) -> None:
 
 @compilable
 def body_frame(scene: Plane, sensors: RobotSensors) -> Sequence[float]:
-    """Return the same as `scene.body_frame`."""
-    c, s = scene.robot.last[HEADING_COSINE], scene.robot.last[HEADING_SINE]
+    """Return the value of `scene.body_frame`."""
+    c, s = scene.robot.last[flat.HEADING_COSINE], scene.robot.last[flat.HEADING_SINE]
     return c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
 
 
 @compilable
 def position(scene: Plane, sensors: RobotSensors, channel: int) -> tuple[float, float, float]:
-    """Return the same as `scene.position`."""
+    """Return the value of `scene.position`."""
     last, mounts = scene.robot.last, scene.robot.mounts
-    c, s = last[HEADING_COSINE], last[HEADING_SINE]
-    ahead, left = mounts[channel, 0], mounts[channel, 1]
-    return last[CENTRE_X] + c * ahead - s * left, last[CENTRE_Y] + s * ahead + c * left, scene.robot.height
+    c, s = last[flat.HEADING_COSINE], last[flat.HEADING_SINE]
+    forward, left = mounts[channel, 0], mounts[channel, 1]
+    x, y = last[flat.CENTRE_X] + c * forward - s * left, last[flat.CENTRE_Y] + s * forward + c * left
+    return x, y, scene.robot.sensor_height
 
 
 @compilable
 def chip(scene: Plane, sensors: RobotSensors, channel: int) -> Chip:
-    """Return the same as `scene.chip`, in the robot's frame."""
+    """Return the value of `scene.chip`, in the robot's frame."""
     robot, offset, reach = scene.robot, sensors.proximity.offset[channel], sensors.proximity.reach[channel]
-    ahead, left = robot.mounts[channel, 2], robot.mounts[channel, 3]
-    x, y = robot.mounts[channel, 0] - offset * ahead, robot.mounts[channel, 1] - offset * left
-    return Chip(x, y, ahead, left, robot.height, reach)
+    forward, left = robot.mounts[channel, 2], robot.mounts[channel, 3]
+    x, y = robot.mounts[channel, 0] - offset * forward, robot.mounts[channel, 1] - offset * left
+    return Chip(x, y, forward, left, robot.sensor_height, reach)
 
 
 @compilable
-def surfaces(scene: Plane, sensors: RobotSensors, channel: int, chip: Chip, needed: float) -> int:
+def surfaces(scene: Plane, sensors: RobotSensors, channel: int, chip: Chip, min_light: float) -> int:
     """Fill in the same as `scene.surfaces`."""
-    proximity, things, n_near = sensors.proximity, scene.near, int(scene.robot.last[N_NEAR])
-    away = scene.robot.mounts[channel, 4] + proximity.offset[channel]
-    if not _matters(scene, chip, proximity.bound[channel], needed, away):
+    proximity, near, n_near = sensors.proximity, scene.near, int(scene.robot.last[flat.N_NEAR])
+    chip_distance = scene.robot.mounts[channel, 4] + proximity.offset[channel]
+    if not _is_relevant(scene, chip, proximity.bound[channel], min_light, chip_distance):
         return 0
-    count, farthest = 0, chip.reach + away
-    for thing in range(n_near):
-        if things[thing, DISTANCE] > farthest:
+    count, max_distance = 0, chip.reach + chip_distance
+    for index in range(n_near):
+        if near[index, flat.DISTANCE] > max_distance:
             continue
         shape = (
-            (things[thing, CENTRE_X], things[thing, CENTRE_Y]),
-            (things[thing, COSINE], things[thing, SINE]),
-            (things[thing, LENGTH], things[thing, WIDTH]),
-            (things[thing, BOTTOM], things[thing, TOP]),
+            (near[index, flat.CENTRE_X], near[index, flat.CENTRE_Y]),
+            (near[index, flat.COSINE], near[index, flat.SINE]),
+            (near[index, flat.LENGTH], near[index, flat.WIDTH]),
+            (near[index, flat.BOTTOM], near[index, flat.TOP]),
         )
-        count = add_upright(proximity.found, count, chip, shape, things[thing, REFLECTANCE])
+        count = add_upright(proximity.found, count, chip, shape, near[index, flat.REFLECTANCE])
     return count
 
 
 @compilable
-def _matters(scene: Plane, chip: Chip, bound: float, needed: float, away: float) -> bool:
-    """Return whether any obstacle may give as much light as is needed.
+def _is_relevant(scene: Plane, chip: Chip, bound: float, min_light: float, chip_distance: float) -> bool:
+    """Return whether any obstacle may reflect the required light.
 
     Args:
         scene: Plane.
         chip: Chip of the sensor.
-        bound: Largest light of anything at a distance of 1 m [counts m^2].
-        needed: Light that matters [counts].
-        away: Distance of the chip from the robot's centre, at the most [m].
+        bound: Largest light from any obstacle at a distance of 1 m [counts m^2].
+        min_light: Smallest relevant light [counts].
+        chip_distance: Upper bound of the chip's distance from the robot's centre [m].
     """
-    things, last = scene.near, scene.robot.last
-    if _faint(last[NEAREST] - away, bound, needed):
+    near, last = scene.near, scene.robot.last
+    if _is_faint(last[flat.NEAREST] - chip_distance, bound, min_light):
         return False
-    for thing in range(int(last[N_NEAR])):
-        if not _faint(things[thing, DISTANCE] - away, bound, needed) and not _faint(
-            flat.distance_to(things, thing, chip.x, chip.y), bound, needed
+    for index in range(int(last[flat.N_NEAR])):
+        if not _is_faint(near[index, flat.DISTANCE] - chip_distance, bound, min_light) and not _is_faint(
+            flat.distance_to(near, index, chip.x, chip.y), bound, min_light
         ):
             return True
     return False
 
 
 @compilable
-def _faint(distance: float, bound: float, needed: float) -> bool:
-    """Return whether anything at a distance gives less light than is needed."""
-    return distance > 0 and distance * distance * needed > bound
+def _is_faint(distance: float, bound: float, min_light: float) -> bool:
+    """Return whether every obstacle at a distance [m] reflects less than the required light."""
+    return distance > 0 and distance * distance * min_light > bound
 
 
 @compilable
 def stopped(scene: Plane, sensors: RobotSensors, channel: int, way: Triple, glass: float) -> bool:
-    """Return the same as `scene.stopped`."""
+    """Return the value of `scene.stopped`."""
     return shadows.stopped(scene, position(scene, sensors, channel), way, glass)
 
 
@@ -193,13 +181,13 @@ def blocked(
     way: Triple,
     glass: float,
 ) -> float:
-    """Return the same as `scene.blocked`."""
+    """Return the value of `scene.blocked`."""
     n_few, n_points = scene.robot.n_few, len(scene.robot.points)
     first, last = (0, n_few) if disc == FEW else (n_few, n_points)
     return shadows.blocked(scene, position(scene, sensors, channel), first, last, left, up, way, glass)
 
 
-QUERIES = (
+_BODY_QUERIES = (
     step,
     in_bounds,
     warned,
@@ -209,17 +197,13 @@ QUERIES = (
     motor_torque,
     set_motor,
     body_frame,
-    position,
-    chip,
-    surfaces,
-    stopped,
-    blocked,
 )
-"""Functions that answer the queries of the same names in `sensing.scene`."""
+QUERIES = *_BODY_QUERIES, position, chip, surfaces, stopped, blocked
+"""Functions that implement the queries of the same names in `sensing.scene`."""
 
 
 class PlaneScene:
-    """A plane for plain code: its methods answer the queries of `sensing.scene`."""
+    """A plane for uncompiled code; its methods implement the queries of `sensing.scene`."""
 
     def __init__(self, plane: Plane) -> None:
         self.plane = plane

@@ -3,7 +3,7 @@
 Imported only where numba is installed.
 """
 
-# numba is not typed, and its functions have no types of their own.
+# numba is not typed, nor are its functions.
 # pyright: basic, reportMissingTypeStubs=false, reportCallIssue=false
 
 from khep_twin.episodes import stepping
@@ -14,7 +14,7 @@ from khep_twin.sensing import scene
 from khep_twin.sensing.light import Light
 from khep_twin.simulation.compiled import compiled
 from khep_twin.simulation.foreign import implements, moved
-from khep_twin.step import Simulated, StepInputs
+from khep_twin.step import Reason, Simulated, StepInputs
 
 PLANE_SOURCES = (*EPISODE_SOURCES, casting, contact_solver, motion, plane, pushing, shadows)
 """Modules that are compiled."""
@@ -23,19 +23,19 @@ for query in casting.QUERIES:
     implements(getattr(scene, query.__name__), Plane)(query)
 
 
-def _run(given, until, stops, joint):
-    reason = stepping.DONE
-    for turn in range(max(len(joint.rows), 1)):
-        own = moved(given, joint.addresses, joint.rows[turn]) if len(joint.rows) else given
-        controllers, scene, timing, law, bulbs, hidden, robots, counters, powers, tables = own
-        things, order, near, bodies, touches, records = scene
-        flat, light = Plane(things, order, near, bodies, touches, records[0]), Light(law[0], bulbs, hidden)
-        simulated = Simulated(flat, timing[0], light, robots, counters)
-        reason = stepping.run_in_turn(
-            controllers, simulated, StepInputs(powers, tables), until, stops, joint, turn
-        )
+def _run(arguments, end_step, stops, slots):
+    reason = Reason.DONE.value  # an integer, which numba returns faster
+    for index in range(max(len(slots.indices), 1)):
+        arrays = moved(arguments, slots.addresses, slots.indices[index]) if len(slots.indices) else arguments
+        episode = stepping.EpisodeArguments(*arrays)
+        light = Light(episode.law[0], episode.bulbs, episode.hidden)
+        obstacles, order, near, bodies, obstacle_contacts, robots = episode.scene
+        scene = Plane(obstacles, order, near, bodies, obstacle_contacts, robots[0])
+        simulated = Simulated(scene, episode.timing[0], light, episode.robots, episode.counters)
+        inputs = StepInputs(episode.powers, episode.tables)
+        reason = stepping.run_slot(episode.controllers, simulated, inputs, end_step, stops, slots, index)
     return reason
 
 
 run = compiled(_run, PLANE_SOURCES)
-"""`stepping.run` in a plane, compiled, of one episode or of many."""
+"""`stepping.run_slot` in a plane, compiled, for one episode or many."""

@@ -1,11 +1,11 @@
 """Contact impulses by warm-started projected Gauss-Seidel: tyres that slip, gears that hold, obstacles.
 
-A tyre slips beyond its share of friction x load, along or across; the load that a pitching moment puts on a
-support is taken off the tyres. A gear's dry friction holds its wheel up to its torque. Obstacles push along
-the line to the disc's centre, with friction across. All impulses of a substep are solved together, in
-repeated rounds, with those of movable obstacles (`pushing`).
+A tyre slips if its force, along and across, exceeds friction times load. A pitching moment shifts load from
+the tyres to a support. A gear's dry friction holds its wheel up to its torque. Obstacles push along the line
+to the disc's centre, with friction across. Each iteration updates all impulses of a substep, including those
+of movable obstacles (`pushing`), starting from those of the previous substep (warm start).
 
-Left out: tilt, hopping tyres, soft contacts.
+Not modelled: tilt, hopping tyres, soft contacts.
 """
 
 import math
@@ -15,196 +15,184 @@ from khep_twin.episodes.planar import plane as flat
 from khep_twin.episodes.planar import pushing
 from khep_twin.episodes.planar.plane import (
     ACROSS,
-    ACTIVE,
     ALONG,
-    ANCHOR_X,
-    ANCHOR_Y,
     ASIDE,
-    BODY,
-    CENTRE_X,
-    CENTRE_Y,
-    DISTANCE,
-    GEAR,
-    HEADING,
-    HEADING_COSINE,
-    HEADING_SINE,
-    LEFT_ANGLE,
+    GEARS,
     PUSHED,
     PUSHED_ASIDE,
-    RIGHT_ANGLE,
-    SLIPS,
-    TOUCHED,
     PlanarRobot,
     Plane,
     X,
     Y,
 )
 
-_ROUNDS = 8
-"""Most rounds of the solver in each 2.5 ms; it starts from the last impulses."""
+_MAX_ITERATIONS = 8
+"""Largest number of iterations in a substep of 2.5 ms."""
 
-_SETTLED = 2e-5
-"""Change of speed in a round below which the solver stops [m/s]."""
+_TOLERANCE = 2e-5
+"""Change of speed in an iteration below which the solver stops [m/s]."""
 
-_GRIPS = 1e-5
-"""Slip below which a tyre counts as gripping [m/s]."""
+_GRIP_SLIP = 1e-5
+"""Slip speed below which a tyre counts as gripping [m/s]."""
 
-STANDS = 1e-5
-"""Speed of a tyre below which its gear may hold the wheel [m/s]."""
+STOP_SPEED = 1e-5
+"""Speed of a tyre below which the gear may hold its wheel [m/s]."""
 
-_NEAR = 1e-4
-"""Distance within which an obstacle counts as touched [m]."""
+_CONTACT_MARGIN = 1e-4
+"""Distance below which the robot is in contact with an obstacle [m]."""
 
 _PASSES = 4
-"""Passes that push the disc out of obstacles one by one; between two obstacles it takes several."""
-
+"""Passes that push the disc out of obstacles one by one; a disc between two obstacles needs several."""
 
 _Motion = tuple[float, float, float, float, float]
 """Speeds forwards and to the left [m/s], of rotation [rad/s], and of the left and right tyre [m/s]."""
 
+_Update = tuple[_Motion, float]
+"""Motion after an iteration, and the change of the impulses in it [N s]."""
+
 _Rates = tuple[float, float, float, float, float, float, float]
-"""Half of the track [m], inverse mass and inertia, effective masses of a tyre and of a touch, a tyre's speed
-per impulse, and the part of the lag behind the free speed left after a substep."""
+"""Half of the track [m], inverse mass and inertia, effective masses of a tyre and of a contact's friction,
+a tyre's speed per impulse, and the factor by which a substep reduces the lag behind the free speed."""
 
 
 @compilable
-def slide(plane: Plane) -> None:
+def step_with_slip(plane: Plane) -> None:
     """Advance by one step in which tyres may slip and obstacles may push."""
     robot = plane.robot
-    joints, speeds, grips, h = robot.joints, robot.speeds, robot.grips, robot.substep
-    x, y, heading = joints[X], joints[Y], joints[HEADING]
+    joints, speeds, impulses, h = robot.joints, robot.speeds, robot.impulses, robot.substep
+    x, y, heading = joints[X], joints[Y], joints[flat.HEADING]
     forward, lateral, spin = speeds[0], speeds[1], speeds[2]
-    left, right = robot.left_wheel * speeds[LEFT_ANGLE], robot.right_wheel * speeds[RIGHT_ANGLE]
+    left, right = robot.left_wheel * speeds[flat.LEFT_ANGLE], robot.right_wheel * speeds[flat.RIGHT_ANGLE]
     rates = _rates(robot)
     half = rates[0]
-    slips = touches = False
-    c, s = robot.last[HEADING_COSINE], robot.last[HEADING_SINE]
+    slips = is_pushed = False
+    c, s = robot.last[flat.HEADING_COSINE], robot.last[flat.HEADING_SINE]
     for _ in range(robot.n_substeps):
-        reach = robot.radius + h * (abs(forward) + abs(lateral)) + _NEAR
-        count = _gather(plane, x, y, c, s, reach)
-        n_touches = pushing.begin(plane, c, s)
+        reach = robot.radius + h * (abs(forward) + abs(lateral)) + _CONTACT_MARGIN
+        count = _find_contacts(plane, x, y, c, s, reach)
+        n_obstacle_contacts = pushing.start_substep(plane, c, s)
         forward, lateral, spin, left, right = _solve(
-            plane, count, n_touches, rates, (forward, lateral, spin, left, right)
+            plane, count, n_obstacle_contacts, rates, (forward, lateral, spin, left, right)
         )
-        moves = pushing.end(plane, c, s)
+        moves = pushing.end_substep(plane, c, s)
         x += h * (forward * c - lateral * s)
         y += h * (forward * s + lateral * c)
-        joints[LEFT_ANGLE] += h * left / robot.left_wheel
-        joints[RIGHT_ANGLE] += h * right / robot.right_wheel
+        joints[flat.LEFT_ANGLE] += h * left / robot.left_wheel
+        joints[flat.RIGHT_ANGLE] += h * right / robot.right_wheel
         turn = h * spin
         heading += turn
         slip = abs(forward - half * spin - left) + abs(forward + half * spin - right) + abs(lateral)
-        slips = count > 0 or slip > _GRIPS or moves
+        slips = count > 0 or slip > _GRIP_SLIP or moves
         # The body's velocity is constant in space while the body turns.
-        turn_c, turn_s = flat.turned(turn)
+        turn_c, turn_s = flat.turn_vector(turn)
         c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
         forward, lateral = forward * turn_c + lateral * turn_s, lateral * turn_c - forward * turn_s
-        touches = touches or count > 0
-    if touches:
-        x, y = _out(plane, x, y)
+        is_pushed = is_pushed or count > 0
+    if is_pushed:
+        x, y = _push_out(plane, x, y)
     joints[X], joints[Y] = x, y
-    flat.end(robot, heading, c, s)
+    flat.set_heading(robot, heading, c, s)
     speeds[0], speeds[1], speeds[2] = forward, lateral, spin
-    speeds[LEFT_ANGLE], speeds[RIGHT_ANGLE] = left / robot.left_wheel, right / robot.right_wheel
-    robot.last[SLIPS] = 1.0 if slips else 0.0
+    speeds[flat.LEFT_ANGLE], speeds[flat.RIGHT_ANGLE] = left / robot.left_wheel, right / robot.right_wheel
+    robot.last[flat.SLIPS] = 1.0 if slips else 0.0
     if not slips:
-        for i in range(len(grips)):
-            grips[i] = 0.0
+        for i in range(len(impulses)):
+            impulses[i] = 0.0
 
 
 @compilable
 def _rates(robot: PlanarRobot) -> _Rates:
     half, inv_mass, inv_inertia = robot.track / 2, 1 / robot.mass, 1 / robot.inertia
-    effective_mass = robot.spin + robot.substep * robot.damping
-    rim = robot.wheel * robot.wheel / effective_mass
+    effective_mass = robot.wheel_inertia + robot.substep * robot.damping
+    rim = robot.wheel_radius * robot.wheel_radius / effective_mass
     tyre = 1 / (inv_mass + half * half * inv_inertia + rim)
     friction_impulse = 1 / (inv_mass + robot.radius * robot.radius * inv_inertia)
-    return half, inv_mass, inv_inertia, tyre, friction_impulse, rim, robot.spin / effective_mass
+    return half, inv_mass, inv_inertia, tyre, friction_impulse, rim, robot.wheel_inertia / effective_mass
 
 
 @compilable
-def _solve(plane: Plane, count: int, n_touches: int, rates: _Rates, motion: _Motion) -> _Motion:
-    """Return the motion after a substep's impulses, of the tyres and of all contacts.
+def _solve(plane: Plane, count: int, n_obstacle_contacts: int, rates: _Rates, motion: _Motion) -> _Motion:
+    """Return the motion after the impulses of a substep, those of the tyres and of all contacts.
 
     Args:
         plane: Plane.
         count: Number of contacts of the robot.
-        n_touches: Number of contacts of movable obstacles with others.
+        n_obstacle_contacts: Number of contacts of movable obstacles with others.
         rates: Constants of a substep.
         motion: Motion so far.
     """
-    robot, things, grips = plane.robot, plane.things, plane.robot.grips
-    half, inv_mass, inv_inertia, _, _, rim, lag = rates
+    robot, obstacles, impulses = plane.robot, plane.obstacles, plane.robot.impulses
+    half, inv_mass, inv_inertia, _, _, rim, decay = rates
     forward, lateral, spin, left, right = motion
     for side in range(2):
         speed = motion[3 + side]
-        if abs(speed) > STANDS:
-            grips[GEAR + side] = math.copysign(robot.gear * robot.substep, speed)
-    left += (robot.left_free_speed * robot.ctrl[0] - left) * (1 - lag)
-    right += (robot.right_free_speed * robot.ctrl[1] - right) * (1 - lag)
-    grips[PUSHED] = grips[PUSHED_ASIDE] = 0.0
+        if abs(speed) > STOP_SPEED:
+            impulses[GEARS + side] = math.copysign(robot.gear_friction * robot.substep, speed)
+    left += (robot.left_free_speed * robot.ctrl[0] - left) * (1 - decay)
+    right += (robot.right_free_speed * robot.ctrl[1] - right) * (1 - decay)
+    impulses[PUSHED] = impulses[PUSHED_ASIDE] = 0.0
     for i in range(count):
-        thing = int(robot.contacts[i, 3])
-        along, across = things[thing, ALONG], things[thing, ACROSS]
+        obstacle = int(robot.contacts[i, 3])
+        along, across = obstacles[obstacle, ALONG], obstacles[obstacle, ACROSS]
         nx, ny = robot.contacts[i, 0], robot.contacts[i, 1]
-        grips[PUSHED] += along * nx - across * ny
-        grips[PUSHED_ASIDE] += along * ny + across * nx
+        impulses[PUSHED] += along * nx - across * ny
+        impulses[PUSHED_ASIDE] += along * ny + across * nx
         spin -= across * robot.radius * inv_inertia
-        place_x, place_y = robot.contacts[i, 4], robot.contacts[i, 5]
+        contact_x, contact_y = robot.contacts[i, 4], robot.contacts[i, 5]
         x, y = across * ny - along * nx, -across * nx - along * ny
-        pushing.push(plane, int(things[thing, BODY]), place_x, place_y, x, y)
-    forward += (grips[0] + grips[1] + grips[PUSHED]) * inv_mass
-    lateral += (grips[ASIDE] + grips[ASIDE + 1] + grips[PUSHED_ASIDE]) * inv_mass
-    spin += (grips[1] - grips[0]) * half * inv_inertia
-    left -= (grips[0] + grips[GEAR]) * rim
-    right -= (grips[1] + grips[GEAR + 1]) * rim
+        pushing.apply_impulse(plane, int(obstacles[obstacle, flat.BODY]), contact_x, contact_y, x, y)
+    forward += (impulses[0] + impulses[1] + impulses[PUSHED]) * inv_mass
+    lateral += (impulses[ASIDE] + impulses[ASIDE + 1] + impulses[PUSHED_ASIDE]) * inv_mass
+    spin += (impulses[1] - impulses[0]) * half * inv_inertia
+    left -= (impulses[0] + impulses[GEARS]) * rim
+    right -= (impulses[1] + impulses[GEARS + 1]) * rim
     motion = forward, lateral, spin, left, right
-    for _ in range(_ROUNDS):
-        # Pitching loads a support instead of the tyres, rolling one tyre instead of the other.
-        pitching = robot.lean * robot.substep - robot.low * grips[PUSHED]
-        pitching += robot.high * (grips[0] + grips[1] + grips[PUSHED])
-        rolling = robot.high * (grips[ASIDE] + grips[ASIDE + 1] + grips[PUSHED_ASIDE])
-        rolling = (rolling - robot.low * grips[PUSHED_ASIDE]) * robot.shift
-        most = robot.grip * robot.substep - robot.relief * abs(pitching)
-        motion, changed = _hold(robot, rates, motion, 0, max(most - rolling, 0.0) * robot.left_hold)
-        motion, more = _hold(robot, rates, motion, 1, max(most + rolling, 0.0) * robot.right_hold)
-        motion, changed = _push(plane, count, rates, motion, changed + more)
-        changed += pushing.hold(plane, n_touches)
-        if changed * inv_mass < _SETTLED:
+    for _ in range(_MAX_ITERATIONS):
+        # Pitching shifts load from the tyres to a support, rolling from one tyre to the other.
+        pitch_moment = robot.weight_moment * robot.substep - robot.push_height * impulses[PUSHED]
+        pitch_moment += robot.pitch_arm * (impulses[0] + impulses[1] + impulses[PUSHED])
+        roll_shift = robot.pitch_arm * (impulses[ASIDE] + impulses[ASIDE + 1] + impulses[PUSHED_ASIDE])
+        roll_shift = (roll_shift - robot.push_height * impulses[PUSHED_ASIDE]) * robot.roll_shift
+        max_impulse = robot.tyre_force * robot.substep - robot.pitch_relief * abs(pitch_moment)
+        left_limit = max(max_impulse - roll_shift, 0.0) * robot.left_grip
+        right_limit = max(max_impulse + roll_shift, 0.0) * robot.right_grip
+        motion, left_change = _solve_tyre(robot, rates, motion, 0, left_limit)
+        motion, right_change = _solve_tyre(robot, rates, motion, 1, right_limit)
+        motion, changed = _solve_contacts(plane, count, rates, motion, left_change + right_change)
+        changed += pushing.solve_round(plane, n_obstacle_contacts)
+        if changed * inv_mass < _TOLERANCE:
             break
     return motion
 
 
 @compilable
-def _hold(
-    robot: PlanarRobot, rates: _Rates, motion: _Motion, side: int, most: float
-) -> tuple[_Motion, float]:
-    """Return the motion after one round of a tyre and its gear, and the change of their impulses [N s].
+def _solve_tyre(robot: PlanarRobot, rates: _Rates, motion: _Motion, side: int, max_impulse: float) -> _Update:
+    """Return the motion after one iteration of a tyre and its gear, and the change of their impulses [N s].
 
     Args:
         robot: Robot.
         rates: Constants of a substep.
         motion: Motion so far.
         side: 0 for the left tyre, 1 for the right one.
-        most: Largest impulse of the tyre, along and aside together [N s].
+        max_impulse: Largest magnitude of the tyre's impulse [N s].
     """
     half, inv_mass, inv_inertia, tyre, _, rim, _ = rates
     forward, lateral, spin, left, right = motion
-    grips, rubs = robot.grips, robot.gear * robot.substep
+    impulses, max_gear = robot.impulses, robot.gear_friction * robot.substep
     arm, speed = (-half, left) if side == 0 else (half, right)
-    rub = min(max(grips[GEAR + side] + speed / rim, -rubs), rubs)
-    change = rub - grips[GEAR + side]
+    gear = min(max(impulses[GEARS + side] + speed / rim, -max_gear), max_gear)
+    change = gear - impulses[GEARS + side]
     speed -= change * rim
     changed = abs(change)
     slip = forward + arm * spin - speed
-    along, aside = grips[side] - slip * tyre, grips[ASIDE + side] - lateral * robot.mass
-    if along * along + aside * aside > most * most:
-        # One scale for both: where it slips, the force is against the slip.
-        aside = grips[ASIDE + side] - lateral * tyre
-        part = most / max(math.sqrt(along * along + aside * aside), most)
-        along, aside = along * part, aside * part
-    change, change_aside = along - grips[side], aside - grips[ASIDE + side]
-    grips[side], grips[ASIDE + side], grips[GEAR + side] = along, aside, rub
+    along, aside = impulses[side] - slip * tyre, impulses[ASIDE + side] - lateral * robot.mass
+    if along * along + aside * aside > max_impulse * max_impulse:
+        # One scale for both: the force of a slipping tyre opposes the slip.
+        aside = impulses[ASIDE + side] - lateral * tyre
+        scale = max_impulse / max(math.sqrt(along * along + aside * aside), max_impulse)
+        along, aside = along * scale, aside * scale
+    change, change_aside = along - impulses[side], aside - impulses[ASIDE + side]
+    impulses[side], impulses[ASIDE + side], impulses[GEARS + side] = along, aside, gear
     forward += change * inv_mass
     lateral += change_aside * inv_mass
     spin += change * arm * inv_inertia
@@ -217,102 +205,105 @@ def _hold(
 
 
 @compilable
-def _push(plane: Plane, count: int, rates: _Rates, motion: _Motion, changed: float) -> tuple[_Motion, float]:
-    """Return the motion after one round of the contacts, and `changed` with the change of theirs [N s]."""
-    robot, things, h = plane.robot, plane.things, plane.robot.substep
+def _solve_contacts(plane: Plane, count: int, rates: _Rates, motion: _Motion, changed: float) -> _Update:
+    """Return the motion after one iteration of the contacts, and `changed` plus their change [N s]."""
+    robot, obstacles, h = plane.robot, plane.obstacles, plane.robot.substep
     _, inv_mass, inv_inertia, _, friction_impulse, _, _ = rates
     forward, lateral, spin, left, right = motion
     for i in range(count):
-        thing = int(robot.contacts[i, 3])
+        obstacle = int(robot.contacts[i, 3])
         nx, ny, gap = robot.contacts[i, 0], robot.contacts[i, 1], robot.contacts[i, 2]
-        across, along, body = things[thing, ACROSS], things[thing, ALONG], int(things[thing, BODY])
-        place_x, place_y = robot.contacts[i, 4], robot.contacts[i, 5]
-        mass, turning = robot.mass, friction_impulse
+        across, along = obstacles[obstacle, ACROSS], obstacles[obstacle, ALONG]
+        body = int(obstacles[obstacle, flat.BODY])
+        contact_x, contact_y = robot.contacts[i, 4], robot.contacts[i, 5]
+        normal_mass, tangent_mass = robot.mass, friction_impulse
         if body >= 0:
             inv_body, inv_turn = pushing.masses(plane, body)
-            arm, arm_across = place_x * ny - place_y * nx, place_x * nx + place_y * ny
-            mass = 1 / (inv_mass + inv_body + arm * arm * inv_turn)
-            turning = 1 / (1 / friction_impulse + inv_body + arm_across * arm_across * inv_turn)
-        speed_x, speed_y = pushing.speed_at(plane, body, place_x, place_y)
-        side, slip = robot.friction * along, (lateral - speed_y) * nx - (forward - speed_x) * ny
-        new = min(max(across - (slip - robot.radius * spin) * turning, -side), side)
-        things[thing, ACROSS] = new
-        change = new - across
+            arm, arm_across = contact_x * ny - contact_y * nx, contact_x * nx + contact_y * ny
+            normal_mass = 1 / (inv_mass + inv_body + arm * arm * inv_turn)
+            tangent_mass = 1 / (1 / friction_impulse + inv_body + arm_across * arm_across * inv_turn)
+        speed_x, speed_y = pushing.speed_at(plane, body, contact_x, contact_y)
+        limit, slip = robot.friction * along, (lateral - speed_y) * nx - (forward - speed_x) * ny
+        impulse = min(max(across - (slip - robot.radius * spin) * tangent_mass, -limit), limit)
+        obstacles[obstacle, ACROSS] = impulse
+        change = impulse - across
         forward -= change * ny * inv_mass
         lateral += change * nx * inv_mass
         spin -= change * robot.radius * inv_inertia
-        pushing.push(plane, body, place_x, place_y, change * ny, -change * nx)
-        speed_x, speed_y = pushing.speed_at(plane, body, place_x, place_y)
+        pushing.apply_impulse(plane, body, contact_x, contact_y, change * ny, -change * nx)
+        speed_x, speed_y = pushing.speed_at(plane, body, contact_x, contact_y)
         closing = (forward - speed_x) * nx + (lateral - speed_y) * ny
-        new = max(along - (closing + gap / h) * mass, 0.0)
-        things[thing, ALONG] = new
-        changed += abs(change) + abs(new - along)
-        forward += (new - along) * nx * inv_mass
-        lateral += (new - along) * ny * inv_mass
-        pushing.push(plane, body, place_x, place_y, (along - new) * nx, (along - new) * ny)
-        robot.grips[PUSHED] += (new - along) * nx - change * ny
-        robot.grips[PUSHED_ASIDE] += (new - along) * ny + change * nx
+        impulse = max(along - (closing + gap / h) * normal_mass, 0.0)
+        obstacles[obstacle, ALONG] = impulse
+        changed += abs(change) + abs(impulse - along)
+        forward += (impulse - along) * nx * inv_mass
+        lateral += (impulse - along) * ny * inv_mass
+        x, y = (along - impulse) * nx, (along - impulse) * ny
+        pushing.apply_impulse(plane, body, contact_x, contact_y, x, y)
+        robot.impulses[PUSHED] += (impulse - along) * nx - change * ny
+        robot.impulses[PUSHED_ASIDE] += (impulse - along) * ny + change * nx
     return (forward, lateral, spin, left, right), changed
 
 
 @compilable
-def _gather(plane: Plane, x: float, y: float, c: float, s: float, reach: float) -> int:
+def _find_contacts(plane: Plane, x: float, y: float, c: float, s: float, reach: float) -> int:
     """Fill in the contacts within reach of a point [m], normals in the robot's frame; return their number."""
-    robot, things, order, count = plane.robot, plane.things, plane.order, 0
-    dx, dy = x - robot.last[ANCHOR_X], y - robot.last[ANCHOR_Y]
+    robot, obstacles, order, count = plane.robot, plane.obstacles, plane.order, 0
+    dx, dy = x - robot.last[flat.ANCHOR_X], y - robot.last[flat.ANCHOR_Y]
     moved = math.sqrt(dx * dx + dy * dy)
     for i in range(len(order)):
-        if things[order[i], DISTANCE] - moved > reach:
+        if obstacles[order[i], flat.DISTANCE] - moved > reach:
             break
-        count = _meet(plane, order[i], (x, y), (c, s), reach, count)
-    for thing in range(len(order), len(things)):
-        count = _meet(plane, thing, (x, y), (c, s), reach, count)
+        count = _add_contact(plane, order[i], (x, y), (c, s), reach, count)
+    for obstacle in range(len(order), len(obstacles)):
+        count = _add_contact(plane, obstacle, (x, y), (c, s), reach, count)
     return count
 
 
 @compilable
-def _meet(
-    plane: Plane, thing: int, at: tuple[float, float], axes: tuple[float, float], reach: float, count: int
+def _add_contact(
+    plane: Plane, obstacle: int, centre: flat.Pair, axes: flat.Pair, reach: float, count: int
 ) -> int:
-    """Add the contact with an obstacle, if it is within reach; return the number of contacts."""
-    contacts, things = plane.robot.contacts, plane.things
-    if not things[thing, TOUCHED] or count == len(contacts):
+    """Add the contact with an obstacle within reach; return the number of contacts."""
+    contacts, obstacles = plane.robot.contacts, plane.obstacles
+    if not obstacles[obstacle, flat.TOUCHABLE] or count == len(contacts):
         return count
-    (x, y), (c, s) = at, axes
-    nx, ny, away = flat.nearest(things, thing, x, y)
-    if away > reach:
-        things[thing, ALONG] = things[thing, ACROSS] = 0.0
+    (x, y), (c, s) = centre, axes
+    nx, ny, distance = flat.nearest(obstacles, obstacle, x, y)
+    if distance > reach:
+        obstacles[obstacle, ALONG] = obstacles[obstacle, ACROSS] = 0.0
         return count
-    gap = away - plane.robot.radius
+    gap = distance - plane.robot.radius
     contacts[count, 0], contacts[count, 1] = c * nx + s * ny, c * ny - s * nx
-    contacts[count, 2], contacts[count, 3] = max(gap, 0.0), thing
-    body = int(things[thing, BODY])
+    contacts[count, 2], contacts[count, 3] = max(gap, 0.0), obstacle
+    body = int(obstacles[obstacle, flat.BODY])
     if body >= 0:
-        plane.bodies[body, ACTIVE] = 1.0
-        dx, dy = x - away * nx - things[thing, CENTRE_X], y - away * ny - things[thing, CENTRE_Y]
-        contacts[count, 2] = pushing.gap_for(gap)
+        plane.bodies[body, flat.ACTIVE] = 1.0
+        dx = x - distance * nx - obstacles[obstacle, flat.CENTRE_X]
+        dy = y - distance * ny - obstacles[obstacle, flat.CENTRE_Y]
+        contacts[count, 2] = pushing.substep_gap(gap)
         contacts[count, 4], contacts[count, 5] = c * dx + s * dy, c * dy - s * dx
     return count + 1
 
 
 @compilable
-def _out(plane: Plane, x: float, y: float) -> tuple[float, float]:
+def _push_out(plane: Plane, x: float, y: float) -> tuple[float, float]:
     """Return a position pushed out of all obstacles that the disc overlaps."""
-    robot, things = plane.robot, plane.things
+    robot, obstacles = plane.robot, plane.obstacles
     for _ in range(_PASSES):
-        dx, dy = x - robot.last[ANCHOR_X], y - robot.last[ANCHOR_Y]
-        moved, free = math.sqrt(dx * dx + dy * dy), True
+        dx, dy = x - robot.last[flat.ANCHOR_X], y - robot.last[flat.ANCHOR_Y]
+        moved, is_free = math.sqrt(dx * dx + dy * dy), True
         for i in range(len(plane.order)):
-            if things[plane.order[i], DISTANCE] - moved > robot.radius:
+            if obstacles[plane.order[i], flat.DISTANCE] - moved > robot.radius:
                 break
-            thing = plane.order[i]
-            if not things[thing, TOUCHED]:
+            obstacle = plane.order[i]
+            if not obstacles[obstacle, flat.TOUCHABLE]:
                 continue
-            nx, ny, away = flat.nearest(things, thing, x, y)
-            if away < robot.radius:
-                x += (robot.radius - away) * nx
-                y += (robot.radius - away) * ny
-                free = False
-        if free:
+            nx, ny, distance = flat.nearest(obstacles, obstacle, x, y)
+            if distance < robot.radius:
+                x += (robot.radius - distance) * nx
+                y += (robot.radius - distance) * ny
+                is_free = False
+        if is_free:
             break
     return x, y

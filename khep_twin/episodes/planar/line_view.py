@@ -1,9 +1,9 @@
-"""The line image of a K213 on the robot of a plane, whose controllers do not read it yet.
+"""The line image of a K213 on the robot of a plane; controllers in the plane do not read it yet.
 
     view = PlaneView(world.playpen, model, world.forms.plane)
     light = view.take(pixels, lamps, world.playpen.lighting.room_lux)
 
-The image is that of MuJoCo's scene with the robot and what can move at their places in the plane.
+The image is that of MuJoCo's scene, with the robot and the movable objects at their poses in the plane.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ class PlaneView:
     Args:
         playpen: Playpen of the plane, with one robot.
         model: Model of its scene.
-        plane: State of the plane, live.
+        plane: State of the plane, read at each image.
     """
 
     def __init__(self, playpen: Playpen, model: mujoco.MjModel, plane: Plane) -> None:
@@ -37,17 +37,17 @@ class PlaneView:
         mujoco.mj_kinematics(model, data)
         self._geoms, self._geom_turns = data.geom_xpos.copy(), data.geom_xmat.copy()
         self._sites, self._site_turns = data.site_xpos.copy(), data.site_xmat.copy()
-        self._own_places = self._geoms.copy(), self._geom_turns.copy()
+        self._start_places = self._geoms.copy(), self._geom_turns.copy()
         base = model.body("khepera0/base").id
-        own = model.body_rootid[model.geom_bodyid] == base
-        self._own: list[int] = np.flatnonzero(own).tolist()
-        self._own_start = data.xpos[base].copy(), data.xmat[base].reshape(3, 3).copy()
+        is_robot = model.body_rootid[model.geom_bodyid] == base
+        self._robot_geoms: list[int] = np.flatnonzero(is_robot).tolist()
+        self._robot_start = data.xpos[base].copy(), data.xmat[base].reshape(3, 3).copy()
         self._movable: list[tuple[int, list[int]]] = [
             (model.geom(name).id, np.flatnonzero(model.site_bodyid == model.body(name).id).tolist())
             for name in movable_names(playpen)
         ]
-        at = Places(self._geoms, self._geom_turns, self._sites, self._site_turns)
-        self._camera = LineCamera(fixed_faces(model), moving_faces(model, base), at)
+        places = Places(self._geoms, self._geom_turns, self._sites, self._site_turns)
+        self._camera = LineCamera(fixed_faces(model), moving_faces(model, base), places)
 
     def take(
         self,
@@ -65,36 +65,36 @@ class PlaneView:
         joints = self._plane.robot.joints
         x, y = joints[flat.X], joints[flat.Y]
         c, s = flat.direction(self._plane.robot)
-        self._put(x, y, c, s)
+        self._place_geoms(x, y, c, s)
         eye = Eye(x + K213_EYE_AHEAD * c, y + K213_EYE_AHEAD * s, K213_EYE_HEIGHT, c, s)
         return self._camera.take(
             eye, pixels, lamps, room_lux, exposure_ms, key, number, noisy=noisy, compiled=compiled
         )
 
-    def _put(self, x: float, y: float, c: float, s: float) -> None:
-        """Put the robot's own geoms, and what can move, to their places in the plane."""
-        start, turned = self._own_start
-        turn = _upright(c, s) @ turned.T
-        places, turns = self._own_places
-        for geom in self._own:
+    def _place_geoms(self, x: float, y: float, c: float, s: float) -> None:
+        """Set the poses of the robot's geoms and of the movable objects to those in the plane."""
+        start, start_turn = self._robot_start
+        turn = _upright(c, s) @ start_turn.T
+        places, turns = self._start_places
+        for geom in self._robot_geoms:
             self._geoms[geom] = turn @ (places[geom] - start) + (x, y, start[2])
             self._geom_turns[geom] = (turn @ turns[geom].reshape(3, 3)).ravel()
-        things, bodies = self._plane.things, self._plane.bodies
+        obstacles, bodies = self._plane.obstacles, self._plane.bodies
         for body, (geom, sites) in enumerate(self._movable):
-            row = int(bodies[body, flat.THING])
-            c, s = things[row, flat.COSINE], things[row, flat.SINE]
+            row = int(bodies[body, flat.OBSTACLE])
+            c, s = obstacles[row, flat.COSINE], obstacles[row, flat.SINE]
             frame = _upright(c, s)
-            middle = (things[row, flat.BOTTOM] + things[row, flat.TOP]) / 2
-            place = np.array([things[row, flat.CENTRE_X], things[row, flat.CENTRE_Y], middle])
+            middle = (obstacles[row, flat.BOTTOM] + obstacles[row, flat.TOP]) / 2
+            place = np.array([obstacles[row, flat.CENTRE_X], obstacles[row, flat.CENTRE_Y], middle])
             self._geoms[geom] = place
             self._geom_turns[geom] = frame.ravel()
             for site in sites:
-                own = np.zeros(9)
-                mujoco.mju_quat2Mat(own, self._model.site_quat[site])
+                site_turn = np.zeros(9)
+                mujoco.mju_quat2Mat(site_turn, self._model.site_quat[site])
                 self._sites[site] = place + frame @ self._model.site_pos[site]
-                self._site_turns[site] = (frame @ own.reshape(3, 3)).ravel()
+                self._site_turns[site] = (frame @ site_turn.reshape(3, 3)).ravel()
 
 
 def _upright(c: float, s: float) -> NDArray[np.float64]:
-    """Return the orientation of what has turned about the vertical, by cosine and sine (3, 3)."""
+    """Return the rotation matrix about the vertical axis, from cosine and sine (3, 3)."""
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

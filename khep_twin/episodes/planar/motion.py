@@ -1,15 +1,14 @@
-"""Motion of a robot in a plane: two motors, and tyres that grip.
+"""Motion of a robot in a plane: two motors, and tyres without slip.
 
-All constants are those of the scene that `playpen_to_mjcf` makes. Motion is integrated as by MuJoCo's
-implicit integrator, in substeps of 2.5 ms, for any number of them per step:
+All constants are those of the scene from `playpen_to_mjcf`. Motion is integrated as by MuJoCo's implicit
+integrator, in substeps of 2.5 ms, of which a step has any number:
 
     J w' = K (V - K w) / R - T - r F      each wheel, w its speed, F the force of its tyre on the floor
     m v' = F_left + F_right + walls       and likewise about the vertical axis
 
-T is the gear's dry friction, against the speed; a wheel stands while less than its torque drives it. While
-tyres grip and wheels keep turning as they do, both wheels and the body are two first-order lags, for
-translation and rotation, and nothing has to be solved. Wheels of different radii have
-the lags of their mean. `contact_solver` does the rest.
+T is the gear's dry friction, against the speed; a wheel stands still while the torque that drives it is
+smaller. Without slip or a change of direction of a wheel, translation and rotation are two first-order lags
+in closed form. For wheels of different radii, they are those of the mean radius. All else: `contact_solver`.
 """
 
 import math
@@ -18,164 +17,157 @@ from khep_twin.compilable import compilable, compilable_once
 from khep_twin.episodes.planar import contact_solver
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.episodes.planar.plane import (
-    ANCHOR_X,
-    ANCHOR_Y,
+    ANCHOR_DISTANCE,
     CENTRE_X,
     CENTRE_Y,
-    COSINE,
     DISTANCE,
-    HEADING,
-    HEADING_COSINE,
-    HEADING_SINE,
     LEFT_ANGLE,
-    LENGTH,
-    MOVED,
     N_NEAR,
-    NEAREST,
-    REFLECTANCE,
     RIGHT_ANGLE,
-    SINE,
-    SLIPS,
-    TOUCHED,
     PlanarRobot,
     Plane,
     X,
     Y,
 )
 
-_ANCHORED = 0.02
-"""Distance moved after which distances to all obstacles are measured again [m]."""
+_ANCHOR_RANGE = 0.02
+"""Distance from the anchor at which the distances to all obstacles are measured again [m]."""
 
 
 @compilable_once
 def step(plane: Plane) -> None:
-    """Advance by one step, of all its substeps, at the present motor voltages."""
+    """Advance by one step (all its substeps) at the present motor voltages."""
     robot = plane.robot
     joints, speeds, last = robot.joints, robot.speeds, robot.last
-    x, y, heading = joints[X], joints[Y], joints[HEADING]
+    x, y, heading = joints[X], joints[Y], joints[flat.HEADING]
     c, s = flat.direction(robot)
-    last[CENTRE_X], last[CENTRE_Y], last[HEADING_COSINE], last[HEADING_SINE] = x, y, c, s
-    dx, dy = x - last[ANCHOR_X], y - last[ANCHOR_Y]
-    last[MOVED] = math.sqrt(dx * dx + dy * dy)
-    if last[MOVED] > _ANCHORED:
-        measure(plane)
-    look_around(plane)
-    robot.force[0] = robot.stall * robot.ctrl[0] - robot.damping * speeds[LEFT_ANGLE]
-    robot.force[1] = robot.stall * robot.ctrl[1] - robot.damping * speeds[RIGHT_ANGLE]
+    last[CENTRE_X], last[CENTRE_Y], last[flat.HEADING_COSINE], last[flat.HEADING_SINE] = x, y, c, s
+    dx, dy = x - last[flat.ANCHOR_X], y - last[flat.ANCHOR_Y]
+    last[ANCHOR_DISTANCE] = math.sqrt(dx * dx + dy * dy)
+    if last[ANCHOR_DISTANCE] > _ANCHOR_RANGE:
+        measure_distances(plane)
+    find_near(plane)
+    robot.force[0] = robot.stall_torque * robot.ctrl[0] - robot.damping * speeds[LEFT_ANGLE]
+    robot.force[1] = robot.stall_torque * robot.ctrl[1] - robot.damping * speeds[RIGHT_ANGLE]
     left, right = robot.left_wheel * speeds[LEFT_ANGLE], robot.right_wheel * speeds[RIGHT_ANGLE]
-    left_way, right_way = _turning(left, robot.ctrl[0], robot), _turning(right, robot.ctrl[1], robot)
-    if left_way == 0.0 and right_way == 0.0 and last[SLIPS] == 0:
-        # Both gears hold; what is left of a speed is the solver's rest.
+    left_direction = _wheel_direction(left, robot.ctrl[0], robot)
+    right_direction = _wheel_direction(right, robot.ctrl[1], robot)
+    if left_direction == 0.0 and right_direction == 0.0 and last[flat.SLIPS] == 0:
+        # Both gears hold; a remaining speed is the solver's residual.
         for i in range(len(speeds)):
             speeds[i] = 0.0
         return
-    left_aim = robot.left_free_speed * (robot.ctrl[0] - left_way * robot.dead_voltage)
-    right_aim = robot.right_free_speed * (robot.ctrl[1] - right_way * robot.dead_voltage)
-    going, turning = (left + right) / 2, (right - left) / 2
-    going_aim, turning_aim = (left_aim + right_aim) / 2, (right_aim - left_aim) / 2
+    left_target = robot.left_free_speed * (robot.ctrl[0] - left_direction * robot.dead_voltage)
+    right_target = robot.right_free_speed * (robot.ctrl[1] - right_direction * robot.dead_voltage)
+    linear, angular = (left + right) / 2, (right - left) / 2
+    linear_target, angular_target = (left_target + right_target) / 2, (right_target - left_target) / 2
     n, h = robot.n_substeps, robot.substep
     # The first substep needs the largest tyre force.
-    speeding = (going_aim - going) * (1 - robot.going) / h
-    swinging = (turning_aim - turning) * (1 - robot.turning) / h
-    per_turn = 2 / robot.track
-    force = abs(robot.mass * speeding) / 2 + abs(robot.inertia * swinging) * per_turn * per_turn / 2
-    force += abs(robot.mass * going * turning) * per_turn / 2
-    pitching = abs(robot.lean + robot.mass * robot.high * speeding)
-    most = max(abs(going), abs(going_aim)) * h * n
+    acceleration = (linear_target - linear) * (1 - robot.linear_decay) / h
+    swing = (angular_target - angular) * (1 - robot.angular_decay) / h
+    turn_per_path = 2 / robot.track
+    force = abs(robot.mass * acceleration) / 2
+    force += abs(robot.inertia * swing) * turn_per_path * turn_per_path / 2
+    force += abs(robot.mass * linear * angular) * turn_per_path / 2
+    pitch_moment = abs(robot.weight_moment + robot.mass * robot.pitch_arm * acceleration)
+    max_travel = max(abs(linear), abs(linear_target)) * h * n
+    max_force = (robot.tyre_force - robot.pitch_relief * pitch_moment) * min(
+        robot.left_grip, robot.right_grip
+    )
     if (
-        last[SLIPS] != 0
-        or left_way * right_way == 0.0
-        or force > (robot.grip - robot.relief * pitching) * min(robot.left_hold, robot.right_hold)
-        or not _clear(plane, robot.radius + most)
+        last[flat.SLIPS] != 0
+        or left_direction * right_direction == 0.0
+        or force > max_force
+        or not _is_clear(plane, robot.radius + max_travel)
     ):
-        contact_solver.slide(plane)
+        contact_solver.step_with_slip(plane)
         return
     left_path = right_path = 0.0
     for _ in range(n):
-        going = going_aim + (going - going_aim) * robot.going
-        turning = turning_aim + (turning - turning_aim) * robot.turning
+        linear = linear_target + (linear - linear_target) * robot.linear_decay
+        angular = angular_target + (angular - angular_target) * robot.angular_decay
         # Positions are integrated with the new speeds along the old heading, as in MuJoCo.
-        x += h * going * c
-        y += h * going * s
-        left_path += going - turning
-        right_path += going + turning
-        turn = h * turning * per_turn
+        x += h * linear * c
+        y += h * linear * s
+        left_path += linear - angular
+        right_path += linear + angular
+        turn = h * angular * turn_per_path
         heading += turn
-        turn_c, turn_s = flat.turned(turn)
+        turn_c, turn_s = flat.turn_vector(turn)
         c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
-    if (going - turning) * left_way < 0 or (going + turning) * right_way < 0:
+    if (linear - angular) * left_direction < 0 or (linear + angular) * right_direction < 0:
         # A wheel stops within the step.
-        contact_solver.slide(plane)
+        contact_solver.step_with_slip(plane)
         return
     joints[X], joints[Y] = x, y
-    flat.end(robot, heading, c, s)
+    flat.set_heading(robot, heading, c, s)
     joints[LEFT_ANGLE] += left_path * h / robot.left_wheel
     joints[RIGHT_ANGLE] += right_path * h / robot.right_wheel
-    speeds[0], speeds[1], speeds[2] = going, 0.0, turning * per_turn
-    speeds[LEFT_ANGLE] = (going - turning) / robot.left_wheel
-    speeds[RIGHT_ANGLE] = (going + turning) / robot.right_wheel
+    speeds[0], speeds[1], speeds[2] = linear, 0.0, angular * turn_per_path
+    speeds[LEFT_ANGLE] = (linear - angular) / robot.left_wheel
+    speeds[RIGHT_ANGLE] = (linear + angular) / robot.right_wheel
 
 
 @compilable
-def _turning(speed: float, voltage: float, robot: PlanarRobot) -> float:
-    """Return the direction in which a wheel turns or starts to, 1 or -1; 0 if its gear holds it."""
-    if abs(speed) > contact_solver.STANDS:
+def _wheel_direction(speed: float, voltage: float, robot: PlanarRobot) -> float:
+    """Return the direction in which a wheel turns or starts to turn, 1 or -1; 0 if its gear holds it."""
+    if abs(speed) > contact_solver.STOP_SPEED:
         return math.copysign(1.0, speed)
     return math.copysign(1.0, voltage) if abs(voltage) > robot.dead_voltage else 0.0
 
 
 @compilable
-def measure(plane: Plane) -> None:
-    """Make the position of the last step's start the anchor; measure and sort the distances from it."""
-    last, order, things = plane.robot.last, plane.order, plane.things
+def measure_distances(plane: Plane) -> None:
+    """Set the anchor to the position before the last step; measure and sort the distances from it."""
+    last, order, obstacles = plane.robot.last, plane.order, plane.obstacles
     x, y = last[CENTRE_X], last[CENTRE_Y]
-    last[ANCHOR_X], last[ANCHOR_Y], last[MOVED] = x, y, 0.0
+    last[flat.ANCHOR_X], last[flat.ANCHOR_Y], last[ANCHOR_DISTANCE] = x, y, 0.0
     for i in range(len(order)):
-        # Insertion sort, as few change their order.
-        thing, k = order[i], i
-        distance = flat.distance_to(things, thing, x, y)
-        things[thing, DISTANCE] = distance
-        while k > 0 and things[order[k - 1], DISTANCE] > distance:
+        # Insertion sort, as the order changes little.
+        obstacle, k = order[i], i
+        distance = flat.distance_to(obstacles, obstacle, x, y)
+        obstacles[obstacle, DISTANCE] = distance
+        while k > 0 and obstacles[order[k - 1], DISTANCE] > distance:
             order[k] = order[k - 1]
             k -= 1
-        order[k] = thing
+        order[k] = obstacle
 
 
 @compilable
-def look_around(plane: Plane) -> None:
-    """Fill in the obstacles within sight at the start of the last step."""
-    things, order, last = plane.things, plane.order, plane.robot.last
-    last[N_NEAR], last[NEAREST] = 0.0, math.inf
+def find_near(plane: Plane) -> None:
+    """Fill in the obstacles in sensor range at the start of the last step."""
+    obstacles, order, last = plane.obstacles, plane.order, plane.robot.last
+    last[N_NEAR], last[flat.NEAREST] = 0.0, math.inf
     for i in range(len(order)):
-        if things[order[i], DISTANCE] > plane.robot.sight + last[MOVED]:
+        if obstacles[order[i], DISTANCE] > plane.robot.sensor_range + last[ANCHOR_DISTANCE]:
             break
-        _look_at(plane, order[i])
-    for thing in range(len(order), len(things)):
-        _look_at(plane, thing)
+        _add_if_near(plane, order[i])
+    for obstacle in range(len(order), len(obstacles)):
+        _add_if_near(plane, obstacle)
 
 
 @compilable
-def _look_at(plane: Plane, thing: int) -> None:
-    """Add an obstacle to those within sight, if it is."""
-    things, near, last = plane.things, plane.near, plane.robot.last
-    c, s, row = last[HEADING_COSINE], last[HEADING_SINE], int(last[N_NEAR])
-    dx, dy = things[thing, CENTRE_X] - last[CENTRE_X], things[thing, CENTRE_Y] - last[CENTRE_Y]
+def _add_if_near(plane: Plane, obstacle: int) -> None:
+    """Add an obstacle to the near ones if it is in sensor range."""
+    obstacles, near, last = plane.obstacles, plane.near, plane.robot.last
+    c, s, row = last[flat.HEADING_COSINE], last[flat.HEADING_SINE], int(last[N_NEAR])
+    dx, dy = obstacles[obstacle, CENTRE_X] - last[CENTRE_X], obstacles[obstacle, CENTRE_Y] - last[CENTRE_Y]
     near[row, CENTRE_X], near[row, CENTRE_Y] = dx * c + dy * s, dy * c - dx * s
-    cosine, sine = things[thing, COSINE], things[thing, SINE]
-    near[row, COSINE], near[row, SINE] = cosine * c + sine * s, sine * c - cosine * s
-    for column in range(LENGTH, REFLECTANCE + 1):
-        near[row, column] = things[thing, column]
+    cosine, sine = obstacles[obstacle, flat.COSINE], obstacles[obstacle, flat.SINE]
+    near[row, flat.COSINE], near[row, flat.SINE] = cosine * c + sine * s, sine * c - cosine * s
+    for column in range(flat.LENGTH, flat.REFLECTANCE + 1):
+        near[row, column] = obstacles[obstacle, column]
     near[row, DISTANCE] = distance = flat.distance_to(near, row, 0.0, 0.0)
-    last[NEAREST] = min(last[NEAREST], distance)
-    if distance <= plane.robot.sight:
+    last[flat.NEAREST] = min(last[flat.NEAREST], distance)
+    if distance <= plane.robot.sensor_range:
         last[N_NEAR] = row + 1
 
 
 @compilable
-def _clear(plane: Plane, reach: float) -> bool:
-    """Return whether nothing that can be touched was within reach at the start of the step [m]."""
+def _is_clear(plane: Plane, reach: float) -> bool:
+    """Return whether no obstacle that can be touched was within reach [m] at the start of the step."""
     near = plane.near
     for i in range(int(plane.robot.last[N_NEAR])):
-        if near[i, TOUCHED] and near[i, DISTANCE] <= reach:
+        if near[i, flat.TOUCHABLE] and near[i, DISTANCE] <= reach:
             return False
-    return reach <= plane.robot.sight
+    return reach <= plane.robot.sensor_range

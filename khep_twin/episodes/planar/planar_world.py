@@ -1,4 +1,4 @@
-"""One robot in a plane, as episodes use it: the counterpart of `World`."""
+"""One robot in a plane for episodes: the counterpart of `World`."""
 
 import copy
 from collections.abc import Callable, Sequence
@@ -32,22 +32,22 @@ from khep_twin.sensing.scene import FEW, MANY
 from khep_twin.simulation.fitted_robots import FittedRobots
 from khep_twin.simulation.mujoco_forms import SceneModel, robot_state
 from khep_twin.simulation.simulation import Simulation
-from khep_twin.step import DONE, RobotState
+from khep_twin.step import Reason, RobotState
 
-N_CONTACTS = 8
-"""Most obstacles that push the robot at once: more than fit around it."""
+N_ROBOT_CONTACTS = 8
+"""Largest number of contacts of the robot: more obstacles than fit around it."""
 
-N_TOUCHES = 64
-"""Most contacts between movable obstacles and others that are solved at once."""
+N_OBSTACLE_CONTACTS = 64
+"""Largest number of simultaneous contacts between movable obstacles and others."""
 
-LIVE = ("joints", "speeds", "ctrl", "force", "grips", "last", "contacts")
+STATE_FIELDS = ("joints", "speeds", "ctrl", "force", "impulses", "last", "contacts")
 """Fields of `PlanarRobot` that are reset at the start of each episode."""
 
 Floats = NDArray[np.float64]
 
 
 class PlanarForms:
-    """State of a plane in its two forms, which share it.
+    """State of a plane, for plain and for compiled code, which share its memory.
 
     Args:
         scene_model: Compiled model of a playpen with one robot, at the step of the plane.
@@ -57,68 +57,71 @@ class PlanarForms:
     def __init__(self, scene_model: SceneModel, planar_scene: PlanarScene) -> None:
         self._planar_scene = planar_scene
         self._entry, self._model = scene_model.playpen.robots[0], scene_model.model
-        self._calibration = self._drawn = calibration.read(self._entry.calibration)[0]
+        self._calibration = self._drawn_calibration = calibration.read(self._entry.calibration)[0]
         self._fitted: tuple[PlanarScene, FittedRobots, mujoco.MjModel, mujoco.MjData] | None = None
         self._indices = RobotIndices.of(self._model, "khepera0")
         self._lights = LightSource(self._model, self._indices)
-        points = [points_of_a_bulb(number) for number in (FEW, MANY)]
-        numbers: dict[str, Any] = {
-            **_constants(planar_scene),
-            "height": planar_scene.height,
-            "sight": 0.0,
+        points = [points_of_a_bulb(disc) for disc in (FEW, MANY)]
+        fields: dict[str, Any] = {
+            **planar_scene.chassis,
+            "mounts": planar_scene.mounts,
+            "sensor_height": planar_scene.sensor_height,
+            "sensor_range": 0.0,
             "n_few": len(points[0]),
             "points": np.concatenate(points),
             "hidden": np.zeros(sum(map(len, points)), np.int64),
-            "contacts": np.zeros((N_CONTACTS, 6)),
+            "contacts": np.zeros((N_ROBOT_CONTACTS, 6)),
             "joints": np.zeros(flat.N_JOINTS),
             "speeds": np.zeros(flat.N_JOINTS),
             "ctrl": np.zeros(2),
             "force": np.zeros(2),
-            "grips": np.zeros(flat.N_GRIPS),
+            "impulses": np.zeros(flat.N_IMPULSES),
             "last": np.zeros(flat.N_LAST),
         }
-        self._things, self._near = planar_scene.things.copy(), np.zeros_like(planar_scene.things)
-        self._bodies, self._touches = planar_scene.bodies.copy(), np.zeros((N_TOUCHES, flat.N_TOUCH))
-        self._order = np.zeros(len(self._things) - len(self._bodies), np.int64)
-        robot = PlanarRobot(**numbers)
+        self._obstacles, self._near = planar_scene.obstacles.copy(), np.zeros_like(planar_scene.obstacles)
+        self._bodies = planar_scene.bodies.copy()
+        self._obstacle_contacts = np.zeros((N_OBSTACLE_CONTACTS, flat.N_CONTACT_COLUMNS))
+        self._order = np.zeros(len(self._obstacles) - len(self._bodies), np.int64)
+        robot = PlanarRobot(**fields)
         self._records = as_records([robot], robot)
         record: Any = self._records[0]
-        self.state = {name: record[name] for name in LIVE}
-        # Memoryviews of the same memory are faster in plain Python.
+        self.state = {name: record[name] for name in STATE_FIELDS}
+        # Plain Python accesses memoryviews faster than arrays.
         views = {
             name: record[name].data if isinstance(value, np.ndarray) else value
-            for name, value in numbers.items()
+            for name, value in fields.items()
         }
-        near, bodies, touches = view(self._near), view(self._bodies), view(self._touches)
-        things, order = view(self._things), self._order.data
-        self.plane = Plane(things, order, near, bodies, touches, PlanarRobot(**views))
-        self._sense(planar_scene)
+        near, bodies, obstacle_contacts = view(self._near), view(self._bodies), view(self._obstacle_contacts)
+        obstacles, order = view(self._obstacles), self._order.data
+        self.plane = Plane(obstacles, order, near, bodies, obstacle_contacts, PlanarRobot(**views))
+        self._set_sensors(planar_scene)
 
     def plain(self) -> PlaneScene:
         """Return the scene for plain code."""
         return PlaneScene(self.plane)
 
     def compiled(self) -> tuple[Any, ...]:
-        """Return the scene for compiled code, as arrays."""
-        return self._things, self._order, self._near, self._bodies, self._touches, self._records
+        """Return the scene for compiled code: the fields of `Plane`."""
+        contacts, robots = self._obstacle_contacts, self._records
+        return self._obstacles, self._order, self._near, self._bodies, contacts, robots
 
-    def put(self, start: Start | None) -> None:
-        """Reset the state, with the robot at rest at its own pose or at the start [mm, deg]."""
+    def place_robot(self, start: Start | None) -> None:
+        """Reset the state, with the robot at rest at `start` [mm, deg], or at its pose in the playpen."""
         x_mm, y_mm, heading_deg = start or self._planar_scene.position
         x, y, heading = units.metres(x_mm), units.metres(y_mm), units.radians(heading_deg)
         for array in self.state.values():
             array[:] = 0
         self.state["joints"][:3] = x, y, heading
-        # An infinite distance makes the first step measure all distances, and another heading its cosine.
-        self.state["last"][[flat.ANCHOR_X, flat.END]] = np.inf
-        self._things[:], self._bodies[:] = self._planar_scene.things, self._planar_scene.bodies
-        # Nearly sorted, which speeds up the first measurement.
-        things = self._things[: len(self._order)]
-        away = np.hypot(things[:, flat.CENTRE_X] - x, things[:, flat.CENTRE_Y] - y)
-        self._order[:] = np.argsort(away - things[:, flat.LENGTH], kind="stable")
+        # Infinity makes the first step measure all distances and compute the cosine of the heading.
+        self.state["last"][[flat.ANCHOR_X, flat.END_HEADING]] = np.inf
+        self._obstacles[:], self._bodies[:] = self._planar_scene.obstacles, self._planar_scene.bodies
+        # An approximate order, which speeds up the first measurement.
+        fixed = self._obstacles[: len(self._order)]
+        distances = np.hypot(fixed[:, flat.CENTRE_X] - x, fixed[:, flat.CENTRE_Y] - y)
+        self._order[:] = np.argsort(distances - fixed[:, flat.LENGTH], kind="stable")
 
     def vary(self, spread: Callable[[int], np.random.Generator] | None) -> None:
-        """Make the robot another of the same make, drawn from its stream; None for that of the playpen."""
+        """Draw the robot's parameters from its stream; None for those of the playpen."""
         if self._fitted is None:
             model = copy.copy(self._model)
             self._fitted = (
@@ -128,14 +131,14 @@ class PlanarForms:
                 mujoco.MjData(model),
             )
         scene, fitted, model, data = self._fitted
-        self._drawn = self._calibration
+        self._drawn_calibration = self._calibration
         if spread is None:
             scene = self._planar_scene
         else:
-            self._drawn = calibration.varied(self._calibration, spread(0))
-            fitted.fit([self._drawn], data)
+            self._drawn_calibration = calibration.varied(self._calibration, spread(0))
+            fitted.fit([self._drawn_calibration], data)
             scene.fit(model, self._indices, data)
-        self._sense(scene)
+        self._set_sensors(scene)
 
     @property
     def n_robots(self) -> int:
@@ -152,11 +155,11 @@ class PlanarForms:
         return [self._robot_state]
 
     def light(self, lamps: Lamps, lighting: Lighting) -> Light:
-        """Return the lamps with the known sight lines to them."""
+        """Return the lamps with their precomputed lines of sight."""
         return self._lights.light(lamps.positions, lighting)
 
     def trouble(self, reason: int) -> str:
-        """Return a sentence on why the motion cannot go on."""
+        """Return why the motion cannot continue."""
         return "the motion left its bounds"
 
     @property
@@ -172,43 +175,37 @@ class PlanarForms:
     @property
     def objects(self) -> Floats:
         """Positions x, y [m] and headings [rad] of the movable obstacles (n, 3)."""
-        rows = self._things[len(self._order) :]
+        rows = self._obstacles[len(self._order) :]
         headings = np.arctan2(rows[:, flat.SINE], rows[:, flat.COSINE])
         return np.column_stack([rows[:, flat.CENTRE_X], rows[:, flat.CENTRE_Y], headings])
 
-    def _sense(self, scene: PlanarScene) -> None:
-        """Take over the constants of a plane, and the sensors of the robot as drawn last."""
-        drawn = robot_state(self._model, self._indices, PlanarScene.JOINTS, self._drawn, self._entry)
-        self._robot_state, proximity = drawn, drawn.sensors.proximity
-        reaches = np.array(proximity.offset) + proximity.reach + scene.mounts[:, 4]
+    def _set_sensors(self, scene: PlanarScene) -> None:
+        """Set the constants of a plane, and the robot's sensors from the last drawn calibration."""
+        joints, drawn = PlanarScene.JOINTS, self._drawn_calibration
+        self._robot_state = robot_state(self._model, self._indices, joints, drawn, self._entry)
+        proximity = self._robot_state.sensors.proximity
+        ranges = np.array(proximity.offset) + proximity.reach + scene.mounts[:, 4]
         record: Any = self._records[0]
-        numbers = {**_constants(scene), "sight": max(float(reaches.max()), 2 * record["radius"])}
-        for name, value in numbers.items():
+        reach = max(float(ranges.max()), 2 * record["radius"])
+        fields = {**scene.chassis, "mounts": scene.mounts, "sensor_range": reach}
+        for name, value in fields.items():
             record[name] = value
-        single = {name: value for name, value in numbers.items() if not isinstance(value, np.ndarray)}
+        single = {name: value for name, value in fields.items() if not isinstance(value, np.ndarray)}
         self.plane = self.plane._replace(robot=self.plane.robot._replace(**single))
 
 
-def _constants(scene: PlanarScene) -> dict[str, Any]:
-    """Return the fields of `PlanarRobot` that a calibration changes."""
-    return {
-        **scene.chassis,
-        "mounts": scene.mounts,
-    }
-
-
 class PlanarWorld:
-    """One robot in a plane; runs begin with `reset`.
+    """One robot in a plane; `reset` starts a run.
 
     Args:
         scene_model: Compiled model of a playpen with one robot, at the step of the plane.
         planar_scene: Constants of the plane.
 
     Attributes:
-        timing: Divisions of time.
-        simulation: State that the stepping core works on.
+        timing: Durations in steps.
+        simulation: State of the stepping core.
         forms: State of the plane.
-        guard: Guard of its methods.
+        guard: Lock of its methods.
     """
 
     def __init__(self, scene_model: SceneModel, planar_scene: PlanarScene) -> None:
@@ -233,13 +230,13 @@ class PlanarWorld:
             robot = at_spots(self.playpen, seed).robots[0]
             starts = [(robot.x_mm, robot.y_mm, robot.heading_deg)]
         simulation.reset(seed, noise=noise, vary=vary)
-        self.forms.put(starts[0])
+        self.forms.place_robot(starts[0])
         self._switch_on_board()
         playpen = self.playpen
         if lamps is not None:
             playpen = playpen.model_copy(update={"lamps": tuple(lamps)})
-        lit = Lamps(playpen, cache(partial(stream, seed, "lamps")))
-        simulation.set_lamps(lit, playpen.lighting)
+        all_lamps = Lamps(playpen, cache(partial(stream, seed, "lamps")))
+        simulation.set_lamps(all_lamps, playpen.lighting)
         simulation.switch_on()
 
     @one_thread
@@ -247,20 +244,20 @@ class PlanarWorld:
         """Advance to a time [ns], in whole steps.
 
         Raises:
-            DivergedError: The motion left its bounds, or a controller gave a speed that is no number.
+            DivergedError: The motion left its bounds, or a controller returned a speed that is not finite.
         """
-        while self.simulation.advance(time_ns // self.timing.step_ns) != DONE:
+        while self.simulation.advance(time_ns // self.timing.step_ns) != Reason.DONE:
             pass
 
     @one_thread
-    def finish_steps(self, reason: int, until: int) -> None:
-        """Act for a return of the stepping core, and run on to a step, as `World.finish_steps` does."""
+    def finish_steps(self, reason: int, end_step: int) -> None:
+        """Handle a return of the stepping core, and run up to a step, as `World.finish_steps` does."""
         self.simulation.checked(reason)
-        self.advance_to(until * self.timing.step_ns)
+        self.advance_to(end_step * self.timing.step_ns)
 
     @property
     def is_self_contained(self) -> bool:
-        """True, as nothing acts amid a run."""
+        """True, as no code outside the stepping core acts within a run."""
         return True
 
     @property
@@ -275,9 +272,9 @@ class PlanarWorld:
 
     @property
     def is_pushed(self) -> bool:
-        """True if an obstacle has pushed the robot in the last substep."""
-        grips = self.forms.state["grips"]
-        return bool(grips[flat.PUSHED] or grips[flat.PUSHED_ASIDE])
+        """True if an obstacle pushed the robot in the last substep."""
+        impulses = self.forms.state["impulses"]
+        return bool(impulses[flat.PUSHED] or impulses[flat.PUSHED_ASIDE])
 
     @property
     def joints(self) -> Floats:

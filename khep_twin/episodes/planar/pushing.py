@@ -1,12 +1,12 @@
-"""Movable obstacles of a plane: friction on the floor, and contacts with all others, by impulses.
+"""Movable obstacles of a plane: impulses of the floor's friction, and of contacts with all other obstacles.
 
 A movable obstacle slides upright. The floor's friction holds it up to a force F and a torque T about its
-centre, which limit each other as in an ellipse: (f / F)^2 + (t / T)^2 <= 1; T is F times the distance of its
+centre, which limit each other as in an ellipse: (f / F)^2 + (t / T)^2 <= 1. T is F times the distance of its
 rim or corners from the centre, where MuJoCo has its contacts. Contacts of boxes are at their corners.
-`contact_solver` solves what the robot pushes together with these impulses, in the same rounds; velocities and
-normals have the axes of the robot meanwhile.
+`contact_solver` iterates over these impulses together with those of the robot; during a substep, velocities
+and normals are in the frame of the robot.
 
-Left out: tipping over, so that only what does not tip may be movable; contacts where boxes cross without a
+Not modelled: tipping over, so that movable obstacles must be stable; contacts of boxes that cross without a
 corner in each other.
 """
 
@@ -16,81 +16,72 @@ from khep_twin.compilable import compilable
 from khep_twin.episodes.planar import plane as flat
 from khep_twin.episodes.planar.plane import (
     ACTIVE,
-    BODY,
     CENTRE_X,
     CENTRE_Y,
-    COSINE,
+    FLOOR_TORQUE,
     FLOOR_X,
     FLOOR_Y,
-    FRICTION,
-    GRIP,
     LENGTH,
-    OTHER,
-    SINE,
     SPEED_X,
     SPEED_Y,
     SPIN,
-    THING,
-    TOUCHED,
-    TWIST,
-    TWISTING,
     WIDTH,
     Plane,
 )
 
-_MARGIN = 2e-4
-"""Distance within which obstacles touch [m]."""
+_CONTACT_MARGIN = 2e-4
+"""Distance below which obstacles are in contact [m]."""
 
-_RESTS = 1e-4
-"""Speed below which a movable obstacle that nothing touches comes to rest [m/s, and rad/s over 0.1 m]."""
+_REST_SPEED = 1e-4
+"""Speed below which a movable obstacle sleeps [m/s; rad/s over 0.1 m]: it is at rest until it is touched."""
 
-_PUSHED_APART = 0.2
-"""Part of an overlap that a substep takes away (assumed)."""
+_SEPARATION_SHARE = 0.2
+"""Fraction of a penetration that a substep removes (assumed)."""
 
 
 @compilable
-def begin(plane: Plane, cosine: float, sine: float) -> int:
-    """Begin a substep with these axes: turn velocities and find contacts; return their number."""
-    bodies, things, count = plane.bodies, plane.things, 0
+def start_substep(plane: Plane, cosine: float, sine: float) -> int:
+    """Start a substep: rotate velocities into the frame of the robot, find contacts, return their number."""
+    bodies, obstacles, count = plane.bodies, plane.obstacles, 0
     for body in range(len(bodies)):
         _turn(plane, body, cosine, -sine)
-        bodies[body, FLOOR_X] = bodies[body, FLOOR_Y] = bodies[body, TWISTING] = 0.0
+        bodies[body, FLOOR_X] = bodies[body, FLOOR_Y] = bodies[body, FLOOR_TORQUE] = 0.0
     for body in range(len(bodies)):
         if not bodies[body, ACTIVE]:
             continue
-        thing = int(bodies[body, THING])
-        for other in range(len(things)):
-            if other == thing or not things[other, TOUCHED]:
+        obstacle = int(bodies[body, flat.OBSTACLE])
+        for other in range(len(obstacles)):
+            if other == obstacle or not obstacles[other, flat.TOUCHABLE]:
                 continue
-            second = int(things[other, BODY])
-            if second >= 0 and second < body and bodies[second, ACTIVE]:
-                continue  # found already, the other way round
-            dx = things[other, CENTRE_X] - things[thing, CENTRE_X]
-            dy = things[other, CENTRE_Y] - things[thing, CENTRE_Y]
-            apart = _size(plane, thing) + _size(plane, other) + _MARGIN
-            if dx * dx + dy * dy <= apart * apart:
-                count = _touch(plane, count, thing, other, cosine, sine)
+            other_body = int(obstacles[other, flat.BODY])
+            if other_body >= 0 and other_body < body and bodies[other_body, ACTIVE]:
+                continue  # already found in the reverse order
+            dx = obstacles[other, CENTRE_X] - obstacles[obstacle, CENTRE_X]
+            dy = obstacles[other, CENTRE_Y] - obstacles[obstacle, CENTRE_Y]
+            reach = _reach(plane, obstacle) + _reach(plane, other) + _CONTACT_MARGIN
+            if dx * dx + dy * dy <= reach * reach:
+                count = _add_contacts(plane, count, obstacle, other, cosine, sine)
     return count
 
 
 @compilable
-def end(plane: Plane, cosine: float, sine: float) -> bool:
-    """End a substep: move the obstacles; return whether any of them moves."""
-    bodies, things, h, moves = plane.bodies, plane.things, plane.robot.substep, False
+def end_substep(plane: Plane, cosine: float, sine: float) -> bool:
+    """End a substep: integrate the positions; return whether any obstacle moves."""
+    bodies, obstacles, h, moves = plane.bodies, plane.obstacles, plane.robot.substep, False
     for body in range(len(bodies)):
         _turn(plane, body, cosine, sine)
         if not bodies[body, ACTIVE]:
             continue
-        thing = int(bodies[body, THING])
+        obstacle = int(bodies[body, flat.OBSTACLE])
         x, y, spin = _speeds(plane, body)
-        things[thing, CENTRE_X] += h * x
-        things[thing, CENTRE_Y] += h * y
-        c, s = things[thing, COSINE], things[thing, SINE]
-        turn_c, turn_s = flat.turned(h * spin)
+        obstacles[obstacle, CENTRE_X] += h * x
+        obstacles[obstacle, CENTRE_Y] += h * y
+        c, s = obstacles[obstacle, flat.COSINE], obstacles[obstacle, flat.SINE]
+        turn_c, turn_s = flat.turn_vector(h * spin)
         c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
         scale = 1.5 - 0.5 * (c * c + s * s)
-        things[thing, COSINE], things[thing, SINE] = c * scale, s * scale
-        if abs(x) + abs(y) + 0.1 * abs(spin) > _RESTS:
+        obstacles[obstacle, flat.COSINE], obstacles[obstacle, flat.SINE] = c * scale, s * scale
+        if abs(x) + abs(y) + 0.1 * abs(spin) > _REST_SPEED:
             moves = True
         else:
             bodies[body, SPEED_X] = bodies[body, SPEED_Y] = bodies[body, SPIN] = bodies[body, ACTIVE] = 0.0
@@ -98,14 +89,14 @@ def end(plane: Plane, cosine: float, sine: float) -> bool:
 
 
 @compilable
-def hold(plane: Plane, count: int) -> float:
-    """Run one round of the floor and of `count` contacts; return the change of their impulses [N s]."""
+def solve_round(plane: Plane, count: int) -> float:
+    """Iterate once over the floor and `count` contacts; return the change of their impulses [N s]."""
     changed, bodies = 0.0, plane.bodies
     for body in range(len(bodies)):
         if bodies[body, ACTIVE]:
-            changed += _rub(plane, body)
+            changed += _solve_floor(plane, body)
     for i in range(count):
-        changed += _part(plane, i)
+        changed += _solve_contact(plane, i)
     return changed
 
 
@@ -119,7 +110,7 @@ def masses(plane: Plane, body: int) -> tuple[float, float]:
 
 @compilable
 def speed_at(plane: Plane, body: int, x: float, y: float) -> tuple[float, float]:
-    """Return the velocity of a body's point [m] from its centre; 0 for an index below 0 [m/s]."""
+    """Return the velocity [m/s] of a point of a body, relative to its centre [m]; 0 for an index below 0."""
     if body < 0:
         return 0.0, 0.0
     speed_x, speed_y, spin = _speeds(plane, body)
@@ -127,8 +118,8 @@ def speed_at(plane: Plane, body: int, x: float, y: float) -> tuple[float, float]
 
 
 @compilable
-def push(plane: Plane, body: int, x: float, y: float, impulse_x: float, impulse_y: float) -> None:
-    """Apply an impulse [N s] to a body's point [m] from its centre; nothing for an index below 0."""
+def apply_impulse(plane: Plane, body: int, x: float, y: float, impulse_x: float, impulse_y: float) -> None:
+    """Apply an impulse [N s] to a body, at a point relative to its centre [m]; not for an index below 0."""
     if body < 0:
         return
     bodies = plane.bodies
@@ -139,9 +130,9 @@ def push(plane: Plane, body: int, x: float, y: float, impulse_x: float, impulse_
 
 
 @compilable
-def gap_for(away: float) -> float:
-    """Return the gap that a contact may close within a substep, for surfaces so far apart [m]."""
-    return away if away >= 0 else _PUSHED_APART * away
+def substep_gap(distance: float) -> float:
+    """Return the gap that a contact may close within a substep, from the distance of the surfaces [m]."""
+    return distance if distance >= 0 else _SEPARATION_SHARE * distance
 
 
 @compilable
@@ -152,115 +143,110 @@ def _speeds(plane: Plane, body: int) -> tuple[float, float, float]:
 
 @compilable
 def _turn(plane: Plane, body: int, cosine: float, sine: float) -> None:
-    """Turn the axes of a body's velocity."""
+    """Rotate the velocity of a body."""
     x, y, _ = _speeds(plane, body)
     plane.bodies[body, SPEED_X], plane.bodies[body, SPEED_Y] = x * cosine - y * sine, x * sine + y * cosine
 
 
 @compilable
-def _size(plane: Plane, thing: int) -> float:
+def _reach(plane: Plane, obstacle: int) -> float:
     """Return the distance of an obstacle's farthest point from its centre [m]."""
-    length, width = plane.things[thing, LENGTH], plane.things[thing, WIDTH]
+    length, width = plane.obstacles[obstacle, LENGTH], plane.obstacles[obstacle, WIDTH]
     return length if width < 0 else math.sqrt(length * length + width * width)
 
 
 @compilable
-def _rub(plane: Plane, body: int) -> float:
-    """Run one round of the floor's friction on a body; return the change of its impulse [N s]."""
+def _solve_floor(plane: Plane, body: int) -> float:
+    """Iterate once over the floor's friction on a body; return the change of its impulse [N s]."""
     bodies, h = plane.bodies, plane.robot.substep
     inv_mass, inv_inertia = masses(plane, body)
     x, y, spin = _speeds(plane, body)
-    along, aside = bodies[body, FLOOR_X] - x / inv_mass, bodies[body, FLOOR_Y] - y / inv_mass
-    twisting = bodies[body, TWISTING] - spin / inv_inertia
-    most, twist = bodies[body, GRIP] * h, bodies[body, TWIST] * h
-    share = math.sqrt((along * along + aside * aside) / (most * most) + twisting * twisting / (twist * twist))
-    if share > 1:
-        along, aside, twisting = along / share, aside / share, twisting / share
-    change_x, change_y = along - bodies[body, FLOOR_X], aside - bodies[body, FLOOR_Y]
+    force_x, force_y = bodies[body, FLOOR_X] - x / inv_mass, bodies[body, FLOOR_Y] - y / inv_mass
+    torque = bodies[body, FLOOR_TORQUE] - spin / inv_inertia
+    max_force, max_torque = bodies[body, flat.MAX_FORCE] * h, bodies[body, flat.MAX_TORQUE] * h
+    force_part = (force_x * force_x + force_y * force_y) / (max_force * max_force)
+    ratio = math.sqrt(force_part + torque * torque / (max_torque * max_torque))
+    if ratio > 1:
+        force_x, force_y, torque = force_x / ratio, force_y / ratio, torque / ratio
+    change_x, change_y = force_x - bodies[body, FLOOR_X], force_y - bodies[body, FLOOR_Y]
     bodies[body, SPEED_X] += change_x * inv_mass
     bodies[body, SPEED_Y] += change_y * inv_mass
-    bodies[body, SPIN] += (twisting - bodies[body, TWISTING]) * inv_inertia
-    bodies[body, FLOOR_X], bodies[body, FLOOR_Y], bodies[body, TWISTING] = along, aside, twisting
+    bodies[body, SPIN] += (torque - bodies[body, FLOOR_TORQUE]) * inv_inertia
+    bodies[body, FLOOR_X], bodies[body, FLOOR_Y], bodies[body, FLOOR_TORQUE] = force_x, force_y, torque
     return abs(change_x) + abs(change_y)
 
 
 @compilable
-def _part(plane: Plane, i: int) -> float:
-    """Run one round of a contact of two obstacles; return the change of its impulses [N s]."""
-    bodies, touches, h = plane.bodies, plane.touches, plane.robot.substep
-    one, other = int(touches[i, 0]), int(touches[i, OTHER])
-    nx, ny, gap = touches[i, 2], touches[i, 3], touches[i, 4]
-    x, y, other_x, other_y = touches[i, 5], touches[i, 6], touches[i, 7], touches[i, 8]
-    mass, inertia = masses(plane, one)
-    other_mass, other_inertia = masses(plane, other)
-    friction, changed = bodies[max(one, other), FRICTION], 0.0
+def _solve_contact(plane: Plane, i: int) -> float:
+    """Iterate once over a contact of two obstacles; return the change of its impulses [N s]."""
+    bodies, contacts, h = plane.bodies, plane.obstacle_contacts, plane.robot.substep
+    body, other_body = int(contacts[i, 0]), int(contacts[i, flat.OTHER_BODY])
+    nx, ny, gap = contacts[i, 2], contacts[i, 3], contacts[i, 4]
+    x, y, other_x, other_y = contacts[i, 5], contacts[i, 6], contacts[i, 7], contacts[i, 8]
+    mass, inertia = masses(plane, body)
+    other_mass, other_inertia = masses(plane, other_body)
+    friction, changed = bodies[max(body, other_body), flat.FRICTION], 0.0
     for tangent in range(1, -1, -1):
         ax, ay = (-ny, nx) if tangent else (nx, ny)
         arm, other_arm = x * ay - y * ax, other_x * ay - other_y * ax
-        inverse = mass + other_mass + arm * arm * inertia + other_arm * other_arm * other_inertia
-        speed_x, speed_y = speed_at(plane, one, x, y)
-        from_x, from_y = speed_at(plane, other, other_x, other_y)
-        speed, before = (speed_x - from_x) * ax + (speed_y - from_y) * ay, touches[i, 9 + tangent]
+        inverse_mass = mass + other_mass + arm * arm * inertia + other_arm * other_arm * other_inertia
+        speed_x, speed_y = speed_at(plane, body, x, y)
+        other_speed_x, other_speed_y = speed_at(plane, other_body, other_x, other_y)
+        speed = (speed_x - other_speed_x) * ax + (speed_y - other_speed_y) * ay
+        old_impulse = contacts[i, 9 + tangent]
         if tangent:
-            most = friction * touches[i, 9]
-            after = min(max(before - speed / inverse, -most), most)
+            max_friction = friction * contacts[i, 9]
+            new_impulse = min(max(old_impulse - speed / inverse_mass, -max_friction), max_friction)
         else:
-            after = max(before - (speed + gap / h) / inverse, 0.0)
-        touches[i, 9 + tangent], change = after, after - before
-        push(plane, one, x, y, change * ax, change * ay)
-        push(plane, other, other_x, other_y, -change * ax, -change * ay)
+            new_impulse = max(old_impulse - (speed + gap / h) / inverse_mass, 0.0)
+        contacts[i, 9 + tangent], change = new_impulse, new_impulse - old_impulse
+        apply_impulse(plane, body, x, y, change * ax, change * ay)
+        apply_impulse(plane, other_body, other_x, other_y, -change * ax, -change * ay)
         changed += abs(change)
     return changed
 
 
 @compilable
-def _touch(plane: Plane, count: int, thing: int, other: int, cosine: float, sine: float) -> int:
+def _add_contacts(plane: Plane, count: int, obstacle: int, other: int, cosine: float, sine: float) -> int:
     """Add the contacts of two obstacles; return the number of contacts."""
-    things = plane.things
-    if things[thing, WIDTH] < 0:
-        return _add(plane, count, thing, other, 0.0, 0.0, things[thing, LENGTH], (cosine, sine))
-    if things[other, WIDTH] < 0:
-        return _add(plane, count, other, thing, 0.0, 0.0, things[other, LENGTH], (cosine, sine))
-    for turn in range(2):
-        corners, faces = (thing, other) if turn == 0 else (other, thing)
-        c, s = things[corners, COSINE], things[corners, SINE]
+    obstacles, axes = plane.obstacles, (cosine, sine)
+    if obstacles[obstacle, WIDTH] < 0:
+        return _add_contact(plane, count, obstacle, other, 0.0, 0.0, obstacles[obstacle, LENGTH], axes)
+    if obstacles[other, WIDTH] < 0:
+        return _add_contact(plane, count, other, obstacle, 0.0, 0.0, obstacles[other, LENGTH], axes)
+    for order in range(2):
+        corners, faces = (obstacle, other) if order == 0 else (other, obstacle)
+        c, s = obstacles[corners, flat.COSINE], obstacles[corners, flat.SINE]
         for corner in range(4):
-            along = things[corners, LENGTH] * (1 if corner & 1 else -1)
-            across = things[corners, WIDTH] * (1 if corner & 2 else -1)
+            along = obstacles[corners, LENGTH] * (1 if corner & 1 else -1)
+            across = obstacles[corners, WIDTH] * (1 if corner & 2 else -1)
             dx, dy = along * c - across * s, along * s + across * c
-            count = _add(plane, count, corners, faces, dx, dy, 0.0, (cosine, sine))
+            count = _add_contact(plane, count, corners, faces, dx, dy, 0.0, axes)
     return count
 
 
 @compilable
-def _add(
-    plane: Plane,
-    count: int,
-    thing: int,
-    other: int,
-    dx: float,
-    dy: float,
-    radius: float,
-    axes: tuple[float, float],
+def _add_contact(
+    plane: Plane, count: int, obstacle: int, other: int, dx: float, dy: float, radius: float, axes: flat.Pair
 ) -> int:
-    """Add the contact of an obstacle's disc, at a place from its centre [m], with another one."""
-    things, touches = plane.things, plane.touches
+    """Add the contact of a disc of an obstacle, at an offset from its centre [m], with another obstacle."""
+    obstacles, contacts = plane.obstacles, plane.obstacle_contacts
     c, s = axes
-    x, y = things[thing, CENTRE_X] + dx, things[thing, CENTRE_Y] + dy
-    nx, ny, away = flat.nearest(things, other, x, y)
-    if away - radius > _MARGIN or count == len(touches):
+    x, y = obstacles[obstacle, CENTRE_X] + dx, obstacles[obstacle, CENTRE_Y] + dy
+    nx, ny, distance = flat.nearest(obstacles, other, x, y)
+    if distance - radius > _CONTACT_MARGIN or count == len(contacts):
         return count
-    one, second = int(things[thing, BODY]), int(things[other, BODY])
-    for body in (one, second):
-        if body >= 0:
-            plane.bodies[body, ACTIVE] = 1.0
+    body, other_body = int(obstacles[obstacle, flat.BODY]), int(obstacles[other, flat.BODY])
+    for index in (body, other_body):
+        if index >= 0:
+            plane.bodies[index, ACTIVE] = 1.0
     dx, dy = dx - radius * nx, dy - radius * ny
-    from_x = things[thing, CENTRE_X] + dx - things[other, CENTRE_X]
-    from_y = things[thing, CENTRE_Y] + dy - things[other, CENTRE_Y]
-    touches[count, 0], touches[count, OTHER] = one, second
-    touches[count, 2], touches[count, 3] = c * nx + s * ny, c * ny - s * nx
-    touches[count, 4] = gap_for(away - radius)
-    touches[count, 5], touches[count, 6] = c * dx + s * dy, c * dy - s * dx
-    touches[count, 7], touches[count, 8] = c * from_x + s * from_y, c * from_y - s * from_x
-    touches[count, 9] = touches[count, 10] = 0.0
+    from_x = obstacles[obstacle, CENTRE_X] + dx - obstacles[other, CENTRE_X]
+    from_y = obstacles[obstacle, CENTRE_Y] + dy - obstacles[other, CENTRE_Y]
+    contacts[count, 0], contacts[count, flat.OTHER_BODY] = body, other_body
+    contacts[count, 2], contacts[count, 3] = c * nx + s * ny, c * ny - s * nx
+    contacts[count, 4] = substep_gap(distance - radius)
+    contacts[count, 5], contacts[count, 6] = c * dx + s * dy, c * dy - s * dx
+    contacts[count, 7], contacts[count, 8] = c * from_x + s * from_y, c * from_y - s * from_x
+    contacts[count, 9] = contacts[count, 10] = 0.0
     return count + 1

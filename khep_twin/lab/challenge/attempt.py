@@ -1,10 +1,10 @@
-"""A participant's file scored in its own process, with limits of its time, its memory and its output.
+"""Score of a participant's file from a separate process, with limits of time, memory and output.
 
     python -m khep_twin.lab.challenge.attempt JSON    # the process itself; JSON has its settings
 
-Whatever the file does, an `Attempt` has its score, or one line that says why there is none. The process keeps
-no one from reading files or using the network: it protects a table from mistakes, not a machine from malice.
-Its parent is a `keeper`, so that a file that kills its parent does not end the table.
+An `Attempt` always has the file's score, or one line with the reason for its absence. The process may read
+files and use the network: it protects a table from mistakes, not a machine from malice. Its parent is a
+`keeper`, so that a file that kills its parent does not end the table's process.
 """
 
 import json
@@ -29,20 +29,20 @@ from khep_twin.files.paths import StrPath
 from khep_twin.lab.challenge.challenge import ChallengeFile, load
 from khep_twin.lab.challenge.scoring import Score, is_worth_compiling, score
 from khep_twin.shutdown import EXIT_S, INTERRUPTION_S
-from khep_twin.signals import answered
+from khep_twin.signals import handle_signals
 from khep_twin.simulation.ready import when_ready
 
 REAL_SECONDS = 60.0
-"""Longest real time of a file [s]; the longest reference solution takes a tenth (measured)."""
+"""Time-out of a file in real time [s]; the longest reference solution takes a tenth (measured)."""
 
 MEMORY_GIB = 2
-"""Most memory of a file's process, besides shared libraries; reference solutions take a fifth (measured)."""
+"""Memory limit of a file's process, without shared libraries; reference solutions use a fifth (measured)."""
 
 PRINTED_MB = 2
-"""Most text that a file may print."""
+"""Limit of the text that a file may print."""
 
-_KEPT = 4096
-"""Length of printed text that is kept [bytes]."""
+_TAIL_BYTES = 4096
+"""Length of the stored end of the printed text [bytes]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +52,9 @@ class Attempt:
     Attributes:
         file: Controller file.
         score: Its score; None without.
-        reason: One line that says why there is no score; empty with a score.
-        lines: Number of lines that it printed.
-        last_line: Last of these lines, shortened.
+        reason: Reason why there is no score, in one line; empty with a score.
+        lines: Number of printed lines.
+        last_line: Last printed line, shortened.
     """
 
     file: str
@@ -65,11 +65,11 @@ class Attempt:
 
     @property
     def note(self) -> str:
-        """Reason why there is no score, or what the file printed."""
+        """Reason why there is no score, or a summary of the printed text."""
         if self.reason or not self.lines:
             return self.reason
-        many = f"printed {self.lines} line{'s' if self.lines > 1 else ''}"
-        return f"{many}, the last: {self.last_line}" if self.last_line else many
+        summary = f"printed {self.lines} line{'s' if self.lines > 1 else ''}"
+        return f"{summary}, the last: {self.last_line}" if self.last_line else summary
 
 
 def score_file(
@@ -83,7 +83,7 @@ def score_file(
     show: Callable[[bytes], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> Attempt:
-    """Score a controller file in its own process.
+    """Score a controller file in a separate process.
 
     Args:
         file: Challenge.
@@ -91,14 +91,14 @@ def score_file(
         runs: Number of runs; the challenge's by default.
         seed: Seed of the first run; the challenge's by default.
         log: Log to record.
-        real_seconds: Real time after which the process is ended [s].
-        show: Called with what the file prints, as it comes.
-        stop: Asked ten times a second; when it returns True, the process is ended.
+        real_seconds: Real time after which the process is terminated [s].
+        show: Called with each piece of printed text when it arrives.
+        stop: Called ten times a second; when it returns True, the process is terminated.
 
     Raises:
-        StoppedError: `stop` has returned True.
+        StoppedError: `stop` returned True.
     """
-    settings = {
+    settings: dict[str, object] = {
         "challenge": file.name,
         "controller": controller,
         "runs": file.challenge.runs if runs is None else runs,
@@ -108,13 +108,14 @@ def score_file(
     }
     if sys.platform == "win32":
         raise KhepTwinError("challenges need a system of Unix, which ends a process with all that it started")
-    printed = _Printed(show)
+    output = _Output(show)
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
-        result = Path(folder) / "result.json"
-        words = [sys.executable, "-P", str(Path(__file__).with_name("keeper.py")), str(MEMORY_GIB << 30)]
-        words += [sys.executable, "-P", "-m", __name__, json.dumps({**settings, "result": str(result)})]
+        result_path = Path(folder) / "result.json"
+        arguments = [sys.executable, "-P", str(Path(__file__).with_name("keeper.py")), str(MEMORY_GIB << 30)]
+        settings["result"] = str(result_path)
+        arguments += [sys.executable, "-P", "-m", __name__, json.dumps(settings)]
         process = subprocess.Popen(
-            words,
+            arguments,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -122,29 +123,30 @@ def score_file(
             env={**os.environ, "PYTHONHASHSEED": "0", "PYTHONUNBUFFERED": "1"},
         )
         try:
-            ended = _follow(process, printed, time.monotonic() + real_seconds, stop or (lambda: False))
+            deadline = time.monotonic() + real_seconds
+            is_finished = _read_output(process, output, deadline, stop or (lambda: False))
         finally:
-            _end(process)
-        told = _read(result)
-    if (given := _score(told)) is not None:
+            _terminate(process)
+        content = _read_result(result_path)
+    if (result_score := _parse_score(content)) is not None:
         reason = ""
-    elif printed.size > PRINTED_MB * 10**6:
-        reason = f"{controller}: printed {printed.lines} lines; expected at most {PRINTED_MB} MB of text"
-    elif "reason" in told:
+    elif output.size > PRINTED_MB * 10**6:
+        reason = f"{controller}: printed {output.lines} lines; expected at most {PRINTED_MB} MB of text"
+    elif "reason" in content:
         path = controller.partition(":")[0]
-        reason = str(told["reason"]).replace(os.path.abspath(path), path)
+        reason = str(content["reason"]).replace(os.path.abspath(path), path)
         if "MemoryError" in reason:
             reason = f"{reason.rstrip(': ')}; expected at most {MEMORY_GIB} GiB"
-    elif not ended:
-        wanted = "cycles that end, and loops that ask the robot something or call robot.sleep"
-        reason = f"{controller}: not finished after {real_seconds:g} s of real time; expected {wanted}"
+    elif not is_finished:
+        expected = "cycles that end, and loops that ask the robot something or call robot.sleep"
+        reason = f"{controller}: not finished after {real_seconds:g} s of real time; expected {expected}"
     else:
-        reason = f"{controller}: {_ending(process.returncode)}; expected a controller that returns"
-    return Attempt(controller, given, reason, printed.lines, printed.last_line)
+        reason = f"{controller}: {_describe_exit(process.returncode)}; expected a controller that returns"
+    return Attempt(controller, result_score, reason, output.lines, output.last_line)
 
 
-class _Printed:
-    """Text printed by a process, of which little is kept.
+class _Output:
+    """Text printed by a process; only its end is stored.
 
     Attributes:
         lines: Number of lines.
@@ -152,63 +154,65 @@ class _Printed:
     """
 
     def __init__(self, show: Callable[[bytes], None] | None) -> None:
-        self._show, self._tail, self.lines, self.size = show, b"", 0, 0
+        self._show = show
+        self._tail = b""
+        self.lines = self.size = 0
 
     def add(self, data: bytes) -> None:
-        """Add a piece of it."""
+        """Add a piece of text."""
         if self._show is not None:
             self._show(data)
         self.lines += data.count(b"\n")
         self.size += len(data)
-        self._tail = (self._tail + data)[-_KEPT:]
+        self._tail = (self._tail + data)[-_TAIL_BYTES:]
 
     @property
     def last_line(self) -> str:
-        """Last line that is not empty, at most 80 characters of it."""
+        """Last line that is not empty, shortened to 80 characters."""
         lines = [line for line in self._tail.decode("utf-8", "replace").splitlines() if line.strip()]
-        shown = "".join(char if char.isprintable() else " " for char in (lines or [""])[-1]).strip()
-        return shown if len(shown) <= 80 else f"{shown[:77]}..."
+        text = "".join(char if char.isprintable() else " " for char in (lines or [""])[-1]).strip()
+        return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def _follow(
-    process: "subprocess.Popen[bytes]", printed: _Printed, deadline: float, stop: Callable[[], bool]
+def _read_output(
+    process: "subprocess.Popen[bytes]", output: _Output, deadline: float, stop: Callable[[], bool]
 ) -> bool:
-    """Read what a process prints until it has ended; return False if it takes longer, or prints too much.
+    """Read a process's output to its end; return False for a time-out, or for too much output.
 
     Raises:
-        StoppedError: `stop` has returned True.
+        StoppedError: `stop` returned True.
     """
     assert process.stdout is not None
-    output = process.stdout.fileno()
+    descriptor = process.stdout.fileno()
     is_open = True
-    while (left := deadline - time.monotonic()) > 0 and printed.size <= PRINTED_MB * 10**6:
+    while (remaining := deadline - time.monotonic()) > 0 and output.size <= PRINTED_MB * 10**6:
         if stop():
             raise StoppedError("the attempt was stopped")
-        ended = _has_ended(process)
-        if is_open and select.select([output], [], [], 0 if ended else min(left, 0.1))[0]:
-            data = os.read(output, 65536)
+        has_ended = _has_ended(process)
+        if is_open and select.select([descriptor], [], [], 0 if has_ended else min(remaining, 0.1))[0]:
+            data = os.read(descriptor, 65536)
             is_open = bool(data)
-            printed.add(data)
-        elif ended:
+            output.add(data)
+        elif has_ended:
             return True
         elif not is_open:
-            time.sleep(min(left, 0.02))
+            time.sleep(min(remaining, 0.02))
     return False
 
 
 def _has_ended(process: "subprocess.Popen[bytes]") -> bool:
-    """Return whether a process has ended; on Linux it keeps its number until it is waited for."""
+    """Return whether a process has ended; on Linux its number stays reserved until `wait`."""
     if sys.platform == "linux":
         return os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None
     return process.poll() is not None
 
 
-def _end(process: "subprocess.Popen[bytes]") -> None:
-    """End a process and all that it started in its group: by SIGTERM, which completes a log, then by SIGKILL.
+def _terminate(process: "subprocess.Popen[bytes]") -> None:
+    """Terminate a process and its group: by SIGTERM, which completes a log, then by SIGKILL.
 
-    Until it is waited for, no other group can have its number.
+    Until `wait`, no other group can have its number.
     """
-    for _ in range(2):  # the keeper passes on the first one, and kills the file's process by the second
+    for _ in range(2):  # the keeper forwards the first one, and kills the file's process at the second
         if _has_ended(process):
             break
         with suppress(ProcessLookupError):
@@ -224,29 +228,29 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
         process.stdout.close()
 
 
-def _read(result: Path) -> dict[str, Any]:
-    """Return what the process has written, empty if it is not there or damaged."""
+def _read_result(result: Path) -> dict[str, Any]:
+    """Return the result that the process wrote; empty if it is missing or damaged."""
     try:
-        found = json.loads(result.read_bytes())
+        content = json.loads(result.read_bytes())
     except (OSError, ValueError):
-        found = None
-    return found if isinstance(found, dict) else {}  # pyright: ignore[reportUnknownVariableType]
+        content = None
+    return content if isinstance(content, dict) else {}  # pyright: ignore[reportUnknownVariableType]
 
 
-def _score(told: dict[str, Any]) -> Score | None:
-    """Return the score that the process has written; None without."""
+def _parse_score(content: dict[str, Any]) -> Score | None:
+    """Return the score in a result; None without."""
     try:
-        found = told["score"]
-        return Score(float(found["value"]), tuple(map(float, found["runs"])), dict(found["metrics"]))
+        table = content["score"]
+        return Score(float(table["value"]), tuple(map(float, table["runs"])), dict(table["metrics"]))
     except (LookupError, TypeError, ValueError):
         return None
 
 
-def _ending(code: int) -> str:
-    """Return how a process without a result has ended."""
+def _describe_exit(code: int) -> str:
+    """Return how a process without a result ended, in words."""
     if code < 0:
-        named = {each.value: each.name for each in signal.Signals}
-        return f"its process was ended by {named.get(-code, f'signal {-code}')}"
+        names = {number.value: number.name for number in signal.Signals}
+        return f"its process was ended by {names.get(-code, f'signal {-code}')}"
     return f"ended its process, with exit code {code}"
 
 
@@ -254,21 +258,21 @@ def _main(settings: dict[str, Any]) -> None:
     """Write the score of a file, or the reason why there is none, to the file `result`."""
     log = None if settings["log"] is None else Path(settings["log"])
     result = Path(settings["result"])
-    # Should the process be orphaned, this ends it.
+    # The alarm ends an orphaned process.
     if sys.platform != "win32":
         signal.alarm(math.ceil(settings["real_seconds"] + INTERRUPTION_S + 2 * EXIT_S))
     try:
-        with answered():
+        with handle_signals():
             challenge = load(settings["challenge"])
             if is_worth_compiling(challenge.challenge, settings["runs"]):
-                with redirect_stderr(StringIO()):  # that numba compiles is nothing that the file prints
+                with redirect_stderr(StringIO()):  # numba's notes are not output of the file
                     when_ready("world")
                     when_ready("vision")
-            found = score(challenge, settings["controller"], settings["runs"], settings["seed"], log)
-            told: dict[str, Any] = {"score": asdict(found)}
+            file_score = score(challenge, settings["controller"], settings["runs"], settings["seed"], log)
+            content: dict[str, Any] = {"score": asdict(file_score)}
     except KhepTwinError as error:
-        told = {"reason": "; ".join(str(error).splitlines())}
-    write_whole(result, json.dumps(told).encode("utf-8"))
+        content = {"reason": "; ".join(str(error).splitlines())}
+    write_whole(result, json.dumps(content).encode("utf-8"))
 
 
 if __name__ == "__main__":

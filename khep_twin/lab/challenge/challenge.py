@@ -1,4 +1,4 @@
-"""Challenges as TOML files: a playpen, a time limit, a metric and how it is read as a score.
+"""Challenges as TOML files: a playpen, a time limit, a metric and its interpretation as a score.
 
     version = 1
     name = "cover"
@@ -43,10 +43,10 @@ Metric = Annotated[str, Field(description=f"one of {', '.join(UNITS)}")]
 
 
 class Goal(TomlTable):
-    """A `[[goal]]`: a round area to be reached by the robot's centre, after those before it.
+    """A `[[goal]]`: a circle that the robot's centre must reach after the previous goals.
 
     Attributes:
-        lamp: Lamp of the playpen; the goal counts only in runs that begin with it on. None for all runs.
+        lamp: Lamp of the playpen; the goal counts only in runs that start with it on. None for all runs.
     """
 
     x_mm: float
@@ -56,14 +56,14 @@ class Goal(TomlTable):
 
 
 class Penalty(TomlTable):
-    """A `[[penalty]]`: what each unit of another metric costs in units of the score."""
+    """A `[[penalty]]`: the cost of each unit of another metric, in units of the score."""
 
     metric: Metric
     each: Annotated[float, Field(gt=0)]
 
 
 class Challenge(TomlTable):
-    """A whole challenge."""
+    """Content of a challenge's file."""
 
     version: Annotated[int, Field(ge=1, le=1, description="1")]
     name: Name
@@ -89,17 +89,17 @@ class Challenge(TomlTable):
         return self
 
     def _problems(self) -> Iterator[Problem]:
-        named = [(("metric",), self.metric)]
-        named += [(("penalty", index, "metric"), each.metric) for index, each in enumerate(self.penalties)]
-        for location, metric in named:
-            where = f"penalty {int(location[1]) + 1}: " if len(location) > 1 else ""
+        metrics = [(("metric",), self.metric)]
+        metrics += [(("penalty", i, "metric"), penalty.metric) for i, penalty in enumerate(self.penalties)]
+        for location, metric in metrics:
+            prefix = f"penalty {int(location[1]) + 1}: " if len(location) > 1 else ""
             if metric not in UNITS:
-                yield Problem.of(location, f'{where}metric = "{metric}": unknown', tuple(UNITS), metric)
+                yield Problem.of(location, f'{prefix}metric = "{metric}": unknown', tuple(UNITS), metric)
             if metric in ("goals", "goal_s", "goal_share", "object_mm") and not self.goals:
-                yield Problem.of(location, f'{where}metric = "{metric}": there is no goal', "a [[goal]]")
+                yield Problem.of(location, f'{prefix}metric = "{metric}": there is no goal', "a [[goal]]")
             if metric == "object_mm" and self.object is None:
                 yield Problem.of(
-                    location, f'{where}metric = "object_mm": there is no object', "object = NAME"
+                    location, f'{prefix}metric = "object_mm": there is no object', "object = NAME"
                 )
 
     @property
@@ -109,7 +109,7 @@ class Challenge(TomlTable):
 
     @property
     def reading(self) -> str:
-        """Metric of the score, its unit, and which scores are better."""
+        """Metric of the score, its unit, and whether higher or lower scores are better."""
         return f"{self.metric}{f' [{self.unit}]' if self.unit else ''}, {self.better} is better"
 
     @property
@@ -118,8 +118,8 @@ class Challenge(TomlTable):
         return f"{self.runs} run{'s' if self.runs > 1 else ''} of {self.seconds:g} s"
 
     @property
-    def wanted(self) -> str:
-        """Scores that pass; empty without a threshold."""
+    def passing_scores(self) -> str:
+        """Passing scores, in words; empty without a threshold."""
         if self.threshold is None:
             return ""
         return f"at {'least' if self.better == 'higher' else 'most'} {self.value(self.threshold)}"
@@ -137,12 +137,12 @@ class Challenge(TomlTable):
 
 @dataclass(frozen=True, slots=True)
 class ChallengeFile:
-    """A challenge as it was read.
+    """A challenge read from a file.
 
     Attributes:
         challenge: Content of the challenge.
         playpen: Its playpen.
-        name: Name by which it was given: a shipped one, or a path.
+        name: Name by which it was loaded: that of a shipped challenge, or a path.
         path: Path of the file.
     """
 
@@ -162,7 +162,7 @@ class ChallengeFile:
         return self.path.with_suffix(".png")
 
     def start_poses(self, runs: int, seed: int) -> list[StartPose]:
-        """Return the start poses, which runs take in turn."""
+        """Return the start poses, which the runs use in turn."""
         return starts(self.challenge.starts, self.playpen, 0, runs, seed)
 
 
@@ -172,54 +172,54 @@ def names() -> list[str]:
 
 
 def load(name: str) -> ChallengeFile:
-    """Load a challenge by the bare name of a shipped one, or by path.
+    """Load a challenge by the name of a shipped one, or by path.
 
     Raises:
-        ChallengeError: It does not exist or cannot be used; one line per problem.
+        ChallengeError: It does not exist or cannot be used; the message has one line per problem.
         PlaypenError: Its playpen cannot be used.
     """
     text, source = toml_files.read(KIND, name, ChallengeError)
     challenge = toml_files.validate(Challenge, text, source, ChallengeError)
     path = toml_files.folder(KIND) / f"{name}.toml" if name in names() else Path(name)
-    shipped = challenge.playpen in playpens.names()
+    is_shipped = challenge.playpen in playpens.names()
 
     def problem(
-        location: tuple[str | int, ...], found: str, expected: str | tuple[object, ...], value: object
+        location: tuple[str | int, ...], message: str, expected: str | tuple[object, ...], value: object
     ) -> ChallengeError:
         line = LineNumbers(text).of(location)
-        made = Problem.of(location, found, expected, value, source)
-        return ChallengeError(problems=[Problem(made.location, made.text, value, expected, source, line)])
+        plain = Problem.of(location, message, expected, value, source)
+        return ChallengeError(problems=[Problem(plain.location, plain.text, value, expected, source, line)])
 
-    given = challenge.playpen if shipped else path.parent / challenge.playpen
-    if not shipped and not Path(given).exists():
-        missing = f'playpen = "{challenge.playpen}": no such file'
-        wanted = f"the path of a file or a shipped name; {choices(challenge.playpen, playpens.names())}"
-        raise problem(("playpen",), missing, wanted, challenge.playpen)
-    playpen = Playpen.load(given)
+    playpen_path = challenge.playpen if is_shipped else path.parent / challenge.playpen
+    if not is_shipped and not Path(playpen_path).exists():
+        message = f'playpen = "{challenge.playpen}": no such file'
+        expected = f"the path of a file or a shipped name; {choices(challenge.playpen, playpens.names())}"
+        raise problem(("playpen",), message, expected, challenge.playpen)
+    playpen = Playpen.load(playpen_path)
     if not playpen.robots:
         raise problem(("playpen",), f"{challenge.playpen} has no robot", "one", challenge.playpen)
-    movable = tuple(each.name for each in movable_objects(playpen) if each.name)
+    movable = tuple(item.name for item in movable_objects(playpen) if item.name)
     if challenge.object is not None and challenge.object not in movable:
         raise problem(("object",), f'object = "{challenge.object}": unknown', movable, challenge.object)
     for index, goal in enumerate(challenge.goals):
-        for key, told, expected, value in _wrong_in(goal, playpen):
-            raise problem(("goal", index, key), f"goal {index + 1}: {told}", expected, value)
-    found = ChallengeFile(challenge, playpen, name, path)
+        for key, message, expected, value in _goal_problems(goal, playpen):
+            raise problem(("goal", index, key), f"goal {index + 1}: {message}", expected, value)
+    file = ChallengeFile(challenge, playpen, name, path)
     try:
-        found.start_poses(1, challenge.seed)
+        file.start_poses(1, challenge.seed)
     except PlaypenError as error:
         raise problem(("starts",), error.plain, "", challenge.starts) from error
-    return found
+    return file
 
 
-def _wrong_in(goal: Goal, playpen: Playpen) -> Iterator[tuple[str, str, str | tuple[str, ...], object]]:
-    """Yield what of a goal does not fit its playpen: key, text, what is expected, and value."""
+def _goal_problems(goal: Goal, playpen: Playpen) -> Iterator[tuple[str, str, str | tuple[str, ...], object]]:
+    """Yield the conflicts of a goal with its playpen: key, text, expected values, and value."""
     for key, value, (low, high) in zip(
         ("x_mm", "y_mm"), (goal.x_mm, goal.y_mm), extent(playpen), strict=True
     ):
         if not low <= value <= high:
             yield key, f"{key} = {value:g}", f"a place in the arena, {low:g} to {high:g}", value
-    lamps = tuple(each.name for each in playpen.lamps if each.name)
+    lamps = tuple(lamp.name for lamp in playpen.lamps if lamp.name)
     if goal.lamp is not None and goal.lamp not in lamps:
         yield "lamp", f'lamp = "{goal.lamp}": unknown', lamps, goal.lamp
 

@@ -1,10 +1,10 @@
-"""Process between a table and a participant's file: what the file does to its parent ends this one alone.
+"""Parent process of a participant's file: protects the table's process if the file kills its parent.
 
     python keeper.py BYTES PROGRAM ARGUMENT...
 
-It starts the program with at most so many bytes of memory for each process and ends as the program does. The
-first SIGTERM is passed on to it, the second one kills it. It is run by its path and imports nothing of the
-package, so that it costs no time.
+It starts the program with a memory limit of BYTES for each process, and exits with the program's exit code or
+signal. It forwards the first SIGTERM to the program; the second one kills the program. It is run by its path
+and imports nothing from the package, so that it starts fast.
 """
 
 import os
@@ -15,17 +15,17 @@ from contextlib import suppress
 from itertools import chain, repeat
 from pathlib import Path
 
-_MORE = 1000
-"""Processes and threads that may be started beside those of the machine; root's are not limited."""
+_MAX_PROCESSES = 1000
+"""Limit of processes and threads in addition to those of the machine; root's are not limited."""
 
 
-def main(memory: int, words: list[str]) -> None:
-    """Run a program, and end as it does."""
+def main(memory: int, arguments: list[str]) -> None:
+    """Run a program, and exit with its exit code or signal."""
     _limit(memory)
-    program = subprocess.Popen(words)
-    last = signal.SIGTERM if sys.platform == "win32" else signal.SIGKILL
-    orders = chain([signal.SIGTERM], repeat(last))
-    signal.signal(signal.SIGTERM, lambda number, frame: program.send_signal(next(orders)))
+    program = subprocess.Popen(arguments)
+    kill_signal = signal.SIGTERM if sys.platform == "win32" else signal.SIGKILL
+    signals = chain([signal.SIGTERM], repeat(kill_signal))
+    signal.signal(signal.SIGTERM, lambda number, frame: program.send_signal(next(signals)))
     code = program.wait()
     if code < 0:
         with suppress(OSError):  # SIGKILL has no handler
@@ -35,19 +35,19 @@ def main(memory: int, words: list[str]) -> None:
 
 
 def _limit(memory: int) -> None:
-    """Limit memory [bytes], dumps and processes; no limit is raised."""
+    """Limit memory [bytes], core dumps and processes; lower limits stay."""
     if sys.platform == "win32":
-        return  # it has no such limits
+        return  # Windows has no such limits
     import resource
 
     limits = {resource.RLIMIT_DATA: memory, resource.RLIMIT_CORE: 0}
-    with suppress(OSError):  # only Linux has the number of all there are
+    with suppress(OSError):  # only Linux reports the number of all processes and threads
         n_now = int(Path("/proc/loadavg").read_text().split()[3].split("/")[1])
-        limits[resource.RLIMIT_NPROC] = n_now + _MORE
-    for which, most in limits.items():
-        present = resource.getrlimit(which)
-        soft, hard = (most if each == resource.RLIM_INFINITY else min(each, most) for each in present)
-        resource.setrlimit(which, (soft, hard))
+        limits[resource.RLIMIT_NPROC] = n_now + _MAX_PROCESSES
+    for resource_id, limit in limits.items():
+        current = resource.getrlimit(resource_id)
+        soft, hard = (limit if value == resource.RLIM_INFINITY else min(value, limit) for value in current)
+        resource.setrlimit(resource_id, (soft, hard))
 
 
 if __name__ == "__main__":

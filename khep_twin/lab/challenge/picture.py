@@ -18,9 +18,9 @@ _LONGER_SIDE = 3.0
 
 _DPI = 110
 _COLOURS = 128
-"""Colours of a picture, which keep its file small."""
+"""Number of colours of a picture; few colours keep its file small."""
 
-_GOAL = "#b3261e"
+_GOAL_COLOUR = "#b3261e"
 
 
 def save(file: ChallengeFile, path: Path, replace: bool = True) -> None:
@@ -35,11 +35,11 @@ def save(file: ChallengeFile, path: Path, replace: bool = True) -> None:
     figure = drawing.draw(file.playpen, title=file.challenge.title, longer_side=_LONGER_SIDE)
     axes = figure.axes[0]
     for number, goal in enumerate(goals, 1):
-        place = goal.x_mm, goal.y_mm
-        axes.add_patch(Circle(place, goal.radius_mm, fill=False, ec=_GOAL, ls="--", lw=1.2, zorder=9))
+        centre = goal.x_mm, goal.y_mm
+        axes.add_patch(Circle(centre, goal.radius_mm, fill=False, ec=_GOAL_COLOUR, ls="--", lw=1.2, zorder=9))
         if len(goals) > 1:
-            beside = goal.x_mm + goal.radius_mm, goal.y_mm + goal.radius_mm
-            axes.text(*beside, str(number), color=_GOAL, fontsize=8, zorder=9)
+            corner = goal.x_mm + goal.radius_mm, goal.y_mm + goal.radius_mm
+            axes.text(*corner, str(number), color=_GOAL_COLOUR, fontsize=8, zorder=9)
     full = Image.open(BytesIO(drawing.picture(figure, "png", _DPI))).convert("RGB")
     small = BytesIO()
     full.quantize(_COLOURS).save(small, "PNG", optimize=True)

@@ -1,4 +1,4 @@
-"""Table of a class's results in a challenge: every controller file of a folder, the best first."""
+"""Table of a class's results in a challenge: all controller files of a folder, the best first."""
 
 import csv
 import threading
@@ -14,20 +14,20 @@ from khep_twin.lab.challenge.challenge import Challenge, ChallengeFile
 
 
 def participants(folder: Path) -> list[Path]:
-    """Return the Python files of a folder by their names, without those that begin with "_" or ".".
+    """Return the Python files of a folder in order of their names, except names that start with "_" or ".".
 
     Raises:
-        ChallengeError: There is no such folder, or none in it.
+        ChallengeError: There is no such folder, or no such file in it.
     """
     if not folder.is_dir():
         raise ChallengeError("no such folder", file=folder, expected="a folder of controller files")
-    found = sorted(path for path in folder.glob("*.py") if path.name[0] not in "_.")
-    if not found:
+    files = sorted(path for path in folder.glob("*.py") if path.name[0] not in "_.")
+    if not files:
         raise ChallengeError("has no controller file", file=folder, expected="files that end in .py")
-    return found
+    return files
 
 
-def attempts(
+def score_files(
     file: ChallengeFile,
     files: Sequence[Path],
     *,
@@ -35,85 +35,85 @@ def attempts(
     seed: int | None = None,
     real_seconds: float = REAL_SECONDS,
     jobs: int = 1,
-    done: Callable[[Attempt, float], None] | None = None,
+    on_result: Callable[[Attempt, float], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> list[Attempt]:
-    """Score files, each in its own process, with the options of `attempt`.
+    """Score files, each in a separate process, with the options of `attempt.score_file`.
 
     Args:
         file: Challenge.
         files: Controller files.
         runs: Number of runs; the challenge's by default.
         seed: Seed of the first run; the challenge's by default.
-        real_seconds: Real time after which a process is ended [s].
-        jobs: Number of processes side by side; the results are the same.
-        done: Called with each result as it comes, and the part that is done.
-        stop: Asked ten times a second; when it returns True, all processes are ended.
+        real_seconds: Real time after which a process is terminated [s].
+        jobs: Number of parallel processes; it does not affect the results.
+        on_result: Called with each result when it is available, and the completed share.
+        stop: Called ten times a second; when it returns True, all processes are terminated.
 
     Raises:
-        StoppedError: `stop` has returned True.
+        StoppedError: `stop` returned True.
     """
-    ended = threading.Event()
+    stop_event = threading.Event()
 
     def is_over() -> bool:
-        return ended.is_set() or (stop is not None and stop())
+        return stop_event.is_set() or (stop is not None and stop())
 
-    def one(path: Path) -> Attempt:
+    def score_one(path: Path) -> Attempt:
         try:
             return score_file(file, str(path), runs=runs, seed=seed, real_seconds=real_seconds, stop=is_over)
-        except OSError as error:  # no process can be started now, as others have taken all there may be
+        except OSError as error:  # no process can be started, as the limit of processes is reached
             return Attempt(str(path), None, f"{path}: cannot be run: {error.strerror}")
 
     with ThreadPoolExecutor(jobs) as pool:
-        waiting = [pool.submit(one, path) for path in files]
+        futures = [pool.submit(score_one, path) for path in files]
         try:
-            for number, each in enumerate(as_completed(waiting), 1):
-                if done is not None:
-                    done(each.result(), number / len(files))
-            return [each.result() for each in waiting]
+            for number, future in enumerate(as_completed(futures), 1):
+                if on_result is not None:
+                    on_result(future.result(), number / len(files))
+            return [future.result() for future in futures]
         finally:
-            ended.set()
+            stop_event.set()
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def ranked(challenge: Challenge, found: Iterable[Attempt]) -> list[tuple[int | None, Attempt]]:
+def rank_attempts(challenge: Challenge, attempts: Iterable[Attempt]) -> list[tuple[int | None, Attempt]]:
     """Return attempts with their ranks, the best first; equal scores share a rank."""
     sign = -1 if challenge.better == "higher" else 1
-    scored = [(sign * each.score.value, each.file, each) for each in found if each.score is not None]
-    rest = sorted((each for each in found if each.score is None), key=lambda each: each.file)
+    scored = [(sign * one.score.value, one.file, one) for one in attempts if one.score is not None]
+    rest = sorted((one for one in attempts if one.score is None), key=lambda attempt: attempt.file)
     rows = [
-        (1 + sum(other < value for other, _, _ in scored), each)
-        for value, _, each in sorted(scored, key=lambda row: row[:2])
+        (1 + sum(other < value for other, _, _ in scored), attempt)
+        for value, _, attempt in sorted(scored, key=lambda row: row[:2])
     ]
-    return [*rows, *((None, each) for each in rest)]
+    return [*rows, *((None, attempt) for attempt in rest)]
 
 
-def table(challenge: Challenge, found: Sequence[Attempt]) -> str:
+def table(challenge: Challenge, attempts: Sequence[Attempt]) -> str:
     """Return attempts as lines of text."""
-    width = max(11, *(len(_name(each)) for each in found))
+    width = max(11, *(len(_name(attempt)) for attempt in attempts))
     head = f"{'rank':>4}  {'participant':{width}}  {'score':>8}  {'passed':6}  note".rstrip()
     lines = [head]
-    for rank, each in ranked(challenge, found):
-        value = "" if each.score is None else f"{each.score.value:.4g}"
-        passed = _passed(challenge, each)
-        row = f"{rank or '-':>4}  {_name(each):{width}}  {value:>8}  {passed:6}  {encodable(each.note)}"
+    for rank, one in rank_attempts(challenge, attempts):
+        value = "" if one.score is None else f"{one.score.value:.4g}"
+        passed_text = _passed_text(challenge, one)
+        row = f"{rank or '-':>4}  {_name(one):{width}}  {value:>8}  {passed_text:6}  {encodable(one.note)}"
         lines.append(row.rstrip())
     return "\n".join(lines)
 
 
-def to_csv(challenge: Challenge, found: Sequence[Attempt]) -> bytes:
-    """Return attempts as a CSV file, with all digits of the scores and those of each run."""
-    runs = max((len(each.score.runs) for each in found if each.score is not None), default=0)
+def to_csv(challenge: Challenge, attempts: Sequence[Attempt]) -> bytes:
+    """Return attempts as a CSV file, with all digits of the scores and of each run's score."""
+    runs = max((len(attempt.score.runs) for attempt in attempts if attempt.score is not None), default=0)
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
         ["rank", "participant", "score", "passed", "note", *(f"run_{n + 1}" for n in range(runs))]
     )
-    for rank, each in ranked(challenge, found):
-        score = each.score
+    for rank, attempt in rank_attempts(challenge, attempts):
+        score = attempt.score
         value, *of_runs = [""] * (1 + runs) if score is None else [score.value, *score.runs]
-        note = _plain(encodable(each.note))
-        writer.writerow([rank or "", _name(each), value, _passed(challenge, each), note, *of_runs])
+        note = _plain_note(encodable(attempt.note))
+        writer.writerow([rank or "", _name(attempt), value, _passed_text(challenge, attempt), note, *of_runs])
     return text.getvalue().encode("utf-8")
 
 
@@ -121,11 +121,11 @@ def _name(attempt: Attempt) -> str:
     return encodable(Path(attempt.file).stem)
 
 
-def _passed(challenge: Challenge, attempt: Attempt) -> str:
+def _passed_text(challenge: Challenge, attempt: Attempt) -> str:
     passes = None if attempt.score is None else challenge.passes(attempt.score.value)
     return "" if passes is None else "yes" if passes else "no"
 
 
-def _plain(note: str) -> str:
-    """Return a text that a spreadsheet does not take for a formula."""
+def _plain_note(note: str) -> str:
+    """Return a text that a spreadsheet does not interpret as a formula."""
     return f"'{note}" if note[:1] in ("=", "+", "-", "@") else note

@@ -1,8 +1,8 @@
 """Scores of a controller file, run in this process: a new twin and a new controller for each run.
 
-A run is exactly as long as the challenge says, in simulated time: what a controller does then is refused, so
-that a program that never returns is scored, too. The score is the mean over the runs, less the penalties.
-Python's and numpy's global random numbers begin at the run's seed.
+A run lasts exactly the challenge's simulated time. Later commands of the controller are refused, so that a
+program that never returns also has a score. The score is the mean over the runs, less the penalties. The
+global random number generators of Python and numpy are seeded with the run's seed.
 """
 
 import math
@@ -23,7 +23,7 @@ from khep_twin.lab.experiment.controller_files import find_controller
 from khep_twin.lab.experiment.controller_source import forget_modules_beside, source_of
 from khep_twin.lab.experiment.controllers import BUILT_IN
 from khep_twin.lab.experiment.series import OneRobot, run_series
-from khep_twin.lab.experiment.series_run import Plan, SeriesRun, own_files
+from khep_twin.lab.experiment.series_run import Plan, SeriesRun, run_files
 from khep_twin.lab.experiment.start_poses import StartPose
 from khep_twin.playpen.starts import at_start
 from khep_twin.ports.protocol_khep import Serial
@@ -31,8 +31,8 @@ from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 from khep_twin.sensing.lamps import Lamps
 from khep_twin.world import World
 
-_LONG_S = 40.0
-"""Simulated time from which on compiled code saves more than its loading takes [s] (measured)."""
+_COMPILE_FROM_S = 40.0
+"""Simulated time above which compiled code saves more time than its loading takes [s] (measured)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,34 +58,34 @@ def score(file: ChallengeFile, controller: str, runs: int, seed: int, log: Path 
         controller: Controller, FILE.py, FILE.py:NAME or a network's FILE.npz, or a built-in one.
         runs: Number of runs; run n has the seed `seed` + n - 1.
         seed: Seed of the first run.
-        log: Log to record; with several runs each has its own, NAME-001.mcap and so on.
+        log: Log to record; several runs have separate logs, NAME-001.mcap and so on.
 
     Raises:
-        ControllerError: The controller failed, or did not ask for what the score is computed from.
+        ControllerError: The controller failed, or did not read the sensors from which the score is computed.
         KhepTwinError: A log cannot be written.
     """
-    logs = [None] * runs if log is None else own_files(log, runs)
-    measured = [
-        _run(file, controller, runs, start, seed + index, own)
-        for index, (start, own) in enumerate(zip(cycle(file.start_poses(runs, seed)), logs, strict=False))
+    logs = [None] * runs if log is None else run_files(log, runs)
+    measurements = [
+        _run(file, controller, runs, start, seed + index, run_log)
+        for index, (start, run_log) in enumerate(zip(cycle(file.start_poses(runs, seed)), logs, strict=False))
     ]
-    values = tuple(_value(file, controller, run, metrics) for run, metrics in enumerate(measured, 1))
-    # Of a sensor that was not read in some runs, they are those of the others.
-    found = {name: [each[name] for each in measured if name in each] for name in chain(*measured)}
-    means = {name: math.fsum(each) / len(each) for name, each in found.items()}
+    values = tuple(_run_score(file, controller, run, metrics) for run, metrics in enumerate(measurements, 1))
+    # The mean of a metric is over the runs that have it.
+    columns = {name: [row[name] for row in measurements if name in row] for name in chain(*measurements)}
+    means = {name: math.fsum(column) / len(column) for name, column in columns.items()}
     return Score(math.fsum(values) / runs, values, means)
 
 
 def is_worth_compiling(challenge: Challenge, runs: int) -> bool:
-    """Return whether the runs are so long that compiled code saves more time than its loading takes."""
-    return runs * challenge.seconds >= _LONG_S
+    """Return whether compiled code saves more time in these runs than its loading takes."""
+    return runs * challenge.seconds >= _COMPILE_FROM_S
 
 
 class LimitedTime:
-    """Simulated time that ends at a limit, a `TimeSource`; letting more pass raises an error.
+    """`TimeSource` with a limit of the simulated time; to advance beyond it raises an error.
 
     Attributes:
-        limit_ns: Time of the world at which it ends [ns]; None for no limit.
+        limit_ns: Limit of the world's time [ns]; None for no limit.
     """
 
     def __init__(self, world: World, limit_ns: int) -> None:
@@ -123,10 +123,10 @@ def _run(
     """Return the metrics of one run."""
     challenge = file.challenge
     if controller not in BUILT_IN:
-        forget_modules_beside(Path(controller.partition(":")[0]).absolute())  # of the run before
+        forget_modules_beside(Path(controller.partition(":")[0]).absolute())  # of the previous run
     random.seed(seed)
     np.random.seed(seed % 2**32)  # noqa: NPY002 (what a learner's program may use)
-    found = find_controller(controller)
+    program = find_controller(controller)
     twin = open_twin(at_start(file.playpen, 0, start), TwinOptions(seed))
     time = LimitedTime(twin.world, to_ns(challenge.seconds))
     twin.time_source = time
@@ -139,46 +139,46 @@ def _run(
 
     def record(opened: Twin) -> None:
         if log is not None:
-            source = source_of(found)
+            source = source_of(program)
             facts = {**source.facts, "challenge": challenge.name}
             opened.record(log, facts=facts, attachments=source.attachments)
 
-    kept: list[SeriesRun] = []
+    results: list[SeriesRun] = []
     with Khepera(Serial.of(twin, timeout=1.0)) as robot:
         plan = Plan(seconds=challenge.seconds)
         source = OneRobot(robot, record)
         try:
-            kept += run_series(found, source, plan, stop=time.is_over, broken_off=kept.append)
+            results += run_series(program, source, plan, stop=time.is_over, on_abort=results.append)
         except KhepTwinError:
-            # After the limit, an error is the refusal itself, or what a controller made of it.
-            if not kept or not time.is_over():
+            # After the limit, the error is the refusal, or the controller's reaction to it.
+            if not results or not time.is_over():
                 raise
         finally:
             time.limit_ns = None
-    return {**kept[0].metrics, **task.metrics(challenge.seconds)}
+    return {**results[0].metrics, **task.metrics(challenge.seconds)}
 
 
 def _goals(challenge: Challenge, lamps: Lamps) -> list[tuple[float, float, float]]:
     """Return the goals of a run: x, y, radius [m]."""
-    on = {name for name, power in zip(lamps.names, lamps.powers, strict=True) if power}
-    goals = [goal for goal in challenge.goals if goal.lamp is None or goal.lamp in on]
+    lit_lamps = {name for name, power in zip(lamps.names, lamps.powers, strict=True) if power}
+    goals = [goal for goal in challenge.goals if goal.lamp is None or goal.lamp in lit_lamps]
     if challenge.goals and not goals:
-        text = f"a run begins with the lamps {', '.join(sorted(on)) or '-'} on, and has no goal"
+        text = f"a run begins with the lamps {', '.join(sorted(lit_lamps)) or '-'} on, and has no goal"
         raise ChallengeError(text, file=challenge.name, expected="a [[goal]] for each lamp")
     return [(goal.x_mm / 1e3, goal.y_mm / 1e3, goal.radius_mm / 1e3) for goal in goals]
 
 
-def _value(file: ChallengeFile, controller: str, run: int, metrics: Mapping[str, float]) -> float:
+def _run_score(file: ChallengeFile, controller: str, run: int, metrics: Mapping[str, float]) -> float:
     """Return the score of a run.
 
     Raises:
-        ControllerError: The run has no such metric.
+        ControllerError: The run lacks a metric of the score.
     """
     challenge = file.challenge
     for name in (challenge.metric, *(penalty.metric for penalty in challenge.penalties)):
         if name not in metrics:
-            wanted = "a program that asks the robot for what it is computed from"
-            raise ControllerError(f"{controller}: run {run} has no {name}; expected {wanted}")
+            expected = "a program that asks the robot for what it is computed from"
+            raise ControllerError(f"{controller}: run {run} has no {name}; expected {expected}")
     sign = -1 if challenge.better == "higher" else 1
-    lost = math.fsum(penalty.each * metrics[penalty.metric] for penalty in challenge.penalties)
-    return metrics[challenge.metric] + sign * lost
+    penalty_sum = math.fsum(penalty.each * metrics[penalty.metric] for penalty in challenge.penalties)
+    return metrics[challenge.metric] + sign * penalty_sum

@@ -1,4 +1,4 @@
-"""Metrics of a challenge that a series of runs does not have: along walls, in the light, at goals."""
+"""Metrics of challenges in addition to those of a series: wall following, brightness, goals."""
 
 import math
 from collections.abc import Sequence
@@ -31,56 +31,58 @@ class TaskMetrics(Observer):
     """Observer of one robot that computes the metrics of a challenge.
 
     Args:
-        world: World to observe from now on.
+        world: World to observe.
         index: Index of the robot.
-        goals: Centre x, y and radius of each goal, in the order in which they are to be reached [m].
-        movable: Index of the movable object that belongs into the last goal; None without.
+        goals: Centre x, y and radius of each goal [m], in the required order.
+        movable: Index of the movable object to put into the last goal; None without.
     """
 
     def __init__(
         self, world: World, index: int, goals: Sequence[tuple[float, float, float]], movable: int | None
     ) -> None:
-        self._index, self._goals, self._movable = index, goals, movable
+        self._index = index
+        self._goals = goals
+        self._movable = movable
         ambient = calibration.read(world.playpen.robots[index].calibration)[0].ambient
-        self._dark, self._floor = ambient.dark_counts, ambient.floor_counts
-        self._samples = self._reached = self._at_last = 0
-        self._following = self._brightness = 0.0
+        self._dark, self._bright = ambient.dark_counts, ambient.floor_counts
+        self._n_samples = self._n_reached = self._n_at_last_goal = 0
+        self._wall_following_sum = self._brightness_sum = 0.0
         self._reached_ns = self._time_ns = self._begin_ns = world.time_ns
-        self._away = math.inf
+        self._object_distance = math.inf
         world.add_observer(self)
 
     def sample(self, world: World) -> None:
-        """Add the state of the robot to the sums."""
+        """Update the metrics with the state of the robot."""
         robot = world.robots[self._index]
         registers, (x, y, _) = robot.registers, robot.pose
-        self._samples += 1
+        self._n_samples += 1
         self._time_ns = world.time_ns
         left, right = (float(speed) for speed in registers[SPEEDS])
         side = float(registers[_SIDES].max()) / COUNTS_LIMIT
-        self._following += float(fitness.wall_following(left, right, side))
+        self._wall_following_sum += float(fitness.wall_following(left, right, side))
         darkest = float(registers[AMBIENT].min())
-        self._brightness += float(fitness.light_seeking(darkest, self._dark, self._floor))
-        within = [math.hypot(x - goal_x, y - goal_y) <= radius for goal_x, goal_y, radius in self._goals]
-        if self._reached < len(within) and within[self._reached]:
-            self._reached += 1
+        self._brightness_sum += float(fitness.light_seeking(darkest, self._dark, self._bright))
+        is_inside = [math.hypot(x - goal_x, y - goal_y) <= radius for goal_x, goal_y, radius in self._goals]
+        if self._n_reached < len(is_inside) and is_inside[self._n_reached]:
+            self._n_reached += 1
             self._reached_ns = self._time_ns
-        if within:
-            self._at_last += within[-1]
+        if is_inside:
+            self._n_at_last_goal += is_inside[-1]
         if self._movable is not None:
             object_x, object_y, _ = np.asarray(world.objects)[self._movable].tolist()
-            self._away = math.hypot(object_x - self._goals[-1][0], object_y - self._goals[-1][1])
+            self._object_distance = math.hypot(object_x - self._goals[-1][0], object_y - self._goals[-1][1])
 
     def metrics(self, limit_s: float) -> dict[str, float]:
-        """Return the metrics by name; a goal that was not reached counts with the time limit [s]."""
-        all_reached = bool(self._goals) and self._reached == len(self._goals)
-        found = {
-            "wall_following": self._following / self._samples,
-            "brightness": self._brightness / self._samples,
+        """Return the metrics by name; without all goals reached, `goal_s` is the time limit [s]."""
+        all_reached = bool(self._goals) and self._n_reached == len(self._goals)
+        metrics = {
+            "wall_following": self._wall_following_sum / self._n_samples,
+            "brightness": self._brightness_sum / self._n_samples,
         }
         if self._goals:
-            found["goals"] = float(self._reached)
-            found["goal_s"] = (self._reached_ns - self._begin_ns) / NS_PER_S if all_reached else limit_s
-            found["goal_share"] = self._at_last / self._samples
+            metrics["goals"] = float(self._n_reached)
+            metrics["goal_s"] = (self._reached_ns - self._begin_ns) / NS_PER_S if all_reached else limit_s
+            metrics["goal_share"] = self._n_at_last_goal / self._n_samples
         if self._movable is not None:
-            found["object_mm"] = self._away * 1e3
-        return found
+            metrics["object_mm"] = self._object_distance * 1e3
+        return metrics

@@ -1,11 +1,10 @@
-"""Episodes of a task from logs, as arrays: observations, actions, rewards and how they end.
+"""Episodes of a task from logs, as arrays: observations, actions, rewards, terminations and truncations.
 
     for episode in episodes_of("run.mcap", find("ObstacleAvoidance"), 50_000_000):
         print(episode.observations.shape, episode.rewards.mean())
 
-They are those that the task's environment returns for the same drive (`khep_twin.envs.gymnasium`), normalized
-to -1 to 1. The action of a period is the commanded speeds in its middle: those that hold for most of it where
-they change once.
+The values are those of the task's environment for the same drive (`khep_twin.envs.gymnasium`), normalized to
+-1 to 1. The action of a period is the commanded speeds in its middle.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -22,22 +21,22 @@ from khep_twin.errors import LogError
 from khep_twin.files.paths import StrPath
 from khep_twin.lab.dataset import replies, samples
 from khep_twin.lab.dataset.periods import Periods, check_period
-from khep_twin.lab.report.export import chosen_robots
-from khep_twin.log.reader import read_heads
+from khep_twin.lab.report.export import choose_robots
+from khep_twin.log.reader import read_first_messages
 
 
 @dataclass(frozen=True, slots=True)
 class OfflineEpisode:
-    """An episode of n steps, with the observation before the first of them.
+    """An episode of n steps, with the observation before the first step.
 
     Attributes:
         observations: Observations (n + 1, m), -1 to 1.
         actions: Speeds of left and right wheel (n, 2), -1 to 1.
         rewards: Rewards (n,), 0 to 1.
         terminations: True in the step that ended the task (n,).
-        truncations: True in the last step, if it reached the time limit or the end of what is known (n,).
+        truncations: True in the last step, at the time limit or before an incomplete period (n,).
         infos: Ground truth by name, (n + 1,) each: "x", "y" [m], "heading" [rad], "time" [s].
-        source: Origin of the episode by name, such as "log" and "robot".
+        source: Origin of the episode by name, e.g. "log" and "robot".
         seed: Seed of the environment; None for a log.
     """
 
@@ -60,35 +59,35 @@ def episodes_of(
 ) -> Iterator[OfflineEpisode]:
     """Yield the episodes of a log's robots.
 
-    An episode ends as the task ends, and is truncated at the task's time limit and where a period is not
-    whole (`samples.periods_of`, `replies.periods_of`); the next one begins there.
+    An episode ends when the task ends, and is truncated at the task's time limit and at an incomplete period
+    (`samples.periods_of`, `replies.periods_of`); the next one starts there.
 
     Args:
         path: Path of the log.
-        task: Task whose observations and rewards they have.
-        period_ns: Control period [ns], whole ticks of 10 ms.
+        task: Task of the observations and rewards.
+        period_ns: Control period [ns], a multiple of 10 ms.
         robot: Name of the robot; by default each robot of the log.
-        progress: Function that takes the part of the log that has been read, 0 to 1.
+        progress: Function that is called with the fraction of the log that has been read, 0 to 1.
 
     Raises:
-        LogError: The log is not whole, or lacks what the task needs; the period does not fit the task.
+        LogError: The log is incomplete, or lacks data for the task; the period does not fit the task.
     """
     path, limit_ns = Path(path), to_ns(task.seconds)
     check_period(period_ns, limit_ns)
-    recording = read_heads(path)
-    robots = chosen_robots(recording, robot)
+    recording = read_first_messages(path)
+    robots = choose_robots(recording, robot)
     if "relay" in recording.label.metadata:
-        found = iter([replies.periods_of(path, robots[0], task, period_ns)])
+        all_periods = iter([replies.periods_of(path, robots[0], task, period_ns)])
     elif f"/{robots[0]}/registers" in recording.series:
-        found = samples.periods_of(path, recording.label, robots, task, period_ns, progress)
+        all_periods = samples.periods_of(path, recording.label, robots, task, period_ns, progress)
     else:
         raise LogError(f"{path}: no registers of {robots[0]}; expected the log of a twin or of a real robot")
-    for name, periods in zip(robots, found, strict=True):
+    for name, periods in zip(robots, all_periods, strict=True):
         stretches = periods.stretches(n_steps(limit_ns, period_ns))
         if not stretches:
             raise LogError(
-                f"{path}: {name}: no control period of {period_ns / 1e6:g} ms in which all that {task.name} "
-                "needs is known and the wheels have speeds; expected a longer log or another --period"
+                f"{path}: {name}: no control period of {period_ns / 1e6:g} ms with all data for {task.name} "
+                "and with speeds of the wheels; expected a longer log or another --period"
             )
         for first, last in stretches:
             yield _episode(task, periods, first, last, {"log": path.name, "robot": name})
@@ -97,7 +96,7 @@ def episodes_of(
 def _episode(
     task: Task, periods: Periods, first: int, last: int, source: Mapping[str, str]
 ) -> OfflineEpisode:
-    """Return the episode from one border to another, or to the task's end before."""
+    """Return the episode from one border to another, or to an earlier end of the task."""
     full_ns = charge_ns = to_ns(task.charge_s)
     observations: list[Observation] = []
     rewards: list[float] = []
@@ -139,6 +138,6 @@ def _is_at_goal(task: Task, periods: Periods, border: int) -> bool:
     if not task.goal or periods.poses is None:
         return False
     x, y, _ = periods.poses[border].tolist()
-    away_x, away_y = x - periods.goal[0], y - periods.goal[1]
-    reach = units.metres(task.reach_mm)
-    return away_x * away_x + away_y * away_y <= reach * reach
+    dx, dy = x - periods.goal[0], y - periods.goal[1]
+    radius = units.metres(task.reach_mm)
+    return dx * dx + dy * dy <= radius * radius

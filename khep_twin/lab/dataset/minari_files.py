@@ -1,4 +1,4 @@
-"""Datasets of Minari (extra `minari`): episodes as files, all or nothing.
+"""Datasets of Minari (extra `minari`): a dataset is written completely or not at all.
 
     FOLDER/NAMESPACE/NAME-v0/data    found by minari.load_dataset("NAMESPACE/NAME-v0")
                                      with MINARI_DATASETS_PATH=FOLDER
@@ -33,7 +33,7 @@ from khep_twin.signals import clear_at_end
 
 try:
     import gymnasium
-    import h5py  # noqa: F401  # pyright: ignore[reportUnusedImport]  # else Minari misses it later
+    import h5py  # noqa: F401  # pyright: ignore[reportUnusedImport]  # Minari needs it later
     import minari
     from gymnasium.envs.registration import EnvSpec
     from gymnasium.spaces import Box, Space
@@ -62,14 +62,14 @@ def check_new_dataset(folder: Path, dataset_id: str, force: bool) -> Path:
     """Return the path of a dataset.
 
     Raises:
-        KhepTwinError: The id is malformed, or the path is taken and may not be replaced.
+        KhepTwinError: The id is malformed, or the path exists and may not be replaced.
     """
     if not _ID.fullmatch(dataset_id):
         raise KhepTwinError(f"dataset {dataset_id!r}: expected an id such as khepera/avoid-v0")
     path = folder / dataset_id
     if path.exists() and not (force and (path / "data" / "metadata.json").is_file()):
-        what = "no dataset; expected another id" if force else "expected another id, or --force to replace it"
-        raise KhepTwinError(f"{path}: is there already{', ' if force else '; '}{what}")
+        hint = "no dataset; expected another id" if force else "expected another id, or --force to replace it"
+        raise KhepTwinError(f"{path}: is there already{', ' if force else '; '}{hint}")
     return path
 
 
@@ -86,28 +86,24 @@ def write_dataset(
     """Write a dataset; return the numbers of its episodes and steps.
 
     Args:
-        folder: Folder of datasets, MINARI_DATASETS_PATH of those who load it.
+        folder: Folder of datasets, as in MINARI_DATASETS_PATH.
         dataset_id: Id of the dataset, e.g. "khepera/avoid-v0".
-        episodes: Episodes, written one by one as they come.
+        episodes: Episodes, written one by one.
         spec: Specification of their environment.
         spaces: Observation space and action space; by default those of the environment.
         description: Description of the dataset.
         force: Whether a dataset of this id is replaced.
 
     Raises:
-        KhepTwinError: The dataset is there already, or cannot be written; nothing of it stays.
+        KhepTwinError: The dataset exists already, or cannot be written; no partial dataset remains.
     """
     target = check_new_dataset(Path(folder), dataset_id, force)
     observations, actions = spaces or (None, None)
     try:
-        with _part_of(target, force) as part:
+        with _temporary_folder(target, force) as part:
             storage = MinariStorage.new(part, observations, actions, spec, data_format="hdf5")
             storage.update_metadata(
-                {
-                    "dataset_id": dataset_id,
-                    "minari_version": minari.__version__,
-                    "description": description,
-                }
+                {"dataset_id": dataset_id, "minari_version": minari.__version__, "description": description}
             )
             sources: list[dict[str, str]] = []
             for episode in episodes:
@@ -121,7 +117,7 @@ def write_dataset(
 
 
 def _buffer(episode: OfflineEpisode) -> Any:
-    # Minari's annotations name lists alone, where it takes arrays.
+    # Minari's annotations name only lists, but it also accepts arrays.
     arrays: dict[str, Any] = {
         "observations": episode.observations,
         "actions": episode.actions,
@@ -129,36 +125,36 @@ def _buffer(episode: OfflineEpisode) -> Any:
         "terminations": episode.terminations,
         "truncations": episode.truncations,
     }
-    # Minari cannot read arrays of one dimension back.
+    # Minari cannot read back one-dimensional arrays.
     infos = {name: values.tolist() for name, values in episode.infos.items()}
     return EpisodeBuffer(seed=episode.seed, infos=infos, **arrays)
 
 
 @contextmanager
-def _part_of(target: Path, force: bool) -> Generator[Path]:
-    """Make the folder of a dataset's data, and rename the dataset to `target` when it is whole.
+def _temporary_folder(target: Path, force: bool) -> Generator[Path]:
+    """Make a temporary folder for a dataset's data, and rename the complete dataset to `target`.
 
     Raises:
-        KhepTwinError: Without `force`, something was there at the end.
+        KhepTwinError: Without `force`, `target` existed at the end; the dataset has another name.
     """
-    made = [each for each in (target.parent, *target.parent.parents) if not each.exists()]
+    new_folders = [folder for folder in (target.parent, *target.parent.parents) if not folder.exists()]
     target.parent.mkdir(parents=True, exist_ok=True)
     # Minari joins relative paths twice.
     part = Path(mkdtemp(prefix=f".{target.name}.part-", dir=resolved(target.parent)))
     clear = partial(shutil.rmtree, part, ignore_errors=True)
-    forget = clear_at_end(clear)
+    unregister = clear_at_end(clear)
     try:
         (part / "new" / "data").mkdir(parents=True)
         yield part / "new" / "data"
-        placed = target if force else free_name(target, "kept")
-        if placed.exists():
-            os.replace(placed, part / "old")
-        os.replace(part / "new", placed)
-        if placed != target:
-            raise KhepTwinError(kept_both(target, placed))
+        destination = target if force else free_name(target, "kept")
+        if destination.exists():
+            os.replace(destination, part / "old")
+        os.replace(part / "new", destination)
+        if destination != target:
+            raise KhepTwinError(kept_both(target, destination))
     finally:
         clear()
-        forget()
-        for each in made:
-            with suppress(OSError):  # it is not empty, as the dataset is there
-                each.rmdir()
+        unregister()
+        for folder in new_folders:
+            with suppress(OSError):  # not empty if it has the dataset
+                folder.rmdir()

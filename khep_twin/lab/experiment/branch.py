@@ -1,7 +1,8 @@
-"""Runs branched off a logged one: the same up to a moment, and from there on with something changed.
+"""Branches of a logged run: identical to it up to the branch point, and changed from there.
 
-The new log begins with the messages of its parent up to the last snapshot before the moment; the rest up to
-the moment is run again and recorded. Without a change the recorded hosts go on, and the run is the parent's.
+The new log starts with the parent's messages up to the last snapshot before the branch point. The rest up to
+the branch point is simulated again. The recorded hosts continue, so a branch without a change equals its
+parent.
 """
 
 from collections.abc import Callable
@@ -26,6 +27,9 @@ from khep_twin.ports.twin import Twin
 from khep_twin.sensing import calibration
 from khep_twin.world import Observer, World
 
+DEFAULT_DURATION_S = 60.0
+"""Duration of a controller's run that starts at its parent's end [s], as in `khep-twin run`."""
+
 
 @dataclass(frozen=True, slots=True)
 class BranchPlan:
@@ -33,11 +37,11 @@ class BranchPlan:
 
     Attributes:
         log: Log of the parent.
-        change: Moment, and what is different from then on.
-        controller: Controller that takes over; None for the recorded hosts.
-        robot: Index of its robot; None for the one that was on the parent's line.
-        seconds: Time to go on for [s]; None up to the parent's end.
-        cycles: Cycles of the controller to go on for; None for a time.
+        change: Time of the branch point, and the change made there.
+        controller: Controller that replaces the recorded host; None for the recorded hosts.
+        robot: Index of its robot; None for the robot on the parent's serial line.
+        seconds: Duration after the branch point [s]; None up to the parent's end.
+        cycles: Number of the controller's cycles; None to limit the duration instead.
     """
 
     log: Path
@@ -50,7 +54,7 @@ class BranchPlan:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Trajectory from the moment on: times (n,) [s], x, y [m], heading [rad] (n, n_robots, 3)."""
+    """Trajectory after the branch point: times (n,) [s], x, y [m], heading [rad] (n, n_robots, 3)."""
 
     times_s: Floats
     poses: Floats
@@ -64,18 +68,18 @@ def branch(
     progress: Callable[[float], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> Trajectory:
-    """Run a branch and write its log; return the trajectory from the moment on.
+    """Run a branch and write its log; return the trajectory after the branch point.
 
     Args:
         plan: Plan of the branch.
         path: Path of the new log.
-        on_failure: Function that takes the line about a log that cannot be written any more; None to end.
-        progress: Function that takes the part of the time from the moment on that is done, 0 to 1.
-        stop: Function that returns whether to end early.
+        on_failure: Called with a message if the log can no longer be written; None to raise an error.
+        progress: Called with the completed share of the time after the branch point, 0 to 1.
+        stop: Returns whether to stop early.
 
     Raises:
-        LogError: The parent's log lacks what that needs, or the new one cannot be written.
-        KhepTwinError: The change, or the controller, cannot be used.
+        LogError: The parent's log lacks data that a branch needs, or the new log cannot be written.
+        KhepTwinError: The change or the controller cannot be used.
     """
     if plan.cycles is not None:
         end_ns = None
@@ -84,30 +88,30 @@ def branch(
     else:
         end_ns = run_end_ns(plan.log)
     source = plan.controller and source_of(plan.controller)
-    more = Described(source.facts, source.attachments) if source else Described()
-    same = plan.controller is None and not plan.change.text
-    resumed = branch_off(plan.log, plan.change, path, more, on_failure, same=same)
-    observed = _Observed(resumed.twin.world)
-    # As of any run that fails, the log has what came before.
+    description = Described(source.facts, source.attachments) if source else Described()
+    is_unchanged = plan.controller is None and not plan.change.text
+    resumed = branch_off(plan.log, plan.change, path, description, on_failure, same=is_unchanged)
+    recorder = _PoseRecorder(resumed.twin.world)
+    # As for any run that fails, the log is complete up to the error.
     with resumed.twin:
         if plan.controller is None:
             last_ns = end_ns or plan.change.at_ns
             resumed.run_to(last_ns, progress, stop)
             resumed.hosts.repeat(lambda time_ns: time_ns <= last_ns)
         else:
-            _take_over(resumed, plan, plan.controller, end_ns, progress, stop)
-    return observed.trajectory()
+            _run_controller(resumed, plan, plan.controller, end_ns, progress, stop)
+    return recorder.trajectory()
 
 
 def calibrations(log: Path, name: str, robot: int | None) -> dict[str, str]:
-    """Return the text of a calibration for a robot, or for those on the line of a log."""
+    """Return a calibration's text by robot name, for one robot or those on the log's serial lines."""
     setup = Setup.of(log)
-    wanted = setup.options.robot if robot is None else robot
+    robot_index = setup.options.robot if robot is None else robot
     text = calibration.read(name)[1]
-    return {each: text for index, each in enumerate(setup.label.robots) if wanted in (None, index)}
+    return {key: text for index, key in enumerate(setup.label.robots) if robot_index in (None, index)}
 
 
-def _take_over(
+def _run_controller(
     resumed: ResumedRun,
     plan: BranchPlan,
     controller: AnyController,
@@ -115,25 +119,23 @@ def _take_over(
     progress: Callable[[float], None] | None,
     stop: Callable[[], bool] | None,
 ) -> None:
-    """Let a controller take over its robot; the recorded hosts of others go on."""
+    """Run a controller on its robot; the recorded hosts of the other robots continue."""
     twin = resumed.twin
     index = twin.robot.index if plan.robot is None else plan.robot
     if not 0 <= index < len(twin.world.robots):
         raise LogError(f"{plan.log}: robot = {index}; expected 0 to {len(twin.world.robots) - 1}")
     resumed.hosts.replace(index)
-    view = Twin(twin.world, (twin.world.robots[index],), twin.options, resumed.hosts)
-    seconds = None if end_ns is None else max((end_ns - twin.world.time_ns) / NS_PER_S, 0.0) or _ENDLESS_S
-    algorithm = as_controller(controller)
-    with Khepera(Serial.of(view, timeout=1.0)) as robot, stopped_at_end(algorithm, robot):
-        run(algorithm, robot, cycles=plan.cycles, seconds=seconds, progress=progress, stop=stop)
+    single_robot_twin = Twin(twin.world, (twin.world.robots[index],), twin.options, resumed.hosts)
+    seconds = (
+        None if end_ns is None else max((end_ns - twin.world.time_ns) / NS_PER_S, 0) or DEFAULT_DURATION_S
+    )
+    controller = as_controller(controller)
+    with Khepera(Serial.of(single_robot_twin, timeout=1.0)) as robot, stopped_at_end(controller, robot):
+        run(controller, robot, cycles=plan.cycles, seconds=seconds, progress=progress, stop=stop)
 
 
-_ENDLESS_S = 60.0
-"""Time that a controller goes on for at the end of its parent [s], as `khep-twin run` does."""
-
-
-class _Observed(Observer):
-    """Observer of the robots' poses; it is none of the run's and ends with it."""
+class _PoseRecorder(Observer):
+    """Observer that records the robots' poses in memory."""
 
     def __init__(self, world: World) -> None:
         self._times_ns: list[int] = []
@@ -141,7 +143,7 @@ class _Observed(Observer):
         world.add_observer(self)
 
     def sample(self, world: World) -> None:
-        """Note the poses."""
+        """Record the poses."""
         self._times_ns.append(world.time_ns)
         self._poses.append(world.poses)
 

@@ -1,4 +1,4 @@
-"""Source text of a controller as it was run, for the log."""
+"""Source text of a controller for the log, as it was at the start of the run."""
 
 import importlib
 import inspect
@@ -14,18 +14,18 @@ from pathlib import Path
 from types import CodeType
 
 from khep_twin.files.text import encodable
-from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController, defining, name_of
+from khep_twin.lab.experiment.controllers import BUILT_IN, AnyController, definition_of, name_of
 from khep_twin.lab.experiment.periodic_controllers import NetworkController
 
-MOST_BYTES = 2**20
-"""Longest source kept in a log [bytes]; programs written by hand have less than a tenth (assumed)."""
+MAX_BYTES = 2**20
+"""Longest source stored in a log [bytes]; programs written by hand have less than a tenth (assumed)."""
+
+_PROGRAM_FOLDERS: set[Path] = set()
+"""Folders of the programs loaded so far."""
 
 
 class ReadOnceLoader(SourceFileLoader):
-    """Loader of a Python file that reads it once and keeps its bytes.
-
-    It neither reads nor writes `__pycache__`.
-    """
+    """Loader of a Python file that reads it once; it neither reads nor writes `__pycache__`."""
 
     _data: bytes | None = None
 
@@ -45,9 +45,9 @@ class Source:
     """Name and source of a controller, for a log.
 
     Attributes:
-        facts: Name, built-in or FILE.py:FUNCTION without a folder, and why the source is left out.
-        attachments: Source by the name controller/FILE.py, or a network as controller/FILE.json; empty if it
-            is left out.
+        facts: Name, built-in or FILE.py:FUNCTION without the folder, and the reason if the source is omitted.
+        attachments: Source by the name controller/FILE.py, or a network as controller/FILE.json; empty if
+            omitted.
     """
 
     facts: Mapping[str, str]
@@ -61,25 +61,25 @@ class Source:
 
 
 def source_of(controller: AnyController) -> Source:
-    """Return name and source of a controller; of its file only, without imports."""
+    """Return name and source of a controller: of its file alone, without imported modules."""
     if isinstance(controller, NetworkController) and controller.defined_by is None:
         return _network_source(controller)
-    defined = defining(controller)
-    file = inspect.getsourcefile(defined) or ""
-    # The folder is specific to the machine and no part of the run.
+    definition = definition_of(controller)
+    file = inspect.getsourcefile(definition) or ""
+    # The folder depends on the machine and does not affect the run.
     name = encodable(Path(file).name)
-    built_in = next((each for each, function in BUILT_IN.items() if function is controller), None)
+    built_in = next((key for key, function in BUILT_IN.items() if function is controller), None)
     facts = {"controller": built_in or f"{name}:{name_of(controller)}"}
     try:
-        # A module may come from an archive; that of an interactive Python has no file.
-        get_data = getattr(getattr(inspect.getmodule(defined), "__loader__", None), "get_data", None)
+        # A module may come from an archive; an interactive session has no file.
+        get_data = getattr(getattr(inspect.getmodule(definition), "__loader__", None), "get_data", None)
         data: bytes = Path(file).read_bytes() if get_data is None else get_data(file)
-        text = _text(data)
+        text = _decode(data)
     except (OSError, SyntaxError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         return Source(facts | {"controller_source": f"left out: cannot be read: {reason}"})
-    if len(data) > MOST_BYTES:
-        return Source(facts | {"controller_source": f"left out: {len(data)} bytes, more than {MOST_BYTES}"})
+    if len(data) > MAX_BYTES:
+        return Source(facts | {"controller_source": f"left out: {len(data)} bytes, more than {MAX_BYTES}"})
     return Source(facts, {f"controller/{name}": text})
 
 
@@ -88,13 +88,13 @@ def _network_source(controller: NetworkController) -> Source:
     name = encodable(controller.file or "network.npz")
     text = json.dumps(asdict(controller.network))
     facts = {"controller": name, "network": f"sha256 {sha256(text.encode()).hexdigest()}"}
-    if len(text) > MOST_BYTES:
-        return Source(facts | {"controller_source": f"left out: {len(text)} bytes, more than {MOST_BYTES}"})
+    if len(text) > MAX_BYTES:
+        return Source(facts | {"controller_source": f"left out: {len(text)} bytes, more than {MAX_BYTES}"})
     return Source(facts, {f"controller/{Path(name).stem}.json": text})
 
 
-def _text(data: bytes) -> str:
-    """Return a source as text: UTF-8 to the byte, anything else decoded as Python does."""
+def _decode(data: bytes) -> str:
+    """Return a source as text: UTF-8, or else the encoding that Python detects."""
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError:
@@ -103,21 +103,17 @@ def _text(data: bytes) -> str:
 
 
 def forget_modules_beside(program: Path) -> None:
-    """Have a program import the modules beside it as they are now, not those of an earlier program."""
-    _FOLDERS.add(program.parent)
-    tops = {name.partition(".")[0] for name in sys.modules} - {"khep_twin", "__main__"}
-    beside = {top for top in tops if _folder(top) in _FOLDERS}
-    for name in [name for name in sys.modules if name.partition(".")[0] in beside]:
+    """Unload the modules of earlier programs, so that a program imports those in its folder afresh."""
+    _PROGRAM_FOLDERS.add(program.parent)
+    top_levels = {name.partition(".")[0] for name in sys.modules} - {"khep_twin", "__main__"}
+    outdated = {top_level for top_level in top_levels if _module_folder(top_level) in _PROGRAM_FOLDERS}
+    for name in [name for name in sys.modules if name.partition(".")[0] in outdated]:
         del sys.modules[name]
-    sys.path[:] = [str(program.parent), *(each for each in sys.path if each != str(program.parent))]
+    sys.path[:] = [str(program.parent), *(entry for entry in sys.path if entry != str(program.parent))]
     importlib.invalidate_caches()
 
 
-def _folder(top: str) -> Path:
-    """Return the folder that a module or package without a parent is in."""
-    file = Path(getattr(sys.modules.get(top), "__file__", None) or "/")
+def _module_folder(top_level: str) -> Path:
+    """Return the folder that contains a top-level module or package."""
+    file = Path(getattr(sys.modules.get(top_level), "__file__", None) or "/")
     return file.parent.parent if file.name == "__init__.py" else file.parent
-
-
-_FOLDERS: set[Path] = set()
-"""Folders of the programs read so far."""

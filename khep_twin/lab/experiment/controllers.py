@@ -1,7 +1,7 @@
 """Controller interface and the built-in controllers.
 
 A controller is a function of a robot, called once a cycle, or a `Controller` with methods that are called
-before, during and after a run. An error of a user's function tells file and line.
+before, during and after a run. Errors in a user's function are reported with file and line.
 """
 
 import inspect
@@ -27,8 +27,8 @@ from khep_twin.lab.experiment.users_folder import in_users_folder
 from khep_twin.playpen import Playpen
 from khep_twin.signals import is_interruption
 
-P = ParamSpec("P")
-Returned = TypeVar("Returned")
+Params = ParamSpec("Params")
+ReturnType = TypeVar("ReturnType")
 
 
 class Controller:
@@ -41,12 +41,12 @@ class Controller:
             def cycle(self, robot):
                 self.near += max(robot.proximity()) > 500
 
-    One object serves a whole series, so its attributes carry over from run to run. Their values at a run's
-    end are kept with the run, except those whose name begins with "_".
+    One object is used for all runs of a series, so its attributes persist from run to run. Their values at
+    the end of a run are saved with it, except those whose name starts with "_".
 
     Attributes:
         passes_time: Calls that let time pass in a cycle, for messages.
-        defined_by: User's function or file that it consists of, for messages and logs; None for its class.
+        defined_by: User's function or file that defines it, for messages and logs; None for its class.
     """
 
     passes_time: ClassVar[str] = "to ask the robot something, or robot.sleep"
@@ -67,34 +67,34 @@ class Controller:
 
 
 class FunctionController(Controller):
-    """A controller made of a function called once a cycle; a mapping that it returns has its variables."""
+    """Controller that calls a function once a cycle; a mapping that it returns holds its variables."""
 
     def __init__(self, function: Callable[[Khepera], object]) -> None:
         self.defined_by = self.function = function
-        self._told: Mapping[str, object] = {}
+        self._returned: Mapping[str, object] = {}
 
     def start(self, robot: Khepera) -> None:
         """Forget the variables of the previous run."""
-        self._told = {}
+        self._returned = {}
 
     def cycle(self, robot: Khepera) -> None:
         """Call the function."""
-        told = self.function(robot)
-        if isinstance(told, Mapping):
-            self._told = told
+        returned = self.function(robot)
+        if isinstance(returned, Mapping):
+            self._returned = returned
 
-    def told(self) -> dict[str, object]:
-        """Return the mapping that the function returned last."""
-        return {encodable(str(name)): value for name, value in self._told.items()}
+    def returned(self) -> dict[str, object]:
+        """Return the last mapping that the function returned."""
+        return {encodable(str(name)): value for name, value in self._returned.items()}
 
 
 class LoopingController(FunctionController):
-    """A function that runs the cycles of a run by itself.
+    """Function that loops over the cycles of a run itself.
 
     Attributes:
-        unpaced: True if its commands to a twin take no time on the line.
-        playpen: Playpen opened by its file, None for none.
-        port_id: Number of the robot's port, None if it refers to no other robot.
+        unpaced: True if its commands to a twin take no transmission time.
+        playpen: Playpen opened by its file; None without.
+        port_id: Number of the robot's port; None if the function refers to no other robot.
     """
 
     unpaced = False
@@ -109,11 +109,11 @@ class LoopingController(FunctionController):
         Args:
             robot: Robot to drive.
             cycles: Number of cycles.
-            end_cycle: Called after each cycle; returns whether to go on.
-            stop: Returns whether to end early.
+            end_cycle: Called after each cycle; returns whether to continue.
+            stop: Returns whether to stop early.
 
         Returns:
-            Number of cycles, None for an aborted run.
+            Number of cycles; None for an aborted run.
         """
         raise NotImplementedError
 
@@ -128,13 +128,13 @@ def as_controller(controller: AnyController) -> Controller:
 
 
 def name_of(controller: AnyController) -> str:
-    """Return the name of a controller in its file."""
-    defined = defining(controller)
-    named = type(controller) if isinstance(defined, ModuleType) else defined
-    return str(getattr(named, "__name__", type(controller).__name__))
+    """Return the name under which a controller's file defines it."""
+    definition = definition_of(controller)
+    subject = type(controller) if isinstance(definition, ModuleType) else definition
+    return str(getattr(subject, "__name__", type(controller).__name__))
 
 
-def defining(controller: AnyController | AnyFunction) -> AnyFunction | ModuleType:
+def definition_of(controller: AnyController | AnyFunction) -> AnyFunction | ModuleType:
     """Return the function, class or file that defines a controller or one of its methods."""
     owner = getattr(controller, "__self__", controller)
     if not isinstance(owner, Controller):
@@ -142,29 +142,29 @@ def defining(controller: AnyController | AnyFunction) -> AnyFunction | ModuleTyp
     return type(owner) if owner.defined_by is None else owner.defined_by
 
 
-def call(place: Callable[P, Returned], *given: P.args, **named: P.kwargs) -> Returned:
-    """Call a user's function or a controller's method and return what it returns.
+def call(function: Callable[Params, ReturnType], *args: Params.args, **kwargs: Params.kwargs) -> ReturnType:
+    """Call a user's function or a controller's method and return its result.
 
     Raises:
-        ControllerError: It failed, with file and line.
+        ControllerError: The call failed; the message has file and line.
     """
     try:
-        return in_users_folder(place, *given, **named)
+        return in_users_folder(function, *args, **kwargs)
     except KhepTwinError:
         raise
     except BaseException as error:
         if is_interruption(error):
             raise
-        raise failed(source_file(place), error) from error
+        raise error_in_file(source_file(function), error) from error
 
 
 @contextmanager
 def stopped_at_end(controller: Controller, robot: Khepera) -> Generator[None]:
-    """Call a controller's `stop` at the end of the context, also after an error, which goes on."""
+    """Call a controller's `stop` at the end of the context, also after an error, which is raised again."""
     try:
         yield
     except BaseException:
-        # A second error while the controller stops would only hide the first one.
+        # A second error in `stop` would hide the first one.
         with suppress(KhepTwinError):
             call(controller.stop, robot)
         raise
@@ -172,61 +172,58 @@ def stopped_at_end(controller: Controller, robot: Khepera) -> Generator[None]:
 
 
 def source_file(controller: AnyController | AnyFunction) -> str:
-    """Return the file that defines a controller or one of its methods; empty if none does."""
+    """Return the file that defines a controller or one of its methods; empty without a file."""
     try:
-        return inspect.getsourcefile(defining(controller)) or ""
+        return inspect.getsourcefile(definition_of(controller)) or ""
     except TypeError:  # a callable that is not defined in a file
         return ""
 
 
-def failed(file: str | Path, error: BaseException, what: str = "") -> ControllerError:
-    """Return the error about a user's file that has failed, with the line in it, and in a file beside it."""
-    there = resolved(Path(file))
+def error_in_file(file: str | Path, error: BaseException, prefix: str = "") -> ControllerError:
+    """Return the error of a user's file, with the failing line in it and in a module of the same folder."""
+    file_path = resolved(Path(file))
     frames = traceback.walk_tb(error.__traceback__)
-    places = [(resolved(Path(frame.f_code.co_filename)), line) for frame, line in frames]
+    locations = [(resolved(Path(frame.f_code.co_filename)), line) for frame, line in frames]
     is_invalid = isinstance(error, SyntaxError)
     if isinstance(error, SyntaxError) and error.filename and error.lineno is not None:
-        places.append((resolved(Path(error.filename)), error.lineno))
-    lines = [line for place, line in places if place == there]
+        locations.append((resolved(Path(error.filename)), error.lineno))
+    lines = [line for location, line in locations if location == file_path]
     line = f":{lines[-1]}" if lines else ""
-    beside = [each for each in places if each[0].parent == there.parent]
-    # Python itself names the file of a syntax error.
-    inner = "" if is_invalid or not beside or beside[-1][0] == there else _place(*beside[-1])
-    return ControllerError(f"{file}{line}: {what}{in_a_line(error)}{inner}")
+    neighbours = [location for location in locations if location[0].parent == file_path.parent]
+    # Python's text of a syntax error names its file.
+    is_inner = bool(neighbours) and not is_invalid and neighbours[-1][0] != file_path
+    inner = f" ({neighbours[-1][0].name}, line {neighbours[-1][1]})" if is_inner else ""
+    return ControllerError(f"{file}{line}: {prefix}{in_a_line(error)}{inner}")
 
 
-def _place(path: Path, line: int) -> str:
-    return f" ({path.name}, line {line})"
-
-
-def variables(controller: Controller) -> dict[str, object]:
+def copy_variables(controller: Controller) -> dict[str, object]:
     """Return copies of a controller's variables: booleans, numbers, texts, arrays and lists of numbers.
 
     Integers beyond 64 bits become floats.
     """
-    held = controller.told() if isinstance(controller, FunctionController) else vars(controller)
-    found: dict[str, object] = {}
-    for name, value in sorted(held.items()):
+    values = controller.returned() if isinstance(controller, FunctionController) else vars(controller)
+    copies: dict[str, object] = {}
+    for name, value in sorted(values.items()):
         if name.startswith("_"):
             continue
         if isinstance(value, str):
-            found[name] = encodable(value)
+            copies[name] = encodable(value)
         elif isinstance(value, bool | int | float):
-            found[name] = _plain(value)
+            copies[name] = _python_number(value)
         elif isinstance(value, np.generic | np.ndarray | list | tuple):
-            array = _numbers(held[name])
+            array = _numeric_array(values[name])
             if array is not None:
-                found[name] = array.item() if array.ndim == 0 else array
-    return found
+                copies[name] = array.item() if array.ndim == 0 else array
+    return copies
 
 
 def write_template(kind: Literal["controller", "toolbox"], file: Path, replace: bool = False) -> None:
-    """Write a commented controller template, as a class or in the Khepera Toolbox's form."""
+    """Write a commented controller template: a class, or a function in the Khepera Toolbox's form."""
     write_whole(file, (files("khep_twin") / "assets" / f"{kind}_template.py").read_bytes(), replace)
 
 
-def _plain(value: bool | int | float) -> bool | int | float:
-    """Return a number as a plain type, e.g. of an enumeration's member."""
+def _python_number(value: bool | int | float) -> bool | int | float:
+    """Return a number as a built-in type, e.g. a member of an enumeration."""
     if isinstance(value, bool | float):
         return bool(value) if isinstance(value, bool) else float(value)
     if -(2**63) <= value < 2**63:
@@ -237,8 +234,8 @@ def _plain(value: bool | int | float) -> bool | int | float:
         return math.copysign(math.inf, value)
 
 
-def _numbers(value: object) -> NDArray[np.generic] | None:
-    """Return a copy as an array, None if it does not hold numbers."""
+def _numeric_array(value: object) -> NDArray[np.generic] | None:
+    """Return a copy as an array; None if it does not consist of numbers."""
     try:
         array = np.array(value)
     except ValueError:  # rows of several lengths

@@ -22,8 +22,8 @@ class Outcome:
 
     Attributes:
         cycles: Number of calls of the controller.
-        duration: Duration of the run in the port's own time [s].
-        complete: True unless the run was ended early.
+        duration: Duration of the run in the port's time [s].
+        complete: True unless the run was stopped early.
     """
 
     cycles: int
@@ -41,15 +41,15 @@ def run(
     stop: Callable[[], bool] | None = None,
     after_cycle: Callable[[], None] | None = None,
 ) -> Outcome:
-    """Start a controller, call it once a cycle, then stop the motors and end the controller.
+    """Start a controller, call it once a cycle, then stop the motors and call the controller's `end`.
 
     Args:
         controller: Controller of the robot.
         robot: Robot to drive.
-        cycles: Number of calls after which to end.
-        seconds: Time after which to end, in the port's own time [s].
-        progress: Called after each cycle with the completed part of the run, 0 to 1.
-        stop: Called before each cycle; returns whether to end early.
+        cycles: Number of calls of the controller.
+        seconds: Duration in the port's time [s]; the run ends at the first limit that it reaches.
+        progress: Called after each cycle with the completed share of the run, 0 to 1.
+        stop: Called before each cycle; returns whether to stop early.
         after_cycle: Called after each cycle.
 
     Raises:
@@ -60,48 +60,49 @@ def run(
         raise ValueError("no cycles and no seconds; expected one of them")
     if (cycles is not None and cycles < 1) or (seconds is not None and not seconds > 0):
         raise ValueError(f"cycles = {cycles}, seconds = {seconds}; expected numbers above 0")
-    algorithm, asked = as_controller(controller), stop or (lambda: False)
-    start = before = robot.time
-    done, part = 0, 0.0
+    controller = as_controller(controller)
+    should_stop = stop or (lambda: False)
+    start = previous_time = robot.time
+    n_cycles, completed = 0, 0.0
 
     def end_cycle() -> bool:
-        """Count a cycle and return whether another one follows."""
-        nonlocal before, done, part
+        """Count a cycle; return whether to continue."""
+        nonlocal previous_time, n_cycles, completed
         now = robot.time
-        if now == before:
-            place = f"{source_file(controller)}: {name_of(controller)}"
-            raise ControllerError(f"{place}: a cycle lets no time pass; expected {algorithm.passes_time}")
-        before = now
-        done += 1
+        if now == previous_time:
+            subject = f"{source_file(controller)}: {name_of(controller)}"
+            raise ControllerError(f"{subject}: a cycle lets no time pass; expected {controller.passes_time}")
+        previous_time = now
+        n_cycles += 1
         if after_cycle is not None:
             after_cycle()
-        by_cycles = done / cycles if cycles else 0.0
-        by_time = (robot.time - start) / seconds if seconds else 0.0
-        part = max(by_cycles, by_time)
+        cycle_share = n_cycles / cycles if cycles else 0.0
+        time_share = (robot.time - start) / seconds if seconds else 0.0
+        completed = max(cycle_share, time_share)
         if progress is not None:
-            progress(min(part, 1.0))
-        return part < 1 and not asked()
+            progress(min(completed, 1.0))
+        return completed < 1 and not should_stop()
 
     try:
-        call(algorithm.start, robot)
-        if isinstance(algorithm, LoopingController):
+        call(controller.start, robot)
+        if isinstance(controller, LoopingController):
             if cycles is None or seconds is not None:
                 raise ControllerError(
                     f"{name_of(controller)}: counts its cycles; expected cycles, no seconds"
                 )
-            counted = call(algorithm.loop, robot, cycles, end_cycle, asked)
-            done, part = (done, part) if counted is None else (counted, 1.0)
+            loop_cycles = call(controller.loop, robot, cycles, end_cycle, should_stop)
+            n_cycles, completed = (n_cycles, completed) if loop_cycles is None else (loop_cycles, 1.0)
         else:
-            going = not asked()
-            while going:
-                call(algorithm.cycle, robot)
-                going = end_cycle()
+            is_running = not should_stop()
+            while is_running:
+                call(controller.cycle, robot)
+                is_running = end_cycle()
         duration = robot.time - start
         robot.set_speed(0, 0)
-        call(algorithm.end, robot)
+        call(controller.end, robot)
     except BaseException:
-        # A second error while the motors are stopped would only hide the first one.
+        # A second error of this command would hide the first one.
         with suppress(KhepTwinError):
             robot.set_speed(0, 0)
         raise
-    return Outcome(done, duration, part >= 1)
+    return Outcome(n_cycles, duration, completed >= 1)

@@ -1,8 +1,8 @@
 """Metrics of a run.
 
-Metrics of the host's exchanges are available on every port, robot or twin, those of the ground truth only for
-a twin in this process. Metrics that depend on how many readings a host takes, such as a share of them, are
-the same on any port that gives the same answers; times are the port's own.
+Metrics of the host's exchanges are available on every port, robot or twin. Metrics of the ground truth need a
+twin in this process. Metrics relative to the number of readings, for example a share of them, are equal on
+all ports that return the same replies. Times are in the port's time.
 """
 
 import math
@@ -39,7 +39,7 @@ UNITS = {
     "light_gained": "counts",
     "coverage": "of the floor",
 }
-"""Unit of each metric by its name; those of the ground truth begin with the distance."""
+"""Unit of each metric by its name; those from `distance_m` on are of the ground truth."""
 
 
 class HostMetrics:
@@ -48,63 +48,64 @@ class HostMetrics:
     def __init__(self) -> None:
         self._speed = (0, 0)
         self._proximity: tuple[int, ...] | None = None
-        self._readings: list[tuple[int, ...]] = []
-        self._lights: list[tuple[int, ...]] = []
+        self._proximity_readings: list[tuple[int, ...]] = []
+        self._ambient_readings: list[tuple[int, ...]] = []
         self._cycles: list[tuple[float, float]] = []
         self._commands: list[tuple[float, float]] = []
 
     def __call__(self, request: str, reply: str) -> None:
-        """Add one exchange of the line."""
-        if (speed := _numbers(request, "D", 2)) and reply == "d":
+        """Add one request and its reply."""
+        if (speed := _parse_numbers(request, "D", 2)) and reply == "d":
             self._speed = speed[0], speed[1]
             if not self._cycles:
-                self._commands.append(self._driven())
-        elif request == "N" and (counts := _numbers(reply, "n", 8)):
+                self._commands.append(self._fitness_and_speed())
+        elif request == "N" and (counts := _parse_numbers(reply, "n", 8)):
             self._proximity = counts
-            self._readings.append(counts)
-        elif request == "O" and (counts := _numbers(reply, "o", 8)):
-            self._lights.append(counts)
+            self._proximity_readings.append(counts)
+        elif request == "O" and (counts := _parse_numbers(reply, "o", 8)):
+            self._ambient_readings.append(counts)
 
     def end_cycle(self) -> None:
         """End a cycle of the controller, at which its fitness is computed."""
-        self._cycles.append(self._driven())
+        self._cycles.append(self._fitness_and_speed())
 
-    def _driven(self) -> tuple[float, float]:
-        """Return fitness and mean speed [pulses/10 ms] of now."""
+    def _fitness_and_speed(self) -> tuple[float, float]:
+        """Return the current fitness and mean speed [pulses/10 ms]."""
         left, right = self._speed
         nearest = max(self._proximity or (0,)) / units.COUNTS_LIMIT
         return obstacle_avoidance(left, right, nearest), (left + right) / 2
 
     def metrics(self) -> dict[str, float]:
-        """Return the metrics by name; those of sensors that were not read are left out.
+        """Return the metrics by name, without those of sensors that were not read.
 
-        A controller that loops by itself ends no cycle: each of its speed commands counts as one.
+        A `LoopingController` has no cycle callback, so each of its speed commands counts as a cycle.
         """
-        found: dict[str, float] = {}
+        metrics: dict[str, float] = {}
         if cycles := self._cycles or self._commands:
-            each_fitness, each_speed = zip(*cycles, strict=True)
-            found["fitness"] = math.fsum(each_fitness) / len(each_fitness)
-            found["speed_mean"] = math.fsum(each_speed) / len(each_speed)
-        if self._readings:
-            counts = np.array(self._readings)
-            found["near_share"] = float((counts.max(axis=1) > statistics.NEAR_COUNTS).mean())
-            found["proximity_mean"], found["proximity_max"] = float(counts.mean()), float(counts.max())
-        if self._lights:
-            counts = np.array(self._lights)
-            found["ambient_mean"], found["ambient_min"] = float(counts.mean()), float(counts.min())
-        return {name: found[name] for name in UNITS if name in found}
+            fitnesses, speeds = zip(*cycles, strict=True)
+            metrics["fitness"] = math.fsum(fitnesses) / len(fitnesses)
+            metrics["speed_mean"] = math.fsum(speeds) / len(speeds)
+        if self._proximity_readings:
+            counts = np.array(self._proximity_readings)
+            metrics["near_share"] = float((counts.max(axis=1) > statistics.NEAR_COUNTS).mean())
+            metrics["proximity_mean"], metrics["proximity_max"] = float(counts.mean()), float(counts.max())
+        if self._ambient_readings:
+            counts = np.array(self._ambient_readings)
+            metrics["ambient_mean"], metrics["ambient_min"] = float(counts.mean()), float(counts.min())
+        return {name: metrics[name] for name in UNITS if name in metrics}
 
 
 class GroundTruthMetrics(Observer):
-    """Observer that records the ground truth of one run of one robot, from now on."""
+    """Observer that records the ground truth of one robot from its creation to `end`."""
 
     def __init__(self, world: World, index: int) -> None:
-        self._world, self._index = world, index
+        self._world = world
+        self._index = index
         self._times_ns: list[int] = []
         self._poses: list[tuple[float, float, float]] = []
         self._counts: list[NDArray[np.int64]] = []
         self._columns = [*PROXIMITY, *AMBIENT]
-        # Now, as a controller may go to another folder.
+        # Read the calibration before a controller may change the working directory.
         entry = world.playpen.robots[index]
         self._dark = np.array(calibration.read(entry.calibration)[0].ambient.dark_counts)
         world.add_observer(self)
@@ -146,25 +147,22 @@ class GroundTruthMetrics(Observer):
 
 
 def coverage(positions: statistics.Floats, playpen: Playpen, radius: float) -> float:
-    """Return the share of cells that a robot's centre visited, of those with room for it in their middle.
-
-    The centre's positions (n, 2) and the robot's radius are in [m].
-    """
-    xs, ys = (np.array(each) / 1e3 for each in zip(*playpen.arena.corners, strict=True))
-    counts = [max(1, math.ceil(float(np.ptp(each)) / CELL - 1e-9)) for each in (xs, ys)]
+    """Return the visited share of the cells whose centre has room for the robot; positions (n, 2) [m]."""
+    xs, ys = (np.array(coordinates) / 1e3 for coordinates in zip(*playpen.arena.corners, strict=True))
+    n_cells = [max(1, math.ceil(float(np.ptp(coordinates)) / CELL - 1e-9)) for coordinates in (xs, ys)]
     corner = np.array([xs.min(), ys.min()])
-    columns, rows = np.meshgrid(np.arange(counts[0]), np.arange(counts[1]), indexing="ij")
+    columns, rows = np.meshgrid(np.arange(n_cells[0]), np.arange(n_cells[1]), indexing="ij")
     cells = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64)
-    middles = corner + (cells + 0.5) * CELL
-    inside = np.array([contains(playpen.arena.corners, x * 1e3, y * 1e3) for x, y in middles.tolist()])
-    free = inside & (statistics.clearance(middles, playpen) >= radius)
-    been = np.clip(((positions - corner) // CELL).astype(np.int64), 0, np.array(counts) - 1)
-    visited = np.unique(been[:, 0] * counts[1] + been[:, 1])
+    centres = corner + (cells + 0.5) * CELL
+    inside = np.array([contains(playpen.arena.corners, x * 1e3, y * 1e3) for x, y in centres.tolist()])
+    free = inside & (statistics.clearance(centres, playpen) >= radius)
+    cell_indices = np.clip(((positions - corner) // CELL).astype(np.int64), 0, np.array(n_cells) - 1)
+    visited = np.unique(cell_indices[:, 0] * n_cells[1] + cell_indices[:, 1])
     return float(free[visited].sum() / free.sum()) if free.any() else 0.0
 
 
-def _numbers(line: str, letter: str, count: int) -> tuple[int, ...] | None:
-    """Return a line's numbers, None for another or a garbled line."""
+def _parse_numbers(line: str, letter: str, count: int) -> tuple[int, ...] | None:
+    """Return the numbers of a line; None for a line with another letter, or a garbled one."""
     head, *fields = line.split(",")
     if head != letter or len(fields) != count:
         return None

@@ -1,4 +1,4 @@
-"""Several hosts on one world in lockstep: each a blocking script in its own thread, one at a time.
+"""Several hosts on one world in lockstep: blocking scripts in separate threads, of which one runs at a time.
 
     from khep_twin.lab.experiment.multi_robot import run_together
 
@@ -7,9 +7,9 @@
 
     run_together("two-robots.toml", [follow, flee], TwinOptions(seed=1))
 
-A script runs until it waits for simulated time; then the script with the earliest time resumes, of equal ones
-that with the lower robot number. The order does not depend on the machine, and the same scripts and seed give
-the same run, bit for bit.
+A script runs until it waits for simulated time. Then the script with the earliest wake-up time resumes; of
+equal times, the one with the lower robot number. The order does not depend on the machine, and the same
+scripts and seed yield the same run, bit for bit.
 """
 
 import threading
@@ -26,15 +26,15 @@ from khep_twin.playpen import PlaypenLike
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
 
-Result = TypeVar("Result")
+ResultType = TypeVar("ResultType")
 
 TIMEOUT = 1.0
-"""Longest wait of each script for a reply [s of simulated time]."""
+"""Time-out of each script for a reply [s of simulated time]."""
 
 
 def run_together(
-    playpen: PlaypenLike, scripts: Sequence[Callable[[Khepera], Result]], options: TwinOptions
-) -> list[Result]:
+    playpen: PlaypenLike, scripts: Sequence[Callable[[Khepera], ResultType]], options: TwinOptions
+) -> list[ResultType]:
     """Run a script for each robot of a playpen, all on one world; return their results.
 
     Args:
@@ -44,7 +44,7 @@ def run_together(
 
     Raises:
         PortError: There are more or fewer scripts than robots.
-        Exception: Exception of the first script that failed, once all have ended.
+        Exception: Exception of the first script that failed, after all have ended.
     """
     with open_twin(playpen, replace(options, robot=None)) as twin:
         if len(scripts) != len(twin.robots):
@@ -52,76 +52,78 @@ def run_together(
         return drive_together(twin, dict(enumerate(scripts)))
 
 
-def drive_together(twin: Twin, scripts: Mapping[int, Callable[[Khepera], Result]]) -> list[Result]:
-    """Run scripts for some robots of a twin, by their numbers, until all have ended; return their results.
+def drive_together(twin: Twin, scripts: Mapping[int, Callable[[Khepera], ResultType]]) -> list[ResultType]:
+    """Run scripts for some robots of a twin, by robot number, until all have ended; return their results.
 
-    A single one runs in the caller's thread. An error of the twin, such as its end, breaks off all of them.
+    A single script runs in the caller's thread. An error of the twin, or its end, aborts all scripts.
 
     Raises:
-        Exception: Exception of the first script that failed, once all have ended.
+        Exception: Exception of the first script that failed, after all have ended.
     """
     if len(scripts) == 1:
         [(index, script)] = scripts.items()
-        with _robot_of(twin, index, twin.time_source) as robot:
+        with _open_robot(twin, index, twin.time_source) as robot:
             return [script(robot)]
-    seats = [_Seat(twin, index, script) for index, script in scripts.items()]
-    while waiting := [seat for seat in seats if not seat.done]:
-        seat = min(waiting, key=lambda seat: (seat.goal_ns, seat.index))
+    threads = [_ScriptThread(twin, index, script) for index, script in scripts.items()]
+    while active := [thread for thread in threads if not thread.is_done]:
+        thread = min(active, key=lambda seat: (seat.wake_ns, seat.index))
         try:
-            twin.advance_to(seat.goal_ns)
+            twin.advance_to(thread.wake_ns)
         except KhepTwinError as error:
-            if any(each.broken_off for each in waiting):
+            if any(thread.abort_error for thread in active):
                 raise
-            for each in waiting:
-                each.broken_off = error
-        seat.resume()
-    for seat in seats:
-        if seat.error is not None:
-            raise seat.error
-    return [seat.result for seat in seats]
+            for thread in active:
+                thread.abort_error = error
+        thread.resume()
+    for thread in threads:
+        if thread.error is not None:
+            raise thread.error
+    return [thread.result for thread in threads]
 
 
-def _robot_of(twin: Twin, index: int, time_source: TimeSource) -> Khepera:
-    """Return a robot of a twin on a port of its own; closing it keeps the world for the others."""
-    view = Twin(twin.world, (twin.robots[index],), twin.options, time_source)
-    return Khepera(Serial.of(view, timeout=TIMEOUT))
+def _open_robot(twin: Twin, index: int, time_source: TimeSource) -> Khepera:
+    """Return a robot of a twin on a separate port; the world stays open when it is closed."""
+    single_robot_twin = Twin(twin.world, (twin.robots[index],), twin.options, time_source)
+    return Khepera(Serial.of(single_robot_twin, timeout=TIMEOUT))
 
 
-class _Seat(Generic[Result]):
-    """A script, its thread, and the time that it waits for: the `TimeSource` of its robot's port."""
+class _ScriptThread(Generic[ResultType]):
+    """A script, its thread, and its wake-up time; the `TimeSource` of its robot's port."""
 
-    def __init__(self, twin: Twin, index: int, script: Callable[[Khepera], Result]) -> None:
+    def __init__(self, twin: Twin, index: int, script: Callable[[Khepera], ResultType]) -> None:
         self.index = index
-        self.goal_ns = 0
-        self.done = False
-        self.result: Result
+        self.wake_ns = 0
+        self.is_done = False
+        self.result: ResultType
         self.error: BaseException | None = None
-        self.broken_off: KhepTwinError | None = None
-        self._told = False
-        self._world, self._script = twin.world, script
-        self._robot = _robot_of(twin, index, self)
-        self._turn, self._pause = threading.Semaphore(0), threading.Semaphore(0)
-        # The thread waits for its turn; what it prints goes where the caller's goes.
+        self.abort_error: KhepTwinError | None = None
+        self._is_abort_raised = False
+        self._world = twin.world
+        self._script = script
+        self._robot = _open_robot(twin, index, self)
+        self._turn = threading.Semaphore(0)
+        self._paused = threading.Semaphore(0)
+        # The thread waits for its turn; its output goes to the caller's output.
         run = partial(copy_context().run, self._run)
         threading.Thread(target=run, name=f"khepera{index}", daemon=True).start()
 
     def resume(self) -> None:
         """Run the script until it waits again or ends."""
         self._turn.release()
-        self._pause.acquire()
+        self._paused.acquire()
 
     def advance_to(self, time_ns: int) -> None:
-        """Block the script's thread until the world has reached this time [ns]."""
+        """Block the script's thread until the world reaches this time [ns]."""
         if time_ns > self._world.time_ns:
-            self.goal_ns = time_ns
-            self._pause.release()
+            self.wake_ns = time_ns
+            self._paused.release()
             self._turn.acquire()
-            if self.broken_off is not None and not self._told:
-                self._told = True  # only once: the commands that stop the motors must still pass
-                raise self.broken_off
+            if self.abort_error is not None and not self._is_abort_raised:
+                self._is_abort_raised = True  # once, as the commands that stop the motors must succeed
+                raise self.abort_error
 
     def attend(self) -> None:
-        """Do nothing: the other scripts take their turns while this one waits."""
+        """Do nothing: other scripts run while this one waits."""
 
     def _run(self) -> None:
         self._turn.acquire()
@@ -131,5 +133,5 @@ class _Seat(Generic[Result]):
         except BaseException as error:  # raised again by run_together
             self.error = error
         finally:
-            self.done = True
-            self._pause.release()
+            self.is_done = True
+            self._paused.release()

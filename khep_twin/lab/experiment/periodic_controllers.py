@@ -1,4 +1,4 @@
-"""Controllers that decide once a period, and networks as such controllers.
+"""Controllers with a fixed control period, and networks as controllers.
 
     from khep_twin import Khepera, Network, NetworkController
     from khep_twin.lab.experiment import run
@@ -6,7 +6,7 @@
     with Khepera("/dev/ttyUSB0") as robot:
         run(NetworkController(Network.load("best.npz")), robot, seconds=60)
 
-On a twin or a robot they have the cycle that a rollout with that line has (`khep_twin.episodes.line`).
+On a twin or a robot, their cycle is that of a rollout with a serial line (`khep_twin.episodes.line`).
 """
 
 import math
@@ -22,9 +22,9 @@ from khep_twin.lab.experiment.controllers import Controller
 
 
 class PeriodicController(Controller):
-    """A controller that asks, decides and drives once a period, in the port's own time.
+    """Controller that reads sensors, decides and drives once a period, in the port's time.
 
-    A cycle that takes longer is followed by the next one at once.
+    The next cycle follows immediately after a cycle that takes longer than the period.
 
     Args:
         period_ns: Control period [ns].
@@ -34,52 +34,50 @@ class PeriodicController(Controller):
         self._period_ns = period_ns
 
     def decide(self, robot: Khepera) -> tuple[float, float]:
-        """Ask the robot and return the speeds of the left and right wheel [pulses/10 ms]."""
+        """Read the robot's sensors; return the speeds of the left and right wheel [pulses/10 ms]."""
         raise NotImplementedError(f"{type(self).__name__} needs a decide(self, robot)")
 
     def cycle(self, robot: Khepera) -> None:
-        """Drive at the speeds, rounded and clipped as in a rollout, and wait for the end of the period."""
-        # Times of a port are whole nanoseconds, as floats in seconds.
+        """Drive at the speeds, rounded and clipped as in a rollout, then wait for the end of the period."""
+        # A port's time is a whole number of nanoseconds, as a float in seconds.
         end_ns = to_ns(robot.time) + self._period_ns
-        most = float(SPEED_LIMIT_PULSES)
-        left, right = (round(min(max(speed, -most), most)) for speed in self.decide(robot))
+        limit = float(SPEED_LIMIT_PULSES)
+        left, right = (round(min(max(speed, -limit), limit)) for speed in self.decide(robot))
         robot.set_speed(left, right)
-        if (left_ns := end_ns - to_ns(robot.time)) > 0:
-            robot.sleep(left_ns / NS_PER_S)
+        if (remaining_ns := end_ns - to_ns(robot.time)) > 0:
+            robot.sleep(remaining_ns / NS_PER_S)
 
 
 class NetworkController(PeriodicController):
-    """A network that drives a robot at the other end of a line, as it drives one in a rollout.
+    """Network that drives a robot on a serial line, as in a rollout.
 
-    Each cycle asks N, with ambient inputs O, too, evaluates the network, and sends D.
+    Each cycle sends N, and O for ambient inputs, evaluates the network, and sends D.
 
     Args:
         network: Network with genes.
-        file: Name of its file, for messages and logs; empty without.
-
-    Attributes:
-        network: Network.
-        file: Name of its file.
+        file: Name of its file, for messages and logs; empty without a file.
 
     Raises:
-        ControllerError: The network has not the genes that it needs.
+        ControllerError: The network has a wrong number of genes.
     """
 
     def __init__(self, network: Network, file: str = "") -> None:
         if len(network.genes) != network.n_genes:
             raise ControllerError(f"{len(network.genes)} genes for {network}; expected {network.n_genes}")
         super().__init__(network.period_ns)
-        self.network, self.file = network, file
+        self.network = network
+        self.file = file
         self._genes = list(network.genes)
         self._memory: list[float] = []
-        self._sizes, self._values = list(network.sizes), [0.0] * sum(network.sizes)
+        self._sizes = list(network.sizes)
+        self._values = [0.0] * sum(network.sizes)
 
     def start(self, robot: Khepera) -> None:
-        """Forget the values of the run before."""
+        """Reset the recurrent memory."""
         self._memory = [0.0] * self.network.sizes[1]
 
     def decide(self, robot: Khepera) -> tuple[float, float]:
-        """Ask the robot and evaluate the network."""
+        """Read the robot's sensors and evaluate the network."""
         network, values = self.network, self._values
         values[: units.N_SENSORS] = [count / units.COUNTS_LIMIT for count in robot.proximity()]
         if network.ambient:
@@ -87,8 +85,8 @@ class NetworkController(PeriodicController):
             values[units.N_SENSORS : network.sizes[0]] = [
                 (dark - count) / (dark - bright) for count in robot.ambient()
             ]
-        out = networks.forward(self._sizes, network.recurrent, self._genes, self._memory, values)
-        left, right = (network.top_speed * value for value in values[out : out + 2])
+        output_start = networks.forward(self._sizes, network.recurrent, self._genes, self._memory, values)
+        left, right = (network.top_speed * value for value in values[output_start : output_start + 2])
         if not (math.isfinite(left) and math.isfinite(right)):
             name = self.file or "network"
             raise ControllerError(f"{name}: speeds {left}, {right}; expected finite numbers")

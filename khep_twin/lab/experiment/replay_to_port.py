@@ -1,7 +1,7 @@
 """Replay of a log's host bytes to another port at their times, and comparison of the replies.
 
-It compares a twin with a robot, or twins with other parameters. The bytes are sent as recorded, whatever the
-replies: the loop through the host is open.
+It compares a twin with a robot, or twins with other parameters. The bytes are sent as recorded and do not
+depend on the replies: the control loop through the host is open.
 """
 
 # pyserial is not typed.
@@ -20,22 +20,22 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import PORT_FAILURES, LogError, PortError
 from khep_twin.host import Khepera, Khepera4
 from khep_twin.log.channels import TextLine
-from khep_twin.log.decoding import DecodeError, shown
-from khep_twin.log.recorded import Recorded
-from khep_twin.log.transcript import text_of
+from khep_twin.log.decoding import DecodeError, printable
+from khep_twin.log.recorded import RecordedRun
+from khep_twin.log.transcript import escape
 from khep_twin.playpen import parse
 
-MEASURED = {"n": "proximity", "o": "ambient light", "e": "speed", "h": "position", "r": "position"}
-"""Letters of the replies whose values are compared one by one."""
+QUANTITIES = {"n": "proximity", "o": "ambient light", "e": "speed", "h": "position", "r": "position"}
+"""Quantities of the replies whose values are compared one by one, by letter."""
 
 _LAST_WAIT = 0.5
 _SLICE = 0.01
 _WINDOW = 8
-"""Number of lost or additional replies beyond which two transcripts are out of step."""
+"""Number of replies within which the counterpart of a reply is searched."""
 
 
 @dataclass(frozen=True, slots=True)
-class Letter:
+class LetterComparison:
     """Comparison of the replies to one command.
 
     Attributes:
@@ -57,37 +57,39 @@ class Comparison:
         robot: Name of the robot in the log.
         letters: Comparisons by the first letter of the replies.
         missing: Number of recorded replies without a counterpart.
-        more: Number of replies without a counterpart in the log.
-        first: First recorded reply that differs or is missing, and the reply instead.
+        additional: Number of replies without a counterpart in the log.
+        first_difference: First recorded reply that differs or is missing, and its counterpart, empty if
+            missing.
     """
 
     robot: str
-    letters: dict[str, Letter]
+    letters: dict[str, LetterComparison]
     missing: int
-    more: int
-    first: tuple[TextLine, str] | None
+    additional: int
+    first_difference: tuple[TextLine, str] | None
 
     @property
-    def identical(self) -> bool:
-        """True if every reply is the recorded one."""
-        return self.first is None and not self.more
+    def is_identical(self) -> bool:
+        """True if every reply equals the recorded one."""
+        return self.first_difference is None and not self.additional
 
     def text(self) -> str:
         """Return the comparison as lines of text."""
-        compared = sum(each.compared for each in self.letters.values())
-        different = sum(each.different for each in self.letters.values())
+        compared = sum(comparison.compared for comparison in self.letters.values())
+        different = sum(comparison.different for comparison in self.letters.values())
         lines = [
             f"{self.robot}: {compared} replies compared, {different} differ, {self.missing} missing, "
-            f"{self.more} more"
+            f"{self.additional} more"
         ]
-        for letter, each in sorted(self.letters.items()):
-            lines.append(f"{letter}  {each.different} of {each.compared} differ")
-            if each.differences.size:
-                mean, largest = each.differences.mean(axis=0), np.abs(each.differences).max(axis=0)
-                lines.append(f"   {MEASURED[letter]}: mean difference  {_row(mean, '.1f')}")
-                lines.append(f"   {MEASURED[letter]}: largest          {_row(largest, '.0f')}")
-        if self.first is not None:
-            line, instead = self.first
+        for letter, comparison in sorted(self.letters.items()):
+            lines.append(f"{letter}  {comparison.different} of {comparison.compared} differ")
+            if comparison.differences.size:
+                mean = comparison.differences.mean(axis=0)
+                largest = np.abs(comparison.differences).max(axis=0)
+                lines.append(f"   {QUANTITIES[letter]}: mean difference  {_format_row(mean, '.1f')}")
+                lines.append(f"   {QUANTITIES[letter]}: largest          {_format_row(largest, '.0f')}")
+        if self.first_difference is not None:
+            line, instead = self.first_difference
             lines.append(
                 f"first difference at {line.time_ns / NS_PER_S:.4f} s, /{self.robot}/serial: recorded "
                 f"{line.text}, now {instead or 'nothing'}"
@@ -96,14 +98,14 @@ class Comparison:
 
 
 def replay_to_port(
-    recorded: Recorded, url: str, progress: Callable[[float], None] | None = None
+    recorded: RecordedRun, url: str, progress: Callable[[float], None] | None = None
 ) -> Comparison:
     """Send a log's host bytes to a port and compare the replies.
 
     Args:
-        recorded: Recorded run; of several robots the first with a host is used.
+        recorded: Recorded run; of several robots, the first with a host is used.
         url: URL of the port.
-        progress: Called with the completed part of the run, 0 to 1.
+        progress: Called with the completed share of the run, 0 to 1.
 
     Raises:
         LogError: The log has no bytes of a host.
@@ -111,32 +113,32 @@ def replay_to_port(
     """
     robots = {index for _, index, event in recorded.events if event.kind == HostEventKind.SEND}
     if not robots:
-        made = recorded.label.metadata.get("khep_twin", "an unknown version")
-        raise LogError(f"{recorded.path}: no host has sent anything in it, or it is too old (of {made})")
+        version = recorded.label.metadata.get("khep_twin", "an unknown version")
+        raise LogError(f"{recorded.path}: no host has sent anything in it, or it is too old (of {version})")
     robot = min(robots)
     events = [event for _, index, event in recorded.events if index == robot]
     lines = [line for line in recorded.lines[robot] if line.name == "robot"]
     last_ns = lines[-1].time_ns if lines else 0
-    came = _send(events, url, _baud(recorded, events), _model(recorded, robot), last_ns, progress)
-    return _compared(recorded.label.robots[robot], lines, came)
+    replies = _send(events, url, _baud(recorded, events), _model(recorded, robot), last_ns, progress)
+    return _compare(recorded.label.robots[robot], lines, replies)
 
 
-def _model(recorded: Recorded, robot: int) -> str:
-    """Return the model of a robot; empty for that of a relay, which is a Khepera."""
+def _model(recorded: RecordedRun, robot: int) -> str:
+    """Return the model of a robot; empty for a relay's, which is a Khepera."""
     attachments = recorded.label.attachments
     if "playpen.toml" not in attachments:
         return ""
     return parse(attachments["playpen.toml"], "playpen.toml", recorded=True).robots[robot].model
 
 
-def _baud(recorded: Recorded, events: Sequence[HostEvent]) -> int:
+def _baud(recorded: RecordedRun, events: Sequence[HostEvent]) -> int:
     """Return the host's baud rate at the start."""
-    known = [event.host.baud for event in events if event.host is not None and event.host.baud]
-    if known:
-        return known[0]
+    rates = [event.host.baud for event in events if event.host is not None and event.host.baud]
+    if rates:
+        return rates[0]
     text = recorded.label.metadata.get("baud", "9600")
     if not re.fullmatch("[1-9][0-9]{0,8}", text):
-        raise DecodeError(f"baud = {shown(text)}", "an integer").at(recorded.path, "metadata")
+        raise DecodeError(f"baud = {printable(text)}", "an integer").to_log_error(recorded.path, "metadata")
     return int(text)
 
 
@@ -148,21 +150,21 @@ def _send(
     last_ns: int,
     progress: Callable[[float], None] | None,
 ) -> list[str]:
-    """Repeat the host events of a model's log at their times; return the replies."""
-    came = b""
-    # A robot that stays silent at the end is reported by the comparison.
-    kind = Khepera4 if model == "khepera4" else Khepera
-    with closing(kind(url, timeout=0, baudrate=baud)) as khepera:
+    """Repeat the host events at their times on a robot of this model; return the replies."""
+    received = b""
+    # The comparison reports a robot that sends no last reply.
+    robot_class = Khepera4 if model == "khepera4" else Khepera
+    with closing(robot_class(url, timeout=0, baudrate=baud)) as khepera:
         port = khepera.port
-        # A simulated port loses nothing, and each read would take time.
-        simulated = hasattr(port, "time_ns")
+        # A simulated port loses no bytes, and each read would take simulated time.
+        is_simulated = hasattr(port, "time_ns")
         start = khepera.time
         end = HostEvent(HostEventKind.DISCONNECT, max(last_ns, events[-1].at_ns) + int(_LAST_WAIT * NS_PER_S))
         try:
             for event in (*events, end):
                 while (wait := event.at_ns / NS_PER_S - (khepera.time - start)) > 0:
-                    khepera.sleep(wait if simulated else min(wait, _SLICE))
-                    came += b"" if simulated else port.read(port.in_waiting)
+                    khepera.sleep(wait if is_simulated else min(wait, _SLICE))
+                    received += b"" if is_simulated else port.read(port.in_waiting)
                 if event.kind == HostEventKind.SEND:
                     port.write(event.data)
                 elif event.kind == HostEventKind.FLUSH:
@@ -171,56 +173,58 @@ def _send(
                     port.baudrate = event.host.baud
                 if progress is not None:
                     progress(min(event.at_ns / end.at_ns, 1.0))
-            came += port.read(max(port.in_waiting, 1))
+            received += port.read(max(port.in_waiting, 1))
         except PORT_FAILURES as error:
             raise PortError(f"{url}: the port failed: {error}") from error
-    return [text_of(line) for line in re.split(rb"[\r\n]", came) if line]
+    return [escape(line) for line in re.split(rb"[\r\n]", received) if line]
 
 
-def _compared(robot: str, recorded: Sequence[TextLine], came: Sequence[str]) -> Comparison:
-    pairs, more = _paired(recorded, came)
-    first = next(((line, text) for line, text in pairs if line.text != text), None)
-    letters: dict[str, Letter] = {}
+def _compare(robot: str, recorded: Sequence[TextLine], replies: Sequence[str]) -> Comparison:
+    pairs, n_additional = _pair(recorded, replies)
+    first_difference = next(((line, text) for line, text in pairs if line.text != text), None)
+    letters: dict[str, LetterComparison] = {}
     for letter in sorted({line.text[:1] for line, text in pairs if text}):
-        own = [(line.text, text) for line, text in pairs if text and line.text[:1] == letter]
-        rows = [_difference(before, now) for before, now in own] if letter in MEASURED else []
+        texts = [(line.text, text) for line, text in pairs if text and line.text[:1] == letter]
+        rows = [_subtract(old, text) for old, text in texts] if letter in QUANTITIES else []
         widths = [len(row) for row in rows if row]
-        fitting = [row for row in rows if row and len(row) == max(widths)]
-        different = sum(before != now for before, now in own)
-        letters[letter] = Letter(len(own), different, np.array(fitting, np.float64))
-    return Comparison(robot, letters, sum(not text for _, text in pairs), more, first)
+        complete_rows = [row for row in rows if row and len(row) == max(widths)]
+        different = sum(old != text for old, text in texts)
+        letters[letter] = LetterComparison(len(texts), different, np.array(complete_rows, np.float64))
+    return Comparison(robot, letters, sum(not text for _, text in pairs), n_additional, first_difference)
 
 
-def _paired(recorded: Sequence[TextLine], came: Sequence[str]) -> tuple[list[tuple[TextLine, str]], int]:
-    """Return each recorded reply with its counterpart, empty for none, and the number of other replies."""
+def _pair(recorded: Sequence[TextLine], replies: Sequence[str]) -> tuple[list[tuple[TextLine, str]], int]:
+    """Return each recorded reply with its counterpart or an empty text, and the number of other replies."""
     pairs: list[tuple[TextLine, str]] = []
-    place, more = 0, 0
+    position, n_additional = 0, 0
     texts = [line.text for line in recorded]
     for index, line in enumerate(recorded):
-        ahead = _nearest(line.text, came[place : place + _WINDOW])
-        behind = _nearest(came[place], texts[index : index + _WINDOW]) if place < len(came) else None
-        if ahead is None or (behind is not None and behind < ahead):
+        n_skipped = _index_of_letter(line.text, replies[position : position + _WINDOW])
+        n_missing = None
+        if position < len(replies):
+            n_missing = _index_of_letter(replies[position], texts[index : index + _WINDOW])
+        if n_skipped is None or (n_missing is not None and n_missing < n_skipped):
             pairs.append((line, ""))
             continue
-        more += ahead
-        pairs.append((line, came[place + ahead]))
-        place += ahead + 1
-    return pairs, more + len(came) - place
+        n_additional += n_skipped
+        pairs.append((line, replies[position + n_skipped]))
+        position += n_skipped + 1
+    return pairs, n_additional + len(replies) - position
 
 
-def _nearest(reply: str, others: Sequence[str]) -> int | None:
-    """Return the index of the first reply with the same letter, None without."""
+def _index_of_letter(reply: str, others: Sequence[str]) -> int | None:
+    """Return the index of the first reply with the same letter, or None."""
     return next((index for index, other in enumerate(others) if other[:1] == reply[:1]), None)
 
 
-def _difference(before: str, now: str) -> list[int]:
-    """Return the values of a reply less those recorded; empty if they do not match."""
+def _subtract(recorded: str, reply: str) -> list[int]:
+    """Return the values of a reply less the recorded ones; empty if their numbers differ."""
     try:
-        old, new = ([int(field) for field in text.split(",")[1:]] for text in (before, now))
+        old, new = ([int(field) for field in text.split(",")[1:]] for text in (recorded, reply))
     except ValueError:
         return []
     return [b - a for a, b in zip(old, new, strict=True)] if len(old) == len(new) else []
 
 
-def _row(values: NDArray[np.float64], form: str) -> str:
+def _format_row(values: NDArray[np.float64], form: str) -> str:
     return " ".join(f"{value:7{form}}" for value in values)

@@ -1,7 +1,7 @@
 """Statistics of a run: distance, turns, nearness, collisions, light and slip, from the arrays of its log.
 
-All functions are pure. A sample holds until the next one. Path lengths are measured in steps of 1 mm, so that
-the jitter of a counter or of a body at rest does not add up.
+All functions are pure. A sample is valid until the next one. Path lengths are measured in steps of 1 mm, so
+that the jitter of a counter or of a body at rest does not accumulate.
 """
 
 import math
@@ -18,26 +18,26 @@ from khep_twin.units import BODIES, Body
 Floats = NDArray[np.float64]
 
 NEAR_COUNTS = BODIES["khepera1"].near_counts
-"""Proximity of a Khepera above which something is near [counts]."""
+"""Proximity of a Khepera above which an obstacle is near [counts]."""
 
-TOUCHING = 0.001
-"""Distance between a robot's edge and a fixed object below which they touch [m]."""
+CONTACT_DISTANCE = 0.001
+"""Distance between a robot's edge and a fixed object below which they are in contact [m]."""
 
 SAME_CONTACT_S = 0.1
-"""Shortest time between two collisions [s]; contacts in between count as one."""
+"""Shortest time between two collisions [s]; contacts with shorter gaps count as one collision."""
 
 _STEP = 0.001
 """Step of path lengths [m]."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stretches:
-    """Time intervals in which a condition held.
+class Intervals:
+    """Time intervals in which a condition is true.
 
     Attributes:
-        times_s: Begin and end of each interval (n, 2) [s].
-        total_s: Time in which the condition held [s].
-        share: Share of the whole time, 0 to 1.
+        times_s: Start and end of each interval (n, 2) [s].
+        total_s: Total time in which the condition is true [s].
+        share: Share of the total duration, 0 to 1.
     """
 
     times_s: Floats
@@ -70,7 +70,7 @@ class Motion:
 
     @property
     def mean_speed(self) -> float:
-        """Mean speed over the whole time, standing included [m/s]; 0 for no time."""
+        """Mean speed over the duration, including standing [m/s]; 0 for no duration."""
         return self.distance / self.duration_s if self.duration_s else 0.0
 
 
@@ -80,8 +80,8 @@ class Slip:
 
     Attributes:
         distance: Path length by odometry [m].
-        end: Distance between the odometry's end and the true one [m].
-        heading: Largest heading error, positive where odometry is ahead counter-clockwise [rad].
+        end: Distance between the end positions of odometry and ground truth [m].
+        heading: Largest heading error, odometry less ground truth, counter-clockwise positive [rad].
         heading_s: Time of the largest heading error [s].
     """
 
@@ -98,8 +98,8 @@ class LightStatistics:
     Attributes:
         mean: Mean depth below the dark level, over all sensors and samples [counts].
         brightest: Largest depth below the dark level [counts].
-        sensor: Index of the sensor with that reading, in the order of O.
-        time_s: Time of that reading [s].
+        sensor: Index of the sensor with the brightest reading, in the order of O.
+        time_s: Time of the brightest reading [s].
     """
 
     mean: float
@@ -108,27 +108,26 @@ class LightStatistics:
     time_s: float
 
 
-def stretches(times_s: Floats, holds: NDArray[np.bool_], gap_s: float = 0.0) -> Stretches:
-    """Return the time intervals in which a condition held.
+def find_intervals(times_s: Floats, holds: NDArray[np.bool_], gap_s: float = 0.0) -> Intervals:
+    """Return the time intervals in which a condition is true.
 
     Args:
-        times_s: Times of the samples, rising (n,) [s].
-        holds: True where the condition holds (n,).
-        gap_s: Gap below which intervals are joined [s]; the total is without the gaps.
+        times_s: Increasing times of the samples (n,) [s].
+        holds: True where the condition is true (n,).
+        gap_s: Gap below which intervals are joined [s]; the total excludes the gaps.
     """
-    turns = np.diff(holds[:-1].astype(np.int8), prepend=0, append=0)
-    spans = np.column_stack([times_s[np.flatnonzero(turns > 0)], times_s[np.flatnonzero(turns < 0)]])
+    edges = np.diff(holds[:-1].astype(np.int8), prepend=0, append=0)
+    spans = np.column_stack([times_s[np.flatnonzero(edges > 0)], times_s[np.flatnonzero(edges < 0)]])
     total_s = float(np.diff(spans, axis=1).sum())
-    apart = spans[1:, 0] - spans[:-1, 1] >= gap_s
-    joined = np.column_stack(
-        [spans[np.append(True, apart)[: len(spans)], 0], spans[np.append(apart, True)[: len(spans)], 1]]
-    )
+    is_separate = spans[1:, 0] - spans[:-1, 1] >= gap_s
+    starts = spans[np.append(True, is_separate)[: len(spans)], 0]
+    joined = np.column_stack([starts, spans[np.append(is_separate, True)[: len(spans)], 1]])
     duration_s = float(times_s[-1] - times_s[0]) if len(times_s) else 0.0
-    return Stretches(joined, total_s, total_s / duration_s if duration_s else 0.0)
+    return Intervals(joined, total_s, total_s / duration_s if duration_s else 0.0)
 
 
 def motion(times_s: Floats, pose: Floats) -> Motion:
-    """Return the motion of a robot by at least a pose x, y [m], heading [rad] (n, 3), at rising times [s]."""
+    """Return the motion of a robot from at least one pose x, y [m], heading [rad] (n, 3) at its time [s]."""
     steps = np.hypot(*np.diff(pose[:, :2], axis=0).T)
     spans_s = np.diff(times_s)
     speeds = np.divide(steps, spans_s, out=np.zeros_like(steps), where=spans_s > 0)
@@ -155,10 +154,10 @@ def path_length(positions: Floats) -> float:
     return total
 
 
-def reckoned(pulses: NDArray[np.int64], start: Floats, body: Body = BODIES["khepera1"]) -> Floats:
+def odometry(pulses: NDArray[np.int64], start: Floats, body: Body = BODIES["khepera1"]) -> Floats:
     """Return a robot's pose by odometry: x, y [m] and heading [rad], not wrapped (n, 3).
 
-    It is from the left and right counters (n, 2) [pulses] and the pose at the first sample (3,).
+    Inputs are the left and right counters (n, 2) [pulses] and the pose at the first sample (3,).
     """
     left, right = (pulses - pulses[0]).T * body.pulse_length
     heading = start[2] + (right - left) / body.wheel_base
@@ -171,26 +170,26 @@ def reckoned(pulses: NDArray[np.int64], start: Floats, body: Body = BODIES["khep
 
 def slip(times_s: Floats, pose: Floats, pulses: NDArray[np.int64], body: Body = BODIES["khepera1"]) -> Slip:
     """Return the difference between odometry and ground truth over at least one sample."""
-    told = reckoned(pulses, pose[0], body)
-    ahead = told[:, 2] - np.unwrap(pose[:, 2])
-    worst = int(np.argmax(np.abs(ahead)))
-    end = math.hypot(*(told[-1, :2] - pose[-1, :2]).tolist())
-    return Slip(path_length(told[:, :2]), end, float(ahead[worst]), float(times_s[worst]))
+    estimate = odometry(pulses, pose[0], body)
+    heading_errors = estimate[:, 2] - np.unwrap(pose[:, 2])
+    worst = int(np.argmax(np.abs(heading_errors)))
+    end = math.hypot(*(estimate[-1, :2] - pose[-1, :2]).tolist())
+    return Slip(path_length(estimate[:, :2]), end, float(heading_errors[worst]), float(times_s[worst]))
 
 
-def near(times_s: Floats, proximity: NDArray[np.int64], counts: int = NEAR_COUNTS) -> Stretches:
-    """Return the intervals in which any sensor reads more than `counts`; proximity (n, 8) [counts]."""
-    return stretches(times_s, np.max(proximity, axis=1, initial=0) > counts)
+def near(times_s: Floats, proximity: NDArray[np.int64], counts: int = NEAR_COUNTS) -> Intervals:
+    """Return the intervals in which any proximity reading (n, 8) [counts] is above `counts`."""
+    return find_intervals(times_s, np.max(proximity, axis=1, initial=0) > counts)
 
 
-def collisions(times_s: Floats, pose: Floats, playpen: Playpen, radius: float) -> Stretches:
-    """Return the intervals in which a robot of this radius [m] touches walls or fixed objects."""
-    touching = clearance(pose[:, :2], playpen) - radius < TOUCHING
-    return stretches(times_s, touching, SAME_CONTACT_S)
+def collisions(times_s: Floats, pose: Floats, playpen: Playpen, radius: float) -> Intervals:
+    """Return the intervals in which a robot with this radius [m] touches walls or fixed objects."""
+    touching = clearance(pose[:, :2], playpen) - radius < CONTACT_DISTANCE
+    return find_intervals(times_s, touching, SAME_CONTACT_S)
 
 
 def clearance(positions: Floats, playpen: Playpen) -> Floats:
-    """Return distances from points (n, 2) [m] to walls and fixed objects (n,) [m]; below 0 within one."""
+    """Return the distances of points (n, 2) [m] from walls and fixed objects (n,) [m]; below 0 inside one."""
     arena = playpen.arena
     shapes: list[Footprint] = [] if arena.table else [*walls_around(arena.corners, arena.wall_thickness_mm)]
     shapes += [shape for wall in playpen.walls for shape in wall.footprints]
@@ -198,22 +197,19 @@ def clearance(positions: Floats, playpen: Playpen) -> Floats:
     shapes += [item.footprint for item in items if not (isinstance(item, Block) and item.ramp)]
     nearest = np.full(len(positions), np.inf)
     for shape in shapes:
-        np.minimum(nearest, _away(positions, shape), out=nearest)
+        np.minimum(nearest, _signed_distances(positions, shape), out=nearest)
     return nearest
 
 
 def light(times_s: Floats, ambient: NDArray[np.int64], dark: Floats) -> LightStatistics:
-    """Return the light received from lamps over at least one sample, at times (n,) [s].
-
-    Ambient readings are (n, 8), the dark level of each sensor is (8,) [counts].
-    """
+    """Return the light of lamps at times (n,) [s] from ambient (n, 8) and the dark levels (8,) [counts]."""
     depth = dark - ambient
-    row, sensor = (int(place) for place in np.unravel_index(np.argmax(depth), depth.shape))
+    row, sensor = (int(index) for index in np.unravel_index(np.argmax(depth), depth.shape))
     return LightStatistics(float(depth.mean()), float(depth[row, sensor]), sensor, float(times_s[row]))
 
 
-def _away(positions: Floats, shape: Footprint) -> Floats:
-    """Return distances from points [m] to a shape (n,) [m]; below 0 within it."""
+def _signed_distances(positions: Floats, shape: Footprint) -> Floats:
+    """Return the distances of points from a shape (n,) [m]; below 0 inside it."""
     dx, dy = positions[:, 0] - shape.x_mm / 1000, positions[:, 1] - shape.y_mm / 1000
     if not isinstance(shape, Rectangle):
         return np.hypot(dx, dy) - shape.radius_mm / 1000

@@ -7,8 +7,8 @@
         for run in run_series(braitenberg, OneRobot(robot), Plan(runs=20, cycles=500)):
             print(run.number, run.metrics["fitness"])
 
-On one robot, on any port, each run starts where the robot stands. On new twins each run has its own start and
-seed, so that it does not depend on the others.
+On one robot, on any port, each run starts where the robot stands. On new twins, each run has a separate start
+and seed, so that it does not depend on the others.
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -22,8 +22,8 @@ from khep_twin.lab.experiment.controllers import (
     AnyController,
     Controller,
     as_controller,
+    copy_variables,
     stopped_at_end,
-    variables,
 )
 from khep_twin.lab.experiment.experiment import Outcome, run
 from khep_twin.lab.experiment.measures import GroundTruthMetrics, HostMetrics
@@ -33,24 +33,25 @@ from khep_twin.playpen import Playpen
 from khep_twin.playpen.starts import at_start
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.twin import Twin, TwinOptions, open_twin
+from khep_twin.renamed import renamed_arguments
 
-_LOOK = 0.1
-"""Interval in a pause at which `stop` is called [s]."""
+_STOP_CHECK_S = 0.1
+"""Interval at which a pause calls `stop` [s]."""
 
 
 class RobotSource(Protocol):
     """Source of the robots of a series."""
 
-    def first(self, kept: int, controller: AnyController) -> int:
-        """Return the number of the run at which a series with `kept` runs resumes."""
+    def first_run(self, n_saved: int, controller: AnyController) -> int:
+        """Return the number of the run at which a series with `n_saved` runs resumes."""
         ...
 
     def sessions(self, numbers: range) -> Iterator["Session"]:
-        """Yield the robots for these runs, in their order."""
+        """Yield the sessions of these runs, in order."""
         ...
 
     def hold(self) -> None:
-        """Stop the motors of the robot that runs, from another thread."""
+        """Stop the motors of the running robot, from another thread."""
         ...
 
 
@@ -60,27 +61,25 @@ class Session:
 
     Attributes:
         numbers: Numbers of the runs.
-        opened: Context manager that gives the robot.
-        start: Start pose of each run, None to start where the robot stands.
+        robot_context: Context manager that yields the robot.
+        start: Start pose of each run; None to start where the robot stands.
     """
 
     numbers: range
-    opened: AbstractContextManager[Khepera]
+    robot_context: AbstractContextManager[Khepera]
     start: StartPose | None = None
 
 
 class OneRobot:
-    """One robot for all runs; each starts where the robot stands.
-
-    `record` is called before the first run, to start the log of a twin in this process.
-    """
+    """One robot for all runs, each from where it stands; `record` starts the log of a twin."""
 
     def __init__(self, robot: Khepera, record: Callable[[Twin], None] | None = None) -> None:
-        self._robot, self._record = robot, record
+        self._robot = robot
+        self._record = record
 
-    def first(self, kept: int, controller: AnyController) -> int:
-        """Return the next run for a robot, 1 for a twin in this process, which repeats the kept runs."""
-        return kept + 1 if twin_of(self._robot) is None else 1
+    def first_run(self, n_saved: int, controller: AnyController) -> int:
+        """Return the next run; for a twin in this process 1, as it repeats the saved runs."""
+        return n_saved + 1 if twin_of(self._robot) is None else 1
 
     def sessions(self, numbers: range) -> Iterator[Session]:
         """Yield one session with all runs."""
@@ -99,12 +98,12 @@ class FreshTwins:
 
     Args:
         playpen: Playpen of all twins.
-        options: Options of the twins; run n has its seed + n - 1.
+        options: Options of the twins; run n has the seed `options.seed` + n - 1.
         starts: Start poses, used in turn.
         record: Called to start the log of a run's twin.
 
     Raises:
-        ControllerError: There is no start.
+        ControllerError: There is no start pose.
     """
 
     def __init__(
@@ -116,12 +115,15 @@ class FreshTwins:
     ) -> None:
         if not starts:
             raise ControllerError("a series of new twins needs a start")
-        self._playpen, self._options, self._starts, self._record = playpen, options, starts, record
+        self._playpen = playpen
+        self._options = options
+        self._starts = starts
+        self._record = record
         self._robot: Khepera | None = None
 
-    def first(self, kept: int, controller: AnyController) -> int:
-        """Return the last kept run, which is repeated as a check; 1 for a `Controller`, which may learn."""
-        return 1 if isinstance(controller, Controller) else max(1, kept)
+    def first_run(self, n_saved: int, controller: AnyController) -> int:
+        """Return the last saved run, which is repeated as a check; 1 for a `Controller`, which may learn."""
+        return 1 if isinstance(controller, Controller) else max(1, n_saved)
 
     def sessions(self, numbers: range) -> Iterator[Session]:
         """Yield a session with a new twin for each run."""
@@ -130,7 +132,7 @@ class FreshTwins:
             yield Session(range(number, number + 1), self._twin(number, start), start)
 
     def hold(self) -> None:
-        """Stop the motors of the twin that runs, from another thread."""
+        """Stop the motors of the running twin, from another thread."""
         if self._robot is not None:
             self._robot.hold()
 
@@ -144,16 +146,17 @@ class FreshTwins:
             yield self._robot
 
 
+@renamed_arguments(before="before_run", broken_off="on_abort")
 def run_series(
     controller: AnyController,
     source: RobotSource,
     plan: Plan,
     *,
     first: int = 1,
-    before: Callable[[int], None] | None = None,
+    before_run: Callable[[int], None] | None = None,
     progress: Callable[[float], None] | None = None,
     stop: Callable[[], bool] | None = None,
-    broken_off: Callable[[SeriesRun], None] | None = None,
+    on_abort: Callable[[SeriesRun], None] | None = None,
 ) -> Generator[SeriesRun]:
     """Run a controller repeatedly; yield each complete run.
 
@@ -161,29 +164,30 @@ def run_series(
         controller: Controller of the robot.
         source: Source of the robots.
         plan: Number and length of the runs.
-        first: Number of the first run, of a resumed series.
-        before: Called with each run's number before it, after the pause, e.g. to place a robot by hand.
-        progress: Called after each cycle with the completed part of the series, 0 to 1.
-        stop: Called before each cycle; returns whether to end early. An aborted run is not yielded.
-        broken_off: Called with the incomplete run that `stop` aborted.
+        first: Number of the first run, for a resumed series.
+        before_run: Called with the run's number after the pause before each run, e.g. to place a robot by
+            hand.
+        progress: Called after each cycle with the completed share of the series, 0 to 1.
+        stop: Called before each cycle; returns whether to stop early. An aborted run is not yielded.
+        on_abort: Called with the incomplete run that `stop` aborted.
 
     Raises:
         ControllerError: The controller failed, or lets no time pass.
         KhepTwinError: The port failed.
     """
-    algorithm = as_controller(controller)
+    controller = as_controller(controller)
     for session in source.sessions(range(first, plan.runs + 1)):
         if stop is not None and stop():
             return
-        with session.opened as robot, stopped_at_end(algorithm, robot):
+        with session.robot_context as robot, stopped_at_end(controller, robot):
             for number in session.numbers:
                 if number > session.numbers[0]:
                     _pause(robot, plan.pause, stop)
-                if before is not None:
-                    before(number)
+                if before_run is not None:
+                    before_run(number)
                 if stop is not None and stop():
                     break
-                completed = _run(algorithm, robot, session.start, number, plan, progress, stop, broken_off)
+                completed = _run(controller, robot, session.start, number, plan, progress, stop, on_abort)
                 if completed is None:
                     break
                 yield completed
@@ -197,23 +201,23 @@ def _run(
     plan: Plan,
     progress: Callable[[float], None] | None,
     stop: Callable[[], bool] | None,
-    broken_off: Callable[[SeriesRun], None] | None,
+    on_abort: Callable[[SeriesRun], None] | None,
 ) -> SeriesRun | None:
-    """Return one run; None if it was aborted, with which `broken_off` is called."""
+    """Return one run; None for an aborted run, which is passed to `on_abort`."""
     host_metrics, twin = HostMetrics(), twin_of(robot)
     ground_truth = None if twin is None else GroundTruthMetrics(twin.world, twin.robot.index)
-    began, done = robot.time, 0
+    start_time, n_cycles = robot.time, 0
 
     def end_cycle() -> None:
-        nonlocal done
+        nonlocal n_cycles
         host_metrics.end_cycle()
-        done += 1
+        n_cycles += 1
 
-    def result(outcome: Outcome) -> SeriesRun:
+    def series_run(outcome: Outcome) -> SeriesRun:
         metrics = host_metrics.metrics() | ({} if ground_truth is None else ground_truth.metrics())
-        return SeriesRun(number, start, outcome.cycles, outcome.duration, metrics, variables(controller))
+        return SeriesRun(number, start, outcome.cycles, outcome.duration, metrics, copy_variables(controller))
 
-    _log(twin, f"run {number} begins")
+    _log_event(twin, f"run {number} begins")
     robot.listen(host_metrics)
     try:
         try:
@@ -231,31 +235,31 @@ def _run(
             if ground_truth is not None:
                 ground_truth.end()
     except KhepTwinError:
-        # It may have been stopped within a cycle.
-        if broken_off is not None and stop is not None and stop():
-            broken_off(result(Outcome(done, robot.time - began, complete=False)))
+        # The error may be due to `stop` within a cycle.
+        if on_abort is not None and stop is not None and stop():
+            on_abort(series_run(Outcome(n_cycles, robot.time - start_time, complete=False)))
         raise
-    _log(twin, f"run {number} ends" if outcome.complete else f"run {number} is broken off")
+    _log_event(twin, f"run {number} ends" if outcome.complete else f"run {number} is broken off")
     if outcome.complete:
-        return result(outcome)
-    if broken_off is not None:
-        broken_off(result(outcome))
+        return series_run(outcome)
+    if on_abort is not None:
+        on_abort(series_run(outcome))
     return None
 
 
 def _pause(robot: Khepera, duration: float, stop: Callable[[], bool] | None) -> None:
-    """Wait for a duration in the port's own time [s], or until the series is to end."""
-    left = duration
-    while left > 0 and not (stop is not None and stop()):
-        robot.sleep(min(left, _LOOK))
-        left -= _LOOK
+    """Wait for a duration in the port's time [s], or until `stop` returns True."""
+    remaining = duration
+    while remaining > 0 and not (stop is not None and stop()):
+        robot.sleep(min(remaining, _STOP_CHECK_S))
+        remaining -= _STOP_CHECK_S
 
 
-def _log(twin: Twin | None, text: str) -> None:
+def _log_event(twin: Twin | None, text: str) -> None:
     if twin is not None:
         twin.world.log_event(twin.robot.index, text)
 
 
 def twin_of(robot: Khepera) -> Twin | None:
-    """Return the twin in this process behind a port, None without."""
+    """Return the twin in this process behind a robot's port; None for any other port."""
     return getattr(robot.port, "twin", None)

@@ -1,12 +1,12 @@
-"""Folder of a series; each run is saved as soon as it has ended.
+"""Folder of a series; each run is saved when it ends.
 
     series.json    settings and all runs so far, from which a series is resumed
-    runs.csv       a row for each run: start, cycles, time, numbers, and the controller's single variables
+    runs.csv       one row per run: start, cycles, duration, metrics, and the controller's scalar variables
     runs.parquet   the same, with units as metadata of the columns
-    runs.mat       the same for Matlab, a column each
-    run-001.mat    all variables of run 1 as of its end, arrays too, for Matlab's `load`
+    runs.mat       the same for Matlab, one array per column
+    run-001.mat    all variables of run 1 at its end, including arrays, for Matlab's `load`
 
-The files depend on neither machine nor time: the same series gives the same bytes.
+The files depend on neither machine nor time: the same series yields the same bytes.
 """
 
 # scipy and pyarrow are not typed.
@@ -34,12 +34,12 @@ Row = Mapping[str, int | float | str | bool]
 """A run as a table row: values by column name."""
 
 _INDEX = "series.json"
-_SINGLE = (bool, int, float, str)
+_SCALARS = (bool, int, float, str)
 _NAME_LIMIT = 63
 """Longest variable name in Matlab [characters]."""
 
-_OWN = {"run": "", "start_x_mm": "mm", "start_y_mm": "mm", "start_heading_deg": "degrees", "cycles": ""}
-_UNITS = {**_OWN, "duration_s": "s", **UNITS}
+_RUN_UNITS = {"run": "", "start_x_mm": "mm", "start_y_mm": "mm", "start_heading_deg": "degrees", "cycles": ""}
+_UNITS = {**_RUN_UNITS, "duration_s": "s", **UNITS}
 
 
 class SeriesFolder:
@@ -47,17 +47,17 @@ class SeriesFolder:
 
     Args:
         path: Path of the folder.
-        settings: Settings of the series by name, which must be the same to resume it.
+        settings: Settings of the series by name, which must be equal to resume it.
         resume: If true, resume the series in the folder.
 
     Raises:
-        ControllerError: It cannot be made, has a series already, or with `resume` another one.
-        KhepTwinError: It cannot be written.
+        ControllerError: The folder cannot be created, has a series already, or with `resume` a different one.
+        KhepTwinError: The folder cannot be written.
     """
 
     def __init__(self, path: StrPath, settings: Mapping[str, object], *, resume: bool = False) -> None:
         self.path = path = Path(path)
-        self._place = path.absolute()  # a controller may go to another folder
+        self._folder = path.absolute()  # a controller may change the working directory
         self.rows: list[Row] = []
         # Round trip through JSON, to compare with settings read from the file.
         self._settings: dict[str, object] = json.loads(json.dumps(dict(settings)))
@@ -66,77 +66,77 @@ class SeriesFolder:
         except OSError as error:
             raise ControllerError(f"{path}: no folder can be made here: {error.strerror}") from error
         if (path / _INDEX).exists():
-            before, self.rows = read_series(path)
+            saved_settings, self.rows = read_series(path)
             if self.rows and not resume:
                 raise ControllerError(
                     f"{path}: has a series of {len(self.rows)} runs already",
                     "; expected --resume, or another folder",
                 )
             if resume:
-                self._compare(before)
+                self._compare(saved_settings)
         elif resume:
             raise ControllerError(f"{path}: no series to resume; expected a folder that --save made")
-        elif taken := sorted([*path.glob("run-*.mat"), *path.glob("runs.*")]):
-            raise ControllerError(f"{path}: holds {taken[0].name} and no {_INDEX}; expected another folder")
+        elif files := sorted([*path.glob("run-*.mat"), *path.glob("runs.*")]):
+            raise ControllerError(f"{path}: holds {files[0].name} and no {_INDEX}; expected another folder")
         self._write()
 
-    def keep(self, run: SeriesRun) -> bool:
+    def save(self, run: SeriesRun) -> bool:
         """Save a run and return whether it is new; a repeated run must equal the saved one.
 
         Raises:
             ControllerError: A repeated run differs from the saved one.
-            KhepTwinError: It cannot be written.
+            KhepTwinError: The folder cannot be written.
         """
         row = row_of(run)
         if run.number <= len(self.rows):
-            before = self.rows[run.number - 1]
-            for name in columns([before, row]):
-                if json.dumps(before.get(name)) != json.dumps(row.get(name)):
+            saved_row = self.rows[run.number - 1]
+            for name in columns([saved_row, row]):
+                if json.dumps(saved_row.get(name)) != json.dumps(row.get(name)):
                     raise ControllerError(
                         f"{self.path}: run {run.number}, repeated, has {name} {row.get(name)}, before "
-                        f"{before.get(name)}; expected the same: to be resumed, a controller must use no "
+                        f"{saved_row.get(name)}; expected the same: to be resumed, a controller must use no "
                         "random numbers or a clock of its own, and keep what it learns as a Controller"
                     )
             return False
         self.rows.append(row)
-        write_whole(self._place / f"run-{run.number:03d}.mat", _mat(run.variables, f"run {run.number}"))
+        write_whole(self._folder / f"run-{run.number:03d}.mat", _mat(run.variables, f"run {run.number}"))
         self._write()
         return True
 
-    def _compare(self, before: Mapping[str, object]) -> None:
-        """Raise a `ControllerError` if settings differ from those of the series."""
-        for key in sorted({*before, *self._settings}):
-            was, now = before.get(key), self._settings.get(key)
-            if was != now:
-                was, now = _where_they_differ(was, now)
+    def _compare(self, saved_settings: Mapping[str, object]) -> None:
+        """Raise a `ControllerError` if the settings differ from those of the saved series."""
+        for key in sorted({*saved_settings, *self._settings}):
+            saved, current = saved_settings.get(key), self._settings.get(key)
+            if saved != current:
+                saved, current = _first_difference(saved, current)
                 raise ControllerError(
-                    f"{self.path}: was made with another {key.replace('_', ' ')}: {was}, now {now}; expected "
-                    "the same, or another folder"
+                    f"{self.path}: was made with another {key.replace('_', ' ')}: {saved}, now {current}; "
+                    "expected the same, or another folder"
                 )
 
     def _write(self) -> None:
-        """Write all but the runs' own files, series.json first."""
+        """Write series.json, then the tables of the runs."""
         text = json.dumps({"settings": self._settings, "runs": self.rows}, indent=1)
-        write_whole(self._place / _INDEX, text.encode("utf-8") + b"\n")
+        write_whole(self._folder / _INDEX, text.encode("utf-8") + b"\n")
         for suffix, data in tables(self.rows).items() if self.rows else ():
-            write_whole(self._place / f"runs{suffix}", data)
+            write_whole(self._folder / f"runs{suffix}", data)
 
 
 def read_series(path: StrPath) -> tuple[dict[str, object], list[Row]]:
     """Read the settings and the runs of a folder.
 
     Raises:
-        ControllerError: There is no series in it.
+        ControllerError: The folder has no series.
     """
     path = Path(path)
     file = path / _INDEX
     try:
-        found = json.loads(read_regular(file).decode("utf-8"))
-        settings: dict[str, object] = dict(found["settings"])
-        rows: list[Row] = [dict(row) for row in found["runs"]]
+        content = json.loads(read_regular(file).decode("utf-8"))
+        settings: dict[str, object] = dict(content["settings"])
+        rows: list[Row] = [dict(row) for row in content["runs"]]
         for number, row in enumerate(rows, 1):
-            plain = {type(value) for value in row.values()} <= {*_SINGLE}
-            if row["run"] != number or not plain:
+            is_plain = {type(value) for value in row.values()} <= {*_SCALARS}
+            if row["run"] != number or not is_plain:
                 raise ValueError(f"runs: entry {number} is not run {number}")
     except FileNotFoundError:
         remedy = f"; to make one: {command('run', '--runs', 5, '--save', path)}"
@@ -149,10 +149,10 @@ def read_series(path: StrPath) -> tuple[dict[str, object], list[Row]]:
 
 
 def tables(rows: Sequence[Row]) -> dict[str, bytes]:
-    """Return the table of runs as the bytes of files, by their suffix."""
+    """Return the table of runs as the bytes of a file, by file suffix."""
     names = columns(rows)
-    whole = {name: np.array([[row.get(name, np.nan)] for row in rows]) for name in names}
-    numeric = {name: values for name, values in whole.items() if values.dtype.kind in "biuf"}
+    arrays = {name: np.array([[row.get(name, np.nan)] for row in rows]) for name in names}
+    numeric = {name: values for name, values in arrays.items() if values.dtype.kind in "biuf"}
     return {".csv": _csv(rows, names), ".parquet": _parquet(rows, names), ".mat": _mat(numeric, "series")}
 
 
@@ -167,15 +167,15 @@ def row_of(run: SeriesRun) -> Row:
         }
     row |= {"cycles": run.cycles, "duration_s": run.duration, **run.metrics}
     for name, value in run.variables.items():
-        if isinstance(value, _SINGLE):
+        if isinstance(value, _SCALARS):
             row[name if name not in _UNITS else f"controller_{name}"] = value
     return row
 
 
 def columns(rows: Sequence[Row]) -> list[str]:
-    """Return the names of the columns of these rows, the known ones first."""
-    there = {name for row in rows for name in row}
-    return [name for name in _UNITS if name in there] + sorted(there - {*_UNITS})
+    """Return the column names of these rows, those with a unit first."""
+    present = {name for row in rows for name in row}
+    return [name for name in _UNITS if name in present] + sorted(present - {*_UNITS})
 
 
 def _csv(rows: Sequence[Row], names: Sequence[str]) -> bytes:
@@ -190,52 +190,52 @@ def _parquet(rows: Sequence[Row], names: Sequence[str]) -> bytes:
     import pyarrow as arrow
     from pyarrow import parquet
 
-    values = [_alike([row.get(name) for row in rows]) for name in names]
-    arrays: list[Any] = [arrow.array(each) for each in values]
+    columns = [_as_single_type([row.get(name) for row in rows]) for name in names]
+    arrays: list[Any] = [arrow.array(values) for values in columns]
     fields: list[object] = [
         arrow.field(name, array.type, metadata={"unit": _UNITS.get(name, "")})
         for name, array in zip(names, arrays, strict=True)
     ]
     file = BytesIO()
-    whole: object = arrow.Table.from_arrays(arrays, schema=arrow.schema(fields))
-    parquet.write_table(whole, file)
+    arrow_table: object = arrow.Table.from_arrays(arrays, schema=arrow.schema(fields))
+    parquet.write_table(arrow_table, file)
     return file.getvalue()
 
 
-def _alike(values: Sequence[int | float | str | None]) -> Sequence[int | float | str | None]:
-    """Return a column's values as one type; mixed types become text."""
-    there = [value for value in values if value is not None]
-    kinds = [kind for kind in (bool, int, float, str) if any(type(value) is kind for value in there)]
+def _as_single_type(values: Sequence[int | float | str | None]) -> Sequence[int | float | str | None]:
+    """Return a column's values with a common type; integers and floats become floats, other mixtures text."""
+    present = [value for value in values if value is not None]
+    kinds = [kind for kind in (bool, int, float, str) if any(type(value) is kind for value in present)]
     if len(kinds) <= 1:
         return values
-    as_one = float if kinds == [int, float] else str
-    return [None if value is None else as_one(value) for value in values]
+    convert = float if kinds == [int, float] else str
+    return [None if value is None else convert(value) for value in values]
 
 
-def _mat(values: Mapping[str, object], what: str) -> bytes:
+def _mat(values: Mapping[str, object], description: str) -> bytes:
     """Return variables as the bytes of a MAT file."""
     named: dict[str, object] = {}
     for name, value in values.items():
         named[_identifier(name, named)] = np.asarray(value)
-    return mat_bytes(named, what)
+    return mat_bytes(named, description)
 
 
-def _identifier(name: str, taken: Mapping[str, object]) -> str:
-    """Return a name as a Matlab identifier that is not taken."""
-    plain = "".join(each if each.isascii() and each.isalnum() else "_" for each in name)
-    plain = (plain if plain[:1].isalpha() else f"v{plain}")[:_NAME_LIMIT]
-    numbered = (f"{plain[: _NAME_LIMIT - 8]}_{number}" for number in itertools.count(2))
-    return next(name for name in itertools.chain([plain], numbered) if name not in taken)
+def _identifier(name: str, used_names: Mapping[str, object]) -> str:
+    """Return a name as a Matlab identifier that is not in use."""
+    identifier = "".join(char if char.isascii() and char.isalnum() else "_" for char in name)
+    identifier = (identifier if identifier[:1].isalpha() else f"v{identifier}")[:_NAME_LIMIT]
+    numbered = (f"{identifier[: _NAME_LIMIT - 8]}_{number}" for number in itertools.count(2))
+    return next(name for name in itertools.chain([identifier], numbered) if name not in used_names)
 
 
-def _where_they_differ(one: object, other: object) -> tuple[str, str]:
-    """Return two settings shortened; of texts with several lines, the first line that differs."""
+def _first_difference(one: object, other: object) -> tuple[str, str]:
+    """Return two shortened settings; for multi-line texts, their first lines that differ."""
     if isinstance(one, str) and isinstance(other, str):
         pairs = itertools.zip_longest(one.splitlines(), other.splitlines(), fillvalue="nothing")
         one, other = next((pair for pair in pairs if pair[0] != pair[1]), (one, other))
-    return _short(one), _short(other)
+    return _shorten(one), _shorten(other)
 
 
-def _short(value: object) -> str:
+def _shorten(value: object) -> str:
     text = " ".join(str("none" if value is None else value).split())
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,4 +1,4 @@
-"""Plan of a series of runs, its results and the names of their files."""
+"""Plan of a series of runs, the results of its runs, and the names of their files."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,9 +16,9 @@ class Plan:
 
     Attributes:
         runs: Number of runs.
-        cycles: Calls of the controller per run, None for no limit.
-        seconds: Longest time of a run in the port's own time [s], None for no limit.
-        pause: Pause between runs in the port's own time [s].
+        cycles: Calls of the controller per run; None for no limit.
+        seconds: Longest duration of a run in the port's time [s]; None for no limit.
+        pause: Pause between runs in the port's time [s].
     """
 
     runs: int = 1
@@ -27,7 +27,7 @@ class Plan:
     pause: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise a `ControllerError` if a value is out of its range, or a run has no end."""
+        """Raise a `ControllerError` if a value is out of range, or a run has no limit."""
         if self.runs < 1 or (self.cycles is not None and self.cycles < 1):
             raise ControllerError(f"{self.runs} runs of {self.cycles} cycles; expected numbers above 0")
         if self.cycles is None and self.seconds is None:
@@ -44,9 +44,9 @@ class SeriesRun:
 
     Attributes:
         number: Number of the run, from 1.
-        start: Start pose, None if the robot started where it stood.
+        start: Start pose; None if the robot started where it stood.
         cycles: Number of calls of the controller.
-        duration: Duration in the port's own time [s].
+        duration: Duration in the port's time [s].
         metrics: Metrics by name (`khep_twin.lab.experiment.measures`).
         variables: Variables of the controller at the run's end.
     """
@@ -59,32 +59,32 @@ class SeriesRun:
     variables: Mapping[str, object] = field(default_factory=dict[str, object])
 
     def text(self, runs: int) -> str:
-        """Return the run as a line of text, as one of `runs`; a single run with a line for each metric."""
-        told = f"{self.cycles} cycles in {self.duration:.1f} s"
+        """Return the run, one of `runs`, as a line of text; a single run has a line for each metric."""
+        summary = f"{self.cycles} cycles in {self.duration:.1f} s"
         if runs == 1:
-            return "\n".join([told, *metric_lines([self.metrics])])
+            return "\n".join([summary, *metric_lines([self.metrics])])
         names = ("fitness", "distance_m")
         shown = [f"{name} {self.metrics[name]:.3g}" for name in names if name in self.metrics]
-        return "  ".join([f"run {self.number:3d}", told, *shown])
+        return "  ".join([f"run {self.number:3d}", summary, *shown])
 
 
-def metric_lines(each: Sequence[Mapping[str, float]]) -> list[str]:
-    """Return a line for each metric, with the values of each robot; those that are undefined are left out."""
+def metric_lines(robots: Sequence[Mapping[str, float]]) -> list[str]:
+    """Return a line for each metric, with the value of each robot; undefined metrics are omitted."""
     lines: list[str] = []
-    for name in each[0]:
-        values = [metrics[name] for metrics in each]
+    for name in robots[0]:
+        values = [metrics[name] for metrics in robots]
         if not math.isnan(values[0]):
             row = "".join(f"{value:<12.4g}" for value in values).rstrip()
-            unit = "" if len(each) > 1 or name.endswith(("_m", "_s")) else UNITS.get(name, "")
+            unit = "" if len(robots) > 1 or name.endswith(("_m", "_s")) else UNITS.get(name, "")
             lines.append(f"{name.replace('_', ' '):20}{row} {unit}".rstrip())
     return lines
 
 
-def numbered(path: Path, number: int) -> Path:
-    """Return the name of a run's own file: NAME-001.SUFFIX."""
+def numbered_path(path: Path, number: int) -> Path:
+    """Return the path of the file of one run: NAME-001.SUFFIX."""
     return path.with_name(f"{path.stem}-{number:03d}{path.suffix}")
 
 
-def own_files(path: Path, runs: int) -> list[Path]:
-    """Return the file of each run: the path itself for one run, NAME-001.SUFFIX and so on for several."""
-    return [path] if runs == 1 else [numbered(path, number) for number in range(1, runs + 1)]
+def run_files(path: Path, runs: int) -> list[Path]:
+    """Return the file of each run: `path` for a single run, NAME-001.SUFFIX and so on for several."""
+    return [path] if runs == 1 else [numbered_path(path, number) for number in range(1, runs + 1)]

@@ -17,7 +17,7 @@ from khep_twin.lab.experiment.series_files import Row, columns
 CONFIDENCE = 0.95
 
 NOT_MEASURED = {"run", "start_x_mm", "start_y_mm", "start_heading_deg", "cycles"}
-"""Columns that are settings of a run instead of results."""
+"""Columns with settings of a run, not results."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,10 +25,10 @@ class Summary:
     """Summary of a column over the runs of a series.
 
     Attributes:
-        count: Number of runs that have it.
+        count: Number of runs with this column.
         mean: Mean value.
         sd: Standard deviation from run to run; NaN with a single run.
-        ci95: Half of the mean's 95 % confidence interval, by Student's t for independent, normally
+        ci95: Half width of the mean's 95 % confidence interval, by Student's t for independent, normally
             distributed runs (assumed).
         low: Smallest value.
         high: Largest value.
@@ -44,21 +44,18 @@ class Summary:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Difference between the means of two series, with half of its 95 % confidence interval.
-
-    The interval is by Welch's t for unequal variances.
-    """
+    """Difference of the means of two series, and the half width of its 95 % confidence interval (Welch)."""
 
     mean: float
     ci95: float
 
     @property
-    def clear(self) -> bool:
+    def is_clear(self) -> bool:
         """True if 0 lies outside the confidence interval."""
         return abs(self.mean) > self.ci95
 
 
-def summary(values: Sequence[float]) -> Summary:
+def summarize(values: Sequence[float]) -> Summary:
     """Return the summary of at least one value."""
     count, mean = len(values), math.fsum(values) / len(values)
     sd = float(np.std(values, ddof=1)) if count > 1 else math.nan
@@ -66,65 +63,65 @@ def summary(values: Sequence[float]) -> Summary:
 
 
 def difference(before: Sequence[float], after: Sequence[float]) -> Difference:
-    """Return the mean of the values after less that before."""
-    one, other = summary(before), summary(after)
-    parts = [each.sd**2 / each.count for each in (one, other)]
-    error = math.sqrt(sum(parts))
+    """Return the mean of `after` less the mean of `before`."""
+    first, second = summarize(before), summarize(after)
+    variances = [sample.sd**2 / sample.count for sample in (first, second)]
+    error = math.sqrt(sum(variances))
     if not error:
-        return Difference(other.mean - one.mean, 0.0)
-    # Welch and Satterthwaite's degrees of freedom.
-    freedom = math.nan
+        return Difference(second.mean - first.mean, 0.0)
+    # Degrees of freedom by Welch and Satterthwaite.
+    degrees = math.nan
     if not math.isnan(error):
-        pairs = zip(parts, (one, other), strict=True)
-        freedom = sum(parts) ** 2 / sum(part**2 / (each.count - 1) for part, each in pairs)
-    return Difference(other.mean - one.mean, _ci95(error, freedom))
+        pairs = zip(variances, (first, second), strict=True)
+        degrees = sum(variances) ** 2 / sum(part**2 / (sample.count - 1) for part, sample in pairs)
+    return Difference(second.mean - first.mean, _ci95(error, degrees))
 
 
-def values(rows: Sequence[Row], name: str) -> list[float]:
-    """Return a column's finite numbers, of the runs that have it."""
-    there = [row[name] for row in rows if name in row]
-    return [float(value) for value in there if isinstance(value, int | float) and math.isfinite(value)]
+def finite_values(rows: Sequence[Row], name: str) -> list[float]:
+    """Return the finite numbers of a column."""
+    entries = [row[name] for row in rows if name in row]
+    return [float(value) for value in entries if isinstance(value, int | float) and math.isfinite(value)]
 
 
-def measured(series: Sequence[Sequence[Row]], wanted: Sequence[str] | None = None) -> list[str]:
-    """Return the names of the numeric columns of one series or several, or those `wanted` in their order.
+def measured_columns(series: Sequence[Sequence[Row]], requested: Sequence[str] | None = None) -> list[str]:
+    """Return the names of the numeric columns of one or several series, or the requested ones in their order.
 
     Raises:
-        ControllerError: There is no such column.
+        ControllerError: A requested column is not numeric, or does not exist.
     """
-    there = [
+    numeric = [
         name
         for name in columns([row for rows in series for row in rows])
-        if name not in NOT_MEASURED and any(values(rows, name) for rows in series)
+        if name not in NOT_MEASURED and any(finite_values(rows, name) for rows in series)
     ]
-    for name in wanted or ():
-        if name not in there:
-            raise ControllerError(f"column {name}: not a number in these runs; {choices(name, there)}")
-    return there if wanted is None else list(dict.fromkeys(wanted))
+    for name in requested or ():
+        if name not in numeric:
+            raise ControllerError(f"column {name}: not a number in these runs; {choices(name, numeric)}")
+    return numeric if requested is None else list(dict.fromkeys(requested))
 
 
 def table(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequence[str]) -> str:
-    """Return series as text: a line for each column of each series, and each difference to the first."""
+    """Return series as text: a line for each column and series, and the differences from the first series."""
     head = ("", "series", "runs", "mean", "+- 95 %", "sd", "least", "most")
     lines: list[tuple[str, ...]] = [head]
     for name in names:
         first: list[float] | None = None
         title = f"{name} [{UNITS[name]}]" if UNITS.get(name) else name
         for label, rows in zip(labels, series, strict=True):
-            found = values(rows, name)
-            if not found:
+            numbers = finite_values(rows, name)
+            if not numbers:
                 continue
-            told = summary(found)
-            numbers = (told.mean, told.ci95, told.sd, told.low, told.high)
-            lines.append((title, label, str(told.count), *map(_number, numbers)))
+            statistics = summarize(numbers)
+            estimates = (statistics.mean, statistics.ci95, statistics.sd, statistics.low, statistics.high)
+            lines.append((title, label, str(statistics.count), *map(_number, estimates)))
             title = ""
             if first is None:
-                first = found
+                first = numbers
             else:
-                apart = difference(first, found)
-                clear = "differs" if apart.clear else "no clear difference"
+                change = difference(first, numbers)
+                verdict = "differs" if change.is_clear else "no clear difference"
                 lines.append(
-                    ("", "  less the first", "", _number(apart.mean), _number(apart.ci95), clear, "", "")
+                    ("", "  less the first", "", _number(change.mean), _number(change.ci95), verdict, "", "")
                 )
     widths = [max(len(line[column]) for line in lines) for column in range(len(head))]
     return "\n".join(
@@ -137,7 +134,7 @@ def table(labels: Sequence[str], series: Sequence[Sequence[Row]], names: Sequenc
 
 
 def _ci95(error: float, freedom: float) -> float:
-    """Return half of the confidence interval of a mean with this standard error."""
+    """Return the half width of the confidence interval of a mean with this standard error."""
     if math.isnan(error) or not freedom > 0:
         return math.nan
     return float(student.ppf((1 + CONFIDENCE) / 2, freedom)) * error

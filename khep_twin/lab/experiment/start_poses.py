@@ -10,6 +10,7 @@ from khep_twin.errors import PlaypenError
 from khep_twin.playpen import Lamp, Playpen
 from khep_twin.playpen.parts import LightingMode
 from khep_twin.playpen.starts import TRIES, extent, free_pose, no_room, own_starts, starts_rng
+from khep_twin.renamed import renamed_arguments
 
 LIGHTINGS = (*get_args(LightingMode), "off")
 """Lighting modes, and "off"."""
@@ -21,8 +22,8 @@ class StartPose(NamedTuple):
     """Pose of a robot at the start of a run.
 
     Attributes:
-        x_mm: Position of its centre along x [mm].
-        y_mm: Position of its centre along y [mm].
+        x_mm: Position of the robot's centre along x [mm].
+        y_mm: Position of the robot's centre along y [mm].
         heading_deg: Heading, counter-clockwise from x [degrees].
     """
 
@@ -31,47 +32,48 @@ class StartPose(NamedTuple):
     heading_deg: float
 
     def __str__(self) -> str:
-        """Return the pose as written on the command line."""
+        """Return the pose in the form of the command line."""
         return f"{self.x_mm:g},{self.y_mm:g},{self.heading_deg:g}"
 
 
-def starts(wishes: Sequence[str], playpen: Playpen, robot: int, runs: int, seed: int) -> list[StartPose]:
-    """Return the start poses that command-line words describe; runs use them in turn.
+@renamed_arguments(wishes="words")
+def starts(words: Sequence[str], playpen: Playpen, robot: int, runs: int, seed: int) -> list[StartPose]:
+    """Return the start poses that words of the command line describe; runs use them in turn.
 
     Args:
-        wishes: Words, each X,Y,HEADING [mm, degrees], or grid:COLUMNSxROWS with an optional @HEADING, or
-            `random` for another random pose in each turn, or `playpen` for the playpen's own: all of its
-            spots, if any.
+        words: X,Y,HEADING [mm, degrees]; grid:COLUMNSxROWS with an optional @HEADING; `random` for a new
+            random pose in each turn; or `playpen` for the robot's spots in the playpen, or else its pose
+            there.
         playpen: Playpen with room for them.
         robot: Index of the robot.
         runs: Number of runs.
         seed: Seed of the random poses.
 
     Raises:
-        PlaypenError: A word is none of these, there is no room, or there is no such robot.
+        PlaypenError: A word is invalid, a pose has no room, or there is no such robot.
     """
     if not 0 <= robot < len(playpen.robots):
         text = f"robot = {robot}: not in playpen {playpen.name!r}"
         raise PlaypenError(text, key="robot", value=robot, expected=range(len(playpen.robots)))
-    found: list[StartPose | None] = []
-    for wanted in wishes:
-        if wanted == "playpen":
-            found += [StartPose(*start) for start in own_starts(playpen, robot)]
-        elif wanted == "random":
-            found.append(None)
-        elif wanted.startswith("grid:"):
-            found += _grid(wanted, playpen, robot)
+    poses: list[StartPose | None] = []
+    for word in words:
+        if word == "playpen":
+            poses += [StartPose(*start) for start in own_starts(playpen, robot)]
+        elif word == "random":
+            poses.append(None)
+        elif word.startswith("grid:"):
+            poses += _parse_grid(word, playpen, robot)
         else:
-            found.append(_single(wanted, playpen, robot))
-    fixed = [each for each in found if each is not None]
-    if len(fixed) == len(found):
+            poses.append(_parse_pose(word, playpen, robot))
+    fixed = [pose for pose in poses if pose is not None]
+    if len(fixed) == len(poses):
         return fixed
-    drawn = _drawn(playpen, robot, seed)
-    return [next(drawn) if each is None else each for each in islice(cycle(found), runs)]
+    random_poses = _random_poses(playpen, robot, seed)
+    return [next(random_poses) if pose is None else pose for pose in islice(cycle(poses), runs)]
 
 
-def lit(playpen: Playpen, lighting: str | None) -> Playpen:
-    """Return the playpen with its lamps on all, at random, in sequence, or off; unchanged for None.
+def with_lighting(playpen: Playpen, lighting: str | None) -> Playpen:
+    """Return the playpen with a lighting mode, or without lamps for "off"; unchanged for None.
 
     Raises:
         PlaypenError: The lighting is unknown.
@@ -79,8 +81,8 @@ def lit(playpen: Playpen, lighting: str | None) -> Playpen:
     if lighting is None:
         return playpen
     if lighting not in LIGHTINGS:
-        found = f"lighting {lighting!r}: unknown"
-        raise PlaypenError(found, key="lighting", value=lighting, expected=LIGHTINGS)
+        problem = f"lighting {lighting!r}: unknown"
+        raise PlaypenError(problem, key="lighting", value=lighting, expected=LIGHTINGS)
     if lighting == "off":
         return playpen.model_copy(update={"lamps": ()})
     mode = cast(LightingMode, lighting)
@@ -113,26 +115,26 @@ def numbers(text: str, count: int) -> list[float] | None:
     return values if len(values) == count and all(map(math.isfinite, values)) else None
 
 
-def _single(wanted: str, playpen: Playpen, robot: int) -> StartPose:
-    values = numbers(wanted, 3)
+def _parse_pose(word: str, playpen: Playpen, robot: int) -> StartPose:
+    values = numbers(word, 3)
     if values is None:
         raise PlaypenError(
-            f"start {wanted!r}; expected X,Y,HEADING in mm and degrees, such as 100,200,90, or "
+            f"start {word!r}; expected X,Y,HEADING in mm and degrees, such as 100,200,90, or "
             "grid:COLUMNSxROWS, random or playpen"
         )
     start = StartPose(*values)
     if reason := no_room(playpen, robot, start.x_mm, start.y_mm):
-        raise PlaypenError(f"start {wanted}: {reason}")
+        raise PlaypenError(f"start {word}: {reason}")
     return start
 
 
-def _grid(wanted: str, playpen: Playpen, robot: int) -> list[StartPose]:
-    """Return the middles of a grid's cells, row by row from below; those without room are left out."""
-    parts = re.fullmatch(r"grid:([0-9]{1,3})x([0-9]{1,3})(?:@(-?[0-9]{1,3}(?:\.[0-9]+)?))?", wanted)
+def _parse_grid(word: str, playpen: Playpen, robot: int) -> list[StartPose]:
+    """Return the centres of a grid's cells with room, row by row from the lowest y."""
+    parts = re.fullmatch(r"grid:([0-9]{1,3})x([0-9]{1,3})(?:@(-?[0-9]{1,3}(?:\.[0-9]+)?))?", word)
     columns, rows = (int(parts[1]), int(parts[2])) if parts else (0, 0)
     if parts is None or not 1 <= columns * rows <= _GRID_LIMIT:
         raise PlaypenError(
-            f"start {wanted!r}; expected grid:COLUMNSxROWS or grid:COLUMNSxROWS@HEADING, such as "
+            f"start {word!r}; expected grid:COLUMNSxROWS or grid:COLUMNSxROWS@HEADING, such as "
             f"grid:3x2@90, of up to {_GRID_LIMIT} places"
         )
     (left, right), (low, high) = extent(playpen)
@@ -141,11 +143,11 @@ def _grid(wanted: str, playpen: Playpen, robot: int) -> list[StartPose]:
     positions = [StartPose(x, y, float(parts[3] or 0)) for y in ys for x in xs]
     free = [start for start in positions if not no_room(playpen, robot, start.x_mm, start.y_mm)]
     if not free:
-        raise PlaypenError(f"start {wanted}: none of the {len(positions)} places has room for the robot")
+        raise PlaypenError(f"start {word}: none of the {len(positions)} places has room for the robot")
     return free
 
 
-def _drawn(playpen: Playpen, robot: int, seed: int) -> Iterator[StartPose]:
+def _random_poses(playpen: Playpen, robot: int, seed: int) -> Iterator[StartPose]:
     rng = starts_rng(seed)
     while True:
         start = free_pose(playpen, robot, rng)

@@ -1,4 +1,4 @@
-"""Policies that were trained with a task, as controllers of a robot on any port.
+"""Policies trained with a task, as controllers of a robot on any port.
 
     from stable_baselines3 import PPO
     from khep_twin import TaskController
@@ -6,7 +6,7 @@
     controller = TaskController("ObstacleAvoidance", PPO.load("avoid"))
 
 With these lines in FILE.py, `khep-twin run FILE.py --port /dev/ttyUSB0` drives a robot. Observations and
-actions have the task's terms, units and scaling, and a cycle is the task's period.
+actions have the terms, units and scaling of the task, and a cycle has its period.
 """
 
 import inspect
@@ -21,12 +21,12 @@ from khep_twin import units
 from khep_twin.board.kernel import AMBIENT, N_REGISTERS, PROXIMITY
 from khep_twin.clock import to_ns
 from khep_twin.envs.task_setup import PERIOD_NS, TERM_REQUESTS
-from khep_twin.envs.tasks import Observation, State, Task, action_limit, find, speeds_of
+from khep_twin.envs.tasks import Observation, State, Task, action_limit, find_task, speeds_of
 from khep_twin.errors import ControllerError
 from khep_twin.files.paths import StrPath
 from khep_twin.host import Khepera
 from khep_twin.host.results import Positions
-from khep_twin.lab.experiment.controllers import failed, source_file
+from khep_twin.lab.experiment.controllers import error_in_file, source_file
 from khep_twin.lab.experiment.periodic_controllers import PeriodicController
 from khep_twin.playpen import Playpen
 from khep_twin.sensing import calibration as calibrations
@@ -35,7 +35,7 @@ from khep_twin.signals import is_interruption
 
 @runtime_checkable
 class Model(Protocol):
-    """A model of stable-baselines3, or any object with such a method."""
+    """Model of stable-baselines3, or any object with its `predict` method."""
 
     def predict(self, observation: Observation, /, *, deterministic: bool) -> tuple[Any, Any]:
         """Return an action and a state."""
@@ -43,23 +43,23 @@ class Model(Protocol):
 
 
 class TaskController(PeriodicController):
-    """A policy that drives a robot as in the task that it was trained with.
+    """Policy that drives a robot as in the task with which it was trained.
 
-    Each cycle asks N, O and H for proximity, light and speed, as far as the task observes them and in its
-    order, then the policy, and sends D. The speed is that since the cycle before, as counted by the encoders.
+    Each cycle sends N, O and H for proximity, light and speed, if the task observes them and in its order. It
+    then evaluates the policy and sends D. The speed is the encoders' mean since the previous cycle.
 
     Args:
         task: Task, or its name.
-        policy: Model with a method `predict` of stable-baselines3, or function of an observation (n,) that
+        policy: Model with the method `predict` of stable-baselines3, or function of an observation (n,) that
             returns an action (2,).
         period_ns: Control period [ns].
-        normalize: Whether actions and observations are normalized to -1 to 1, as of the environment.
+        normalize: Whether actions and observations are normalized to -1 to 1, as in the environment.
         calibration: Calibration of the robot, by name or path, for the scale of light; by default that of
             the task's playpen.
 
     Raises:
-        ControllerError: The task observes what no robot tells, or the policy is for other observations or
-            actions.
+        ControllerError: The task observes a term that no robot reports, or the policy has other observations
+            or actions.
         KhepTwinError: The task is unknown.
         ValueError: The period is not above 0.
     """
@@ -76,7 +76,9 @@ class TaskController(PeriodicController):
         if period_ns <= 0:
             raise ValueError(f"control period of {period_ns} ns; expected a time above 0")
         super().__init__(period_ns)
-        self._task, self._policy, self._normalize = find(task), policy, normalize
+        self._task = find_task(task)
+        self._policy = policy
+        self._normalize = normalize
         for term in self._task.observation_terms:
             if term not in TERM_REQUESTS:
                 raise ControllerError(
@@ -89,18 +91,18 @@ class TaskController(PeriodicController):
         limit = action_limit(normalize)
         self._check_space("observation", *self._task.bounds(normalize))
         self._check_space("action", np.full(2, -limit), np.full(2, limit))
-        usual = Playpen.load(self._task.playpen).robots[0].calibration
-        ambient = calibrations.read(usual if calibration is None else fspath(calibration))[0].ambient
+        default = Playpen.load(self._task.playpen).robots[0].calibration
+        ambient = calibrations.read(default if calibration is None else fspath(calibration))[0].ambient
         self._dark, self._floor = ambient.dark_counts, ambient.floor_counts
-        self._before: tuple[int, Positions] | None = None
+        self._previous: tuple[int, Positions] | None = None
 
     def start(self, robot: Khepera) -> None:
-        """Forget the run before: the first speed is 0, as in the environment."""
-        self._before = None
+        """Reset the counters, so that the first speed is 0, as in the environment."""
+        self._previous = None
 
     def decide(self, robot: Khepera) -> tuple[float, float]:
-        """Ask the robot, and the policy for its speeds."""
-        begun_ns = to_ns(robot.time)
+        """Read the robot's sensors and evaluate the policy."""
+        start_ns = to_ns(robot.time)
         registers, left, right = np.zeros(N_REGISTERS, np.int64), 0.0, 0.0
         for term in self._task.observation_terms:
             if term == "proximity":
@@ -108,21 +110,21 @@ class TaskController(PeriodicController):
             elif term == "light":
                 registers[AMBIENT] = robot.ambient()
             else:
-                left, right = self._speed(robot.position(), begun_ns)
+                left, right = self._speed(robot.position(), start_ns)
         state = State(registers, left, right, self._dark, self._floor, at_goal=False, charge=1.0)
         action = self._action(self._task.observe(state, self._normalize))
         left, right = speeds_of(action, self._normalize).tolist()
         return left, right
 
-    def _speed(self, now: Positions, begun_ns: int) -> tuple[float, float]:
-        """Return the speeds of both wheels since the cycle before [pulses/10 ms]."""
-        before_ns, before = self._before or (begun_ns, now)
-        self._before = begun_ns, now
-        ticks = max(begun_ns - before_ns, 1) / units.TICK_NS
-        return (now.left - before.left) / ticks, (now.right - before.right) / ticks
+    def _speed(self, positions: Positions, start_ns: int) -> tuple[float, float]:
+        """Return the mean speeds of both wheels since the previous cycle [pulses/10 ms]."""
+        previous_ns, previous = self._previous or (start_ns, positions)
+        self._previous = start_ns, positions
+        ticks = max(start_ns - previous_ns, 1) / units.TICK_NS
+        return (positions.left - previous.left) / ticks, (positions.right - previous.right) / ticks
 
     def _action(self, observation: Observation) -> NDArray[np.float64]:
-        """Return the action of the policy (2,); raise a `ControllerError` if it is none."""
+        """Return the policy's action (2,); raise a `ControllerError` if it is not an action."""
         policy = self._policy
         try:
             is_model = isinstance(policy, Model)
@@ -130,34 +132,35 @@ class TaskController(PeriodicController):
         except BaseException as error:
             if is_interruption(error):
                 raise
-            raise failed(self._name, error, f"at an observation {self._expected}: ") from error
+            raise error_in_file(self._name, error, f"at an observation {self._observation_text}: ") from error
         try:
-            found = np.asarray(action, np.float64)
+            speeds = np.asarray(action, np.float64)
         except (TypeError, ValueError):
-            found = np.zeros(0)
-        if found.shape != (2,) or not np.isfinite(found).all():
+            speeds = np.zeros(0)
+        if speeds.shape != (2,) or not np.isfinite(speeds).all():
             limit = action_limit(self._normalize)
-            wanted = f"two finite numbers, left and right, from {-limit:g} to {limit:g}"
-            raise ControllerError(f"{self._name}: the policy returned {action!r:.200}; expected {wanted}")
-        return found
+            expected = f"two finite numbers, left and right, from {-limit:g} to {limit:g}"
+            raise ControllerError(f"{self._name}: the policy returned {action!r:.200}; expected {expected}")
+        return speeds
 
     @property
-    def _expected(self) -> str:
+    def _observation_text(self) -> str:
         """Shape and terms of an observation, in words."""
         low, high = self._task.bounds(self._normalize)
         terms = ", ".join(self._task.observation_terms)
         return f"of {len(low)} numbers ({terms}) from {low.min():g} to {high.max():g}"
 
     def _check_space(self, kind: str, low: NDArray[Any], high: NDArray[Any]) -> None:
-        """Raise a `ControllerError` if a model says that it has another space of observations or actions."""
+        """Raise a `ControllerError` if a model declares a different space of observations or actions."""
         space = getattr(self._policy, f"{kind}_space", None)
         if space is None:
             return
-        given = [np.asarray(getattr(space, end, ()), np.float64) for end in ("low", "high")]
-        has_shape = given[0].shape == given[1].shape == low.shape
-        if has_shape and np.allclose(given, [low, high]):
+        bounds = [np.asarray(getattr(space, end, ()), np.float64) for end in ("low", "high")]
+        has_shape = bounds[0].shape == bounds[1].shape == low.shape
+        if has_shape and np.allclose(bounds, [low, high]):
             return
-        wanted = self._expected if kind == "observation" else f"of two numbers from {low[0]:g} to {high[0]:g}"
-        found = f"{self._name}: made for {kind}s {' '.join(str(space).split())[:200]}"
-        other = f", or normalize={not self._normalize}" if has_shape else ""
-        raise ControllerError(f"{found}; expected those of task {self._task.name}, {wanted}{other}")
+        expected = f"of two numbers from {low[0]:g} to {high[0]:g}"
+        expected = self._observation_text if kind == "observation" else expected
+        problem = f"{self._name}: made for {kind}s {' '.join(str(space).split())[:200]}"
+        hint = f", or normalize={not self._normalize}" if has_shape else ""
+        raise ControllerError(f"{problem}; expected those of task {self._task.name}, {expected}{hint}")

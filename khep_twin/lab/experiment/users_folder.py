@@ -1,38 +1,38 @@
-"""Working directory of a user's programs, apart from that of the command, whose paths keep their meaning."""
+"""Working directory of a user's programs, separate from the command's, so that relative paths stay valid."""
 
 import os
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
-Given = ParamSpec("Given")
-Returned = TypeVar("Returned")
+Params = ParamSpec("Params")
+ReturnType = TypeVar("ReturnType")
 
-_changed: list[str] = []
-"""Directory to which a user's program has changed; empty if it has not."""
+_user_folder: list[str] = []
+"""Directory to which a user's program changed; empty if it did not."""
 
 
 def in_users_folder(
-    program: Callable[Given, Returned], /, *given: Given.args, **named: Given.kwargs
-) -> Returned:
-    """Call a user's program in the directory that it was in last; afterwards the one before is back."""
-    if not (before := _here()):  # nothing leads back to a directory that is gone
-        return program(*given, **named)
-    if _changed:
-        os.chdir(_changed.pop())  # what it calls here stays where it is
+    program: Callable[Params, ReturnType], /, *args: Params.args, **kwargs: Params.kwargs
+) -> ReturnType:
+    """Call a user's program in the directory of its last call, then restore the command's directory."""
+    if not (command_folder := _current_folder()):  # a removed directory cannot be restored
+        return program(*args, **kwargs)
+    if _user_folder:
+        os.chdir(_user_folder.pop())  # nested calls stay in this directory
     try:
-        return program(*given, **named)
+        return program(*args, **kwargs)
     finally:
-        if (after := _here()) != before:
-            _changed[:] = [after] if after else []
-            os.chdir(before)
+        if (user_folder := _current_folder()) != command_folder:
+            _user_folder[:] = [user_folder] if user_folder else []
+            os.chdir(command_folder)
 
 
-def begin_here() -> None:
-    """Let the next program of a user begin in the directory of the command."""
-    _changed.clear()
+def reset_users_folder() -> None:
+    """Let the next program of a user start in the directory of the command."""
+    _user_folder.clear()
 
 
-def _here() -> str:
+def _current_folder() -> str:
     """Return the working directory; empty if it has been removed."""
     try:
         return os.getcwd()

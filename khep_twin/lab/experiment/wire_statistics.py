@@ -14,10 +14,10 @@ class Wire:
     """Statistics of a serial line's transcript.
 
     Attributes:
-        commands: Number of commands by letter or word, the most frequent first.
+        commands: Number of commands by letter or word, in descending order.
         replies: Number of replies.
         refused: Number of refusals among the replies.
-        unanswered: Number of commands without a reply; tools, which answer at length, are not counted.
+        unanswered: Number of commands without a reply, except tools, which print several lines.
         mean_s: Mean time from a command's end to its reply's end [s]; 0 without replies.
         longest_s: Longest time from a command's end to its reply's end [s].
     """
@@ -36,10 +36,10 @@ class Wire:
 
 
 def wire(lines: Sequence[TextLine]) -> Wire:
-    """Return the statistics of a transcript; a reply belongs to the oldest open command of its letter."""
+    """Return a transcript's statistics; a reply belongs to the oldest pending command with its letter."""
     commands: Counter[str] = Counter()
     open_commands: list[tuple[str, int]] = []
-    took_ns: list[int] = []
+    times_ns: list[int] = []
     refused = unanswered = 0
     for line in lines:
         if line.name == "host":
@@ -54,12 +54,12 @@ def wire(lines: Sequence[TextLine]) -> Wire:
         # A refusal answers the oldest command; commands before an answered one stay unanswered.
         if not letters or (not refusal and head not in letters):
             continue
-        place = 0 if refusal else letters.index(head)
-        took_ns.append(line.time_ns - open_commands[place][1])
+        index = 0 if refusal else letters.index(head)
+        times_ns.append(line.time_ns - open_commands[index][1])
         refused += refusal
-        unanswered += place
-        del open_commands[: place + 1]
+        unanswered += index
+        del open_commands[: index + 1]
     unanswered += len(open_commands)
-    mean_s = sum(took_ns) / len(took_ns) / 1e9 if took_ns else 0.0
+    mean_s = sum(times_ns) / len(times_ns) / 1e9 if times_ns else 0.0
     ordered = dict(sorted(commands.items(), key=lambda item: (-item[1], item[0])))
-    return Wire(ordered, len(took_ns), refused, unanswered, mean_s, max(took_ns, default=0) / 1e9)
+    return Wire(ordered, len(times_ns), refused, unanswered, mean_s, max(times_ns, default=0) / 1e9)

@@ -1,4 +1,4 @@
-"""Recorded tests with measurements given as words on the command line.
+"""Recorded tests and their measurements, given as words on the command line.
 
 straight.mcap=998mm             a straight drive, of this length by the ruler
 spin.mcap=5turns                turns on the spot, counter-clockwise
@@ -21,17 +21,17 @@ from khep_twin.files.atomic import resolved
 from khep_twin.lab.fit.least_squares import Floats
 from khep_twin.lab.fit.motor_fit import DutyDrive, read_drive
 from khep_twin.lab.fit.placement import Placement, Readings
-from khep_twin.lab.fit.wheel_fit import Drive, pulses
+from khep_twin.lab.fit.wheel_fit import Drive, read_pulses
 from khep_twin.lab.sensor_test.sensor_files import load
 from khep_twin.lab.sensor_test.sensor_test import SensorRun
 from khep_twin.sensing.calibration import WheelCalibration
 from khep_twin.units import BULB_RADIUS, PULSES_PER_TURN, SENSOR_HEIGHT
 
 FILAMENT_MM = 15.0
-"""Default height of a lamp's filament [mm]: as a playpen's lamps."""
+"""Default height of a lamp's filament [mm], as for lamps of a playpen."""
 
 FASTEST_TURN = 8
-"""Fastest turn [pulses/10 ms]: beyond it a robot turns by 2.8 degrees while its sensors are read once."""
+"""Fastest turn [pulses/10 ms]: above it, a robot turns by 2.8 degrees during one scan of its sensors."""
 
 _LAG = 0.01
 """Time by which readings are younger than their row's counters [s]: N comes some 20 ms after H at 9600 baud,
@@ -45,7 +45,7 @@ _WORDS = re.compile(
     rf"|cylinder:(?P<radius>{_NUMBER})mm@(?P<cylinder>{_NUMBER})mm"
     rf"|lamp:(?P<power>{_NUMBER})W(?::(?P<height>{_NUMBER})mm)?@(?P<lamp>{_NUMBER})mm)"
 )
-_WISH = (
+_EXPECTED_WORDS = (
     "expected a file and a measurement, such as straight.mcap=998mm, spin.mcap=5turns, steps.mcap=duty, "
     "run.csv=wall@22mm, run.csv=cylinder:27mm@15mm or run.csv=lamp:2W@150mm"
 )
@@ -72,14 +72,14 @@ class SensorData:
     height: float = FILAMENT_MM / 1e3
 
     def readings(self, wheels: WheelCalibration) -> Readings:
-        """Return the readings, with the object's place and the robot's poses."""
+        """Return the readings, with the object's position and the robot's poses."""
         pulse = 2 * math.pi * wheels.radius_mm / PULSES_PER_TURN
         # A straight drive does not turn, and the speed of a turn is known.
         speed = self.run.test.speed if self.run.test.motion == "rotational" else None
         turning = 2 * (speed or 0) * 100 * pulse / wheels.base_mm
         radius = self.radius if self.power is None else BULB_RADIUS
-        place = Placement(self._poses(wheels), self.distance, radius, turning)
-        return Readings(self.name, place, self.counts, self.power, self.height - SENSOR_HEIGHT)
+        placement = Placement(self._poses(wheels), self.distance, radius, turning)
+        return Readings(self.name, placement, self.counts, self.power, self.height - SENSOR_HEIGHT)
 
     @property
     def counts(self) -> Floats:
@@ -88,20 +88,20 @@ class SensorData:
 
     def _poses(self, wheels: WheelCalibration) -> Floats:
         """Return the robot's poses at the readings by odometry: x, y [m], heading [rad] (n, 3)."""
-        ways = self.run.dv[:, :2] * (2 * math.pi * wheels.radius_mm / 1e3 / PULSES_PER_TURN)
+        distances = self.run.dv[:, :2] * (2 * math.pi * wheels.radius_mm / 1e3 / PULSES_PER_TURN)
         times = self.run.times
         if len(times) > 1 and np.isfinite(times).all() and (np.diff(times) > 0).all():
-            ways = ways + _LAG * np.gradient(ways, times, axis=0)
-        heading = (ways[:, 1] - ways[:, 0]) / (wheels.base_mm / 1e3)
-        forward = np.diff(ways.mean(axis=1), prepend=0.0)
+            distances = distances + _LAG * np.gradient(distances, times, axis=0)
+        heading = (distances[:, 1] - distances[:, 0]) / (wheels.base_mm / 1e3)
+        forward = np.diff(distances.mean(axis=1), prepend=0.0)
         middle = heading - np.diff(heading, prepend=0.0) / 2
         x, y = np.cumsum(forward * np.cos(middle)), np.cumsum(forward * np.sin(middle))
         return np.column_stack([x, y, heading])
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
-    """Tests sorted by the part that they calibrate.
+class FitTests:
+    """Tests by the part of the robot that they calibrate.
 
     Attributes:
         wheels: Measured drives.
@@ -116,11 +116,11 @@ class Measured:
     lamps: tuple[SensorData, ...] = ()
 
 
-def fit_inputs(words: list[str]) -> Measured:
-    """Read the files that command-line words name, see this module's docstring.
+def fit_inputs(words: list[str]) -> FitTests:
+    """Read the files named by words of the command line; the module's docstring has their form.
 
     Raises:
-        FitError: The words are wrong, or do not fit the file.
+        FitError: A word is invalid, or does not match its file.
         LogError: A log cannot be read.
         SensorTestError: A sensor test cannot be read.
     """
@@ -129,9 +129,9 @@ def fit_inputs(words: list[str]) -> Measured:
         file = resolved(Path(text.rpartition("=")[0]))
         if file in tests:
             raise FitError(f"{text}: this file is given twice; expected each test once")
-        tests[file] = _test(text)
+        tests[file] = _read_test(text)
     sensors = [test for test in tests.values() if isinstance(test, SensorData)]
-    return Measured(
+    return FitTests(
         tuple(test for test in tests.values() if isinstance(test, Drive)),
         tuple(test for test in tests.values() if isinstance(test, DutyDrive)),
         tuple(test for test in sensors if test.power is None),
@@ -139,21 +139,21 @@ def fit_inputs(words: list[str]) -> Measured:
     )
 
 
-def _test(text: str) -> Drive | DutyDrive | SensorData:
+def _read_test(text: str) -> Drive | DutyDrive | SensorData:
     parts = _WORDS.fullmatch(text)
     if parts is None:
-        raise FitError(f"{text}; {_WISH}")
+        raise FitError(f"{text}; {_EXPECTED_WORDS}")
     path = Path(parts["file"])
     if parts["duty"]:
         return read_drive(path)
     if parts["distance"]:
-        return Drive(parts["file"], *pulses(path), distance=float(parts["distance"]) / 1e3)
+        return Drive(parts["file"], *read_pulses(path), distance=float(parts["distance"]) / 1e3)
     if parts["turns"]:
-        return Drive(parts["file"], *pulses(path), turned=float(parts["turns"]) * 2 * math.pi)
-    what = "light" if parts["lamp"] else "proximity"
-    run = load(path, what)
-    if run.test.what != what:
-        raise FitError(f"{text}: a test of {run.test.what}; expected one of {what}")
+        return Drive(parts["file"], *read_pulses(path), turn=float(parts["turns"]) * 2 * math.pi)
+    kind = "light" if parts["lamp"] else "proximity"
+    run = load(path, kind)
+    if run.test.what != kind:
+        raise FitError(f"{text}: a test of {run.test.what}; expected one of {kind}")
     speed = run.test.speed
     if run.test.motion == "rotational" and (speed is None or speed > FASTEST_TURN):
         turned = "an unknown speed" if speed is None else f"speed {speed}"

@@ -1,7 +1,7 @@
-"""Light that an infrared sensor gets back from a wall or a cylinder, for many poses at once.
+"""Light reflected to an infrared sensor by a wall or a cylinder, vectorized over poses.
 
-The optics are those of `khep_twin.sensing.reflection`, for one object without others, to fit a calibration to
-measurements and to compare both. Bearings and distances are those of a test bench: a robot turns on the spot
+The optics are those of `khep_twin.sensing.reflection` for a single object. They serve to fit a calibration to
+measurements, and to compare both. Bearings and distances are those of a test bench: a robot turns on the spot
 in front of an object; the distance is from its edge to the object's nearest point.
 """
 
@@ -16,7 +16,7 @@ from khep_twin.sensing.calibration import ProximityCalibration
 from khep_twin.units import BODY_RADIUS, SENSOR_HEIGHT
 
 OBJECT_HEIGHT = 0.05
-"""Height of walls and cylinders [m]: a playpen's default (not told of any that was measured)."""
+"""Height of walls and cylinders [m]: a playpen's default (unknown for the measured ones)."""
 
 _TOUCHING = 1e-4
 """Smallest distance of a surface [m]."""
@@ -26,11 +26,11 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Object before one sensor, at many poses.
+    """Object in front of one sensor, at n poses.
 
     Attributes:
         bearings: Bearings of a wall's nearest point, or a cylinder's axis, off the sensor's axis (n,) [rad].
-        distances: Distances of these from the sensor's face (n,) [m].
+        distances: Distances of that point or axis from the sensor's face (n,) [m].
         radius: Radius of the cylinder [m]; 0 for a wall.
     """
 
@@ -58,53 +58,53 @@ class View:
             radius: Radius of an upright cylinder [m]; 0 for a wall.
             body_radius: Radius of the robot [m].
         """
-        away, (x, y) = body_radius + distances + radius, sensor
+        reach, (x, y) = body_radius + distances + radius, sensor
         if not radius:
-            return cls(_wrapped(bearings - heading), away - x * np.cos(bearings) - y * np.sin(bearings))
-        ahead, left = away * np.cos(bearings) - x, away * np.sin(bearings) - y
-        return cls(_wrapped(np.arctan2(left, ahead) - heading), np.hypot(ahead, left), radius)
+            return cls(_wrap(bearings - heading), reach - x * np.cos(bearings) - y * np.sin(bearings))
+        forward, left = reach * np.cos(bearings) - x, reach * np.sin(bearings) - y
+        return cls(_wrap(np.arctan2(left, forward) - heading), np.hypot(forward, left), radius)
 
     def light(self, offset: float, lobe_exponent: float) -> Floats:
-        """Return the light that comes back to a chip behind the face (n,) [1/m^2].
+        """Return the light reflected to a chip behind the face (n,) [1/m^2].
 
         Args:
             offset: Offset of the chip behind the face [m].
             lobe_exponent: Exponent of the lobe in azimuth.
         """
-        lengths, azimuths, lit = self._cylinder(offset) if self.radius else self._wall(offset)
-        ahead = np.maximum(np.cos(azimuths), 0)
-        whole = int(lobe_exponent)
-        lobe = ahead**whole * (1 - (lobe_exponent - whole) * (1 - ahead)) * (ahead > 0)
+        lengths, azimuths, weights = self._cylinder(offset) if self.radius else self._wall(offset)
+        cosines = np.maximum(np.cos(azimuths), 0)
+        integer_part = int(lobe_exponent)
+        lobe = cosines**integer_part * (1 - (lobe_exponent - integer_part) * (1 - cosines)) * (cosines > 0)
         top, mirrored = OBJECT_HEIGHT - SENSOR_HEIGHT, -OBJECT_HEIGHT - SENSOR_HEIGHT
-        filled = _below(top / lengths) - _below(mirrored / lengths)
-        return (lit / lengths**2 * lobe * filled).sum(axis=1) / lobes.norm(lobe_exponent)
+        elevation_share = _share_below(top / lengths) - _share_below(mirrored / lengths)
+        return (weights / lengths**2 * lobe * elevation_share).sum(axis=1) / lobes.norm(lobe_exponent)
 
     def _wall(self, offset: float) -> tuple[Floats, Floats, Floats]:
-        """Return lengths and azimuths of the way to points of the wall, and their cosines' arcs."""
-        away = np.maximum(self.distances + offset * np.cos(self.bearings), _TOUCHING)
-        # From one end of the wall, or of the lobe, to the other, in sines off the foot.
+        """Return lengths and azimuths of rays to points of the wall, and their quadrature weights."""
+        wall_distances = np.maximum(self.distances + offset * np.cos(self.bearings), _TOUCHING)
+        # Integrate between the ends of the wall or the lobe, over sines of the angle from the perpendicular.
         edge = np.cos(self.bearings)
         low = np.where(self.bearings < 0, -edge, -1.0)[:, None]
         high = np.where(self.bearings < 0, 1.0, edge)[:, None]
         sines = (low + high) / 2 + (high - low) / 2 * _NODES
-        # Of a wall right behind, the arc has no length, and lies where there is no distance.
+        # For a wall directly behind, the interval is empty and the distance undefined.
         cosines = np.sqrt(np.maximum(1 - sines**2, 1e-12))
-        lit = _WEIGHTS * (high - low) / 2
-        return away[:, None] / cosines, self.bearings[:, None] + np.arcsin(sines), lit
+        weights = _WEIGHTS * (high - low) / 2
+        return wall_distances[:, None] / cosines, self.bearings[:, None] + np.arcsin(sines), weights
 
     def _cylinder(self, offset: float) -> tuple[Floats, Floats, Floats]:
-        """Return the same of points of the cylinder."""
+        """Return lengths, azimuths and quadrature weights for points of the cylinder."""
         x = self.distances * np.cos(self.bearings) + offset
         y = self.distances * np.sin(self.bearings)
-        away = np.maximum(np.hypot(x, y), self.radius + _TOUCHING)[:, None]
+        axis_distances = np.maximum(np.hypot(x, y), self.radius + _TOUCHING)[:, None]
         axis = np.arctan2(y, x)[:, None]
         square = _NODES**2
         incidences = (1 - square) * np.sqrt(4 - square) / 2
-        sines = _NODES * (3 - square) / 2 * self.radius / away
+        sines = _NODES * (3 - square) / 2 * self.radius / axis_distances
         cosines = np.sqrt(1 - sines**2)
-        lengths = away * cosines - self.radius * incidences
-        lit = _WEIGHTS * 1.5 * (1 - square) * incidences * self.radius / (away * cosines)
-        return lengths, axis + np.arcsin(sines), lit
+        lengths = axis_distances * cosines - self.radius * incidences
+        weights = _WEIGHTS * 1.5 * (1 - square) * incidences * self.radius / (axis_distances * cosines)
+        return lengths, axis + np.arcsin(sines), weights
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,13 +133,13 @@ def level(view: View, optics: Optics, reflectance: float = 1.0) -> Floats:
     return optics.gain_counts_mm2 * 1e-6 * reflectance * light - optics.threshold_counts
 
 
-def _below(slopes: Floats) -> Floats:
-    """Return the part of the lobe in elevation below a slope, less a half, as `reflection` has it."""
+def _share_below(slopes: Floats) -> Floats:
+    """Return the share of the elevation lobe below a slope, less a half, as in `reflection`."""
     sines = slopes / np.sqrt(1 + slopes**2)
     squares = sines * sines  # numpy's powers of negative numbers take 70 times as long
     return 35 / 32 * sines * (1 - squares * (1 - squares * (0.6 - squares / 7)))
 
 
-def _wrapped(angles: Floats) -> Floats:
+def _wrap(angles: Floats) -> Floats:
     """Return angles from -pi to pi [rad]."""
     return np.angle(np.exp(1j * angles))

@@ -1,8 +1,9 @@
 """Fit of one robot's infrared sensors to readings in front of a wall or a cylinder.
 
-Gain, threshold, heading, lobe exponent and noise of each sensor are found by least squares, together with
-the errors of the ruler in each test; the rest of the optics is taken from another calibration. Heading and
-lobe exponent stay as they are there if the readings do not determine them. A clipped reading still carries
+Gain, threshold, heading, lobe exponent and noise of each sensor are fitted by least squares, together with
+the errors of the ruler in each test. The other parameters of the optics are those of an initial calibration.
+Heading and lobe exponent keep their initial values if the readings do not determine them. A clipped reading
+still has
 information: it is compared with the mean of a noisy sensor,
 
     E[clip(x + s z, 0, limit)],  z normal,
@@ -22,9 +23,9 @@ from khep_twin.lab.fit.least_squares import (
     CONFIDENCE,
     Floats,
     Parameter,
-    deviation,
-    expected,
+    expected_readings,
     least_squares,
+    reading_deviations,
 )
 from khep_twin.lab.fit.placement import (
     IN_PLACE,
@@ -33,41 +34,41 @@ from khep_twin.lab.fit.placement import (
     Placement,
     Readings,
     Ruler,
+    error_parameters,
+    jacobian_sparsity,
     misplacements,
-    owners_of,
-    unknowns,
 )
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.units import N_SENSORS, SENSOR_LABELS, SENSOR_POSITIONS
 
 HEADING_SPREAD_DEG, LOBE_SPREAD = 5.0, 0.5
-"""Standard deviations of a sensor's heading and lobe exponent around those of another robot (assumed: the
-sampled robot's headings are up to 9 degrees off the manual's)."""
+"""Standard deviations of a sensor's heading and lobe exponent between robots (assumed: the sampled robot's
+headings are up to 9 degrees off the manual's)."""
 
-_LEAST_READINGS = 10
-"""Least number of unclipped readings to fit a sensor."""
+_MIN_READINGS = 10
+"""Smallest number of unclipped readings to fit a sensor."""
 
-_LEAST_NOISY = 50
-"""Least number of readings far from both ends that determine a sensor's noise."""
+_MIN_NOISE_READINGS = 50
+"""Smallest number of readings far from both ends that determine a sensor's noise."""
 
-_WISH = "readings at several distances between 10 and 40 mm"
+_DATA = "readings at several distances between 10 and 40 mm"
 
-_BLUR = 8.0
-"""Error of a reading beside its noise, from what the model of the optics leaves out [counts] (assumed)."""
+_MODEL_ERROR = 8.0
+"""Error of a reading in addition to its noise, by simplifications of the optics' model [counts] (assumed)."""
 
 _OUTLIER = 3.0
-"""Residual from which on a reading counts as an outlier, in its standard deviation."""
+"""Residual above which a reading is an outlier, in standard deviations."""
 
-_WIDEST = 0.3
-"""Largest half of a gain's confidence interval, relative, for which a fit is accepted."""
+_MAX_INTERVAL = 0.3
+"""Largest accepted half width of a gain's confidence interval, relative."""
 
-_OWN = 4
+_N_PARAMETERS = 4
 """Number of parameters of a sensor: gain, threshold, heading, lobe exponent."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorFit:
-    """Fit of one sensor; each interval is half of the 95 % confidence interval.
+    """Fit of one sensor; each interval is the half width of a 95 % confidence interval.
 
     Attributes:
         optics: Fitted optics.
@@ -75,9 +76,9 @@ class SensorFit:
         noise_counts: Standard deviation of a reading [counts].
         gain_interval: Interval of the gain, relative.
         threshold_interval: Interval of the threshold [counts].
-        heading_interval: Interval of the heading [deg]; None if it stayed as it was.
-        lobe_interval: Interval of the lobe exponent; None if it stayed as it was.
-        noise_interval: Interval of the noise [counts]; None if it stayed as it was.
+        heading_interval: Interval of the heading [deg]; None if not fitted.
+        lobe_interval: Interval of the lobe exponent; None if not fitted.
+        noise_interval: Interval of the noise [counts]; None if not fitted.
         rms: Root mean square of the residuals [counts].
     """
 
@@ -94,33 +95,33 @@ class SensorFit:
 
 @dataclass(frozen=True, slots=True)
 class InfraredFit:
-    """Fit of all sensors, and where the objects stood in each test."""
+    """Fit of all sensors, and the misplacement of the object in each test."""
 
     sensors: tuple[SensorFit, ...]
-    moved: tuple[Misplacement, ...]
+    misplacements: tuple[Misplacement, ...]
 
 
 def unclipped(
-    sensor: int, heading_deg: float, optics: Optics, seen: tuple[Floats, Floats], radius: float
+    sensor: int, heading_deg: float, optics: Optics, position: tuple[Floats, Floats], radius: float
 ) -> Floats:
-    """Return the counts of a sensor before an object, without noise and before they are clipped (n,).
+    """Return the counts of a sensor in front of an object, without noise and clipping (n,).
 
     Args:
         sensor: Number of the sensor.
         heading_deg: Heading of the sensor, counter-clockwise from ahead [deg].
         optics: Calibration of the sensor.
-        seen: Distances from the robot's edge [m] and bearings, counter-clockwise [rad], of the object.
+        position: Distances from the robot's edge [m] and bearings, counter-clockwise [rad], of the object.
         radius: Radius of the cylinder, 0 for a wall [m].
     """
-    return level(View.of(SENSOR_POSITIONS[sensor], math.radians(heading_deg), *seen, radius), optics)
+    return level(View.of(SENSOR_POSITIONS[sensor], math.radians(heading_deg), *position, radius), optics)
 
 
-def levels(placement: Placement, robot: Calibration, moved: Misplacement = IN_PLACE) -> Floats:
+def levels(placement: Placement, robot: Calibration, misplacement: Misplacement = IN_PLACE) -> Floats:
     """Return the proximity of a calibration without noise and clipping (n, 8)."""
-    seen = placement.seen(moved)
+    object_position = placement.object_positions(misplacement)
     optics = [Optics.of(robot.proximity, sensor) for sensor in range(N_SENSORS)]
     columns = [
-        unclipped(sensor, heading_deg, optics[sensor], seen, placement.radius)
+        unclipped(sensor, heading_deg, optics[sensor], object_position, placement.radius)
         for sensor, heading_deg in enumerate(robot.heading_deg)
     ]
     return np.column_stack(columns)
@@ -130,50 +131,53 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
     """Fit the sensors to the readings.
 
     Args:
-        tests: Readings before walls and cylinders.
-        start: Initial values, and the rest of the optics.
-        ruler: Precision of the objects' places; None for the usual one.
+        tests: Readings in front of walls and cylinders.
+        start: Initial values, and the other parameters of the optics.
+        ruler: Precision of the objects' positions; None for the default.
 
     Raises:
         FitError: The readings do not determine a sensor's gain.
     """
-    near = start.proximity
+    proximity = start.proximity
     counts = np.concatenate([test.counts for test in tests])
-    _check(counts, np.array(near.noise_counts), near.limit_counts)
-    before = [Optics.of(near, sensor) for sensor in range(N_SENSORS)]
-    parameters = [*_parameters(before, start.heading_deg), *unknowns(tests, ruler or Ruler())]
-    owners = owners_of(tests, _OWN)
+    _check_readings(counts, np.array(proximity.noise_counts), proximity.limit_counts)
+    initial = [Optics.of(proximity, sensor) for sensor in range(N_SENSORS)]
+    parameters = [*_parameters(initial, start.heading_deg), *error_parameters(tests, ruler or Ruler())]
+    sparsity = jacobian_sparsity(tests, _N_PARAMETERS)
+    n_values = _N_PARAMETERS * N_SENSORS
 
-    def found_levels(x: Floats) -> Floats:
-        own, errors = x[: _OWN * N_SENSORS].reshape(N_SENSORS, _OWN), x[_OWN * N_SENSORS :]
-        seen = [
-            (test.placement.seen(moved), test.placement.radius)
-            for test, moved in zip(tests, misplacements(errors), strict=True)
+    def model_levels(x: Floats) -> Floats:
+        rows = x[:n_values].reshape(N_SENSORS, -1)
+        objects = [
+            (test.placement.object_positions(misplacement), test.placement.radius)
+            for test, misplacement in zip(tests, misplacements(x[n_values:]), strict=True)
         ]
         columns = [
-            np.concatenate([unclipped(sensor, row[2], _optics(old, row), *each) for each in seen])
-            for sensor, (row, old) in enumerate(zip(own, before, strict=True))
+            np.concatenate([unclipped(sensor, row[2], _optics(old, row), *position) for position in objects])
+            for sensor, (row, old) in enumerate(zip(rows, initial, strict=True))
         ]
         return np.column_stack(columns)
 
-    noise = np.array(near.noise_counts)
-    weights: Floats = 1 / np.hypot(noise, _BLUR)
+    noise = np.array(proximity.noise_counts)
+    weights: Floats = 1 / np.hypot(noise, _MODEL_ERROR)
 
-    def left(x: Floats) -> Floats:
-        return ((expected(found_levels(x), noise, near.limit_counts) - counts) * weights).ravel()
+    def residuals(x: Floats) -> Floats:
+        means = expected_readings(model_levels(x), noise, proximity.limit_counts)
+        return ((means - counts) * weights).ravel()
 
-    # A robust loss limits the influence of outliers, such as readings while someone walks by.
-    first = least_squares(left, parameters, _WISH, _OUTLIER, unit_variance=True, owners=owners)
-    level, off = found_levels(first.values), left(first.values).reshape(counts.shape) / weights
-    noise, noisy = _noise(level, off, noise, near.limit_counts)
-    spread = np.hypot(deviation(level, noise, near.limit_counts), _BLUR)
-    weights = (1 + (off / spread / _OUTLIER) ** 2) ** -0.25 / spread
-    found = least_squares(left, parameters, _WISH, unit_variance=True, owners=owners)
-    own, widths = (x[: _OWN * N_SENSORS].reshape(N_SENSORS, _OWN) for x in (found.values, found.intervals))
-    held = found.held[: _OWN * N_SENSORS].reshape(N_SENSORS, _OWN)
+    # A robust loss limits the influence of outliers, for example of readings while someone walks by.
+    robust = least_squares(residuals, parameters, _DATA, _OUTLIER, unit_variance=True, sparsity=sparsity)
+    first_levels = model_levels(robust.values)
+    differences = residuals(robust.values).reshape(counts.shape) / weights
+    noise, n_used = _fit_noise(first_levels, differences, noise, proximity.limit_counts)
+    deviations = np.hypot(reading_deviations(first_levels, noise, proximity.limit_counts), _MODEL_ERROR)
+    weights = (1 + (differences / deviations / _OUTLIER) ** 2) ** -0.25 / deviations
+    estimate = least_squares(residuals, parameters, _DATA, unit_variance=True, sparsity=sparsity)
     weights = np.ones(N_SENSORS)
-    left_over = left(found.values).reshape(counts.shape)
+    final_residuals = residuals(estimate.values).reshape(counts.shape)
     lag = max(CONFIDENCE * math.degrees(test.placement.turning * SCAN_LAG_S) for test in tests)
+    values, widths = (x[:n_values].reshape(N_SENSORS, -1) for x in (estimate.values, estimate.intervals))
+    fixed = estimate.fixed[:n_values].reshape(N_SENSORS, -1)
     fits = [
         SensorFit(
             _optics(old, row),
@@ -181,19 +185,19 @@ def fit_infrared(tests: Sequence[Readings], start: Calibration, ruler: Ruler | N
             float(noise[sensor]),
             float(width[0] / row[0]),
             float(width[1]),
-            None if kept[2] else math.hypot(width[2], lag),
-            None if kept[3] else float(width[3]),
-            CONFIDENCE * float(noise[sensor]) / math.sqrt(2 * noisy[sensor]) if noisy[sensor] else None,
-            float(np.sqrt(np.mean(left_over[:, sensor] ** 2))),
+            None if is_fixed[2] else math.hypot(width[2], lag),
+            None if is_fixed[3] else float(width[3]),
+            CONFIDENCE * float(noise[sensor]) / math.sqrt(2 * n_used[sensor]) if n_used[sensor] else None,
+            float(np.sqrt(np.mean(final_residuals[:, sensor] ** 2))),
         )
-        for sensor, (row, width, kept, old) in enumerate(zip(own, widths, held, before, strict=True))
+        for sensor, (row, width, is_fixed, old) in enumerate(zip(values, widths, fixed, initial, strict=True))
     ]
-    return InfraredFit(tuple(fits), tuple(misplacements(found.values[_OWN * N_SENSORS :])))
+    return InfraredFit(tuple(fits), tuple(misplacements(estimate.values[n_values:])))
 
 
-def fitted(start: Calibration, found: InfraredFit) -> Calibration:
-    """Return a calibration with the fitted values; it has one noise for all sensors."""
-    fits = found.sensors
+def apply_fit(start: Calibration, infrared: InfraredFit) -> Calibration:
+    """Return a calibration with the fitted values, rounded."""
+    fits = infrared.sensors
     update = {
         "gain_counts_mm2": tuple(round(fit.optics.gain_counts_mm2) for fit in fits),
         "threshold_counts": tuple(round(fit.optics.threshold_counts, 1) for fit in fits),
@@ -205,40 +209,40 @@ def fitted(start: Calibration, found: InfraredFit) -> Calibration:
     return start.model_copy(update={"heading_deg": headings, "proximity": proximity})
 
 
-def _check(counts: Floats, noise: Floats, limit: float) -> None:
-    """Raise a `FitError` for a sensor with hardly a reading between both ends."""
+def _check_readings(counts: Floats, noise: Floats, limit: float) -> None:
+    """Raise a `FitError` for a sensor with too few readings between both ends."""
     between = ((counts > noise) & (counts < limit - noise)).sum(axis=0)
-    for name, told in zip(SENSOR_LABELS, between.tolist(), strict=True):
-        if told < _LEAST_READINGS:
+    for name, n_readings in zip(SENSOR_LABELS, between.tolist(), strict=True):
+        if n_readings < _MIN_READINGS:
             raise FitError(
-                f"{name}: the gain cannot be determined: {told} readings are neither 0 nor saturated; "
-                f"expected at least {_LEAST_READINGS} such {_WISH}"
+                f"{name}: the gain cannot be determined: {n_readings} readings are neither 0 nor saturated; "
+                f"expected at least {_MIN_READINGS} such {_DATA}"
             )
 
 
-def _parameters(before: Sequence[Optics], headings_deg: Sequence[float]) -> list[Parameter]:
-    found: list[Parameter] = []
-    for name, old, heading_deg in zip(SENSOR_LABELS, before, headings_deg, strict=True):
+def _parameters(initial: Sequence[Optics], headings_deg: Sequence[float]) -> list[Parameter]:
+    parameters: list[Parameter] = []
+    for name, old, heading_deg in zip(SENSOR_LABELS, initial, headings_deg, strict=True):
         gain, spread, lobe = old.gain_counts_mm2, HEADING_SPREAD_DEG, LOBE_SPREAD
-        found += [
-            Parameter(f"{name}: gain", gain, gain / 4, _WIDEST * gain, " counts mm2", gain / 20),
+        parameters += [
+            Parameter(f"{name}: gain", gain, gain / 4, gain * _MAX_INTERVAL, " counts mm2", gain / 20),
             Parameter(f"{name}: threshold", old.threshold_counts, 100, 500, " counts"),
             Parameter(f"{name}: heading", heading_deg, spread, prior=spread, optional=True),
             Parameter(f"{name}: lobe", old.lobe_exponent, lobe, low=0, prior=lobe, optional=True),
         ]
-    return found
+    return parameters
 
 
-def _optics(before: Optics, x: Floats) -> Optics:
+def _optics(initial: Optics, x: Floats) -> Optics:
     gain, threshold, _, lobe = x.tolist()
-    return replace(before, gain_counts_mm2=gain, threshold_counts=threshold, lobe_exponent=lobe)
+    return replace(initial, gain_counts_mm2=gain, threshold_counts=threshold, lobe_exponent=lobe)
 
 
-def _noise(levels: Floats, off: Floats, noise: Floats, limit: float) -> tuple[Floats, list[int]]:
-    """Return each sensor's noise [counts], and of how many readings far from both ends; 0 if too few."""
+def _fit_noise(levels: Floats, residuals: Floats, noise: Floats, limit: float) -> tuple[Floats, list[int]]:
+    """Return each sensor's noise [counts], and its number of readings far from both ends; 0 if too few."""
     inside = (levels > 2 * noise) & (levels < limit - 2 * noise)
-    numbers = inside.sum(axis=0)
-    # Each sensor's four parameters have taken their part of the residuals.
-    squares = np.where(inside, off**2, 0).sum(axis=0) / np.maximum(numbers - _OWN, 1)
-    enough = numbers >= _LEAST_NOISY
-    return np.where(enough, np.sqrt(squares), noise), np.where(enough, numbers, 0).tolist()
+    n_readings = inside.sum(axis=0)
+    # Degrees of freedom: the readings less the sensor's four parameters.
+    variances = np.where(inside, residuals**2, 0).sum(axis=0) / np.maximum(n_readings - _N_PARAMETERS, 1)
+    is_enough = n_readings >= _MIN_NOISE_READINGS
+    return np.where(is_enough, np.sqrt(variances), noise), np.where(is_enough, n_readings, 0).tolist()

@@ -1,14 +1,16 @@
-"""Least squares with priors and confidence intervals; data that do not determine a parameter are refused.
+"""Least squares with priors and confidence intervals; an error if data do not determine a parameter.
 
-A parameter with a prior, such as the error of a ruler, is one more unknown x with one more residual
-(x - start) / prior. So the intervals of the others contain what its error may do to them:
+A parameter with a prior, for example the error of a ruler, is an additional unknown x with an additional
+residual (x - start) / prior. Its uncertainty propagates to the intervals of the other parameters:
 
     C = (J^T J + diag(1 / prior^2))^-1,  interval = 1.96 noise sqrt(diag C)
 
-A parameter that the data do not determine better than its prior does is held at its start; the others'
-intervals contain then what its deviation may do to them.
+Here C is the covariance for residuals of variance 1, and J the Jacobian of the residuals. An optional
+parameter is fixed at its initial value if the data do not determine it better than its prior. The uncertainty
+of that value also propagates to the other intervals.
 
-A noisy reading that is clipped at both ends still informs: near an end its mean tells the level x.
+A noisy reading that is clipped at both ends still has information: near an end, its mean depends on the level
+x.
 
     E[clip(x + s z, 0, limit)],  z normal
 """
@@ -30,39 +32,38 @@ from khep_twin.errors import FitError
 Floats = NDArray[np.float64]
 
 CONFIDENCE = 1.96
-"""Standard deviations in half of a 95 % confidence interval."""
+"""Half width of a 95 % confidence interval, in standard deviations."""
 
-DETERMINED = 0.5
-"""Largest standard deviation of a parameter after a fit, of that before it, for which its value is taken."""
+MAX_DEVIATION_RATIO = 0.5
+"""Largest ratio of a parameter's standard deviations after and before a fit at which its value is used."""
 
-_UNTOLD = 1e-14
-"""Smallest eigenvalue of the normal equations that determines a combination of parameters, relative to the
-largest."""
+_MIN_EIGENVALUE = 1e-14
+"""Smallest eigenvalue of the normal equations, relative to the largest, for which they are regular."""
 
-_ITERATIONS, _PRECISION, _STUCK = 200, 1e-9, 1e9
-"""Most iterations, smallest relative progress of one, and damping at which there is none."""
+_MAX_ITERATIONS, _TOLERANCE, _MAX_DAMPING = 200, 1e-9, 1e9
+"""Limits of the iterations, of their relative progress, and of the damping, beyond which they stop."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """Parameter to be fitted.
+    """Parameter to fit.
 
     Attributes:
         name: Name in messages.
         start: Initial value.
         scale: Typical difference from the initial value.
-        widest: Largest half of the confidence interval that is accepted.
+        max_interval: Largest accepted half width of the confidence interval.
         unit: Unit of these values, for messages.
         low: Lower bound.
         high: Upper bound.
-        prior: Standard deviation of the value around `start` before the fit; inf if nothing is known.
-        optional: True to hold the value at `start` where the data do not determine it.
+        prior: Standard deviation of the value around `start` before the fit; inf without a prior.
+        optional: True to fix the value at `start` if the data do not determine it.
     """
 
     name: str
     start: float
     scale: float
-    widest: float = np.inf
+    max_interval: float = np.inf
     unit: str = ""
     low: float = -np.inf
     high: float = np.inf
@@ -76,173 +77,176 @@ class Estimate:
 
     Attributes:
         values: Values of the parameters, in order (n,).
-        intervals: Halves of their 95 % confidence intervals (n,).
+        intervals: Half widths of their 95 % confidence intervals (n,).
         rms: Root mean square of the residuals.
-        held: True for those that were held at their start (n,).
+        fixed: True for parameters that were fixed at their initial value (n,).
     """
 
     values: Floats
     intervals: Floats
     rms: float
-    held: NDArray[np.bool_]
+    fixed: NDArray[np.bool_]
 
 
 def least_squares(
     residuals: Callable[[Floats], Floats],
     parameters: Sequence[Parameter],
-    wanted: str,
+    expected_data: str,
     outlier: float = math.inf,
     step: float = 1e-4,
     unit_variance: bool = False,
-    owners: NDArray[np.int64] | None = None,
+    sparsity: NDArray[np.int64] | None = None,
 ) -> Estimate:
     """Fit parameters by least squares.
 
     Args:
         residuals: Function of the parameters (n,) that returns the residuals (m,).
-        parameters: Parameters to fit. With priors, the residuals must be in their standard deviation.
-        wanted: Data that would determine them, for messages.
-        outlier: Residual from which on a reading counts as an outlier, which has less weight.
-        unit_variance: If true, residuals are in units of their standard deviation, and the noise is
-            estimated from their root mean square only if that is larger.
+        parameters: Parameters to fit. With priors, the residuals must be in units of standard deviations.
+        expected_data: Data that would determine the parameters, for messages.
+        outlier: Residual above which a reading is an outlier and loses weight (scale of the robust loss).
+        unit_variance: If true, residuals are in units of their standard deviation, and the noise is their
+            root mean square only if that is above 1.
         step: Step of the numeric derivatives, in each parameter's scale.
-        owners: Parameters that each residual depends on (m, k), the same parameter always in the same
-            column; then k derivatives are computed at a time. None if each depends on all.
+        sparsity: Indices of the parameters on which each residual depends (m, k), each parameter always in
+            the same column; then k derivatives are computed at a time. None for a dense Jacobian.
 
     Raises:
         FitError: The data do not determine a parameter.
     """
-    problem = _Problem(residuals, parameters, step, owners)
-    held = np.zeros(len(parameters), np.bool_)
-    values = problem.solve(held, outlier)
-    variances = problem.variances(values, held, wanted)
-    left = residuals(values)
-    rms = float(np.sqrt(np.mean(left**2)))
+    problem = _Problem(residuals, parameters, step, sparsity)
+    fixed = np.zeros(len(parameters), np.bool_)
+    values = problem.solve(fixed, outlier)
+    variances = problem.variances(values, fixed, expected_data)
+    rms = float(np.sqrt(np.mean(residuals(values) ** 2)))
     noise = max(rms, 1.0) if unit_variance else rms
     priors = np.array([parameter.prior for parameter in parameters])
-    may_be_held = np.array([parameter.optional for parameter in parameters])
-    held = may_be_held & (noise * np.sqrt(variances) > DETERMINED * priors)
-    if held.any():
-        values = problem.solve(held, outlier)
-        variances = problem.variances(values, held, wanted)
+    may_be_fixed = np.array([parameter.optional for parameter in parameters])
+    fixed = may_be_fixed & (noise * np.sqrt(variances) > MAX_DEVIATION_RATIO * priors)
+    if fixed.any():
+        values = problem.solve(fixed, outlier)
+        variances = problem.variances(values, fixed, expected_data)
         rms = float(np.sqrt(np.mean(residuals(values) ** 2)))
         noise = max(rms, 1.0) if unit_variance else rms
     intervals = CONFIDENCE * noise * np.sqrt(variances)
     for parameter, interval in zip(parameters, intervals, strict=True):
-        if not interval <= parameter.widest:
-            found_to = f"can be determined to +-{interval:.3g}{parameter.unit} only"
-            raise FitError(f"{parameter.name}: {found_to}; expected {wanted}")
-    return Estimate(values, intervals, rms, held)
+        if not interval <= parameter.max_interval:
+            problem_text = f"can be determined to +-{interval:.3g}{parameter.unit} only"
+            raise FitError(f"{parameter.name}: {problem_text}; expected {expected_data}")
+    return Estimate(values, intervals, rms, fixed)
 
 
 class _Problem:
-    """Residuals and priors as functions of scaled parameters, of which some are held."""
+    """Residuals and priors as functions of scaled parameters, some of which are fixed."""
 
     def __init__(
         self,
         residuals: Callable[[Floats], Floats],
         parameters: Sequence[Parameter],
         step: float,
-        owners: NDArray[np.int64] | None,
+        sparsity: NDArray[np.int64] | None,
     ) -> None:
-        self._residuals, self._parameters, self._step, self._owners = residuals, parameters, step, owners
+        self._residuals = residuals
+        self._parameters = parameters
+        self._step = step
+        self._sparsity = sparsity
         self._start = np.array([parameter.start for parameter in parameters])
         self._scales = np.array([parameter.scale for parameter in parameters])
         low, high = np.array([(parameter.low, parameter.high) for parameter in parameters]).T
         self._low, self._high = (low - self._start) / self._scales, (high - self._start) / self._scales
-        self._pulls = self._scales / np.array([parameter.prior for parameter in parameters])
+        self._prior_weights = self._scales / np.array([parameter.prior for parameter in parameters])
 
-    def solve(self, held: NDArray[np.bool_], outlier: float) -> Floats:
-        """Return the best values, by the method of Levenberg and Marquardt."""
-        x = np.zeros(len(held))
-        left, damping = self._scaled(x), 1e-3
-        cost = self._cost(x, left, outlier)
-        for _ in range(_ITERATIONS):
-            bends, downhill = self._normal(x, left, 1 / np.sqrt(1 + (left / outlier) ** 2))
-            at_a_bound = ((x <= self._low) & (downhill < 0)) | ((x >= self._high) & (downhill > 0))
-            free = np.flatnonzero(~held & ~at_a_bound)
-            bends, before = bends[np.ix_(free, free)], cost
-            while damping < _STUCK:
-                damped = bends + damping * np.diag(np.maximum(np.diag(bends), _UNTOLD))
+    def solve(self, fixed: NDArray[np.bool_], outlier: float) -> Floats:
+        """Return the values with the least cost, by the Levenberg-Marquardt method."""
+        x = np.zeros(len(fixed))
+        residuals, damping = self._residuals_at(x), 1e-3
+        cost = self._cost(x, residuals, outlier)
+        for _ in range(_MAX_ITERATIONS):
+            loss_weights = 1 / np.sqrt(1 + (residuals / outlier) ** 2)
+            hessian, descent = self._normal_equations(x, residuals, loss_weights)
+            is_at_bound = ((x <= self._low) & (descent < 0)) | ((x >= self._high) & (descent > 0))
+            free = np.flatnonzero(~fixed & ~is_at_bound)
+            hessian, previous_cost = hessian[np.ix_(free, free)], cost
+            while damping < _MAX_DAMPING:
+                damped = hessian + damping * np.diag(np.maximum(np.diag(hessian), _MIN_EIGENVALUE))
                 new = x.copy()
-                new[free] += np.linalg.solve(damped, downhill[free])
+                new[free] += np.linalg.solve(damped, descent[free])
                 new = np.clip(new, self._low, self._high)
-                new_left = self._scaled(new)
-                new_cost = self._cost(new, new_left, outlier)
+                new_residuals = self._residuals_at(new)
+                new_cost = self._cost(new, new_residuals, outlier)
                 if new_cost < cost:
-                    x, left, cost, damping = new, new_left, new_cost, damping / 10
+                    x, residuals, cost, damping = new, new_residuals, new_cost, damping / 10
                     break
                 damping *= 10
-            if before - cost <= _PRECISION * before:
+            if previous_cost - cost <= _TOLERANCE * previous_cost:
                 break
         return self._start + x * self._scales
 
-    def _cost(self, x: Floats, left: Floats, outlier: float) -> float:
-        """Return the sum of the losses, soft_l1 of scipy's, and of the squared priors."""
-        ratios = left / outlier
-        loss = left**2 if math.isinf(outlier) else 2 * outlier**2 * (np.sqrt(1 + ratios**2) - 1)
-        return float(loss.sum() + ((self._pulls * x) ** 2).sum())
+    def _cost(self, x: Floats, residuals: Floats, outlier: float) -> float:
+        """Return the sum of the losses, those of scipy's soft_l1, and of the squared prior residuals."""
+        ratios = residuals / outlier
+        loss = residuals**2 if math.isinf(outlier) else 2 * outlier**2 * (np.sqrt(1 + ratios**2) - 1)
+        return float(loss.sum() + ((self._prior_weights * x) ** 2).sum())
 
-    def variances(self, values: Floats, held: NDArray[np.bool_], wanted: str) -> Floats:
+    def variances(self, values: Floats, fixed: NDArray[np.bool_], expected_data: str) -> Floats:
         """Return the variances of the parameters, for residuals of variance 1."""
         x = (values - self._start) / self._scales
-        bends, _ = self._normal(x, self._scaled(x), np.ones(1))
-        free = np.flatnonzero(~held)
-        strengths, directions = np.linalg.eigh(bends[np.ix_(free, free)])
-        if not strengths[0] > _UNTOLD * strengths[-1]:
-            worst = self._parameters[int(free[np.abs(directions[:, 0]).argmax()])]
-            raise FitError(f"{worst.name}: cannot be determined; expected {wanted}")
-        covariance = (directions / strengths) @ directions.T
-        # A deviation of a held parameter moves the others' best values.
-        moved = covariance @ bends[np.ix_(free, np.flatnonzero(held))] / self._pulls[held]
+        hessian, _ = self._normal_equations(x, self._residuals_at(x), np.ones(1))
+        free = np.flatnonzero(~fixed)
+        eigenvalues, eigenvectors = np.linalg.eigh(hessian[np.ix_(free, free)])
+        if not eigenvalues[0] > _MIN_EIGENVALUE * eigenvalues[-1]:
+            worst = self._parameters[int(free[np.abs(eigenvectors[:, 0]).argmax()])]
+            raise FitError(f"{worst.name}: cannot be determined; expected {expected_data}")
+        covariance = (eigenvectors / eigenvalues) @ eigenvectors.T
+        # A deviation of a fixed parameter shifts the estimates of the others.
+        shifts = covariance @ hessian[np.ix_(free, np.flatnonzero(fixed))] / self._prior_weights[fixed]
         variances = np.zeros(len(values))
-        variances[free] = np.diag(covariance) + (moved**2).sum(axis=1)
-        variances[held] = 1 / self._pulls[held] ** 2
+        variances[free] = np.diag(covariance) + (shifts**2).sum(axis=1)
+        variances[fixed] = 1 / self._prior_weights[fixed] ** 2
         return variances * self._scales**2
 
-    def _normal(self, x: Floats, left: Floats, weights: Floats) -> tuple[Floats, Floats]:
-        """Return the matrix of the normal equations (n, n) and their right side (n,), priors included."""
-        n, penalty = len(x), np.diag(self._pulls**2)
-        if self._owners is None:
-            slopes = np.column_stack([self._slope(x, direction) for direction in np.eye(n) * self._step])
-            weighted = slopes * weights[:, None]
-            return weighted.T @ slopes + penalty, -(weighted.T @ left + self._pulls**2 * x)
-        steps = np.full(n, self._step)
-        slopes = [self._slope(x, np.where(np.isin(np.arange(n), own), steps, 0)) for own in self._owners.T]
-        bends, downhill = penalty.ravel(), -(self._pulls**2) * x
-        for own, slope in zip(self._owners.T, slopes, strict=True):
-            downhill -= np.bincount(own, slope * weights * left, n)
-            for other, across in zip(self._owners.T, slopes, strict=True):
-                bends = bends + np.bincount(own * n + other, slope * weights * across, n * n)
-        return bends.reshape(n, n), downhill
+    def _normal_equations(self, x: Floats, residuals: Floats, weights: Floats) -> tuple[Floats, Floats]:
+        """Return the matrix (n, n) and the right side (n,) of the normal equations, including priors."""
+        n, penalty = len(x), np.diag(self._prior_weights**2)
+        if self._sparsity is None:
+            jacobian = np.column_stack([self._derivative(x, step) for step in np.eye(n) * self._step])
+            weighted = jacobian * weights[:, None]
+            return weighted.T @ jacobian + penalty, -(weighted.T @ residuals + self._prior_weights**2 * x)
+        steps = [np.where(np.isin(np.arange(n), columns), self._step, 0.0) for columns in self._sparsity.T]
+        slopes = [self._derivative(x, step) for step in steps]
+        hessian, descent = penalty.ravel(), -(self._prior_weights**2) * x
+        for rows, slope in zip(self._sparsity.T, slopes, strict=True):
+            descent -= np.bincount(rows, slope * weights * residuals, n)
+            for columns, other in zip(self._sparsity.T, slopes, strict=True):
+                hessian = hessian + np.bincount(rows * n + columns, slope * weights * other, n * n)
+        return hessian.reshape(n, n), descent
 
-    def _scaled(self, x: Floats) -> Floats:
+    def _residuals_at(self, x: Floats) -> Floats:
         return self._residuals(self._start + x * self._scales)
 
-    def _slope(self, x: Floats, way: Floats) -> Floats:
-        return (self._scaled(x + way) - self._scaled(x - way)) / (2 * self._step)
+    def _derivative(self, x: Floats, step: Floats) -> Floats:
+        return (self._residuals_at(x + step) - self._residuals_at(x - step)) / (2 * self._step)
 
 
-def expected(levels: Floats, noise: float | Floats, limit: float) -> Floats:
-    """Return the mean reading of a noisy sensor that is clipped to 0 and a limit."""
+def expected_readings(levels: Floats, noise: float | Floats, limit: float) -> Floats:
+    """Return the mean reading of a noisy sensor whose readings are clipped to 0 and a limit."""
     noise = np.maximum(noise, 1e-6)
     low, high = -levels / noise, (limit - levels) / noise
-    return noise * (_bell(low) - _bell(high)) + levels * (ndtr(high) - ndtr(low)) + limit * ndtr(-high)
+    return noise * (_pdf(low) - _pdf(high)) + levels * (ndtr(high) - ndtr(low)) + limit * ndtr(-high)
 
 
-def deviation(levels: Floats, noise: float | Floats, limit: float) -> Floats:
-    """Return the standard deviation of such a reading, which is small where it is clipped."""
+def reading_deviations(levels: Floats, noise: float | Floats, limit: float) -> Floats:
+    """Return the standard deviation of a clipped, noisy reading; it is small near the ends."""
     noise = np.maximum(noise, 1e-6)
     low, high = -levels / noise, (limit - levels) / noise
     inside = ndtr(high) - ndtr(low)
     squares = (
         (levels**2 + noise**2) * inside
-        + 2 * levels * noise * (_bell(low) - _bell(high))
-        + noise**2 * (low * _bell(low) - high * _bell(high))
+        + 2 * levels * noise * (_pdf(low) - _pdf(high))
+        + noise**2 * (low * _pdf(low) - high * _pdf(high))
         + limit**2 * ndtr(-high)
     )
-    return np.sqrt(np.maximum(squares - expected(levels, noise, limit) ** 2, 0))
+    return np.sqrt(np.maximum(squares - expected_readings(levels, noise, limit) ** 2, 0))
 
 
-def _bell(z: Floats) -> Floats:
+def _pdf(z: Floats) -> Floats:
     return np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)

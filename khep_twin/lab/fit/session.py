@@ -1,8 +1,8 @@
-"""Calibration session: steps that a person and a robot go through, kept in a folder from step to step.
+"""Calibration session: steps of a person and a robot, saved in a folder after each step.
 
-Each recording is written as a whole; a step is done when its word stands in `tests.txt`, one of `fit_inputs`
-for each line, with the recording's name in the folder. A session that was broken off goes on after the last
-step that was done.
+Each recording is written completely or not at all. A step is complete when `tests.txt` has its word: a line
+that `fit_inputs` reads, with the recording's name in the folder. An aborted session resumes after its last
+complete step.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,14 +27,14 @@ class CalibrationSession:
     """Calibration session in a folder.
 
     Args:
-        folder: Folder of the recordings; it is made with the first of them.
+        folder: Folder of the recordings; it is created with the first recording.
 
     Attributes:
         folder: Folder of the recordings.
-        words: Words of the steps that are done, without the folder.
+        words: Words of the complete steps, without the folder.
 
     Raises:
-        FitError: The folder cannot be used, or its words are wrong or have no recording.
+        FitError: The folder cannot be used, or its words are invalid or lack a recording.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -44,8 +44,8 @@ class CalibrationSession:
         self.words: list[str] = []
         path = folder / TESTS
         if not path.exists():
-            if folder.is_dir() and (found := sorted(each.name for each in folder.iterdir())):
-                raise FitError(f"{folder}: holds {found[0]} and no {TESTS}; expected another folder")
+            if folder.is_dir() and (names := sorted(entry.name for entry in folder.iterdir())):
+                raise FitError(f"{folder}: holds {names[0]} and no {TESTS}; expected another folder")
             return
         try:
             text = decode(read_regular(path)[:_LIMIT])
@@ -63,11 +63,11 @@ class CalibrationSession:
 
     @property
     def paths(self) -> list[str]:
-        """Words with the folder, as `fit_inputs` takes them."""
+        """Words with the folder, as `fit_inputs` reads them."""
         return [str(self.folder / word) for word in self.words]
 
-    def done(self, step: Step) -> str:
-        """Return the word of a step that is done; empty if it is not."""
+    def find_word(self, step: Step) -> str:
+        """Return the word of a complete step; empty for another step."""
         return next((word for word in self.words if word.rpartition("=")[0] == step.file), "")
 
     def run(
@@ -78,14 +78,14 @@ class CalibrationSession:
         show: Callable[[str], None],
         stop: Callable[[], bool],
     ) -> bool:
-        """Go through the steps that are not done; return False if asked to stop.
+        """Run the steps that are not complete; return False if `stop` returns True.
 
         Args:
             steps: Steps in order.
             robot: Robot.
             person: Person who places and measures.
             show: Function that shows a line.
-            stop: Function that returns whether to end; the motors stop then.
+            stop: Function that returns whether to stop the session and the motors.
 
         Raises:
             FitError: A recording cannot be used.
@@ -93,23 +93,23 @@ class CalibrationSession:
             PortError: The port failed.
         """
         for number, step in enumerate(steps, 1):
-            title, word = f"step {number} of {len(steps)}", self.done(step)
+            title, word = f"step {number} of {len(steps)}", self.find_word(step)
             if word:
                 show(f"{title}: done before: {word}")
             while not word:
                 show(f"{title}: {step.kind}")
-                told = person.place(step)
-                if told is None:
+                distance_mm = person.place(step)
+                if distance_mm is None:
                     show(f"{title}: skipped")
                     break
                 self._write()
                 if not record(robot, step, self.folder / step.file, stop):
                     return False
-                measured = person.measure(step) if step.kind in ("straight", "turns") else told
+                measured = person.measure(step) if step.kind in ("straight", "turns") else distance_mm
                 if measured is None:
-                    continue  # the person wants it driven again
+                    continue  # the person requests another drive
                 word = step.word(measured)
-                # What cannot be used is refused while the robot still stands there.
+                # An unusable recording is refused while the robot still stands there.
                 fit_inputs([str(self.folder / word)])
                 self.words.append(word)
                 self._write()
@@ -117,6 +117,6 @@ class CalibrationSession:
         return True
 
     def _write(self) -> None:
-        """Write the words, by which the folder is known as a session's."""
+        """Write the words; the file marks the folder as a session's."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        write_whole(self.folder / TESTS, "".join(f"{each}\n" for each in self.words).encode("utf-8"))
+        write_whole(self.folder / TESTS, "".join(f"{word}\n" for word in self.words).encode("utf-8"))

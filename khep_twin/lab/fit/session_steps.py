@@ -1,11 +1,11 @@
-"""Steps of a calibration session: what to put where, and how the robot records it.
+"""Steps of a calibration session: the instruction to the person, and the recording of the robot.
 
     straight                 command C over 60 cm, measured with a ruler     straight.mcap
     turns                    command C, five turns on the spot, counted      turns.mcap
     duty                     steps of command P on open floor                duty.mcap
     wall, cylinder, lamp     a sensor test, one turn on the spot             wall-12.csv
 
-The files, and the words about them, are those of `fit_inputs`.
+Files and words have the form that `fit_inputs` reads.
 """
 
 import math
@@ -20,7 +20,7 @@ from khep_twin.errors import FitError
 from khep_twin.host import Khepera
 from khep_twin.lab.fit.fit_inputs import FILAMENT_MM
 from khep_twin.lab.sensor_test.sensor_files import save
-from khep_twin.lab.sensor_test.sensor_test import SensorTest, drive_to, rest, sense
+from khep_twin.lab.sensor_test.sensor_test import SensorTest, drive_to, reset_motors, sense
 from khep_twin.log.line_recorder import LineRecorder
 from khep_twin.units import BITS_PER_BYTE, PULSE_LENGTH, WHEEL_BASE
 
@@ -30,17 +30,17 @@ STRAIGHT_MM, TURNS = 600, 5
 WALLS_MM = (6.0, 12.0, 17.0, 21.0, 25.0, 29.0)
 CYLINDERS_MM = (6.0, 12.0, 18.0)
 LAMPS_MM = (60.0, 150.0)
-"""Distances of objects from the robot's edge [mm]: where its readings are between both ends."""
+"""Distances of objects from the robot's edge [mm], at which its readings are not clipped."""
 
 DUTIES = (40, 0, -40, 0, 30, -10, 0)
 _DUTY_S = 0.75
-"""Steps of duty, and the time of each [s]."""
+"""Steps of duty, and the duration of each [s]."""
 
 _SPEED, _ACCELERATION = 10, 32
 """Values of command J on measured drives [pulses/10 ms, 3.125 mm/s^2]: slow, so that no tyre slips."""
 
 _SETTLE_S = 0.5
-"""Time to come to rest after a drive [s]."""
+"""Settling time after a drive [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class Step:
     """Test of a session.
 
     Attributes:
-        kind: What is tested.
+        kind: Kind of the test.
         distance_mm: Distance from the robot's edge to the object [mm].
         radius_mm: Radius of the cylinder [mm].
         power_w: Power of the lamp [W].
@@ -65,7 +65,7 @@ class Step:
 
     @property
     def has_object(self) -> bool:
-        """True if an object stands before the robot."""
+        """True if an object stands in front of the robot."""
         return self.kind in ("wall", "cylinder", "lamp")
 
     @property
@@ -90,14 +90,14 @@ class Step:
             f"filament {self.height_mm:g} mm above the floor, looking straight at it.",
         }[self.kind]
 
-    def word(self, measured: float) -> str:
-        """Return the recording and a measurement, as `fit_inputs` reads them.
+    def word(self, measurement: float) -> str:
+        """Return the name of the recording and a measurement, as `fit_inputs` reads them.
 
         Args:
-            measured: Length of the drive [mm], number of turns, or distance of the object [mm].
+            measurement: Length of the drive [mm], number of turns, or distance of the object [mm].
         """
-        value = f"{measured:.4f}".rstrip("0").rstrip(".")
-        told = {
+        value = f"{measurement:.4f}".rstrip("0").rstrip(".")
+        value_text = {
             "straight": f"{value}mm",
             "turns": f"{value}turns",
             "duty": "duty",
@@ -105,16 +105,16 @@ class Step:
             "cylinder": f"cylinder:{self.radius_mm:g}mm@{value}mm",
             "lamp": f"lamp:{self.power_w:g}W:{self.height_mm:g}mm@{value}mm",
         }[self.kind]
-        return f"{self.file}={told}"
+        return f"{self.file}={value_text}"
 
 
 def steps(
     walls_mm: Sequence[float], cylinder_mm: float | None, lamp_w: float | None, lamp_height_mm: float
 ) -> list[Step]:
-    """Return the steps of a session; those of a cylinder and a lamp if there is one.
+    """Return the steps of a session, with a cylinder and a lamp unless they are None.
 
     Raises:
-        FitError: A value is out of its range, or a distance is given twice.
+        FitError: A value is out of range, or a distance is given twice.
     """
     for name, values, low, high in (
         ("wall", walls_mm, 1, 60),
@@ -122,48 +122,48 @@ def steps(
         ("lamp", [] if lamp_w is None else [lamp_w], 0.01, 1000),
         ("lamp height", [lamp_height_mm], 1, 1000),
     ):
-        if wrong := [value for value in values if not low <= value <= high]:
-            raise FitError(f"{name} = {wrong[0]:g}; expected {low:g} to {high:g}")
+        if invalid := [value for value in values if not low <= value <= high]:
+            raise FitError(f"{name} = {invalid[0]:g}; expected {low:g} to {high:g}")
     if len({f"{distance:g}" for distance in walls_mm}) < len(walls_mm):
         raise FitError("wall: a distance is given twice; expected different ones")
-    found = [Step("straight"), Step("turns"), Step("duty")]
-    found += [Step("wall", distance) for distance in walls_mm]
+    session_steps = [Step("straight"), Step("turns"), Step("duty")]
+    session_steps += [Step("wall", distance) for distance in walls_mm]
     if cylinder_mm is not None:
-        found += [Step("cylinder", distance, radius_mm=cylinder_mm) for distance in CYLINDERS_MM]
+        session_steps += [Step("cylinder", distance, radius_mm=cylinder_mm) for distance in CYLINDERS_MM]
     if lamp_w is not None:
-        found += [Step("lamp", distance, power_w=lamp_w, height_mm=lamp_height_mm) for distance in LAMPS_MM]
-    # Turns to both sides: what readings lag behind the counters averages out.
-    return [replace(step, sign=1 - 2 * (number % 2)) for number, step in enumerate(found)]
+        session_steps += [Step("lamp", near, power_w=lamp_w, height_mm=lamp_height_mm) for near in LAMPS_MM]
+    # With turns to both sides, the lag of readings behind the counters averages out.
+    return [replace(step, sign=1 - 2 * (number % 2)) for number, step in enumerate(session_steps)]
 
 
 def record(robot: Khepera, step: Step, path: Path, stop: Callable[[], bool]) -> bool:
-    """Drive a step and write its recording; return False, with nothing written, if asked to stop.
+    """Drive a step and write its recording; return False, without a recording, if `stop` returns True.
 
     Raises:
         SensorTestError: A wheel is blocked.
         PortError: The port failed.
     """
     if step.has_object:
-        what = "light" if step.kind == "lamp" else "proximity"
-        run = sense(robot, SensorTest(what, rotate_deg=360.0 * step.sign, speed=1), stop=stop)
+        kind = "light" if step.kind == "lamp" else "proximity"
+        run = sense(robot, SensorTest(kind, rotate_deg=360.0 * step.sign, speed=1), stop=stop)
         if not stop():
             save(path, run)
         return not stop()
-    with recorded(robot, path) as keep:
+    with record_exchanges(robot, path) as set_keep:
         try:
             if step.kind == "duty":
                 _drive_duties(robot, stop)
             else:
                 _drive_measured(robot, step, stop)
         finally:
-            rest(robot)
-        keep(not stop())
+            reset_motors(robot)
+        set_keep(not stop())
     return not stop()
 
 
 def _drive_measured(robot: Khepera, step: Step, stop: Callable[[], bool]) -> None:
-    way = STRAIGHT_MM / 1e3 if step.kind == "straight" else TURNS * math.pi * WHEEL_BASE
-    pulses = round(way / PULSE_LENGTH)
+    length = STRAIGHT_MM / 1e3 if step.kind == "straight" else TURNS * math.pi * WHEEL_BASE
+    pulses = round(length / PULSE_LENGTH)
     robot.set_position(0, 0)
     robot.configure_profile(_SPEED, _ACCELERATION, _SPEED, _ACCELERATION)
     robot.position()
@@ -181,35 +181,35 @@ def _drive_duties(robot: Khepera, stop: Callable[[], bool]) -> None:
 
 
 @contextmanager
-def recorded(robot: Khepera, path: Path) -> Generator[Callable[[bool], None]]:
-    """Record the exchanges with a robot in a log, written as a whole or not at all.
+def record_exchanges(robot: Khepera, path: Path) -> Generator[Callable[[bool], None]]:
+    """Record the exchanges with a robot in a log, which is written completely or not at all.
 
     Yields:
-        Function that takes whether the log is to be kept.
+        Function with a Boolean argument, True to keep the log.
     """
-    begin, byte_ns = robot.time, BITS_PER_BYTE * NS_PER_S // robot.port.baudrate
-    now_ns, kept = 0, False
+    start, byte_ns = robot.time, BITS_PER_BYTE * NS_PER_S // robot.port.baudrate
+    now_ns, is_kept = 0, False
     recorder = LineRecorder(path, {"port": robot.name}, lambda: now_ns)
 
     def listen(request: str, reply: str) -> None:
         nonlocal now_ns
-        end_ns = round((robot.time - begin) * NS_PER_S)
-        # The robot had the request when its reply, with two bytes of line end, began.
+        end_ns = round((robot.time - start) * NS_PER_S)
+        # The robot had received the request when its reply, with two bytes of line end, started.
         now_ns = max(now_ns, end_ns - (len(reply) + 2) * byte_ns)
         recorder.on_bytes(True, f"{request}\n".encode("latin-1"))
         now_ns = max(now_ns, end_ns)
         recorder.on_bytes(False, f"{reply}\r\n".encode("latin-1"))
 
-    def keep(wanted: bool) -> None:
-        nonlocal kept
-        kept = wanted
+    def set_keep(value: bool) -> None:
+        nonlocal is_kept
+        is_kept = value
 
-    before = robot.listen(listen)
+    previous_listener = robot.listen(listen)
     try:
-        yield keep
+        yield set_keep
     finally:
-        robot.listen(before)
-        if kept:
+        robot.listen(previous_listener)
+        if is_kept:
             recorder.close()
         else:
             recorder.discard()

@@ -1,7 +1,7 @@
-"""Calibration from what a shadow has learned of its robot: wheels, and the gains of its sensors.
+"""Calibration from the values that a shadow learned of its robot: wheels, and the gains of its sensors.
 
-The shadow's log has it in `/shadow/learned`; the line of a relay is followed first. Values that the robot's
-drive has not determined better than they were known before stay as they were.
+A shadow's log has them in `/shadow/learned`; for a relay's log, a shadow follows its serial line first. A
+value keeps its initial value if the robot's drive did not determine it better than its prior.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy as np
 
 from khep_twin.errors import CalibrationError, FitError
 from khep_twin.files import toml_files
-from khep_twin.lab.fit.least_squares import CONFIDENCE, DETERMINED
+from khep_twin.lab.fit.least_squares import CONFIDENCE, MAX_DEVIATION_RATIO
 from khep_twin.lab.fit.robot_fit import FittedValue, RobotFit
 from khep_twin.log.reader import read_arrays
 from khep_twin.log.shadow_channels import is_shadow
@@ -21,13 +21,13 @@ from khep_twin.sensing import calibration
 from khep_twin.sensing.calibration import Calibration
 from khep_twin.shadow.following import Follower
 from khep_twin.shadow.particles import VALUE_NAMES, LearnedValues
-from khep_twin.shadow.recording import recorded
+from khep_twin.shadow.recording import read_recording
 from khep_twin.shadow.shadow import Shadow, ShadowSettings
 from khep_twin.shadow.start import PUBLISHED
 from khep_twin.units import SENSOR_LABELS
 
 _WHEELS = "radius_mm", "right_over_left", "base_mm"
-_TOLD = {
+_FORMATS = {
     "radius_mm": ("wheel radius", "{:.3f} mm +- {:.3f}"),
     "right_over_left": ("right over left", "{:.4f} +- {:.4f}"),
     "base_mm": ("wheel base", "{:.2f} mm +- {:.2f}"),
@@ -35,11 +35,11 @@ _TOLD = {
 
 
 def read_learned(path: Path) -> tuple[LearnedValues, Calibration] | None:
-    """Return what the shadow of a log had learned at its end, and its calibration; None of another log.
+    """Return the values that a shadow's log has at its end, and its calibration; None for another log.
 
     Raises:
         LogError: The log cannot be read.
-        FitError: The shadow had heard nothing.
+        FitError: The shadow received no replies with values.
     """
     label, arrays = read_arrays(path)
     if not is_shadow(label):
@@ -49,77 +49,71 @@ def read_learned(path: Path) -> tuple[LearnedValues, Calibration] | None:
         raise FitError(f"{path}: this shadow has learned nothing; expected replies to N in its log")
     text = next((text for name, text in label.attachments.items() if name.startswith("calibration/")), "")
     start = toml_files.validate(Calibration, text, f"{path}: calibration", CalibrationError)
-    return LearnedValues.of_row(values[-1]), start
+    return LearnedValues.from_row(values[-1]), start
 
 
-def follow_all(
-    path: Path, playpen: str, progress: Callable[[float], None] | None
+def learn_from_log(
+    path: Path, playpen_name: str, progress: Callable[[float], None] | None
 ) -> tuple[LearnedValues, Calibration]:
-    """Follow the line of a relay's log; return what a shadow learns from it, and its calibration.
+    """Follow the line of a relay's log; return the values that a shadow learns, and its calibration.
 
     Args:
         path: Path of the log.
-        playpen: Name or path of the playpen, with the robot's start and calibration.
-        progress: Function that takes the share that is done, 0 to 1.
+        playpen_name: Name or path of the playpen, with the robot's start and calibration.
+        progress: Called with the completed share, 0 to 1.
 
     Raises:
         LogError: The log cannot be read.
         PlaypenError: The playpen cannot be used.
     """
-    line, found = recorded(path), Playpen.load(playpen)
-    settings = ShadowSettings() if line.baud is None else ShadowSettings(baud=line.baud)
-    follower = Follower(shadow := Shadow(found, settings))
-    for number, heard in enumerate(line.heard):
-        for _ in follower.feed(heard):
+    recording, playpen = read_recording(path), Playpen.load(playpen_name)
+    settings = ShadowSettings() if recording.baud is None else ShadowSettings(baud=recording.baud)
+    follower = Follower(shadow := Shadow(playpen, settings))
+    for number, record in enumerate(recording.chunks):
+        for _ in follower.feed(record):
             pass
         if progress is not None:
-            progress(number / len(line.heard))
+            progress(number / len(recording.chunks))
     if not follower.replies:
         raise FitError(f"{path}: no reply with values; expected replies to N")
-    return shadow.learned, calibration.read(found.robots[0].calibration)[0]
+    return shadow.learned, calibration.read(playpen.robots[0].calibration)[0]
 
 
-def fit_learned(found: LearnedValues, start: Calibration) -> RobotFit:
-    """Return the calibration of a robot that a shadow has followed with `start`."""
-    values, lines, kept = list[FittedValue](), list[str](), list[str]()
-    wheels, gains = dict[str, float](), list(start.proximity.gain_counts_mm2)
-    for each, known in learned_values(found, start):
-        key, sensor = each.path[1], each.path[2] if len(each.path) > 2 else None
-        name, words = _TOLD[key] if sensor is None else (SENSOR_LABELS[sensor], "gain {:.4g} +- {:.4g}")
-        if each.interval > DETERMINED * known:
-            kept.append(name if sensor is None else f"gain of {name}")
+def fit_learned(learned: LearnedValues, start: Calibration) -> RobotFit:
+    """Return the calibration of a robot from the values of a shadow that used `start`."""
+    values, lines, undetermined = list[FittedValue](), list[str](), list[str]()
+    wheel_values, gains = dict[str, float](), list(start.proximity.gain_counts_mm2)
+    for fitted_value, prior_interval in learned_values(learned, start):
+        key, sensor = fitted_value.path[1], fitted_value.path[2] if len(fitted_value.path) > 2 else None
+        name, words = _FORMATS[key] if sensor is None else (SENSOR_LABELS[sensor], "gain {:.4g} +- {:.4g}")
+        if fitted_value.interval > MAX_DEVIATION_RATIO * prior_interval:
+            undetermined.append(name if sensor is None else f"gain of {name}")
             continue
-        values.append(each)
-        lines.append(f"{name:15}  {words.format(each.value, each.interval)} (95 %)")
+        values.append(fitted_value)
+        lines.append(f"{name:15}  {words.format(fitted_value.value, fitted_value.interval)} (95 %)")
         if sensor is None:
-            wheels[key] = each.value
+            wheel_values[key] = fitted_value.value
         else:
-            gains[sensor] = each.value
-    if kept:
-        lines.append(f"as before        not determined by this drive: {', '.join(kept)}")
-    near = start.proximity.model_copy(update={"gain_counts_mm2": tuple(gains)})
-    turning = start.wheels.model_copy(update=wheels)
-    return RobotFit(
-        start.model_copy(update={"wheels": turning, "proximity": near}), tuple(values), tuple(lines)
-    )
+            gains[sensor] = fitted_value.value
+    if undetermined:
+        lines.append(f"as before        not determined by this drive: {', '.join(undetermined)}")
+    proximity = start.proximity.model_copy(update={"gain_counts_mm2": tuple(gains)})
+    wheels = start.wheels.model_copy(update=wheel_values)
+    calibrated = start.model_copy(update={"wheels": wheels, "proximity": proximity})
+    return RobotFit(calibrated, tuple(values), tuple(lines))
 
 
-def learned_values(found: LearnedValues, start: Calibration) -> Iterator[tuple[FittedValue, float]]:
-    """Yield all values with their intervals, and the intervals in which they were known before."""
-    known = PUBLISHED.radius, PUBLISHED.ratio, PUBLISHED.base
-    parts, deviations = found.wheels.tolist(), found.wheel_deviations.tolist()
-    for key, part, deviation, before in zip(_WHEELS, parts, deviations, known, strict=True):
+def learned_values(learned: LearnedValues, start: Calibration) -> Iterator[tuple[FittedValue, float]]:
+    """Yield all values with their intervals, and the half widths of the intervals before the fit."""
+    priors = PUBLISHED.radius, PUBLISHED.ratio, PUBLISHED.base
+    parts, deviations = learned.wheels.tolist(), learned.wheel_deviations.tolist()
+    for key, part, deviation, prior in zip(_WHEELS, parts, deviations, priors, strict=True):
         unit = CONFIDENCE * float(getattr(start.wheels, key))
-        yield FittedValue(("wheels", key), unit / CONFIDENCE * part, unit * deviation), unit * before
-    before = math.hypot(PUBLISHED.gain, calibration.GAIN_SPREAD)
-    for sensor, (gain, part, deviation) in enumerate(
-        zip(
-            start.proximity.gain_counts_mm2,
-            found.gains.tolist(),
-            found.gain_deviations.tolist(),
-            strict=True,
-        )
-    ):
+        yield FittedValue(("wheels", key), unit / CONFIDENCE * part, unit * deviation), unit * prior
+    prior = math.hypot(PUBLISHED.gain, calibration.GAIN_SPREAD)
+    gains = start.proximity.gain_counts_mm2
+    parts, deviations = learned.gains.tolist(), learned.gain_deviations.tolist()
+    for sensor, (gain, part, deviation) in enumerate(zip(gains, parts, deviations, strict=True)):
         unit = CONFIDENCE * gain * part
         path = ("proximity", "gain_counts_mm2", sensor)
-        yield FittedValue(path, gain * part, unit * deviation), unit * before
+        yield FittedValue(path, gain * part, unit * deviation), unit * prior

@@ -3,8 +3,8 @@
     distance = r 2 pi / 600 (n_left + n_right) / 2
     turned   = r 2 pi / 600 (n_right - n_left) / base
 
-over drives with n pulses on either wheel, 600 pulses to a turn of the wheel: wheel radius r and base by least
-squares, each drive weighted by the ruler's precision.
+for drives with n pulses on each wheel, 600 pulses per wheel turn. Wheel radius r and wheel base are fitted by
+least squares, with each drive weighted by the ruler's precision.
 """
 
 # scipy is not typed.
@@ -28,10 +28,10 @@ from khep_twin.log.reader import read_label, read_log, require_kheperas_in
 from khep_twin.sensing.calibration import WheelCalibration
 from khep_twin.units import PULSES_PER_TURN, WHEEL_BASE, WHEEL_RADIUS
 
-_WIDEST = 0.1
-"""Largest half of a confidence interval, relative, for which a fit is accepted."""
+_MAX_RELATIVE_INTERVAL = 0.1
+"""Largest accepted half width of a confidence interval, relative."""
 
-_LEAST_DISTANCE, _LEAST_TURNED = 0.1, math.pi
+_MIN_DISTANCE, _MIN_TURN = 0.1, math.pi
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Drive:
     left: int
     right: int
     distance: float | None = None
-    turned: float | None = None
+    turn: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +60,8 @@ class WheelFit:
     Attributes:
         radius: Radius of a wheel [m].
         base: Wheel base [m].
-        radius_interval: Half of the radius's 95 % confidence interval [m].
-        base_interval: Half of the wheel base's 95 % confidence interval [m].
+        radius_interval: Half width of the radius's 95 % confidence interval [m].
+        base_interval: Half width of the wheel base's 95 % confidence interval [m].
     """
 
     radius: float
@@ -79,30 +79,30 @@ def fit_wheels(drives: Sequence[Drive], ruler: Ruler | None = None) -> WheelFit:
 
     Args:
         drives: Measured drives.
-        ruler: Precision of their measurement; None for the usual one.
+        ruler: Precision of their measurement; None for the default.
 
     Raises:
         FitError: The drives do not determine the radius or the base, or contradict each other.
     """
     for drive in drives:
         _check_kind(drive)
-    if not any(abs(drive.distance or 0) >= _LEAST_DISTANCE for drive in drives):
+    if not any(abs(drive.distance or 0) >= _MIN_DISTANCE for drive in drives):
         raise FitError(
             "the wheels' radius cannot be determined: no straight drive of 10 cm and more; expected LOG=998mm"
         )
-    if not any(abs(drive.turned or 0) >= _LEAST_TURNED for drive in drives):
+    if not any(abs(drive.turn or 0) >= _MIN_TURN for drive in drives):
         raise FitError("the wheel base cannot be determined: no half turn and more; expected LOG=5turns")
 
-    precisions = np.array([_precision(drive, ruler or Ruler()) for drive in drives])
+    deviations = np.array([_standard_deviation(drive, ruler or Ruler()) for drive in drives])
 
-    def left(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.array([left_over(drive, *x) for drive in drives]) / precisions
+    def residuals(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.array([residual(drive, *x) for drive in drives]) / deviations
 
-    found = least_squares(left, [WHEEL_RADIUS, WHEEL_BASE], x_scale=[1e-3, 1e-2])
-    radius, base = (float(value) for value in found.x)
-    # The noise is that of the ruler, or larger if the drives differ by more.
-    excess = max(1.0, 2 * float(found.cost) / max(len(drives) - 2, 1))
-    spread = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)) * excess)
+    solution = least_squares(residuals, [WHEEL_RADIUS, WHEEL_BASE], x_scale=[1e-3, 1e-2])
+    radius, base = (float(value) for value in solution.x)
+    # The noise is that of the ruler, or more if the residuals are larger.
+    variance_factor = max(1.0, 2 * float(solution.cost) / max(len(drives) - 2, 1))
+    standard_errors = np.sqrt(np.diag(np.linalg.inv(solution.jac.T @ solution.jac)) * variance_factor)
     try:
         WheelCalibration(radius_mm=radius * 1e3, base_mm=base * 1e3)
     except ValueError:
@@ -110,9 +110,9 @@ def fit_wheels(drives: Sequence[Drive], ruler: Ruler | None = None) -> WheelFit:
             f"a wheel radius of {radius * 1e3:.2f} mm and a base of {base * 1e3:.1f} mm are not a Khepera's; "
             "expected distances in mm and whole turns as counted, counter-clockwise positive"
         ) from None
-    intervals = CONFIDENCE * float(spread[0]), CONFIDENCE * float(spread[1])
+    intervals = CONFIDENCE * float(standard_errors[0]), CONFIDENCE * float(standard_errors[1])
     for name, interval, value in zip(("wheel radius", "wheel base"), intervals, (radius, base), strict=True):
-        if interval > _WIDEST * value:
+        if interval > _MAX_RELATIVE_INTERVAL * value:
             raise FitError(
                 f"{name}: can be determined to +-{interval * 1e3:.2g} mm only, as the drives contradict "
                 "each other; expected distances in mm and turns as they were driven"
@@ -120,14 +120,14 @@ def fit_wheels(drives: Sequence[Drive], ruler: Ruler | None = None) -> WheelFit:
     return WheelFit(radius, base, *intervals)
 
 
-def pulses(log: Path) -> tuple[int, int]:
+def read_pulses(log: Path) -> tuple[int, int]:
     """Return the change of the counters between a log's first reply to H and its last.
 
     Raises:
         LogError: There is no log.
-        FitError: The host has not sent H twice, or has set the counters between.
+        FitError: The host did not send H twice, or set the counters in between.
     """
-    lines = [line.text for line in transcript(log)]
+    lines = [line.text for line in read_transcript(log)]
     replies = [number for number, text in enumerate(lines) if text.startswith("h,")]
     if len(replies) < 2:
         raise FitError(f"{log}: the counters were not read twice; expected H before and after the drive")
@@ -138,12 +138,12 @@ def pulses(log: Path) -> tuple[int, int]:
     return int(last[1]) - int(first[1]), int(last[2]) - int(first[2])
 
 
-def transcript(log: Path) -> Sequence[TextLine]:
-    """Return what crossed the line of the only robot of a log.
+def read_transcript(log: Path) -> Sequence[TextLine]:
+    """Return the serial transcript of a log's only robot.
 
     Raises:
         LogError: There is no log.
-        FitError: It has several robots, or none.
+        FitError: The log has several robots, or none.
     """
     require_kheperas_in(read_label(log), log, "a fit")
     robots = read_log(log).robots
@@ -153,30 +153,30 @@ def transcript(log: Path) -> Sequence[TextLine]:
     return track.serial
 
 
-def left_over(drive: Drive, radius: float, base: float) -> float:
+def residual(drive: Drive, radius: float, base: float) -> float:
     """Return the residual of a drive: measurement less odometry [m or rad]."""
     pulse = 2 * math.pi * radius / PULSES_PER_TURN
     if drive.distance is not None:
         return drive.distance - pulse * (drive.left + drive.right) / 2
-    return (drive.turned or 0.0) - pulse * (drive.right - drive.left) / base
+    return (drive.turn or 0.0) - pulse * (drive.right - drive.left) / base
 
 
 def _check_kind(drive: Drive) -> None:
-    """Raise a `FitError` for a straight drive that turned, a turn that moved, or a wrong sign."""
-    driven, value = drive.left + drive.right, drive.distance
-    other, wanted = drive.right - drive.left, "a drive straight on, such as =998mm"
+    """Raise a `FitError` for a straight drive with a turn, a turn with a drive, or a wrong sign."""
+    main_change, value = drive.left + drive.right, drive.distance
+    other_change, expected = drive.right - drive.left, "a drive straight on, such as =998mm"
     if value is None:
-        driven, other, value = other, driven, drive.turned or 0.0
-        wanted = "a turn on the spot, such as =5turns, counter-clockwise"
-    if abs(driven) < 10 * abs(other) or driven * value <= 0:
+        main_change, other_change, value = other_change, main_change, drive.turn or 0.0
+        expected = "a turn on the spot, such as =5turns, counter-clockwise"
+    if abs(main_change) < 10 * abs(other_change) or main_change * value <= 0:
         raise FitError(
             f"{drive.name}: the counters went on by {drive.left} left and {drive.right} right; "
-            f"expected {wanted}, below 0 for the other direction"
+            f"expected {expected}, below 0 for the other direction"
         )
 
 
-def _precision(drive: Drive, ruler: Ruler) -> float:
-    """Return the standard deviation of a measurement [m or rad]; zeros would weigh infinitely much."""
+def _standard_deviation(drive: Drive, ruler: Ruler) -> float:
+    """Return the standard deviation of a measurement [m or rad]; above 0, as weights must be finite."""
     if drive.distance is not None:
         return max(ruler.distance_mm, 1e-3) / 1e3
     return math.radians(max(ruler.bearing_deg, 1e-3))

@@ -5,11 +5,10 @@
     .mat      a matrix for each channel with its own times: proximity, proximity_time_s, proximity_columns;
               transcript and events as cells
 
-A table of several robots has their names in the column `robot`, and a row for each robot and time; a MAT file
-has the robots of the rows of `proximity`, numbered from 1, in proximity_robot. Channels of a Khepera IV that
-are others than a Khepera's begin with khepera4_ in a table of both. Cells stay empty between the
-times of a channel, which are its own in logs of real robots, and where a robot has no such channel.
-The same log gives the same bytes.
+A table of several robots has their names in the column `robot`, and a row for each robot and time. A MAT file
+has the robots of the rows of `proximity`, numbered from 1, in proximity_robot. In a table of both models, the
+names of a Khepera IV's channels that differ from a Khepera's start with khepera4_. Cells are empty where a
+channel has no value at a time. The same log gives the same bytes.
 """
 
 # scipy and pyarrow are not typed.
@@ -30,35 +29,45 @@ from numpy.typing import NDArray
 from khep_twin.board.turrets import installed
 from khep_twin.errors import LogError, choices
 from khep_twin.files.mat_file import mat_bytes
-from khep_twin.lab.report.table_files import TABLES, Channel, Heading, is_whole, rows_of
+from khep_twin.lab.report.table_files import TABLES, Channel, Heading, is_integer, rows_of
 from khep_twin.log.channels import TextLine
-from khep_twin.log.columns import KHEPERA4, Columns, identifier, in_order, is_khepera4, named
-from khep_twin.log.reader import Recording, TimeSeries, read_pieces
+from khep_twin.log.columns import (
+    KHEPERA4_PREFIX,
+    Columns,
+    identifier,
+    is_khepera4,
+    name_columns,
+    order_channels,
+)
+from khep_twin.log.reader import Recording, TimeSeries, read_batches
 
 MAT_BYTES = 512 << 20
-"""Largest size of numbers and text in a MAT file [bytes]; it is built in memory, in several times as much."""
+"""Largest size of numbers and text in a MAT file [bytes]; building it takes several times this memory."""
 
 LINE_BYTES = 100
 """Assumed size of a line of the transcript [bytes]."""
 
-_NAMED = 5
-"""Most robots that are named one by one."""
+SUFFIXES = (*TABLES, ".mat")
+"""Suffixes of all exports."""
+
+_MAX_NAMED = 5
+"""Largest number of robots that messages list by name."""
 
 
-def checked_suffix(path: Path) -> str:
+def check_suffix(path: Path) -> str:
     """Return a file's suffix in lower case.
 
     Raises:
         LogError: The suffix is not in `SUFFIXES`.
     """
     if path.suffix.lower() not in SUFFIXES:
-        *others, last = SUFFIXES
-        raise LogError(f"{path}; expected a name that ends in {', '.join(others)} or {last}")
+        *first, last = SUFFIXES
+        raise LogError(f"{path}; expected a name that ends in {', '.join(first)} or {last}")
     return path.suffix.lower()
 
 
-def chosen_robots(recording: Recording, robot: str | None) -> tuple[str, ...]:
-    """Return the name of the chosen robot, by default those of all.
+def choose_robots(recording: Recording, robot: str | None) -> tuple[str, ...]:
+    """Return the name of the chosen robot, by default the names of all robots.
 
     Raises:
         LogError: The log has no such robot.
@@ -69,59 +78,58 @@ def chosen_robots(recording: Recording, robot: str | None) -> tuple[str, ...]:
     return names if robot is None else (robot,)
 
 
-def chosen_channels(
+def choose_channels(
     recording: Recording, robots: Sequence[str], names: Sequence[str] | None
 ) -> list[Channel]:
-    """Return channels of robots and of the lamps.
+    """Return the chosen channels of robots and lamps.
 
     Args:
         recording: Recording of the log.
         robots: Names of the robots.
-        names: Names of the channels, in their order; by default all but the registers of the board and of
-            turrets with line images, most of which are in other channels, too.
+        names: Names of the channels, in order; by default all but the registers of the board and of turrets
+            with line images, most of which are also in other channels.
 
     Raises:
         LogError: The log has no such channel.
     """
-    own = {robot: is_khepera4(robot, recording.series) for robot in robots}
-    mixed = len({*own.values()}) > 1
-    found: dict[str, tuple[str, Columns]] = {}
+    is_iv = {robot: is_khepera4(robot, recording.series) for robot in robots}
+    mixed = len({*is_iv.values()}) > 1
+    available: dict[str, tuple[str, Columns]] = {}
     for topic, series in recording.series.items():
         owner, _, kind = topic.removeprefix("/").rpartition("/")
         if owner in robots or (not owner and kind.startswith("lamps")):
-            khepera4 = own.get(owner, False)
-            name, columns = named(kind, series.values.shape[1], khepera4=khepera4, mixed=mixed)
-            found.setdefault(name, (kind, columns))
-    there = in_order({*found})
+            khepera4 = is_iv.get(owner, False)
+            name, columns = name_columns(kind, series.values.shape[1], khepera4=khepera4, is_mixed=mixed)
+            available.setdefault(name, (kind, columns))
+    known_names = order_channels({*available})
     if names is None:
-        unasked = {
-            "registers",
-            f"{KHEPERA4}registers",
-            *(kind.name for kind in installed().values() if kind.image),
-        }
-        names = [name for name in there if name not in unasked]
+        omitted = {"registers", f"{KHEPERA4_PREFIX}registers"}
+        omitted |= {turret.name for turret in installed().values() if turret.image}
+        names = [name for name in known_names if name not in omitted]
     for name in names:
-        if name not in found:
-            raise LogError(f"--channels {name}: not in this log of {told(robots)}; {choices(name, there)}")
+        if name not in available:
+            problem = f"--channels {name}: not in this log of {describe_robots(robots)}"
+            raise LogError(f"{problem}; {choices(name, known_names)}")
     channels: list[Channel] = []
     for name in dict.fromkeys(names):
-        kind, columns = found[name]
+        kind, columns = available[name]
         shared = f"/{kind}"
         topics = tuple(
             shared
             if shared in recording.series
-            else f"/{robot}/{kind}" * (named(kind, 0, khepera4=own[robot], mixed=mixed)[0] == name)
+            else f"/{robot}/{kind}"
+            * (name_columns(kind, 0, khepera4=is_iv[robot], is_mixed=mixed)[0] == name)
             for robot in robots
         )
-        none = TimeSeries(np.zeros(0, np.int64), np.zeros((0, len(columns)), np.int64))
-        there = tuple(recording.series.get(topic, none) for topic in topics)
-        channels.append(Channel(name, topics, columns, there))
+        empty = TimeSeries(np.zeros(0, np.int64), np.zeros((0, len(columns)), np.int64))
+        series = tuple(recording.series.get(topic, empty) for topic in topics)
+        channels.append(Channel(name, topics, columns, series))
     return channels
 
 
-def told(robots: Sequence[str]) -> str:
-    """Return robots in words: their names, or the number of many."""
-    return ", ".join(robots) if len(robots) <= _NAMED else f"{len(robots)} robots"
+def describe_robots(robots: Sequence[str]) -> str:
+    """Return the names of robots as a text, or the number of many robots."""
+    return ", ".join(robots) if len(robots) <= _MAX_NAMED else f"{len(robots)} robots"
 
 
 def write_table(
@@ -132,38 +140,38 @@ def write_table(
     file: BinaryIO,
     progress: Callable[[float], None] | None = None,
 ) -> int:
-    """Write channels as a table, piece by piece; return the number of its rows.
+    """Write channels as a table, in pieces; return the number of its rows.
 
     Args:
         log: Path of the log.
-        robots: Names of the robots; of several, the table has a column of them.
-        channels: Columns of the table, as `chosen_channels` found them; their series are not used.
-        kind: Suffix, one of `TABLES`.
-        file: File that is written, open for reading, too.
-        progress: Called with the completed part, 0 to 1.
+        robots: Names of the robots; several ones have a column in the table.
+        channels: Columns of the table, from `choose_channels`; their series are not used.
+        kind: Suffix, a key of `TABLES`.
+        file: File to write, which must also be readable.
+        progress: Called with the completed fraction, 0 to 1.
 
     Raises:
-        LogError: The log is not whole.
+        LogError: The log is incomplete.
     """
-    # Counts are whole numbers, though messages carry them as floats, until one is found that is not.
+    # Messages store counts as floats: columns are integers unless a fraction is found, then all is rewritten.
     fractional = {channel.name for channel in channels} & {"pose", "lamps"}
     while True:
         file.seek(0)
         file.truncate()
         writer = TABLES[kind](file, Heading(robots, channels, fractional))
-        n_rows, found = 0, set[str]()
+        n_rows, floats = 0, set[str]()
         with closing(writer):
-            for piece in read_pieces(log, progress):
-                parts = [_part(log, channel, piece) for channel in channels]
-                found = {each.name for each in parts if each.name not in fractional and not is_whole(each)}
-                if found:
+            for piece in read_batches(log, progress):
+                parts = [_read_piece(log, channel, piece) for channel in channels]
+                floats = {part.name for part in parts if part.name not in fractional and not is_integer(part)}
+                if floats:
                     break
                 rows = rows_of(parts, len(robots))
                 writer.write(rows, parts)
                 n_rows += len(rows.times_ns)
-        if not found:
+        if not floats:
             return n_rows
-        fractional |= found
+        fractional |= floats
 
 
 def matrices(
@@ -175,17 +183,17 @@ def matrices(
     """Return channels, transcript and events as the bytes of a MAT file, and the number of a table's rows.
 
     Raises:
-        LogError: The log is not whole, or has more than a MAT file should.
+        LogError: The log is incomplete, or too large for a MAT file.
     """
     parts: list[list[Channel]] = [[] for _ in channels]
     lines: dict[str, list[TextLine]] = {topic: [] for topic in (*map(_transcript, robots), "/events")}
     size = 0
-    for piece in read_pieces(log, progress):
-        for channel, found in zip(channels, parts, strict=True):
-            found.append(_part(log, channel, piece))
-            size += found[-1].values.size * 8
-        for topic, said in lines.items():
-            said += piece.lines.get(topic, [])
+    for piece in read_batches(log, progress):
+        for channel, pieces in zip(channels, parts, strict=True):
+            pieces.append(_read_piece(log, channel, piece))
+            size += pieces[-1].values.size * 8
+        for topic, entries in lines.items():
+            entries += piece.lines.get(topic, [])
             size += len(piece.lines.get(topic, ())) * LINE_BYTES
         if size > MAT_BYTES:
             raise LogError(
@@ -194,39 +202,39 @@ def matrices(
             )
     several = len(robots) > 1
     values: dict[str, object] = {"robots": _cells(robots)} if several else {}
-    wholes = [_joined(found) for found in parts]
-    for channel in wholes:
-        name, (times_ns, owners, (places,)) = identifier(channel.name), rows_of([channel], len(robots))
-        values[name] = channel.values[places].astype(np.float64)
+    merged = [_merge(pieces) for pieces in parts]
+    for channel in merged:
+        name, (times_ns, owners, (indices,)) = identifier(channel.name), rows_of([channel], len(robots))
+        values[name] = channel.values[indices].astype(np.float64)
         values[f"{name}_time_s"] = times_ns.reshape(-1, 1) / 1e9
         values[f"{name}_columns"] = _cells([column for column, _ in channel.columns])
         values[f"{name}_units"] = _cells([unit for _, unit in channel.columns])
         if several:
             values[f"{name}_robot"] = owners.reshape(-1, 1) + 1.0
     events = lines.pop("/events")
-    serial = _in_order_of_time([*lines.values()])
-    for name, said in (("serial", [line for _, line in serial]), ("events", events)):
-        values[f"{name}_time_s"] = np.array([line.time_ns / 1e9 for line in said]).reshape(-1, 1)
-        values[f"{name}_from"] = _cells([line.name for line in said])
-        values[f"{name}_text"] = _cells([line.text for line in said])
+    serial = _sort_lines([*lines.values()])
+    for name, entries in (("serial", [line for _, line in serial]), ("events", events)):
+        values[f"{name}_time_s"] = np.array([line.time_ns / 1e9 for line in entries]).reshape(-1, 1)
+        values[f"{name}_from"] = _cells([line.name for line in entries])
+        values[f"{name}_text"] = _cells([line.text for line in entries])
     if several:
         values["serial_robot"] = np.array([owner + 1.0 for owner, _ in serial]).reshape(-1, 1)
-    return mat_bytes(values, "log"), len(rows_of(wholes, len(robots)).times_ns) if wholes else 0
+    return mat_bytes(values, "log"), len(rows_of(merged, len(robots)).times_ns) if merged else 0
 
 
 def write_transcript(
     log: Path, robots: Sequence[str], file: BinaryIO, progress: Callable[[float], None] | None = None
 ) -> int:
-    """Write the transcript of robots' lines as a CSV file, piece by piece; return the number of lines.
+    """Write the transcript of robots' serial lines as a CSV file, in pieces; return the number of lines.
 
     Raises:
-        LogError: The log is not whole.
+        LogError: The log is incomplete.
     """
     n_lines = 0
     file.write(b"time_s,robot,from,text\n" if len(robots) > 1 else b"time_s,from,text\n")
-    for piece in read_pieces(log, progress):
+    for piece in read_batches(log, progress):
         text = StringIO()
-        lines = _in_order_of_time([piece.lines.get(_transcript(robot), []) for robot in robots])
+        lines = _sort_lines([piece.lines.get(_transcript(robot), []) for robot in robots])
         names = [[robot] if len(robots) > 1 else [] for robot in robots]
         rows = ([repr(line.time_ns / 1e9), *names[owner], line.name, line.text] for owner, line in lines)
         csv.writer(text, lineterminator="\n").writerows(rows)
@@ -239,39 +247,36 @@ def _transcript(robot: str) -> str:
     return f"/{robot}/serial"
 
 
-def _in_order_of_time(lines: Sequence[Sequence[TextLine]]) -> list[tuple[int, TextLine]]:
+def _sort_lines(lines: Sequence[Sequence[TextLine]]) -> list[tuple[int, TextLine]]:
     """Return the lines of all robots in order of time, each with the index of its robot."""
-    owned = [(owner, line) for owner, said in enumerate(lines) for line in said]
-    return sorted(owned, key=lambda each: each[1].time_ns)
+    pairs = [(owner, line) for owner, robot_lines in enumerate(lines) for line in robot_lines]
+    return sorted(pairs, key=lambda pair: pair[1].time_ns)
 
 
-def _part(log: Path, channel: Channel, piece: Recording) -> Channel:
-    """Return a channel with its series in a piece of the log, whose rows must be as long as at its begin."""
-    n_columns, none = len(channel.columns), TimeSeries(np.zeros(0, np.int64), channel.series[0].values[:0])
-    series = tuple(piece.series.get(topic, none) for topic in channel.topics)
-    for topic, each in zip(channel.topics, series, strict=True):
-        if each.values.shape[1:] != (n_columns,):
+def _read_piece(log: Path, channel: Channel, piece: Recording) -> Channel:
+    """Return a channel with its series in a piece of the log; its number of columns may not change."""
+    n_columns, empty = len(channel.columns), TimeSeries(np.zeros(0, np.int64), channel.series[0].values[:0])
+    series = tuple(piece.series.get(topic, empty) for topic in channel.topics)
+    for topic, part in zip(channel.topics, series, strict=True):
+        if part.values.shape[1:] != (n_columns,):
             raise LogError(
-                f"{log}: {topic} has {each.values.shape[1]} values at {each.times_ns[0] / 1e9} s, "
+                f"{log}: {topic} has {part.values.shape[1]} values at {part.times_ns[0] / 1e9} s, "
                 f"expected {n_columns} as at its begin"
             )
     return replace(channel, series=series)
 
 
-def _joined(parts: Sequence[Channel]) -> Channel:
-    """Return a channel of all pieces of a log."""
+def _merge(parts: Sequence[Channel]) -> Channel:
+    """Return a channel merged from all pieces of a log."""
     series = zip(*(part.series for part in parts), strict=True)
-    whole = tuple(
+    merged = tuple(
         TimeSeries(
-            np.concatenate([each.times_ns for each in found]), np.concatenate([each.values for each in found])
+            np.concatenate([part.times_ns for part in pieces]),
+            np.concatenate([part.values for part in pieces]),
         )
-        for found in series
+        for pieces in series
     )
-    return replace(parts[0], series=whole)
-
-
-SUFFIXES = (*TABLES, ".mat")
-"""Suffixes of all exports."""
+    return replace(parts[0], series=merged)
 
 
 def _cells(texts: Sequence[str]) -> NDArray[np.object_]:

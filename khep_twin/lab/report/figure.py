@@ -18,14 +18,14 @@ from khep_twin.khepera4.channels import CODES
 from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Floats
 from khep_twin.lab.report.report import RobotReport
 from khep_twin.lab.sensor_test.sensor_figure import AMBIENT_LIMIT, draw_strip
-from khep_twin.log.columns import KNOWN4
+from khep_twin.log.columns import KHEPERA4_COLUMNS
 from khep_twin.log.reader import TimeSeries
 from khep_twin.units import COUNTS_LIMIT, SENSOR_LABELS
 
 POINT_LIMIT = 2000
-"""Most points of a curve; longer ones are drawn as the extremes of so many intervals."""
+"""Largest number of points of a curve; longer ones are drawn as the extremes of this many intervals."""
 
-_SENSOR_HEIGHT, WHEEL_HEIGHT, VISION_HEIGHT, MORE_HEIGHT = 0.6125, 2.9, 1.9, 4.6
+_SENSOR_HEIGHT, WHEEL_HEIGHT, VISION_HEIGHT, EXTRA_HEIGHT = 0.6125, 2.9, 1.9, 4.6
 """Heights of a sensor and of the figures [inch]."""
 
 _PROXIMITY, _AMBIENT = "#2f6fb0", "#b8860b"
@@ -50,7 +50,7 @@ def draw_sensors(figure: Figure, robot: RobotReport, corner: tuple[float, float]
         for sensor, axes in enumerate(panels):
             if series is not None:
                 _draw_strip(axes, series, sensor, colour, None if name == "proximity" else robot.dark)
-            axes.set(ylim=limits, yticks=limits if sensor == 0 else [], xlim=_times(robot))
+            axes.set(ylim=limits, yticks=limits if sensor == 0 else [], xlim=_time_limits(robot))
             _mark_contact(axes, robot)
             if series is None and sensor == 3:
                 axes.text(0.5, 0.5, "not in this log", transform=axes.transAxes, ha="center", va="center")
@@ -61,31 +61,31 @@ def sensor_height(robot: RobotReport) -> float:
     return _SENSOR_HEIGHT * len(robot.body.sensors)
 
 
-def draw_more(figure: Figure, robot: RobotReport, corner: tuple[float, float]) -> None:
+def draw_extra(figure: Figure, robot: RobotReport, corner: tuple[float, float]) -> None:
     """Draw the further sensors of a Khepera IV; the corner is the lower left [inch]."""
-    grid = within(figure, corner, MORE_HEIGHT, left=0.7, right=0.1)
-    cells = figure.add_gridspec(len(robot.more), 1, hspace=0.35, **grid)
-    for row, (name, series) in enumerate(robot.more.items()):
+    grid = axes_edges(figure, corner, EXTRA_HEIGHT, left=0.7, right=0.1)
+    cells = figure.add_gridspec(len(robot.extra), 1, hspace=0.35, **grid)
+    for row, (name, series) in enumerate(robot.extra.items()):
         axes = figure.add_subplot(cells[row, 0])
-        over_time(axes)
+        style_time_axes(axes)
         times_s, values = series.times_ns / 1e9, series.values.astype(np.float64)
         if name == "ultrasonic":
             values[np.isin(values, CODES)] = np.nan
-        for (column, _), each in zip(KNOWN4[name], values.T, strict=True):
-            axes.plot(
-                *thinned(times_s, each), lw=0.8, label=column.removeprefix(f"{name}_").replace("_", " ")
-            )
-        axes.set_title(f"{name} [{KNOWN4[name][0][1]}]", fontsize=9, loc="left", color=INK)
-        axes.set_xlim(_times(robot))
-        place: Look = {"loc": "lower right", "bbox_to_anchor": (1, 0.98), "ncols": len(KNOWN4[name])}
+        columns = KHEPERA4_COLUMNS[name]
+        for (column, _), curve in zip(columns, values.T, strict=True):
+            label = column.removeprefix(f"{name}_").replace("_", " ")
+            axes.plot(*thin_curve(times_s, curve), lw=0.8, label=label)
+        axes.set_title(f"{name} [{columns[0][1]}]", fontsize=9, loc="left", color=INK)
+        axes.set_xlim(_time_limits(robot))
+        place: Look = {"loc": "lower right", "bbox_to_anchor": (1, 0.98), "ncols": len(columns)}
         axes.legend(fontsize=8, frameon=False, borderpad=0, **place)
-        axes.tick_params(labelbottom=row == len(robot.more) - 1)
+        axes.tick_params(labelbottom=row == len(robot.extra) - 1)
     figure.axes[-1].set_xlabel("time [s]", fontsize=8)
 
 
 def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float]) -> None:
     """Draw both wheels' speeds with their setpoints; the corner is the lower left [inch]."""
-    grid = within(figure, corner, WHEEL_HEIGHT, left=0.7, right=0.57)
+    grid = axes_edges(figure, corner, WHEEL_HEIGHT, left=0.7, right=0.57)
     cells = figure.add_gridspec(2, 1, hspace=0.2, **grid)
     mm_s = 1e5 * robot.body.pulse_length
     for side, name in enumerate(("left", "right")):
@@ -93,22 +93,21 @@ def draw_wheels(figure: Figure, robot: RobotReport, corner: tuple[float, float])
         if robot.speed is not None:
             times_s, values = robot.speed.times_ns / 1e9, robot.speed.values
             look: Look = {"lw": 0.9, "drawstyle": "steps-post"}
-            axes.plot(*thinned(times_s, values[:, side]), color=_SPEED, label="speed", **look)
-            setpoint = thinned(times_s, values[:, 2 + side])
+            axes.plot(*thin_curve(times_s, values[:, side]), color=_SPEED, label="speed", **look)
+            setpoint = thin_curve(times_s, values[:, 2 + side])
             axes.plot(*setpoint, color=_SETPOINT, ls=(0, (4, 2)), label="setpoint", **look)
         _mark_contact(axes, robot)
-        axes.set_xlim(_times(robot))
+        axes.set_xlim(_time_limits(robot))
         axes.set_ylabel(f"{name}\n[pulses/10 ms]", fontsize=8)
         axes.tick_params(labelsize=7, length=2)
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(color=INK, alpha=0.1, lw=0.5)
         axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-        beside = axes.secondary_yaxis(
-            "right", functions=(partial(np.multiply, mm_s), partial(np.multiply, 1 / mm_s))
-        )
-        beside.set_ylabel("[mm/s]", fontsize=8)
-        beside.tick_params(labelsize=7, length=2)
-        beside.spines["right"].set_visible(False)
+        functions = partial(np.multiply, mm_s), partial(np.multiply, 1 / mm_s)
+        right_axis = axes.secondary_yaxis("right", functions=functions)
+        right_axis.set_ylabel("[mm/s]", fontsize=8)
+        right_axis.tick_params(labelsize=7, length=2)
+        right_axis.spines["right"].set_visible(False)
         if side == 0:
             axes.tick_params(labelbottom=False)
             axes.set_title("wheel speeds", fontsize=9, loc="left", color=INK)
@@ -123,12 +122,12 @@ def draw_vision(figure: Figure, robot: RobotReport, corner: tuple[float, float])
     """Draw the line images over time, their left pixel at the top; the corner is the lower left [inch]."""
     if robot.vision is None:
         return
-    grid = within(figure, corner, VISION_HEIGHT, left=0.7, right=0.57)
+    grid = axes_edges(figure, corner, VISION_HEIGHT, left=0.7, right=0.57)
     axes = figure.add_subplot(figure.add_gridspec(1, 1, **grid)[0, 0])
-    begin, end = _times(robot)
-    # Each column has the last image before its time.
-    moments_ns = np.linspace(begin, end, POINT_LIMIT) * 1e9
-    rows = np.searchsorted(robot.vision.times_ns, moments_ns, side="right") - 1
+    begin, end = _time_limits(robot)
+    # Each column is the last image before its time.
+    column_times_ns = np.linspace(begin, end, POINT_LIMIT) * 1e9
+    rows = np.searchsorted(robot.vision.times_ns, column_times_ns, side="right") - 1
     strip = np.where(rows[:, None] >= 0, robot.vision.values[np.maximum(rows, 0)], 0)
     draw_strip(axes, strip.T, (begin, end))
     axes.set_title("line image [greys, left pixel at the top]", fontsize=9, loc="left", color=INK)
@@ -150,12 +149,12 @@ def sensor_panels(
     Args:
         figure: Figure to draw in.
         corner: Lower left corner [inch].
-        height: Height of all [inch].
+        height: Total height [inch].
         titles: Titles of both columns.
-        label_x: Abscissa of the sensors' names, in parts of the axes.
+        label_x: Abscissa of the sensors' names, in widths of the axes.
         names: Names of the sensors.
     """
-    grid = within(figure, corner, height, left=0.98, right=0.1)
+    grid = axes_edges(figure, corner, height, left=0.98, right=0.1)
     cells = figure.add_gridspec(len(names), 2, hspace=0.22, wspace=0.14, **grid)
     rows = range(len(names))
     columns = [[figure.add_subplot(cells[row, column]) for row in rows] for column in range(2)]
@@ -163,7 +162,7 @@ def sensor_panels(
         panels[0].set_title(title, fontsize=9, loc="left", color=INK)
         panels[-1].set_xlabel("time [s]", fontsize=8)
         for axes in panels:
-            over_time(axes)
+            style_time_axes(axes)
             axes.tick_params(labelbottom=axes is panels[-1])
     place: Look = {"rotation": 0, "ha": "right", "va": "center", "fontsize": 8}
     for axes, name in zip(columns[0], names, strict=True):
@@ -172,38 +171,38 @@ def sensor_panels(
     return columns
 
 
-def over_time(axes: Axes) -> None:
-    """Give axes small ticks at round times, and no frame."""
+def style_time_axes(axes: Axes) -> None:
+    """Set small ticks at round times on axes, and remove their frame."""
     axes.tick_params(labelsize=7, length=2)
     axes.spines[["top", "right"]].set_visible(False)
     axes.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10]))
 
 
-def within(
+def axes_edges(
     figure: Figure, corner: tuple[float, float], height: float, *, left: float, right: float
 ) -> dict[str, float]:
-    """Return the edges of axes on a figure, with margins for labels [inch]."""
-    whole_width, whole_height = figure.get_size_inches().tolist()
+    """Return the relative edges of axes in a figure, with margins for labels [inch]."""
+    figure_width, figure_height = figure.get_size_inches().tolist()
     x, y = corner
     return {
-        "left": (x + left) / whole_width,
-        "right": (x + WIDTH - right) / whole_width,
-        "bottom": (y + 0.48) / whole_height,
-        "top": (y + height - 0.32) / whole_height,
+        "left": (x + left) / figure_width,
+        "right": (x + WIDTH - right) / figure_width,
+        "bottom": (y + 0.48) / figure_height,
+        "top": (y + height - 0.32) / figure_height,
     }
 
 
 def _draw_strip(axes: Axes, series: TimeSeries, sensor: int, colour: str, dark: float | None) -> None:
     """Draw one sensor: proximity filled from below, ambient light from the dark level."""
-    times_s, values = thinned(series.times_ns / 1e9, series.values[:, sensor])
+    times_s, values = thin_curve(series.times_ns / 1e9, series.values[:, sensor])
     level = 0.0 if dark is None else dark
     axes.fill_between(times_s, values, level, color=colour, alpha=0.4, lw=0)
     axes.plot(times_s, values, color=colour, lw=0.7)
     axes.axhline(NEAR_COUNTS if dark is None else dark, color=INK, alpha=0.4, lw=0.5, ls=":")
 
 
-def thinned(times_s: Floats, values: Values) -> tuple[Floats, Values]:
-    """Return a curve of many points as one of fewer points that looks the same."""
+def thin_curve(times_s: Floats, values: Values) -> tuple[Floats, Values]:
+    """Return a curve with fewer points that looks the same."""
     if len(values) <= 2 * POINT_LIMIT:
         return times_s, values
     bounds = np.linspace(0, len(values), POINT_LIMIT + 1).astype(int)[:-1]
@@ -218,10 +217,11 @@ def _mark_contact(axes: Axes, robot: RobotReport) -> None:
         axes.axvspan(begin, end, color=_CONTACT, alpha=0.18, lw=0.6, label=label, zorder=0)
 
 
-def _times(robot: RobotReport) -> tuple[float, float]:
+def _time_limits(robot: RobotReport) -> tuple[float, float]:
     """Return the times of the run's start and the last value [s]."""
     all_series = (robot.proximity, robot.ambient, robot.speed)
-    last_s = max((float(each.times_ns[-1]) / 1e9 for each in all_series if each is not None), default=0.0)
+    ends_s = (float(series.times_ns[-1]) / 1e9 for series in all_series if series is not None)
+    last_s = max(ends_s, default=0.0)
     return 0.0, last_s or 1.0
 
 

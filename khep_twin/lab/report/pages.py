@@ -1,6 +1,6 @@
 """Pages of a report in HTML, in one file with embedded figures and without scripts.
 
-HTML and PDF are laid out for A4 and have the same content. The same report gives the same bytes.
+HTML and PDF are made for A4 and have the same content. The same report gives the same bytes.
 """
 
 # matplotlib's own annotations leave keyword arguments open.
@@ -19,11 +19,11 @@ from khep_twin.drawing import map as drawing
 from khep_twin.drawing.map import STYLE, sheet
 from khep_twin.lab.report import shadow_section
 from khep_twin.lab.report.figure import (
-    MORE_HEIGHT,
+    EXTRA_HEIGHT,
     VISION_HEIGHT,
     WHEEL_HEIGHT,
     WIDTH,
-    draw_more,
+    draw_extra,
     draw_sensors,
     draw_vision,
     draw_wheels,
@@ -35,10 +35,10 @@ from khep_twin.lab.report.rows import DEFINITIONS, Row
 _T = TypeVar("_T")
 
 Draw = Callable[[Figure, RobotReport, tuple[float, float]], None]
-"""Function that draws a robot's picture onto a figure; the corner is the lower left [inch]."""
+"""Function that draws a robot's picture in a figure; the corner is the lower left [inch]."""
 
 EVENT_LIMIT = 40
-"""Most events on a page; later ones are left out."""
+"""Largest number of events on a page; later ones are left out."""
 
 DPI = 200
 """Resolution of the figures [dots per inch]."""
@@ -82,7 +82,7 @@ def html(report: Report) -> bytes:
         if robot.missing:
             parts.append(f'<p class="missing">{escape(robot.missing)}</p>')
         for draw, height, name in pictures(robot):
-            parts.append(_image(_drawn(draw, height, robot), f"{name} of {robot.name} over time"))
+            parts.append(_image(_sheet(draw, height, robot), f"{name} of {robot.name} over time"))
     definitions = DEFINITIONS
     if report.shadow is not None:
         definitions = shadow_section.DEFINITIONS
@@ -91,10 +91,10 @@ def html(report: Report) -> bytes:
             _table(tuple(shadow_section.rows(report.shadow))),
         ]
         for draw, height, name in shadow_section.pictures(report.shadow):
-            parts.append(_image(_drawn(draw, height, report.shadow), f"{name} over time"))
-        alarms = listed(shadow_section.alarm_rows(report.shadow))
+            parts.append(_image(_sheet(draw, height, report.shadow), f"{name} over time"))
+        alarms = limit_rows(shadow_section.alarm_rows(report.shadow))
         parts += ["<h2>Alarms</h2>", _table(alarms) if alarms else "<p>None.</p>"]
-    events = _table(listed(report.events)) if report.events else "<p>None.</p>"
+    events = _table(limit_rows(report.events)) if report.events else "<p>None.</p>"
     parts += ["<h2>Faults and events</h2>", events]
     parts += ["<h2>Versions and settings</h2>", _table(report.settings, "small")]
     parts += ["<h2>What the numbers mean</h2>", _table(definitions, "small")]
@@ -110,28 +110,28 @@ def draw_map(report: Report) -> Figure | None:
     return drawing.draw(report.playpen, report.tracks)
 
 
-def listed(events: Sequence[Row]) -> tuple[Row, ...]:
-    """Return the first events, and a row with the number of those left out."""
+def limit_rows(events: Sequence[Row]) -> tuple[Row, ...]:
+    """Return the first events, and a row with the number of omitted ones."""
     if len(events) <= EVENT_LIMIT:
         return tuple(events)
     return (*events[:EVENT_LIMIT], ("…", f"and {len(events) - EVENT_LIMIT} more"))
 
 
 def pictures(robot: RobotReport) -> list[tuple[Draw, float, str]]:
-    """Return drawing function, height [inch] and name of each picture for which the log has data."""
-    found: list[tuple[Draw, float, str]] = []
+    """Return drawing function, height [inch] and name of each picture with data in the log."""
+    entries: list[tuple[Draw, float, str]] = []
     if robot.proximity is not None or robot.ambient is not None:
-        found.append((draw_sensors, sensor_height(robot), "Sensors"))
+        entries.append((draw_sensors, sensor_height(robot), "Sensors"))
     if robot.speed is not None:
-        found.append((draw_wheels, WHEEL_HEIGHT, "Wheel speeds"))
-    if robot.more:
-        found.append((draw_more, MORE_HEIGHT, "Further sensors"))
+        entries.append((draw_wheels, WHEEL_HEIGHT, "Wheel speeds"))
+    if robot.extra:
+        entries.append((draw_extra, EXTRA_HEIGHT, "Further sensors"))
     if robot.vision is not None:
-        found.append((draw_vision, VISION_HEIGHT, "Line images"))
-    return found
+        entries.append((draw_vision, VISION_HEIGHT, "Line images"))
+    return entries
 
 
-def _drawn(draw: Callable[[Figure, _T, tuple[float, float]], None], height: float, subject: _T) -> Figure:
+def _sheet(draw: Callable[[Figure, _T, tuple[float, float]], None], height: float, subject: _T) -> Figure:
     with matplotlib.style.context(STYLE):
         figure = sheet(WIDTH, height)
         draw(figure, subject, (0.0, 0.0))
@@ -139,7 +139,7 @@ def _drawn(draw: Callable[[Figure, _T, tuple[float, float]], None], height: floa
 
 
 def _image(figure: Figure, text: str, kind: str = "curves") -> str:
-    # PNG can be copied and pasted to word processors.
+    # PNG images can be pasted into word processors.
     data = b64encode(drawing.picture(figure, "png", DPI)).decode("ascii")
     return f'<img class="{kind}" alt="{escape(text)}" src="data:image/png;base64,{data}">'
 

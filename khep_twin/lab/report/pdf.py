@@ -18,7 +18,7 @@ from khep_twin.drawing.map import METADATA, STYLE, sheet
 from khep_twin.drawing.symbols import INK
 from khep_twin.lab.report import shadow_section
 from khep_twin.lab.report.figure import WIDTH
-from khep_twin.lab.report.pages import DPI, draw_map, listed, pictures
+from khep_twin.lab.report.pages import DPI, draw_map, limit_rows, pictures
 from khep_twin.lab.report.report import Report
 from khep_twin.lab.report.rows import DEFINITIONS, Row
 
@@ -62,9 +62,9 @@ def pdf(report: Report) -> bytes:
                 bottom = pages.room(height)
                 paint(pages.figures[-1], report.shadow, (_SIDE, bottom))
             pages.heading("Alarms", 1)
-            pages.table(listed(shadow_section.alarm_rows(report.shadow)) or [("none", "")], _TEXT)
+            pages.table(limit_rows(shadow_section.alarm_rows(report.shadow)) or [("none", "")], _TEXT)
         pages.heading("Faults and events", 1)
-        pages.table(listed(report.events) or [("none", "")], _TEXT)
+        pages.table(limit_rows(report.events) or [("none", "")], _TEXT)
         pages.heading("Versions and settings", 2.5)
         pages.table(report.settings, _SMALL)
         pages.heading("What the numbers mean", 2.5)
@@ -77,19 +77,19 @@ def pdf(report: Report) -> bytes:
 
 
 class _Pages:
-    """Pages filled from top to bottom, a figure each."""
+    """Pages that are filled from top to bottom, one figure each."""
 
     def __init__(self) -> None:
         self.figures: list[Figure] = []
-        self._left = 0.0
+        self._free_height = 0.0
 
     def room(self, height: float) -> float:
-        """Reserve a strip of the page, or of a new one; return the position of its lower edge [inch]."""
-        if not self.figures or self._left < height:
+        """Reserve a strip on this or a new page; return the position of its lower edge [inch]."""
+        if not self.figures or self._free_height < height:
             self.figures.append(sheet(*_PAGE))
-            self._left = _PAGE[1] - 2 * _END
-        self._left -= height
-        return _END + self._left
+            self._free_height = _PAGE[1] - 2 * _END
+        self._free_height -= height
+        return _END + self._free_height
 
     def text(self, text: str, size: float) -> None:
         """Write a paragraph."""
@@ -97,10 +97,10 @@ class _Pages:
         bottom = self.room((len(lines) + 0.5) * _line_height(size))
         self._write(_SIDE, bottom + 0.5 * _line_height(size), lines, size)
 
-    def heading(self, text: str, keep: float) -> None:
-        """Write a heading with a line below, on a page with `keep` [inch] of room after it."""
-        if self._left < 0.42 + keep:
-            self._left = 0.0
+    def heading(self, text: str, min_room: float) -> None:
+        """Write an underlined heading on a page with at least `min_room` [inch] below it."""
+        if self._free_height < 0.42 + min_room:
+            self._free_height = 0.0
         bottom = self.room(0.42)
         self._write(_SIDE, bottom + 0.1, [text], _HEADING)
         self._rule(bottom + 0.05, INK, 0.8)
@@ -114,7 +114,7 @@ class _Pages:
             for x, lines in ((_SIDE, names), (_SIDE + _NAMES, values)):
                 self._write(x, bottom + (count - len(lines) + 0.25) * _line_height(size), lines, size)
             self._rule(bottom, "#cccccc", 0.4)
-        self.room(min(0.1, max(self._left, 0.0)))
+        self.room(min(0.1, max(self._free_height, 0.0)))
 
     def picture(self, png: bytes) -> None:
         """Draw a picture, centred on the page."""
@@ -146,5 +146,5 @@ def _line_height(size: float) -> float:
 
 def _lines(text: str, size: float, width: float) -> list[str]:
     """Wrap a text to lines that fit a width [inch]."""
-    # The mean width of a letter in such texts is 0.56 of the font size, with some margin.
+    # The mean width of a letter is 0.56 of the font size, with some margin.
     return textwrap.wrap(text, int(width * 72 / (0.56 * size))) or [""]

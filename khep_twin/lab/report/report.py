@@ -1,8 +1,8 @@
 """Contents of a report on a run, from its log; the layout is separate.
 
-A report has a map with all robots' paths, and for each robot its statistics, its sensors and its wheels over
-time. A real robot's log has no ground truth: the report shows what the host has read, and a line lists what
-is missing.
+A report has a map with the paths of all robots, and for each robot statistics, and sensors and wheels over
+time. A real robot's log has no ground truth: the report shows the replies to its host, and lists the missing
+data.
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ from khep_twin.lab.report.rows import (
     wire_rows,
 )
 from khep_twin.log.attached import calibration_of, playpen_of
-from khep_twin.log.columns import KNOWN4
+from khep_twin.log.columns import KHEPERA4_COLUMNS
 from khep_twin.log.reader import Recording, TimeSeries
 from khep_twin.log.shadow_track import ShadowTrack
 from khep_twin.playpen import Playpen
@@ -32,8 +32,8 @@ from khep_twin.units import BODIES, K213_PIXELS, N_SENSORS, Body
 USUAL_DARK_COUNTS = 500
 """Default dark level of a sensor, if the log has no calibration [counts]."""
 
-MORE = ("ultrasonic", "accelerometer", "gyroscope")
-"""Channels of a Khepera IV's further sensors."""
+EXTRA_CHANNELS = ("ultrasonic", "accelerometer", "gyroscope")
+"""Channels of sensors that only a Khepera IV has."""
 
 _ENCODERS = [LEFT + Wheel.ENCODER, RIGHT + Wheel.ENCODER]
 
@@ -46,14 +46,14 @@ class RobotReport:
 
     Attributes:
         name: Name of the robot.
-        body: Its body.
+        body: Body of the robot.
         rows: Statistics of the robot.
-        missing: Sentence on what the log lacks; empty if nothing is missing.
-        proximity: Proximity over time [counts], None without.
-        ambient: Ambient light over time [counts], None without.
-        speed: Speeds left, right, setpoints left, right over time [pulses/10 ms], None without.
-        vision: Line images over time, greys of 0 to 255, None without.
-        more: Further sensors of a Khepera IV over time, by their channels.
+        missing: Sentence that lists data missing in the log; empty if there are none.
+        proximity: Proximity over time [counts], or None.
+        ambient: Ambient light over time [counts], or None.
+        speed: Speeds left, right, setpoints left, right over time [pulses/10 ms], or None.
+        vision: Line images over time, greys of 0 to 255, or None.
+        extra: Further sensors of a Khepera IV over time, by channel.
         dark: Dark level of ambient light [counts].
         contact: Intervals of contact (n, 2) [s].
     """
@@ -66,7 +66,7 @@ class RobotReport:
     ambient: TimeSeries | None
     speed: TimeSeries | None
     vision: TimeSeries | None
-    more: Mapping[str, TimeSeries]
+    extra: Mapping[str, TimeSeries]
     dark: float
     contact: statistics.Floats
 
@@ -77,12 +77,12 @@ class Report:
 
     Attributes:
         title: Title of the page.
-        playpen: Playpen of the map, None if the log has none.
+        playpen: Playpen of the map; None if the log has none.
         tracks: Paths of the robots.
         robots: Parts on each robot.
         events: Faults and notes: time and robot, and text.
         settings: Versions, seed and other settings.
-        shadow: Updates and alarms, if the log is a shadow's, which has no robot.
+        shadow: Updates and alarms of a shadow's log, which has no robots; None for other logs.
     """
 
     title: str
@@ -94,24 +94,24 @@ class Report:
     shadow: ShadowTrack | None = None
 
 
-def report(recording: Recording, source: str, shadow: ShadowTrack | None = None) -> Report:
+def make_report(recording: Recording, source: str, shadow: ShadowTrack | None = None) -> Report:
     """Return the report on a log.
 
     Args:
         recording: Log.
-        source: Its file in messages.
-        shadow: Log as that of a shadow, None for others.
+        source: Name of the log's file for messages.
+        shadow: Contents of a shadow's log; None for other logs.
 
     Raises:
-        LogError: An attachment of the log cannot be used.
+        LogError: An attachment of the log is invalid.
     """
-    facts = recording.label.metadata
+    metadata = recording.label.metadata
     attachments = recording.label.attachments
     playpen = playpen_of(attachments, source) if "playpen.toml" in attachments else None
     if playpen is not None:
         title = f"{'Run' if shadow is None else 'Shadow'} in the playpen {playpen.name}"
     else:
-        title = f"Run of the robot at {facts['relay']}" if "relay" in facts else "Run"
+        title = f"Run of the robot at {metadata['relay']}" if "relay" in metadata else "Run"
     names = recording.label.robots if shadow is None else ()
     poses = {name: _series(recording, f"/{name}/pose", 3) for name in names}
     events = recording.lines.get("/events", [])
@@ -124,14 +124,14 @@ def report(recording: Recording, source: str, shadow: ShadowTrack | None = None)
         title,
         playpen,
         tracks,
-        tuple(_robot(recording, source, playpen, index, name) for index, name in enumerate(names)),
+        tuple(_part(recording, source, playpen, index, name) for index, name in enumerate(names)),
         tuple((f"{line.time_ns / 1e9:.2f} s, {line.name}", line.text) for line in events),
-        tuple((key.replace("_", " "), value) for key, value in facts.items() if value not in _UNSET),
+        tuple((key.replace("_", " "), value) for key, value in metadata.items() if value not in _UNSET),
         shadow,
     )
 
 
-def _robot(recording: Recording, source: str, playpen: Playpen | None, index: int, name: str) -> RobotReport:
+def _part(recording: Recording, source: str, playpen: Playpen | None, index: int, name: str) -> RobotReport:
     robots = () if playpen is None else playpen.robots
     body = robots[index].body if index < len(robots) else BODIES["khepera1"]
     width = len(body.sensors)
@@ -142,11 +142,11 @@ def _robot(recording: Recording, source: str, playpen: Playpen | None, index: in
             *(("registers", N_REGISTERS), ("position", 4)),
         )
     )
-    counters, places = (registers, _ENCODERS) if body.in_core else (position, [0, 1])
-    more = {
+    counters, columns = (registers, _ENCODERS) if body.in_core else (position, [0, 1])
+    extra = {
         channel: series
-        for channel in MORE
-        if (series := _series(recording, f"/{name}/{channel}", len(KNOWN4[channel]))) is not None
+        for channel in EXTRA_CHANNELS
+        if (series := _series(recording, f"/{name}/{channel}", len(KHEPERA4_COLUMNS[channel]))) is not None
     }
     vision = _series(recording, f"/{name}/vision", K213_PIXELS)
     lines = recording.lines.get(f"/{name}/serial", [])
@@ -159,34 +159,34 @@ def _robot(recording: Recording, source: str, playpen: Playpen | None, index: in
         rows += motion_rows(pose)
         if playpen is not None:
             values = pose.values.astype(np.float64)
-            hits = statistics.collisions(pose.times_ns / 1e9, values, playpen, body.radius)
-            contact = hits.times_s
-            rows += collision_rows(hits)
+            contacts = statistics.collisions(pose.times_ns / 1e9, values, playpen, body.radius)
+            contact = contacts.times_s
+            rows += collision_rows(contacts)
         if counters is not None and np.array_equal(counters.times_ns, pose.times_ns):
-            rows += slip_rows(pose, counters.values[:, places].astype(np.int64), body)
+            rows += slip_rows(pose, counters.values[:, columns].astype(np.int64), body)
     if proximity is not None:
-        around = proximity.values[:, :N_SENSORS].astype(np.int64)
-        rows += near_rows(statistics.near(proximity.times_ns / 1e9, around, body.near_counts))
+        counts = proximity.values[:, :N_SENSORS].astype(np.int64)
+        rows += near_rows(statistics.near(proximity.times_ns / 1e9, counts, body.near_counts))
     if ambient is not None:
         rows += light_rows(ambient, level, body.sensors)
     rows += wire_rows(lines, _duration_s(recording))
-    there = {"pose": pose, "proximity": proximity, "ambient light": ambient, "wheel speeds": speed}
-    absent = [what for what, series in there.items() if series is None]
+    channels = {"pose": pose, "proximity": proximity, "ambient light": ambient, "wheel speeds": speed}
+    absent = [label for label, series in channels.items() if series is None]
     if playpen is None or pose is None:
         absent += ["collisions"]
     if counters is None:
         absent += ["the wheels' counters and slip"]
     missing = f"Not in this log: {', '.join(absent)}." if absent else ""
     if absent and "relay" in recording.label.metadata:
-        missing += " Of a real robot it has what the host asked for, at the time of the reply."
+        missing += " A real robot's log has only replies to its host, at their times."
     if ambient is not None and dark is None:
-        missing += f" No calibration either: the dark level is taken as {USUAL_DARK_COUNTS} counts."
-    told = tuple(rows), missing.strip()
-    return RobotReport(name, body, *told, proximity, ambient, speed, vision, more, level, contact)
+        missing += f" There is no calibration: the dark level is taken as {USUAL_DARK_COUNTS} counts."
+    texts = tuple(rows), missing.strip()
+    return RobotReport(name, body, *texts, proximity, ambient, speed, vision, extra, level, contact)
 
 
 def _series(recording: Recording, topic: str, width: int) -> TimeSeries | None:
-    """Return a channel, None if it is missing or has another shape."""
+    """Return a channel; None if it is missing or has another shape."""
     series = recording.series.get(topic)
     if series is None or series.values.shape[1:] != (width,):
         return None

@@ -1,4 +1,4 @@
-"""Statistics of a report as text rows: name, and value with unit and rounded digits."""
+"""Statistics of a report as text rows: name, and rounded value with unit."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from khep_twin.lab.experiment import run_statistics as statistics
-from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Stretches
+from khep_twin.lab.experiment.run_statistics import NEAR_COUNTS, Intervals
 from khep_twin.lab.experiment.wire_statistics import wire
 from khep_twin.log.channels import TextLine
 from khep_twin.log.reader import TimeSeries
@@ -46,65 +46,65 @@ DEFINITIONS: tuple[Row, ...] = (
 
 def motion_rows(pose: TimeSeries) -> Iterator[Row]:
     """Yield the rows on a robot's motion."""
-    found = statistics.motion(pose.times_ns / 1e9, pose.values.astype(np.float64))
-    yield "Distance", _length(found.distance)
-    yield "Mean speed", f"{1000 * found.mean_speed:.1f} mm/s"
-    yield "Largest speed", f"{1000 * found.top_speed:.0f} mm/s"
-    left, right = (turn / (2 * math.pi) for turn in (found.left_turn, found.right_turn))
-    net = math.degrees(found.left_turn - found.right_turn)
+    motion = statistics.motion(pose.times_ns / 1e9, pose.values.astype(np.float64))
+    yield "Distance", _length(motion.distance)
+    yield "Mean speed", f"{1000 * motion.mean_speed:.1f} mm/s"
+    yield "Largest speed", f"{1000 * motion.top_speed:.0f} mm/s"
+    left, right = (turn / (2 * math.pi) for turn in (motion.left_turn, motion.right_turn))
+    net = math.degrees(motion.left_turn - motion.right_turn)
     yield "Turned", f"{left:.2f} turns left, {right:.2f} turns right; net {_signed(net, 0)}°"
 
 
-def collision_rows(found: Stretches) -> Iterator[Row]:
+def collision_rows(contacts: Intervals) -> Iterator[Row]:
     """Yield the row on a robot's collisions."""
-    words = "none"
-    if len(found.times_s):
-        first_s = found.times_s[0, 0]
-        words = f"{len(found.times_s)}, {found.total_s:.2f} s in touch; the first at {first_s:.1f} s"
-    yield "Collisions", words
+    text = "none"
+    if len(contacts.times_s):
+        first_s = contacts.times_s[0, 0]
+        text = f"{len(contacts.times_s)}, {contacts.total_s:.2f} s in touch; the first at {first_s:.1f} s"
+    yield "Collisions", text
 
 
-def near_rows(found: Stretches) -> Iterator[Row]:
+def near_rows(intervals: Intervals) -> Iterator[Row]:
     """Yield the row on the time in which a sensor detected something."""
-    words = f"{found.total_s:.1f} s, {100 * found.share:.0f} % of the time"
-    yield "Near something", f"{words}; longest {found.longest_s:.1f} s"
+    text = f"{intervals.total_s:.1f} s, {100 * intervals.share:.0f} % of the time"
+    yield "Near something", f"{text}; longest {intervals.longest_s:.1f} s"
 
 
 def slip_rows(pose: TimeSeries, pulses: NDArray[np.int64], body: Body) -> Iterator[Row]:
     """Yield the rows on the difference between odometry, by pulses (n, 2), and ground truth."""
     times_s, truth = pose.times_ns / 1e9, pose.values.astype(np.float64)
-    found = statistics.slip(times_s, truth, pulses, body)
-    true_way = statistics.path_length(truth[:, :2])
-    more = f", {_signed(100 * (found.distance / true_way - 1), 1)} %" if true_way else ""
-    yield "Distance by counters", f"{_length(found.distance)}{more}"
-    heading = _signed(math.degrees(found.heading), 1)
-    yield "Heading by counters", f"at most {heading}° off, at {found.heading_s:.1f} s"
-    yield "End by counters", f"{1000 * found.end:.0f} mm off"
+    slip = statistics.slip(times_s, truth, pulses, body)
+    true_length = statistics.path_length(truth[:, :2])
+    difference = f", {_signed(100 * (slip.distance / true_length - 1), 1)} %" if true_length else ""
+    yield "Distance by counters", f"{_length(slip.distance)}{difference}"
+    heading = _signed(math.degrees(slip.heading), 1)
+    yield "Heading by counters", f"at most {heading}° off, at {slip.heading_s:.1f} s"
+    yield "End by counters", f"{1000 * slip.end:.0f} mm off"
 
 
 def light_rows(ambient: TimeSeries, dark: float, names: Sequence[str]) -> Iterator[Row]:
     """Yield the rows on the light received from lamps, below a dark level [counts]."""
     levels = np.full(N_SENSORS, float(dark))
-    around = ambient.values[:, :N_SENSORS].astype(np.int64)
-    found = statistics.light(ambient.times_ns / 1e9, around, levels)
-    yield "Light gained", f"{found.mean:.1f} counts in the mean of all sensors"
-    sensor = names[found.sensor]
-    yield "Brightest moment", f"{found.brightest:.0f} counts, sensor {sensor}, at {found.time_s:.1f} s"
+    counts = ambient.values[:, :N_SENSORS].astype(np.int64)
+    light = statistics.light(ambient.times_ns / 1e9, counts, levels)
+    yield "Light gained", f"{light.mean:.1f} counts in the mean of all sensors"
+    sensor = names[light.sensor]
+    yield "Brightest moment", f"{light.brightest:.0f} counts, sensor {sensor}, at {light.time_s:.1f} s"
 
 
 def wire_rows(lines: Sequence[TextLine], duration_s: float) -> Iterator[Row]:
     """Yield the rows on the serial line."""
-    found = wire(lines)
-    if not found.count:
+    stats = wire(lines)
+    if not stats.count:
         yield "Commands", "none"
         return
-    rate = f", {found.count / duration_s:.1f} per second" if duration_s else ""
-    letters = list(found.commands.items())
-    words = ", ".join(f"{letter} {count}" for letter, count in letters[:12])
-    yield "Commands", f"{found.count}{rate}: {words}{', …' if len(letters) > 12 else ''}"
-    if found.replies:
-        yield "Reply time", f"{1e3 * found.mean_s:.1f} ms in the mean, {1e3 * found.longest_s:.1f} ms at most"
-    yield "Unanswered", f"{found.unanswered}; refused {found.refused}"
+    rate = f", {stats.count / duration_s:.1f} per second" if duration_s else ""
+    letters = list(stats.commands.items())
+    counts = ", ".join(f"{letter} {count}" for letter, count in letters[:12])
+    yield "Commands", f"{stats.count}{rate}: {counts}{', …' if len(letters) > 12 else ''}"
+    if stats.replies:
+        yield "Reply time", f"{1e3 * stats.mean_s:.1f} ms in the mean, {1e3 * stats.longest_s:.1f} ms at most"
+    yield "Unanswered", f"{stats.unanswered}; refused {stats.refused}"
 
 
 def _length(length: float) -> str:

@@ -1,4 +1,4 @@
-"""Section of a report on a shadow's log: where it took its robot to be, what deviated, what was wrong."""
+"""Section of a report on a shadow's log: the estimated path, residuals and alarms."""
 
 # matplotlib's own annotations leave keyword arguments open.
 # pyright: reportUnknownMemberType=false
@@ -21,14 +21,22 @@ from khep_twin.drawing import map as drawing
 from khep_twin.drawing.map import POINT_LIMIT, STYLE
 from khep_twin.drawing.symbols import INK, Look
 from khep_twin.lab.experiment.run_statistics import Floats
-from khep_twin.lab.report.figure import over_time, sensor_panels, thinned, within
+from khep_twin.lab.report.figure import axes_edges, sensor_panels, style_time_axes, thin_curve
 from khep_twin.lab.report.rows import Row
-from khep_twin.log.shadow_channels import LIGHT, PROXIMITY, REGION, STATE_COLOURS, TIMING, WHEELS, PoseState
+from khep_twin.log.shadow_channels import (
+    LIGHT,
+    PROXIMITY,
+    REGION_SIGMAS,
+    STATE_COLOURS,
+    TIMING,
+    WHEELS,
+    PoseState,
+)
 from khep_twin.log.shadow_track import ShadowTrack
 from khep_twin.playpen import Playpen
 
 Draw = Callable[[Figure, ShadowTrack, tuple[float, float]], None]
-"""Function that draws a picture onto a figure; the corner is the lower left [inch]."""
+"""Function that draws a picture in a figure; the corner is the lower left [inch]."""
 
 DEFINITIONS: tuple[Row, ...] = (
     ("Spread", "standard deviation of the estimate, in x and y together, and of the heading"),
@@ -47,22 +55,22 @@ DEFINITIONS: tuple[Row, ...] = (
     ("Suspected", "faults that explain the replies better than a sound robot does, too little for an alarm"),
 )
 
-_STATES_HEIGHT, _SENSORS_HEIGHT, _REST_HEIGHT = 2.6, 4.9, 4.6
+_STATES_HEIGHT, _SENSORS_HEIGHT, _WHEELS_HEIGHT = 2.6, 4.9, 4.6
 """Heights of the pictures [inch]."""
 
 _STATES = {state: f"#{bytes(colour).hex()}" for state, colour in STATE_COLOURS.items()}
 _ESTIMATE = _STATES[PoseState.FOLLOWED]
 _RECKONED, _RESIDUAL, _ALARM = "#464646", "#2f6fb0", "#c2452d"
-_CURVES = 8
-"""Most curves of suspected faults, those that were the most probable; others are left out."""
+_MAX_CURVES = 8
+"""Largest number of suspected faults that are drawn, the most probable ones."""
 _ELLIPSES, _CLOUDS = 60, 20
-"""Most ellipses, and clouds of particles, on a map."""
+"""Largest numbers of ellipses, and of clouds of particles, on a map."""
 
 _SENSOR = re.compile(r"sensor (\d)")
 
 
 def rows(track: ShadowTrack) -> Iterator[Row]:
-    """Yield the figures of a shadow as rows."""
+    """Yield the statistics of a shadow as rows."""
     if not len(track.times_ns):
         yield "Updates", "none: no reply had values"
         return
@@ -71,24 +79,22 @@ def rows(track: ShadowTrack) -> Iterator[Row]:
     yield "Updates", f"{len(track.times_ns)}, {len(track.times_ns) / max(seconds, 1e-9):.1f} a second"
     if track.states:
         times = track.state_times
-        yield "States", f"{times}; lost {'once' if times.lost == 1 else f'{times.lost} times'}"
+        yield "States", f"{times}; lost {'once' if times.n_losses == 1 else f'{times.n_losses} times'}"
         highest = _highest(track)
-        told = ", ".join(f"{name} up to {100 * part:.0f} %" for name, part in highest[:_CURVES])
-        more = f" and {len(highest) - _CURVES} more" if len(highest) > _CURVES else ""
-        yield "Suspected", f"{told}{more}" or "nothing"
-    place_mm, heading_deg = _spreads(track)
-    yield "Spread of the position", _quantiles(place_mm, "mm")
+        suspects = ", ".join(f"{name} up to {100 * part:.0f} %" for name, part in highest[:_MAX_CURVES])
+        remainder = f" and {len(highest) - _MAX_CURVES} more" if len(highest) > _MAX_CURVES else ""
+        yield "Suspected", f"{suspects}{remainder}" or "nothing"
+    position_mm, heading_deg = _spreads(track)
+    yield "Spread of the position", _quantiles(position_mm, "mm")
     yield "Spread of the heading", _quantiles(heading_deg, "°")
-    away_mm = _away_mm(track)
-    yield (
-        "Dead reckoning",
-        f"{away_mm[-1]:.0f} mm from the estimate in the end, {away_mm.max():.0f} mm at most",
-    )
+    error_mm = _reckoning_error_mm(track)
+    errors = f"{error_mm[-1]:.0f} mm from the estimate in the end, {error_mm.max():.0f} mm at most"
+    yield "Dead reckoning", errors
     for name, columns, unit in (("Proximity", PROXIMITY, "counts"), ("Light", LIGHT, "counts")):
-        asked = _asked(track, columns)[1]
-        if len(asked):
-            yield f"{name}, residual", f"{_rms(asked):.0f} {unit} rms"
-    if len(wheels := _asked(track, WHEELS)[1]):
+        residuals = _known_residuals(track, columns)[1]
+        if len(residuals):
+            yield f"{name}, residual", f"{_rms(residuals):.0f} {unit} rms"
+    if len(wheels := _known_residuals(track, WHEELS)[1]):
         yield "Wheels, residual", f"{_rms(wheels):.1f} pulses rms"
     yield "Alarms", f"{len(track.alarms)}"
 
@@ -98,7 +104,7 @@ def alarm_rows(track: ShadowTrack) -> list[Row]:
     return [
         (
             alarm.fault,
-            f"since {alarm.since_ns / 1e9:.2f} s, told at {alarm.raised_ns / 1e9:.2f} s, "
+            f"since {alarm.since_ns / 1e9:.2f} s, reported at {alarm.raised_ns / 1e9:.2f} s, "
             f"{100 * alarm.sureness:.1f} % sure, in {alarm.channel}; "
             + ("lasts" if alarm.ended_ns is None else f"ended at {alarm.ended_ns / 1e9:.2f} s"),
         )
@@ -112,20 +118,21 @@ def draw_map(playpen: Playpen, track: ShadowTrack) -> Figure:
     axes = figure.axes[0]
     limits = axes.axis()
     with matplotlib.style.context(STYLE):
-        thin = slice(None, None, -(-len(track.times_ns) // POINT_LIMIT) or 1)
-        reckoned, pose = 1000 * track.reckoned[thin], 1000 * track.pose[thin]
-        lost = np.array([state is PoseState.LOST for state in _states_at(track, track.times_ns[thin])], bool)
+        stride = slice(None, None, -(-len(track.times_ns) // POINT_LIMIT) or 1)
+        reckoned, pose = 1000 * track.reckoned[stride], 1000 * track.pose[stride]
+        states = _states_at(track, track.times_ns[stride])
+        lost = np.array([state is PoseState.LOST for state in states], bool)
         pose[lost] = np.nan
         axes.plot(*reckoned[:, :2].T, color=_RECKONED, lw=0.9, ls=(0, (4, 2)), zorder=4)
         axes.plot(*pose[:, :2].T, color=_ESTIMATE, lw=1.3, zorder=5)
-        some = np.unique(np.linspace(0, max(len(pose) - 1, 0), min(_ELLIPSES, len(pose))).astype(int))
-        some = some[~lost[some]]
-        sizes, turns = _ellipses(track.covariance[thin][some])
-        colours = [_STATES[state] for state in _states_at(track, track.times_ns[thin][some])]
+        indices = np.unique(np.linspace(0, max(len(pose) - 1, 0), min(_ELLIPSES, len(pose))).astype(int))
+        indices = indices[~lost[indices]]
+        sizes, turns = _ellipses(track.covariance[stride][indices])
+        colours = [_STATES[states[index]] for index in indices]
         look: Look = {"facecolors": colours, "alpha": 0.2, "zorder": 4}
         _draw_search(axes, track)
-        places: Look = {"units": "xy", "offsets": pose[some, :2], "offset_transform": axes.transData}
-        axes.add_collection(EllipseCollection(sizes[:, 0], sizes[:, 1], turns, **places, **look))
+        placement: Look = {"units": "xy", "offsets": pose[indices, :2], "offset_transform": axes.transData}
+        axes.add_collection(EllipseCollection(sizes[:, 0], sizes[:, 1], turns, **placement, **look))
         radius_mm = 1000 * playpen.robots[0].body.radius
         for path, colour in ((pose, _ESTIMATE), (reckoned, _RECKONED)):
             if len(path) and not np.isnan(path[-1]).any():
@@ -136,7 +143,7 @@ def draw_map(playpen: Playpen, track: ShadowTrack) -> Figure:
             *(
                 Line2D([], [], color=_STATES[state], lw=5, alpha=0.4, label=state)
                 for state in (PoseState.UNSURE, PoseState.LOST)
-                if any(state is each for _, each in track.states)
+                if any(state is entry for _, entry in track.states)
             ),
             Line2D([], [], color=_RECKONED, lw=0.9, ls=(0, (4, 2)), label="dead reckoning"),
         ]
@@ -147,10 +154,10 @@ def draw_map(playpen: Playpen, track: ShadowTrack) -> Figure:
 
 
 def _draw_search(axes: Axes, track: ShadowTrack) -> None:
-    """Draw the particles of the times at which the robot was lost: the poses that it may have had."""
+    """Draw the particles at the times when the robot was lost: its possible poses."""
     states = _states_at(track, track.particles_ns)
-    found = track.particles[[state is PoseState.LOST for state in states]][-_CLOUDS:, :, :2].reshape(-1, 2)
-    axes.plot(*1000 * found.T, ".", color=_STATES[PoseState.LOST], ms=1.5, alpha=0.5, zorder=4)
+    poses = track.particles[[state is PoseState.LOST for state in states]][-_CLOUDS:, :, :2].reshape(-1, 2)
+    axes.plot(*1000 * poses.T, ".", color=_STATES[PoseState.LOST], ms=1.5, alpha=0.5, zorder=4)
 
 
 def pictures(track: ShadowTrack) -> list[tuple[Draw, float, str]]:
@@ -159,41 +166,41 @@ def pictures(track: ShadowTrack) -> list[tuple[Draw, float, str]]:
     return [
         *(states if track.states else []),
         (_draw_sensors, _SENSORS_HEIGHT, "Residuals of the sensors"),
-        (_draw_rest, _REST_HEIGHT, "Residuals of wheels and timing, and spread"),
+        (_draw_wheels, _WHEELS_HEIGHT, "Residuals of wheels and timing, and spread"),
     ]
 
 
 def _draw_states(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) -> None:
     """Draw a strip of the states, and below it the probabilities of the suspected faults."""
-    grid = within(figure, corner, _STATES_HEIGHT, left=0.98, right=0.1)
+    grid = axes_edges(figure, corner, _STATES_HEIGHT, left=0.98, right=0.1)
     grid["bottom"] += 0.4 / figure.get_figheight()
     cells = figure.add_gridspec(2, 1, hspace=0.25, height_ratios=[1, 6], **grid)
     strip, curves = (figure.add_subplot(cells[row, 0]) for row in range(2))
     end_s = float(track.times_ns[-1]) / 1e9 if len(track.times_ns) else 1.0
     for axes in (strip, curves):
-        over_time(axes)
+        style_time_axes(axes)
         axes.set_xlim(0, end_s)
-    begins_s = [*(time_ns / 1e9 for time_ns, _ in track.states), end_s]
+    starts_s = [*(time_ns / 1e9 for time_ns, _ in track.states), end_s]
     for state in PoseState:
-        own = [number for number, (_, each) in enumerate(track.states) if each is state]
-        spans = [(begins_s[number], begins_s[number + 1] - begins_s[number]) for number in own]
+        indices = [number for number, (_, entry) in enumerate(track.states) if entry is state]
+        spans = [(starts_s[number], starts_s[number + 1] - starts_s[number]) for number in indices]
         strip.broken_barh(spans, (0, 1), color=_STATES[state], alpha=0.6, lw=0, label=state)
     strip.set(yticks=[], ylim=(0, 1))
     strip.tick_params(labelbottom=False)
     strip.set_title("states", fontsize=9, loc="left", color=INK)
-    place: Look = {"loc": "lower right", "bbox_to_anchor": (1, 0.8), "frameon": False}
-    strip.legend(ncols=3, fontsize=8, **place)
-    names = [name for name, _ in _highest(track)[:_CURVES]]
+    strip_legend: Look = {"loc": "lower right", "bbox_to_anchor": (1, 0.8), "frameon": False}
+    strip.legend(ncols=3, fontsize=8, **strip_legend)
+    names = [name for name, _ in _highest(track)[:_MAX_CURVES]]
     times_s = [time_ns / 1e9 for time_ns, _ in track.suspected]
     for name in names:
-        found = [
-            100 * sum(each.probability for each in suspected if each.name == name)
+        probabilities = [
+            100 * sum(fault.probability for fault in suspected if fault.name == name)
             for _, suspected in track.suspected
         ]
-        curves.step([*times_s, end_s], [*found, found[-1]], where="post", lw=1, label=name)
+        curves.step([*times_s, end_s], [*probabilities, probabilities[-1]], where="post", lw=1, label=name)
     if names:
-        below: Look = {"loc": "upper center", "bbox_to_anchor": (0.45, -0.3), "frameon": False}
-        curves.legend(ncols=4, fontsize=7, **below)
+        curve_legend: Look = {"loc": "upper center", "bbox_to_anchor": (0.45, -0.3), "frameon": False}
+        curves.legend(ncols=4, fontsize=7, **curve_legend)
     else:
         curves.text(0.5, 0.5, "nothing", transform=curves.transAxes, ha="center", va="center")
     curves.set_ylim(0, 105)
@@ -207,18 +214,18 @@ def _draw_states(figure: Figure, track: ShadowTrack, corner: tuple[float, float]
 
 def _highest(track: ShadowTrack) -> list[tuple[str, float]]:
     """Return the suspected faults with their highest probabilities, the most probable first."""
-    found: dict[str, float] = {}
+    highest: dict[str, float] = {}
     for _, suspected in track.suspected:
-        for each in suspected:
-            found[each.name] = max(each.probability, found.get(each.name, 0.0))
-    return sorted(found.items(), key=lambda fault: -fault[1])
+        for fault in suspected:
+            highest[fault.name] = max(fault.probability, highest.get(fault.name, 0.0))
+    return sorted(highest.items(), key=lambda item: -item[1])
 
 
 def _states_at(track: ShadowTrack, times_ns: NDArray[np.int64]) -> list[PoseState]:
-    """Return the state at each time; followed, where the log has none."""
+    """Return the state at each time, "followed" if the log has none."""
     states = [PoseState.FOLLOWED, *(state for _, state in track.states)]
-    begins_ns = [time_ns for time_ns, _ in track.states]
-    return [states[row] for row in np.searchsorted(begins_ns, times_ns, side="right").tolist()]
+    starts_ns = [time_ns for time_ns, _ in track.states]
+    return [states[row] for row in np.searchsorted(starts_ns, times_ns, side="right").tolist()]
 
 
 def _draw_sensors(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) -> None:
@@ -226,38 +233,39 @@ def _draw_sensors(figure: Figure, track: ShadowTrack, corner: tuple[float, float
     kinds = (("proximity", PROXIMITY), ("light", LIGHT))
     titles = [f"{name}: measured less expected [counts]" for name, _ in kinds]
     columns = sensor_panels(figure, corner, _SENSORS_HEIGHT, titles, -0.16)
-    for panels, (name, of_kind) in zip(columns, kinds, strict=True):
-        times_s, values = _asked(track, of_kind)
+    for panels, (name, indices) in zip(columns, kinds, strict=True):
+        times_s, values = _known_residuals(track, indices)
         high = float(np.abs(values).max(initial=1.0))
         for sensor, axes in enumerate(panels):
-            _span(axes, track)
+            _set_time_axis(axes, track)
             axes.set(ylim=(-high, high), yticks=(-round(high), 0, round(high)) if sensor == 0 else [0])
             if len(values):
-                axes.plot(*thinned(times_s, values[:, sensor]), color=_RESIDUAL, lw=0.7)
+                axes.plot(*thin_curve(times_s, values[:, sensor]), color=_RESIDUAL, lw=0.7)
                 _mark(axes, track, name, sensor)
             elif sensor == 3:
                 axes.text(0.5, 0.5, "not asked", transform=axes.transAxes, ha="center", va="center")
 
 
-def _draw_rest(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) -> None:
+def _draw_wheels(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) -> None:
     """Draw the residuals of wheels and timing, the spread and dead reckoning."""
-    grid = within(figure, corner, _REST_HEIGHT, left=0.98, right=0.1)
+    grid = axes_edges(figure, corner, _WHEELS_HEIGHT, left=0.98, right=0.1)
     cells = figure.add_gridspec(4, 1, hspace=0.35, **grid)
-    (wheels_s, wheels), (timing_s, timing) = (_asked(track, each) for each in (WHEELS, slice(TIMING, None)))
+    wheels_s, wheels = _known_residuals(track, WHEELS)
+    timing_s, timing = _known_residuals(track, slice(TIMING, None))
     times_s = track.times_ns / 1e9
     sides = [("left", wheels_s, wheels[:, 0]), ("right", wheels_s, wheels[:, 1])]
     panels: list[tuple[str, str, list[tuple[str, Floats, Floats]]]] = [
         ("beyond commands\n[pulses]", "wheels", sides),
         ("delay of replies\n[ms]", "line", [("", timing_s, 1000 * timing[:, 0])]),
         ("spread of the\nposition [mm]", "", [("", times_s, _spreads(track)[0])]),
-        ("dead reckoning\noff by [mm]", "", [("", times_s, _away_mm(track))]),
+        ("dead reckoning\noff by [mm]", "", [("", times_s, _reckoning_error_mm(track))]),
     ]
     for row, (label, channel, curves) in enumerate(panels):
         axes = figure.add_subplot(cells[row, 0])
-        over_time(axes)
-        _span(axes, track)
-        for (name, at_s, values), colour in zip(curves, (_RESIDUAL, "#b8860b"), strict=False):
-            axes.plot(*thinned(at_s, values), color=colour, lw=0.8, label=name)
+        style_time_axes(axes)
+        _set_time_axis(axes, track)
+        for (name, curve_s, values), colour in zip(curves, (_RESIDUAL, "#b8860b"), strict=False):
+            axes.plot(*thin_curve(curve_s, values), color=colour, lw=0.8, label=name)
         if not len(curves[0][1]):
             axes.text(0.5, 0.5, "not asked", transform=axes.transAxes, ha="center", va="center")
         elif channel:
@@ -271,25 +279,25 @@ def _draw_rest(figure: Figure, track: ShadowTrack, corner: tuple[float, float]) 
     figure.axes[-1].set_xlabel("time [s]", fontsize=8)
 
 
-def _span(axes: Axes, track: ShadowTrack) -> None:
+def _set_time_axis(axes: Axes, track: ShadowTrack) -> None:
     axes.set_xlim(0, float(track.times_ns[-1]) / 1e9 if len(track.times_ns) else 1.0)
     axes.axhline(0, color=INK, alpha=0.4, lw=0.5, ls=":")
 
 
 def _mark(axes: Axes, track: ShadowTrack, channel: str, sensor: int | None = None) -> None:
-    """Mark the alarms of a channel; those that name a sensor, with this one only."""
+    """Mark the alarms of a channel; alarms that name a sensor are marked at this sensor only."""
     for alarm in track.alarms:
-        named = _SENSOR.search(alarm.fault)
-        if alarm.channel == channel and (sensor is None or named is None or int(named[1]) == sensor):
+        match = _SENSOR.search(alarm.fault)
+        if alarm.channel == channel and (sensor is None or match is None or int(match[1]) == sensor):
             end_ns = track.times_ns[-1] if alarm.ended_ns is None else alarm.ended_ns
             axes.axvspan(alarm.since_ns / 1e9, end_ns / 1e9, color=_ALARM, alpha=0.18, lw=0.6, zorder=0)
 
 
-def _asked(track: ShadowTrack, columns: slice) -> tuple[Floats, Floats]:
-    """Return times [s] and values of the residuals of replies that have them."""
+def _known_residuals(track: ShadowTrack, columns: slice) -> tuple[Floats, Floats]:
+    """Return times [s] and values of the known residuals of some columns."""
     values = track.residuals[:, columns]
-    asked = ~np.isnan(values).any(axis=1)
-    return track.times_ns[asked] / 1e9, values[asked]
+    is_known = ~np.isnan(values).any(axis=1)
+    return track.times_ns[is_known] / 1e9, values[is_known]
 
 
 def _spreads(track: ShadowTrack) -> tuple[Floats, Floats]:
@@ -298,17 +306,17 @@ def _spreads(track: ShadowTrack) -> tuple[Floats, Floats]:
     return 1000 * np.sqrt(variances[:, :2].sum(axis=1)), np.degrees(np.sqrt(variances[:, 2]))
 
 
-def _away_mm(track: ShadowTrack) -> Floats:
+def _reckoning_error_mm(track: ShadowTrack) -> Floats:
     return 1000 * np.hypot(*(track.reckoned - track.pose)[:, :2].T)
 
 
 def _ellipses(covariances: Floats) -> tuple[Floats, Floats]:
-    """Return widths, heights (n, 2) [mm] and angles [degrees] of ellipses that hold positions with 95 %."""
+    """Return widths and heights (n, 2) [mm] and angles [degrees] of 95 % ellipses of positions."""
     if not len(covariances):
         return np.zeros((0, 2)), np.zeros(0)
     values, vectors = np.linalg.eigh(covariances[:, :2, :2])
     turns: NDArray[np.float64] = np.degrees(np.arctan2(vectors[:, 1, 0], vectors[:, 0, 0]))
-    return 2000 * REGION * np.sqrt(np.maximum(values, 0)), turns
+    return 2000 * REGION_SIGMAS * np.sqrt(np.maximum(values, 0)), turns
 
 
 def _quantiles(values: Floats, unit: str) -> str:

@@ -1,4 +1,4 @@
-"""Files of tables that are written piece by piece: CSV and Parquet."""
+"""Files of tables that are written in pieces: CSV and Parquet."""
 
 # pyarrow is not typed.
 # pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownMemberType=false
@@ -23,7 +23,7 @@ class Channel:
         name: Name, e.g. "proximity".
         topics: Topic in the log of each robot, e.g. "/khepera0/proximity".
         columns: Names and units of the columns.
-        series: Times (n,) [ns] and values (n, columns) of each robot, none where a robot has no such channel.
+        series: Times (n,) [ns] and values (n, columns) of each robot; empty if a robot lacks the channel.
     """
 
     name: str
@@ -34,7 +34,7 @@ class Channel:
     @property
     def values(self) -> NDArray[np.int64 | np.float64]:
         """Values of all robots, one after another (n, columns)."""
-        return np.concatenate([each.values for each in self.series])
+        return np.concatenate([series.values for series in self.series])
 
 
 class Rows(NamedTuple):
@@ -43,41 +43,38 @@ class Rows(NamedTuple):
     Attributes:
         times_ns: Times (n,) [ns].
         robots: Indices of the robots (n,).
-        places: Rows of each channel's values (n,), -1 for none.
+        indices: Rows of each channel's values (n,), -1 for none.
     """
 
     times_ns: NDArray[np.int64]
     robots: NDArray[np.int64]
-    places: list[NDArray[np.int64]]
+    indices: list[NDArray[np.int64]]
 
 
 def rows_of(channels: Sequence[Channel], count: int) -> Rows:
-    """Return the rows of a table of so many robots: for each robot and time, the last values of each channel.
-
-    They are in order of time, and then of the robots.
-    """
+    """Return the rows of a table of `count` robots: one per robot and time, in order of time, then robot."""
     times: list[NDArray[np.int64]] = []
-    places: list[list[NDArray[np.int64]]] = [[] for _ in channels]
+    indices: list[list[NDArray[np.int64]]] = [[] for _ in channels]
     for robot in range(count):
-        series = [channel.series[robot] for channel in channels]
-        times.append(np.unique(np.concatenate([each.times_ns for each in series])))
-        for channel, each, found in zip(channels, series, places, strict=True):
-            before = sum(len(other.times_ns) for other in channel.series[:robot])
-            found.append(np.full(len(times[-1]), -1))
-            found[-1][np.searchsorted(times[-1], each.times_ns)] = before + np.arange(len(each.times_ns))
+        robot_series = [channel.series[robot] for channel in channels]
+        times.append(np.unique(np.concatenate([series.times_ns for series in robot_series])))
+        for channel, series, rows in zip(channels, robot_series, indices, strict=True):
+            offset = sum(len(previous.times_ns) for previous in channel.series[:robot])
+            rows.append(np.full(len(times[-1]), -1))
+            rows[-1][np.searchsorted(times[-1], series.times_ns)] = offset + np.arange(len(series.times_ns))
     times_ns = np.concatenate(times)
     order = np.argsort(times_ns, kind="stable")
-    robots = np.repeat(np.arange(count), [len(each) for each in times])
-    return Rows(times_ns[order], robots[order], [np.concatenate(found)[order] for found in places])
+    robots = np.repeat(np.arange(count), [len(robot_times) for robot_times in times])
+    return Rows(times_ns[order], robots[order], [np.concatenate(rows)[order] for rows in indices])
 
 
 class Heading(NamedTuple):
     """Columns of a table.
 
     Attributes:
-        robots: Names of the robots; of several, the table has a column of them.
+        robots: Names of the robots; several ones have a column in the table.
         channels: Channels of the columns.
-        fractional: Names of the channels whose values are not all integers.
+        fractional: Names of the channels with values that are not integers.
     """
 
     robots: Sequence[str]
@@ -86,10 +83,11 @@ class Heading(NamedTuple):
 
 
 class CsvFile:
-    """CSV file that is written piece by piece."""
+    """CSV file that is written in pieces."""
 
     def __init__(self, file: BinaryIO, heading: Heading) -> None:
-        self._file, (self._robots, channels, self._fractional) = file, heading
+        self._file = file
+        self._robots, channels, self._fractional = heading
         names = (name for channel in channels for name, _ in channel.columns)
         file.write(f"{','.join(['time_s', *['robot'][: len(self._robots) - 1], *names])}\n".encode())
 
@@ -98,19 +96,19 @@ class CsvFile:
         columns: list[list[str]] = [[repr(time_ns / 1e9) for time_ns in rows.times_ns.tolist()]]
         if len(self._robots) > 1:
             columns.append([str(self._robots[robot]) for robot in rows.robots.tolist()])
-        for channel, places in zip(channels, rows.places, strict=True):
-            there = places.tolist()
+        for channel, indices in zip(channels, rows.indices, strict=True):
+            value_rows = indices.tolist()
             for values in _numbers(channel, self._fractional).T:
-                words = [*map(repr, values.tolist()), ""]  # the last is for the row -1
-                columns.append([words[row] for row in there])
+                texts = [*map(repr, values.tolist()), ""]  # the last is for row -1
+                columns.append([texts[row] for row in value_rows])
         self._file.write("".join(f"{','.join(row)}\n" for row in zip(*columns, strict=True)).encode())
 
     def close(self) -> None:
-        """End the file."""
+        """Do nothing; the caller closes the file."""
 
 
 class ParquetFile:
-    """Parquet file that is written piece by piece, each a row group."""
+    """Parquet file that is written in pieces, one row group each."""
 
     def __init__(self, file: BinaryIO, heading: Heading) -> None:
         import pyarrow as arrow
@@ -134,10 +132,10 @@ class ParquetFile:
         columns = [arrow.array(rows.times_ns / 1e9)]
         if len(self._robots) > 1:
             columns.append(arrow.array([self._robots[robot] for robot in rows.robots.tolist()]))
-        for channel, places in zip(channels, rows.places, strict=True):
+        for channel, indices in zip(channels, rows.indices, strict=True):
             for values in _numbers(channel, self._fractional).T:
-                # The last is for the row -1, which is no value.
-                columns.append(arrow.array(np.append(values, 0)[places], mask=places < 0))
+                # The last is for row -1, a missing value.
+                columns.append(arrow.array(np.append(values, 0)[indices], mask=indices < 0))
         self._writer.write_table(arrow.Table.from_arrays(columns, schema=self._schema))
 
     def close(self) -> None:
@@ -146,7 +144,7 @@ class ParquetFile:
 
 
 TABLES: Mapping[str, type[CsvFile] | type[ParquetFile]] = {".csv": CsvFile, ".parquet": ParquetFile}
-"""Class of each kind of table by its suffix; a new kind is a class such as `CsvFile`, and a line here."""
+"""Class of each table format by suffix; a new format is a class like `CsvFile`, and a line here."""
 
 
 def _numbers(channel: Channel, fractional: Collection[str]) -> NDArray[np.generic]:
@@ -155,7 +153,7 @@ def _numbers(channel: Channel, fractional: Collection[str]) -> NDArray[np.generi
     return values if channel.name in fractional else values.astype(np.int64)
 
 
-def is_whole(channel: Channel) -> bool:
+def is_integer(channel: Channel) -> bool:
     """Return whether all values are integers."""
     values = channel.values
     return bool(np.isfinite(values).all() and np.array_equal(np.rint(values), values))

@@ -1,10 +1,10 @@
-"""Figures of sensor tests: all eight sensors laid out as on the robot, or one alone, of one run or several.
+"""Figures of sensor tests: all eight sensors arranged as on the robot, or a single one, of one or more runs.
 
-Line images are drawn as a strip over the path for each run, left at the top, and one pixel as a sensor.
+Line images are drawn as a strip over the path, with the left pixel at the top; a single pixel like a sensor.
 
-A straight drive counts down to its end, which is 0 cm at the right; a turn is shown in degrees, positive
-counter-clockwise. Several runs are thin lines, with their mean and a band of one standard deviation to either
-side, over the part of the path that all of them cover.
+The abscissa of a straight drive is the distance to its end, 0 cm at the right. A turn is shown in degrees,
+positive counter-clockwise. Several runs are thin lines, with their mean and a band of one standard deviation
+on either side, over the common part of their paths.
 """
 
 # matplotlib's own annotations leave keyword arguments open.
@@ -51,7 +51,7 @@ _UNITS = {"linear": "distance to the end [cm]", "rotational": "turned counter-cl
 def draw(
     runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 0, grid: bool = False
 ) -> Figure:
-    """Draw one run or several of the same kind.
+    """Draw one or more runs of the same kind.
 
     Args:
         runs: Runs to draw, at least one.
@@ -60,7 +60,7 @@ def draw(
         grid: If true, draw grid lines.
 
     Raises:
-        SensorTestError: There is no such sensor, the runs differ in kind, or there is nothing to draw.
+        SensorTestError: The sensor is unknown, the runs differ in kind, or there are no data.
     """
     check(runs, sensor=sensor, y_min=y_min)
     with matplotlib.style.context(STYLE):
@@ -73,9 +73,9 @@ def draw(
             title = f"{sensor}: {', '.join(_facts(runs))}"
             axes.set_title(title, loc="left", fontsize=10, pad=6 if len(runs) == 1 else 25)
             if len(runs) > 1:
-                # Above the axes, where no data can be.
-                above: Look = {"loc": "lower left", "bbox_to_anchor": (-0.015, 0.99)}
-                axes.legend(ncols=3, fontsize=8, frameon=False, **above)
+                # Above the axes, clear of the data.
+                legend_style: Look = {"loc": "lower left", "bbox_to_anchor": (-0.015, 0.99)}
+                axes.legend(ncols=3, fontsize=8, frameon=False, **legend_style)
         elif runs[0].test.what == "vision":
             figure = _draw_images(runs)
         else:
@@ -91,14 +91,14 @@ def check(runs: Sequence[SensorRun], *, sensor: str | None = None, y_min: int = 
             f"runs of {' and of '.join(kinds) or 'no kind'}; expected runs of one kind in a figure"
         )
     if sensor is not None and sensor not in (names := _names(runs)):
-        found = f"sensor = {sensor}: no such sensor"
-        raise SensorTestError(found, key="sensor", value=sensor, expected=names)
+        problem = f"sensor = {sensor}: no such sensor"
+        raise SensorTestError(problem, key="sensor", value=sensor, expected=names)
     if not all(len(run.dv) for run in runs):
         raise SensorTestError("a run without rows; expected runs with rows")
     if not 0 <= y_min < _limit(runs[0]):
         raise SensorTestError(f"y-min = {y_min}; expected 0 to {_limit(runs[0]) - 1} for {runs[0].test.what}")
     if len(runs) > 1:
-        _common(runs)
+        _common_range(runs)
 
 
 def positions(run: SensorRun) -> Floats:
@@ -122,15 +122,15 @@ def draw_strip(axes: Axes, strip: NDArray[Any], ends: tuple[float, float]) -> No
 
 
 def mean_and_spread(runs: Sequence[SensorRun]) -> tuple[Floats, Floats, Floats]:
-    """Return mean and spread of several runs, over the range that all of them cover.
+    """Return mean and spread of several runs, over their common range.
 
     Returns:
-        Abscissas (m,) as of `positions`, mean readings (m, n), and sample standard deviations (m, n).
+        Abscissas (m,) as in `positions`, mean readings (m, n), and sample standard deviations (m, n).
 
     Raises:
-        SensorTestError: They do not overlap.
+        SensorTestError: The runs do not overlap.
     """
-    x = np.linspace(*_common(runs), _GRID_POINTS)
+    x = np.linspace(*_common_range(runs), _GRID_POINTS)
     counts = np.empty((len(runs), len(x), len(_names(runs))))
     for index, run in enumerate(runs):
         order = np.argsort(positions(run), kind="stable")
@@ -139,7 +139,7 @@ def mean_and_spread(runs: Sequence[SensorRun]) -> tuple[Floats, Floats, Floats]:
     return x, counts.mean(axis=0), counts.std(axis=0, ddof=min(len(runs) - 1, 1))
 
 
-def _common(runs: Sequence[SensorRun]) -> tuple[float, float]:
+def _common_range(runs: Sequence[SensorRun]) -> tuple[float, float]:
     low = max(float(positions(run).min()) for run in runs)
     high = min(float(positions(run).max()) for run in runs)
     if not low < high:
@@ -174,8 +174,8 @@ def _draw_all(runs: Sequence[SensorRun], y_min: int, grid: bool) -> Figure:
             handles, labels = axes.get_legend_handles_labels()
             figure.legend(handles, labels, loc="lower right", frameon=False, bbox_to_anchor=(0.985, 0.06))
     _draw_robot(figure.add_subplot(cells[1, 1:3]))
-    about = figure.text(0.07, 0.075, "\n".join(_description(runs)), va="bottom", fontsize=9, linespacing=1.4)
-    about.set_parse_math(False)  # a dollar in the text is a dollar
+    text = figure.text(0.07, 0.075, "\n".join(_description(runs)), va="bottom", fontsize=9, linespacing=1.4)
+    text.set_parse_math(False)  # a dollar in the text is a dollar
     return figure
 
 
@@ -188,7 +188,7 @@ def _draw_images(runs: Sequence[SensorRun]) -> Figure:
         order = np.argsort(x, kind="stable")
         ends = float(x.min()), float(x.max())
         grid_x = np.linspace(*ends, _GRID_POINTS)
-        # Each column has the reading that is nearest to it.
+        # Each column has the nearest reading.
         nearest = np.abs(x[order][None, :] - grid_x[:, None]).argmin(axis=1)
         strip = run.dv[order[nearest], 2:].T
         draw_strip(axes, strip, ends)
@@ -203,12 +203,12 @@ def _draw_images(runs: Sequence[SensorRun]) -> Figure:
 
 def _draw_sensor(axes: Axes, runs: Sequence[SensorRun], sensor: int, y_min: int, grid: bool) -> None:
     """Draw one sensor's counts over the path."""
-    alone = len(runs) == 1
-    look: Look = {"lw": 1.1, "alpha": 1.0, "marker": "o"} if alone else {"lw": 0.7, "alpha": 0.45}
+    is_single = len(runs) == 1
+    look: Look = {"lw": 1.1, "alpha": 1.0, "marker": "o"} if is_single else {"lw": 0.7, "alpha": 0.45}
     for number, run in enumerate(runs):
         label = f"{len(runs)} runs" if number == 0 else None
         axes.plot(positions(run), run.dv[:, 2 + sensor], color=_RUN, ms=2.6, label=label, **look)
-    if not alone:
+    if not is_single:
         x, mean, spread = mean_and_spread(runs)
         low, high = mean[:, sensor] - spread[:, sensor], mean[:, sensor] + spread[:, sensor]
         axes.fill_between(x, low, high, color=_MEAN, alpha=0.22, lw=0, label="± 1 standard deviation")
@@ -239,7 +239,7 @@ def _draw_robot(axes: Axes) -> None:
     axes.set(xlim=(-0.07, 0.07), ylim=(-0.035, 0.036))
     for name, (forward, left) in zip(SENSOR_LABELS, SENSOR_POSITIONS, strict=True):
         axes.add_patch(Circle((-left, forward), 0.0016, facecolor=_RUN, lw=0))
-        # Put the names beside lateral sensors, and before or behind the others.
+        # Names are beside lateral sensors, and before or behind the others.
         if abs(left) > 0.012:
             axes.text(-1.22 * left, 1.4 * forward, name, ha="right" if left > 0 else "left", va="center")
         else:
@@ -249,16 +249,16 @@ def _draw_robot(axes: Axes) -> None:
 
 
 def _facts(runs: Sequence[SensorRun]) -> list[str]:
-    """Return the test in a few words."""
+    """Return the settings of the test as short texts."""
     test = runs[0].test
     amounts = _span([round(run.test.amount, 1) for run in runs])
     speeds = [run.test.speed for run in runs if run.test.speed is not None]
-    told = [f"speed {_span(speeds)}"] if len(speeds) == len(runs) else []
-    return [test.what, f"{test.motion} {amounts} {test.unit}", *told]
+    speed_facts = [f"speed {_span(speeds)}"] if len(speeds) == len(runs) else []
+    return [test.what, f"{test.motion} {amounts} {test.unit}", *speed_facts]
 
 
 def _description(runs: Sequence[SensorRun]) -> list[str]:
-    """Return the test and the runs' text, if they share it, as short lines."""
+    """Return the settings of the test and the runs' text, if it is the same, as short lines."""
     text = runs[0].text if len({run.text for run in runs}) == 1 else ""
     return [*_facts(runs), *textwrap.wrap(text, 26, max_lines=5, placeholder=" …")]
 

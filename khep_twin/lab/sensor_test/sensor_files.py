@@ -1,10 +1,10 @@
-"""Files of sensor tests: CSV, MAT as of the Khepera Toolbox, MCAP for rerun.
+"""Files of sensor tests: CSV, MAT as in the Khepera Toolbox, and MCAP for rerun.
 
     .csv    lines "# key: value", then a table with a row for each reading
-    .mat    `dv` (n, 10 or 66) and `dlgstr`, as the toolbox's own programs need; the test in further variables
-    .mcap   /khepera0/position, and /khepera0/proximity, ambient or vision; the test as metadata "run"
+    .mat    `dv` (n, 10 or 66) and `dlgstr`, as in the toolbox; the settings in further variables
+    .mcap   /khepera0/position, and /khepera0/proximity, ambient or vision; the settings as metadata "run"
 
-The same run gives the same bytes. All three formats hold the whole run.
+The same run gives the same bytes. All three formats have all data of a run.
 """
 
 # scipy is not typed.
@@ -27,9 +27,9 @@ from khep_twin.files.mat_file import mat_bytes
 from khep_twin.files.paths import StrPath
 from khep_twin.files.text import decode
 from khep_twin.lab.sensor_test.sensor_mat import read_mat
-from khep_twin.lab.sensor_test.sensor_test import SensorRun, SensorTest, What, check_what
+from khep_twin.lab.sensor_test.sensor_test import QuantityName, SensorRun, SensorTest, check_quantity
 from khep_twin.log.channels import FLOATS, IMAGE, ArrayFrame, ImageFrame
-from khep_twin.log.decoding import shown
+from khep_twin.log.decoding import printable
 from khep_twin.log.log_file import LogFile
 from khep_twin.log.reader import read_arrays
 
@@ -45,31 +45,31 @@ def save(path: StrPath, run: SensorRun, replace: bool = True) -> None:
     """Write a run as CSV, MAT or MCAP, by the file's suffix; `replace` as for `write_whole`.
 
     Raises:
-        SensorTestError: The suffix is another one, or the run has no rows, or no times for a log.
+        SensorTestError: The suffix is unknown, or the run has no rows, or no times for a log.
         KhepTwinError: The file cannot be written.
     """
     path = Path(path)
-    kind = checked_suffix(path)
+    kind = check_suffix(path)
     if not len(run.dv):
         raise SensorTestError(f"{path}: the test has no rows; expected a run with rows")
     if kind == ".csv":
-        write_whole(path, _csv(run).encode("utf-8"), replace)
+        write_whole(path, _format_csv(run).encode("utf-8"), replace)
     elif kind == ".mat":
-        write_whole(path, _mat(run), replace)
+        write_whole(path, _format_mat(run), replace)
     else:
         _write_log(path, run)
 
 
-def load(path: StrPath, what: What | None = None) -> SensorRun:
-    """Read a run that `save` has written, or a MAT file of the Khepera Toolbox.
+def load(path: StrPath, what: QuantityName | None = None) -> SensorRun:
+    """Read a run from a file of `save`, or from a MAT file of the Khepera Toolbox.
 
-    A MAT file that does not state the quantity of its readings has that of `what`, by default proximity.
+    `what` is the quantity of a MAT file that does not name it, by default proximity.
 
     Raises:
-        SensorTestError: There is no such file, or it holds no sensor test.
+        SensorTestError: The file cannot be read, or is not a sensor test.
     """
     path = Path(path)
-    kind = checked_suffix(path)
+    kind = check_suffix(path)
     try:
         data = read_regular(path)
     except OSError as error:
@@ -78,13 +78,13 @@ def load(path: StrPath, what: What | None = None) -> SensorRun:
         raise SensorTestError(f"{path}: is empty; expected a file with a sensor test")
     try:
         if kind == ".csv":
-            return _from_csv(data)
-        return read_mat(data, what) if kind == ".mat" else _from_log(path)
+            return _parse_csv(data)
+        return read_mat(data, what) if kind == ".mat" else _read_log(path)
     except SensorTestError as error:
         raise SensorTestError(f"{path}: {error}") from None
 
 
-def checked_suffix(path: Path) -> str:
+def check_suffix(path: Path) -> str:
     """Return a file's suffix in lower case.
 
     Raises:
@@ -96,7 +96,7 @@ def checked_suffix(path: Path) -> str:
 
 
 def facts(test: SensorTest) -> dict[str, str]:
-    """Return a test as texts by key."""
+    """Return the settings of a test as texts by key."""
     motion = {"linear_cm": test.linear_cm, "rotate_deg": test.rotate_deg}
     profile = {"speed": test.speed, "acceleration": test.acceleration}
     return {
@@ -108,24 +108,24 @@ def facts(test: SensorTest) -> dict[str, str]:
     }
 
 
-def _test(words: Mapping[str, str]) -> SensorTest:
-    """Return a test from texts by key."""
+def _parse_test(texts: Mapping[str, str]) -> SensorTest:
+    """Return a test from its settings, texts by key."""
 
-    def whole(key: str) -> int:
-        if key not in words:
+    def read_integer(key: str) -> int:
+        if key not in texts:
             raise SensorTestError(f"{key}: missing; expected an integer")
-        return _number(key, words[key], int)
+        return _number(key, texts[key], int)
 
-    if "what" not in words:
+    if "what" not in texts:
         raise SensorTestError("what: missing; expected proximity, light or vision")
-    what = check_what(words["what"])
+    quantity = check_quantity(texts["what"])
     linear_cm, rotate_deg = (
-        _number(key, words[key], float) if key in words else None for key in ("linear_cm", "rotate_deg")
+        _number(key, texts[key], float) if key in texts else None for key in ("linear_cm", "rotate_deg")
     )
-    speed, acceleration, back = map(whole, ("speed", "acceleration", "return_to_zero"))
-    test = SensorTest(what, linear_cm, rotate_deg, speed, acceleration, bool(back))
-    if words.get("motion") != test.motion:
-        raise SensorTestError(f"motion = {shown(words.get('motion', ''))}; expected {test.motion} here")
+    speed, acceleration, return_to_zero = map(read_integer, ("speed", "acceleration", "return_to_zero"))
+    test = SensorTest(quantity, linear_cm, rotate_deg, speed, acceleration, bool(return_to_zero))
+    if texts.get("motion") != test.motion:
+        raise SensorTestError(f"motion = {printable(texts.get('motion', ''))}; expected {test.motion} here")
     return test
 
 
@@ -135,8 +135,8 @@ def _number(name: str, text: str, kind: type[Number]) -> Number:
             raise ValueError
         return kind(text)
     except ValueError:
-        wanted = "an integer" if kind is int else "a number"
-        raise SensorTestError(f"{name} = {text[:40]!r}; expected {wanted}") from None
+        expected = "an integer" if kind is int else "a number"
+        raise SensorTestError(f"{name} = {text[:40]!r}; expected {expected}") from None
 
 
 def _columns(test: SensorTest) -> list[str]:
@@ -145,7 +145,7 @@ def _columns(test: SensorTest) -> list[str]:
     return ["time_s", "left_pulses", "right_pulses", *names]
 
 
-def _csv(run: SensorRun) -> str:
+def _format_csv(run: SensorRun) -> str:
     head = [_TITLE, *(f"# {key}: {value}" for key, value in facts(run.test).items())]
     head += [f"# text: {line}" for line in run.text.split("\n")]
     data = zip(run.times.tolist(), run.dv.tolist(), strict=True)
@@ -153,7 +153,7 @@ def _csv(run: SensorRun) -> str:
     return "\n".join([*head, ",".join(_columns(run.test)), *rows, ""])
 
 
-def _from_csv(data: bytes) -> SensorRun:
+def _parse_csv(data: bytes) -> SensorRun:
     try:
         lines = decode(data).replace("\r\n", "\n").split("\n")
     except ValueError as error:
@@ -162,12 +162,12 @@ def _from_csv(data: bytes) -> SensorRun:
         raise SensorTestError(f"line 1: {lines[0][:40]!r}; expected {_TITLE!r}")
     if lines[-1]:
         raise SensorTestError(f"line {len(lines)}: incomplete; expected a line feed at its end")
-    words: dict[str, str] = {}
+    settings: dict[str, str] = {}
     text: list[str] = []
     head = list(takewhile(lambda line: line.startswith("#"), lines[1:]))
     if ";" in lines[0] + lines[1 + len(head)]:
-        found = "fields with ';' between them, as a spreadsheet writes them where numbers have a comma"
-        raise SensorTestError(f"line {2 + len(head)}: {found}; expected ',', and '.' in numbers")
+        problem = "fields with ';' between them, as a spreadsheet writes them where numbers have a comma"
+        raise SensorTestError(f"line {2 + len(head)}: {problem}; expected ',', and '.' in numbers")
     for number, line in enumerate(head, 2):
         parts = re.fullmatch("# ([a-z_]+): ?(.*)", line, re.DOTALL)
         if parts is None:
@@ -175,27 +175,26 @@ def _from_csv(data: bytes) -> SensorRun:
         if parts[1] == "text":
             text.append(parts[2])
         else:
-            words[parts[1]] = parts[2]
-    test = _test(words)
+            settings[parts[1]] = parts[2]
+    test = _parse_test(settings)
     columns, limit = _columns(test), test.quantity.limit
-    place = 1 + len(head)
-    if lines[place].split(",") != columns:
-        raise SensorTestError(f"line {place + 1}: {lines[place][:40]!r}; expected {','.join(columns)}")
+    start = 1 + len(head)
+    if lines[start].split(",") != columns:
+        raise SensorTestError(f"line {start + 1}: {lines[start][:40]!r}; expected {','.join(columns)}")
     times: list[float] = []
     rows: list[list[int]] = []
-    for number, line in enumerate(lines[place + 1 : -1], place + 2):
+    for number, line in enumerate(lines[start + 1 : -1], start + 2):
         fields = line.split(",")
         if len(fields) != len(columns):
             raise SensorTestError(f"line {number}: {len(fields)} fields; expected {len(columns)}")
         times.append(_number(f"line {number}: time_s", fields[0], float))
         if not math.isfinite(times[-1]) and fields[0] != "nan":
-            wanted = "expected a time, or nan in all rows"
-            raise SensorTestError(f"line {number}: time_s = {fields[0][:40]}; {wanted}")
+            expectation = "expected a time, or nan in all rows"
+            raise SensorTestError(f"line {number}: time_s = {fields[0][:40]}; {expectation}")
         counts = zip(columns[1:], fields[1:], strict=True)
         rows.append([_count(f"line {number}: {name}", field) for name, field in counts])
         if any(not 0 <= count <= limit for count in rows[-1][2:]):
-            wanted = f"expected 0 to {limit}"
-            raise SensorTestError(f"line {number}: a reading out of range; {wanted}")
+            raise SensorTestError(f"line {number}: a reading out of range; expected 0 to {limit}")
     if 0 < sum(map(math.isnan, times)) < len(times):
         raise SensorTestError("time_s: nan in some rows; expected a time in each, or nan in all")
     if not rows:
@@ -209,11 +208,11 @@ def _count(name: str, text: str) -> int:
     return int(text)
 
 
-def _mat(run: SensorRun) -> bytes:
-    words = facts(run.test)
-    numbers = {key: float(value) for key, value in words.items() if key not in ("what", "motion")}
+def _format_mat(run: SensorRun) -> bytes:
+    settings = facts(run.test)
+    numbers = {key: float(value) for key, value in settings.items() if key not in ("what", "motion")}
     data = {"dv": run.dv.astype(np.float64), "dlgstr": run.text, "times": run.times.reshape(-1, 1)}
-    values: dict[str, object] = {**data, "what": words["what"], "motion": words["motion"], **numbers}
+    values: dict[str, object] = {**data, "what": settings["what"], "motion": settings["motion"], **numbers}
     return mat_bytes(values, "sensor test", packed=False)
 
 
@@ -235,14 +234,14 @@ def _write_log(path: Path, run: SensorRun) -> None:
     log.finish()
 
 
-def _from_log(path: Path) -> SensorRun:
+def _read_log(path: Path) -> SensorRun:
     try:
         label, arrays = read_arrays(path)
     except LogError as error:
         raise SensorTestError(str(error).removeprefix(f"{path}: ")) from error
     if "what" not in label.metadata:
         raise SensorTestError("not a log of a sensor test; expected one that khep-twin sense has written")
-    test = _test(label.metadata)
+    test = _parse_test(label.metadata)
     parts: list[NDArray[np.int64]] = []
     times: list[NDArray[np.int64]] = []
     for name, width in (("position", 2), (test.quantity.topic, len(test.quantity.names))):
@@ -251,8 +250,8 @@ def _from_log(path: Path) -> SensorRun:
             raise SensorTestError(f"{topic}: missing; expected messages of {width} values")
         times.append(arrays[topic][0])
         values = arrays[topic][1]
-        if (wrong := values[~((np.abs(values) < 2**31) & (values == np.round(values)))]).size:
-            raise SensorTestError(f"{topic}: {wrong[0]:g}; expected integers")
+        if (invalid := values[~((np.abs(values) < 2**31) & (values == np.round(values)))]).size:
+            raise SensorTestError(f"{topic}: {invalid[0]:g}; expected integers")
         parts.append(values.astype(np.int64))
     if not np.array_equal(times[0], times[1]):
         raise SensorTestError("positions and readings differ in time; expected one of each for every reading")

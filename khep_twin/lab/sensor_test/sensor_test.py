@@ -2,10 +2,9 @@
 
     dv = (left, right position counter, left 90, left 45, ... back left), a row for each reading
 
-A reading is a reply to H and one to N or O, or to T,2,N, which has 64 pixels in place of the eight sensors.
-The counters are older by the time of the second, some 20 ms at 9600 baud (a fifth of a second for an image):
-at speed 20 that is 3 mm, at speed 4 half a millimetre. A wheel that slips, as both do at a wall, counts on:
-the counters measure the wheels' motion.
+A reading is a reply to H and one to N or O, or to T,2,N, with 64 pixels instead of the eight sensors. The
+counters are older by the duration of the second exchange, some 20 ms at 9600 baud (200 ms for an image): 3 mm
+at speed 20, and 0.5 mm at speed 4. The counters measure the wheels' motion, including slip at a wall.
 """
 
 import math
@@ -21,11 +20,11 @@ from numpy.typing import NDArray
 
 from khep_twin.errors import KhepTwinError, SensorTestError
 from khep_twin.host import Khepera, Vision
-from khep_twin.log.decoding import shown
+from khep_twin.log.decoding import printable
 from khep_twin.units import COUNTS_LIMIT, K213_PIXELS, PULSE_LENGTH, SENSOR_LABELS, WHEEL_BASE
 
-What = Literal["proximity", "light", "vision"]
-"""Quantity that the sensors measure."""
+QuantityName = Literal["proximity", "light", "vision"]
+"""Name of a quantity: the key "what" in files, and the option --what."""
 
 
 class Quantity(NamedTuple):
@@ -36,7 +35,7 @@ class Quantity(NamedTuple):
         topic: Channel in logs.
         title: Name and unit of a reading.
         limit: Largest reading.
-        reader: Function that returns, for a robot, the function that reads all of them.
+        reader: Function that takes a robot and returns the function that reads all sensors.
     """
 
     names: tuple[str, ...]
@@ -46,11 +45,11 @@ class Quantity(NamedTuple):
     reader: Callable[[Khepera], Callable[[], Sequence[int]]]
 
 
-def _images_of(robot: Khepera) -> Callable[[], Sequence[int]]:
+def _image_reader(robot: Khepera) -> Callable[[], Sequence[int]]:
     return Vision(robot).image
 
 
-QUANTITIES: Mapping[What, Quantity] = {
+QUANTITIES: Mapping[QuantityName, Quantity] = {
     "proximity": Quantity(
         SENSOR_LABELS, "proximity", "proximity [counts]", COUNTS_LIMIT, attrgetter("proximity")
     ),
@@ -60,7 +59,7 @@ QUANTITIES: Mapping[What, Quantity] = {
         "vision",
         "line image [greys]",
         255,
-        _images_of,
+        _image_reader,
     ),
 }
 """Quantities by name."""
@@ -69,54 +68,54 @@ DEFAULT_SPEED, DEFAULT_ACCELERATION = 20, 64
 """Values of command J after a reset (manual, appendix A)."""
 
 PAUSE = 5.0
-"""Pause before the return [s], as in the Khepera Toolbox."""
+"""Pause before the drive back [s], as in the Khepera Toolbox."""
 
-STILL = 2.0
-"""Time without progress to its target after which a wheel is blocked [s]."""
+BLOCK_TIME = 2.0
+"""Time without progress to its target after which a wheel counts as blocked [s]."""
 
 PULSES_PER_CM = 0.01 / PULSE_LENGTH
 PULSES_PER_DEGREE = math.radians(1) * WHEEL_BASE / 2 / PULSE_LENGTH
 
-_SHAKE_PULSES = 2
-"""Largest change of a wheel's distance to its target that counts as no progress [pulses]."""
+_TOLERANCE_PULSES = 2
+"""Largest decrease of a wheel's distance to its target that is not progress [pulses]."""
 
-_SEEN_COUNTS = 50
-"""Proximity below which nothing is detected [counts]: the noise of the idle converter ends far below."""
+_DETECTION_COUNTS = 50
+"""Proximity below which no object is detected [counts], far above the noise of the converter."""
 
-_LIT_COUNTS = 40
+_LAMP_COUNTS = 40
 """Smallest difference of ambient counts due to a lamp; smaller ones are noise and sensor tolerance."""
 
 _NEAR_PULSES = 10
-"""Distance to the target from which on the robot's status is read; reading it always would cost rows."""
+"""Distance to the target below which the status is read [pulses]; it takes the time of a reading."""
 
 
-def check_what(what: str) -> What:
-    """Return a quantity by its name.
+def check_quantity(name: str) -> QuantityName:
+    """Return the name of a quantity.
 
     Raises:
-        SensorTestError: There is no such quantity.
+        SensorTestError: The name is unknown.
     """
-    for known in QUANTITIES:
-        if what == known:
-            return known
-    found = f"what = {shown(what)}"
-    raise SensorTestError(found, key="what", value=what, expected="proximity, light or vision")
+    for quantity in QUANTITIES:
+        if name == quantity:
+            return quantity
+    setting = f"what = {printable(name)}"
+    raise SensorTestError(setting, key="what", value=name, expected="proximity, light or vision")
 
 
 @dataclass(frozen=True, slots=True)
 class SensorTest:
-    """Motion and readings of a test; one of `linear_cm` and `rotate_deg` is given.
+    """Motion and readings of a test, with either `linear_cm` or `rotate_deg`.
 
     Attributes:
         what: Quantity to read, "proximity", "light" or "vision".
-        linear_cm: Distance straight on, 5 to 60, or backwards, -5 to -60 [cm].
+        linear_cm: Distance forwards, 5 to 60, or backwards, -5 to -60 [cm].
         rotate_deg: Turn on the spot, 15 to 360 counter-clockwise, or -15 to -360 [degrees].
         speed: Speed of command J, 1 to 127 [pulses/10 ms]; None if unknown.
         acceleration: Acceleration of command J, 1 to 255 [3.125 mm/s^2]; None if unknown.
         return_to_zero: True if the robot drives back afterwards.
     """
 
-    what: What = "proximity"
+    what: QuantityName = "proximity"
     linear_cm: float | None = None
     rotate_deg: float | None = None
     speed: int | None = DEFAULT_SPEED
@@ -124,11 +123,11 @@ class SensorTest:
     return_to_zero: bool = False
 
     def __post_init__(self) -> None:
-        """Raise a `SensorTestError` if a value is out of its range, or there is not one motion."""
-        check_what(self.what)
+        """Raise a `SensorTestError` if a value is out of range, or there is not exactly one motion."""
+        check_quantity(self.what)
         if (self.linear_cm is None) == (self.rotate_deg is None):
-            given = "none" if self.linear_cm is None else "both"
-            raise SensorTestError(f"linear and rotate: {given} given; expected one of them")
+            number = "none" if self.linear_cm is None else "both"
+            raise SensorTestError(f"linear and rotate: {number} given; expected one of them")
         if self.linear_cm is not None and not 5 <= abs(self.linear_cm) <= 60:
             raise SensorTestError(
                 f"linear = {self.linear_cm:g} cm; expected 5 to 60, or -5 to -60 to drive backwards"
@@ -165,8 +164,8 @@ class SensorTest:
     def target(self) -> tuple[int, int]:
         """Targets of the left and the right wheel [pulses]."""
         if self.linear_cm is not None:
-            straight = round(self.linear_cm * PULSES_PER_CM)
-            return straight, straight
+            distance = round(self.linear_cm * PULSES_PER_CM)
+            return distance, distance
         turn = round(self.amount * PULSES_PER_DEGREE)
         return -turn, turn
 
@@ -189,24 +188,24 @@ class SensorRun:
     text: str = ""
 
     def __post_init__(self) -> None:
-        """Check the shapes; raise a `SensorTestError` for values that no test gives or no file holds."""
+        """Check the shapes; raise a `SensorTestError` for impossible values and unprintable text."""
         width = 2 + len(self.test.quantity.names)
         if self.dv.shape != (len(self.times), width) or self.times.ndim != 1:
             raise ValueError(f"shapes {self.dv.shape} and {self.times.shape}; expected (n, {width}) and (n,)")
         limit = self.test.quantity.limit
-        wrong = (self.dv[:, 2:] < 0) | (self.dv[:, 2:] > limit)
-        if wrong.any():
-            row, column = (int(place[0]) for place in np.nonzero(wrong))
+        is_invalid = (self.dv[:, 2:] < 0) | (self.dv[:, 2:] > limit)
+        if is_invalid.any():
+            row, column = (int(indices[0]) for indices in np.nonzero(is_invalid))
             name, count = self.test.quantity.names[column], self.dv[row, 2 + column]
             raise SensorTestError(f"row {row + 1}: {name} = {count}; expected 0 to {limit}")
         if not np.isnan(self.times).all():
-            late = ~np.isfinite(self.times) | (np.diff(self.times, prepend=0.0) < 0)
-            if late.any():
-                row = int(np.argmax(late))
-                wanted = "a time from 0 that is not before that of the row above, or nan in all rows"
-                raise SensorTestError(f"row {row + 1}: time = {self.times[row]:g} s; expected {wanted}")
-        if odd := next((each for each in self.text if not each.isprintable() and each not in "\n\t"), ""):
-            raise SensorTestError(f"text: has the character {odd!r}; expected plain text in lines")
+            is_unordered = ~np.isfinite(self.times) | (np.diff(self.times, prepend=0.0) < 0)
+            if is_unordered.any():
+                row = int(np.argmax(is_unordered))
+                expected = "a time from 0 that is not before that of the row above, or nan in all rows"
+                raise SensorTestError(f"row {row + 1}: time = {self.times[row]:g} s; expected {expected}")
+        if symbol := next((char for char in self.text if not char.isprintable() and char not in "\n\t"), ""):
+            raise SensorTestError(f"text: has the character {symbol!r}; expected plain text in lines")
 
     @property
     def travelled(self) -> NDArray[np.float64]:
@@ -218,17 +217,17 @@ class SensorRun:
 
     @property
     def warning(self) -> str:
-        """Warning if the sensors have detected nothing, else empty."""
+        """Warning if the sensors have detected nothing; empty otherwise."""
         counts = self.dv[:, 2:]
         if not counts.size:
             return ""
         low, high = int(counts.min()), int(counts.max())
-        if self.test.what == "proximity" and high < _SEEN_COUNTS:
+        if self.test.what == "proximity" and high < _DETECTION_COUNTS:
             return (
                 f"Nothing was within reach: no proximity count is above {high}. Expected an object within "
                 "a few cm of the robot's path."
             )
-        if self.test.what == "light" and high - low < _LIT_COUNTS:
+        if self.test.what == "light" and high - low < _LAMP_COUNTS:
             return (
                 f"No lamp was within reach: all ambient counts are {low} to {high}. Expected a lamp that the "
                 "sensors face on the path."
@@ -237,7 +236,7 @@ class SensorRun:
 
 
 class BrokenOffError(SensorTestError):
-    """Error that ended a test early; `run` has the data until then."""
+    """Error that ended a test early; `run` has the data before it."""
 
     def __init__(self, message: str, run: SensorRun) -> None:
         super().__init__(message)
@@ -245,7 +244,7 @@ class BrokenOffError(SensorTestError):
 
 
 class InterruptedTest(KeyboardInterrupt):
-    """Ctrl-C during a test; `run` has the data until then."""
+    """Ctrl-C during a test; `run` has the data before it."""
 
     def __init__(self, run: SensorRun) -> None:
         super().__init__(f"the test was interrupted after {len(run.dv)} rows")
@@ -265,39 +264,39 @@ def sense(
     Args:
         robot: Robot to drive; its position counters are set to 0.
         test: Settings of the test.
-        text: Description to keep with the data.
-        progress: Called with the completed part of the path, 0 to 1.
+        text: Description that is stored with the data.
+        progress: Called with the completed fraction of the path, 0 to 1.
         stop: Called before each reading; returns whether to end early, with the rows so far.
 
     Raises:
         BrokenOffError: A wheel is blocked, or the port failed; its `run` has the rows so far.
         InterruptedTest: Ctrl-C was pressed; likewise.
-        SensorTestError: The text cannot be kept.
+        SensorTestError: The text cannot be stored.
     """
-    gathered = _Gathered(robot, test, text, progress, test.quantity.reader(robot))
-    gathered.run()
-    asked = stop or (lambda: False)
+    recorder = _RowRecorder(robot, test, text, progress, test.quantity.reader(robot))
+    recorder.run()
+    should_stop = stop or (lambda: False)
     try:
         robot.set_position(0, 0)
         profile = test.speed or DEFAULT_SPEED, test.acceleration or DEFAULT_ACCELERATION
         robot.configure_profile(*profile, *profile)
-        if drive_to(robot, test.target, gathered.look, asked) and test.return_to_zero:
-            _go_back(robot, asked)
-        rest(robot)
+        if drive_to(robot, test.target, recorder.add_row, should_stop) and test.return_to_zero:
+            _drive_back(robot, should_stop)
+        reset_motors(robot)
     except BaseException as error:
-        # A second error while the motors are stopped would only hide the first one.
+        # A further error while stopping the motors would hide the first one.
         with suppress(KhepTwinError):
-            rest(robot)
+            reset_motors(robot)
         if isinstance(error, KhepTwinError):
-            raise BrokenOffError(f"{gathered.so_far}: {error}", gathered.run()) from error
+            raise BrokenOffError(f"{recorder.summary}: {error}", recorder.run()) from error
         if isinstance(error, KeyboardInterrupt):
-            raise InterruptedTest(gathered.run()) from None
+            raise InterruptedTest(recorder.run()) from None
         raise
-    return gathered.run()
+    return recorder.run()
 
 
 @dataclass(slots=True)
-class _Gathered:
+class _RowRecorder:
     """Rows of a running test."""
 
     robot: Khepera
@@ -309,18 +308,18 @@ class _Gathered:
     times: list[float] = field(default_factory=list[float])
     start: float | None = None
 
-    def look(self, position: tuple[int, int]) -> None:
-        """Add a row, for counters that were read just now."""
+    def add_row(self, position: tuple[int, int]) -> None:
+        """Add a row, with counters that were just read."""
         if self.start is None:
             self.start = self.robot.time
-        # Whole nanoseconds survive a log unchanged.
+        # A log stores whole nanoseconds.
         time = round(self.robot.time - self.start, 9)
         values = self.read()
         self.times.append(time)
         self.rows.append((*position, *values))
         if self.progress is not None:
-            done = sum(map(abs, position)) / sum(map(abs, self.test.target))
-            self.progress(min(done, 1.0))
+            fraction = sum(map(abs, position)) / sum(map(abs, self.test.target))
+            self.progress(min(fraction, 1.0))
 
     def run(self) -> SensorRun:
         """Return the data so far."""
@@ -328,8 +327,8 @@ class _Gathered:
         return SensorRun(self.test, dv, np.array(self.times, np.float64), self.text)
 
     @property
-    def so_far(self) -> str:
-        """Sentence on the progress of the test."""
+    def summary(self) -> str:
+        """Description of the progress of the test."""
         travelled = self.run().travelled[-1] if self.rows else 0.0
         return f"the test broke off after {travelled:.1f} of {self.test.amount:g} {self.test.unit}"
 
@@ -337,38 +336,38 @@ class _Gathered:
 def drive_to(
     robot: Khepera,
     target: tuple[int, int],
-    look: Callable[[tuple[int, int]], None] | None,
+    on_position: Callable[[tuple[int, int]], None] | None,
     stop: Callable[[], bool],
 ) -> bool:
-    """Send the wheels to a target and read the sensors until they are there; return whether they are."""
+    """Send the wheels to a target and read the sensors meanwhile; return whether the target is reached."""
     robot.set_target(*target)
-    nearest, since = [math.inf, math.inf], [robot.time] * 2
+    nearest, last_progress = [math.inf, math.inf], [robot.time] * 2
     while not stop():
         position = robot.position()
-        if look is not None:
-            look(position)
-        ways = [abs(end - count) for end, count in zip(target, position, strict=True)]
-        nearer = [way < least - _SHAKE_PULSES for way, least in zip(ways, nearest, strict=True)]
+        if on_position is not None:
+            on_position(position)
+        distances = [abs(end - count) for end, count in zip(target, position, strict=True)]
+        is_nearer = [new < old - _TOLERANCE_PULSES for new, old in zip(distances, nearest, strict=True)]
         for wheel in (0, 1):
-            if nearer[wheel]:
-                nearest[wheel], since[wheel] = ways[wheel], robot.time
-        if all(nearer) and max(ways) > _NEAR_PULSES:
+            if is_nearer[wheel]:
+                nearest[wheel], last_progress[wheel] = distances[wheel], robot.time
+        if all(is_nearer) and max(distances) > _NEAR_PULSES:
             continue
         status = robot.status()
         if all(wheel.on_target for wheel in status):
-            if look is not None:
-                look(robot.position())
+            if on_position is not None:
+                on_position(robot.position())
             return True
         for wheel, name in enumerate(("left", "right")):
-            if not status[wheel].on_target and robot.time - since[wheel] > STILL:
+            if not status[wheel].on_target and robot.time - last_progress[wheel] > BLOCK_TIME:
                 raise SensorTestError(
-                    f"the {name} wheel came no nearer for {STILL:g} s, {position[wheel]} of {target[wheel]} "
-                    "pulses; expected a free path"
+                    f"the {name} wheel made no progress for {BLOCK_TIME:g} s, {position[wheel]} of "
+                    f"{target[wheel]} pulses; expected a free path"
                 )
     return False
 
 
-def _go_back(robot: Khepera, stop: Callable[[], bool]) -> None:
+def _drive_back(robot: Khepera, stop: Callable[[], bool]) -> None:
     end = robot.time + PAUSE
     while robot.time < end and not stop():
         robot.sleep(0.1)
@@ -378,7 +377,7 @@ def _go_back(robot: Khepera, stop: Callable[[], bool]) -> None:
         raise SensorTestError(f"on the return {error}") from None
 
 
-def rest(robot: Khepera) -> None:
+def reset_motors(robot: Khepera) -> None:
     """Stop the motors and set command J's values to those of a reset."""
     robot.set_speed(0, 0)
     robot.configure_profile(DEFAULT_SPEED, DEFAULT_ACCELERATION, DEFAULT_SPEED, DEFAULT_ACCELERATION)

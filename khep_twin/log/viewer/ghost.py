@@ -1,7 +1,7 @@
-"""Additions to the views of a shadow's log: region, particles, dead reckoning, rays, curves, the truth.
+"""Additions to the views of a shadow's log: region, particles, dead reckoning, rays, curves, ground truth.
 
-The robot itself is drawn at the estimate, which the log has as /tf. A ray ends where a facing white wall
-would give the reading, by the log's calibration: one ray for the expected reading, one for the measured.
+The robot is drawn at the estimate, which is /tf of the log. A ray ends where a facing white wall would give
+the reading, by the log's calibration: one ray for the expected reading, one for the measured reading.
 """
 
 # rerun's types are partly unknown.
@@ -22,12 +22,12 @@ from khep_twin.log.attached import calibration_of, playpen_of
 from khep_twin.log.channels import PLANAR
 from khep_twin.log.decoding import DecodeError
 from khep_twin.log.entries import Label
-from khep_twin.log.reader import hash_of, read_series
+from khep_twin.log.reader import hash_file, read_series
 from khep_twin.log.shadow_channels import (
     LIGHT,
     PARTICLES,
     PROXIMITY,
-    REGION,
+    REGION_SIGMAS,
     STATE,
     STATE_COLOURS,
     SUSPECTED,
@@ -36,11 +36,11 @@ from khep_twin.log.shadow_channels import (
     PoseState,
     Suspicion,
     is_shadow,
-    state_of,
-    suspected_of,
+    parse_state,
+    parse_suspicions,
 )
 from khep_twin.log.shadow_track import planar
-from khep_twin.log.viewer.arena import REACH, in_frame, line_chunks, path_chunks, trail
+from khep_twin.log.viewer.arena import RAY_LIMIT, in_frame, line_chunks, path_chunks, trail
 from khep_twin.log.viewer.collected import Collector, Floats, time_column
 
 RESIDUALS = {
@@ -49,16 +49,16 @@ RESIDUALS = {
     "residual_wheels": WHEELS,
     "residual_timing": slice(TIMING, TIMING + 1),
 }
-"""Entities of the residuals of the replies that have them, timing in ms, and their columns."""
+"""Entities of the residuals of replies (timing in ms), with their columns in the log."""
 
 PICTURES = 10_000
-"""Most pictures of a run's ghosts; a longer run has fewer than one per reply."""
+"""Maximum number of drawn updates of a run; a longer run has fewer than one per reply."""
 
-FAULTS = "suspected"
-"""Part of the entities' paths of the suspected faults."""
+FAULT_PATH = "suspected"
+"""Component of the entity paths of suspected faults."""
 
 RECKONED, TRUTH = "reckoned", "truth"
-"""Names of what is drawn beside the estimate."""
+"""Names of the poses drawn beside the estimate."""
 
 COLOURS = {
     "estimate": STATE_COLOURS[PoseState.FOLLOWED],
@@ -67,129 +67,132 @@ COLOURS = {
     "expected": (0, 150, 160),
     "measured": (228, 30, 20),
 }
-_ABOVE = 0.036
-"""Height of what is drawn over the robot [m]."""
+_OVERLAY_HEIGHT = 0.036
+"""Height of the drawings over the robot [m]."""
 
 _T = TypeVar("_T")
 
 _RAY_HEIGHT = 0.012
-_TURNS = np.linspace(0, math.tau, 33)
-_CIRCLE = np.column_stack([np.cos(_TURNS), np.sin(_TURNS)])
+_ANGLES = np.linspace(0, math.tau, 33)
+_CIRCLE = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 
 
 class Ghost:
-    """Additions for one shadow's log, which may come in pieces; a log with the truth is sought next to it."""
+    """Additions for a shadow's log, which may come in batches; the parent log gives ground truth."""
 
     def __init__(self, label: Label, source: Path) -> None:
-        self._robot, self._source = label.robots[0], source
+        self._robot = label.robots[0]
+        self._source = source
         body = playpen_of(label.attachments, source).robots[0].body
         measured = calibration_of(label.attachments, self._robot, source)
         if measured is None:
             raise LogError(f"{source}: no calibration; expected calibration/{self._robot}.toml")
-        self._radius, self._feet = body.radius, np.array(body.sensor_positions)
+        self._radius = body.radius
+        self._sensor_positions = np.array(body.sensor_positions)
         self._headings = np.radians(measured.heading_deg)
         proximity = measured.proximity
         self._gain = np.array(proximity.gain_counts_mm2)
         self._threshold = np.array(proximity.threshold_counts)
         self._offset = np.array(proximity.offset_mm)
-        self._before: dict[str, Floats] = {}
+        self._last_poses: dict[str, Floats] = {}
         self._states: list[tuple[int, PoseState]] = [(0, PoseState.FOLLOWED)]
         self._suspected: tuple[Suspicion, ...] = ()
-        self._named = set[str]()
-        self._truth = _truth(label, source)
+        self._named_faults = set[str]()
+        self._truth = _read_truth(label, source)
 
     def chunks(self, collected: Collector) -> Iterator[Chunk]:
-        """Yield the additions of a piece."""
+        """Yield the additions of a batch."""
         if self._truth is not None:
             times_ns, poses = self._truth
             yield from self._outline(TRUTH, times_ns[::2], poses[::2])
             yield from self._path(TRUTH, times_ns, poses)
             self._truth = None
-        found = collected.shadow()
-        self._states = [self._states[-1], *self._read(collected, STATE, state_of)]
-        ends_ns = [] if found is None else found.times_ns[-1:].tolist()
-        yield from self._probabilities(self._read(collected, SUSPECTED, suspected_of), ends_ns)
-        if found is None:
+        samples = collected.shadow()
+        self._states = [self._states[-1], *self._read(collected, STATE, parse_state)]
+        ends_ns = [] if samples is None else samples.times_ns[-1:].tolist()
+        yield from self._probabilities(self._read(collected, SUSPECTED, parse_suspicions), ends_ns)
+        if samples is None:
             return
-        times_ns, residuals = found.times_ns, found.residuals
+        times_ns, residuals = samples.times_ns, samples.residuals
         for name, columns in RESIDUALS.items():
-            asked = ~np.isnan(residuals[:, columns]).any(axis=1)
-            if asked.any():
-                times = time_column(times_ns[asked])
+            is_measured = ~np.isnan(residuals[:, columns]).any(axis=1)
+            if is_measured.any():
+                times = time_column(times_ns[is_measured])
                 scale = 1e3 if columns.start == TIMING else 1.0
-                values = rr.Scalars.columns(scalars=scale * residuals[asked, columns])
+                values = rr.Scalars.columns(scalars=scale * residuals[is_measured, columns])
                 yield Chunk.from_columns(f"/{self._robot}/{name}", [times], values)
-        reckoned = planar(found.reckoned)
+        reckoned = planar(samples.reckoned)
         yield from self._path(RECKONED, times_ns, reckoned)
-        few = slice(None, None, max(1, len(times_ns) // PICTURES))
-        times_ns, poses = times_ns[few], planar(found.poses[few])
-        yield from self._outline(RECKONED, times_ns, reckoned[few])
-        yield from self._region(times_ns, poses, found.poses[few, 7:])
-        yield from self._rays(times_ns, poses, found.expected[few], found.measured[few])
-        if len(found.particles_ns):
-            yield from self._particles(found.particles_ns, found.particles.reshape(-1, PARTICLES, 3))
+        stride = slice(None, None, max(1, len(times_ns) // PICTURES))
+        times_ns, poses = times_ns[stride], planar(samples.poses[stride])
+        yield from self._outline(RECKONED, times_ns, reckoned[stride])
+        yield from self._region(times_ns, poses, samples.poses[stride, 7:])
+        yield from self._rays(times_ns, poses, samples.expected[stride], samples.measured[stride])
+        if len(samples.particles_ns):
+            yield from self._particles(samples.particles_ns, samples.particles.reshape(-1, PARTICLES, 3))
 
     def _path(self, name: str, times_ns: NDArray[np.int64], poses: Floats) -> Iterator[Chunk]:
         points = np.column_stack([poses[:, :2], np.zeros(len(poses))])
-        yield from path_chunks(trail(name), times_ns, points, COLOURS[name], self._before.get(name))
+        yield from path_chunks(trail(name), times_ns, points, COLOURS[name], self._last_poses.get(name))
         if len(points):
-            self._before[name] = points[-1]
+            self._last_poses[name] = points[-1]
 
     def _outline(self, name: str, times_ns: NDArray[np.int64], poses: Floats) -> Iterator[Chunk]:
-        """Yield a robot's outline with its nose, at two heights."""
+        """Yield a robot's outline with a heading line, at two heights."""
         nose = self._radius * np.array([(0.2, 0.0), (1.0, 0.0)])
         strips: list[Floats] = []
         for x, y, heading in poses.tolist():
-            turn = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
+            cosine, sine = math.cos(heading), math.sin(heading)
+            rotation = np.array([[cosine, sine], [-sine, cosine]])
             for height in (0.003, 0.03):
-                for shape in (self._radius * _CIRCLE, nose @ turn):
+                for shape in (self._radius * _CIRCLE, nose @ rotation):
                     strips.append(np.column_stack([np.add(shape, (x, y)), np.full(len(shape), height)]))
         yield from _lines(f"/ghost/{name}", times_ns, strips, [COLOURS[name]] * 4, 0.0007)
 
     def _read(self, collected: Collector, topic: str, read: Callable[[str], _T]) -> list[tuple[int, _T]]:
-        """Return times [ns] and content of a channel of lines."""
-        found: list[tuple[int, _T]] = []
+        """Return times [ns] and parsed content of a text channel."""
+        lines: list[tuple[int, _T]] = []
         for time_ns, text in collected.texts(topic):
             try:
-                found.append((time_ns, read(text)))
+                lines.append((time_ns, read(text)))
             except DecodeError as error:
-                raise error.at(self._source, topic, time_ns) from None
-        return found
+                raise error.to_log_error(self._source, topic, time_ns) from None
+        return lines
 
     def _probabilities(
-        self, found: list[tuple[int, tuple[Suspicion, ...]]], ends_ns: list[int]
+        self, changes: list[tuple[int, tuple[Suspicion, ...]]], ends_ns: list[int]
     ) -> Iterator[Chunk]:
-        """Yield the probability of each suspected fault where it changes, and at the end of the piece."""
+        """Yield the probability of each suspected fault at its changes, and at the end of the batch."""
         curves: dict[str, list[tuple[int, float]]] = {}
-        last = [(end_ns, found[-1][1] if found else self._suspected) for end_ns in ends_ns]
-        for time_ns, suspected in [*found, *last]:
-            now = {each.name: each.probability for each in suspected}
-            for name in {**{each.name: 0.0 for each in self._suspected}, **now}:
-                curves.setdefault(name, []).append((time_ns, 100 * now.get(name, 0.0)))
+        last = [(end_ns, changes[-1][1] if changes else self._suspected) for end_ns in ends_ns]
+        for time_ns, suspected in [*changes, *last]:
+            probabilities = {suspicion.name: suspicion.probability for suspicion in suspected}
+            for name in {**{suspicion.name: 0.0 for suspicion in self._suspected}, **probabilities}:
+                curves.setdefault(name, []).append((time_ns, 100 * probabilities.get(name, 0.0)))
             self._suspected = suspected
         for name, points in curves.items():
-            place = f"/{self._robot}/{FAULTS}/{rr.escape_entity_path_part(name)}"
+            path = f"/{self._robot}/{FAULT_PATH}/{rr.escape_entity_path_part(name)}"
             times_ns, values = (np.array(column) for column in zip(*points, strict=True))
-            if name not in self._named:
-                self._named.add(name)
-                look = rr.SeriesLines.columns(names=[name], interpolation_mode=["StepAfter"])
-                yield Chunk.from_columns(place, [], look)
-            yield Chunk.from_columns(place, [time_column(times_ns)], rr.Scalars.columns(scalars=values))
+            if name not in self._named_faults:
+                self._named_faults.add(name)
+                style = rr.SeriesLines.columns(names=[name], interpolation_mode=["StepAfter"])
+                yield Chunk.from_columns(path, [], style)
+            yield Chunk.from_columns(path, [time_column(times_ns)], rr.Scalars.columns(scalars=values))
 
     def _colours(self, times_ns: NDArray[np.int64]) -> list[Any]:
         """Return the colour of the state at each time."""
-        begins_ns = [time_ns for time_ns, _ in self._states[1:]]
-        rows = np.searchsorted(begins_ns, times_ns, side="right").tolist()
+        changes_ns = [time_ns for time_ns, _ in self._states[1:]]
+        rows = np.searchsorted(changes_ns, times_ns, side="right").tolist()
         return [STATE_COLOURS[self._states[row][1]] for row in rows]
 
     def _region(self, times_ns: NDArray[np.int64], poses: Floats, covariances: Floats) -> Iterator[Chunk]:
-        """Yield the ellipse that holds the position with 95 %, over the robot, in the colour of the state."""
+        """Yield the 95 % ellipse of the position, over the robot, in the colour of the state."""
         strips: list[Floats] = []
-        whole = covariances.reshape(-1, 6, 6)[:, PLANAR[:2]][:, :, PLANAR[:2]]
-        for (x, y, _), covariance in zip(poses.tolist(), whole, strict=True):
+        position_covariances = covariances.reshape(-1, 6, 6)[:, PLANAR[:2]][:, :, PLANAR[:2]]
+        for (x, y, _), covariance in zip(poses.tolist(), position_covariances, strict=True):
             values, vectors = np.linalg.eigh(covariance)
-            edge = REGION * _CIRCLE * np.sqrt(np.maximum(values, 0)) @ vectors.T + (x, y)
-            strips.append(np.column_stack([edge, np.full(len(edge), _ABOVE)]))
+            edge = REGION_SIGMAS * _CIRCLE * np.sqrt(np.maximum(values, 0)) @ vectors.T + (x, y)
+            strips.append(np.column_stack([edge, np.full(len(edge), _OVERLAY_HEIGHT)]))
         lines = [strip.astype(np.float32) for strip in strips], self._colours(times_ns)
         yield from line_chunks("/ghost/spread", "world", times_ns, *lines, 0.0008, 1)
 
@@ -197,28 +200,28 @@ class Ghost:
         self, times_ns: NDArray[np.int64], poses: Floats, expected: Floats, measured: Floats
     ) -> Iterator[Chunk]:
         """Yield the rays of the expected and the measured readings, side by side."""
-        ahead = poses[:, 2:] + self._headings
-        forward, left = self._feet.T
+        directions = poses[:, 2:] + self._headings
+        forward, left = self._sensor_positions.T
         cosine, sine = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
         x = poses[:, :1] + cosine * forward - sine * left
         y = poses[:, 1:2] + sine * forward + cosine * left
         for name, counts, side in (("expected", expected, 0.0012), ("measured", measured, -0.0012)):
-            start = np.stack([x - side * np.sin(ahead), y + side * np.cos(ahead)], axis=-1)
-            reach = self._reach(counts)[..., None]
-            end = start + reach * np.stack([np.cos(ahead), np.sin(ahead)], axis=-1)
+            start = np.stack([x - side * np.sin(directions), y + side * np.cos(directions)], axis=-1)
+            distances = self._wall_distances(counts)[..., None]
+            end = start + distances * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
             ends = np.stack([start, end], axis=2).reshape(-1, 2, 2)
             strips = np.concatenate([ends, np.full((*ends.shape[:2], 1), _RAY_HEIGHT)], axis=2)
             yield from _lines(f"/ghost/{name}", times_ns, list(strips), [COLOURS[name]] * 8, 0.0008)
 
-    def _reach(self, counts: Floats) -> Floats:
-        """Return the distances of a facing white wall by readings [m], at most `REACH`; 0 for no reading."""
+    def _wall_distances(self, counts: Floats) -> Floats:
+        """Return the distances of a facing white wall by readings [m], up to `RAY_LIMIT`; 0 if NaN."""
         light = np.maximum(counts + self._threshold, 1e-9)
         millimetres = np.sqrt(self._gain / light) - self._offset
-        return np.nan_to_num(np.clip(millimetres / 1000, 0, REACH))
+        return np.nan_to_num(np.clip(millimetres / 1000, 0, RAY_LIMIT))
 
     def _particles(self, times_ns: NDArray[np.int64], particles: Floats) -> Iterator[Chunk]:
         points = particles.copy()
-        points[..., 2] = _ABOVE
+        points[..., 2] = _OVERLAY_HEIGHT
         n = len(times_ns)
         columns = rr.Points3D.columns(
             positions=points.reshape(-1, 3).astype(np.float32),
@@ -231,23 +234,23 @@ class Ghost:
 
 
 def _lines(
-    place: str, times_ns: NDArray[np.int64], strips: list[Floats], colours: list[Any], radius: float
+    path: str, times_ns: NDArray[np.int64], strips: list[Floats], colours: list[Any], radius: float
 ) -> Iterator[Chunk]:
-    """Yield as many lines at each time as there are colours."""
+    """Yield one line per colour at each time."""
     if len(times_ns):
         lines = [strip.astype(np.float32) for strip in strips], colours * len(times_ns)
-        yield from line_chunks(place, "world", times_ns, *lines, radius, len(colours))
+        yield from line_chunks(path, "world", times_ns, *lines, radius, len(colours))
 
 
-def _truth(label: Label, source: Path) -> tuple[NDArray[np.int64], Floats] | None:
-    """Return times [ns] and poses of the log that the shadow has read, if it lies here and has them."""
+def _read_truth(label: Label, source: Path) -> tuple[NDArray[np.int64], Floats] | None:
+    """Read times [ns] and poses of the shadow's parent log, if it is in the same folder and contains them."""
     name = label.metadata.get("parent", "")
     parent = source.parent / name
     if not is_shadow(label) or not name or Path(name).name != name or not parent.is_file():
         return None
-    if hash_of(parent) != label.metadata.get("parent_sha256"):
+    if hash_file(parent) != label.metadata.get("parent_sha256"):
         return None
     recording = read_series(parent)
     robot = label.metadata.get("parent_robot", recording.label.robots[0])
-    found = recording.series.get(f"/{robot}/pose")
-    return None if found is None else (found.times_ns, found.values.astype(np.float64))
+    series = recording.series.get(f"/{robot}/pose")
+    return None if series is None else (series.times_ns, series.values.astype(np.float64))

@@ -22,54 +22,55 @@ CURVES: Mapping[str, tuple[str, Mapping[str, Colour]]] = {
     "accelerometer": ("accelerometer [1/16384 g]", AXES),
     "gyroscope": ("gyroscope [0.066 deg/s]", AXES),
 }
-"""Title and curves of its further plots, by channel."""
+"""Title and curves of the additional plots, by channel."""
 
 _HALF_BEAM = math.radians(15)
-"""Half the width of a drawn beam; the real one has no edge [rad]."""
+"""Half-angle of a drawn beam; the real beam has no sharp edge [rad]."""
 
 _ARC = 9
 _LED_RADIUS = 0.0055
-_FULL = 63
-"""Brightest value of an LED."""
+_MAX_BRIGHTNESS = 63
+"""Maximum brightness of an LED."""
 
 
 def arena_chunks(robot: str, track: Samples, leds: Floats) -> list[Chunk]:
-    """Return beams and LEDs at the times of samples; LEDs lie at places in the robot's frame (3, 3) [m]."""
+    """Return beams and LEDs at the times of samples; `leds` are positions in the robot's frame (3, 3) [m]."""
     chunks: list[Chunk] = []
-    if (seen := track.more.get("ultrasonic")) is not None:
-        chunks += _beams(robot, track.times_ns, seen)
-    if (lit := track.more.get("leds")) is not None:
-        chunks += _lights(robot, track.times_ns, lit, leds)
+    if (distances := track.extra_channels.get("ultrasonic")) is not None:
+        chunks += _beams(robot, track.times_ns, distances)
+    if (brightness := track.extra_channels.get("leds")) is not None:
+        chunks += _lights(robot, track.times_ns, brightness, leds)
     return chunks
 
 
-def _beams(robot: str, times_ns: NDArray[np.int64], seen: Floats) -> list[Chunk]:
-    """Return a sector for each sensor, as long as it reads [cm] (n, 5); none where it reads no distance."""
-    n, count = seen.shape
+def _beams(robot: str, times_ns: NDArray[np.int64], distances: Floats) -> list[Chunk]:
+    """Return a sector per sensor, as long as its distance [cm] (n, 5); none without a distance."""
+    n, count = distances.shape
     headings = np.radians(HEADINGS_DEG)
-    ways = headings[:, None] + np.linspace(-_HALF_BEAM, _HALF_BEAM, _ARC)
-    fans = np.stack([np.cos(ways), np.sin(ways), np.zeros_like(ways)], axis=-1)
-    feet = np.stack([RADIUS * np.cos(headings), RADIUS * np.sin(headings), np.full(count, HEIGHT)], axis=-1)
-    known = ~np.isin(seen, CODES)
-    strips = np.repeat(feet[None, :, None], n, axis=0).repeat(_ARC + 2, axis=2)
-    strips[:, :, 1:-1] += np.where(known, seen / 100, 0)[..., None, None] * fans
+    angles = headings[:, None] + np.linspace(-_HALF_BEAM, _HALF_BEAM, _ARC)
+    fans = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
+    x, y = RADIUS * np.cos(headings), RADIUS * np.sin(headings)
+    origins = np.stack([x, y, np.full(count, HEIGHT)], axis=-1)
+    is_valid = ~np.isin(distances, CODES)
+    strips = np.repeat(origins[None, :, None], n, axis=0).repeat(_ARC + 2, axis=2)
+    strips[:, :, 1:-1] += np.where(is_valid, distances / 100, 0)[..., None, None] * fans
     colours = np.zeros((n, count, 4), np.uint8)
-    colours[known] = (64, 150, 208, 255)
+    colours[is_valid] = (64, 150, 208, 255)
     lines = strips.reshape(n * count, -1, 3).astype(np.float32), colours.reshape(-1, 4)
     return line_chunks(f"/obstacles/{robot}_ultrasonic", f"{robot}/base", times_ns, *lines, 0.0015, count)
 
 
-def _lights(robot: str, times_ns: NDArray[np.int64], lit: Floats, places: Floats) -> list[Chunk]:
-    """Return the LEDs in their colours, red, green and blue of each, 0 to 63 (n, 9); none where it is off."""
+def _lights(robot: str, times_ns: NDArray[np.int64], brightness: Floats, positions: Floats) -> list[Chunk]:
+    """Return the LEDs in their colours: red, green and blue of each, 0 to 63 (n, 9); none if it is off."""
     n, count = len(times_ns), len(LEDS)
-    parts = lit.reshape(n * count, 3) / _FULL
-    strongest = parts.max(axis=1, keepdims=True)
-    colours = np.round(255 * np.divide(parts, strongest, out=np.zeros_like(parts), where=strongest > 0))
+    levels = brightness.reshape(n * count, 3) / _MAX_BRIGHTNESS
+    strongest = levels.max(axis=1, keepdims=True)
+    colours = np.round(255 * np.divide(levels, strongest, out=np.zeros_like(levels), where=strongest > 0))
     balls = rr.Ellipsoids3D.columns(
-        centers=np.tile(places, (n, 1)).astype(np.float32),
+        centers=np.tile(positions, (n, 1)).astype(np.float32),
         half_sizes=np.where(strongest > 0, _LED_RADIUS, 0).repeat(3, axis=1).astype(np.float32),
         colors=colours.astype(np.uint8),
     )
-    place = f"/obstacles/{robot}_leds"
+    path = f"/obstacles/{robot}_leds"
     columns = balls.partition([count] * n)
-    return [in_frame(place, f"{robot}/base"), Chunk.from_columns(place, [time_column(times_ns)], columns)]
+    return [in_frame(path, f"{robot}/base"), Chunk.from_columns(path, [time_column(times_ns)], columns)]

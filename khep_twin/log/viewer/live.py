@@ -1,8 +1,8 @@
-"""Live view of a run: the log that it writes is followed and passed to rerun's viewer.
+"""Live view of a run in rerun's viewer, by following the log that the run writes.
 
-The run has no work with it and is not slowed. The view is therefore as old as the log's last write: half a
-second for `serve`, five simulated seconds for a run in lock-step. Each piece is shown over the time that it
-took to arrive, in steps of 40 ms, so that the picture moves smoothly.
+The run is not slowed down. The view is therefore as old as the last write of the log: half a second for
+`serve`, five simulated seconds for a run in lock-step. Each batch of messages is shown over the time since
+the previous batch, in steps of 40 ms, so that the picture moves smoothly.
 """
 
 # rerun's types are partly unknown.
@@ -32,27 +32,27 @@ from khep_twin.log.entries import Entry
 from khep_twin.log.reader import Label
 from khep_twin.log.tail import GrowingLog
 from khep_twin.log.viewer.collected import Collector, times_of
-from khep_twin.log.viewer.layout import Shown, layout
+from khep_twin.log.viewer.layout import ShownLog, layout
 from khep_twin.log.viewer.process import Web, open_viewer
-from khep_twin.log.viewer.replay import UNSEEN, Additions, standing_chunks
+from khep_twin.log.viewer.replay import HIDDEN_TOPICS, Additions, static_chunks
 
 SAMPLE_NS = NS_PER_S // 25
-"""Simulated time for which one sample of each channel is shown [ns]; transcripts and events are complete."""
+"""Simulated time per shown sample of each channel [ns]; transcripts and events are complete."""
 
-STEP = 0.04
+UPDATE_INTERVAL_S = 0.04
 """Shortest time between updates of the viewer [s of wall time]."""
 
-LONGEST_STRETCH = 0.5
-"""Longest wall time over which a piece of the log is shown [s]."""
+MAX_SPREAD_S = 0.5
+"""Maximum wall time over which a batch of the log is shown [s]."""
 
-SHARE = 0.25
-"""Largest share of one processor core that is used, on average; with many robots the steps become longer."""
+CPU_SHARE = 0.25
+"""Maximum average load on one processor core; with many robots the steps become longer."""
 
 LAST_S = 60.0
 """Length of the curves of an unfinished run [s]."""
 
 _TEXTS = ("rcl_interfaces/msg/Log", "std_msgs/msg/String")
-_UNSEEN = re.compile("|".join(UNSEEN))
+_HIDDEN = re.compile("|".join(HIDDEN_TOPICS))
 _LOG_TIMEOUT_S = 10.0
 """Longest wait for the log of a run that is started together with the viewer (assumed) [s]."""
 
@@ -65,28 +65,28 @@ def view_live(path: Path, web: Web | None, stop: Callable[[], bool], notify: Cal
     Args:
         path: Path of the log that the run writes, NAME.mcap or NAME.mcap.part.
         web: Settings of the viewer in a browser; None opens a window.
-        stop: Function called now and then that returns whether to end.
-        notify: Function that takes messages for the user, such as that the run has ended.
+        stop: Function called repeatedly that returns whether to stop.
+        notify: Function that takes messages for the user, e.g. at the end of the run.
 
     Raises:
-        LogError: There is no such log, it is finished or no log, or the viewer fails.
+        LogError: The log is missing, finished or invalid, or the viewer fails.
     """
-    found = _opened(path, stop)
-    if found is None:
+    growing_log = _wait_for_log(path, stop)
+    if growing_log is None:
         return
-    with found as log:
-        first: list[Entry] = []
+    with growing_log as log:
+        first_entries: list[Entry] = []
         while log.label() is None and not stop():
-            first = log.new()
-            time.sleep(STEP)
+            first_entries = log.read_new()
+            time.sleep(UPDATE_INTERVAL_S)
         if stop():
             return
         with open_viewer(str(log.path), web, stop=stop) as viewer:
             recording = rr.RecordingStream("khep_twin", recording_id=f"{encodable(log.path.stem)} live")
             recording.connect_grpc(viewer.address)
             try:
-                follow(log, recording, lambda: stop() or viewer.closed(), first)
-                if log.finished:
+                follow(log, recording, lambda: stop() or viewer.is_closed(), first_entries)
+                if log.is_finished:
                     notify(f"the run has ended; look at the whole of it: {command('view', log.path)}")
             except LogError as error:
                 notify(str(error))  # the data so far can still be viewed
@@ -101,38 +101,39 @@ def follow(
     log: GrowingLog,
     recording: rr.RecordingStream,
     stop: Callable[[], bool],
-    first: Sequence[Entry] = (),
+    first_entries: Sequence[Entry] = (),
 ) -> None:
     """Pass a log to rerun while it grows, until it is finished or `stop` returns True.
 
-    It begins with messages that were read of it already.
+    `first_entries` are messages already read from it.
 
     Raises:
-        LogError: It turns out to be no log of khep_twin, or its run has ended without finishing it.
+        LogError: The file is no log of khep_twin, or its run ended without finishing it.
     """
     label: Label | None = None
-    dealer = _Dealer()
+    queue = _SmoothingQueue()
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
         translator = Translator(Path(folder), log.path)
-        while not stop() and not (log.finished and dealer.empty()):
-            began, busy = time.monotonic(), time.process_time()
-            messages, first = first or log.new(), ()
+        while not stop() and not (log.is_finished and queue.is_empty()):
+            start_s, cpu_s = time.monotonic(), time.process_time()
+            messages, first_entries = first_entries or log.read_new(), ()
             if label is None and (label := log.label()) is not None:
-                recording.send_blueprint(layout([Shown(label, last_s=LAST_S)]))
+                recording.send_blueprint(layout([ShownLog(label, last_s=LAST_S)]))
                 recording.send_recording_name(f"{encodable(log.path.stem)}, live")
-                rr.send_chunks(standing_chunks(label), recording=recording)
+                rr.send_chunks(static_chunks(label), recording=recording)
             if messages and label is not None:
-                standing, passing = translator.translate(messages, label)
-                rr.send_chunks(standing, recording=recording)
-                dealer.take(passing, began, at_once=log.behind)
-            rr.send_chunks(dealer.due(began), recording=recording)
-            if not log.behind:
-                busy = time.process_time() - busy
-                time.sleep(max(STEP - (time.monotonic() - began), busy * (1 / SHARE - 1), 0.0))
+                static, timed = translator.translate(messages, label)
+                rr.send_chunks(static, recording=recording)
+                queue.add(timed, start_s, is_immediate=log.is_behind)
+            rr.send_chunks(queue.release(start_s), recording=recording)
+            if not log.is_behind:
+                cpu_s = time.process_time() - cpu_s
+                elapsed_s = time.monotonic() - start_s
+                time.sleep(max(UPDATE_INTERVAL_S - elapsed_s, cpu_s * (1 / CPU_SHARE - 1), 0.0))
 
 
-def _opened(path: Path, stop: Callable[[], bool]) -> GrowingLog | None:
-    """Open the log as soon as its run has begun it, as both may be started together; None if stopped."""
+def _wait_for_log(path: Path, stop: Callable[[], bool]) -> GrowingLog | None:
+    """Open the log as soon as its run creates it, since both may start together; None if stopped."""
     deadline = time.monotonic() + _LOG_TIMEOUT_S
     while not stop():
         try:
@@ -149,99 +150,97 @@ def _opened(path: Path, stop: Callable[[], bool]) -> GrowingLog | None:
 
 
 class Translator:
-    """Translator of a log's messages to rerun's chunks by rerun's own reader, the same as for a replay.
-
-    The reader takes files: pieces of the log are written to a folder.
-    """
+    """Translator of a log's messages to rerun's chunks by rerun's reader, which reads files of a folder."""
 
     def __init__(self, folder: Path, source: Path) -> None:
         self._source = source
-        self._piece = folder / "piece.mcap"
+        self._batch_path = folder / "piece.mcap"
         self._slots: dict[str, int] = {}
         self._described: set[str] = set()
         self._additions: Additions | None = None
 
     def translate(self, messages: Sequence[Entry], label: Label) -> tuple[list[Chunk], list[Chunk]]:
-        """Return the static chunks, and those with times."""
-        by_topic = self._thinned(messages)
+        """Return the static chunks, and the chunks with times."""
+        by_topic = self._thin(messages)
         if not by_topic:
             return [], []
-        piece = BytesIO()
-        writer = BatchWriter(piece, "ros2", "khep_twin")
-        for topic, found in by_topic.items():
-            channel = writer.channel(topic, found[0].schema, found[0].definition or "")
-            writer.add_lines(channel, [each.time_ns for each in found], [each.data for each in found])
+        batch = BytesIO()
+        writer = BatchWriter(batch, "ros2", "khep_twin")
+        for topic, entries in by_topic.items():
+            channel = writer.channel(topic, entries[0].schema, entries[0].definition or "")
+            writer.add_lines(channel, [entry.time_ns for entry in entries], [entry.data for entry in entries])
         writer.finish()
-        self._piece.write_bytes(piece.getvalue())
+        self._batch_path.write_bytes(batch.getvalue())
         collector = Collector()
-        chunks = list(collector.passing(self._piece, self._source))
-        passing = [chunk for chunk in chunks if not chunk.is_static]
-        # Each piece describes its channels; once is enough.
-        standing = [chunk for chunk in chunks if chunk.is_static and chunk.entity_path not in self._described]
-        self._described |= {chunk.entity_path for chunk in standing}
+        chunks = list(collector.collect(self._batch_path, self._source))
+        timed = [chunk for chunk in chunks if not chunk.is_static]
+        # Each batch describes its channels; the first description is enough.
+        static = [chunk for chunk in chunks if chunk.is_static and chunk.entity_path not in self._described]
+        self._described |= {chunk.entity_path for chunk in static}
         if self._additions is None:
             self._additions = Additions(label, self._source)
-        added = list(self._additions.chunks(collector, lambda samples: samples))
-        standing += [chunk for chunk in added if chunk.is_static]
-        passing += [chunk for chunk in added if not chunk.is_static]
-        return standing, passing
+        additions = list(self._additions.chunks(collector, lambda samples: samples))
+        static += [chunk for chunk in additions if chunk.is_static]
+        timed += [chunk for chunk in additions if not chunk.is_static]
+        return static, timed
 
-    def _thinned(self, messages: Sequence[Entry]) -> dict[str, list[Entry]]:
-        """Return the shown messages by topic: of samples the first in each SAMPLE_NS."""
-        kept: defaultdict[str, list[Entry]] = defaultdict(list)
+    def _thin(self, messages: Sequence[Entry]) -> dict[str, list[Entry]]:
+        """Return the shown messages by topic: of samples, the first in each interval of `SAMPLE_NS`."""
+        by_topic: defaultdict[str, list[Entry]] = defaultdict(list)
         for message in messages:
-            if _UNSEEN.search(message.topic):
+            if _HIDDEN.search(message.topic):
                 continue
             if message.schema not in _TEXTS:
                 slot = message.time_ns // SAMPLE_NS
                 if self._slots.get(message.topic) == slot:
                     continue
                 self._slots[message.topic] = slot
-            kept[message.topic].append(message)
-        return kept
+            by_topic[message.topic].append(message)
+        return by_topic
 
 
-class _Dealer:
-    """Queue that spreads the data of a piece over the time until the next one."""
+class _SmoothingQueue:
+    """Queue that spreads the data of a batch over the time until the next one."""
 
     def __init__(self) -> None:
         self._pending: list[tuple[Any, NDArray[np.int64]]] = []
-        self._dealt_ns = -1
+        self._released_ns = -1
         self._last_ns = -1
-        self._taken: float | None = None
-        self._until = 0.0
-        self._looked = 0.0
+        self._last_batch_s: float | None = None
+        self._spread_end_s = 0.0
+        self._last_release_s = 0.0
 
-    def take(self, chunks: Sequence[Chunk], now: float, at_once: bool) -> None:
-        """Add a piece that came now [s]; `at_once` if there is too much of it to spread it."""
-        waited = 0.0 if at_once or self._taken is None else now - self._taken
-        stretch = min(waited, LONGEST_STRETCH)
-        self._taken, self._until = now, now + stretch
+    def add(self, chunks: Sequence[Chunk], now: float, is_immediate: bool) -> None:
+        """Add a batch received at `now` [s]; `is_immediate` releases all of it with the next call."""
+        elapsed_s = 0.0 if is_immediate or self._last_batch_s is None else now - self._last_batch_s
+        spread_s = min(elapsed_s, MAX_SPREAD_S)
+        self._last_batch_s = now
+        self._spread_end_s = now + spread_s
         for chunk in chunks:
             batch: Any = chunk.to_record_batch()
-            facts = {key: text for key, text in batch.schema.metadata.items() if key != _CHUNK_ID}
+            metadata = {key: text for key, text in batch.schema.metadata.items() if key != _CHUNK_ID}
             times_ns = times_of(batch)
             self._last_ns = max(self._last_ns, int(times_ns.max()))
-            self._pending.append((batch.replace_schema_metadata(facts), times_ns))
+            self._pending.append((batch.replace_schema_metadata(metadata), times_ns))
 
-    def due(self, now: float) -> list[Chunk]:
-        """Return the chunks to be shown by now [s]."""
-        # The part of the rest that corresponds to the time since the last call.
-        left = self._until - self._looked
-        part = 1.0 if now >= self._until else (now - self._looked) / left
-        self._looked = now
-        self._dealt_ns += int((self._last_ns - self._dealt_ns) * part)
-        due: list[Chunk] = []
+    def release(self, now: float) -> list[Chunk]:
+        """Return the chunks to show at `now` [s]."""
+        # The fraction of the rest that corresponds to the time since the last call.
+        remaining_s = self._spread_end_s - self._last_release_s
+        fraction = 1.0 if now >= self._spread_end_s else (now - self._last_release_s) / remaining_s
+        self._last_release_s = now
+        self._released_ns += int((self._last_ns - self._released_ns) * fraction)
+        chunks: list[Chunk] = []
         pending: list[tuple[Any, NDArray[np.int64]]] = []
         for batch, times_ns in self._pending:
-            count = int(np.searchsorted(times_ns, self._dealt_ns, side="right"))
+            count = int(np.searchsorted(times_ns, self._released_ns, side="right"))
             if count:
-                due += Chunk.from_record_batch(batch.slice(0, count))
+                chunks += Chunk.from_record_batch(batch.slice(0, count))
             if count < len(times_ns):
                 pending.append((batch.slice(count), times_ns[count:]))
         self._pending = pending
-        return due
+        return chunks
 
-    def empty(self) -> bool:
-        """True if everything is passed on."""
+    def is_empty(self) -> bool:
+        """Return whether all chunks were released."""
         return not self._pending

@@ -16,16 +16,16 @@ from rerun import notebook
 
 from khep_twin.clock import NS_PER_S
 from khep_twin.errors import KhepTwinError, MissingExtraError
-from khep_twin.log.entries import Entry, Label, label_of
+from khep_twin.log.entries import Entry, Label, make_label
 from khep_twin.log.output import messages_of
 from khep_twin.log.recorder import LiveRecorder
-from khep_twin.log.viewer.layout import Shown, layout
+from khep_twin.log.viewer.layout import ShownLog, layout
 from khep_twin.log.viewer.live import LAST_S, Translator
-from khep_twin.log.viewer.replay import standing_chunks
+from khep_twin.log.viewer.replay import static_chunks
 from khep_twin.world import World
 
-INTERVAL_NS = NS_PER_S // 5
-"""Wall time after which the view has what was sampled, at the latest with the next sample [ns]."""
+FLUSH_INTERVAL_WALL_NS = NS_PER_S // 5
+"""Wall time between two flushes to the view, each at the next sample [ns]."""
 
 _HEIGHT = 560
 _NAME = Path("twin")
@@ -44,17 +44,17 @@ class RerunWriter:
         self._label: Label | None = None
 
     def attach(self, name: str, text: str) -> None:
-        """Keep an attachment, from which the arena is drawn."""
+        """Save an attachment, from which the arena is drawn."""
         self._attachments[name] = text
 
     def describe(self, name: str, facts: Mapping[str, str]) -> None:
-        """Send the layout, and what stands still."""
-        self._label = label_of(_NAME, facts, self._attachments)
-        self._recording.send_blueprint(layout([Shown(self._label, last_s=LAST_S)]))
-        rr.send_chunks(standing_chunks(self._label), recording=self._recording)
+        """Send the layout and the static chunks."""
+        self._label = make_label(_NAME, facts, self._attachments)
+        self._recording.send_blueprint(layout([ShownLog(self._label, last_s=LAST_S)]))
+        rr.send_chunks(static_chunks(self._label), recording=self._recording)
 
     def channel(self, topic: str, schema: str, definition: str | bytes) -> int:
-        """Return the number of a topic's channel."""
+        """Return the ID of a topic's channel."""
         key = topic, schema, definition
         if key not in self._channels:
             self._channels.append(key)
@@ -66,15 +66,15 @@ class RerunWriter:
             self._entries.append(Entry(*self._channels[channel], time_ns, message))
 
     def add_rows(self, channel: int, times_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
-        """Add messages of one size, a row each."""
+        """Add messages of one size, one per row."""
         self.add_lines(channel, times_ns.tolist(), messages_of(messages))
 
     def flush(self) -> None:
-        """Send the added messages, of samples 25 for each simulated second."""
+        """Send the added messages; of samples, 25 per simulated second."""
         entries, self._entries = self._entries, []
         if entries and self._label is not None:
-            standing, passing = self._translator.translate(entries, self._label)
-            rr.send_chunks([*standing, *passing], recording=self._recording)
+            static, timed = self._translator.translate(entries, self._label)
+            rr.send_chunks([*static, *timed], recording=self._recording)
 
     def finish(self) -> None:
         """Send the rest."""
@@ -83,14 +83,14 @@ class RerunWriter:
 
 
 class NotebookView(LiveRecorder):
-    """View of a world in the notebook that runs this program.
+    """View of a world in the notebook that runs the program.
 
     Args:
         world: World to show.
         settings: Configuration of the run.
 
     Raises:
-        KhepTwinError: The program is no notebook of Jupyter.
+        KhepTwinError: The program is no Jupyter notebook.
         MissingExtraError: rerun's part for notebooks is not installed.
     """
 
@@ -100,14 +100,15 @@ class NotebookView(LiveRecorder):
             raise MissingExtraError("rerun-notebook", "notebook")
         recording = rr.RecordingStream("khep_twin", recording_id=f"{world.playpen.name} {id(world)}")
         self._viewer = notebook.Viewer(recording=recording, width="auto", height=_HEIGHT)
-        super().__init__(RerunWriter(recording), world, settings, interval_ns=INTERVAL_NS)
-        shell.events.register("post_run_cell", self._after_cell)
+        writer = RerunWriter(recording)
+        super().__init__(writer, world, settings, flush_interval_wall_ns=FLUSH_INTERVAL_WALL_NS)
+        shell.events.register("post_run_cell", self._flush_after_cell)
 
     def display(self) -> None:
         """Show the viewer below the present cell."""
         self._viewer.display()
 
-    def _after_cell(self, _: object) -> None:
+    def _flush_after_cell(self, _: object) -> None:
         self.flush()
 
 

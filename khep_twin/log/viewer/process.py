@@ -1,4 +1,4 @@
-"""Viewer of rerun as its own process: a window, or a page for a browser, for this machine only; stills."""
+"""Processes of rerun's viewer: a window, or a web page for this machine only; stills."""
 
 # rerun's types are partly unknown.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
@@ -28,19 +28,28 @@ from khep_twin.signals import clear_at_end, undisturbed
 if TYPE_CHECKING:
     import rerun.experimental as rx
 
-HERE = "127.0.0.1"
-"""Address for data and pages; by default, rerun listens on all of a machine's addresses."""
+LOCALHOST = "127.0.0.1"
+"""Address for data and pages; by default, rerun listens on all addresses of a machine."""
 
 _START_TIMEOUT_S = 30.0
 """Longest wait for the viewer to listen: a cold start takes seconds (assumed) [s]."""
 
-_TURN = 0.05
+_POLL_INTERVAL_S = 0.05
 """Interval of checks of the viewer's process [s]."""
+
+_OPENING_TIMEOUT_S = 30.0
+"""Longest wait for the viewer to open a recording (assumed) [s]."""
+
+_SETTLING_S = 1.0
+"""Time after that until its pictures are stable [s]."""
+
+_WIDTH = 1600
+"""Width of a still [pixels]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Web:
-    """The viewer as a page, whose address `notify` takes; it is opened in a browser if that is wanted."""
+    """Settings of the viewer as a web page: `notify` takes its address, `browser` opens it in a browser."""
 
     notify: Callable[[str], None]
     browser: bool = True
@@ -50,99 +59,98 @@ class Viewer:
     """A running viewer.
 
     Attributes:
-        address: Address where it takes data, for rerun's `connect_grpc`.
+        address: Address that receives data, for rerun's `connect_grpc`.
 
     Raises:
-        LogError: In `open` and all that wait: it failed, or does not listen.
+        LogError: In `is_running` and the methods that wait: the viewer failed, or does not listen.
     """
 
-    def __init__(self, subject: str, process: "subprocess.Popen[bytes]", said: IO[bytes], port: int) -> None:
-        self._subject, self._process, self._said = subject, process, said
-        self.address = f"rerun+http://{HERE}:{port}/proxy"
+    def __init__(self, subject: str, process: "subprocess.Popen[bytes]", log: IO[bytes], port: int) -> None:
+        self._subject = subject
+        self._process = process
+        self._log = log
+        self.address = f"rerun+http://{LOCALHOST}:{port}/proxy"
 
-    def closed(self) -> bool:
-        """Return whether it has ended, with or without an error."""
+    def is_closed(self) -> bool:
+        """Return whether the viewer has exited, with or without an error."""
         return self._process.poll() is not None
 
-    def open(self) -> bool:
-        """Return whether it still runs."""
+    def is_running(self) -> bool:
+        """Return whether the viewer is running; raise its error."""
         code = self._process.poll()
         if code:
-            self._said.seek(0)
-            lines = self._said.read().decode("utf-8", "replace").strip().splitlines()
+            self._log.seek(0)
+            lines = self._log.read().decode("utf-8", "replace").strip().splitlines()
             reason = lines[-1] if lines else f"code {code}"
             reason = reason.removeprefix("Error: ")
-            raise LogError(f"{self._subject}: rerun's viewer failed: {reason}; {_expected(self._subject)}")
+            raise LogError(f"{self._subject}: rerun's viewer failed: {reason}; {_options(self._subject)}")
         return code is None
 
     def wait(self, stop: Callable[[], bool]) -> None:
-        """Wait until its window is closed, or `stop` returns True."""
-        while not stop() and self.open():
-            time.sleep(_TURN)
+        """Wait until the window is closed, or `stop` returns True."""
+        while not stop() and self.is_running():
+            time.sleep(_POLL_INTERVAL_S)
 
     def wait_for(self, port: int, stop: Callable[[], bool]) -> None:
-        """Wait until it listens at a port, or `stop` returns True."""
+        """Wait until the viewer listens at a port, or `stop` returns True."""
         deadline = time.monotonic() + _START_TIMEOUT_S
-        while not stop() and self.open():
-            with suppress(OSError), socket.create_connection((HERE, port), timeout=1.0):
+        while not stop() and self.is_running():
+            with suppress(OSError), socket.create_connection((LOCALHOST, port), timeout=1.0):
                 return
             if time.monotonic() > deadline:
                 raise LogError(
                     f"{self._subject}: rerun's viewer does not listen after {_START_TIMEOUT_S:.0f} s"
                 )
-            time.sleep(_TURN)
+            time.sleep(_POLL_INTERVAL_S)
 
 
 @contextmanager
 def open_viewer(
-    subject: str,
-    web: Web | None,
-    recording: Path | None = None,
-    stop: Callable[[], bool] = lambda: False,
+    subject: str, web: Web | None, recording: Path | None = None, stop: Callable[[], bool] = lambda: False
 ) -> Generator[Viewer, None, None]:
-    """Open the viewer on a recording, or on data sent to it later, and end it on exit.
+    """Open the viewer for a recording, or for data sent later, and terminate it on exit.
 
     Args:
         subject: Name of the viewed log in messages.
         web: Settings of the viewer in a browser; None opens a window.
-        recording: Recording of rerun, a file; None for data that is sent.
-        stop: Function called now and then that returns whether to end.
+        recording: File of a rerun recording; None for data that is sent.
+        stop: Function called repeatedly that returns whether to stop.
 
     Raises:
-        LogError: There is no screen, or it does not start.
+        LogError: There is no screen, or the viewer does not start.
     """
-    if web is None and not _screen():
-        raise LogError(f"{subject}: there is no screen to open a window on; {_expected(subject)}")
+    if web is None and not _has_screen():
+        raise LogError(f"{subject}: there is no screen to open a window on; {_options(subject)}")
     port, page = free_ports(2)
     command = [sys.executable, "-m", "rerun", *([] if recording is None else [str(recording)])]
-    command += ["--bind", HERE, "--port", str(port), "--server-memory-limit", "50%"]
+    command += ["--bind", LOCALHOST, "--port", str(port), "--server-memory-limit", "50%"]
     command += ["--expect-data-soon"] if web is None else ["--serve-web", "--web-viewer-port", str(page)]
-    # Its output goes to a file: a pipe that is not read would block it.
-    with tempfile.TemporaryFile() as said:
+    # The output goes to a file: a full pipe would block the viewer.
+    with tempfile.TemporaryFile() as output:
         with undisturbed():
             process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True
+                command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
             )
-            forget = clear_at_end(partial(end_process, process))
-        viewer = Viewer(subject, process, said, port)
+            unregister = clear_at_end(partial(end_process, process))
+        viewer = Viewer(subject, process, output, port)
         try:
             if web is not None:
                 viewer.wait_for(page, stop)
-                address = f"http://{HERE}:{page}/?url={quote(viewer.address, safe='')}"
+                address = f"http://{LOCALHOST}:{page}/?url={quote(viewer.address, safe='')}"
                 web.notify(address)
-                if web.browser and _screen():  # a browser in a terminal cannot show it
+                if web.browser and _has_screen():  # a browser in a terminal cannot show it
                     webbrowser.open(address)
             elif recording is None:
                 viewer.wait_for(port, stop)
             yield viewer
         finally:
             end_process(process)
-            forget()
+            unregister()
 
 
 def free_ports(count: int) -> Sequence[int]:
     """Return free ports of this machine."""
-    listeners = [socket.create_server((HERE, 0)) for _ in range(count)]
+    listeners = [socket.create_server((LOCALHOST, 0)) for _ in range(count)]
     ports = [int(listener.getsockname()[1]) for listener in listeners]
     for listener in listeners:
         listener.close()
@@ -150,7 +158,7 @@ def free_ports(count: int) -> Sequence[int]:
 
 
 def end_process(process: "subprocess.Popen[bytes]") -> None:
-    """End a viewer and its child processes: rerun's command is a script around its program."""
+    """Terminate a viewer and its child processes: rerun's command is a script around its program."""
     if sys.platform == "win32":
         process.terminate()
         return
@@ -162,11 +170,11 @@ def end_process(process: "subprocess.Popen[bytes]") -> None:
             return
 
 
-def _screen() -> bool:
+def _has_screen() -> bool:
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _expected(subject: str) -> str:
+def _options(subject: str) -> str:
     stem = Path(subject).stem
     return (
         f"expected --web, for a browser, --png {stem}.png, for a picture, or --save {stem}.rrd, for a "
@@ -174,23 +182,13 @@ def _expected(subject: str) -> str:
     )
 
 
-_OPENING_TIMEOUT_S = 30.0
-"""Longest wait for the viewer to have opened a recording (assumed) [s]."""
-
-_PAINTING = 1.0
-"""Time after that until its pictures are stable [s]."""
-
-_WIDTH = 1600
-"""Width of a still [pixels]."""
-
-
-def still(recording: Path, at_s: float, target: Path, replace: bool) -> None:
+def write_still(recording: Path, at_s: float, target: Path, replace: bool) -> None:
     """Write a still of a recording in rerun's viewer at a time; `replace` as for `write_drawing`.
 
     Raises:
         LogError: The viewer does not start, does not answer or cannot draw.
     """
-    # A window or a page is another process, which needs no rerun in this one.
+    # A window or a page is a separate process, so only stills import rerun here.
     import rerun.experimental as rx
 
     # The viewer's output is hidden by default.
@@ -208,9 +206,9 @@ def still(recording: Path, at_s: float, target: Path, replace: bool) -> None:
             _show(viewer, recording, at_s)
             picture = viewer.take_screenshot(max_size=_WIDTH)
         finally:
-            with suppress(Exception):  # it may have ended by itself
+            with suppress(Exception):  # it may have exited
                 viewer.quit()
-    except Exception as error:  # rerun's own errors are of many kinds, at the start or later
+    except Exception as error:  # rerun raises errors of many types, at the start or later
         raise LogError(
             f"{target}: rerun's viewer cannot draw here: {_first_line(error)}; expected Vulkan, of a "
             "graphics driver or of the package mesa-vulkan-drivers"
@@ -219,7 +217,7 @@ def still(recording: Path, at_s: float, target: Path, replace: bool) -> None:
 
 
 def _show(viewer: "rx.ViewerClient", recording: Path, at_s: float) -> None:
-    """Open a recording and wait until a time of it is shown."""
+    """Open a recording and wait until a time is shown."""
     viewer.open(str(resolved(recording)))
     deadline = time.monotonic() + _OPENING_TIMEOUT_S
     while True:
@@ -228,11 +226,11 @@ def _show(viewer: "rx.ViewerClient", recording: Path, at_s: float) -> None:
             break
         except ConnectionError:
             raise
-        except Exception:  # it has not read the recording so far
+        except Exception:  # it has not read the recording yet
             if time.monotonic() > deadline:
                 raise
             time.sleep(0.2)
-    time.sleep(_PAINTING)
+    time.sleep(_SETTLING_S)
 
 
 def _first_line(error: Exception) -> str:

@@ -1,7 +1,7 @@
 """View of finished logs in rerun: arena, curves and transcript on one time axis, several logs side by side.
 
-rerun reads logs by itself. This module adds a layout made for this robot, and time as seconds of the run
-instead of dates in 1970; both go into a rerun recording, which is saved or shown.
+rerun reads logs without this module, which adds a layout for this robot, and time as seconds of the run
+instead of dates in 1970; both are part of a rerun recording, which is saved or shown.
 """
 
 # rerun and pyarrow are not typed, or in part.
@@ -23,33 +23,33 @@ from khep_twin.clock import NS_PER_S
 from khep_twin.errors import LogError
 from khep_twin.files.atomic import is_same, part_file, resolved
 from khep_twin.files.text import encodable
-from khep_twin.log.attached import bodies_of, playpen_of, shapes_of
+from khep_twin.log.attached import bodies_of, compile_shapes, playpen_of
 from khep_twin.log.mcap_recovery import Progress
-from khep_twin.log.reader import Label, read_end_ns, read_with_messages
+from khep_twin.log.reader import Label, read_end_ns, read_message_batches
 from khep_twin.log.shadow_channels import is_shadow
-from khep_twin.log.viewer.arena import TRAIL, FloorLight, Rays, event_chunks, path_chunks, trail
+from khep_twin.log.viewer.arena import TRAIL_COLOUR, FloorLight, Rays, event_chunks, path_chunks, trail
 from khep_twin.log.viewer.collected import Collector, Floats, Samples, times_of
 from khep_twin.log.viewer.ghost import Ghost
 from khep_twin.log.viewer.khepera4 import arena_chunks
-from khep_twin.log.viewer.layout import Shown, layout
-from khep_twin.log.viewer.process import Web, open_viewer, still
+from khep_twin.log.viewer.layout import ShownLog, layout
+from khep_twin.log.viewer.process import Web, open_viewer, write_still
 from khep_twin.log.viewer.robot_panel import (
-    INTERVAL_NS,
+    ROW_INTERVAL_NS,
     SAMPLES_PER_PICTURE,
     Strips,
     outline_chunks,
     panel_chunks,
 )
-from khep_twin.log.viewer.thinning import Copy, interval_ns
+from khep_twin.log.viewer.thinning import LogCopy, thinning_interval_ns
 
 Bar = Callable[[], AbstractContextManager[Progress]]
-"""Function that makes a context in which progress is shown."""
+"""Function that returns a context in which progress is shown."""
 
-UNSEEN = ["/host_events$", "^/state$", "/registers$", "^/scene$", "^/channel_names$"]
-"""Topics, as patterns, that no view shows: data for programs, or contained in the views themselves."""
+HIDDEN_TOPICS = ["/host_events$", "^/state$", "/registers$", "^/scene$", "^/channel_names$"]
+"""Patterns of topics that no view shows: data for programs, or contained in the views."""
 
 PICTURES = 10_000
-"""Most pictures of bars, rays and strips of a run; a longer one has fewer than ten a second."""
+"""Maximum number of pictures of bars, rays and strips of a run; a longer run has less than ten per second."""
 
 _FRAMES = ("Transform3D:child_frame", "Transform3D:parent_frame", "CoordinateFrame:frame")
 
@@ -68,9 +68,9 @@ def view(
         paths: Paths of finished logs, from left to right.
         save: Path of the recording, by convention NAME.rrd; None opens the viewer.
         web: Settings of the viewer in a browser; None opens a window.
-        stop: Function called now and then that returns whether to end.
-        bar: Function that makes a progress bar, such as `cli_progress.progress`.
-        replace: True to replace a file that is there when the recording is written.
+        stop: Function called repeatedly that returns whether to stop.
+        bar: Function that returns a progress bar, e.g. `cli_progress.progress`.
+        replace: True to replace an existing file when the recording is saved.
 
     Raises:
         LogError: A log cannot be read, the recording cannot be written, or no window opens.
@@ -78,7 +78,7 @@ def view(
     if save is not None:
         _save(paths, save, bar, replace)
         return
-    with _saved(paths, bar) as recording, open_viewer(str(paths[0]), web, recording) as viewer:
+    with _temporary_recording(paths, bar) as recording, open_viewer(str(paths[0]), web, recording) as viewer:
         viewer.wait(stop)
 
 
@@ -89,61 +89,60 @@ def view_still(
     bar: Bar = nullcontext,
     replace: bool = True,
 ) -> None:
-    """Write a still of logs, from left to right, in the viewer as PNG, without a screen.
+    """Write a PNG still of logs, from left to right, at a simulated time [s], without a screen.
 
-    It is at a simulated time [s]; for None at the end, where the whole run is seen. `replace` is as for
-    `write_drawing`.
+    By default it shows the end, with the complete run; `replace` is as for `write_drawing`.
 
     Raises:
         LogError: A log cannot be read, or the viewer is not available.
     """
-    with _saved(paths, bar) as recording:
+    with _temporary_recording(paths, bar) as recording:
         end_s = max(map(read_end_ns, paths)) / NS_PER_S
-        still(recording, end_s if at_s is None else at_s, target, replace)
+        write_still(recording, end_s if at_s is None else at_s, target, replace)
 
 
-def standing_chunks(label: Label) -> list[Chunk]:
-    """Return the static chunks that are added to a log's own."""
+def static_chunks(label: Label) -> list[Chunk]:
+    """Return the static chunks to add to those of a log."""
     panels = "playpen.toml" in label.attachments and not is_shadow(label)
     bodies = bodies_of(label.attachments, label.robots, "log") if panels else {}
     return [chunk for robot, body in bodies.items() for chunk in outline_chunks(robot, body)]
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
-    """Return the files' names without suffix; equal ones with their folders, or else with numbers."""
+    """Return the file names without suffix; equal names with their folders, or with numbers."""
     stems = [encodable(path.stem) for path in paths]
     names = [
         stem if stems.count(stem) == 1 else f"{encodable(resolved(path).parent.name)}/{stem}"
         for path, stem in zip(paths, stems, strict=True)
     ]
-    seen: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     distinct: list[str] = []
     for name in names:
-        seen[name] += 1
-        distinct.append(name if names.count(name) == 1 else f"{name} {seen[name]}")
+        counts[name] += 1
+        distinct.append(name if names.count(name) == 1 else f"{name} {counts[name]}")
     return distinct
 
 
-def _checked(path: Path, copy: Path, progress: Progress) -> Label:
+def _check_and_copy(path: Path, copy: Path, progress: Progress) -> Label:
     """Check a log and copy its shown parts; return its label."""
-    label, moves = None, False
+    label, has_poses = None, False
     with copy.open("xb") as file:
-        writer = Copy(file, interval_ns(read_end_ns(path)), UNSEEN)
-        for recording, messages in read_with_messages(path, progress):
+        writer = LogCopy(file, thinning_interval_ns(read_end_ns(path)), HIDDEN_TOPICS)
+        for recording, messages in read_message_batches(path, progress):
             label = recording.label
             writer.add(messages)
-            moves |= any(f"/{robot}/pose" in recording.series for robot in label.robots)
+            has_poses |= any(f"/{robot}/pose" in recording.series for robot in label.robots)
         assert label is not None  # there is at least one piece
         writer.finish(label)
-    if moves or "playpen.toml" in label.attachments:
+    if has_poses or "playpen.toml" in label.attachments:
         playpen_of(label.attachments, path)
-    if moves:
-        shapes_of(label.attachments, label.robots, path)
+    if has_poses:
+        compile_shapes(label.attachments, label.robots, path)
     return label
 
 
 @contextmanager
-def _saved(paths: Sequence[Path], bar: Bar) -> Generator[Path, None, None]:
+def _temporary_recording(paths: Sequence[Path], bar: Bar) -> Generator[Path, None, None]:
     """Provide a temporary recording."""
     with tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
         recording = Path(folder) / f"{encodable(paths[0].stem)}.rrd"
@@ -153,15 +152,15 @@ def _saved(paths: Sequence[Path], bar: Bar) -> Generator[Path, None, None]:
 
 def _save(paths: Sequence[Path], save: Path, bar: Bar, replace: bool = True) -> None:
     if save.is_dir() or any(is_same(save, path) for path in paths):
-        what = "a directory" if save.is_dir() else "the log itself"
-        raise LogError(f"{save}: this is {what}; expected the name of a file, such as {paths[0].stem}.rrd")
-    # Each log is read twice: to be checked and copied, and by rerun.
+        kind = "a directory" if save.is_dir() else "the log itself"
+        raise LogError(f"{save}: this is {kind}; expected the name of a file, such as {paths[0].stem}.rrd")
+    # Each log is read twice: to check and copy it, and by rerun.
     count = 2 * len(paths)
     try:
         with bar() as progress, tempfile.TemporaryDirectory(prefix="khep-twin-") as folder:
             shares = [_share_of(progress, number, count) for number in range(count)]
             copies = [Path(folder) / f"{number}.mcap" for number in range(len(paths))]
-            labels = [_checked(*each) for each in zip(paths, copies, shares, strict=False)]
+            labels = [_check_and_copy(*arguments) for arguments in zip(paths, copies, shares, strict=False)]
             recording = _recording(paths, copies, labels, shares[len(paths) :])
         with part_file(save, replace) as file:
             file.write(recording)
@@ -177,94 +176,91 @@ def _share_of(progress: Progress, number: int, count: int) -> Progress:
 def _recording(
     paths: Sequence[Path], copies: Sequence[Path], labels: Sequence[Label], shares: Sequence[Progress]
 ) -> bytes:
-    """Return the logs and their layout as the bytes of a rerun file.
-
-    Made in memory, because rerun itself may wait for ever for a disk that is full.
-    """
+    """Return the logs and their layout as a rerun file; in memory, as rerun may wait for a full disk."""
     names = distinct_names(paths)
     title = " and ".join(names)
     with rr.RecordingStream("khep_twin", recording_id=title) as recording:
         stream = recording.binary_stream()
         if len(paths) == 1:
-            recording.send_blueprint(layout([Shown(labels[0], end_ns=read_end_ns(paths[0]))]))
+            recording.send_blueprint(layout([ShownLog(labels[0], end_ns=read_end_ns(paths[0]))]))
             rr.send_chunks(_chunks(paths[0], copies[0], labels[0], shares[0]), recording=recording)
         else:
             end_ns = max(map(read_end_ns, paths))
-            shown = [
-                Shown(label, name, str(rr.new_entity_path([name])), f"{name}/world", end_ns)
+            logs = [
+                ShownLog(label, name, str(rr.new_entity_path([name])), f"{name}/world", end_ns)
                 for label, name in zip(labels, names, strict=True)
             ]
-            recording.send_blueprint(layout(shown))
-            for path, copy, log, progress in zip(paths, copies, shown, shares, strict=True):
-                rr.send_chunks(_moved(_chunks(path, copy, log.label, progress), log), recording=recording)
+            recording.send_blueprint(layout(logs))
+            for path, copy, log, progress in zip(paths, copies, logs, shares, strict=True):
+                rr.send_chunks(_relocate(_chunks(path, copy, log.label, progress), log), recording=recording)
         recording.send_recording_name(title)
-        # Read once: each reading ends the file.
+        # Read once: each read ends the file.
         return stream.read() or b""
 
 
 def _chunks(path: Path, copy: Path, label: Label, progress: Progress) -> Generator[Chunk, None, None]:
     """Yield all shown chunks of a log."""
     collector, end_ns = Collector(), read_end_ns(path)
-    for chunk in collector.passing(copy, path):
+    for chunk in collector.collect(copy, path):
         yield chunk
         if progress is not None and not chunk.is_static and end_ns:
             progress(min(times_of(chunk.to_record_batch()).max(initial=0) / end_ns, 1.0))
-    yield from standing_chunks(label)
-    additions = Additions(label, path, max(INTERVAL_NS, end_ns // PICTURES))
-    yield from additions.chunks(collector, _few)
+    yield from static_chunks(label)
+    additions = Additions(label, path, max(ROW_INTERVAL_NS, end_ns // PICTURES))
+    yield from additions.chunks(collector, _thin)
 
 
-def _few(samples: Samples) -> Samples:
-    """Return the samples that have a picture."""
-    return samples.thinned(max(SAMPLES_PER_PICTURE, len(samples.times_ns) // PICTURES))
+def _thin(samples: Samples) -> Samples:
+    """Return the samples with a picture."""
+    return samples.thin(max(SAMPLES_PER_PICTURE, len(samples.times_ns) // PICTURES))
 
 
 class Additions:
-    """Chunks that views show in addition to a log's own; the log may come in pieces.
+    """Chunks added to those of a log, which may come in batches; `interval_ns` is that of strip rows [ns]."""
 
-    The interval is the time between two rows of a strip of line images [ns].
-    """
-
-    def __init__(self, label: Label, source: Path, interval_ns: int = INTERVAL_NS) -> None:
-        self._label, self._source = label, source
+    def __init__(self, label: Label, source: Path, interval_ns: int = ROW_INTERVAL_NS) -> None:
+        self._label = label
+        self._source = source
         self._bodies = bodies_of(label.attachments, label.robots, source)
         self._rays: Rays | None = None
         self._light: FloorLight | None = None
         self._strips = Strips(interval_ns)
-        self._last: dict[str, Floats] = {}
+        self._last_poses: dict[str, Floats] = {}
         self._ghost = Ghost(label, source) if is_shadow(label) else None
 
-    def chunks(self, collected: Collector, thinned: Callable[[Samples], Samples]) -> Iterator[Chunk]:
-        """Yield those of a piece; `thinned` returns the samples that have a picture."""
-        poses = collected.poses()
-        yield from event_chunks(self._label, collected, poses, self._last)
+    def chunks(self, collector: Collector, thin: Callable[[Samples], Samples]) -> Iterator[Chunk]:
+        """Yield the chunks of a batch; `thin` returns the samples with a picture."""
+        poses = collector.poses()
+        yield from event_chunks(self._label, collector, poses, self._last_poses)
         if poses is not None and self._rays is None:
-            self._rays, self._light = Rays(self._label, self._source), FloorLight(self._label, self._source)
+            self._rays = Rays(self._label, self._source)
+            self._light = FloorLight(self._label, self._source)
         for robot in self._label.robots:
-            if (images := collected.images(robot)) is not None:
+            if (images := collector.images(robot)) is not None:
                 yield from self._strips.chunks(robot, *images)
-            if (samples := collected.samples(robot)) is not None:
-                few = thinned(samples)
-                yield from panel_chunks(robot, few, self._bodies[robot])
+            if (samples := collector.samples(robot)) is not None:
+                pictured = thin(samples)
+                yield from panel_chunks(robot, pictured, self._bodies[robot])
                 if poses is not None and self._rays is not None:
-                    yield from self._rays.chunks(robot, few, poses)
-                    if few.more:
-                        yield from arena_chunks(robot, few, self._rays.leds(robot))
-            if poses is not None and (own := poses.bodies.get(f"{robot}/base")) is not None:
-                before = self._last.get(robot)
-                yield from path_chunks(trail(robot), poses.times_ns, own[:, :3], TRAIL, before)
-                self._last[robot] = own[-1]
+                    yield from self._rays.chunks(robot, pictured, poses)
+                    if pictured.extra_channels:
+                        yield from arena_chunks(robot, pictured, self._rays.led_positions(robot))
+            if poses is not None and (base_poses := poses.bodies.get(f"{robot}/base")) is not None:
+                previous_pose = self._last_poses.get(robot)
+                points = base_poses[:, :3]
+                yield from path_chunks(trail(robot), poses.times_ns, points, TRAIL_COLOUR, previous_pose)
+                self._last_poses[robot] = base_poses[-1]
         if self._light is not None:
-            yield from self._light.chunks(collected)
+            yield from self._light.chunks(collector)
         if self._ghost is not None:
-            yield from self._ghost.chunks(collected)
+            yield from self._ghost.chunks(collector)
 
 
-def _moved(chunks: Iterable[Chunk], log: Shown) -> Generator[Chunk, None, None]:
-    """Yield the chunks of a log below its path, with its own coordinate frames."""
+def _relocate(chunks: Iterable[Chunk], log: ShownLog) -> Generator[Chunk, None, None]:
+    """Yield the chunks of a log below its path, with separate coordinate frames."""
     for chunk in chunks:
         if chunk.entity_path == "/__mcap_properties":
-            continue  # of a recording that is one log
+            continue  # for a recording of one log
         batch: Any = chunk.to_record_batch()
         for name in set(_FRAMES) & set(batch.schema.names):
             index = batch.schema.get_field_index(name)
@@ -273,5 +269,5 @@ def _moved(chunks: Iterable[Chunk], log: Shown) -> Generator[Chunk, None, None]:
             ]
             field = batch.schema.field(index)
             batch = batch.set_column(index, field, pa.array(rows, field.type))
-        for each in Chunk.from_record_batch(batch):
-            yield each.with_entity_path(f"{log.place}{chunk.entity_path}")
+        for relocated in Chunk.from_record_batch(batch):
+            yield relocated.with_entity_path(f"{log.path}{chunk.entity_path}")

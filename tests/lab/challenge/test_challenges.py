@@ -18,7 +18,7 @@ from khep_twin.errors import ChallengeError, ControllerError, StoppedError
 from khep_twin.lab.challenge import results
 from khep_twin.lab.challenge.attempt import Attempt, score_file
 from khep_twin.lab.challenge.challenge import load, names
-from khep_twin.lab.challenge.results import attempts, table, to_csv
+from khep_twin.lab.challenge.results import score_files, table, to_csv
 from khep_twin.lab.challenge.scoring import Score, score
 from tools import tutorial
 
@@ -236,7 +236,7 @@ def test_attempts_that_are_stopped_leave_no_process(short: Path, tmp_path: Path)
         )
     files = sorted(tmp_path.glob("*.py"))
     with pytest.raises(StoppedError):
-        attempts(load(str(short)), files, jobs=2, stop=lambda: len([*tmp_path.glob("*.pid")]) == 2)
+        score_files(load(str(short)), files, jobs=2, stop=lambda: len([*tmp_path.glob("*.pid")]) == 2)
     pids = [int(path.read_text()) for path in tmp_path.glob("*.pid")]
     assert len(pids) == 2
     for pid in pids:

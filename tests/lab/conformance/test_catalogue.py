@@ -13,10 +13,10 @@ from khep_twin.lab.conformance.recording import catalogue as recording_catalogue
 from khep_twin.lab.conformance.recording.check import RecordingCheck
 
 
-def written(package: ModuleType, kind: type) -> list[str]:
+def collect_names(package: ModuleType, kind: type) -> list[str]:
     modules = [
-        importlib.import_module(f"{package.__name__}.{found.name}")
-        for found in pkgutil.iter_modules(package.__path__)
+        importlib.import_module(f"{package.__name__}.{info.name}")
+        for info in pkgutil.iter_modules(package.__path__)
     ]
     return [value.name for module in modules for value in vars(module).values() if isinstance(value, kind)]
 
@@ -29,7 +29,7 @@ def written(package: ModuleType, kind: type) -> list[str]:
 def test_each_check_that_is_written_is_listed_once(
     package: ModuleType, kind: type, catalogue: tuple[Check | RecordingCheck, ...]
 ) -> None:
-    assert sorted(check.name for check in catalogue) == sorted(written(package, kind))
+    assert sorted(check.name for check in catalogue) == sorted(collect_names(package, kind))
     assert len({check.name for check in catalogue}) == len(catalogue)
 
 

@@ -10,24 +10,24 @@ from khep_twin.host import Khepera
 from khep_twin.lab.conformance.port.check import Check, CheckedPort
 from khep_twin.lab.conformance.port.conform import checks, run_check
 
-MOST_LATE = 0.003
-"""Scheduling delay that the checks of pace bear [s]."""
+MAX_DELAY = 0.003
+"""Largest scheduling delay that the checks of timing tolerate [s]."""
 
 TWINS = [f"{kind}-{baudrate}" for kind in ("khep", "pty") for baudrate in (9600, 19200, 38400)]
 SHARE = {"khep-9600": lambda check: True, "pty-38400": lambda check: not check.moves}
-"""What the suite checks: in simulated time everything, in real time the line."""
+"""Checks in the test suite: all in simulated time, those without motion in real time."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    given = metafunc.config.getoption("--port")
+    port = metafunc.config.getoption("--port")
     cases = [
         pytest.param(
             line,
             check,
             id=f"{line}-{check.name}",
-            marks=() if given or SHARE.get(line, lambda check: False)(check) else pytest.mark.long,
+            marks=() if port or SHARE.get(line, lambda check: False)(check) else pytest.mark.long,
         )
-        for line in ([given] if given else TWINS)
+        for line in ([port] if port else TWINS)
         for check in checks(True)
     ]
     metafunc.parametrize(("line", "check"), cases, indirect=["line"], scope="module")
@@ -35,7 +35,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(scope="module")
 def line(request: pytest.FixtureRequest) -> Iterator[CheckedPort]:
-    """An open line to what is checked."""
+    """An open line to the checked robot."""
     if request.param not in TWINS:
         with Khepera(request.param, baudrate=request.config.getoption("--baudrate")) as robot:
             yield CheckedPort(robot.port)
@@ -54,12 +54,12 @@ def test_the_port_conforms(line: CheckedPort, check: Check) -> None:
     if hasattr(line.port, "time_ns"):  # simulated time
         assert run_check(check, line).deviation == ""
         return
-    # In real time a busy machine delays replies, which is no deviation of the port's.
+    # In real time a busy machine delays replies, which is not a deviation.
     for _ in range(5):
-        with scheduling_delay() as late:
+        with scheduling_delay() as delay:
             deviation = run_check(check, line).deviation
-        if not deviation or late.worst < MOST_LATE:
+        if not deviation or delay.worst < MAX_DELAY:
             break
     if deviation:
-        late.excuse(MOST_LATE)
+        delay.excuse(MAX_DELAY)
     assert deviation == ""

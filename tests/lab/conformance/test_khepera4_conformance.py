@@ -1,4 +1,4 @@
-"""The checks of a Khepera IV: the twin passes all, and each catches a robot that only it is about."""
+"""The checks of a Khepera IV: the twin passes all, and each check catches a broken robot."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -16,7 +16,7 @@ from khep_twin.lab.conformance.port.conform import checks, conform, run_check
 
 Receive = Callable[[bytes], bytes]
 Mutation = Callable[[bytes, Receive], bytes]
-"""From a whole line, and the sound server, to what the broken one answers."""
+"""From a complete line and the sound server to the reply of the broken one."""
 
 
 def other(pattern: str, replacement: str) -> Mutation:
@@ -31,9 +31,9 @@ def to(command: str, reply: str) -> Mutation:
     )
 
 
-def instead(command: str, done: str) -> Mutation:
-    """Lines that match are taken for others."""
-    return lambda line, receive: receive(re.sub(rf"^{command}\b".encode(), done.encode(), line))
+def instead(command: str, replacement: str) -> Mutation:
+    """Lines that match are replaced."""
+    return lambda line, receive: receive(re.sub(rf"^{command}\b".encode(), replacement.encode(), line))
 
 
 def cut(line: bytes, receive: Receive) -> bytes:
@@ -95,14 +95,14 @@ def robot() -> Iterator[Khepera4]:
 def break_server(robot: Khepera4, mutation: Mutation) -> None:
     twin = robot.port.twin.robot  # type: ignore[attr-defined]
     assert isinstance(twin, Khepera4Robot)
-    receive, begun = twin.firmware.receive, bytearray()
+    receive, pending = twin.firmware.receive, bytearray()
 
     def broken(data: bytes) -> bytes:
-        begun.extend(data)
+        pending.extend(data)
         if not data.endswith((b"\r", b"\n")):
             return b""
-        line = bytes(begun)
-        begun.clear()
+        line = bytes(pending)
+        pending.clear()
         return mutation(line, receive)
 
     twin.firmware.receive = broken  # type: ignore[method-assign]
@@ -115,15 +115,17 @@ def test_the_twin_passes_all_checks() -> None:
 
 
 def test_each_check_is_listed_once_and_those_that_move_come_last() -> None:
-    assert sorted(each.name for each in catalogue.CHECKS) == sorted(each.name for each in WRITTEN.values())
-    moving = [bool(each.moves) for each in checks(True, RobotModel.KHEPERA4)]
+    assert sorted(check.name for check in catalogue.CHECKS) == sorted(
+        check.name for check in WRITTEN.values()
+    )
+    moving = [bool(check.moves) for check in checks(True, RobotModel.KHEPERA4)]
     assert moving == sorted(moving)
     assert {*BROKEN} == {*WRITTEN}
 
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_server_that_answers_otherwise_is_caught(name: str, robot: Khepera4) -> None:
-    if name == "pipelining":  # of one that takes no time there is nothing to lose
+    if name == "pipelining":  # a server that answers immediately loses nothing
         robot.port.twin.robot.firmware.answer_ns = 0  # type: ignore[attr-defined]
     break_server(robot, BROKEN[name])
     assert run_check(WRITTEN[name], CheckedPort(robot.port)).deviation

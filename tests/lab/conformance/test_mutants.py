@@ -16,7 +16,7 @@ from khep_twin.ports.twin import Twin
 
 DEFAULT = "khep://default?noise=off"
 Mutation = Callable[[bytes, bytes], bytes]
-"""From a whole command line and its replies to what the broken board answers."""
+"""From a complete command line and its replies to the replies of the broken board."""
 
 
 def replies(pattern: str, replacement: str) -> Mutation:
@@ -65,7 +65,7 @@ ANSWERS: dict[str, Mutation] = {
     "silent on an empty turret": to("T,.*", lambda reply: b""),
     "a turret without its number": to("T,1,B", lambda reply: b"t,b,1,2\r\n"),
     "K with three fields": replies(r"^k,(\d),(\d),(-?\d+),.*", r"k,\1,\2,\3\r\n"),
-    "K with its own mode": replies(r"^k,(\d),\d", r"k,\1,7"),
+    "K with an unknown mode": replies(r"^k,(\d),\d", r"k,\1,7"),
     "speeds as decimals": replies(r"^e,(-?\d+),(-?\d+)", r"e,\1.0,\2.0"),
     "hexadecimal counters": to("H", lambda reply: b"h,0x0,0x0\r\n"),
     "left and right counters exchanged": to("H", lambda reply: swap(reply, 1, 2)),
@@ -80,7 +80,7 @@ ANSWERS: dict[str, Mutation] = {
     "sensors from the front": to("N", lambda reply: in_order(reply, [2, 3, 4, 5, 6, 7, 0, 1])),
     "left and right sensors exchanged": to("N", lambda reply: in_order(reply, [5, 4, 3, 2, 1, 0, 7, 6])),
     "front and back sensors exchanged": to("N", lambda reply: in_order(reply, [0, 1, 6, 7, 4, 5, 2, 3])),
-    "K tells of the right wheel first": to("K", lambda reply: in_order(reply, [3, 4, 5, 0, 1, 2])),
+    "K has the right wheel first": to("K", lambda reply: in_order(reply, [3, 4, 5, 0, 1, 2])),
     "K with no error": replies(r"^k,(\d),(\d),-?\d+,(\d),(\d),-?\d+", r"k,\1,\2,0,\3,\4,0"),
     "no negative targets": to(r"C,-\d+,.*", lambda reply: b"z,Protocol error\r\n"),
     "silent at help": to("help", lambda reply: b""),
@@ -89,19 +89,19 @@ ANSWERS: dict[str, Mutation] = {
     "numbers with leading zeros": replies(r",(\d)\b", r",0\1"),
     "no number at all": to("H", lambda reply: b"h,--5,5\r\n"),
     "silent on letters that are no commands": to("[SUVXYZ]", lambda reply: b""),
-    "K with an error out of the air": replies(r"^k,(\d),1,-?\d+", r"k,\1,1,4711"),
+    "K with an invented error": replies(r"^k,(\d),1,-?\d+", r"k,\1,1,4711"),
     "sensor values in two lines": to("N", lambda reply: reply.replace(b",", b"\r\n", 4)),
 }
 
 
 def break_answers(twin: Twin, mutation: Mutation) -> None:
-    """Lets what the firmware answers pass through a mutation."""
+    """Let a mutation change the replies of the firmware."""
     firmware, pending = twin.robot.firmware, bytearray()
-    whole = firmware.receive
+    receive_sound = firmware.receive
 
     def receive(data: bytes) -> bytes:
         pending.extend(data)
-        reply = whole(data)
+        reply = receive_sound(data)
         if data.endswith((b"\r", b"\n")):
             line = bytes(pending)
             pending.clear()
@@ -115,32 +115,32 @@ Receive = Callable[[bytes], bytes]
 
 
 def receive_by(twin: Twin, answer: Callable[[Receive, bytes], bytes]) -> None:
-    """Lets what comes pass through `answer`, together with what the firmware itself would do with it."""
+    """Replace the firmware's `receive` by `answer`, which is called with the original function."""
     receive = twin.robot.firmware.receive
     twin.robot.firmware.receive = lambda data: answer(receive, data)  # type: ignore[method-assign]
 
 
 def think(twin: Twin, delay_ns: Callable[[bytes], int]) -> None:
-    """Lets replies begin late, each by what it costs to think about [ns]."""
-    put = twin.robot.uart.tx.put
+    """Delay each reply by a time that depends on it [ns]."""
+    send = twin.robot.uart.tx.put
     twin.robot.uart.tx.put = (  # type: ignore[method-assign]
-        lambda data, time_ns: put(data, time_ns + delay_ns(data))
+        lambda data, time_ns: send(data, time_ns + delay_ns(data))
     )
 
 
 def late(twin: Twin) -> None:
-    """Thinks for 60 ms before each reply."""
+    """Waits for 60 ms before each reply."""
     think(twin, lambda reply: 60_000_000)
 
 
 def slow_line(twin: Twin) -> None:
     """Sends at a quarter of the line's speed."""
     tx = twin.robot.uart.tx
-    put = tx.put
+    send = tx.put
 
     def put_slowly(data: bytes, time_ns: int) -> int:
         tx.baud = 2400
-        return put(data, time_ns)
+        return send(data, time_ns)
 
     tx.put = put_slowly  # type: ignore[method-assign]
 
@@ -157,7 +157,7 @@ def crossed_wheels(twin: Twin) -> None:
 
 
 def backwards(twin: Twin) -> None:
-    """Counts the encoders the wrong way round, and drives so too."""
+    """Counts the encoders backwards, and also drives backwards."""
     twin.world.model.actuator_gear[:] *= -1
 
 
@@ -186,7 +186,7 @@ def counts_in_sixteen_bits(twin: Twin) -> None:
 
 
 def never_there(twin: Twin) -> None:
-    """Never says that a target is reached."""
+    """Never reports a reached target."""
     register_view = twin.robot.firmware.register_view
 
     def on_the_way(receive: Receive, data: bytes) -> bytes:
@@ -209,21 +209,23 @@ def without_trapezoid(twin: Twin) -> None:
     receive_by(twin, rush)
 
 
-def keep(twin: Twin, *kept: Wheel) -> None:
-    """Lets some registers of both wheels outlive a reset."""
+def keep(twin: Twin, *registers: Wheel) -> None:
+    """Let a reset keep some registers of both wheels."""
     firmware, register_view = twin.robot.firmware, twin.robot.firmware.register_view
     reset = firmware.reset
 
-    def without_these() -> bytes:
-        before = {
-            wheel + register: register_view[wheel + register] for wheel in (LEFT, RIGHT) for register in kept
+    def reset_partly() -> bytes:
+        saved = {
+            wheel + register: register_view[wheel + register]
+            for wheel in (LEFT, RIGHT)
+            for register in registers
         }
         banner = reset()
-        for register, value in before.items():
+        for register, value in saved.items():
             register_view[register] = value
         return banner
 
-    firmware.reset = without_these  # type: ignore[method-assign]
+    firmware.reset = reset_partly  # type: ignore[method-assign]
 
 
 def keeps_its_trapezoid(twin: Twin) -> None:
@@ -232,7 +234,7 @@ def keeps_its_trapezoid(twin: Twin) -> None:
 
 
 def tells_the_setpoint(twin: Twin) -> None:
-    """Answers E with what is asked for."""
+    """Answers E with the setpoints."""
     register_view = twin.robot.firmware.register_view
 
     def answer(receive: Receive, data: bytes) -> bytes:
@@ -261,18 +263,18 @@ def keeps_driving(twin: Twin) -> None:
 
 
 def ignores_profiles(twin: Twin) -> None:
-    """Acknowledges J and keeps its own trapezoid."""
-    whole = re.compile(rb"J(,\d+){4}\s*")
-    receive_by(twin, lambda receive, data: b"j\r\n" if whole.fullmatch(data) else receive(data))
+    """Acknowledges J and keeps its profile."""
+    pattern = re.compile(rb"J(,\d+){4}\s*")
+    receive_by(twin, lambda receive, data: b"j\r\n" if pattern.fullmatch(data) else receive(data))
 
 
 def shows_its_banner_late(twin: Twin) -> None:
-    """Thinks for 0.6 s before it starts anew."""
+    """Waits for 0.6 s before it restarts."""
     think(twin, lambda reply: 600_000_000 if reply.startswith(b"ROM") else 0)
 
 
 def is_slow_but_at_n(twin: Twin) -> None:
-    """Thinks for 60 ms, but not before the reply to N."""
+    """Waits for 60 ms, but not before the reply to N."""
     think(twin, lambda reply: 0 if reply.startswith(b"n,") else 60_000_000)
 
 
@@ -299,7 +301,7 @@ BOARDS = [
 
 GRIPPERS: dict[str, Mutation] = {
     "a gripper without its number": to("T,1,H.*", lambda reply: reply.replace(b"t,1,", b"t,")),
-    "a gripper that repeats what was asked": to("T,1,H,1", lambda reply: reply.replace(b"h,", b"h,1,")),
+    "a gripper that repeats the request": to("T,1,H,1", lambda reply: reply.replace(b"h,", b"h,1,")),
     "a gripper that does not know its barrier": to("T,1,G", lambda reply: b"z,Protocol error\r\n"),
     "a gripper with a stuck arm": to("T,1,H,1", lambda reply: b"t,1,h,152\r\n"),
     "a gripper with stuck fingers": to("T,1,H,0", lambda reply: b"t,1,h,100\r\n"),
@@ -309,21 +311,21 @@ GRIPPERS: dict[str, Mutation] = {
 
 
 def is_caught(
-    breaking: Callable[[Twin], None], checked: Iterable[Check], at: str | Khepera = DEFAULT
+    break_board: Callable[[Twin], None], candidates: Iterable[Check], url: str | Khepera = DEFAULT
 ) -> bool:
-    """Tell whether a check finds a deviation, by the first one that does."""
-    with closing(Khepera(at) if isinstance(at, str) else at) as robot:
-        breaking(robot.port.twin)
+    """Return whether a check finds a deviation."""
+    with closing(Khepera(url) if isinstance(url, str) else url) as robot:
+        break_board(robot.port.twin)
         line = CheckedPort(robot.port)
-        return any(run_check(check, line).deviation for check in checked)
+        return any(run_check(check, line).deviation for check in candidates)
 
 
 @pytest.mark.parametrize("name", [*GRIPPERS, "sound"])
 def test_a_gripper_that_answers_wrongly_is_caught(name: str) -> None:
     gripper = [check for check in checks(True) if check.turret == 1]
     mutation = GRIPPERS.get(name, lambda line, reply: reply)
-    found = is_caught(lambda twin: break_answers(twin, mutation), gripper, "khep://gripper?noise=off")
-    assert found == (name != "sound")
+    caught = is_caught(lambda twin: break_answers(twin, mutation), gripper, "khep://gripper?noise=off")
+    assert caught == (name != "sound")
 
 
 @pytest.mark.long

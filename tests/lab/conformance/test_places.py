@@ -1,4 +1,4 @@
-"""Checks of a robot whose place or state leaves them open: they are not deviations, and say why."""
+"""Checks that are not possible in a robot's surroundings or state: no deviations, but reasons."""
 
 import json
 import re
@@ -14,20 +14,20 @@ from khep_twin.lab.conformance.port.motion import sensor_order
 def test_a_robot_that_moves_by_itself_passes_what_it_can_be_asked() -> None:
     report = conform("khep://default?mode=0")
     assert report.passed
-    told = report.text()
-    assert told.count("the robot moves by itself, as in its demonstration (mode 0)") == 1
-    assert re.search(r"\d+ passed, 0 failed, \d+ not possible here, 13 of turrets that are absent$", told)
-    open_ones = [each["name"] for each in json.loads(report.json())["results"] if each["impossible"]]
-    assert "E reads two speeds, which are 0 for a robot at rest" in open_ones
-    assert "N reads eight proximity values of 10 bits" not in open_ones
+    text = report.text()
+    assert text.count("the robot drives without commands, as in its demonstration (mode 0)") == 1
+    assert re.search(r"\d+ passed, 0 failed, \d+ not possible here, 13 of turrets that are absent$", text)
+    impossible = [result["name"] for result in json.loads(report.json())["results"] if result["impossible"]]
+    assert "E reads two speeds, which are 0 for a robot at rest" in impossible
+    assert "N reads eight proximity values of 10 bits" not in impossible
 
 
 @pytest.mark.parametrize(
     ("place", "reason"),
     [
-        ("stripes", "no sensor saw anything within 40 cm"),
-        # A wall that stands askew: seen ahead, but not by the sensors at its side.
-        ("obstacles", "the object was out of sight after a turn"),
+        ("stripes", "no sensor detected anything within 40 cm"),
+        # An oblique wall: detected ahead, but not by the sensors at the side.
+        ("obstacles", "no sensor detected the object after a turn"),
     ],
 )
 def test_without_a_wall_ahead_the_order_of_the_sensors_is_not_judged(place: str, reason: str) -> None:

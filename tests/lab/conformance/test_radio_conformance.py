@@ -18,7 +18,7 @@ from khep_twin.host import Khepera, commands
 from khep_twin.lab.conformance.port.check import CheckedPort
 from khep_twin.lab.conformance.port.conform import checks, examine, run_check
 from khep_twin.lab.experiment.multi_robot import run_together
-from khep_twin.log.recorded import read_recorded
+from khep_twin.log.recorded import read_recorded_run
 from khep_twin.ports.twin import Twin, TwinOptions
 
 PAIR = playpen_with_radios([(200, 250), (400, 250)])
@@ -28,7 +28,7 @@ CHECKS = [check for check in checks(False) if "radio" in check.name]
 def status(change: Callable[[int], int]) -> Mutation:
     """Every status is changed."""
     return lambda line, reply: re.sub(
-        rb"^t,4,f,(\d+)", lambda found: b"t,4,f,%d" % change(int(found.group(1))), reply
+        rb"^t,4,f,(\d+)", lambda match: b"t,4,f,%d" % change(int(match.group(1))), reply
     )
 
 
@@ -62,7 +62,7 @@ RADIOS: dict[str, Mutation] = {
 
 
 def deaf_to_restarts(twin: Twin) -> None:
-    """Goes on sending after a restart."""
+    """Continues to send after a restart."""
     for turret in twin.robot.firmware.turrets.values():
         turret.reset = lambda: None  # type: ignore[method-assign]
 
@@ -74,7 +74,7 @@ def without_power(twin: Twin) -> None:
 
 
 def lost(twin: Twin) -> None:
-    """Sends a refused message all the same."""
+    """Sends a refused message."""
 
     def answer(receive: Receive, data: bytes) -> bytes:
         reply = receive(data)
@@ -113,8 +113,8 @@ def test_a_robot_with_a_radio_conforms(path: Path, mode: int, baudrate: int) -> 
 @pytest.mark.long
 def test_a_served_robot_with_a_radio_conforms(path: Path) -> None:
     with served(str(path)) as (_, port), Khepera(port.split()[-1]) as robot:
-        found = [run_check(check, CheckedPort(robot.port)).deviation for check in CHECKS]
-    assert found == [""] * len(CHECKS) == [""] * 6
+        deviations = [run_check(check, CheckedPort(robot.port)).deviation for check in CHECKS]
+    assert deviations == [""] * len(CHECKS) == [""] * 6
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +140,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_recording_of_sound_radios_has_no_finding(log: Path, tmp_path: Path) -> None:
-    lines = [line.text for line in read_recorded(log).lines[0]]
+    lines = [line.text for line in read_recorded_run(log).lines[0]]
     assert {"z,Radio is sending", "t,4,s", "z,Protocol error"} <= {text.strip() for text in lines}
     assert failed(checked(changed(log, tmp_path / "same.mcap", lambda lines: lines))) == []
 

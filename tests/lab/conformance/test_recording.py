@@ -1,4 +1,4 @@
-"""Recordings of sound robots have no finding; those of wrong ones are caught, and what is wrong is named."""
+"""Recordings of sound robots have no findings; each wrong robot is caught by the right statement."""
 
 import itertools
 import json
@@ -26,11 +26,11 @@ Change = Callable[[list[TextLine]], list[TextLine]]
 MS = 1_000_000
 LONG = pytest.mark.long
 
-SCAN = "readings within one scan are the same but for the sensors converted meanwhile"
+SCAN = "readings within one scan are equal, except of sensors converted in between"
 
 
 def recorded(path: Path, playpen: str = "obstacles", **chosen: object) -> Path:
-    """Log of a twin that was asked for everything."""
+    """Log of a twin that has received all commands."""
     options = {"seed": 4, "mode": 3, "log": str(path), **chosen}
     with open_twin(playpen, TwinOptions(**options)) as twin:  # type: ignore[arg-type]
         tour(twin)
@@ -48,23 +48,23 @@ def changed(path: Path, target: Path, change: Change) -> Path:
     with path.open("rb") as file, target.open("wb") as copy:
         reader, writer = make_reader(file), Writer(copy)
         writer.start()
-        for each in reader.iter_attachments():
-            writer.add_attachment(0, 0, each.name, each.media_type, each.data)
+        for attachment in reader.iter_attachments():
+            writer.add_attachment(0, 0, attachment.name, attachment.media_type, attachment.data)
         for record in reader.iter_metadata():
             writer.add_metadata(record.name, record.metadata)
         channels: dict[str, int] = {}
-        told: list[TextLine] = []
-        wanted = [topic, "/khepera0/host_events"]
-        for schema, channel, each in reader.iter_messages(wanted, log_time_order=False):
+        transcript: list[TextLine] = []
+        topics = [topic, "/khepera0/host_events"]
+        for schema, channel, entry in reader.iter_messages(topics, log_time_order=False):
             assert schema is not None
             if channel.topic not in channels:
                 number = writer.register_schema(schema.name, schema.encoding, schema.data)
                 channels[channel.topic] = writer.register_channel(channel.topic, "cdr", number)
             if channel.topic == topic:
-                told.append(read_line(each.data))
+                transcript.append(read_line(entry.data))
             else:
-                writer.add_message(channels[channel.topic], each.log_time, each.data, each.log_time)
-        for line in change(told):
+                writer.add_message(channels[channel.topic], entry.log_time, entry.data, entry.log_time)
+        for line in change(transcript):
             message = LineFrame(line.name, Level.INFO).message(line.time_ns, line.text.encode())
             writer.add_message(channels[topic], line.time_ns, message, line.time_ns)
         writer.finish()
@@ -77,7 +77,7 @@ def checked(path: Path) -> CheckedRobot:
 
 
 def failed(robot: CheckedRobot) -> list[str]:
-    return [each.name for each in robot.statements if each.findings]
+    return [statement.name for statement in robot.statements if statement.findings]
 
 
 # Wrong robots --------------------------------------------------------------------------------------------
@@ -90,21 +90,21 @@ def replies(pattern: str, replacement: str | Callable[[re.Match[str]], str]) -> 
 
 def to(command: str, replacement: str) -> Change:
     """Replies to a command are changed."""
-    return each_reply(lambda asked, reply: replacement if re.fullmatch(command, asked) else reply)
+    return each_reply(lambda request, reply: replacement if re.fullmatch(command, request) else reply)
 
 
 def each_reply(answer: Callable[[str, str], str]) -> Change:
-    """Replies are changed by what was asked; "" is silence."""
+    """Replies are changed depending on the request; "" is silence."""
 
     def change(lines: list[TextLine]) -> list[TextLine]:
-        asked, found = "", list[TextLine]()
+        request, answers = "", list[TextLine]()
         for line in lines:
             if line.name == "host":
-                asked = line.text
-                found.append(line)
-            elif text := answer(asked, line.text):
-                found.append(TextLine(line.time_ns, line.level, line.name, text))
-        return found
+                request = line.text
+                answers.append(line)
+            elif text := answer(request, line.text):
+                answers.append(TextLine(line.time_ns, line.level, line.name, text))
+        return answers
 
     return change
 
@@ -121,16 +121,16 @@ def shifted(pattern: str, by_ms: float) -> Change:
 
 def echo(lines: list[TextLine]) -> list[TextLine]:
     return [
-        each
+        answer
         for line in lines
-        for each in (
+        for answer in (
             [line, TextLine(line.time_ns, line.level, "robot", line.text)] if line.name == "host" else [line]
         )
     ]
 
 
 def every(count: int, answer: Callable[[str], str]) -> Change:
-    """Of the replies every n-th is changed."""
+    """Every n-th reply is changed."""
     numbers = itertools.count(1)
     return each_reply(lambda command, reply: reply if next(numbers) % count else answer(reply))
 
@@ -138,12 +138,16 @@ def every(count: int, answer: Callable[[str], str]) -> Change:
 def each_of(letter: str, change: Change) -> Change:
     """Only replies of a letter are changed."""
 
-    def of(lines: list[TextLine]) -> list[TextLine]:
-        wanted = [line.name == "robot" and line.text.startswith(letter) for line in lines]
-        answers = iter(change([line for line, is_wanted in zip(lines, wanted, strict=True) if is_wanted]))
-        return [next(answers) if is_wanted else line for line, is_wanted in zip(lines, wanted, strict=True)]
+    def change_selected(lines: list[TextLine]) -> list[TextLine]:
+        selected = [line.name == "robot" and line.text.startswith(letter) for line in lines]
+        answers = iter(
+            change([line for line, is_selected in zip(lines, selected, strict=True) if is_selected])
+        )
+        return [
+            next(answers) if is_selected else line for line, is_selected in zip(lines, selected, strict=True)
+        ]
 
-    return of
+    return change_selected
 
 
 def at_the_end(change: Change) -> Change:
@@ -154,22 +158,22 @@ def at_the_end(change: Change) -> Change:
 def exchanged(status: re.Match[str]) -> str:
     """A reply to K with the codes of speed and position mode exchanged."""
     fields = status[0].split(",")
-    fields[2], fields[5] = ("102"[int(fields[place])] for place in (2, 5))
+    fields[2], fields[5] = ("102"[int(fields[index])] for index in (2, 5))
     return ",".join(fields)
 
 
 def negated(field: int) -> Callable[[re.Match[str]], str]:
-    def of(match: re.Match[str]) -> str:
+    def negate(match: re.Match[str]) -> str:
         fields = match[0].split(",")
         fields[field] = str(-int(fields[field]))
         return ",".join(fields)
 
-    return of
+    return negate
 
 
 WRONG: dict[str, tuple[Change, str]] = {
-    "E answers with h": (replies("^e,", "h,"), "a reply begins with its command's letter"),
-    "upper-case replies": (replies("^e,", "E,"), "a reply begins with its command's letter"),
+    "E answers with h": (replies("^e,", "h,"), "a reply starts with its command's letter"),
+    "upper-case replies": (replies("^e,", "E,"), "a reply starts with its command's letter"),
     "seven sensors": (replies("^(n(,\\d+){7}),\\d+$", r"\1"), "a reply has as many plain integers"),
     "nine sensors": (replies("^n(.*)$", r"n\1,0"), "a reply has as many plain integers"),
     "leading zeros": (replies(r"^(h),(\d)", r"\1,0\2"), "a reply has as many plain integers"),
@@ -192,15 +196,15 @@ WRONG: dict[str, tuple[Change, str]] = {
     "the banner of another": (replies("Rev. 5.01", "Rev. 4.06"), "a restart shows the banner"),
     "silent at times": (every(50, lambda reply: ""), "every command is answered"),
     "silent at E": (to("E", ""), "every command is answered"),
-    "echo": (echo, "the robot sends nothing unasked"),
-    "an unasked line": (every(50, lambda reply: f"{reply}\nready"), "the robot sends nothing unasked"),
+    "echo": (echo, "the robot sends nothing unsolicited"),
+    "an unasked line": (every(50, lambda reply: f"{reply}\nready"), "the robot sends nothing unsolicited"),
     "answers at once": (shifted("n,", -3), "no reply ends before"),
-    "thinks for 40 ms": (shifted("h,", 40), "replies begin within 10 ms"),
-    "counts backwards": (replies("^h,.*", negated(1)), "counters go as far as the speeds of E"),
-    "E with the wrong sign": (replies("^e,.*", negated(2)), "speeds of E are those of D"),
-    "E is always 0": (replies("^e,.*", "e,0,0"), "speeds of E are those of D"),
-    "counters stand still": (replies("^h,.*", "h,0,0"), "counters go as far as the speeds of D"),
-    "counters leap": (every(71, lambda reply: re.sub("^h,", "h,1", reply)), "counters go on"),
+    "thinks for 40 ms": (shifted("h,", 40), "replies start within 10 ms"),
+    "counts backwards": (replies("^h,.*", negated(1)), "counters agree with the speeds that E"),
+    "E with the wrong sign": (replies("^e,.*", negated(2)), "E reads the speeds that D sets"),
+    "E is always 0": (replies("^e,.*", "e,0,0"), "E reads the speeds that D sets"),
+    "counters stand still": (replies("^h,.*", "h,0,0"), "counters agree with the speeds that D"),
+    "counters leap": (every(71, lambda reply: re.sub("^h,", "h,1", reply)), "counters change no faster"),
     "G is not obeyed": (replies(r"^h,70\d*,-\d*", "h,0,0"), "G sets the counters"),
     "counters of 16 bits": (replies(r"^h,70\d*,-\d*", "h,4464,-4464"), "G sets the counters"),
     "counters outlive a restart": (at_the_end(replies("^h,.*", "h,69000,-69000")), "a restart sets the"),
@@ -208,8 +212,8 @@ WRONG: dict[str, tuple[Change, str]] = {
     "on target at rest": (replies(r"^k,\d,0,", "k,1,0,"), "K's target flag"),
     "an error in PWM mode": (replies(r"^k,0,2,0", "k,0,2,7"), "K's error"),
     "an error on the target": (replies(r"^k,1,1,-?\d+", "k,1,1,40"), "K's error"),
-    "on target at once": (replies(r"^k,0,1,-?\d+", "k,1,1,0"), "a wheel that K says is on its target"),
-    "never there": (replies(r"^k,1,1,", "k,0,1,"), "K says that a wheel is on its target"),
+    "on target at once": (replies(r"^k,0,1,-?\d+", "k,1,1,0"), "a wheel that is on its target by K"),
+    "never there": (replies(r"^k,1,1,", "k,0,1,"), "K reports a wheel on its target"),
     "a stuck sensor": (replies(r"^(n(,\d+){3}),\d+", r"\1,77"), "no sensor repeats its reading"),
     "a table of readings": (replies(r"^n.*", "n,9,8,7,6,500,400,3,200"), "readings change while"),
 }  # fmt: skip
@@ -225,7 +229,7 @@ FIRST = {statement: name for name, (_, statement) in reversed(WRONG.items())}
 def test_a_wrong_robot_is_caught_and_what_is_wrong_is_named(name: str, sound: Path, tmp_path: Path) -> None:
     change, statement = WRONG[name]
     names = failed(checked(changed(sound, tmp_path / "wrong.mcap", change)))
-    assert any(each.startswith(statement) for each in names), names
+    assert any(failure.startswith(statement) for failure in names), names
 
 
 def test_a_copy_that_changes_nothing_has_no_finding(sound: Path, tmp_path: Path) -> None:
@@ -237,8 +241,8 @@ def test_a_copy_that_changes_nothing_has_no_finding(sound: Path, tmp_path: Path)
     share(
         [
             ("stuck:2@1", "no sensor repeats its reading"),
-            ("dead:left@2", "counters go as far as the speeds of D"),
-            ("late:0.1:60", "replies begin within 10 ms"),
+            ("dead:left@2", "counters agree with the speeds that D"),
+            ("late:0.1:60", "replies start within 10 ms"),
             ("drop:0.01", "a reply has as many plain integers"),
             ("garble:0.01", "a reply has as many plain integers"),
         ],
@@ -247,14 +251,14 @@ def test_a_copy_that_changes_nothing_has_no_finding(sound: Path, tmp_path: Path)
 )
 def test_a_faulty_robot_is_caught(fault: str, statement: str, tmp_path: Path) -> None:
     names = failed(checked(recorded(tmp_path / "run.mcap", faults=(fault,))))
-    assert any(each.startswith(statement) for each in names), names
+    assert any(failure.startswith(statement) for failure in names), names
 
 
 def test_values_that_change_within_a_scan_are_caught(tmp_path: Path) -> None:
     log = recorded(tmp_path / "run.mcap", unpaced=True)
     robot = checked(log)
     assert robot.passed
-    assert {each.name: each.seen for each in robot.statements}[SCAN] > 100
+    assert {statement.name: statement.seen for statement in robot.statements}[SCAN] > 100
     new = every(2, lambda reply: re.sub(r"(?<=,)\d+", lambda value: str(int(value[0]) ^ 1), reply))
     assert failed(checked(changed(log, tmp_path / "wrong.mcap", each_of("n", new)))) == [SCAN]
 
@@ -265,7 +269,7 @@ def test_values_that_change_within_a_scan_are_caught(tmp_path: Path) -> None:
 def test_everything_but_scans_is_seen_in_the_tour(sound: Path) -> None:
     robot = checked(sound)
     assert robot.passed, conform_recording(sound).text()
-    assert [each.name for each in robot.statements if not each.seen] == [SCAN]
+    assert [statement.name for statement in robot.statements if not statement.seen] == [SCAN]
 
 
 @pytest.mark.parametrize("seed", share(range(3), 3))
@@ -295,9 +299,9 @@ def test_built_in_controllers_meet_a_sound_robot(controller: str, tmp_path: Path
 def test_a_brown_out_is_told_and_what_follows_is_as_at_power_up(tmp_path: Path) -> None:
     robot = checked(recorded(tmp_path / "run.mcap", faults=("brown-out@3",)))
     assert robot.passed
-    (banner,) = [each for each in robot.statements if each.name.startswith("a restart shows")]
+    (banner,) = [statement for statement in robot.statements if statement.name.startswith("a restart shows")]
     assert banner.seen == 2
-    assert banner.note.startswith("by itself at 3.0")
+    assert banner.note.startswith("unsolicited at 3.0")
 
 
 def test_each_robot_of_a_log_is_checked(field: Playpen, tmp_path: Path) -> None:
@@ -339,21 +343,21 @@ def test_options_of_a_port_and_logs_without_a_line_are_refused(sound: Path, tmp_
     log = tmp_path / "run.mcap"
     with open_twin("default", TwinOptions(log=str(log))) as twin:
         twin.advance_to(MS)
-    assert "nothing crossed a line" in khep_twin("conform", str(log)).stderr
+    assert "no serial data" in khep_twin("conform", str(log)).stderr
 
 
 # A K213 --------------------------------------------------------------------------------------------------
 
 
 def test_the_messages_of_a_k213_are_known_also_to_who_only_hears_them(tmp_path: Path) -> None:
-    log, heard = tmp_path / "run.mcap", tmp_path / "relay.mcap"
+    log, relay_log = tmp_path / "run.mcap", tmp_path / "relay.mcap"
     with open_twin("stripes", TwinOptions(seed=4, mode=3, log=str(log))) as twin:
         relay = Relay(twin)
         for message in ("B", "N", "M", "S", "T", "L", "O", "P", "Q,3", "R,4", "U,2", "Q,99", "X", "N"):
             twin.robot.send(f"T,2,{message}\n".encode())
             twin.advance_to(twin.world.time_ns + 300 * MS)
-    relay.write(heard)
-    for path in (log, heard):
+    relay.write(relay_log)
+    for path in (log, relay_log):
         assert failed(checked(path)) == []
     worse = changed(log, tmp_path / "worse.mcap", replies(r"^t,2,q,\d+", "t,2,q"))
     assert failed(checked(worse)) == ["a turret answers under its number, an absent one is refused"]

@@ -22,41 +22,41 @@ def fields(reply: bytes) -> list[bytes]:
     return reply.rstrip(b"\r\n").split(b",")
 
 
-def whole(parts: list[bytes]) -> bytes:
+def join(parts: list[bytes]) -> bytes:
     return b",".join(parts) + b"\r\n"
 
 
 ANSWERS: dict[str, Mutation] = {
     "without its number": to("T,2,N", lambda reply: reply.replace(b"t,2,", b"t,")),
     "upper-case letter": to("T,2,N", lambda reply: reply.replace(b",n,", b",N,")),
-    "63 pixels": to("T,2,N", lambda reply: whole(fields(reply)[:-1])),
-    "65 pixels": to("T,2,N", lambda reply: whole([*fields(reply), b"0"])),
-    "a grey of 256": to("T,2,N", lambda reply: whole([*fields(reply)[:-1], b"256"])),
-    "a negative grey": to("T,2,N", lambda reply: whole([*fields(reply)[:-1], b"-1"])),
+    "63 pixels": to("T,2,N", lambda reply: join(fields(reply)[:-1])),
+    "65 pixels": to("T,2,N", lambda reply: join([*fields(reply), b"0"])),
+    "a grey of 256": to("T,2,N", lambda reply: join([*fields(reply)[:-1], b"256"])),
+    "a negative grey": to("T,2,N", lambda reply: join([*fields(reply)[:-1], b"-1"])),
     "greys with a comma behind": to("T,2,N", lambda reply: reply.replace(b"\r\n", b",\r\n")),
     "the image in two lines": to("T,2,N", lambda reply: reply.replace(b",", b"\r\n", 9)),
-    "M of 64 values": to("T,2,M", lambda reply: whole([*fields(reply), *[b"1"] * 32])),
+    "M of 64 values": to("T,2,M", lambda reply: join([*fields(reply), *[b"1"] * 32])),
     "light in one number": to("T,2,L", lambda reply: b"t,2,l,200\r\n"),
     "light of ten bits in the low byte": to("T,2,L", lambda reply: b"t,2,l,0,700\r\n"),
     "no version": to("T,2,B", lambda reply: b"t,2,b\r\n"),
-    "S of the left half": to("T,2,S", lambda reply: whole([b"t", b"2", b"s", *[b"7"] * 32])),
-    "T in the other direction": to("T,2,T", lambda reply: whole([b"t", b"2", b"t", *fields(reply)[:2:-1]])),
-    "Q counted from 1": to("T,2,Q,29", lambda reply: whole([b"t", b"2", b"q", *fields(reply)[4:], b"3"])),
-    "R of 8 pixels": to("T,2,R,.*", lambda reply: whole(fields(reply)[:11])),
+    "S of the left half": to("T,2,S", lambda reply: join([b"t", b"2", b"s", *[b"7"] * 32])),
+    "T in the other direction": to("T,2,T", lambda reply: join([b"t", b"2", b"t", *fields(reply)[:2:-1]])),
+    "Q counted from 1": to("T,2,Q,29", lambda reply: join([b"t", b"2", b"q", *fields(reply)[4:], b"3"])),
+    "R of 8 pixels": to("T,2,R,.*", lambda reply: join(fields(reply)[:11])),
     "O of the darkest": to("T,2,O", lambda reply: b"t,2,o,0\r\n"),
     "P beyond the image": to("T,2,P", lambda reply: b"t,2,p,64\r\n"),
     "U without its number": to("T,2,U,.*", lambda reply: b"u\r\n"),
     "U without a reply": to("T,2,U,.*", lambda reply: b""),
     "a ninth period": to("T,2,U,8", lambda reply: b"t,2,u\r\n"),
-    "pixels beyond the image": to("T,2,Q,64", lambda reply: whole([b"t", b"2", b"q", *[b"NaN"] * 8])),
+    "pixels beyond the image": to("T,2,Q,64", lambda reply: join([b"t", b"2", b"q", *[b"NaN"] * 8])),
     "an unknown letter": to("T,2,X", lambda reply: b"t,2,x\r\n"),
     "a wrong parameter": to("T,2,N,1", lambda reply: b"t,2,n,1\r\n"),
-    "mirrored": to("T,2,N", lambda reply: whole([b"t", b"2", b"n", *fields(reply)[:2:-1]])),
+    "mirrored": to("T,2,N", lambda reply: join([b"t", b"2", b"n", *fields(reply)[:2:-1]])),
 }
 
 
 def late(twin: Twin) -> None:
-    """Thinks for 60 ms before its image."""
+    """Waits for 60 ms before its image."""
     think(twin, lambda reply: 60_000_000 if reply.startswith(b"t,2,n") else 0)
 
 
@@ -78,7 +78,7 @@ def restless(twin: Twin) -> None:
 
 
 def with_a_mirror(twin: Twin) -> None:
-    """Has its pixels from the right to the left, in all replies alike."""
+    """Has its pixels from right to left, in all replies."""
     turret = next(iter(twin.robot.firmware.turrets.values()))
     receive = turret.receive
 
@@ -122,9 +122,9 @@ def test_a_robot_without_a_k213_passes() -> None:
 @pytest.mark.long
 def test_a_sound_k213_on_a_pseudo_terminal_passes() -> None:
     with served("stripes", "--mode", "3") as (_, port), Khepera(port, baudrate=38400) as robot:
-        found = deviations(robot)
+        texts = deviations(robot)
     # A busy machine may delay a reply.
-    assert [text for text in found if " ms" not in text] == []
+    assert [text for text in texts if " ms" not in text] == []
 
 
 @pytest.mark.parametrize("name", share(ANSWERS, 3))

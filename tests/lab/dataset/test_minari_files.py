@@ -1,4 +1,4 @@
-"""Datasets of Minari: what is written is what `minari.load_dataset` returns, all of it or nothing."""
+"""Datasets of Minari: `minari.load_dataset` returns them as written, completely or not at all."""
 
 import builtins
 import importlib
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from command_line import good, refusal
 
-from khep_twin.envs.tasks import find
+from khep_twin.envs.tasks import find_task
 from khep_twin.errors import KhepTwinError, MissingExtraError
 from khep_twin.lab.dataset.episodes import episodes_of
 from khep_twin.ports.twin import TwinOptions, open_twin
@@ -24,7 +24,7 @@ PAGE = Path(__file__).parents[3] / "docs/datasets.md"
 
 @pytest.fixture
 def minari(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
-    """Minari, whose datasets are in `tmp_path`."""
+    """Minari with its datasets in `tmp_path`."""
     pytest.importorskip("gymnasium", reason="gymnasium, the extra [rl], is not installed")
     pytest.importorskip("h5py", reason="h5py, of the extra [minari], is not installed")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
@@ -45,8 +45,8 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 export, refused = partial(good, "export"), partial(refusal, "export")
 
 
-def minari_options(folder: Path, *more: object) -> list[object]:
-    return ["--minari", DATASET, "--task", "ObstacleAvoidance", "-o", folder, *more]
+def minari_options(folder: Path, *options: object) -> list[object]:
+    return ["--minari", DATASET, "--task", "ObstacleAvoidance", "-o", folder, *options]
 
 
 def content(folder: Path) -> dict[str, bytes]:
@@ -54,17 +54,17 @@ def content(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_dataset_comes_back_through_minari(minari: Any, log: Path, tmp_path: Path) -> None:
-    said = export(log, log, *minari_options(tmp_path))
-    assert said == f"dataset     {tmp_path / DATASET}: 2 episodes, 40 steps, 2.0 of the logs' 2.0 s\n"
+    output = export(log, log, *minari_options(tmp_path))
+    assert output == f"dataset     {tmp_path / DATASET}: 2 episodes, 40 steps, 2.0 of the logs' 2.0 s\n"
     dataset = minari.load_dataset(DATASET)
-    (episode,) = episodes_of(log, find("ObstacleAvoidance"), 50 * MS)
+    (episode,) = episodes_of(log, find_task("ObstacleAvoidance"), 50 * MS)
     assert (dataset.total_episodes, dataset.total_steps) == (2, 40)
-    for found in dataset:
+    for loaded in dataset:
         for name in ("observations", "actions", "rewards", "terminations", "truncations"):
-            wanted = getattr(episode, name)
-            assert getattr(found, name).dtype == wanted.dtype
-            assert np.array_equal(getattr(found, name), wanted)
-        assert {name: values.tolist() for name, values in found.infos.items()} == {
+            expected = getattr(episode, name)
+            assert getattr(loaded, name).dtype == expected.dtype
+            assert np.array_equal(getattr(loaded, name), expected)
+        assert {name: values.tolist() for name, values in loaded.infos.items()} == {
             name: values.tolist() for name, values in episode.infos.items()
         }
     (source, _) = dataset.storage.get_episode_metadata([0, 1])
@@ -114,12 +114,12 @@ def test_a_dataset_is_replaced_by_force_alone_and_stays_if_that_fails(
 
 
 def test_what_appears_under_its_name_meanwhile_is_kept(minari: Any, tmp_path: Path) -> None:
-    from khep_twin.lab.dataset.minari_files import _part_of
+    from khep_twin.lab.dataset.minari_files import _temporary_folder
 
     target = tmp_path / "data-v0"
 
     def write() -> None:
-        with _part_of(target, False):
+        with _temporary_folder(target, False):
             target.mkdir()
             (target / "notes").write_text("a year's work")
 

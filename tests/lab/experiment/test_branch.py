@@ -16,7 +16,7 @@ from khep_twin.lab.experiment.branch import BranchPlan, branch, calibrations
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.reader import read_label, read_log
-from khep_twin.log.recorded import BranchPoint, read_recorded
+from khep_twin.log.recorded import BranchPoint, read_recorded_run
 from khep_twin.log.snapshots import read_snapshot
 from khep_twin.ports.protocol_khep import Serial
 from khep_twin.ports.resume import resume_run, run_end_ns
@@ -101,7 +101,7 @@ def test_a_change_changes_what_follows_and_the_new_log_can_be_repeated(
     assert before(path, AT_NS) == before(parent, AT_NS)
     assert messages(path) != messages(parent)
     assert run_end_ns(path) == run_end_ns(parent)
-    assert repeat(read_recorded(path)) is None
+    assert repeat(read_recorded_run(path)) is None
     assert any(line.text.startswith("branched off, with ") for line in read_log(path).events)
 
 
@@ -139,7 +139,7 @@ def test_a_controller_takes_over_and_a_branch_has_branches(parent: Path, tmp_pat
     later_ns = round(20.5 * SECOND)
     branch(BranchPlan(first, BranchPoint(later_ns, faults=("stuck:1",))), second)
     assert before(second, later_ns) == before(first, later_ns)
-    assert repeat(read_recorded(second)) is None
+    assert repeat(read_recorded_run(second)) is None
     branch(BranchPlan(second, BranchPoint(21 * SECOND)), same)
     assert messages(same) == messages(second)
 
@@ -205,7 +205,7 @@ def test_a_host_goes_on_from_a_log_and_its_log_is_a_branch(parent: Path, tmp_pat
         robot.sleep(1)
     at_ns = 11_500_000_000
     assert before(path, at_ns) == before(parent, at_ns)
-    assert repeat(read_recorded(path)) is None
+    assert repeat(read_recorded_run(path)) is None
     with Khepera(f"khep://{parent}") as robot:
         assert robot.time == run_end_ns(parent) / SECOND
     with Serial(f"khep://{parent}?at=11.5&fault=brown-out@3", timeout=1) as port:
@@ -236,7 +236,7 @@ def test_what_was_sent_last_is_not_part_of_a_run_that_is_taken_up_at_its_end(tmp
             port.sleep(0.1)
         assert port.twin.world.time_ns == run_end_ns(first) + 2 * SECOND
     assert b"D,5,5" not in b"".join(data for _, _, data in messages(second))
-    assert repeat(read_recorded(second)) is None
+    assert repeat(read_recorded_run(second)) is None
 
 
 def test_a_served_log_goes_on(parent: Path, tmp_path: Path) -> None:
@@ -247,7 +247,7 @@ def test_a_served_log_goes_on(parent: Path, tmp_path: Path) -> None:
         process.terminate()
         assert process.wait(60) == 0
     assert before(path, 12_500_000_000) == before(parent, 12_500_000_000)
-    assert repeat(read_recorded(path)) is None
+    assert repeat(read_recorded_run(path)) is None
 
 
 def test_the_command_writes_a_log_each_and_draws_their_fan(parent: Path, tmp_path: Path) -> None:
@@ -257,7 +257,7 @@ def test_the_command_writes_a_log_each_and_draws_their_fan(parent: Path, tmp_pat
     assert "fan-001.mcap to fan-003.mcap" in done.stdout
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"fan-001.mcap", "fan-002.mcap", "fan-003.mcap", "fan.png"}
-    found = [read_recorded(tmp_path / f"fan-00{number}.mcap").changes[0].seed for number in (1, 2, 3)]
+    found = [read_recorded_run(tmp_path / f"fan-00{number}.mcap").changes[0].seed for number in (1, 2, 3)]
     assert found == [1, 2, 3]
     assert "is there already" in khep_twin(*words).stderr
     assert "expected --controller" in khep_twin(*words, "--force", "--cycles", 3).stderr

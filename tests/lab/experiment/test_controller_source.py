@@ -17,7 +17,7 @@ from khep_twin.lab.experiment.controller_source import source_of
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.repeat import repeat
 from khep_twin.log.reader import read_label, read_log
-from khep_twin.log.recorded import read_recorded
+from khep_twin.log.recorded import read_recorded_run
 
 TEXT = "def controller(robot):\r\n    robot.set_speed(3, 4)  # für beide Räder"
 """With the line ends of Windows, letters beyond ASCII and no line end at its end."""
@@ -60,7 +60,7 @@ def test_a_controller_in_a_log_is_never_run(tmp_path: Path) -> None:
 
     other = rewritten(log, tmp_path / "other.mcap", attachment=replaced)
     assert read_label(other).attachments["controller/mine.py"] == hostile
-    assert repeat(read_recorded(other)) is None
+    assert repeat(read_recorded_run(other)) is None
     assert conform_recording(other).robots
     assert not mark.exists()
     exec(compile(hostile, "mine.py", "exec"), {})  # which would have been seen

@@ -22,11 +22,11 @@ from khep_twin.host import Gripper, Khepera
 from khep_twin.interventions.move_robot import scan
 from khep_twin.lab.experiment.controllers import braitenberg
 from khep_twin.lab.experiment.multi_robot import run_together
-from khep_twin.lab.experiment.repeat import Divergence, elsewhere, repeat
+from khep_twin.lab.experiment.repeat import Divergence, version_differences, repeat
 from khep_twin.log.channels import TextLine, line_message
 from khep_twin.log.decoding import read_line
 from khep_twin.log.host_events import events_message, read_events
-from khep_twin.log.recorded import read_recorded
+from khep_twin.log.recorded import read_recorded_run
 from khep_twin.log.recover import recover
 from khep_twin.playpen import Playpen
 from khep_twin.ports.protocol_khep import Serial
@@ -37,7 +37,7 @@ SECOND = 1_000_000_000
 
 
 def again(path: Path) -> Divergence | None:
-    return repeat(read_recorded(path))
+    return repeat(read_recorded_run(path))
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def test_exchanges_without_time_and_a_reply_under_way_at_the_end_repeat(tmp_path
         twin.advance_to(30_000_000)
         twin.robot.send(b"N\nD,5")
         twin.advance_to(33_000_000)
-    recorded = read_recorded(path)
+    recorded = read_recorded_run(path)
     assert recorded.last_ns == 33_000_000 < recorded.lines[0][-1].time_ns
     assert repeat(recorded) is None
 
@@ -147,7 +147,7 @@ def test_two_robots_repeat(tmp_path: Path) -> None:
             braitenberg(robot)
 
     run_together(both, [drive, drive], TwinOptions(seed=4, log=str(tmp_path / "run.mcap")))
-    recorded = read_recorded(tmp_path / "run.mcap")
+    recorded = read_recorded_run(tmp_path / "run.mcap")
     assert {index for _, index, _ in recorded.events} == {0, 1}
     assert repeat(recorded) is None
 
@@ -168,7 +168,7 @@ def test_a_host_that_takes_back_changes_its_speed_and_hangs_up_repeats(tmp_path:
         port.write(b"\nD,9,9\nH\nE")
         port.twin.robot.disconnect()
         port.sleep(1)
-    recorded = read_recorded(tmp_path / "run.mcap")
+    recorded = read_recorded_run(tmp_path / "run.mcap")
     assert {event.kind for _, _, event in recorded.events} == {
         HostEventKind.SEND,
         HostEventKind.DISCONNECT,
@@ -189,7 +189,7 @@ def test_a_run_served_by_the_clock_on_the_wall_repeats(tmp_path: Path) -> None:
                     robot.proximity()
                 robot.port.write(b"N\nO\nD,0,0\nE")
             time.sleep(1)  # until the twin knows that its host has gone
-    recorded = read_recorded(tmp_path / "run.mcap")
+    recorded = read_recorded_run(tmp_path / "run.mcap")
     assert HostEventKind.DISCONNECT in {event.kind for _, _, event in recorded.events}
     assert repeat(recorded) is None
 
@@ -271,7 +271,7 @@ def test_a_rescued_log_repeats_as_far_as_it_goes(tmp_path: Path, driven: Path) -
 
 
 def test_what_differs_from_here_is_said_before_it_starts(tmp_path: Path, driven: Path) -> None:
-    assert elsewhere(read_recorded(driven)) == []
+    assert version_differences(read_recorded_run(driven)) == []
     path = rewritten(driven, tmp_path / "run.mcap", facts={"mujoco": "3.0.0", "machine": "Plan9 pdp11"})
     done = khep_twin("repeat", path)
     assert done.returncode == 0

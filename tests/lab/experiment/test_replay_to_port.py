@@ -9,7 +9,7 @@ from served_twin import served
 from khep_twin.errors import LogError, PortError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.replay_to_port import replay_to_port
-from khep_twin.log.recorded import read_recorded
+from khep_twin.log.recorded import read_recorded_run
 from khep_twin.ports.twin import TwinOptions, open_twin
 
 URL = "khep://obstacles?seed=5"
@@ -30,14 +30,14 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_same_twin_answers_the_same(driven: Path) -> None:
-    found = replay_to_port(read_recorded(driven), URL)
-    assert found.identical
+    found = replay_to_port(read_recorded_run(driven), URL)
+    assert found.is_identical
     assert {letter for letter, each in found.letters.items() if each.compared > 10} == {"n", "e", "h"}
 
 
 def test_another_twin_differs_in_numbers(driven: Path) -> None:
-    found = replay_to_port(read_recorded(driven), "khep://default?seed=5&noise=off")
-    assert not found.identical
+    found = replay_to_port(read_recorded_run(driven), "khep://default?seed=5&noise=off")
+    assert not found.is_identical
     assert found.letters["d"].different == 0
     near = found.letters["n"]
     assert near.differences.shape == (near.compared, 8)
@@ -47,31 +47,31 @@ def test_another_twin_differs_in_numbers(driven: Path) -> None:
 
 
 def test_lost_bytes_do_not_bring_the_rest_out_of_step(driven: Path) -> None:
-    found = replay_to_port(read_recorded(driven), f"{URL}&fault=drop:0.003")
+    found = replay_to_port(read_recorded_run(driven), f"{URL}&fault=drop:0.003")
     assert 0 < found.letters["h"].different < found.letters["h"].compared
-    assert found.missing + found.more < 20
+    assert found.missing + found.additional < 20
 
 
 def test_a_line_that_is_silent_leaves_all_missing(driven: Path) -> None:
-    recorded = read_recorded(driven)
+    recorded = read_recorded_run(driven)
     found = replay_to_port(recorded, f"{URL}&fault=drop:1")
     assert found.missing == sum(line.name == "robot" for line in recorded.lines[0])
-    assert not found.identical
+    assert not found.is_identical
 
 
 def test_what_was_sent_to_a_real_robot_can_be_sent_to_a_twin(tmp_path: Path) -> None:
     driven = (0, True, b"D,5,5\n"), (20, False, b"d\r\n")
     read = (500, True, b"H\n"), (520, False, b"h,10,20\r\n")
     log = relayed(tmp_path / "robot.mcap", [*driven, *read], baud=9600)
-    found = replay_to_port(read_recorded(log), "khep://default")
+    found = replay_to_port(read_recorded_run(log), "khep://default")
     assert found.letters["d"].different == 0
     assert found.letters["h"].differences.shape == (1, 2)
 
 
 def test_a_served_twin_answers_over_its_terminal(driven: Path) -> None:
     with served("obstacles", "--seed", "5") as (_, port):
-        found = replay_to_port(read_recorded(driven), port)
-    assert (found.missing, found.more) == (0, 0)
+        found = replay_to_port(read_recorded_run(driven), port)
+    assert (found.missing, found.additional) == (0, 0)
     # Of 1500 pulses on the left; on a busy machine the first command may be late by half a second.
     assert abs(found.letters["h"].differences).max() < 250
 
@@ -80,6 +80,6 @@ def test_what_cannot_be_sent_is_one_line(tmp_path: Path, driven: Path) -> None:
     with open_twin("default", TwinOptions(log=str(tmp_path / "run.mcap"))) as twin:
         twin.advance_to(100_000_000)
     with pytest.raises(LogError, match="no host has sent anything"):
-        replay_to_port(read_recorded(tmp_path / "run.mcap"), URL)
+        replay_to_port(read_recorded_run(tmp_path / "run.mcap"), URL)
     with pytest.raises(PortError, match="nowhere"):
-        replay_to_port(read_recorded(driven), "khep://nowhere")
+        replay_to_port(read_recorded_run(driven), "khep://nowhere")

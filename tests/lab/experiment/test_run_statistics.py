@@ -76,10 +76,10 @@ def test_no_time_and_one_sample_give_nothing() -> None:
 
 def test_stretches_have_begin_end_and_share() -> None:
     holds = np.array([1, 1, 0, 0, 1, 0, 0, 0, 1, 1, 1], bool)
-    found = statistics.stretches(np.arange(11.0), holds)
+    found = statistics.find_intervals(np.arange(11.0), holds)
     assert found.times_s.tolist() == [[0, 2], [4, 5], [8, 10]]
     assert (found.total_s, found.share, found.longest_s) == (5, 0.5, 2)
-    joined = statistics.stretches(np.arange(11.0), holds, gap_s=2.5)
+    joined = statistics.find_intervals(np.arange(11.0), holds, gap_s=2.5)
     assert joined.times_s.tolist() == [[0, 5], [8, 10]]
     assert joined.total_s == 5
 
@@ -128,10 +128,10 @@ def test_contacts_shortly_after_each_other_are_one_collision(room: Playpen) -> N
 
 def test_counters_reckon_straight_ways_and_turns() -> None:
     straight = np.column_stack([np.arange(1001), np.arange(1001)])
-    told = statistics.reckoned(straight, np.array([1.0, 2.0, math.pi / 2]))
+    told = statistics.odometry(straight, np.array([1.0, 2.0, math.pi / 2]))
     assert told[-1].tolist() == pytest.approx([1, 2 + 1000 * PULSE_LENGTH, math.pi / 2])
     spin = np.column_stack([-np.arange(1001), np.arange(1001)])
-    told = statistics.reckoned(spin, np.zeros(3))
+    told = statistics.odometry(spin, np.zeros(3))
     assert told[-1].tolist() == pytest.approx([0, 0, 2000 * PULSE_LENGTH / WHEEL_BASE])
 
 

@@ -10,7 +10,7 @@ from khep_twin.errors import ControllerError
 from khep_twin.host import Khepera
 from khep_twin.lab.experiment.controllers import Controller, braitenberg
 from khep_twin.lab.experiment.series import FreshTwins, OneRobot, run_series
-from khep_twin.lab.experiment.series_run import Plan, SeriesRun, numbered
+from khep_twin.lab.experiment.series_run import Plan, SeriesRun, numbered_path
 from khep_twin.lab.experiment.start_poses import StartPose
 from khep_twin.playpen import Playpen
 from khep_twin.ports.twin import Twin, TwinOptions
@@ -79,7 +79,7 @@ def test_the_pause_lies_between_runs_only() -> None:
     times: list[float] = []
     with Khepera("khep://default") as robot:
         plan = Plan(3, cycles=1, pause=2.05)
-        list(run_series(braitenberg, OneRobot(robot), plan, before=lambda number: times.append(robot.time)))
+        list(run_series(braitenberg, OneRobot(robot), plan, before_run=lambda number: times.append(robot.time)))
     assert times[0] < 0.01
     assert [round(later - before, 1) for before, later in pairwise(times)] == [2.1, 2.1]
 
@@ -92,7 +92,7 @@ def test_a_series_that_is_stopped_leaves_a_robot_that_stands_and_no_broken_run()
             return places._calls.count("cycle") >= 5
 
         broken: list[SeriesRun] = []
-        series = run_series(places, OneRobot(robot), Plan(4, cycles=3), stop=stop, broken_off=broken.append)
+        series = run_series(places, OneRobot(robot), Plan(4, cycles=3), stop=stop, on_abort=broken.append)
         found = list(series)
         assert robot.port.twin.robot.registers[SETPOINTS].tolist() == [0, 0]
     assert len(found) == 1
@@ -136,10 +136,10 @@ def test_a_series_that_is_given_up_stops_its_controller() -> None:
 def test_where_a_series_goes_on() -> None:
     new = FreshTwins(DEFAULT, TwinOptions(), [StartPose(300, 250, 0)])
     with Khepera("khep://default") as robot:
-        assert OneRobot(robot).first(3, braitenberg) == 1
+        assert OneRobot(robot).first_run(3, braitenberg) == 1
     # A function is taken by its word; the last run is done again to see that it keeps it.
-    assert [new.first(kept, braitenberg) for kept in (0, 1, 3)] == [1, 1, 3]
-    assert new.first(3, Places()) == 1
+    assert [new.first_run(kept, braitenberg) for kept in (0, 1, 3)] == [1, 1, 3]
+    assert new.first_run(3, Places()) == 1
 
 
 @pytest.mark.parametrize(
@@ -164,5 +164,5 @@ def test_a_series_needs_a_start() -> None:
 
 
 def test_runs_have_files_of_their_own() -> None:
-    assert numbered(Path("a/run.mcap"), 7) == Path("a/run-007.mcap")
+    assert numbered_path(Path("a/run.mcap"), 7) == Path("a/run-007.mcap")
     assert isinstance(SeriesRun(1, None, 1, 1.0, {}).variables, dict)

@@ -13,7 +13,7 @@ from scipy.io import loadmat
 
 from khep_twin.errors import ControllerError
 from khep_twin.host import Khepera
-from khep_twin.lab.experiment.controllers import Controller, as_controller, variables
+from khep_twin.lab.experiment.controllers import Controller, as_controller, copy_variables
 from khep_twin.lab.experiment.series_files import SeriesFolder, read_series
 from khep_twin.lab.experiment.series_run import SeriesRun
 from khep_twin.lab.experiment.start_poses import StartPose
@@ -43,7 +43,7 @@ def run(number: int, **given: Any) -> SeriesRun:
 
 
 def test_what_a_controller_holds_is_kept_as_plain_values() -> None:
-    held = variables(Held())
+    held = copy_variables(Held())
     assert sorted(held) == ["far", "half", "huge", "map", "mood", "told", "true", "way", "whole"]
     assert {name: type(held[name]) for name in ("mood", "huge", "far")} == {
         "mood": int,
@@ -61,16 +61,16 @@ def test_what_a_function_returns_is_its_variables() -> None:
     controller = as_controller(steer)
     with Khepera("khep://default?noise=off") as robot:
         controller.start(robot)
-        assert variables(controller) == {}
+        assert copy_variables(controller) == {}
         controller.cycle(robot)
-    assert variables(controller) == {"near": 0}
+    assert copy_variables(controller) == {"near": 0}
 
 
 def test_single_variables_are_in_the_tables_and_arrays_in_mat_files(tmp_path: Path) -> None:
     folder = SeriesFolder(tmp_path / "deep" / "series", SETTINGS)
-    held = variables(Held())
-    assert folder.keep(run(1, **held))
-    assert folder.keep(run(2, cycles=9, late=1.5))
+    held = copy_variables(Held())
+    assert folder.save(run(1, **held))
+    assert folder.save(run(2, cycles=9, late=1.5))
     with (folder.path / "runs.csv").open(newline="") as file:
         one, two = csv.DictReader(file)
     assert one["start_heading_deg"] == "90"
@@ -89,7 +89,7 @@ def test_single_variables_are_in_the_tables_and_arrays_in_mat_files(tmp_path: Pa
 
 def test_long_names_stay_apart_in_mat_files(tmp_path: Path) -> None:
     folder = SeriesFolder(tmp_path, SETTINGS)
-    folder.keep(run(1, **{"n" * 70 + "a": 1, "n" * 70 + "b": 2, "ä": 3, "_": 4}))
+    folder.save(run(1, **{"n" * 70 + "a": 1, "n" * 70 + "b": 2, "ä": 3, "_": 4}))
     found = {
         name: value.item() for name, value in loadmat(tmp_path / "run-001.mat").items() if name[0] != "_"
     }
@@ -98,8 +98,8 @@ def test_long_names_stay_apart_in_mat_files(tmp_path: Path) -> None:
 
 def test_a_mixed_column_becomes_text_in_parquet(tmp_path: Path) -> None:
     folder = SeriesFolder(tmp_path, SETTINGS)
-    folder.keep(run(1, mixed=1, whole=1))
-    folder.keep(run(2, mixed="a", whole=1.5))
+    folder.save(run(1, mixed=1, whole=1))
+    folder.save(run(2, mixed="a", whole=1.5))
     table: Any = parquet.read_table(tmp_path / "runs.parquet")
     assert table.column("mixed").to_pylist() == ["1", "a"]
     assert table.column("whole").to_pylist() == [1.0, 1.5]
@@ -107,7 +107,7 @@ def test_a_mixed_column_becomes_text_in_parquet(tmp_path: Path) -> None:
 
 def test_the_same_series_gives_the_same_bytes(tmp_path: Path) -> None:
     for name in ("one", "other"):
-        SeriesFolder(tmp_path / name, SETTINGS).keep(run(1, **variables(Held())))
+        SeriesFolder(tmp_path / name, SETTINGS).save(run(1, **copy_variables(Held())))
     files = sorted(path.name for path in (tmp_path / "one").iterdir())
     assert files == ["run-001.mat", "runs.csv", "runs.mat", "runs.parquet", "series.json"]
     for file in files:
@@ -115,13 +115,13 @@ def test_the_same_series_gives_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_a_run_that_is_there_has_to_come_out_the_same(tmp_path: Path) -> None:
-    SeriesFolder(tmp_path, SETTINGS).keep(run(1, luck=3))
+    SeriesFolder(tmp_path, SETTINGS).save(run(1, luck=3))
     (tmp_path / "runs.csv").unlink()  # killed just before it was written
     folder = SeriesFolder(tmp_path, SETTINGS, resume=True)
     assert (tmp_path / "runs.csv").exists()
-    assert not folder.keep(run(1, luck=3))
+    assert not folder.save(run(1, luck=3))
     with pytest.raises(ControllerError, match="run 1, repeated, has luck 4, before 3; expected the same"):
-        folder.keep(run(1, luck=4))
+        folder.save(run(1, luck=4))
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_a_run_that_is_there_has_to_come_out_the_same(tmp_path: Path) -> None:
 def test_another_series_does_not_go_on_in_its_place(
     change: dict[str, Any], line: str, tmp_path: Path
 ) -> None:
-    SeriesFolder(tmp_path, SETTINGS).keep(run(1))
+    SeriesFolder(tmp_path, SETTINGS).save(run(1))
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     with pytest.raises(ControllerError) as caught:
         SeriesFolder(tmp_path, SETTINGS | change, resume=True)

@@ -8,16 +8,16 @@ import pytest
 from scipy import stats
 
 from khep_twin.errors import ControllerError
-from khep_twin.lab.experiment.figures import draw, shown
+from khep_twin.lab.experiment.figures import draw, default_columns
 from khep_twin.lab.experiment.series_files import Row
-from khep_twin.lab.experiment.series_statistics import difference, measured, summary, table, values
+from khep_twin.lab.experiment.series_statistics import difference, measured_columns, summarize, table, finite_values
 
 RNG = np.random.default_rng(5)
 ONE, OTHER = RNG.normal(3.0, 0.5, 12).tolist(), RNG.normal(3.8, 1.5, 7).tolist()
 
 
 def test_a_summary_has_students_interval() -> None:
-    told, by_scipy = summary(ONE), stats.ttest_1samp(ONE, 0).confidence_interval(0.95)
+    told, by_scipy = summarize(ONE), stats.ttest_1samp(ONE, 0).confidence_interval(0.95)
     assert told.mean == pytest.approx(np.mean(ONE))
     assert told.sd == pytest.approx(np.std(ONE, ddof=1))
     assert (told.mean - told.ci95, told.mean + told.ci95) == pytest.approx([*by_scipy])
@@ -29,16 +29,16 @@ def test_a_difference_has_welchs_interval() -> None:
     by_scipy = stats.ttest_ind(OTHER, ONE, equal_var=False)
     interval = by_scipy.confidence_interval(0.95)
     assert (told.mean - told.ci95, told.mean + told.ci95) == pytest.approx([*interval])
-    assert told.clear == (by_scipy.pvalue < 0.05)
+    assert told.is_clear == (by_scipy.pvalue < 0.05)
 
 
 def test_single_and_equal_runs_have_no_interval_or_none_at_all() -> None:
-    assert math.isnan(summary([2.0]).sd)
-    assert math.isnan(summary([2.0]).ci95)
-    assert summary([2.0, 2.0]).ci95 == 0
-    assert not difference([1.0], [2.0]).clear
-    assert difference([1.0, 1.0], [2.0, 2.0]).clear
-    assert not difference([1.0, 1.0], [1.0, 1.0]).clear
+    assert math.isnan(summarize([2.0]).sd)
+    assert math.isnan(summarize([2.0]).ci95)
+    assert summarize([2.0, 2.0]).ci95 == 0
+    assert not difference([1.0], [2.0]).is_clear
+    assert difference([1.0, 1.0], [2.0, 2.0]).is_clear
+    assert not difference([1.0, 1.0], [1.0, 1.0]).is_clear
 
 
 ROWS: list[Row] = [
@@ -51,11 +51,11 @@ OTHERS: list[Row] = [
 
 
 def test_columns_are_numbers_that_were_measured() -> None:
-    assert measured([ROWS, OTHERS]) == ["fitness", "learned"]
-    assert measured([ROWS], ["learned", "learned"]) == ["learned"]
-    assert values(OTHERS, "odd") == []
+    assert measured_columns([ROWS, OTHERS]) == ["fitness", "learned"]
+    assert measured_columns([ROWS], ["learned", "learned"]) == ["learned"]
+    assert finite_values(OTHERS, "odd") == []
     with pytest.raises(ControllerError, match=r"column fitnes: not a number in these runs; did you mean 'fi"):
-        measured([ROWS], ["fitnes"])
+        measured_columns([ROWS], ["fitnes"])
 
 
 def test_the_table_has_a_line_for_each_series_and_difference() -> None:
@@ -74,7 +74,7 @@ def test_a_figure_has_a_panel_for_each_number(tmp_path: Path) -> None:
     assert [axes.get_ylabel() for axes in figure.axes] == names
     lines = figure.axes[0].get_lines()
     assert [*lines[0].get_ydata()] == ONE
-    assert shown(["light_gained", "fitness", "mine"]) == ["fitness", "light_gained"]
+    assert default_columns(["light_gained", "fitness", "mine"]) == ["fitness", "light_gained"]
     for suffix in ("png", "svg", "pdf"):
         save(figure, tmp_path / f"series.{suffix}")
         assert (tmp_path / f"series.{suffix}").stat().st_size > 2000

@@ -7,7 +7,7 @@ from khep_twin import playpen as playpens
 from khep_twin.errors import PlaypenError
 from khep_twin.lab.experiment.start_poses import (
     StartPose,
-    lit,
+    with_lighting,
     numbers,
     starts,
     without_nearest_lamp,
@@ -99,14 +99,14 @@ def test_a_robot_that_is_not_there_has_no_starts(index: int) -> None:
 
 
 def test_lamps_are_on_as_wanted() -> None:
-    assert lit(TWO_LAMPS, None) is TWO_LAMPS
-    assert lit(TWO_LAMPS, "off").lamps == ()
+    assert with_lighting(TWO_LAMPS, None) is TWO_LAMPS
+    assert with_lighting(TWO_LAMPS, "off").lamps == ()
     for mode in ("all", "random", "sequenced"):
-        changed = lit(TWO_LAMPS, mode)
+        changed = with_lighting(TWO_LAMPS, mode)
         assert changed.lighting.mode == mode
         assert changed.lamps == TWO_LAMPS.lamps
     with pytest.raises(PlaypenError, match=r"lighting 'randon': unknown; did you mean 'random'\?"):
-        lit(TWO_LAMPS, "randon")
+        with_lighting(TWO_LAMPS, "randon")
 
 
 def test_the_nearest_lamp_goes_first() -> None:

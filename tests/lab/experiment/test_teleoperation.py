@@ -12,7 +12,7 @@ from khep_twin.lab.experiment.teleoperation import (
     WIDTH,
     DeadManSwitch,
     Direction,
-    DriveView,
+    DriveState,
     Teleoperation,
     draw,
 )
@@ -67,7 +67,7 @@ def test_only_what_changes_is_sent() -> None:
             elif now < FIRST_HOLD:
                 assert fake.requests == ["N", "O", "E"]
         assert fake.requests == ["D,0,0", "N", "O", "E"]
-        view = operation.view
+        view = operation.state
         assert (view.direction, view.leds, view.lost) == (Direction.STOP, (1, 0), 0)
         assert view.proximity.back_left == 1023
         assert view.ambient.left_90 == 500
@@ -77,10 +77,10 @@ def test_only_what_changes_is_sent() -> None:
 def test_the_speed_stays_within_its_bounds() -> None:
     with FakeRobot() as fake, Khepera(fake.url) as robot:
         operation = Teleoperation(robot, 5)
-        operation.choose(0)
-        assert operation.view.speed == 1
-        operation.choose(99)
-        assert operation.view.speed == FASTEST
+        operation.set_speed(0)
+        assert operation.state.speed == 1
+        operation.set_speed(99)
+        assert operation.state.speed == FASTEST
 
 
 def test_one_lost_reply_is_lived_with_and_a_lost_line_is_not() -> None:
@@ -88,7 +88,7 @@ def test_one_lost_reply_is_lived_with_and_a_lost_line_is_not() -> None:
         operation = Teleoperation(robot, 5)
         fake.answers["D"] = "x"
         operation.cycle()
-        assert operation.view.lost == 1
+        assert operation.state.lost == 1
         del fake.answers["D"]
         fake.requests.clear()
         operation.cycle()
@@ -108,8 +108,8 @@ def test_an_unknown_supply_is_not_shown() -> None:
         for _ in range(3):
             operation.cycle()
         assert fake.requests.count("I,0") == 2  # asked, and once more as any read is
-        assert operation.view.supply is None
-        assert "supply" not in "\n".join(draw(operation.view, "port", 80, 24))
+        assert operation.state.supply is None
+        assert "supply" not in "\n".join(draw(operation.state, "port", 80, 24))
 
 
 def test_the_end_stops_the_motors_even_when_the_line_has_gone() -> None:
@@ -141,7 +141,7 @@ def test_a_line_that_breaks_ends_the_drive_and_a_robot_that_comes_back_is_stoppe
 def test_the_screen_shows_bars_that_grow_with_what_is_near_and_dark() -> None:
     near = SensorCounts(0, 1023, 512, 0, 0, 0, 0, 0)
     dark = SensorCounts(0, 512, 0, 0, 0, 0, 0, 0)
-    view = DriveView(7, Direction.LEFT, Speeds(-3, 4), near, dark, (1, 0), 4.8, 2)
+    view = DriveState(7, Direction.LEFT, Speeds(-3, 4), near, dark, (1, 0), 4.8, 2)
     for width in (WIDTH, 80, 133):
         lines = draw(view, "a port with a long name" * 9, width, HEIGHT)
         assert len(lines) <= HEIGHT
@@ -155,7 +155,7 @@ def test_the_screen_shows_bars_that_grow_with_what_is_near_and_dark() -> None:
 
 
 def test_in_a_small_terminal_the_error_says_how_large_it_must_be() -> None:
-    assert draw(DriveView(5), "port", 60, 24) == ["60 x 24 characters; expected at least 64 x 18; q ends"]
-    assert draw(DriveView(5), "port", 80, 5) == ["80 x 5 characters; expected at least 64 x 18; q ends"]
-    assert draw(DriveView(5), "port", 9, 5) == ["9 x 5 ch"]
-    assert draw(DriveView(5), "port", 0, 0) == [""]
+    assert draw(DriveState(5), "port", 60, 24) == ["60 x 24 characters; expected at least 64 x 18; q ends"]
+    assert draw(DriveState(5), "port", 80, 5) == ["80 x 5 characters; expected at least 64 x 18; q ends"]
+    assert draw(DriveState(5), "port", 9, 5) == ["9 x 5 ch"]
+    assert draw(DriveState(5), "port", 0, 0) == [""]

@@ -11,8 +11,8 @@ from scenes import arena, hosted
 from khep_twin import playpen
 from khep_twin.errors import FitError
 from khep_twin.files.toml_files import dump
-from khep_twin.lab.fit.infrared_fit import fit_infrared, fitted, levels
-from khep_twin.lab.fit.least_squares import expected
+from khep_twin.lab.fit.infrared_fit import fit_infrared, apply_fit, levels
+from khep_twin.lab.fit.least_squares import expected_readings
 from khep_twin.lab.fit.placement import IN_PLACE, Misplacement, Placement, Readings, Ruler
 from khep_twin.sensing import calibration
 from khep_twin.units import BODY_RADIUS, PULSE_LENGTH, WHEEL_BASE
@@ -66,7 +66,7 @@ def test_hidden_gains_are_found_within_three_minutes_of_robot_time(
     turns = [turn(str(path), distance_mm, seed) for seed, distance_mm in enumerate((14, 18, 22, 26, 30))]
     assert sum(time for _, time in turns) < 180
     found_all = fit_infrared([test for test, _ in turns], KHEPERA1)
-    fits, found = found_all.sensors, fitted(KHEPERA1, found_all).proximity
+    fits, found = found_all.sensors, apply_fit(KHEPERA1, found_all).proximity
     gains = np.array(found.gain_counts_mm2) / hidden_calibration().proximity.gain_counts_mm2
     np.testing.assert_allclose(gains, 1, atol=0.03)
     assert max(fit.gain_interval for fit in fits) < 0.07
@@ -97,7 +97,7 @@ def test_without_noise_and_with_an_exact_ruler_the_gains_are_exact() -> None:
 def test_a_wall_that_stood_elsewhere_is_found_there_as_far_as_the_others_tell() -> None:
     tests = bench([15, 20, 25, 30])
     (wrong,) = bench([22], Misplacement(0.002, math.radians(4)))
-    moved = fit_infrared([*tests, wrong], QUIET).moved
+    moved = fit_infrared([*tests, wrong], QUIET).misplacements
     # What all have in common is a distance and heading of the robot's own.
     assert moved[-1].distance - moved[0].distance == pytest.approx(0.002, abs=0.0003)
     assert moved[-1].bearing - moved[0].bearing == pytest.approx(math.radians(4), abs=math.radians(0.4))
@@ -126,4 +126,4 @@ def test_readings_that_are_all_saturated_or_0_are_refused_by_sensor(distances_mm
 def test_the_mean_of_noisy_readings_that_are_cut_off() -> None:
     levels = np.array([-500.0, -20.0, 0.0, 30.0, 500.0, 1000.0, 1023.0, 2000.0])
     noisy = levels + 40 * np.random.default_rng(1).standard_normal((400_000, 1))
-    np.testing.assert_allclose(expected(levels, 40, 1023), np.clip(noisy, 0, 1023).mean(axis=0), atol=0.3)
+    np.testing.assert_allclose(expected_readings(levels, 40, 1023), np.clip(noisy, 0, 1023).mean(axis=0), atol=0.3)

@@ -31,7 +31,7 @@ def test_a_parameter_that_is_not_determined_stays_and_widens_the_others() -> Non
             "more",
             unit_variance=True,
         )
-        assert found.held.tolist() == [False, True]
+        assert found.fixed.tolist() == [False, True]
         assert found.values[1] == 0
         return float(found.values[0]), float(found.intervals[0]), float(found.intervals[1])
 
@@ -56,7 +56,7 @@ def test_columns_of_owners_give_what_dense_derivatives_give() -> None:
     parameters = [Parameter(name, 0, 1, prior=10) for name in ("a", "b", "slope")]
     owners = np.column_stack([group, np.full(6, 2)])
     dense = least_squares(left, parameters, "more")
-    grouped = least_squares(left, parameters, "more", owners=owners)
+    grouped = least_squares(left, parameters, "more", sparsity=owners)
     np.testing.assert_allclose(grouped.values, dense.values, atol=1e-8)
     np.testing.assert_allclose(grouped.intervals, dense.intervals, rtol=1e-8)
 

@@ -14,7 +14,7 @@ APPROACH = np.array([[0, 0, 0], [0.02, 0, 0], [0.02, 0.01, 0.3]])
 
 def test_a_cylinder_to_the_left_is_seen_at_a_larger_bearing_the_nearer_it_comes() -> None:
     moved = Misplacement(0.002, math.radians(5))
-    distances, bearings = Placement(APPROACH, 0.03, 0.01).seen(moved)
+    distances, bearings = Placement(APPROACH, 0.03, 0.01).object_positions(moved)
     away = BODY_RADIUS + 0.042
     centre = away * np.array([math.cos(moved.bearing), math.sin(moved.bearing)])
     to = centre - APPROACH[:, :2]
@@ -24,7 +24,7 @@ def test_a_cylinder_to_the_left_is_seen_at_a_larger_bearing_the_nearer_it_comes(
 
 
 def test_a_wall_that_stands_askew_comes_nearer_by_less_than_the_way() -> None:
-    distances, bearings = Placement(APPROACH, 0.03).seen(Misplacement(0.0, 0.1))
+    distances, bearings = Placement(APPROACH, 0.03).object_positions(Misplacement(0.0, 0.1))
     normal = np.array([math.cos(0.1), math.sin(0.1)])
     np.testing.assert_allclose(distances, 0.03 - APPROACH[:, :2] @ normal)
     np.testing.assert_allclose(bearings, 0.1 - APPROACH[:, 2])
@@ -32,7 +32,7 @@ def test_a_wall_that_stands_askew_comes_nearer_by_less_than_the_way() -> None:
 
 def test_a_robot_that_turns_more_than_it_counts_sees_the_wall_farther_behind() -> None:
     turn = np.column_stack([np.zeros((3, 2)), [0, 1, 2]])
-    _, bearings = Placement(turn, 0.03).seen(Misplacement(turned=0.01))
+    _, bearings = Placement(turn, 0.03).object_positions(Misplacement(turn_error=0.01))
     np.testing.assert_allclose(bearings, [0, -1.01, -2.02])
 
 

@@ -218,7 +218,7 @@ def test_in_a_straight_approach_the_wall_comes_nearer_and_stays_ahead() -> None:
     dv = np.zeros((3, 10), np.int64)
     dv[:, :2] = [[0, 0], [100, 100], [250, 250]]
     run = SensorRun(SensorTest(linear_cm=5), dv, np.array([0.0, 1e6, 2e6]))
-    distances, bearings = SensorData("approach", run, 0.03).readings(KHEPERA1.wheels).placement.seen()
+    distances, bearings = SensorData("approach", run, 0.03).readings(KHEPERA1.wheels).placement.object_positions()
     np.testing.assert_allclose(distances, [0.03, 0.022, 0.01], atol=1e-5)
     np.testing.assert_allclose(bearings, 0, atol=1e-12)
 
@@ -229,7 +229,7 @@ def test_a_robot_that_turns_left_has_the_object_on_its_right() -> None:
     dv[1, :2] = -quarter, quarter
     run = SensorRun(SensorTest(rotate_deg=90), dv, np.array([0.0, 1e6]))
     for data in (SensorData("wall", run, 0.02), SensorData("can", run, 0.02, radius=0.0125)):
-        distances, bearings = data.readings(KHEPERA1.wheels).placement.seen()
+        distances, bearings = data.readings(KHEPERA1.wheels).placement.object_positions()
         np.testing.assert_allclose(distances, 0.02, atol=1e-6)
         np.testing.assert_allclose(bearings, [0, -math.pi / 2], atol=2e-3)
     lamp = LampTable.of(SensorData("lamp", run, 0.1, power=2.0).readings(KHEPERA1.wheels))

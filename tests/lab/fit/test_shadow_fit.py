@@ -12,7 +12,7 @@ START = calibration.read("khepera1")[0]
 
 def test_a_row_has_all_that_was_learned() -> None:
     row = np.arange(len(VALUE_NAMES), dtype=np.float64)
-    found = LearnedValues.of_row(row)
+    found = LearnedValues.from_row(row)
     assert [len(part) for part in found] == [3, 3, 8, 8]
     assert np.array_equal(found.row, row)
     assert VALUE_NAMES[4] == "deviation of right over left"

@@ -8,7 +8,7 @@ from command_line import good
 from test_robot_fit import Bench
 
 from khep_twin.errors import FitError
-from khep_twin.lab.fit.wheel_fit import Drive, fit_wheels, left_over, pulses
+from khep_twin.lab.fit.wheel_fit import Drive, fit_wheels, residual, read_pulses
 from khep_twin.sensing import calibration
 
 
@@ -23,14 +23,14 @@ def test_hidden_wheels_are_found_an_unused_drive_is_met_and_a_twin_can_use_the_c
     # As a person reads them: whole millimetres, tenths of a turn.
     found = fit_wheels(
         [
-            Drive("straight", *pulses(straight), distance=round(distance, 3)),
-            Drive("spin", *pulses(spin), turned=turned),
+            Drive("straight", *read_pulses(straight), distance=round(distance, 3)),
+            Drive("spin", *read_pulses(spin), turn=turned),
         ]
     )
     assert found.radius == pytest.approx(7.83e-3, rel=0.002)
     assert found.base == pytest.approx(53.4e-3, rel=0.005)
     assert abs(found.radius - 7.83e-3) < found.radius_interval + 7.83e-3 * 0.001
-    left = left_over(Drive("other", *pulses(arc), distance=other), found.radius, found.base)
+    left = residual(Drive("other", *read_pulses(arc), distance=other), found.radius, found.base)
     assert abs(left) < 0.002
     words = [f"{straight}={distance * 1000:.0f}mm", f"{spin}={turned / 2 / math.pi:.3f}turns"]
     assert "not used for the fit" in good("fit", *words, "--check", words[0], "-o", target)
@@ -40,7 +40,7 @@ def test_hidden_wheels_are_found_an_unused_drive_is_met_and_a_twin_can_use_the_c
     assert written.proximity == calibration.read("khepera1")[0].proximity
 
 
-STRAIGHT, SPIN = Drive("straight", 12500, 12500, distance=1.0), Drive("spin", -5000, 5000, turned=15.4)
+STRAIGHT, SPIN = Drive("straight", 12500, 12500, distance=1.0), Drive("spin", -5000, 5000, turn=15.4)
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ STRAIGHT, SPIN = Drive("straight", 12500, 12500, distance=1.0), Drive("spin", -5
         ([STRAIGHT], "the wheel base cannot be determined"),
         ([SPIN], "the wheels' radius cannot be determined"),
         ([Drive("short", 100, 100, distance=0.01), SPIN], "the wheels' radius cannot be determined"),
-        ([STRAIGHT, Drive("little", -100, 100, turned=0.2)], "the wheel base cannot be determined"),
+        ([STRAIGHT, Drive("little", -100, 100, turn=0.2)], "the wheel base cannot be determined"),
         ([Drive("inches", 12500, 12500, distance=39.4), SPIN], "are not a Khepera's"),
     ],
 )

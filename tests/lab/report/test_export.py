@@ -1,4 +1,4 @@
-"""Logs as tables: what is written comes back, always as the same bytes; wrong words are told in one line."""
+"""Logs as tables: they read back, as the same bytes each time; errors are one line."""
 
 import csv
 from functools import partial
@@ -30,8 +30,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("export") / "run.mcap"
     one = Playpen.load("gripper")
     other = one.robots[0].model_copy(update={"x_mm": 80.0, "y_mm": 80.0, "turrets": ()})
-    both = one.model_copy(update={"robots": (*one.robots, other)})
-    with open_twin(both, TwinOptions(seed=3, robot=None, log=str(path))) as twin:
+    pair = one.model_copy(update={"robots": (*one.robots, other)})
+    with open_twin(pair, TwinOptions(seed=3, robot=None, log=str(path))) as twin:
         twin.robots[0].send(b"D,8,5\nN\n")
         twin.robots[1].send(b"D,4,-4\n")
         twin.advance_to(SECOND)
@@ -41,7 +41,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished log of four seconds, given out at each, and so of several chunks."""
+    """A finished log of four seconds, flushed every second, with several chunks."""
     path = tmp_path_factory.mktemp("export") / "long.mcap"
     with open_twin("two-lamps", TwinOptions(seed=3, log=str(path))) as twin:
         for second in range(1, 5):
@@ -54,17 +54,17 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def real(tmp_path: Path) -> Path:
-    """A log of a real robot's line: only what it said."""
-    said = b"N\n", b"n,1,2,3,4,5,6,7,8\r\n", b"D,2,-3\n", b"d\r\n", b"E\n", b"e,1,-2\r\n"
-    return relayed(tmp_path / "real.mcap", in_turn(*said))
+    """A log of a real robot's serial line."""
+    output = b"N\n", b"n,1,2,3,4,5,6,7,8\r\n", b"D,2,-3\n", b"d\r\n", b"E\n", b"e,1,-2\r\n"
+    return relayed(tmp_path / "real.mcap", in_turn(*output))
 
 
 export, refused = partial(good, "export"), partial(refusal, "export")
 
 
 def test_a_csv_comes_back(run: Path, tmp_path: Path) -> None:
-    said = export(run, "-o", tmp_path / "run.csv", "--robot", "khepera0")
-    assert "khepera0: pose, proximity, ambient, speed, duty, leds, gripper; 51 rows" in said
+    output = export(run, "-o", tmp_path / "run.csv", "--robot", "khepera0")
+    assert "khepera0: pose, proximity, ambient, speed, duty, leds, gripper; 51 rows" in output
     track = read_log(run).robots["khepera0"]
     table: Any = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True)
     assert table["time_s"].tolist() == (track.times_ns / 1e9).tolist()
@@ -109,11 +109,11 @@ def test_several_robots_are_in_one_table_by_time_and_name(run: Path, tmp_path: P
     assert [(row["time_s"], row["robot"]) for row in rows[:3]] == [
         *(("0.0", "khepera0"), ("0.0", "khepera1"), ("0.02", "khepera0"))
     ]
-    own = [{key: value for key, value in row.items() if key != "robot"} for row in rows[1::2]]
+    second_rows = [{key: value for key, value in row.items() if key != "robot"} for row in rows[1::2]]
     export(run, "-o", tmp_path / "one.csv", "--robot", "khepera1")
-    without = [*csv.DictReader((tmp_path / "one.csv").read_text().splitlines())]
-    assert [{key: row[key] for key in without[0]} for row in own] == without
-    assert {row["gripper_arm_position"] for row in own} == {""}
+    single_rows = [*csv.DictReader((tmp_path / "one.csv").read_text().splitlines())]
+    assert [{key: row[key] for key in single_rows[0]} for row in second_rows] == single_rows
+    assert {row["gripper_arm_position"] for row in second_rows} == {""}
     export(run, "-o", tmp_path / "both.parquet")
     table: Any = parquet.read_table(tmp_path / "both.parquet")  # pyright: ignore[reportUnknownMemberType]
     assert table["robot"].to_pylist() == [row["robot"] for row in rows]
@@ -132,8 +132,8 @@ def test_a_mat_file_of_several_robots_numbers_them_from_1(run: Path, tmp_path: P
     assert values["speed"][second].tolist() == track.speed.tolist()
     assert values["speed_time_s"][second, 0].tolist() == (track.times_ns / 1e9).tolist()
     assert set(values["gripper_robot"][:, 0]) == {1}
-    said = values["serial_robot"][:, 0] == 2
-    assert [cell[0] for cell in values["serial_text"][said, 0]] == [line.text for line in track.serial]
+    is_second = values["serial_robot"][:, 0] == 2
+    assert [cell[0] for cell in values["serial_text"][is_second, 0]] == [line.text for line in track.serial]
 
 
 def test_a_transcript_of_several_robots_names_them(run: Path, tmp_path: Path) -> None:
@@ -180,13 +180,13 @@ def test_a_long_log_is_written_piece_by_piece(
     suffix: str, long: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files = [tmp_path / f"{name}{suffix}" for name in ("whole", "pieces")]
-    said = [tmp_path / f"{name}-said.csv" for name in ("whole", "pieces")]
-    for file, transcript, most in zip(files, said, (reader.PIECE, 1), strict=True):
-        monkeypatch.setattr(reader, "PIECE", most)
-        # The last one has the snapshot of the end.
-        assert len([*reader.read_pieces(long)]) == (1 if most > 1 else 5)
+    transcripts = [tmp_path / f"{name}-transcripts.csv" for name in ("whole", "pieces")]
+    for file, transcript, size in zip(files, transcripts, (reader.BATCH_BYTES, 1), strict=True):
+        monkeypatch.setattr(reader, "BATCH_BYTES", size)
+        # The last batch has the snapshot of the end.
+        assert len([*reader.read_batches(long)]) == (1 if size > 1 else 5)
         assert "201 rows" in export(long, "-o", file, "--transcript", transcript)
-    assert said[0].read_bytes() == said[1].read_bytes()
+    assert transcripts[0].read_bytes() == transcripts[1].read_bytes()
     if suffix == ".parquet":
         one, other = map(parquet.read_table, files)  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType, reportUnknownVariableType]
         assert one.equals(other)
@@ -200,20 +200,20 @@ def test_a_count_that_is_no_whole_number_late_in_a_log_makes_its_channel_fractio
 ) -> None:
     log, table = tmp_path / "run.mcap", tmp_path / f"table{suffix}"
     write_speeds(log, [[1.0, 2.0], [3.0, 4.5]])
-    monkeypatch.setattr(reader, "PIECE", 1)
-    assert len([*reader.read_pieces(log)]) == 2
+    monkeypatch.setattr(reader, "BATCH_BYTES", 1)
+    assert len([*reader.read_batches(log)]) == 2
     export(log, "-o", table)
     if suffix == ".csv":
         assert table.read_text().splitlines()[1:] == ["0.0,1.0,2.0", "1.0,3.0,4.5"]
     else:
-        found: Any = parquet.read_table(table)  # pyright: ignore[reportUnknownMemberType]
-        assert found["speed_1"].to_pylist() == [2.0, 4.5]
+        values: Any = parquet.read_table(table)  # pyright: ignore[reportUnknownMemberType]
+        assert values["speed_1"].to_pylist() == [2.0, 4.5]
 
 
 def test_rows_that_grow_within_a_log_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log, table = tmp_path / "run.mcap", tmp_path / "table.csv"
     write_speeds(log, [[1.0, 2.0], [3.0, 4.0, 5.0]])
-    monkeypatch.setattr(reader, "PIECE", 1)
+    monkeypatch.setattr(reader, "BATCH_BYTES", 1)
     assert "/khepera0/speed has 3 values at 1.0 s, expected 2 as at its begin" in refused(log, "-o", table)
     assert [*tmp_path.iterdir()] == [log]
 
@@ -228,12 +228,12 @@ def test_more_than_a_mat_file_should_hold_is_refused(
 
 def test_a_log_whose_index_leaves_messages_out_is_refused(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    write_speeds(log, [[1.0, 2.0], [3.0, 4.0]], number_told=3)
+    write_speeds(log, [[1.0, 2.0], [3.0, 4.0]], stated_count=3)
     assert "no whole log" in refused(log, "-o", tmp_path / "table.csv")
 
 
-def write_speeds(path: Path, rows: list[list[float]], number_told: int | None = None) -> None:
-    """Write a log of speeds, a second and a chunk each, and how many there are."""
+def write_speeds(path: Path, rows: list[list[float]], stated_count: int | None = None) -> None:
+    """Write a log of speeds, one per second and chunk, and optionally a wrong count of messages."""
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=1)
         writer.start()
@@ -243,16 +243,16 @@ def write_speeds(path: Path, rows: list[list[float]], number_told: int | None = 
         for second, row in enumerate(rows):
             (message,) = ArrayFrame(len(row), "f8", "speed").messages(np.array([row]))
             writer.add_message(channel, second * SECOND, message.tobytes(), second * SECOND)
-        if number_told is not None:
-            writer._Writer__statistics.message_count = number_told  # pyright: ignore
+        if stated_count is not None:
+            writer._Writer__statistics.message_count = stated_count  # pyright: ignore
         writer.finish()
 
 
 def test_the_transcript_is_a_table(run: Path, tmp_path: Path) -> None:
-    said = export(run, "--transcript", tmp_path / "said.csv", "--robot", "khepera0")
+    output = export(run, "--transcript", tmp_path / "output.csv", "--robot", "khepera0")
     lines = read_log(run).robots["khepera0"].serial
-    assert f"{len(lines)} lines" in said
-    head, *rows = csv.reader((tmp_path / "said.csv").read_text().splitlines())
+    assert f"{len(lines)} lines" in output
+    head, *rows = csv.reader((tmp_path / "output.csv").read_text().splitlines())
     assert head == ["time_s", "from", "text"]
     assert rows == [[repr(line.time_ns / 1e9), line.name, line.text] for line in lines]
 
@@ -273,8 +273,8 @@ def test_a_real_robots_log_gives_what_it_has(real: Path, tmp_path: Path) -> None
 
 def test_wrong_words_are_reported_with_the_choices(run: Path, tmp_path: Path) -> None:
     table = tmp_path / "x.csv"
-    told = refused(run, "-o", table, "--channels", "speeds")
-    assert "speeds: not in this log of khepera0, khepera1; did you mean 'speed'? (choices: pose, " in told
+    message = refused(run, "-o", table, "--channels", "speeds")
+    assert "speeds: not in this log of khepera0, khepera1; did you mean 'speed'? (choices: pose, " in message
     assert "--robot khepera7: not in this log; did you mean" in refused(
         run, "-o", table, "--robot", "khepera7"
     )

@@ -1,4 +1,4 @@
-"""Reports: well-formed, whole, self-contained, always the same bytes; of every log what there is in it."""
+"""Reports: well-formed, complete, self-contained, reproducible; with all data of a log."""
 
 import re
 from dataclasses import replace
@@ -14,9 +14,9 @@ from relay_logs import in_turn, relayed
 from shadow_updates import updates
 
 from khep_twin.lab.report import shadow_section
-from khep_twin.lab.report.pages import EVENT_LIMIT, html, listed
+from khep_twin.lab.report.pages import EVENT_LIMIT, html, limit_rows
 from khep_twin.lab.report.pdf import pdf
-from khep_twin.lab.report.report import report
+from khep_twin.lab.report.report import make_report
 from khep_twin.lab.report.rows import DEFINITIONS
 from khep_twin.log.reader import read_series
 from khep_twin.log.shadow_channels import PoseState
@@ -32,13 +32,13 @@ HEADINGS = ["Faults and events", "Versions and settings", "What the numbers mean
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished log of three seconds of two robots: one runs into the other's wall, one turns."""
+    """A finished log of three seconds of two robots: one hits a wall, one turns."""
     path = tmp_path_factory.mktemp("report") / "run.mcap"
     one = Playpen.load("two-lamps")
     other = one.robots[0].model_copy(update={"x_mm": 500.0, "y_mm": 450.0, "heading_deg": 0.0})
-    both = one.model_copy(update={"robots": (*one.robots, other), "name": "both"})
+    pair = one.model_copy(update={"robots": (*one.robots, other), "name": "both"})
     options = TwinOptions(seed=3, robot=None, faults=("dead:left@1",), log=str(path))
-    with open_twin(both, options) as twin:
+    with open_twin(pair, options) as twin:
         twin.robots[0].send(b"N\nO\nD,4,-4\n")
         twin.robots[1].send(b"D,9,9\nX\n")
         twin.advance_to(3 * SECOND)
@@ -53,7 +53,7 @@ def page(log: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 class Page(HTMLParser):
-    """What a page has; refuses tags that are not closed in order."""
+    """Contents of a page; refuses tags that are not closed in order."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -91,21 +91,25 @@ def write(log: Path, output: Path) -> bytes:
 
 
 def rows(log: Path, robot: int = 0) -> dict[str, str]:
-    return dict(report(read_series(log), "log").robots[robot].rows)
+    return dict(make_report(read_series(log), "log").robots[robot].rows)
 
 
 def test_the_page_is_well_formed_and_whole(page: str) -> None:
-    found = Page(page)
-    assert found.headings == ["khepera0", "khepera1", *HEADINGS]
-    assert found.words[2] == "Run in the playpen both"
-    assert found.pictures == [
+    content = Page(page)
+    assert content.headings == ["khepera0", "khepera1", *HEADINGS]
+    assert content.words[2] == "Run in the playpen both"
+    assert content.pictures == [
         "Paths in the playpen",
-        *(f"{what} of khepera{index} over time" for index in (0, 1) for what in ("Sensors", "Wheel speeds")),
+        *(
+            f"{picture} of khepera{index} over time"
+            for index in (0, 1)
+            for picture in ("Sensors", "Wheel speeds")
+        ),
     ]
-    assert {"seed", "mujoco", "('dead:left@1',)"} < set(found.words)
-    assert "<taken> & $away$" in found.words
-    assert "fault dead:left@1 begins" in found.words
-    assert {name for name, _ in DEFINITIONS} < set(found.words)
+    assert {"seed", "mujoco", "('dead:left@1',)"} < set(content.words)
+    assert "<taken> & $away$" in content.words
+    assert "fault dead:left@1 begins" in content.words
+    assert {name for name, _ in DEFINITIONS} < set(content.words)
 
 
 def test_the_page_needs_nothing_else(page: str) -> None:
@@ -126,8 +130,8 @@ def test_the_same_log_gives_the_same_page_whatever_matplotlib_is_set_to(
 @pytest.mark.long
 def test_the_same_log_gives_the_same_pdf(log: Path, tmp_path: Path) -> None:
     real = relayed(tmp_path / "real.mcap", in_turn(b"N\n", b"n,0,0,500,0,0,0,0,0\r\n"))
-    for each in (log, real):
-        assert write(each, tmp_path / "a.pdf") == write(each, tmp_path / "b.pdf")
+    for path in (log, real):
+        assert write(path, tmp_path / "a.pdf") == write(path, tmp_path / "b.pdf")
 
 
 def test_the_pdf_has_pages_and_no_date(log: Path, tmp_path: Path) -> None:
@@ -154,12 +158,12 @@ def test_the_numbers_have_units_and_fit_the_run(log: Path) -> None:
 
 
 def test_the_report_on_a_real_robots_log_lists_what_is_missing(tmp_path: Path) -> None:
-    said = in_turn(b"N\n", b"n,0,0,500,0,0,0,0,0\r\n", b"E\n", b"e,1,-2\r\n")
-    real = relayed(tmp_path / "real.mcap", said)
-    (robot,) = report(read_series(real), "log").robots
+    exchanges = in_turn(b"N\n", b"n,0,0,500,0,0,0,0,0\r\n", b"E\n", b"e,1,-2\r\n")
+    real = relayed(tmp_path / "real.mcap", exchanges)
+    (robot,) = make_report(read_series(real), "log").robots
     assert robot.missing == (
         "Not in this log: pose, ambient light, collisions, the wheels' counters and slip. "
-        "Of a real robot it has what the host asked for, at the time of the reply."
+        "A real robot's log has only replies to its host, at their times."
     )
     page = Page(write(real, tmp_path / "real.html").decode("utf-8"))
     assert page.words[2] == "Run of the robot at /dev/robot"
@@ -185,9 +189,9 @@ def test_a_run_of_no_time_has_a_report(tmp_path: Path) -> None:
 
 def test_of_very_many_events_the_first_are_reported() -> None:
     events = [(f"{second} s", "something") for second in range(100)]
-    assert listed(events)[-1] == ("…", "and 60 more")
-    assert listed(events)[:-1] == tuple(events[:EVENT_LIMIT])
-    assert listed(events[:EVENT_LIMIT]) == tuple(events[:EVENT_LIMIT])
+    assert limit_rows(events)[-1] == ("…", "and 60 more")
+    assert limit_rows(events)[:-1] == tuple(events[:EVENT_LIMIT])
+    assert limit_rows(events[:EVENT_LIMIT]) == tuple(events[:EVENT_LIMIT])
 
 
 def test_what_cannot_be_reported_is_one_line(log: Path, tmp_path: Path) -> None:
@@ -198,9 +202,9 @@ def test_what_cannot_be_reported_is_one_line(log: Path, tmp_path: Path) -> None:
         assert "no whole log" in refused(path, "-o", tmp_path / "x.html")
     assert "expected a name that ends in .html or .pdf" in refused(log, "-o", tmp_path / "x.doc")
     assert "there is no directory" in refused(log, "-o", tmp_path / "none" / "x.html")
-    own = tmp_path / "log.html"
-    own.write_bytes(log.read_bytes())
-    assert "this is the log" in refused(own, "-o", own)
+    html_log = tmp_path / "log.html"
+    html_log.write_bytes(log.read_bytes())
+    assert "this is the log" in refused(html_log, "-o", html_log)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["foreign.mcap", "log.html", "torn.mcap"]
 
 
@@ -218,7 +222,7 @@ def shadow(tmp_path: Path) -> Path:
 def test_a_report_on_a_shadow_has_its_residuals_and_alarms(shadow: Path, tmp_path: Path) -> None:
     text = write(shadow, tmp_path / "shadow.html").decode("utf-8")
     assert Page(text).headings == ["The robot as its shadow follows it", "Alarms", *HEADINGS]
-    alarm = "since 0.80 s, told at 1.00 s, 97.5 % sure, in proximity; ended at 2.00 s"
+    alarm = "since 0.80 s, reported at 1.00 s, 97.5 % sure, in proximity; ended at 2.00 s"
     assert f"<th>stuck sensor 2</th><td>{alarm}</td>" in text
     states = "followed 66.7 %, unsure 33.3 %, lost 0.0 % of the time; lost 0 times"
     assert f"<th>States</th><td>{states}</td>" in text
@@ -232,8 +236,8 @@ def test_a_report_on_a_shadow_has_its_residuals_and_alarms(shadow: Path, tmp_pat
 def test_a_map_has_the_poses_that_were_considered_while_the_robot_was_lost(shadow: Path) -> None:
     track = read_shadow(shadow)
     lost = replace(track, states=[(0, PoseState.FOLLOWED), (2 * SECOND, PoseState.LOST)])
-    for each, missing, dots in ((track, 0, 0), (lost, 21, 200)):
-        axes = shadow_section.draw_map(Playpen.load("workshop"), each).axes[0]
+    for variant, missing, dots in ((track, 0, 0), (lost, 21, 200)):
+        axes = shadow_section.draw_map(Playpen.load("workshop"), variant).axes[0]
         _, estimate, considered = axes.lines[-3:]
         assert np.isnan(np.asarray(estimate.get_xdata(), float)).sum() == missing
         assert len(np.asarray(considered.get_xdata())) == dots
@@ -247,12 +251,12 @@ def test_a_report_on_an_older_log_of_a_shadow_has_no_states(shadow: Path) -> Non
 
 @pytest.mark.long
 def test_a_report_on_a_shadow_is_the_same_each_time_as_pdf(shadow: Path) -> None:
-    found = report(read_series(shadow), "shadow", read_shadow(shadow))
-    assert pdf(found) == pdf(found)
+    report = make_report(read_series(shadow), "shadow", read_shadow(shadow))
+    assert pdf(report) == pdf(report)
 
 
 def test_a_report_on_a_shadow_without_updates_says_so(tmp_path: Path) -> None:
     path = tmp_path / "empty.mcap"
     ShadowLog(path, Playpen.load("workshop"), ShadowSettings()).close()
-    text = html(report(read_series(path), "empty", read_shadow(path))).decode()
+    text = html(make_report(read_series(path), "empty", read_shadow(path))).decode()
     assert "none: no reply had values" in text

@@ -1,4 +1,4 @@
-"""Pictures of sensor tests: what is where on them, and that they are always the same."""
+"""Figures of sensor tests: their layout, and that they are reproducible."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ LIGHT = SensorTest("light", rotate_deg=-90)
 
 
 def run(test: SensorTest = LINEAR, counts: int = 100, n: int = 11, part: float = 1.0) -> SensorRun:
-    """Sensors that rise evenly to a level, over a part of the way."""
+    """A run whose sensors rise linearly to a level, over a part of the path."""
     way = np.linspace(0, part, n)
     dv = np.empty((n, 10), np.int64)
     dv[:, :2] = np.round(np.outer(way, test.target))
@@ -74,13 +74,13 @@ def test_one_sensor_is_drawn_from_y_min_on_with_a_grid() -> None:
 
 
 def test_one_run_has_points_and_several_have_mean_band_and_legend() -> None:
-    alone = draw([run()], sensor="left 10").axes[0]
-    assert len(alone.lines) == 1
-    assert alone.lines[0].get_marker() == "o"
-    assert alone.get_legend() is None
+    single = draw([run()], sensor="left 10").axes[0]
+    assert len(single.lines) == 1
+    assert single.lines[0].get_marker() == "o"
+    assert single.get_legend() is None
     several = draw([run(counts=level) for level in (100, 200, 300)], sensor="left 10").axes[0]
     assert len(several.lines) == 4
-    assert any(isinstance(each, PolyCollection) for each in several.collections)
+    assert any(isinstance(artist, PolyCollection) for artist in several.collections)
     legend = several.get_legend()
     assert legend is not None
     assert [text.get_text() for text in legend.get_texts()] == ["3 runs", "± 1 standard deviation", "mean"]
@@ -91,7 +91,7 @@ def test_mean_and_spread_are_those_of_the_runs_where_all_have_been() -> None:
     x, mean, spread = mean_and_spread(runs)
     assert x[0] == pytest.approx(5, abs=0.01)
     assert x[-1] == pytest.approx(10, abs=0.01)
-    # Halfway each has half of its level.
+    # Halfway each run has half of its level.
     assert mean[0] == pytest.approx(np.mean([50, 100, 150]), abs=1)
     assert spread[0] == pytest.approx(np.std([50, 100, 150], ddof=1), abs=1)
 
@@ -139,7 +139,7 @@ def test_line_images_are_strips_over_the_path_with_the_left_pixel_at_the_top(tes
     pixels = np.asarray(strip.get_array())
     left, right, bottom, top = strip.get_extent()
     assert (top, bottom) == (-0.5, 63.5)
-    # The picture is drawn at its own x values, whatever way the axis runs.
+    # The strip is drawn at its x values, in either direction of the axis.
     assert (left, right) == pytest.approx((positions(run).min(), positions(run).max()))
     columns = pixels.shape[1]
     for reading, x in zip(dv[:, 2:], positions(run), strict=True):

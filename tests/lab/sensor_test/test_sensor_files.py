@@ -1,4 +1,4 @@
-"""Files of sensor tests: what is written comes back, what is damaged or foreign is told in one line."""
+"""Files of sensor tests: they read back; errors of damaged or foreign files are one line."""
 
 import random
 from pathlib import Path
@@ -38,13 +38,13 @@ def toolbox_dv(left: int, right: int) -> Any:
 def test_what_is_written_comes_back(suffix: str, test: SensorTest, text: str, tmp_path: Path) -> None:
     run, path = made_up(test, text), tmp_path / f"run{suffix}"
     save(path, run)
-    back = load(path)
-    assert back.test == test
-    assert back.text == text
-    assert back.dv.dtype == np.int64
-    np.testing.assert_array_equal(back.dv, run.dv)
-    np.testing.assert_array_equal(back.times, run.times)
-    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+    loaded = load(path)
+    assert loaded.test == test
+    assert loaded.text == text
+    assert loaded.dv.dtype == np.int64
+    np.testing.assert_array_equal(loaded.dv, run.dv)
+    np.testing.assert_array_equal(loaded.times, run.times)
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -74,7 +74,7 @@ def test_a_mat_file_has_the_toolboxs_variables_and_no_date(tmp_path: Path) -> No
     ],
 )
 @pytest.mark.parametrize("version", ["4", "5"])
-def test_a_file_of_the_toolbox_is_told_from_its_counters(
+def test_the_test_of_a_toolbox_file_is_derived_from_its_counters(
     left: int, right: int, test: SensorTest, version: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "old.mat"
@@ -98,7 +98,7 @@ def test_a_table_that_a_spreadsheet_has_rewritten_says_how(tmp_path: Path) -> No
     save(path, made_up(LINEAR, ""))
     title, *rest = path.read_text().splitlines()
     rows = [line if line.startswith("#") else line.replace(",", ";").replace(".", ",") for line in rest]
-    for text, encoding, told in (
+    for text, encoding, message in (
         (
             [f"{title};;;", *rows, ""],
             "utf-8",
@@ -107,7 +107,7 @@ def test_a_table_that_a_spreadsheet_has_rewritten_says_how(tmp_path: Path) -> No
         ([title, *rest, ""], "utf-16", "this is text in UTF-16; expected UTF-8"),
     ):
         path.write_bytes("\n".join(text).encode(encoding))
-        with pytest.raises(SensorTestError, match=rf"run.csv: .*{told}"):
+        with pytest.raises(SensorTestError, match=rf"run.csv: .*{message}"):
             load(path)
 
 
@@ -121,9 +121,9 @@ def test_a_damaged_file_is_refused_in_one_line_or_read(suffix: str, tmp_path: Pa
     path, rng = tmp_path / f"run{suffix}", random.Random(1)
     refused: list[str] = []
     save(path, made_up(TURN))
-    whole = path.read_bytes()
+    intact = path.read_bytes()
     for number in range(300):
-        data = bytearray(whole[: rng.randrange(1, len(whole))] if number % 3 == 0 else whole)
+        data = bytearray(intact[: rng.randrange(1, len(intact))] if number % 3 == 0 else intact)
         if number % 3:
             data[rng.randrange(min(len(data), 400 if number % 2 else len(data)))] = rng.randrange(256)
         path.write_bytes(data)
@@ -182,7 +182,7 @@ def test_a_foreign_mat_file_is_reported_by_variable(
 
 
 def test_numbers_in_small_types_and_the_other_byte_order_are_read() -> None:
-    # As Matlab itself has it: whole doubles lie in small integers, four bytes in the tag of their element.
+    # As Matlab writes it: integral doubles are small integers, four bytes are in the tag of their element.
     def element(kind: int, content: bytes) -> bytes:
         head = kind.to_bytes(4, "big") + len(content).to_bytes(4, "big")
         return head + content + bytes(-len(content) % 8)

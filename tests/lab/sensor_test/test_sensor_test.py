@@ -1,4 +1,4 @@
-"""Sensor tests on twins: they go where they are to, read what is there, and leave a robot at rest."""
+"""Sensor tests on twins: they reach their targets, read the sensors, and leave the robot at rest."""
 
 import math
 
@@ -15,7 +15,7 @@ from khep_twin.units import BODY_RADIUS, SENSOR_LABELS
 
 
 def before_a_wall(distance_mm: float, faults: tuple[str, ...] = ()) -> Khepera:
-    """A robot that looks at a white wall, its front this far off."""
+    """A robot that faces a white wall at a distance."""
     text = arena(1000, 1000) + scenes.robot(1000 - BODY_RADIUS * 1000 - distance_mm, 500)
     return hosted(playpen.parse(text, "bench"), seed=1, noise=False, faults=faults)
 
@@ -38,13 +38,13 @@ def test_a_whole_turn_shows_the_wall_to_each_sensor_at_its_own_heading() -> None
     with before_a_wall(15) as robot:
         run = sense(robot, SensorTest(rotate_deg=360, speed=3))
     np.testing.assert_allclose(run.dv[-1, :2], [-2042, 2042], atol=2)
-    # A sensor sees the wall once the robot has turned as far as it looks the other way; those at the
-    # side sit at 67 degrees and look to 88, so that near a wall they see it in between.
+    # A sensor sees the wall when the robot has turned by the negative angle of the sensor. Lateral sensors
+    # are at 67 degrees and face 88 degrees, so that they see a near wall in between.
     for sensor, heading_deg in {"left 90": 283, "right 90": 77, "left 45": 315, "right 45": 45}.items():
         weights = run.dv[:, 2 + SENSOR_LABELS.index(sensor)].astype(np.float64)
         radians = np.radians(run.travelled)
-        seen = math.degrees(math.atan2(weights @ np.sin(radians), weights @ np.cos(radians))) % 360
-        assert seen == pytest.approx(heading_deg, abs=12), sensor
+        bearing = math.degrees(math.atan2(weights @ np.sin(radians), weights @ np.cos(radians))) % 360
+        assert bearing == pytest.approx(heading_deg, abs=12), sensor
 
 
 def test_below_0_a_test_drives_backwards_and_turns_clockwise() -> None:
@@ -85,11 +85,11 @@ def test_the_speed_is_kept_to_and_set_back_afterwards() -> None:
 def test_a_blocked_wheel_ends_the_test_with_how_far_it_came_and_the_rows_so_far() -> None:
     with before_a_wall(300, faults=("dead:left",)) as robot:
         with pytest.raises(
-            BrokenOffError, match=r"broke off after \d+\.\d of 20 cm: the left wheel came no"
+            BrokenOffError, match=r"broke off after \d+\.\d of 20 cm: the left wheel made no"
         ) as caught:
             sense(robot, SensorTest(linear_cm=20))
         robot.sleep(0.5)
-        # A dead motor's wheel rolls on by itself; both are in speed mode, at speed 0.
+        # The wheel of a dead motor rolls on passively; both are in speed mode, at speed 0.
         assert [wheel.mode for wheel in robot.status()] == [0, 0]
         assert robot.speed()[1] == 0
     assert len(caught.value.run.dv) > 10
@@ -162,7 +162,7 @@ def test_line_images_are_read_on_the_way() -> None:
         last = Vision(robot).image()
     assert run.dv.shape[1] == 66
     assert len(run.dv) > 2
-    # The robot stands still at the end, and a later scan is alike.
+    # The robot stands still at the end, so a later scan is similar.
     assert np.abs(run.dv[-1, 2:] - last).max() < 60
     assert set(run.dv[:, 2:].ravel()) <= set(range(256))
     assert np.ptp(run.dv[-1, 2:]) > 100  # stripes

@@ -1,4 +1,4 @@
-"""Checks of a Khepera IV's commands that leave it where it is."""
+"""Checks of a Khepera IV's commands that do not move it."""
 
 import re
 
@@ -13,10 +13,10 @@ BINARY_BYTES = 128
 """Length of X's reply."""
 
 TOO_NEAR_CM, NOTHING_CM, DISABLED_CM = 0, 1000, 2000
-"""Readings of the ultrasonic sensors that are no distances."""
+"""Readings of the ultrasonic sensors that are codes, not distances."""
 
 _ROUND_S = 0.3
-"""Time in which all ultrasonic sensors have taken more than two turns [s]."""
+"""Time in which every ultrasonic sensor measures more than twice [s]."""
 
 _BATTERY = (r"\d+", r"-?\d+", r"-?\d+", r"\d+", r"-?\d+\.\d", r"\d{1,3}", "[01]", r"\d{1,3}")
 """Values of V, by kind."""
@@ -62,10 +62,10 @@ def ultrasonic(line: CheckedPort) -> None:
         line.order(f"U,{mask}", pause=_ROUND_S)
         for sensor, value in enumerate(line.numbers("G", N_ULTRASONIC)):
             enabled = mask >> sensor & 1
-            told = value in (TOO_NEAR_CM, NOTHING_CM) or 25 <= value <= 250
-            if not (told if enabled else value == DISABLED_CM):
-                wanted = "25 to 250, 0 or 1000" if enabled else str(DISABLED_CM)
-                raise Deviation(f"after U,{mask} sensor {sensor} of G read {value}; expected {wanted}")
+            is_valid = value in (TOO_NEAR_CM, NOTHING_CM) or 25 <= value <= 250
+            if not (is_valid if enabled else value == DISABLED_CM):
+                expected = "25 to 250, 0 or 1000" if enabled else str(DISABLED_CM)
+                raise Deviation(f"after U,{mask} sensor {sensor} of G read {value}; expected {expected}")
 
 
 @check("S reads ten turn rates of three axes", "6, command S", at_rest=True)
@@ -90,7 +90,7 @@ def battery(line: CheckedPort) -> None:
     expect_range("V,5", line.numbers("V,5", 1), 0, 100)
 
 
-@check("V,0 tells the voltage of two cells", "6, command V")
+@check("V,0 reads the voltage of two cells", "6, command V")
 def voltage(line: CheckedPort) -> None:
     expect_range("V,0", line.numbers("V,0", 1), 5900, 8800)
 
@@ -100,7 +100,7 @@ def other_kinds(line: CheckedPort) -> None:
     expect_refused(line, "V,8", "V,-1", "V,1,2")
 
 
-@check("K takes nine colours, of any size, and refuses another number", "6, command K")
+@check("K accepts nine colours of any value, and refuses another number of them", "6, command K")
 def leds(line: CheckedPort) -> None:
     line.order("K,64,-1,999,0,0,0,0,0,0", "K,0,0,0,0,0,0,0,0,0,", "K,,0,0,0,0,0,0,0,0,0")
     expect_refused(line, "K,1,2,3", "K,1,2,3,4,5,6,7,8", "K,1,2,3,4,5,6,7,8,9,10")
@@ -116,24 +116,23 @@ def refused_vehicles(line: CheckedPort) -> None:
 def binary(line: CheckedPort) -> None:
     line.order("D,0,0", "I", pause=0.3)
     line.send("X\n")
-    told: bytes = line.port.read(BINARY_BYTES)
-    if len(told) != BINARY_BYTES or told[:1] != b"x" or told[65:67] != b"\n\r":
-        raise Deviation(f"'X' was answered {told!r}; expected 128 bytes, with x first and LF CR at 65 and 66")
-    high = [*told[1:24:2], *told[25:48:2]]
-    if max(high) > 3:
-        raise Deviation(f"'X' gave {high} as upper bytes of 10 bits; expected 0 to 3")
-    for at, name, count in ((49, "speeds", 3), (57, "positions", 20)):
-        for value in (
-            int.from_bytes(told[at + side : at + side + 4], "little", signed=True) for side in (0, 4)
-        ):
-            if abs(value) > count:
+    reply: bytes = line.port.read(BINARY_BYTES)
+    if len(reply) != BINARY_BYTES or reply[:1] != b"x" or reply[65:67] != b"\n\r":
+        raise Deviation(f"'X' was answered {reply!r}; expected 128 bytes, x first, LF CR at 65 and 66")
+    upper_bytes = [*reply[1:24:2], *reply[25:48:2]]
+    if max(upper_bytes) > 3:
+        raise Deviation(f"'X' gave {upper_bytes} as upper bytes of 10 bits; expected 0 to 3")
+    for offset, name, tolerance in ((49, "speeds", 3), (57, "positions", 20)):
+        for start in (offset, offset + 4):
+            value = int.from_bytes(reply[start : start + 4], "little", signed=True)
+            if abs(value) > tolerance:
                 raise Deviation(f"'X' gave {value} among the {name} of a robot at rest; expected 0")
 
 
-@check("Z resets the microcontroller, its positions to 0", "6, command Z", at_rest=True)
+@check("Z resets the microcontroller, and its positions to 0", "6, command Z", at_rest=True)
 def reset(line: CheckedPort) -> None:
     line.order("P,20", "U,0", "Z", pause=_ROUND_S)
     expect_range("R", line.numbers("R", 2), -3, 3)
-    if DISABLED_CM in (told := line.numbers("G", N_ULTRASONIC)):
-        raise Deviation(f"after U,0 and Z G gave {told}; expected all sensors enabled")
+    if DISABLED_CM in (distances := line.numbers("G", N_ULTRASONIC)):
+        raise Deviation(f"after U,0 and Z G gave {distances}; expected all sensors enabled")
     line.order("M")

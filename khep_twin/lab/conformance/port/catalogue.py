@@ -9,4 +9,4 @@ CHECKS: tuple[Check, ...] = tuple(
     for value in vars(module).values()
     if isinstance(value, Check)
 )
-"""All checks, as they follow each other in these modules. A new module of checks is added here."""
+"""All checks, in the order of these modules. A new module of checks is added here."""

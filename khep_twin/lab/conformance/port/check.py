@@ -1,7 +1,7 @@
 """Contract of a check of a robot or twin at a port.
 
-A check is a function of a `CheckedPort` that raises a `Deviation`, under the decorator `check`. The checks of
-`catalogue` are those that run.
+A check is a function that takes a `CheckedPort`, raises a `Deviation`, and has the decorator `check`. The
+checks in `catalogue` are run.
 """
 
 import re
@@ -17,29 +17,29 @@ from khep_twin.host.line import LONGEST_OUTPUT
 from khep_twin.units import BITS_PER_BYTE
 
 SILENCE = 0.1
-"""Time without a byte after which a line counts as silent [s]; impatient hosts wait as long for a reply."""
+"""Time without a byte after which a line counts as silent [s]; impatient hosts have this time-out."""
 
 SETTLE = 0.2
 """Silence that ends a banner [s]."""
 
 _STOPPING = 0.3
-"""Time in which a robot stops, or drives by several pulses [s]."""
+"""Time in which a robot stops, or its wheels turn by several pulses [s]."""
 
 _NUMBER = re.compile("-?(0|[1-9][0-9]*)")
 
 _FIRST_BYTE = 0.010
-"""Longest wait for a reply's first byte after the command's time on the line [s] (hosts tolerate it)."""
+"""Longest wait for a reply's first byte after the transmission of the command [s] (hosts tolerate it)."""
 
 _REAL_TIME_SLACK = 0.02
-"""Delay by a scheduler that is no fault of the port's [s]."""
+"""Tolerance for delays by the operating system's scheduler [s]."""
 
 
 class Deviation(KhepTwinError):
-    """Error raised where a reply deviates from the protocol."""
+    """Error raised when a reply deviates from the protocol."""
 
 
 class NotPossibleError(KhepTwinError):
-    """Error raised where the robot's place or state leaves a check without an answer."""
+    """Error raised when a check is not possible in the robot's surroundings or state."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +51,8 @@ class Check:
         section: Section of the manual.
         moves: Motion of the robot during the check; empty if it stands still.
         body: Function that runs the check.
-        turret: Number of the turret that it asks; None for the robot itself.
-        at_rest: Whether the robot must be at rest unless the check moves it.
+        turret: Number of the checked turret; None for the robot itself.
+        at_rest: Whether the robot must be at rest when the check starts.
     """
 
     name: str
@@ -66,12 +66,12 @@ class Check:
 def check(
     name: str, section: str, moves: str = "", turret: int | None = None, *, at_rest: bool = False
 ) -> Callable[[Callable[["CheckedPort"], None]], Check]:
-    """Return a decorator that makes a check of a function; the arguments are attributes of `Check`."""
+    """Return a decorator that turns a function into a check; the arguments are attributes of `Check`."""
     return lambda body: Check(name, section, moves, body, turret, at_rest or bool(moves))
 
 
 class CheckedPort:
-    """A pyserial port with its own time."""
+    """A pyserial port with a clock, which is simulated for a twin in the same process."""
 
     def __init__(self, port: serial.Serial) -> None:
         self.port = port
@@ -100,28 +100,29 @@ class CheckedPort:
             raise Deviation(f"{request!r} was answered {line!r}; expected plain ASCII")
         return line[:-2].decode("ascii")
 
-    def silent(self, why: str) -> None:
+    def expect_silence(self, context: str) -> None:
         """Raise a `Deviation` if anything is received."""
         if data := self.read_for(SILENCE):
-            raise Deviation(f"{why}: received {data!r}; expected silence")
+            raise Deviation(f"{context}: received {data!r}; expected silence")
 
     def read_for(self, duration: float) -> bytes:
         """Return the bytes received within a duration [s]."""
-        before, self.port.timeout = self.port.timeout, duration
+        saved_timeout, self.port.timeout = self.port.timeout, duration
         try:
             return self.port.read(4096)
         finally:
-            self.port.timeout = before
+            self.port.timeout = saved_timeout
 
     def read_until_quiet(self, quiet: float) -> bytes:
-        """Return the bytes received until the line was quiet for a duration [s]: any number of lines."""
-        told, end = b"", self.time() + LONGEST_OUTPUT
-        while more := self.read_for(quiet):
-            told += more
+        """Return all bytes received until the line has been silent for a duration [s]."""
+        data, end = b"", self.time() + LONGEST_OUTPUT
+        while chunk := self.read_for(quiet):
+            data += chunk
             if self.time() > end:
-                found = f"the robot still sends after {LONGEST_OUTPUT:g} s"
-                raise Deviation(f"{found}; expected a pause of {quiet:g} s")
-        return told
+                raise Deviation(
+                    f"the robot still sends after {LONGEST_OUTPUT:g} s; expected a pause of {quiet:g} s"
+                )
+        return data
 
     def numbers(self, request: str, count: int) -> list[int]:
         """Return the integers of a reply; raise a `Deviation` unless there are `count`."""
@@ -134,30 +135,30 @@ class CheckedPort:
         return [int(field) for field in fields]
 
     def expect(self, request: str, reply: str) -> None:
-        """Raise a `Deviation` unless a request gets this reply."""
+        """Raise a `Deviation` unless the reply to a request is as expected."""
         if (answer := self.ask(request)) != reply:
             line = f"{request}\n"
             raise Deviation(f"{line!r} was answered {answer!r}; expected {reply!r}")
 
     def order(self, *requests: str, pause: float = 0.0) -> None:
-        """Send commands, each of which must be answered by its letter alone; then wait [s]."""
+        """Send commands whose replies must be their letter alone; then wait for `pause` [s]."""
         for request in requests:
             self.expect(request, request[0].lower())
         if pause:
             self.sleep(pause)
 
     def sleep(self, duration: float) -> None:
-        """Wait for a duration in the port's own time [s]."""
+        """Wait for a duration by the port's clock [s]."""
         getattr(self.port, "sleep", time.sleep)(duration)
 
     def time(self) -> float:
-        """Return the port's own time [s]."""
+        """Return the time of the port's clock [s]."""
         time_ns = getattr(self.port, "time_ns", None)
         return (time.monotonic_ns() if time_ns is None else time_ns) / NS_PER_S
 
 
-def moves_by_itself(line: CheckedPort, counters: str = "H") -> bool:
-    """Return whether the robot drives without an order, as in its demonstration, and D does not stop it.
+def is_driving(line: CheckedPort, counters: str = "H") -> bool:
+    """Return whether the robot drives without a command, as in its demonstration, and D does not stop it.
 
     Args:
         line: Line of the robot.
@@ -165,11 +166,11 @@ def moves_by_itself(line: CheckedPort, counters: str = "H") -> bool:
     """
     for orders in ((), ("D,0,0",)):
         line.order(*orders, pause=_STOPPING if orders else 0.0)
-        before = line.numbers(counters, 2)
+        starts = line.numbers(counters, 2)
         line.sleep(_STOPPING)
-        after, speeds = line.numbers(counters, 2), line.numbers("E", 2)
-        # Both show it: one alone may be wrong.
-        if not any((now - then) * speed > 0 for then, now, speed in zip(before, after, speeds, strict=True)):
+        ends, speeds = line.numbers(counters, 2), line.numbers("E", 2)
+        # Counters and speeds must agree, as either may be wrong.
+        if not any((end - start) * speed > 0 for start, end, speed in zip(starts, ends, speeds, strict=True)):
             return False
     return True
 
@@ -205,21 +206,21 @@ def expect_refusals(line: CheckedPort, *requests: str) -> None:
 
 
 def expect_in_time(line: CheckedPort, request: str) -> None:
-    """Raise a `Deviation` unless the reply begins within 10 ms and takes its bytes' time on the line."""
+    """Raise a `Deviation` unless the reply starts within 10 ms and lasts as long as its bytes."""
     byte_time = BITS_PER_BYTE / line.port.baudrate
     slack = 0.0 if hasattr(line.port, "time_ns") else _REAL_TIME_SLACK
-    # On a network a reply comes in one piece, with its last byte.
+    # A network delivers a reply as a whole, at the time of its last byte.
     in_one_piece = str(line.port.port).startswith(("socket:", "rfc2217:"))
     start = line.time()
     line.send(request + "\n")
     first: bytes = line.port.read(1)
-    begun = line.time() - start
+    wait = line.time() - start
     rest: bytes = line.port.read_until(b"\n")
-    done = line.time() - start
+    total = line.time() - start
     if not first:
         raise Deviation(f"no reply to {request!r}")
-    arrived = len(first + rest) if in_one_piece else 1
-    if begun > (len(request) + 1 + arrived) * byte_time + _FIRST_BYTE + slack:
-        raise Deviation(f"the first byte of the reply to {request!r} came after {begun * 1000:.1f} ms")
-    if done > (len(request) + 1 + len(first + rest)) * byte_time + _FIRST_BYTE + 2 * slack:
-        raise Deviation(f"{request!r} and its reply of {len(first + rest)} bytes took {done * 1000:.1f} ms")
+    n_bytes = len(first + rest) if in_one_piece else 1
+    if wait > (len(request) + 1 + n_bytes) * byte_time + _FIRST_BYTE + slack:
+        raise Deviation(f"the first byte of the reply to {request!r} came after {wait * 1000:.1f} ms")
+    if total > (len(request) + 1 + len(first + rest)) * byte_time + _FIRST_BYTE + 2 * slack:
+        raise Deviation(f"{request!r} and its reply of {len(first + rest)} bytes took {total * 1000:.1f} ms")

@@ -1,4 +1,4 @@
-"""Checks of commands and tools that leave the robot where it is, and of the time that replies take."""
+"""Checks of commands and tools that do not move the robot, and of the duration of replies."""
 
 import re
 
@@ -53,15 +53,15 @@ def setters(line: CheckedPort) -> None:
 @check("K reads target, mode and error of both wheels", "A, command K", at_rest=True)
 def status(line: CheckedPort) -> None:
     modes: list[int] = []
-    for *before, request in (("D,0,0",), ("G,0,0", "C,0,0"), ("P,0,0",)):
-        line.order(*before, request, pause=0.05)
+    for *setup, request in (("D,0,0",), ("G,0,0", "C,0,0"), ("P,0,0",)):
+        line.order(*setup, request, pause=0.05)
         status = line.numbers("K", 6)
         expect_range("K", [status[0], status[3]], 0, 1)
         if status[1] != status[4]:
             raise Deviation(f"after {request} K gave two modes: {status}")
         modes.append(status[1])
     line.order("D,0,0")
-    # Speed, position, PWM are 0, 1, 2; versions of the ROM before 5 have speed and position exchanged.
+    # Speed, position and PWM are 0, 1, 2; ROM versions before 5 have speed and position exchanged.
     if modes not in ([0, 1, 2], [1, 0, 2]):
         raise Deviation(f"in speed, position and PWM mode K gave {modes}; expected 0, 1, 2")
 
@@ -108,23 +108,21 @@ def turrets(line: CheckedPort) -> None:
             raise Deviation(f"'T,{turret},B' was answered {answer!r}; expected 't,{turret},b,…' or 'z,…'")
 
 
-@check("every reply begins within 10 ms and takes its bytes' time on the line", "3.2")
+@check("every reply starts within 10 ms and lasts as long as its bytes", "3.2")
 def reply_times(line: CheckedPort) -> None:
     for request in ("N", "B", "E", "H", "K", "O", "D,0,0", "G,0,0", "J,20,64,20,64", "L,0,0", "hello", "D"):
         expect_in_time(line, request)
 
 
-@check("the tools answer in lines", "3.2.1")
+@check("the tools answer in lines that end in CR LF", "3.2.1")
 def tools(line: CheckedPort) -> None:
     for tool in ("help", "list", "net", "k-team", "memory", "process", "serial", "run", "sfill"):
         line.send(tool + "\n")
-        told = line.read_until_quiet(SETTLE)
-        if not told.endswith(b"\r\n") or told.startswith(b"Command not found"):
-            raise Deviation(f"the tool {tool!r} was answered {told[:60]!r}; expected lines that end in CR LF")
-        if told.count(b"\n") != told.count(b"\r\n") or not told.isascii():
-            raise Deviation(
-                f"the tool {tool!r} was answered {told[:60]!r}…; expected plain lines, CR LF each"
-            )
+        output = line.read_until_quiet(SETTLE)
+        if not output.endswith(b"\r\n") or output.startswith(b"Command not found"):
+            raise Deviation(f"tool {tool!r} was answered {output[:60]!r}; expected lines that end in CR LF")
+        if output.count(b"\n") != output.count(b"\r\n") or not output.isascii():
+            raise Deviation(f"tool {tool!r} was answered {output[:60]!r}…; expected ASCII lines with CR LF")
 
 
 @check(
@@ -133,7 +131,7 @@ def tools(line: CheckedPort) -> None:
 def restart(line: CheckedPort) -> None:
     line.order("G,55,66", "J,5,5,5,5")
     line.send("restart\n")
-    # A longer banner takes its own time on the line.
+    # The transmission of a longer banner takes more time.
     if banner := line.read_for(0.5):
         banner += line.read_until_quiet(SETTLE)
     if not banner.endswith(b"\r\n") or banner.count(b"\n") != banner.count(b"\r\n"):

@@ -1,6 +1,6 @@
 """Conformance of a robot or twin at a port to the serial protocol of its model.
 
-One catalogue of checks for twin and robot, each with the section of the manual that it tests (Khepera User
+Twins and robots have the same checks. Each names the section of the manual that it tests (Khepera User
 Manual 5.02, Khepera IV User Manual 3.0), or "server" for the program that K-Team has published for the
 Khepera IV. Checks that move the robot are optional.
 """
@@ -21,20 +21,20 @@ from khep_twin.lab.conformance.port.check import (
     CheckedPort,
     Deviation,
     NotPossibleError,
-    moves_by_itself,
+    is_driving,
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """Result of a check.
+    """Result of a check; its attributes are keys of the JSON report.
 
     Attributes:
         name: Tested statement.
         section: Section of the manual.
         deviation: Deviation from it; empty if the check passed or was not possible.
-        absent: Whether it asks a turret that the robot has not.
-        impossible: Reason why it was not possible on this robot or at this place; empty if it was.
+        absent: Whether it checks a turret that is not installed.
+        impossible: Reason why the check was not possible with this robot or here; empty if it was.
     """
 
     name: str
@@ -51,7 +51,7 @@ class ConformanceReport:
     Attributes:
         port: URL of the port.
         results: Results in the order of the checks.
-        skipped: Names of the checks that were left out as they move the robot.
+        skipped: Names of the checks that were not run as they move the robot.
     """
 
     port: str
@@ -77,10 +77,10 @@ class ConformanceReport:
         reasons = {result.impossible: result.name for result in impossible[::-1]}
         lines += [f"\n{name}\n    {reason}" for reason, name in reasons.items()]
         lines += [f"\n{result.name}\n    {result.deviation}" for result in failed]
-        passed = len(self.results) - len(failed) - len(absent) - len(impossible)
-        told = f", {len(impossible)} not possible here" if impossible else ""
-        told += f", {len(absent)} of turrets that are absent" if absent else ""
-        lines.append(f"\n{self.port}: {passed} passed, {len(failed)} failed{told}")
+        n_passed = len(self.results) - len(failed) - len(absent) - len(impossible)
+        suffix = f", {len(impossible)} not possible here" if impossible else ""
+        suffix += f", {len(absent)} of turrets that are absent" if absent else ""
+        lines.append(f"\n{self.port}: {n_passed} passed, {len(failed)} failed{suffix}")
         return "\n".join(lines)
 
     def json(self) -> str:
@@ -89,7 +89,7 @@ class ConformanceReport:
 
 
 _CHECKS = {RobotModel.KHEPERA: khepera.CHECKS, RobotModel.KHEPERA4: khepera4.CHECKS}
-_OPEN = {RobotModel.KHEPERA: (Khepera, 9600), RobotModel.KHEPERA4: (Khepera4, 115_200)}
+_HOSTS = {RobotModel.KHEPERA: (Khepera, 9600), RobotModel.KHEPERA4: (Khepera4, 115_200)}
 _COUNTERS = {RobotModel.KHEPERA: "H", RobotModel.KHEPERA4: "R"}
 
 
@@ -100,8 +100,8 @@ def conform(
 
     Args:
         url: URL of the port.
-        move: Run the checks that move the robot, too.
-        baudrate: Speed of the line; without, 9600, and 115200 for a Khepera IV.
+        move: Also run the checks that move the robot.
+        baudrate: Baud rate; by default 9600, and 115200 for a Khepera IV.
         model: Model of the robot.
 
     Raises:
@@ -109,9 +109,9 @@ def conform(
     """
     if baudrate is not None and baudrate < 1:
         raise PortError(key="baudrate", value=baudrate, expected="the speed of the line, such as 9600")
-    open_port, usual = _OPEN[model]
-    # A broken robot may not even confirm the last stop; the report must survive that.
-    with closing(open_port(url, baudrate=baudrate or usual)) as robot:
+    open_port, default_baud = _HOSTS[model]
+    # A broken robot may not even acknowledge the last stop, which must not prevent the report.
+    with closing(open_port(url, baudrate=baudrate or default_baud)) as robot:
         return examine(CheckedPort(robot.port), url, move=move, model=model)
 
 
@@ -119,47 +119,47 @@ def examine(
     line: CheckedPort, name: str, *, move: bool = False, model: RobotModel = RobotModel.KHEPERA
 ) -> ConformanceReport:
     """Run the checks on an open line."""
-    waiting = partial(_expect_waiting, counters=_COUNTERS[model])
-    moving = run_check(Check("the robot waits for commands", "", "", waiting), line).impossible
+    body = partial(_expect_waiting, counters=_COUNTERS[model])
+    reason = run_check(Check("the robot waits for commands", "", "", body), line).impossible
     results = tuple(
-        Result(each.name, each.section, "", impossible=moving)
-        if moving and each.at_rest
-        else run_check(each, line)
-        for each in checks(move, model)
+        Result(check.name, check.section, "", impossible=reason)
+        if reason and check.at_rest
+        else run_check(check, line)
+        for check in checks(move, model)
     )
-    skipped = () if move else tuple(each.name for each in checks(True, model) if each.moves)
+    skipped = () if move else tuple(check.name for check in checks(True, model) if check.moves)
     return ConformanceReport(name, results, skipped)
 
 
 def checks(move: bool, model: RobotModel = RobotModel.KHEPERA) -> Iterator[Check]:
-    """Return all checks, with or without those that move the robot."""
-    return (each for each in _CHECKS[model] if move or not each.moves)
+    """Return the checks, with or without those that move the robot."""
+    return (check for check in _CHECKS[model] if move or not check.moves)
 
 
-def run_check(asked: Check, line: CheckedPort) -> Result:
-    """Run one check on a quiet line and leave the line quiet."""
+def run_check(check: Check, line: CheckedPort) -> Result:
+    """Run one check on a silent line and leave the line silent."""
     deviation, absent, impossible = "", False, ""
     try:
         line.port.reset_input_buffer()
         try:
-            absent = asked.turret is not None and line.ask(f"T,{asked.turret},B").startswith("z,")
+            absent = check.turret is not None and line.ask(f"T,{check.turret},B").startswith("z,")
             if not absent:
-                asked.body(line)
-            line.silent("after the last reply")
+                check.body(line)
+            line.expect_silence("after the last reply")
         except NotPossibleError as error:
             impossible = str(error)
         except Deviation as error:
             deviation = str(error)
-            # Leftovers of a wrong answer must not reach the next check.
+            # The rest of a wrong reply must not reach the next check.
             line.send("\n")
             line.read_for(0.3)
     except PORT_FAILURES as error:
         deviation = f"the port failed: {error}"
-    return Result(asked.name, asked.section, deviation, absent, impossible)
+    return Result(check.name, check.section, deviation, absent, impossible)
 
 
 def _expect_waiting(line: CheckedPort, counters: str) -> None:
-    if moves_by_itself(line, counters):
+    if is_driving(line, counters):
         raise NotPossibleError(
-            "the robot moves by itself, as in its demonstration (mode 0); needs one that waits for commands"
+            "the robot drives without commands, as in its demonstration (mode 0); needs one that waits"
         )

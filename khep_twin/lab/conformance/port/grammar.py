@@ -1,4 +1,4 @@
-"""Checks of lines and their replies, with the robot at rest."""
+"""Checks of the syntax of lines and replies, with the robot at rest."""
 
 from string import ascii_uppercase
 
@@ -12,13 +12,13 @@ def line_endings(line: CheckedPort) -> None:
         answer = line.ask("B", end)
         if not answer.startswith("b,"):
             raise Deviation(f"{'B' + end!r} was answered {answer!r}")
-        line.silent(f"after the reply to {'B' + end!r}")
+        line.expect_silence(f"after the reply to {'B' + end!r}")
 
 
 @check("an empty line gets no reply", "3.2")
 def empty_lines(line: CheckedPort) -> None:
     line.send("\n\r\n\r")
-    line.silent("after empty lines")
+    line.expect_silence("after empty lines")
 
 
 @check("bytes sent one at a time make up a line", "3.2")
@@ -63,7 +63,7 @@ def signed_numbers(line: CheckedPort) -> None:
 def long_line(line: CheckedPort) -> None:
     line.send("D," + "1" * 600 + "\n")
     line.reply("a line of 602 bytes")
-    line.silent("after the answer to an over-long line")
+    line.expect_silence("after the answer to an over-long line")
     line.order("G,3,4")
 
 

@@ -10,12 +10,12 @@ from khep_twin.lab.conformance.port.check import (
 )
 from khep_twin.units import N_SENSORS
 
-FORWARD = "drives about 80 mm forwards and as far back"
+FORWARD = "drives about 80 mm forwards and back"
 SPIN = "turns on the spot, about a quarter turn each way"
-TO_A_WALL = "drives forwards to a light-coloured object, up to 40 cm, turns there and comes back"
+TO_A_WALL = "drives forwards to a light-coloured object, up to 40 cm, turns there and drives back"
 
-NEAR, SEEN = 600, 100
-"""Proximity at which the robot is near enough to a wall, and rise of a sensor that sees a thing [counts]."""
+NEAR, RISE = 600, 100
+"""Proximity at which the robot is near enough to a wall, and rise of a sensor at an object [counts]."""
 
 _NEEDED = "needs a light-coloured wall straight ahead, with nothing else near"
 
@@ -27,7 +27,7 @@ QUARTER_PULSES = 510
 
 
 def _drive_to(line: CheckedPort, left: int, right: int) -> float:
-    """Send the wheels to a target; return the time until both are there [s]."""
+    """Send the wheels to a target; return the time until both reach it [s]."""
     line.order(f"C,{left},{right}")
     start = line.time()
     limit = 5 + max(abs(left), abs(right)) / 1000
@@ -37,13 +37,13 @@ def _drive_to(line: CheckedPort, left: int, right: int) -> float:
     return line.time() - start
 
 
-def _travelled(line: CheckedPort, command: str, left: int, right: int, duration: float) -> list[int]:
+def _drive(line: CheckedPort, command: str, left: int, right: int, duration: float) -> list[int]:
     """Apply D or P for a duration [s] and stop; return the change of the counters [pulses]."""
-    before = line.numbers("H", 2)
+    starts = line.numbers("H", 2)
     line.order(f"{command},{left},{right}", pause=duration)
-    after = line.numbers("H", 2)
+    ends = line.numbers("H", 2)
     line.order(f"{command},0,0", pause=0.3)
-    return [now - then for then, now in zip(before, after, strict=True)]
+    return [end - start for start, end in zip(starts, ends, strict=True)]
 
 
 def _expect_profile_time(took: float) -> None:
@@ -77,7 +77,7 @@ def measured_speeds(line: CheckedPort) -> None:
             raise Deviation(f"P,{left},{right} turned the wheels at the speeds {speeds} by E")
 
 
-@check("K reads the left wheel first, and the error left", "A, command K", FORWARD)
+@check("K reads the left wheel first, and the remaining error", "A, command K", FORWARD)
 def status_of_each_wheel(line: CheckedPort) -> None:
     line.order("J,20,64,20,64", "G,0,0", "C,1000,0", pause=0.6)
     status = line.numbers("K", 6)
@@ -97,7 +97,7 @@ def status_of_each_wheel(line: CheckedPort) -> None:
     line.order("D,0,0")
 
 
-@check("G in motion sets the counters and stops nothing", "A, command G", FORWARD)
+@check("G in motion sets the counters and does not stop the motors", "A, command G", FORWARD)
 def counters_in_motion(line: CheckedPort) -> None:
     line.order("D,10,10", pause=0.5)
     line.order("G,0,-5000", pause=0.5)
@@ -111,12 +111,12 @@ def counters_in_motion(line: CheckedPort) -> None:
 def profiles(line: CheckedPort) -> None:
     line.order("G,0,0")
     # 1000 pulses: at 10 pulses/tick 100 ticks and a ramp of 40; at 16/256 pulse/tick^2 2 sqrt(16000) ticks.
-    for profile, target, right in (("10,64,10,64", 1000, 1.4), ("20,16,20,16", 0, 2.53)):
+    for profile, target, duration in (("10,64,10,64", 1000, 1.4), ("20,16,20,16", 0, 2.53)):
         line.order(f"J,{profile}")
         took = _drive_to(line, target, target)
-        if not 0.9 * right < took < right + 0.6:
+        if not 0.9 * duration < took < duration + 0.6:
             raise Deviation(
-                f"with J,{profile} 1000 pulses took {took:.2f} s; expected {right} s and some settling"
+                f"with J,{profile} 1000 pulses took {took:.2f} s; expected {duration} s and some settling"
             )
     line.order("J,20,64,20,64")
 
@@ -136,20 +136,20 @@ def restart_in_motion(line: CheckedPort) -> None:
     line.send("restart\n")
     line.read_until_quiet(SETTLE)
     line.sleep(0.3)
-    before = line.numbers("H", 2)
+    starts = line.numbers("H", 2)
     line.sleep(0.4)
-    after = line.numbers("H", 2)
+    ends = line.numbers("H", 2)
     line.order("D,-8,-8", pause=0.4)
     line.order("D,0,0")
-    if max(abs(now - then) for then, now in zip(before, after, strict=True)) > 5:
-        raise Deviation(f"after a restart in motion the counters went on from {before} to {after}")
+    if max(abs(end - start) for start, end in zip(starts, ends, strict=True)) > 5:
+        raise Deviation(f"after a restart in motion the counters changed from {starts} to {ends}")
 
 
 @check("D drives the left and the right wheel in this order", "A, command D", SPIN)
 def wheel_order(line: CheckedPort) -> None:
     line.order("G,0,0")
     for left, right in ((5, -5), (-5, 5)):
-        pulses = _travelled(line, "D", left, right, 0.7)
+        pulses = _drive(line, "D", left, right, 0.7)
         if pulses[0] * left <= 100 or pulses[1] * right <= 100:
             raise Deviation(f"D,{left},{right} moved the counters by {pulses}")
 
@@ -176,38 +176,38 @@ def profile_after_restart(line: CheckedPort) -> None:
 @check("the sensors come in the manual's order, clockwise from the left", "A, command N", TO_A_WALL)
 def sensor_order(line: CheckedPort) -> None:
     line.order("D,0,0", "G,0,0")
-    before = line.numbers("N", N_SENSORS)
+    background = line.numbers("N", N_SENSORS)
     line.order("D,10,10")
     start = line.time()
-    # Any sensor may see it first: the order is what is asked.
+    # Any sensor may detect the wall first, as their order is not known yet.
     while not any(
-        now >= NEAR and now - then >= SEEN
-        for then, now in zip(before, line.numbers("N", N_SENSORS), strict=True)
+        value >= NEAR and value - base >= RISE
+        for base, value in zip(background, line.numbers("N", N_SENSORS), strict=True)
     ):
         if line.time() - start > TIME_TO_A_WALL:
             line.order("D,0,0")
             _drive_to(line, 0, 0)
-            raise NotPossibleError(f"no sensor saw anything within 40 cm; {_NEEDED}")
+            raise NotPossibleError(f"no sensor detected anything within 40 cm; {_NEEDED}")
     line.order("D,0,0", pause=0.3)
-    here = line.numbers("H", 2)[0]
-    found: list[list[int]] = []
+    position = line.numbers("H", 2)[0]
+    readings: list[list[int]] = []
     for turn in (0, QUARTER_PULSES, -QUARTER_PULSES, -2 * QUARTER_PULSES):
-        _drive_to(line, here + turn, here - turn)
+        _drive_to(line, position + turn, position - turn)
         line.sleep(0.1)
-        found.append(line.numbers("N", N_SENSORS))
-    _drive_to(line, here, here)
+        readings.append(line.numbers("N", N_SENSORS))
+    _drive_to(line, position, position)
     _drive_to(line, 0, 0)
     line.order("D,0,0")
-    # Above what each reads where it looks elsewhere: those of a Khepera II never read 0.
-    least = [min(counts) for counts in zip(*found, strict=True)]
-    rises = [[now - low for now, low in zip(counts, least, strict=True)] for counts in found]
-    if any(max(rise) < SEEN for rise in rises):
-        raise NotPossibleError(f"the object was out of sight after a turn; {_NEEDED}")
+    # Above the reading of each sensor in other directions: those of a Khepera II never read 0.
+    lowest = [min(counts) for counts in zip(*readings, strict=True)]
+    rises = [[count - low for count, low in zip(counts, lowest, strict=True)] for counts in readings]
+    if any(max(rise) < RISE for rise in rises):
+        raise NotPossibleError(f"no sensor detected the object after a turn; {_NEEDED}")
     sides = ((2, 3), (0, 1), (4, 5), (6, 7))
     if any(max(rise[i] for i in side) < max(rise) / 2 for rise, side in zip(rises, sides, strict=True)):
-        seen = [rise.index(max(rise)) for rise in rises]
+        sensors = [rise.index(max(rise)) for rise in rises]
         raise Deviation(
-            f"with a wall ahead, left, right and behind the sensors {seen} of N read the highest counts; "
+            f"with a wall ahead, left, right and behind the sensors {sensors} of N read the highest counts; "
             "expected 2 or 3, 0 or 1, 4 or 5, 6 or 7"
         )
 
@@ -216,8 +216,8 @@ def sensor_order(line: CheckedPort) -> None:
 def open_loop(line: CheckedPort) -> None:
     line.order("G,0,0")
     for duty in (40, -40):
-        pulses = _travelled(line, "P", duty, duty, 0.4)
-        if min(each * duty for each in pulses) <= 0:
+        pulses = _drive(line, "P", duty, duty, 0.4)
+        if min(count * duty for count in pulses) <= 0:
             raise Deviation(f"P,{duty},{duty} moved the counters by {pulses}")
     line.order("D,0,0")
 

@@ -13,21 +13,21 @@ from khep_twin.lab.conformance.port.check import (
 from khep_twin.units import RADIO_ALL, RADIO_BYTES, RADIO_NUMBER, RadioStatus
 
 MESSAGE_TIME = 10.0
-"""Longest time in which a message is sent, or given up [s] (assumed)."""
+"""Longest time until a message is sent, or reported as failed [s] (assumed)."""
 
 NOBODY = 255
-"""Number that no radio has."""
+"""Number that is not the number of any radio."""
 
 _PAUSE = 0.05
 """Pause between two reads of the status [s]."""
 
-_MOST_READS = 20
-"""Most messages that may wait to be read."""
+_MAX_READS = 20
+"""Largest number of messages that may wait to be read."""
 
 
-def _order(to: int, length: int, *data: int) -> str:
-    """Return the order S for a message, filled up with zeros."""
-    return ",".join(map(str, ("S", to, length, *data, *[0] * (RADIO_BYTES - len(data)))))
+def _order(receiver: int, length: int, *data: int) -> str:
+    """Return the command S for a message, padded with zeros."""
+    return ",".join(map(str, ("S", receiver, length, *data, *[0] * (RADIO_BYTES - len(data)))))
 
 
 def _status(line: CheckedPort) -> RadioStatus:
@@ -50,34 +50,30 @@ def _wait_until_sent(line: CheckedPort) -> RadioStatus:
 def reports(line: CheckedPort) -> None:
     ask_turret(line, RADIO_NUMBER, "B", 2)
     _wait_until_sent(line)
-    for _ in range(_MOST_READS):
-        waits = _status(line) & RadioStatus.RECEIVED
+    for _ in range(_MAX_READS):
+        has_message = _status(line) & RadioStatus.RECEIVED
         sender, length, *data = ask_turret(line, RADIO_NUMBER, "R", 2 + RADIO_BYTES)
         expect_range("the sender of a message", [sender], 0, NOBODY)
         expect_range("the length of a message", [length], 0, RADIO_BYTES)
         expect_range("a byte of a message", data, 0, 255)
-        if not waits:
+        if not has_message:
             return
-    raise Deviation(f"a radio still had a message after {_MOST_READS} reads")
+    raise Deviation(f"a radio still had a message after {_MAX_READS} reads")
 
 
-@check("a radio refuses orders and messages that do not exist", "assumed", turret=RADIO_NUMBER)
+@check("a radio refuses unknown commands and wrong parameters", "assumed", turret=RADIO_NUMBER)
 def refusals(line: CheckedPort) -> None:
     _wait_until_sent(line)
     ask_turret(line, RADIO_NUMBER, _order(RADIO_ALL, 0), 0)
     _wait_until_sent(line)
-    rubbish = ["S", f"S,{NOBODY},1,2", _order(NOBODY, 1) + ",0", _order(NOBODY, RADIO_BYTES + 1)]
-    rubbish += [_order(NOBODY, -1), _order(NOBODY, 1, 256), _order(NOBODY + 1, 1), _order(RADIO_ALL - 1, 1)]
-    expect_refusals(line, *(f"T,{RADIO_NUMBER},{message}" for message in (*rubbish, "F,1", "R,1", "Q")))
+    invalid = ["S", f"S,{NOBODY},1,2", _order(NOBODY, 1) + ",0", _order(NOBODY, RADIO_BYTES + 1)]
+    invalid += [_order(NOBODY, -1), _order(NOBODY, 1, 256), _order(NOBODY + 1, 1), _order(RADIO_ALL - 1, 1)]
+    expect_refusals(line, *(f"T,{RADIO_NUMBER},{message}" for message in (*invalid, "F,1", "R,1", "Q")))
     if _wait_until_sent(line) & RadioStatus.FAILED:
-        raise Deviation("a radio has sent a message that it has refused")
+        raise Deviation("a radio sent a message that it had refused")
 
 
-@check(
-    "a radio sends a message to all radios, which needs no acknowledgement",
-    "radio base manual, A",
-    turret=RADIO_NUMBER,
-)
+@check("a radio's message to all needs no acknowledgement", "radio base manual, A", turret=RADIO_NUMBER)
 def broadcast(line: CheckedPort) -> None:
     _wait_until_sent(line)
     ask_turret(line, RADIO_NUMBER, _order(RADIO_ALL, 5, *b"hello"), 0)
@@ -85,7 +81,7 @@ def broadcast(line: CheckedPort) -> None:
         raise Deviation(f"a message to all failed: status {status:d}")
 
 
-@check("a radio is not ready while it sends, and takes no second message", "assumed", turret=RADIO_NUMBER)
+@check("a radio is not ready while it sends, and refuses a second message", "assumed", turret=RADIO_NUMBER)
 def one_at_a_time(line: CheckedPort) -> None:
     _wait_until_sent(line)
     message = f"T,{RADIO_NUMBER},{_order(NOBODY, 1, 7)}"
@@ -97,12 +93,12 @@ def one_at_a_time(line: CheckedPort) -> None:
     if RadioStatus(status) & RadioStatus.READY:
         raise Deviation(f"a radio that sends has the status {status}; expected one without the first bit")
     if not second.startswith("z,"):
-        raise Deviation(f"a second message was answered {second!r} while the first was sent; expected 'z,…'")
+        raise Deviation(f"a second message was answered {second!r} during the first; expected 'z,…'")
     _wait_until_sent(line)
 
 
 @check(
-    "a message that no radio acknowledges fails, until the next message",
+    "a message that no radio acknowledges is reported as failed until the next message",
     "radio base manual, 4.4",
     turret=RADIO_NUMBER,
 )

@@ -1,7 +1,7 @@
 """Contract of a check of a recording.
 
-A check is a function of a `RecordedLine`, under the decorator `check`, which returns what it has seen and
-where that deviates. The checks of `catalogue` are those that run.
+A check is a function that takes a `RecordedLine`, returns a `Verdict`, and has the decorator `check`. The
+checks in `catalogue` are run.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -10,19 +10,19 @@ from dataclasses import dataclass
 from khep_twin.clock import NS_PER_S
 from khep_twin.lab.conformance.recording.board_model import RecordedStep
 from khep_twin.lab.conformance.recording.recorded_line import RecordedLine
-from khep_twin.log.decoding import shown
-from khep_twin.log.transcript import text_of
+from khep_twin.log.decoding import printable
+from khep_twin.log.transcript import escape
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One place where a robot deviates.
+    """Deviation of a robot at one time; its attributes are keys of the JSON report.
 
     Attributes:
         time_s: Time in the log [s].
         command: Command that was sent; empty if none was.
-        found: What was given.
-        expected: What was expected.
+        found: Description of the reply.
+        expected: Description of the expected reply.
     """
 
     time_s: float
@@ -32,9 +32,9 @@ class Finding:
 
     @property
     def text(self) -> str:
-        """One line."""
-        asked = f"{shown(self.command)}: " if self.command else ""
-        return f"{self.time_s:.4f} s  {asked}{self.found}; expected {self.expected}"
+        """One line of a report."""
+        prefix = f"{printable(self.command)}: " if self.command else ""
+        return f"{self.time_s:.4f} s  {prefix}{self.found}; expected {self.expected}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +42,12 @@ class Verdict:
     """Result of a check.
 
     Attributes:
-        seen: Number of replies, or of pairs of them, that were checked.
+        n_checked: Number of replies, or of pairs of them, that were checked.
         findings: Deviations.
-        note: Further words, such as measured times.
+        note: Additional information, e.g. measured times.
     """
 
-    seen: int
+    n_checked: int
     findings: Sequence[Finding] = ()
     note: str = ""
 
@@ -58,7 +58,7 @@ class RecordingCheck:
 
     Attributes:
         name: Tested statement.
-        section: Section of the manual; "assumed" where it is silent and the twin's decision counts.
+        section: Section of the manual; "assumed" if the manual leaves it open and the twin defines it.
         body: Function that runs the check.
     """
 
@@ -68,24 +68,23 @@ class RecordingCheck:
 
 
 def check(name: str, section: str) -> Callable[[Callable[[RecordedLine], Verdict]], RecordingCheck]:
-    """Return a decorator that makes a check of a function; the arguments are those of `RecordingCheck`."""
+    """Return a decorator that turns a function into a check; for the arguments see `RecordingCheck`."""
     return lambda body: RecordingCheck(name, section, body)
 
 
-def finding(step: RecordedStep, found: str, expected: str) -> Finding:
+def finding(step: RecordedStep, observation: str, expected: str) -> Finding:
     """Return a finding at a step."""
-    each = step.exchange
-    time_ns = each.sent_ns if each.reply is None else each.heard_ns
-    return Finding(time_ns / NS_PER_S, text_of(each.command), found, expected)
+    exchange = step.exchange
+    time_ns = exchange.sent_ns if exchange.reply is None else exchange.reply_ns
+    return Finding(time_ns / NS_PER_S, escape(exchange.command), observation, expected)
 
 
-def answered(step: RecordedStep) -> str:
-    """Return the words for a step's reply."""
-    reply = step.exchange.reply
-    return "no reply" if reply is None else f"the reply {shown(text_of(reply))}"
+def wrong_reply(step: RecordedStep, expected: str) -> Finding:
+    """Return a finding about the reply of a step."""
+    return finding(step, step.reply_text, expected)
 
 
-def over(steps: Iterator[RecordedStep], deviation: Callable[[RecordedStep], Finding | None]) -> Verdict:
-    """Return the verdict over steps of which each may deviate."""
-    found = [deviation(step) for step in steps]
-    return Verdict(len(found), [each for each in found if each is not None])
+def judge(steps: Iterator[RecordedStep], deviation: Callable[[RecordedStep], Finding | None]) -> Verdict:
+    """Return the verdict over steps, with the findings that `deviation` returns for them."""
+    results = [deviation(step) for step in steps]
+    return Verdict(len(results), [result for result in results if result is not None])

@@ -1,6 +1,6 @@
-"""Check of a recording: the replies of a robot or an emulator in a log, compared with the board's model.
+"""Check of a recording: the replies of a robot or an emulator in a log, compared with the firmware's.
 
-Nothing is sent: what the hosts of the log did not ask is not seen.
+No commands are sent: only the commands in the log are checked.
 """
 
 import json
@@ -13,13 +13,13 @@ from khep_twin.lab.conformance.recording.catalogue import CHECKS
 from khep_twin.lab.conformance.recording.check import Finding
 from khep_twin.lab.conformance.recording.recorded_line import RecordedLine, recorded_lines
 
-MOST_SHOWN = 5
-"""Most findings of a check that are shown; the JSON has all."""
+MAX_SHOWN = 5
+"""Largest number of findings per check in the text; the JSON report has all."""
 
 
 @dataclass(frozen=True, slots=True)
 class CheckedStatement:
-    """Verdict of a check with its name and section."""
+    """Verdict of a check with its name and section; these attributes are keys of the JSON report."""
 
     name: str
     section: str
@@ -30,18 +30,18 @@ class CheckedStatement:
     def text(self) -> str:
         """Return the lines of a report."""
         mark = "FAIL" if self.findings else "ok  " if self.seen else "none"
-        counted = f"{len(self.findings)} of {self.seen}" if self.findings else str(self.seen)
-        told = f"{counted}{', ' + self.note if self.note else ''}" if self.seen or self.findings else ""
-        lines = [f"{mark}  {self.name} [{self.section}]{': ' if told else ''}{told}"]
-        lines += [f"        {finding.text}" for finding in self.findings[:MOST_SHOWN]]
-        if (more := len(self.findings) - MOST_SHOWN) > 0:
-            lines.append(f"        and {more} more")
+        counts = f"{len(self.findings)} of {self.seen}" if self.findings else str(self.seen)
+        summary = f"{counts}{', ' + self.note if self.note else ''}" if self.seen or self.findings else ""
+        lines = [f"{mark}  {self.name} [{self.section}]{': ' if summary else ''}{summary}"]
+        lines += [f"        {finding.text}" for finding in self.findings[:MAX_SHOWN]]
+        if (n_hidden := len(self.findings) - MAX_SHOWN) > 0:
+            lines.append(f"        and {n_hidden} more")
         return "\n".join(lines)
 
 
 @dataclass(frozen=True, slots=True)
 class CheckedRobot:
-    """Results of one robot: its name, what it was compared with, and the verdict of each check."""
+    """Results of one robot: its name, a description with the ROM it was compared with, and the verdicts."""
 
     name: str
     text: str
@@ -49,8 +49,8 @@ class CheckedRobot:
 
     @property
     def passed(self) -> bool:
-        """True if nothing deviates."""
-        return not any(each.findings for each in self.statements)
+        """True if there are no findings."""
+        return not any(statement.findings for statement in self.statements)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,18 +62,19 @@ class RecordingReport:
 
     @property
     def passed(self) -> bool:
-        """True if no robot deviates."""
+        """True if no robot has findings."""
         return all(robot.passed for robot in self.robots)
 
     def text(self) -> str:
         """Return the report as readable text."""
         lines: list[str] = []
         for robot in self.robots:
-            lines += [robot.text, *(each.text() for each in robot.statements)]
-            failed = sum(bool(each.findings) for each in robot.statements)
-            unseen = sum(not each.seen and not each.findings for each in robot.statements)
-            passed = len(robot.statements) - failed - unseen
-            lines.append(f"\n{self.log}, {robot.name}: {passed} passed, {failed} failed, {unseen} not seen\n")
+            lines += [robot.text, *(statement.text() for statement in robot.statements)]
+            n_failed = sum(bool(statement.findings) for statement in robot.statements)
+            n_unseen = sum(not statement.seen and not statement.findings for statement in robot.statements)
+            n_passed = len(robot.statements) - n_failed - n_unseen
+            counts = f"{n_passed} passed, {n_failed} failed, {n_unseen} not seen"
+            lines.append(f"\n{self.log}, {robot.name}: {counts}\n")
         return "\n".join(lines).rstrip("\n")
 
     def json(self) -> str:
@@ -86,16 +87,16 @@ def conform_recording(path: StrPath) -> RecordingReport:
     """Check the replies of all robots of a log.
 
     Raises:
-        LogError: There is no log, it is not whole, or nothing crossed a line in it.
+        LogError: The log is missing or incomplete, or has no serial data.
     """
-    return RecordingReport(str(path), tuple(map(_checked, recorded_lines(Path(path)))))
+    return RecordingReport(str(path), tuple(map(_check_line, recorded_lines(Path(path)))))
 
 
-def _checked(line: RecordedLine) -> CheckedRobot:
+def _check_line(line: RecordedLine) -> CheckedRobot:
     statements: list[CheckedStatement] = []
     for check in CHECKS:
-        verdict = check.body(line)
+        result = check.body(line)
         statements.append(
-            CheckedStatement(check.name, check.section, verdict.seen, tuple(verdict.findings), verdict.note)
+            CheckedStatement(check.name, check.section, result.n_checked, tuple(result.findings), result.note)
         )
     return CheckedRobot(line.name, line.text, tuple(statements))

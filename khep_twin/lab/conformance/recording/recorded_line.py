@@ -1,7 +1,7 @@
-"""A robot's line from a log: its exchanges, each beside what the board's own code makes of it.
+"""Serial line of a robot in a log: its exchanges, each with the expected reply of the firmware.
 
-The log is a twin's, or a relay's at a real robot; of either only the line and its times are used, and what
-the label says of the robot. `board_model` has the board's own code.
+The log is of a twin, or of a relay at a real robot. Only the serial data with its times, and the description
+of the robot in the label, are used. `board_model` runs the firmware.
 """
 
 import re
@@ -21,20 +21,20 @@ from khep_twin.lab.conformance.recording.board_model import (
     KnownRobot,
     RecordedStep,
     TimedExchange,
-    versions,
-    wrong_modes,
+    count_wrong_modes,
+    version_reply,
 )
 from khep_twin.log.channels import TextLine
-from khep_twin.log.decoding import DecodeError, decoded, read_line
+from khep_twin.log.decoding import DecodeError, decode_messages, read_line
 from khep_twin.log.entries import Label
 from khep_twin.log.exchanges import BANNER, Dialogue, Exchange
 from khep_twin.log.host_events import read_events
 from khep_twin.log.reader import read_raw, require_kheperas_in
-from khep_twin.log.transcript import bytes_of
+from khep_twin.log.transcript import unescape
 from khep_twin.units import BITS_PER_BYTE
 
 _SET_SPEED = re.compile(r"the line is at ([1-9][0-9]{2,6}) baud")
-"""Event of a relay whose host has set another speed (`khep_twin.ports.relay`)."""
+"""Event of a relay when its host sets another baud rate (`khep_twin.ports.relay`)."""
 
 
 @dataclass(slots=True)
@@ -44,8 +44,8 @@ class RecordedLine:
     Attributes:
         name: Name of the robot in the log.
         simulated: True for a twin, whose times are exact.
-        noisy: True unless the log says that its sensors had no noise.
-        rom: Name of the ROM: that of the twin, or the one that fits the replies best.
+        noisy: True unless the sensors had no noise by the log's metadata.
+        rom: Name of the ROM: that of the twin, or the best match of the replies.
         mode: Running mode; None if unknown.
         turrets: Numbers of the turrets; None if unknown.
         changes_ns: Times at which the user moved a robot, a lamp or a sensor's conversion [ns].
@@ -63,98 +63,96 @@ class RecordedLine:
 
     @property
     def text(self) -> str:
-        """One line that says what was checked."""
-        what = f"a twin in mode {self.mode:X}" if self.mode is not None else "a robot"
-        asked = sum(bool(step.exchange.command) for step in self.steps)
-        return f"{self.name}: {what}, compared with ROM {self.rom}: {asked} commands"
+        """One line that describes the checked robot."""
+        subject = f"a twin in mode {self.mode:X}" if self.mode is not None else "a robot"
+        n_commands = sum(bool(step.exchange.command) for step in self.steps)
+        return f"{self.name}: {subject}, compared with ROM {self.rom}: {n_commands} commands"
 
 
 def recorded_lines(path: Path) -> list[RecordedLine]:
-    """Read the lines of all robots of a log that a host has talked to.
+    """Read the lines of all robots of a log that have received or sent serial data.
 
     Raises:
-        LogError: There is no log, it is not whole, or nothing crossed a line in it.
+        LogError: The log is missing or incomplete, or has no serial data.
     """
     channels = ("/host_events", "/serial", "/events")
-    label, found, _ = read_raw(path, lambda topic: topic.endswith(channels))
+    label, messages, _ = read_raw(path, lambda topic: topic.endswith(channels))
     require_kheperas_in(label, path, "the checks of a recording")
-    known = _robots_of(label, path)
+    robots = _known_robots(label, path)
     events: dict[str, list[HostEvent]] = {}
     for name in label.robots:
         topic = f"/{name}/host_events"
-        pieces = decoded(path, topic, found, lambda data: [each for _, each in read_events(data)])
-        events[name] = [event for _, piece in pieces for event in piece]
-    changes_ns = sorted(
-        event.at_ns for each in events.values() for event in each if event.kind > HostEventKind.SET
-    )
-    notes = [line for _, line in decoded(path, "/events", found, read_line)]
+        pieces = decode_messages(path, topic, messages, lambda data: list(read_events(data)))
+        events[name] = [event for _, piece in pieces for _, event in piece]
+    all_events = [event for robot_events in events.values() for event in robot_events]
+    changes_ns = sorted(event.at_ns for event in all_events if event.kind > HostEventKind.SET)
+    notes = [line for _, line in decode_messages(path, "/events", messages, read_line)]
     lines: list[RecordedLine] = []
     for index, name in enumerate(label.robots):
-        told = [line for _, line in decoded(path, f"/{name}/serial", found, read_line)]
-        if not told:
+        transcript = [line for _, line in decode_messages(path, f"/{name}/serial", messages, read_line)]
+        if not transcript:
             continue
-        robot = known[index]
+        robot = robots[index]
         if "seed" in label.metadata:
-            timed = _of_a_twin(told, events[name])
+            exchanges = _twin_exchanges(transcript, events[name])
         else:
-            timed = _of_a_relay(told, events[name], _bauds(label, notes))
-        resets_ns = [
-            event.at_ns for event in events[name] if event.kind == HostEventKind.PUT and len(event.data) > 24
-        ]
-        lines.append(_line(name, label, robot, timed, changes_ns, resets_ns))
+            exchanges = _relay_exchanges(transcript, events[name], _bauds(label, notes))
+        moves = (event for event in events[name] if event.kind == HostEventKind.PUT)
+        resets_ns = [event.at_ns for event in moves if len(event.data) > 24]
+        lines.append(_make_line(name, label, robot, exchanges, changes_ns, resets_ns))
     if not lines:
-        raise LogError(f"{path}: nothing crossed a line in it; expected a log of khep-twin run or serve")
+        raise LogError(f"{path}: no serial data in it; expected a log of khep-twin run or serve")
     return lines
 
 
-def _robots_of(label: Label, path: Path) -> list[KnownRobot]:
+def _known_robots(label: Label, path: Path) -> list[KnownRobot]:
     if "playpen.toml" not in label.attachments:
         return [KnownRobot()] * len(label.robots)
     from khep_twin.log.attached import playpen_of
 
     entries = playpen_of(label.attachments, path).robots
     if len(entries) != len(label.robots):
-        raise DecodeError(f"{len(label.robots)} robots", f"{len(entries)}, those of its playpen.toml").at(
-            path, "metadata"
-        )
+        raise DecodeError(
+            f"{len(label.robots)} robots", f"{len(entries)}, those of its playpen.toml"
+        ).to_log_error(path, "metadata")
     return [KnownRobot(entry.rom, entry.mode, tuple(find(entry.turrets))) for entry in entries]
 
 
-def _of_a_twin(told: Sequence[TextLine], events: Sequence[HostEvent]) -> list[TimedExchange]:
-    """Return the exchanges of a twin, whose transcript has each command where the robot took it.
+def _twin_exchanges(transcript: Sequence[TextLine], events: Sequence[HostEvent]) -> list[TimedExchange]:
+    """Return the exchanges of a twin, whose transcript has each command at the time of its processing.
 
-    In the order of the file a command is followed by its replies, however many commands are waiting.
+    In the order of the file a command is followed by its replies, even if further commands are pending.
     """
-    # A twin's replies have the time of their last byte, and a list of 2 kB takes its time.
-    dialogue, found = Dialogue(give_up_ns=60 * NS_PER_S), list[Exchange]()
-    leaving, begun = deque[tuple[int, bytes]](), b""
+    # A twin's replies have the time of their last byte, and the transmission of a list of 2 kB takes 2 s.
+    dialogue, exchanges = Dialogue(timeout_ns=60 * NS_PER_S), list[Exchange]()
+    departures, unfinished = deque[tuple[int, bytes]](), b""
     for event in events:
         if event.kind == HostEventKind.SEND:
-            begun = LINE_END.split(begun + event.data)[-1]
+            unfinished = LINE_END.split(unfinished + event.data)[-1]
         elif event.kind == HostEventKind.DISCONNECT:
-            leaving.append((event.at_ns, begun))
-            begun = b""
+            departures.append((event.at_ns, unfinished))
+            unfinished = b""
     rest = b""
-    for line in told:
-        data, to_robot = bytes_of(line.text), line.name == "host"
-        while to_robot and leaving and _is_later(line.time_ns, data, *leaving[0]):
-            # The robot forgets an unfinished line, the transcript has it before the next one.
-            rest = leaving.popleft()[1] or rest
-            found += dialogue.close()
+    for line in transcript:
+        data, to_robot = unescape(line.text), line.name == "host"
+        while to_robot and departures and _is_next_host(line.time_ns, data, *departures[0]):
+            # The robot drops an unfinished line; the transcript has it before the next line.
+            rest = departures.popleft()[1] or rest
+            exchanges += dialogue.close()
         if to_robot and rest:
             data, rest = data.removeprefix(rest), b""
-        found += dialogue.feed(line.time_ns, to_robot, data + b"\n")
-    found += dialogue.close()
-    return [TimedExchange(each, each.sent_ns, 0) for each in found]
+        exchanges += dialogue.feed(line.time_ns, to_robot, data + b"\n")
+    exchanges += dialogue.close()
+    return [TimedExchange(exchange, exchange.sent_ns, 0) for exchange in exchanges]
 
 
-def _is_later(time_ns: int, line: bytes, left_ns: int, begun: bytes) -> bool:
-    """Return whether a line is of another host than the one that left with an unfinished line."""
-    return left_ns < time_ns or (left_ns == time_ns and begun != b"" and line.startswith(begun))
+def _is_next_host(time_ns: int, line: bytes, left_ns: int, unfinished: bytes) -> bool:
+    """Return whether a line is from a later host than the one that left with an unfinished line."""
+    return left_ns < time_ns or (left_ns == time_ns and unfinished != b"" and line.startswith(unfinished))
 
 
 def _bauds(label: Label, notes: Sequence[TextLine]) -> list[tuple[int, int]]:
-    """Return the speeds of a relay's line [baud] from their times [ns] on; none if they are not known."""
+    """Return the baud rates of a relay's line with their start times [ns]; none if they are not known."""
     text = label.metadata.get("baud", "")
     if not re.fullmatch("[1-9][0-9]{2,6}", text) or "://" in label.metadata.get("relay", "://"):
         return []
@@ -164,8 +162,8 @@ def _bauds(label: Label, notes: Sequence[TextLine]) -> list[tuple[int, int]]:
     return [(0, int(text)), *changes]
 
 
-def _of_a_relay(
-    told: Sequence[TextLine], events: Sequence[HostEvent], bauds: Sequence[tuple[int, int]]
+def _relay_exchanges(
+    transcript: Sequence[TextLine], events: Sequence[HostEvent], bauds: Sequence[tuple[int, int]]
 ) -> list[TimedExchange]:
     """Return the exchanges of a real robot, from the host's bytes and the transcript's replies."""
     pieces = [
@@ -174,9 +172,11 @@ def _of_a_relay(
         if event.kind == HostEventKind.SEND
         for piece in re.findall(rb"[^\r\n]*[\r\n]|[^\r\n]+", event.data)
     ]
-    pieces += [(line.time_ns, False, bytes_of(line.text) + b"\n") for line in told if line.name == "robot"]
+    pieces += [
+        (line.time_ns, False, unescape(line.text) + b"\n") for line in transcript if line.name == "robot"
+    ]
     speeds, line = deque(bauds), SerialLine(0)
-    dialogue, found = Dialogue(), list[tuple[Exchange, int]]()
+    dialogue, exchanges = Dialogue(), list[tuple[Exchange, int]]()
     arrivals: dict[int, list[int]] = defaultdict(list)
     for time_ns, to_robot, data in sorted(pieces, key=lambda piece: piece[0]):
         while speeds and speeds[0][0] <= time_ns:
@@ -187,54 +187,52 @@ def _of_a_relay(
             line.read(time_ns)
             if data[-1:] in b"\r\n" and data.strip(b"\r\n"):
                 arrivals[time_ns].append(arrived_ns)
-        found += ((each, line.baud) for each in dialogue.feed(time_ns, to_robot, data))
-    found += ((each, line.baud) for each in dialogue.close())
+        exchanges += ((exchange, line.baud) for exchange in dialogue.feed(time_ns, to_robot, data))
+    exchanges += ((exchange, line.baud) for exchange in dialogue.close())
     timed: list[TimedExchange] = []
-    for each, baud in sorted(found, key=lambda pair: pair[0].sent_ns):
-        waiting = arrivals[each.sent_ns] if each.command else []
-        timed.append(TimedExchange(each, waiting.pop(0) if waiting else each.sent_ns, baud))
+    for exchange, baud in sorted(exchanges, key=lambda pair: pair[0].sent_ns):
+        pending = arrivals[exchange.sent_ns] if exchange.command else []
+        timed.append(TimedExchange(exchange, pending.pop(0) if pending else exchange.sent_ns, baud))
     return timed
 
 
-def _line(
+def _make_line(
     name: str,
     label: Label,
-    known: KnownRobot,
-    timed: Sequence[TimedExchange],
+    robot: KnownRobot,
+    exchanges: Sequence[TimedExchange],
     changes_ns: Sequence[int],
     resets_ns: Sequence[int],
 ) -> RecordedLine:
-    """Return the line with the replies of the board's own code, of the ROM that fits best."""
+    """Return the line with the expected replies of the ROM that matches best."""
     simulated = "seed" in label.metadata
     unpaced = label.metadata.get("unpaced") == "True"
-    baud = 0 if known.mode is None or unpaced else ROMS[known.rom].modes[known.mode].baud
-    ordered = sorted(timed, key=lambda each: _begun_ns(each, timed, baud or each.baud))
-    numbers = None if known.turrets is None else tuple(kind.number for kind in known.turrets)
+    baud = 0 if robot.mode is None or unpaced else ROMS[robot.rom].modes[robot.mode].baud
+    ordered = sorted(exchanges, key=lambda timed: _start_ns(timed, exchanges, baud or timed.baud))
+    numbers = None if robot.turrets is None else tuple(kind.number for kind in robot.turrets)
 
     def steps(rom: str) -> list[RecordedStep]:
-        board = BoardModel(ROMS[rom], known, ordered)
+        board = BoardModel(ROMS[rom], robot, ordered)
         return list(board.steps(ordered, resets_ns, simulated, unpaced))
 
-    told = {each.exchange.reply for each in timed if each.exchange.letter == "B"}
-    names = (
-        [known.rom] if known.rom else [key for key, rom in ROMS.items() if versions(rom) in told] or [*ROMS]
-    )
-    tried = [(key, steps(key)) for key in names]
-    rom, found = min(tried, key=lambda pair: wrong_modes(pair[1], ROMS[pair[0]]))
+    replies = {timed.exchange.reply for timed in exchanges if timed.exchange.letter == "B"}
+    matches = [key for key, rom in ROMS.items() if version_reply(rom) in replies]
+    candidates = [(key, steps(key)) for key in ([robot.rom] if robot.rom else matches or [*ROMS])]
+    rom, best_steps = min(candidates, key=lambda pair: count_wrong_modes(pair[1], ROMS[pair[0]]))
     noisy = label.metadata.get("noise") != "False"
-    return RecordedLine(name, simulated, noisy, rom, known.mode, numbers, changes_ns, found)
+    return RecordedLine(name, simulated, noisy, rom, robot.mode, numbers, changes_ns, best_steps)
 
 
-def _begun_ns(each: TimedExchange, timed: Sequence[TimedExchange], baud: int) -> int:
-    """Return when a command was sent, or when a robot that restarts by itself began with its banner [ns]."""
-    exchange = each.exchange
+def _start_ns(timed: TimedExchange, exchanges: Sequence[TimedExchange], baud: int) -> int:
+    """Return when a command was sent, or when a robot that restarts unasked started its banner [ns]."""
+    exchange = timed.exchange
     if exchange.command or BANNER not in (exchange.reply or b"") or not baud:
         return exchange.sent_ns
-    # A twin's lines have the time of the last one.
+    # All lines of a twin's banner have the time of the last one.
     lines = [
         other.exchange.reply or b""
-        for other in timed
-        if other.exchange.heard_ns == exchange.heard_ns and not other.exchange.command
+        for other in exchanges
+        if other.exchange.reply_ns == exchange.reply_ns and not other.exchange.command
     ]
     length = sum(len(line) + 2 for line in lines)
-    return exchange.heard_ns - length * BITS_PER_BYTE * NS_PER_S // baud
+    return exchange.reply_ns - length * BITS_PER_BYTE * NS_PER_S // baud

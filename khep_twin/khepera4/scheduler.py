@@ -1,0 +1,180 @@
+"""Scheduler of the robots' programs: which thread runs next, and when simulated time passes.
+
+All threads of all programs and of their child processes share one simulated time. Each has a connection to
+the twin, sends requests on it and waits for their replies (`device_server`). A futex (fast user-space mutex)
+is a word of a program's memory on which threads wait for each other; they queue here, not in the kernel.
+
+    rule      | when                                                  | why
+    ----------|-------------------------------------------------------|---------------------------------------
+    one runs  | a request is served only while all threads wait: for  | threads do not race, so a run repeats
+              | a reply, or in the kernel (`thread_watch`)            |
+    start     | a new thread or process first requests HELLO          | it starts when it is its turn
+    earliest  | the request that is due first is served; a SLEEP is   | simulated time passes until then
+              | due at its end or wake, all others on arrival         |
+    ties      | of several: by robot, then by thread number; last the | the order of a run repeats
+              | futex waits, the longest first                        |
+    clock     | a request for the time takes `TIME_REQUEST_NS`        | a loop until some time ends
+    patience  | a thread computes for `PATIENCE_S` while requests are | the others continue: time passes as
+              | pending                                               | fast as it computes, not deterministic
+    external  | all wait without a time-out for `EXTERNAL_WAIT_S`     | they wait for a key or the network:
+              |                                                       | time passes with the wall clock
+    busy      | a thread computes and none requests, for `BUSY_S`     | it may never end: time passes with the
+              |                                                       | wall clock
+"""
+
+import os
+import socket
+import sys
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from operator import attrgetter
+
+from khep_twin.khepera4.machine import Machine
+from khep_twin.khepera4.thread_watch import ThreadWatch
+
+TIME_REQUEST_NS = 10_000
+"""Simulated time of a request for the time and the code around it in a loop [ns] (assumed)."""
+
+PATIENCE_S = 0.05
+"""Processor time for which threads may compute while requests are pending [s] (assumed)."""
+
+EXTERNAL_WAIT_S = 0.2
+"""Time of the wall clock for which all threads wait without a time-out [s] (assumed)."""
+
+BUSY_S = 10.0
+"""Time of the wall clock for which threads compute without a request [s] (assumed)."""
+
+NEVER_NS = (1 << 63) - 1
+"""End of a wait without a time-out [ns]."""
+
+STRIDE_NS = 1_000_000_000
+"""Longest advance of simulated time before the programs are polled again: they may have ended [ns]."""
+
+_POLL_S = 0.02
+"""Time of the wall clock between two polls while no request is due [s]."""
+
+
+@dataclass(slots=True)
+class Connection:
+    """Connection of a thread, with its open request.
+
+        running --request--> pending  --reply--> running    due on arrival
+        running --SLEEP----> sleeping --reply--> running    due at its end, a WAKE of its futex or a CANCEL
+
+    Attributes:
+        is_pending: Whether a request is open, a SLEEP included.
+        is_sleeping: Whether that is a SLEEP.
+        end_ns: End of the SLEEP [ns].
+        futex: Process and address of its futex; address 0 for none.
+        ticket: Rank in the queue of all futex waits; 0 for other requests.
+        is_woken: Whether a WAKE has ended it.
+        due_ns: Earliest time of the reply [ns].
+    """
+
+    socket: socket.socket
+    robot: int
+    process: int
+    thread: int = 0
+    kind: int = 0
+    number: int = 0
+    content: bytes = b""
+    is_pending: bool = False
+    is_sleeping: bool = False
+    end_ns: int = 0
+    futex: tuple[int, int] = (0, 0)
+    ticket: int = 0
+    is_woken: bool = False
+    due_ns: int = 0
+
+
+@dataclass
+class Scheduler:
+    """Order of requests, and simulated time.
+
+    Attributes:
+        machine: Machine whose time all share.
+        connections: All connections, a view that changes with them.
+        clock: Function that returns real time [ns]; None for simulated time.
+        poll: Function that receives requests until a time-out [s], and returns whether any arrived.
+        reply: Function that replies on a connection.
+    """
+
+    machine: Machine
+    connections: Collection[Connection]
+    clock: Callable[[], int] | None
+    poll: Callable[[float], bool]
+    reply: Callable[[Connection], None]
+
+    def __post_init__(self) -> None:
+        self._last_ticket = 0
+        self._wakes: dict[tuple[int, int], int] = {}  # last WAKE of each process and futex address
+
+    def run(self, watch: ThreadWatch, is_over: Callable[[], bool], end_ns: int) -> None:
+        """Serve requests until a function returns True, or until a time [ns]."""
+        assert sys.platform == "linux"
+        start_ns, start_cpu_ns = 0, -1  # of a computation; -1 while all wait
+        n_idle, waited = 0, True  # polls without a request that is due, and the threads' state at the last
+        while self.machine.time_ns < end_ns and not is_over():
+            pending = [connection for connection in self.connections if connection.is_pending]
+            due_ns = min((connection.due_ns for connection in pending), default=NEVER_NS)
+            if due_ns == NEVER_NS:
+                if self.poll(_POLL_S):
+                    n_idle = 0
+                elif self.clock is not None:
+                    self.machine.advance_to(self.clock())
+                else:
+                    all_wait = self._all_wait(watch, pending)
+                    n_idle = n_idle + 1 if all_wait == waited else 0
+                    waited = all_wait
+                    if n_idle * _POLL_S > (EXTERNAL_WAIT_S if all_wait else BUSY_S):
+                        self.machine.advance_to(self.machine.time_ns + round(_POLL_S * 1e9))
+                continue
+            n_idle = 0
+            if self.clock is not None or self._all_wait(watch, pending):
+                if self.poll(0.0):
+                    continue
+                start_cpu_ns = -1
+            else:
+                if start_cpu_ns < 0:
+                    start_ns, start_cpu_ns = self.machine.time_ns, watch.cpu_ns()
+                spent_ns = watch.cpu_ns() - start_cpu_ns
+                if spent_ns < PATIENCE_S * 1e9 or due_ns > start_ns + spent_ns:
+                    self.poll(0.0001)
+                    continue
+            self._serve_first(pending, end_ns)
+            os.sched_yield()  # to the thread with the reply, which mostly sends its next request
+            self.poll(0.0)
+
+    def sleep(self, connection: Connection, end_ns: int, futex_address: int, last_wake: int) -> None:
+        """Queue a wait until a time [ns], or until a WAKE of a futex after the last that its thread knows."""
+        now_ns = self.machine.time_ns
+        futex = connection.process, futex_address
+        self._last_ticket += 1
+        connection.end_ns = end_ns
+        connection.futex = futex
+        connection.ticket = self._last_ticket if futex_address else 0
+        connection.is_woken = futex_address != 0 and last_wake < self._wakes.get(futex, 0)
+        connection.due_ns = now_ns if connection.is_woken else max(end_ns, now_ns)
+
+    def wake(self, futex: tuple[int, int], count: int, number: int) -> None:
+        """Wake those threads that have waited longest for a futex: a number of them, or all for 0."""
+        self._wakes[futex] = number
+        waiting = [c for c in self.connections if c.is_sleeping and not c.is_woken and c.futex == futex]
+        for connection in sorted(waiting, key=attrgetter("ticket"))[: count or None]:
+            connection.due_ns = self.machine.time_ns
+            connection.is_woken = True
+
+    def _all_wait(self, watch: ThreadWatch, pending: Collection[Connection]) -> bool:
+        """Return whether all threads wait, those with an open request included."""
+        threads = {(connection.process, connection.thread) for connection in pending}
+        blocked = {connection.thread for connection in pending if not connection.is_sleeping}
+        return watch.all_wait(threads, blocked, len(self.connections))
+
+    def _serve_first(self, pending: Collection[Connection], end_ns: int) -> None:
+        """Reply to the request whose turn it is, or advance by one stride towards its due time."""
+        first = min(pending, key=attrgetter("due_ns", "ticket", "robot", "thread"))
+        next_ns = min(self.machine.time_ns + STRIDE_NS, end_ns)
+        if self.clock is None and first.due_ns > next_ns:
+            self.machine.advance_to(next_ns)
+        else:
+            self.reply(first)

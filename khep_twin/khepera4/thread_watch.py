@@ -1,0 +1,134 @@
+"""Detection of waiting threads of the robots' programs, by the Linux kernel's files in /proc.
+
+A thread waits if /proc/PROCESS/task/THREAD/stat reports a sleep (S), a stop (T) or its end (Z, X). It may
+wait for a lock, another thread, a key or any other system call. A second file changes whenever the thread
+runs: two equal readings of it for all threads prove that all waited simultaneously in between.
+"""
+
+import contextlib
+import os
+import sys
+import time
+from collections.abc import Collection
+from itertools import chain
+from pathlib import Path
+
+ThreadId = tuple[int, int]
+"""Numbers of a process and of one of its threads."""
+
+
+class ThreadWatch:
+    """The threads of processes and of all their child processes.
+
+    Args:
+        processes: Numbers of the processes.
+
+    Attributes:
+        processes: Numbers of all live processes that are known.
+    """
+
+    def __init__(self, processes: Collection[int]) -> None:
+        self.processes = {*processes}
+        self._scanned = {*processes}  # all processes of this computer at the last scan
+        self._files: dict[ThreadId, tuple[int, int]] = {}  # descriptors of `stat` and of `_run_file`
+        self._newest_thread = b""
+        # The fastest file that changes whenever a thread runs; some kernels count nothing in it.
+        run_counts = _read(Path("/proc/thread-self/schedstat")).split()
+        self._run_file = "schedstat" if any(map(int, run_counts)) else "status"
+        self._load_file = os.open("/proc/loadavg", os.O_RDONLY)
+
+    def close(self) -> None:
+        """Close the files of /proc."""
+        for file in (self._load_file, *chain(*self._files.values())):
+            os.close(file)
+
+    def all_wait(self, pending: set[ThreadId], blocked: set[int], n_connections: int) -> bool:
+        """Return whether all threads wait.
+
+        Args:
+            pending: Threads with an open request.
+            blocked: Numbers of those that no signal wakes, so that they need not be read.
+            n_connections: Number of connections to the twin.
+        """
+        self._find_threads(pending)
+        if len(pending) == n_connections == len(self._files) == 1:
+            return True
+        watched = [thread for thread in self._files if thread[1] not in blocked]
+        run_counts: list[bytes] = []
+        for thread in watched:
+            if (run_count := self._run_count(thread)) is None:
+                return False
+            run_counts.append(run_count)
+        return run_counts == [self._run_count(thread) for thread in watched]
+
+    def cpu_ns(self) -> int:
+        """Return the processor time of all processes [ns]."""
+        assert sys.platform == "linux"
+        total_ns = 0
+        for process in self.processes:
+            with contextlib.suppress(OSError):  # it may have ended
+                total_ns += time.clock_gettime_ns(~process << 3 | 2)  # as C's clock_getcpuclockid
+        return total_ns
+
+    def _find_threads(self, pending: set[ThreadId]) -> None:
+        """Find new threads, and new child processes of known ones."""
+        assert sys.platform == "linux"
+        newest_thread = os.pread(self._load_file, 256, 0).rpartition(b" ")[2]
+        if newest_thread == self._newest_thread and pending <= self._files.keys():
+            return
+        live = {int(name) for name in os.listdir("/proc") if name.isdigit()}
+        new = live - self._scanned
+        parents = {process: _parent(process) for process in new}
+        self.processes |= {process for process, _ in pending}
+        while children := {p for p in new - self.processes if parents[p] in self.processes}:
+            self.processes |= children
+        self.processes &= live
+        self._scanned = live
+        self._newest_thread = newest_thread
+        threads = {(process, thread) for process in self.processes for thread in _threads(process)}
+        for thread in self._files.keys() - threads:
+            for file in self._files.pop(thread):
+                os.close(file)
+        for process, thread in sorted(threads - self._files.keys()):
+            with contextlib.suppress(OSError):
+                folder = f"/proc/{process}/task/{thread}"
+                state_file = os.open(f"{folder}/stat", os.O_RDONLY)
+                try:
+                    run_file = os.open(f"{folder}/{self._run_file}", os.O_RDONLY)
+                except OSError:
+                    os.close(state_file)
+                    raise
+                self._files[process, thread] = state_file, run_file
+
+    def _run_count(self, thread: ThreadId) -> bytes | None:
+        """Return the counters of a waiting thread's runs; None for a running thread."""
+        assert sys.platform == "linux"
+        state_file, run_file = self._files[thread]
+        try:
+            stat = os.pread(state_file, 4096, 0)
+            start = stat.rfind(b")") + 2  # behind the program's name
+            return os.pread(run_file, 4096, 0) if stat[start : start + 1] in b"SZXT" else None
+        except OSError:
+            return b""
+
+
+def _read(path: Path) -> bytes:
+    """Return the content of a file, empty if there is none."""
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""
+
+
+def _parent(process: int) -> int:
+    """Return the number of a process's parent, 0 if the process has ended."""
+    fields = _read(Path(f"/proc/{process}/stat")).rpartition(b")")[2].split()
+    return int(fields[1]) if fields else 0
+
+
+def _threads(process: int) -> list[int]:
+    """Return the numbers of the threads of a process."""
+    try:
+        return [int(name) for name in os.listdir(f"/proc/{process}/task")]
+    except OSError:
+        return []
